@@ -1,0 +1,68 @@
+# make run    sets up what is missing and shows a valve at work on ROS 2 topics
+# make test   runs all checks and tests
+#
+# Where a ROS 2 is sourced it is used as it is; elsewhere the wheels of Jazzy are installed into .venv.
+# BASE_PYTHON=/path/to/python3 chooses the interpreter (3.10 to 3.13).
+
+SHELL := /bin/bash
+COMMA := ,
+export BASE_PYTHON
+
+SOURCED_ROS := $(shell tools/environment sourced)
+ifeq ($(SOURCED_ROS),)
+ENVIRONMENT := .venv
+RUN_EXTRAS := ros
+# What another ROS left in this terminal would be mixed into the wheels'.
+unexport PYTHONPATH LD_LIBRARY_PATH AMENT_PREFIX_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
+else
+ENVIRONMENT := .venv-sourced-$(ROS_DISTRO)
+RUN_EXTRAS :=
+endif
+KILTED_ENVIRONMENT := .venv-kilted
+
+PYTHON := $(ENVIRONMENT)/bin/python
+KILTED_PYTHON := $(KILTED_ENVIRONMENT)/bin/python
+DECLARED := setup.py setup.cfg package.xml tools/environment
+# The environments are installed side by side: one waits for the network while the other unpacks.
+SETS_UP := $(MAKE) --no-print-directory --jobs 2
+
+# A tested environment can run too, so that whoever ran the tests first waits no second time.
+RUN_READY := $(firstword $(wildcard $(ENVIRONMENT)/.ready-to-test) $(ENVIRONMENT)/.ready-to-run)
+
+.PHONY: run test check kilted-nodes
+.DELETE_ON_ERROR:
+
+run: $(RUN_READY)
+	$(PYTHON) -m valve_sim.demo
+
+ifeq ($(SOURCED_ROS),)
+test:
+	@$(SETS_UP) $(ENVIRONMENT)/.ready-to-test $(KILTED_ENVIRONMENT)/.ready-to-test
+	@$(MAKE) --no-print-directory check
+	@$(MAKE) --no-print-directory kilted-nodes
+else
+test: check
+	@echo "tested with the sourced ROS 2 $(ROS_DISTRO); in a terminal without ROS, make test tests Jazzy and Kilted"
+endif
+
+check: $(ENVIRONMENT)/.ready-to-test
+	$(PYTHON) -m ruff check .
+	$(PYTHON) -m ruff format --check .
+	$(PYTHON) -m mypy
+	$(ENVIRONMENT)/bin/lint-imports
+	$(PYTHON) -m pytest
+
+kilted-nodes: $(KILTED_ENVIRONMENT)/.ready-to-test
+	$(KILTED_PYTHON) -m pytest test/nodes
+
+$(ENVIRONMENT)/.ready-to-run: $(DECLARED)
+	@tools/environment make $(ENVIRONMENT) "$(RUN_EXTRAS)"
+	@touch $@
+
+$(ENVIRONMENT)/.ready-to-test: $(DECLARED)
+	@tools/environment make $(ENVIRONMENT) "$(if $(RUN_EXTRAS),$(RUN_EXTRAS)$(COMMA))test"
+	@touch $@
+
+$(KILTED_ENVIRONMENT)/.ready-to-test: $(DECLARED)
+	@tools/environment make $(KILTED_ENVIRONMENT) "ros-kilted,test"
+	@touch $@

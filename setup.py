@@ -1,0 +1,78 @@
+"""How colcon and pip install valve_sim. Name, version and description are package.xml's."""
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+from setuptools import find_packages, setup
+
+HERE = Path(__file__).parent
+MANIFEST = ElementTree.parse(HERE / "package.xml").getroot()
+NAME = MANIFEST.findtext("name", "")
+SHARE = Path("share") / NAME
+
+RUNS_WITHOUT_ROS = [
+    "click>=8.1",
+    "jinja2>=3.0",
+    "lz4>=4.0",
+    "matplotlib>=3.6",
+    "mcap>=1.2",
+    "numba>=0.58",
+    "numpy>=1.24",
+    "plotly>=5.15",
+    "pyyaml>=6.0",
+    "rich>=13.0",
+    "rosbags>=0.11",
+    "scipy>=1.11",
+    "zstandard>=0.20",
+]
+# The two cannot share an environment: they pin different versions of the same messages.
+ROS_JAZZY = [
+    "ros-jazzy-rclpy==7.1.6",
+    "ros-jazzy-rmw-fastrtps-cpp",
+    "ros-jazzy-std-msgs",
+    "ros-jazzy-sensor-msgs",
+    "ros-jazzy-diagnostic-msgs",
+    "ros-jazzy-std-srvs",
+]
+ROS_KILTED = [
+    "ros-kilted-rclpy==9.1.2",
+    "ros-kilted-rmw-fastrtps-cpp",
+    "ros-std-msgs==5.5.1",
+    "ros-sensor-msgs==5.5.1",
+    "ros-diagnostic-msgs==5.5.1",
+    "ros-std-srvs==5.5.1",
+]
+CHECKS = ["hypothesis", "import-linter", "mypy", "pytest", "ruff", "scipy-stubs", "types-PyYAML"]
+
+
+def shared_files(*folders: str) -> list[tuple[str, list[str]]]:
+    """Every file under the folders, for the same place below share/valve_sim (a recorded bag is a folder of files)."""
+    files = [path for folder in folders for path in sorted((HERE / folder).rglob("*")) if path.is_file()]
+    kept = [path.relative_to(HERE) for path in files if "__pycache__" not in path.parts]
+    return [(str(SHARE / path.parent), [str(path)]) for path in kept]
+
+
+setup(
+    name=NAME,
+    version=MANIFEST.findtext("version"),
+    description=MANIFEST.findtext("description"),
+    maintainer=MANIFEST.findtext("maintainer"),
+    maintainer_email=MANIFEST.find("maintainer").attrib["email"],
+    license=MANIFEST.findtext("license"),
+    python_requires=">=3.10,<3.14",
+    packages=find_packages(include=["valve_sim", "valve_sim.*"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (str(SHARE), ["package.xml"]),
+        *shared_files("config", "launch", "bags"),
+    ],
+    zip_safe=False,
+    install_requires=RUNS_WITHOUT_ROS,
+    extras_require={"ros": ROS_JAZZY, "ros-kilted": ROS_KILTED, "test": CHECKS},
+    entry_points={
+        "console_scripts": [
+            "valve_node = valve_sim.nodes.valve_node:main",
+            "valve-sim = valve_sim.cli:main",
+        ],
+    },
+)

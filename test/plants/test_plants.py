@@ -1,0 +1,499 @@
+"""The truth plants against MODEL.md's numbers, against scipy at 1e-12, and against themselves with other steps."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from rosbags.highlevel import AnyReader
+from scipy.integrate import solve_ivp
+
+from . import declared, mismatched
+from .common import CATALOGUE, FloatArray, Plant, PlantRun
+from .declared import CAMPAIGN_VALVE, DeclaredPlant
+from .mismatched import MismatchedPlant
+from .recording import Recorder, holdout_profile, record, single_opening, train_profile, write_bag
+
+Effects = Mapping[str, Mapping[str, float]]
+LOW_POLYNOMIAL = (1.5, 17.096e3, -30.931e6, 24.026e9)
+STROKE_END = 0.060
+SAMPLES: FloatArray = np.arange(0.0, STROKE_END, 50e-6)
+
+EFFECT_VALUES: dict[str, dict[str, float]] = {
+    "coulomb_friction": {"force": 0.1},
+    "stiction": {"force": 0.1, "breakaway": 0.1, "stribeck_velocity": 0.02},
+    "asymmetric_friction": {
+        "force_opening": 0.1,
+        "force_closing": 0.2,
+        "damping_opening": 0.5,
+        "damping_closing": 1.0,
+    },
+    "constant_force": {"force": -0.1},
+    "rest_attraction": {"force": 0.1},
+    "drive_gain": {"gain": 1.03},
+    "coil_lag": {"time_constant": 0.2e-3},
+    "eddy_lag": {"time_constant": 0.3e-3},
+    "coil_heating": {"temperature_rate": 400.0, "cooling_time_constant": 0.5},
+    "magnetic_saturation": {"current": 1.5},
+    "residual_magnetism": {"current": 0.2},
+    "pressure_force": {"force": 0.8, "equalisation_time": 4e-3},
+    "quadratic_drag": {"coefficient": 8.0},
+    "squeeze_film": {"coefficient": 20.0, "film_thickness": 20e-6},
+    "stop_bounce": {"restitution_stop": 0.4, "restitution_seat": 0.3},
+    "pickup_impact": {"velocity_ratio": 0.85},
+    "spring_hardening": {"coefficient": 3e8},
+    "stroke_offset": {"offset": 5e-6},
+    "gap_offset": {"offset": -5e-6},
+    "sensor_delay": {"delay": 70e-6},
+    "sensor_bandwidth": {"cutoff_frequency": 2000.0},
+    "sensor_gain": {"gain": 1.001},
+    "force_bump": {"amplitude": 0.4, "centre": 0.7e-3, "width": 0.1e-3},
+    "force_ripple": {"amplitude": 0.3, "wavelength": 0.2e-3, "phase": 0.4},
+    "vibration": {"amplitude": 0.1, "frequency": 180.0, "phase": 0.3},
+    "damping_drift": {"rate": 30.0},
+    "damping_bump": {"amplitude": 4.0, "centre": 0.6e-3, "width": 0.2e-3},
+}
+
+
+def chosen(*names: str) -> dict[str, dict[str, float]]:
+    return {name: EFFECT_VALUES[name] for name in names}
+
+
+def one_stroke(plant: Plant, volts: float = 9.0, samples: FloatArray = SAMPLES) -> PlantRun:
+    """A command at 0, a release at 25 ms."""
+    return plant.simulate(np.array([0.0, 0.025]), np.array([volts, 0.0]), samples)
+
+
+# --- plant (a): published numbers ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("parameters", "picked_up", "opened"),
+    [
+        ({}, 5.300e-3, 9.900e-3),
+        ({"attraction_polynomial": LOW_POLYNOMIAL, "coil_time_constant": 0.0}, 5.3205e-3, 10.9214e-3),
+        (
+            {"attraction_polynomial": LOW_POLYNOMIAL, "coil_time_constant": 0.0, "main_damping": 0.0},
+            5.3205e-3,
+            10.6537e-3,
+        ),
+    ],
+)
+def test_event_times_at_9_volts(parameters: Mapping[str, float], picked_up: float, opened: float) -> None:
+    run = one_stroke(DeclaredPlant(parameters=parameters))
+    assert run.first("picked_up") == pytest.approx(picked_up, abs=1e-7)
+    assert run.first("opened") == pytest.approx(opened, abs=1e-7)
+
+
+def test_the_valve_as_printed_never_opens() -> None:
+    polynomial = (0.0, *LOW_POLYNOMIAL[1:])
+    run = one_stroke(DeclaredPlant(parameters={"attraction_polynomial": polynomial, "coil_time_constant": 0.0}))
+    assert run.events == ()
+    assert not run.pilot_position.any()
+
+
+# --- plant (a) against scipy -----------------------------------------------------------------------------------------
+
+
+class Reference:
+    """One opening and one closing without rebounds or sticking, phase after phase by DOP853 with terminal events."""
+
+    def __init__(self, effects: Effects) -> None:
+        self.effects = effects
+        self.gap = 0.26e-3 + self.of("gap_offset", "offset")
+        self.stroke = 1.23e-3 + self.of("stroke_offset", "offset")
+        self.time, self.state = 0.0, np.zeros(5)  # x, v, u, u behind the eddy currents, temperature
+        self.opened_at = 0.0
+        self.events: list[float] = []
+        self.times: list[NDArray[np.float64]] = []
+        self.positions: list[NDArray[np.float64]] = []
+
+    def of(self, effect: str, parameter: str, off: float = 0.0) -> float:
+        return self.effects.get(effect, {}).get(parameter, off)
+
+    def volts(self, t: float) -> float:
+        return 9.0 if t < 0.025 else 0.0
+
+    def pull(self, y: NDArray[np.float64]) -> float:
+        u = abs(y[3] if "eddy_lag" in self.effects else y[2])
+        if self.time >= 0.025:  # released with u = 1; while u rises the floor is below it
+            u = max(u, self.of("residual_magnetism", "current"))
+        saturated = 1.0
+        if knee := self.of("magnetic_saturation", "current"):
+            saturated = (1 + 1 / knee**2) / (1 + (u / knee) ** 2)
+        polynomial = np.array([3.0336 + self.of("rest_attraction", "force"), *LOW_POLYNOMIAL[1:]])
+        return float(u**2 * saturated * polynomial @ y[0] ** np.arange(4))
+
+    def others(self, t: float, x: float, v: float) -> float:
+        force = self.of("constant_force", "force") - self.of("quadratic_drag", "coefficient") * v * abs(v)
+        film = self.of("squeeze_film", "film_thickness", 1.0)
+        squeezed = (film / (x + film)) ** 3 + (film / (self.stroke - x + film)) ** 3
+        force -= self.of("squeeze_film", "coefficient") * v * squeezed
+        bump, ripple, shake = "force_bump", "force_ripple", "vibration"
+        width = self.of(bump, "width", 1.0)
+        force += self.of(bump, "amplitude") * np.exp(-(((x - self.of(bump, "centre")) / width) ** 2))
+        turns = x / self.of(ripple, "wavelength", 1.0)
+        force += self.of(ripple, "amplitude") * np.sin(2 * np.pi * turns + self.of(ripple, "phase"))
+        turns = t * self.of(shake, "frequency")
+        force += self.of(shake, "amplitude") * np.sin(2 * np.pi * turns + self.of(shake, "phase"))
+        bump, width = "damping_bump", self.of("damping_bump", "width", 1.0)
+        local = self.of(bump, "amplitude") * np.exp(-(((x - self.of(bump, "centre")) / width) ** 2))
+        return float(force - v * (local + self.of("damping_drift", "rate") * t))
+
+    def net(self, phase: int, t: float, y: NDArray[np.float64]) -> float:
+        x, v = y[0], y[1]
+        force = self.pull(y) + self.others(t, x, v)
+        if phase == 1:
+            return float(force - 1.0 * v)
+        decay = np.exp(-(t - self.opened_at) / self.of("pressure_force", "equalisation_time", 1.0))
+        spring = 2.524 + 428.0 * x + self.of("spring_hardening", "coefficient") * x**3
+        return float(force - spring - 4.0 * v - self.of("pressure_force", "force") * decay)
+
+    def friction(self, v: float, direction: int) -> float:
+        way = "opening" if direction > 0 else "closing"
+        level = self.of("coulomb_friction", "force") + self.of("stiction", "force")
+        speed = self.of("stiction", "stribeck_velocity", 1.0)
+        level += self.of("stiction", "breakaway") * np.exp(-((v / speed) ** 2))
+        level += self.of("asymmetric_friction", f"force_{way}")
+        return float(-direction * level - self.of("asymmetric_friction", f"damping_{way}") * v)
+
+    def magnetics(self, t: float, y: NDArray[np.float64]) -> list[float]:
+        ratio = 1 + 0.00393 * y[4]
+        target = self.of("drive_gain", "gain", 1.0) * self.volts(t) / 9.0 / ratio
+        lag = (0.9934e-3 + self.of("coil_lag", "time_constant")) / ratio
+        cooling = self.of("coil_heating", "cooling_time_constant", np.inf)
+        heat = self.of("coil_heating", "temperature_rate") * y[2] ** 2 - y[4] / cooling
+        return [(target - y[2]) / lag, (y[2] - y[3]) / self.of("eddy_lag", "time_constant", 1.0), heat]
+
+    def integrate(self, phase: int, direction: int, until: Callable[..., float], latest: float = STROKE_END) -> bool:
+        """Move (direction 1 or -1) or rest (0) until the event; whether it came before `latest`."""
+        mass = 0.109 if phase == 1 else 0.134
+
+        def rates(t: float, y: NDArray[np.float64]) -> list[float]:
+            if direction == 0:
+                return [0.0, 0.0, *self.magnetics(t, y)]
+            return [y[1], (self.net(phase, t, y) + self.friction(y[1], direction)) / mass, *self.magnetics(t, y)]
+
+        until.terminal = True  # type: ignore[attr-defined]
+        found: Any = solve_ivp(
+            rates, (self.time, latest), self.state, "DOP853", events=until, dense_output=True, rtol=1e-12, atol=1e-15
+        )
+        inside = (self.time <= SAMPLES) & (found.t[-1] > SAMPLES)
+        self.times.append(SAMPLES[inside])
+        if inside.any():
+            self.positions.append(found.sol(SAMPLES[inside])[0])
+        self.time, self.state = found.t[-1], found.y[:, -1].copy()
+        return bool(found.status == 1)
+
+    def rest_at(self, x: float) -> None:
+        self.state[:2] = x, 0.0
+
+    def wait(self, phase: int, direction: int) -> None:
+        """Rest until the net force exceeds what friction holds, in this direction."""
+        held = abs(self.friction(0.0, direction))
+        if self.time > 0.0 or held > 0.0 or self.of("constant_force", "force") < 0.0:
+            assert self.integrate(0, 0, lambda t, y: direction * self.net(phase, t, y) - held)
+        self.events.append(self.time)
+
+    def run(self) -> None:
+        self.wait(1, 1)
+        self.opened_at = self.time
+        assert self.integrate(1, 1, lambda t, y: y[0] - self.gap)
+        self.events.append(self.time)
+        self.state[1] *= self.of("pickup_impact", "velocity_ratio", 1.0)
+        assert self.integrate(2, 1, lambda t, y: y[0] - self.stroke)
+        self.events.append(self.time)
+        self.rest_at(self.stroke)
+        self.integrate(0, 0, lambda t, y: 1.0, 0.025)
+        self.wait(2, -1)
+        assert self.integrate(2, -1, lambda t, y: y[0] - self.gap)
+        self.events.append(self.time)
+        if self.integrate(1, -1, lambda t, y: y[0]):
+            self.events.append(self.time)
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        {},
+        chosen("drive_gain", "coil_lag", "eddy_lag", "coil_heating", "magnetic_saturation"),
+        chosen("residual_magnetism", "pickup_impact"),
+        chosen("constant_force", "rest_attraction", "pressure_force", "spring_hardening"),
+        chosen("quadratic_drag", "squeeze_film", "stroke_offset", "gap_offset"),
+        chosen("coulomb_friction", "stiction", "asymmetric_friction"),
+        chosen("force_bump", "force_ripple", "vibration", "damping_drift", "damping_bump"),
+    ],
+    ids=lambda effects: "+".join(effects) or "none",
+)
+def test_declared_plant_agrees_with_scipy(effects: Effects) -> None:
+    reference = Reference(effects)
+    reference.run()
+    run = one_stroke(DeclaredPlant(effects))
+    kinds = ("unseated", "picked_up", "opened", "released", "main_seated", "seated")
+    times = [run.first(kind) for kind in kinds[: len(reference.events)]]
+    np.testing.assert_allclose(times, reference.events, rtol=0.0, atol=1e-10)
+    compared = np.searchsorted(SAMPLES, np.concatenate(reference.times))
+    assert compared.size > 0.5 * SAMPLES.size
+    np.testing.assert_allclose(run.pilot_position[compared], np.concatenate(reference.positions), rtol=0.0, atol=1e-11)
+
+
+# --- plant (a): one convention a test --------------------------------------------------------------------------------
+
+
+def test_halving_the_step_of_the_declared_plant_changes_nothing() -> None:
+    effects = chosen(
+        "stiction",
+        "stop_bounce",
+        "pressure_force",
+        "coil_heating",
+        "residual_magnetism",
+        "eddy_lag",
+        "sensor_bandwidth",
+    )
+    profile, times = train_profile(), np.arange(10000) / 20e3
+    coarse = DeclaredPlant(effects).simulate(profile.times, profile.volts, times)
+    fine = DeclaredPlant(effects, step=1e-6).simulate(profile.times, profile.volts, times)
+    assert [event.kind for event in coarse.events] == [event.kind for event in fine.events]
+    assert len(coarse.events) > 60
+    np.testing.assert_allclose(
+        [event.time for event in coarse.events], [event.time for event in fine.events], rtol=0.0, atol=1e-9
+    )
+    np.testing.assert_allclose(coarse.pilot_position, fine.pilot_position, rtol=0.0, atol=1e-10)
+
+
+@pytest.mark.parametrize("name", [*CATALOGUE, *declared.UNCATALOGUED])
+def test_every_effect_shows_in_the_declared_plant(name: str) -> None:
+    plain, changed = one_stroke(DeclaredPlant()), one_stroke(DeclaredPlant(chosen(name)))
+    assert np.abs(plain.pilot_position - changed.pilot_position).max() > 0.5e-6
+
+
+def test_friction_holds_the_pilot_in_mid_gap_until_the_pull_exceeds_it() -> None:
+    plant = DeclaredPlant({"coulomb_friction": {"force": 0.8}})
+    command_times, volts = np.array([0.0, 0.0025, 0.0300]), np.array([9.0, 0.0, 9.0])
+    run = plant.simulate(command_times, volts, SAMPLES)
+    stuck = next(event for event in run.events if event.kind == "stuck")
+    assert 0.0 < stuck.position < 0.26e-3
+    assert run.pilot_position[(run.time > stuck.time) & (run.time < 0.030)] == pytest.approx(stuck.position, abs=1e-15)
+    pull = np.polynomial.polynomial.polyval(stuck.position, (3.0336, *LOW_POLYNOMIAL[1:]))
+    freed = 0.030 - 0.9934e-3 * np.log(1.0 - np.sqrt(0.8 / pull))
+    assert run.first("freed") == pytest.approx(freed, abs=1e-10)
+
+
+def test_a_low_voltage_holds_the_pilot_at_the_gap() -> None:
+    plant = DeclaredPlant(parameters={"seat_load": 0.3, "pickup_velocity_ratio": 0.5})
+    run = plant.simulate(np.array([0.0, 0.5]), np.array([4.5, 9.0]), np.array([0.49, 0.59]))
+    held = next(event for event in run.events if event.kind == "held_at_gap")
+    assert abs(held.velocity) < 1e-3
+    assert run.pilot_position[0] == 0.26e-3
+    lifting = np.sqrt((2.524 + 428.0 * 0.26e-3) / _pull_at_gap())
+    lifted = 0.5 - 0.9934e-3 * np.log((1.0 - lifting) / (1.0 - 0.5))
+    assert run.first("lifted_from_gap") == pytest.approx(lifted, abs=1e-10)
+    assert run.pilot_position[1] == 1.23e-3
+    run = plant.simulate(np.array([0.0, 0.5]), np.array([4.5, 0.0]), np.array([0.6]))
+    dropped = 0.5 - 0.9934e-3 * np.log(np.sqrt(0.3 / _pull_at_gap()) / 0.5)
+    assert run.first("dropped_from_gap") == pytest.approx(dropped, abs=1e-10)
+    assert run.events[-1].kind == "seated"
+
+
+def _pull_at_gap() -> float:
+    return float(np.polynomial.polynomial.polyval(0.26e-3, (3.0336, *LOW_POLYNOMIAL[1:])))
+
+
+def test_rebounds_scale_the_speed_and_end_below_5_mm_per_s() -> None:
+    plant = DeclaredPlant({"stop_bounce": {"restitution_stop": 0.4, "restitution_seat": 0.0}})
+    events = one_stroke(plant).events
+    speeds = [event.velocity for event in events if event.kind == "stop_rebound"]
+    assert len(speeds) > 2
+    assert min(speeds) >= 5e-3
+    assert next(event for event in events if event.kind == "opened").velocity < 5e-3
+    first = next(event.time for event in events if event.kind == "stop_rebound")
+    shortly = one_stroke(plant, samples=np.array([first + 1e-9]))
+    assert shortly.pilot_velocity[0] == pytest.approx(-0.4 * speeds[0], abs=1e-6)
+
+
+def test_pressure_is_whole_again_after_reseating_on_a_loaded_seat() -> None:
+    plant = DeclaredPlant(chosen("pressure_force"), {"seat_load": 0.2})
+    run = plant.simulate(np.array([0.0, 0.025, 0.1]), np.array([9.0, 0.0, 9.0]), np.array([0.13]))
+    opened = [event.time for event in run.events if event.kind == "opened"]
+    assert opened[1] - opened[0] == pytest.approx(0.1, abs=1e-9)
+
+
+def test_without_seat_load_the_decaying_current_lifts_the_pilot_at_once_and_the_pressure_is_gone() -> None:
+    run = DeclaredPlant(chosen("pressure_force")).simulate(
+        np.array([0.0, 0.025, 0.1]), np.array([9.0, 0.0, 9.0]), np.array([0.13])
+    )
+    opened = [event.time for event in run.events if event.kind == "opened"]
+    assert opened[1] - opened[0] < 0.1 - 10e-6
+    assert run.first("seated") == [event.time for event in run.events if event.kind == "unseated"][1]
+
+
+def test_heating_without_lag_has_its_closed_form() -> None:
+    plant = DeclaredPlant(
+        {"coil_heating": {"temperature_rate": 400.0, "cooling_time_constant": 1e12}}, {"coil_time_constant": 0.0}
+    )
+    run = one_stroke(plant)
+    hot = (1.0 + 3.0 * 0.00393 * 400.0 * SAMPLES) ** (1.0 / 3.0)
+    np.testing.assert_allclose(run.coil_current[SAMPLES < 0.025], 0.9 / hot[SAMPLES < 0.025], rtol=1e-9)
+    assert run.coil_current[SAMPLES >= 0.025].max() == 0.0
+
+
+def test_eddy_currents_and_the_position_sensor_leave_the_current_alone() -> None:
+    plain = one_stroke(DeclaredPlant())
+    changed = one_stroke(DeclaredPlant(chosen("eddy_lag", "residual_magnetism", "sensor_delay", "sensor_bandwidth")))
+    np.testing.assert_allclose(plain.coil_current, changed.coil_current, rtol=0.0, atol=1e-13)
+
+
+def test_sensor_delay_shifts_both_joints() -> None:
+    delay = EFFECT_VALUES["sensor_delay"]["delay"]
+    late = one_stroke(DeclaredPlant(chosen("sensor_delay")), samples=SAMPLES + delay)
+    plain = one_stroke(DeclaredPlant())
+    np.testing.assert_allclose(late.pilot_position, plain.pilot_position, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(late.main_position, plain.main_position, rtol=0.0, atol=1e-12)
+
+
+def test_sensor_bandwidth_is_a_first_order_lag_of_both_joints() -> None:
+    samples: FloatArray = np.arange(0.0, 0.012, 1e-6)
+    plain = one_stroke(DeclaredPlant(), samples=samples)
+    slow = one_stroke(DeclaredPlant(chosen("sensor_bandwidth")), samples=samples)
+    rate = 2.0 * np.pi * 2000.0
+    for true, seen in (
+        (plain.pilot_position, slow.pilot_position),
+        (plain.main_position, slow.main_position),
+    ):
+        expected, decay = np.zeros(samples.size), np.exp(-rate * 1e-6)
+        for k in range(1, samples.size):  # exact for a straight line between samples
+            slope = (true[k] - true[k - 1]) / 1e-6
+            start = true[k - 1] - slope / rate
+            expected[k] = start + slope * 1e-6 + decay * (expected[k - 1] - start)
+        np.testing.assert_allclose(seen, expected, rtol=0.0, atol=1e-10)
+
+
+def test_a_negative_voltage_pulls_as_a_positive_one() -> None:
+    np.testing.assert_allclose(
+        one_stroke(DeclaredPlant(), -9.0).pilot_position, one_stroke(DeclaredPlant(), 9.0).pilot_position, atol=1e-15
+    )
+
+
+def test_unknown_names_are_refused() -> None:
+    with pytest.raises(ValueError, match="coulomb"):
+        DeclaredPlant({"coulomb": {"force": 1.0}})
+    with pytest.raises(ValueError, match="mass"):
+        DeclaredPlant(parameters={"mass": 1.0})
+    with pytest.raises(ValueError, match="pickup_impact"):
+        MismatchedPlant(chosen("pickup_impact"))
+
+
+# --- plant (b) -------------------------------------------------------------------------------------------------------
+
+
+def test_mismatched_plant_opens_like_the_paper() -> None:
+    run = one_stroke(MismatchedPlant())
+    assert run.first("picked_up") == pytest.approx(5.3e-3, abs=2e-6)
+    assert run.first("opened") == pytest.approx(9.9e-3, abs=2e-6)
+    assert run.pilot_position.max() == pytest.approx(1.23e-3, abs=5e-6)
+    assert run.main_position.max() == pytest.approx(0.97e-3, abs=5e-6)
+    assert run.pilot_position[-1] == pytest.approx(0.0, abs=2e-6)
+
+
+def test_the_bench_valve_is_nearer_to_the_mismatched_plant_than_the_published_one() -> None:
+    true = one_stroke(MismatchedPlant()).pilot_position
+    bench = one_stroke(DeclaredPlant(parameters=mismatched.BENCH_VALVE)).pilot_position
+    published = one_stroke(DeclaredPlant()).pilot_position
+    assert 5e-6 < np.std(bench - true) < 0.9 * np.std(published - true)
+
+
+def test_back_emf_dents_the_current_while_the_plunger_moves() -> None:
+    run = one_stroke(MismatchedPlant())
+    moving = (run.time > 7e-3) & (run.time < 11e-3)
+    steps = np.diff(run.coil_current[moving])
+    assert steps.min() < -1e-4
+    assert run.coil_current[run.time < 0.025].max() == pytest.approx(0.9, rel=1e-3)
+
+
+def test_the_pull_is_stronger_on_the_way_back() -> None:
+    """Hysteresis alone: without it the valve lets go of the stop earlier."""
+    with_loop, without = one_stroke(MismatchedPlant()), one_stroke(MismatchedPlant(hysteresis=0.0))
+    assert with_loop.first("released") > without.first("released") + 10e-6
+    assert with_loop.first("opened") > without.first("opened") + 10e-6
+
+
+@pytest.mark.parametrize("effects", [{}, chosen("stiction", "squeeze_film", "stop_bounce", "pressure_force")])
+def test_halving_the_step_of_the_mismatched_plant_changes_nothing(effects: Effects) -> None:
+    profile, times = holdout_profile(), np.arange(6600) / 20e3
+    coarse = MismatchedPlant(effects).simulate(profile.times, profile.volts, times)
+    fine = MismatchedPlant(effects, step=0.5e-6).simulate(profile.times, profile.volts, times)
+    np.testing.assert_allclose(coarse.pilot_position, fine.pilot_position, rtol=0.0, atol=5e-9)
+    for kind in ("picked_up", "opened", "main_seated", "seated"):
+        assert coarse.first(kind) == pytest.approx(fine.first(kind), abs=1e-8)
+
+
+@pytest.mark.parametrize("name", list(mismatched.EFFECTS))
+def test_every_effect_shows_in_the_mismatched_plant(name: str) -> None:
+    plain, changed = one_stroke(MismatchedPlant()), one_stroke(MismatchedPlant(chosen(name)))
+    assert np.abs(plain.pilot_position - changed.pilot_position).max() > 0.5e-6
+
+
+# --- recordings ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("plant", [DeclaredPlant(), MismatchedPlant()], ids=["declared", "mismatched"])
+def test_profiles_are_what_they_say(plant: Plant) -> None:
+    train = record(plant, train_profile(), Recorder(), 1).truth
+    opened = [event.time for event in train.events if event.kind == "opened"]
+    assert np.count_nonzero(np.diff(opened, prepend=-1.0) > 0.03) == 8
+    assert train.pilot_position[-1] == pytest.approx(0.0, abs=1e-6)
+    holdout = record(plant, holdout_profile(), Recorder(), 1).truth
+    lifts = np.split(holdout.main_position, np.searchsorted(holdout.time, [0.06, 0.125, 0.165, 0.22, 0.255]))
+    partial = [0.05e-3 < lift.max() < 0.9e-3 for lift in lifts]
+    assert partial == [False, False, True, False, True, False]
+    assert record(plant, single_opening(), Recorder(), 1).truth.pilot_position[-1] == pytest.approx(1.23e-3, abs=5e-6)
+
+
+def test_noise_is_what_was_asked_for() -> None:
+    recorder = Recorder(position_noise=2e-6, colour=0.7, command_jitter=50e-6, clock_offset=1e-3, with_current=True)
+    made, again = (record(DeclaredPlant(), train_profile(), recorder, 3) for _ in range(2))
+    np.testing.assert_array_equal(made.pilot_position, again.pilot_position)
+    noise = made.pilot_position - made.truth.pilot_position
+    assert noise.std() == pytest.approx(2e-6, rel=0.1)
+    assert np.corrcoef(noise[1:], noise[:-1])[0, 1] == pytest.approx(0.7, abs=0.05)
+    shift = made.command_times - made.true_command_times - 1e-3
+    assert 20e-6 < shift.std() < 90e-6
+    assert made.coil_current is not None
+    assert (made.coil_current - made.truth.coil_current).std() == pytest.approx(1e-3, rel=0.05)
+    other = record(DeclaredPlant(), train_profile(), recorder, 4)
+    assert np.abs(other.pilot_position - made.pilot_position).max() > 1e-6
+
+
+def test_quantisation_rounds_the_noisy_position() -> None:
+    made = record(DeclaredPlant(), single_opening(), Recorder(quantisation=5e-6), 3)
+    steps = made.pilot_position / 5e-6
+    np.testing.assert_allclose(steps, np.round(steps), atol=1e-9)
+    assert np.abs(made.pilot_position - made.truth.pilot_position).max() < 8e-6
+
+
+def test_the_bag_holds_what_was_measured(tmp_path: Path) -> None:
+    recorder = Recorder(command_jitter=50e-6, with_current=True)
+    made = record(DeclaredPlant(), single_opening(), recorder, 5)
+    bag = write_bag(made, tmp_path / "bag", "/tank_1/valve")
+    read: dict[str, list[tuple[int, Any]]] = {}
+    with AnyReader([bag]) as reader:
+        for connection, stamp, raw in reader.messages():
+            read.setdefault(connection.topic, []).append((stamp, reader.deserialize(raw, connection.msgtype)))
+    start = read["/tank_1/valve/measured/joint_states"][0][0]
+    [(stamp, message)] = read["/tank_1/valve/coil_voltage"]
+    assert message.data == 9.0
+    assert (stamp - start) * 1e-9 == pytest.approx(made.command_times[0], abs=1e-9)
+    states = read["/tank_1/valve/measured/joint_states"]
+    positions = np.array([state.position for _, state in states])
+    np.testing.assert_array_equal(positions, np.column_stack((made.pilot_position, made.main_position)))
+    assert states[7][1].name == ["pilot_plunger", "main_plunger"]
+    header = states[7][1].header.stamp
+    assert header.sec * 10**9 + header.nanosec == states[7][0] == start + 7 * 50_000
+    currents = np.array([current.data for _, current in read["/tank_1/valve/measured/coil_current"]])
+    np.testing.assert_array_equal(currents, made.coil_current)
+
+
+def test_campaign_valve_is_the_published_one() -> None:
+    assert CAMPAIGN_VALVE["attraction_polynomial"] == (3.0336, *LOW_POLYNOMIAL[1:])

@@ -1,0 +1,546 @@
+"""Close the loop: trace the residual to the missing effect, add it, report the error before and after.
+
+The method follows METHOD.md: base fit, test of what is left, refit of the whole catalogue inside the simulator,
+forward selection with swaps and backward elimination, ambiguity class, hold-out, force maps for what has no name.
+Where it departs: effects, timing errors and force maps are compared on one scale, the score S of `fitting`, and
+timing errors of single commands pay the Occam factor of their prior instead of being tried last.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valve_sim.identification.adequacy import Adequacy, adequacy
+from valve_sim.identification.fitting import Fit, Interval, Mask, Problem, covariance_interval, fit, profile_interval
+from valve_sim.identification.plant import Array, ForceMap, Nuisance, Plant, search_bounds, to_search
+from valve_sim.identification.search import DECISIVE, MOST_EFFECTS, Hypothesis, Progress, Search
+from valve_sim.identification.valve_plant import ValvePlant
+from valve_sim.model import Valve
+from valve_sim.traces import Trace
+
+BEAM: Final = 3
+"""How many of the best hypotheses are extended by one more effect."""
+LARGEST_CLASS: Final = 4
+"""More names than this are no answer (MODEL section 6)."""
+EVERY_FOURTH: Final = 4
+"""Of the strokes is held out where no hold-out bag is given."""
+EXCLUDES_OFF: Final = 1.96
+"""Standard errors that an effect must be away from 'off'."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What is claimed; the fields are those of report.json."""
+
+    kind: str
+    effects: tuple[str, ...]
+    confusable_with: Mapping[str, tuple[str, ...]]
+    probability: float
+    summary: str
+
+
+@dataclass(frozen=True)
+class State:
+    """A fitted model on training and held-out data.
+
+    Attributes:
+        fit: on the training data. holdout: the same values on held-out data, nuisances estimated; or None.
+        train_rmse, holdout_rmse: m (or the channel's unit); nan where there is no hold-out.
+        adequacy: of the training residuals. intervals: of every freed parameter.
+    """
+
+    fit: Fit
+    holdout: Fit | None
+    train_rmse: float
+    holdout_rmse: float
+    adequacy: Adequacy
+    intervals: Mapping[str, Interval]
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One hypothesis that was tried."""
+
+    effects: tuple[str, ...]
+    timing: bool
+    delta_score: float
+    train_rmse: float
+    holdout_rmse: float
+    intervals: Mapping[str, Interval]
+
+
+@dataclass(frozen=True)
+class Unexplained:
+    """A remainder that no named effect explains, as the force map that explains most of it."""
+
+    force_rms: float
+    where: str
+    variable: str
+    at: tuple[float, ...]
+    force: tuple[float, ...]
+    gain: float
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """The outcome of `diagnose_plant`."""
+
+    plant: Plant
+    before: State
+    after: State
+    verdict: Verdict
+    candidates: tuple[Candidate, ...]
+    unexplained: Unexplained | None
+    maps: tuple[Unexplained, ...]
+    record_next: str
+    sources: tuple[str, ...] = ()
+
+    @property
+    def valve(self) -> Valve:
+        """The corrected valve.
+
+        Raises:
+            TypeError: the plant is not a valve.
+        """
+        if not isinstance(self.plant, ValvePlant):
+            raise TypeError("only a diagnosis of a valve has a corrected valve")
+        return self.plant.with_values(self.after.fit.values)
+
+
+def diagnose(
+    traces: Sequence[Trace],
+    holdout: Sequence[Trace],
+    valve: Valve,
+    progress: Progress | None = None,
+) -> Diagnosis:
+    """Trace the residual of a declared valve to the effect it lacks.
+
+    Args:
+        traces: training data. holdout: other recordings of the same valve, or none: strokes are held out inside.
+        valve: the declared valve.
+        progress: told what is being tried, and the fraction done.
+
+    Raises:
+        SimulationError: the declared valve cannot be simulated.
+    """
+    return diagnose_plant(ValvePlant(traces, valve), ValvePlant(holdout, valve) if holdout else None, progress)
+
+
+def diagnose_plant(plant: Plant, holdout: Plant | None, progress: Progress | None = None) -> Diagnosis:
+    """The same for any plant; `holdout` is the same machine with other data."""
+    return _Investigation(plant, holdout, progress).conclude()
+
+
+class _Investigation:
+    """One diagnosis under way: the training search, the held-out problem, and what was concluded so far."""
+
+    def __init__(self, plant: Plant, holdout: Plant | None, progress: Progress | None) -> None:
+        self.plant = plant
+        train_mask, holdout_mask = _split(plant) if holdout is None else (None, None)
+        problem = Problem(plant, train_mask)
+        self.search = Search(problem, progress)
+        self.holdout: Problem | None = None
+        if holdout is not None:
+            self.holdout = Problem(holdout)
+        elif holdout_mask is not None:
+            self.holdout = problem.restricted(holdout_mask)
+        self._held: dict[int, Fit] = {}
+
+    # -- the search ------------------------------------------------------------------------------------------------
+
+    def explore(self) -> Hypothesis:
+        """Singles, then pairs and triples while something is left; returns the best claimable hypothesis."""
+        search, names = self.search, list(self.plant.effects)
+        base = [Hypothesis(()), Hypothesis((), True)] if self.plant.timing_errors else [Hypothesis(())]
+        for hypothesis in base:
+            search.fit(hypothesis)
+        self._try_singles(names, timing=False, share=(0.0, 0.3))
+        timed_helps = len(base) > 1 and search.score(base[1]) < min(map(search.score, self._tried())) + DECISIVE
+        best = self.best_claimable()
+        if self.plant.timing_errors and not self.is_adequate(best):
+            timed = best._replace(timing=True)
+            timed_helps = timed_helps or search.score(timed) < search.score(best) - DECISIVE
+        if timed_helps:
+            self._try_singles(names, timing=True, share=(0.3, 0.5))
+        for count in range(2, MOST_EFFECTS + 1):
+            best = self.best_claimable()
+            if self.is_adequate(best) or self.is_adequate(search.best(base)):
+                break
+            if not self._extend(count, names):
+                break
+        return self.eliminate(self.best_claimable())
+
+    def _try_singles(self, names: Sequence[str], *, timing: bool, share: tuple[float, float]) -> None:
+        for index, name in enumerate(names):
+            words = f"{name}, with errors of the commands' stamps" if timing else name
+            self.search.say(words, share[0] + (share[1] - share[0]) * index / len(names))
+            self.search.fit(Hypothesis((name,), timing))
+
+    def _extend(self, count: int, names: Sequence[str]) -> bool:
+        """Add one more effect to the best few, swap members; whether that was decisive."""
+        search = self.search
+        smaller = sorted((h for h in self._tried() if len(h.effects) == count - 1), key=search.score)
+        before = search.score(self.best_claimable())
+        for rank, start in enumerate(smaller[:BEAM]):
+            for index, name in enumerate(names):
+                if name in start.effects:
+                    continue
+                fraction = 0.5 + 0.2 * (count - 2) + 0.2 * (rank + index / len(names)) / BEAM
+                search.say(" + ".join((*start.effects, name)), fraction)
+                search.fit(start.adding(name))
+        best = self.best_claimable()
+        if len(best.effects) == count:
+            best = self._swap(best, names)
+            if not self.is_adequate(best):
+                search.fit(best, anneal=True)
+                timed = best._replace(timing=True)
+                if self.plant.timing_errors and not best.timing:
+                    search.fit(timed)
+        return search.score(self.best_claimable()) < before - DECISIVE
+
+    def _swap(self, best: Hypothesis, names: Sequence[str]) -> Hypothesis:
+        """Swap each member through the catalogue (METHOD: cured most wrong pairs)."""
+        for member in best.effects:
+            rest = best.without(member)
+            for name in names:
+                if name not in rest.effects:
+                    self.search.say(f"{' + '.join(rest.effects)} with {name}", 0.75)
+                    self.search.fit(rest.adding(name))
+        return self.best_claimable()
+
+    def eliminate(self, best: Hypothesis) -> Hypothesis:
+        """Backward: drop every effect whose loss costs less than a decisive difference."""
+        for member in best.effects:
+            rest = best.without(member)
+            if self.search.score(rest) < self.search.score(best) + DECISIVE:
+                return self.eliminate(rest)
+        untimed = best._replace(timing=False)
+        if best.timing and self.search.score(untimed) < self.search.score(best):
+            return untimed
+        return best
+
+    def best_claimable(self) -> Hypothesis:
+        """The hypothesis of the lowest score whose effects are away from off and from bounds."""
+        return min((h for h in self._tried() if self.is_claimable(h)), key=self.search.score)
+
+    def _tried(self) -> list[Hypothesis]:
+        return list(self.search.fits)
+
+    def is_adequate(self, hypothesis: Hypothesis) -> bool:
+        """Whether nothing but noise is left of it."""
+        return adequacy(self.search.fit(hypothesis)).is_white
+
+    def is_claimable(self, hypothesis: Hypothesis) -> bool:
+        """A parameter on its bound names nothing, nor does an effect that may as well be off."""
+        result = self.search.fit(hypothesis)
+        return all(self._is_on(result, name) for name in hypothesis.effects)
+
+    def _is_on(self, result: Fit, effect: str) -> bool:
+        away = []
+        for parameter in self.plant.effects[effect].parameters:
+            name = f"{effect}.{parameter.name}"
+            index = result.free.index(name)
+            at = float(result.coordinates[index])
+            if parameter.off is None:
+                if result.on_bound(name) is not None:
+                    return False
+                continue
+            off = to_search(parameter, parameter.off)
+            if result.on_bound(name) is not None and not math.isclose(at, off, abs_tol=1e-12):
+                return False
+            error = math.sqrt(max(0.0, float(result.covariance[index, index])))
+            away.append(abs(at - off) > EXCLUDES_OFF * error and at != off)
+        return any(away)
+
+    # -- hold-out --------------------------------------------------------------------------------------------------
+
+    def hold_out(self, result: Fit) -> Fit | None:
+        """The same machine on held-out data: only the nuisances are estimated."""
+        if self.holdout is None:
+            return None
+        if id(result) not in self._held:
+            plant = self.holdout.plant
+            timing = any(nuisance.name.startswith("command_error") for nuisance in result.nuisances)
+            nuisances: tuple[Nuisance, ...] = (*plant.nuisances, *(plant.timing_errors if timing else ()))
+            own = {nuisance.name for nuisance in (*self.plant.nuisances, *self.plant.timing_errors)}
+            machine = {name: value for name, value in result.values.items() if name not in own}
+            self._held[id(result)] = fit(self.holdout, (), {}, nuisances=nuisances, fixed=machine)
+        return self._held[id(result)]
+
+    def earns_hold_out(self, simple: Fit, rich: Fit) -> bool:
+        """Whether the richer model predicts held-out data better by more than 2 standard errors."""
+        held_simple, held_rich = self.hold_out(simple), self.hold_out(rich)
+        if held_simple is None or held_rich is None:
+            return True
+        gain = held_simple.chi2 - held_rich.chi2
+        apart = float(np.sum(np.square(held_simple.residuals - held_rich.residuals)))
+        # The gain of the truth is `apart` on average, with standard error 2 √apart.
+        return gain > 4.0 * math.sqrt(apart)
+
+    # -- what has no name --------------------------------------------------------------------------------------------
+
+    def fit_maps(self, base: Fit) -> list[tuple[ForceMap, Fit]]:
+        """Force maps on top of a fit, best score first."""
+        fitted = []
+        names = set(base.free)
+        for index, choice in enumerate(self.plant.force_maps):
+            self.search.say(f"a force over {choice.variable}", 0.9 + 0.08 * index / 6)
+            others = {name: value for name, value in base.values.items() if name not in names}
+            nuisance_names = {nuisance.name for nuisance in base.nuisances}
+            fixed = {**{n: v for n, v in others.items() if n not in nuisance_names}, **choice.fixed}
+            free = (*base.free, *choice.free)
+            fitted.append((choice, fit(base.problem, free, base.values, nuisances=base.nuisances, fixed=fixed)))
+        return sorted(fitted, key=lambda pair: pair[1].score)
+
+    # -- the conclusion ----------------------------------------------------------------------------------------------
+
+    def conclude(self) -> Diagnosis:
+        """Run everything and word it."""
+        best = self.explore()
+        search = self.search
+        base = Hypothesis((), best.timing)
+        base_fit, best_fit = search.fit(base), search.fit(best)
+        earned = best.effects and self.earns_hold_out(base_fit, best_fit)
+        if best.effects and not earned:
+            best, best_fit = base, base_fit
+        fitted_maps = [] if self.is_adequate(base) else self.fit_maps(base_fit)
+        named_score = search.score(best)
+        map_wins = bool(fitted_maps) and fitted_maps[0][1].score < named_score - DECISIVE
+        is_unknown = map_wins or not self.is_adequate(best)
+        after_fit = best_fit
+        remainder: list[tuple[ForceMap, Fit]] = []
+        if is_unknown:
+            remainder = self.fit_maps(best_fit) if best.effects else fitted_maps
+            options = [best_fit, *(f for _, f in (*fitted_maps[:1], *remainder[:1])) ]
+            after_fit = min(options, key=self._held_out_chi2)
+        self.search.say("intervals", 0.99)
+        after = self.state(after_fit, profile=not is_unknown)
+        verdict, record_next = self.judge(best, is_unknown)
+        unexplained = None
+        if is_unknown:
+            choice, map_fit = remainder[0]
+            unexplained = _describe(choice, map_fit, best_fit)
+        return Diagnosis(
+            self.plant, self.state(base_fit, profile=False), after, verdict, tuple(self.candidates(base)),
+            unexplained, tuple(_describe(choice, result, base_fit) for choice, result in fitted_maps), record_next,
+            tuple(channel.name for channel in self.plant.channels),
+        )  # fmt: skip
+
+    def _held_out_chi2(self, result: Fit) -> float:
+        held = self.hold_out(result)
+        return result.score if held is None else held.chi2
+
+    def judge(self, best: Hypothesis, is_unknown: bool) -> tuple[Verdict, str]:
+        """The verdict, and what to record next."""
+        confusable = {name: self.alternatives(best, name) for name in best.effects}
+        probability = self.probability(best)
+        strokes = _stroke_count(self.plant)
+        advice = advise(self.plant, strokes)
+        too_wide = any(len(others) + 1 > LARGEST_CLASS for others in confusable.values())
+        named = " and ".join(best.effects)
+        if is_unknown:
+            nearest = f"; the nearest named effects ({named}) do not explain it" if best.effects else ""
+            return Verdict(
+                "unknown", best.effects, confusable, min(probability, 0.5),
+                f"Something acts on the valve that no catalogued effect explains{nearest}.",
+            ), advice  # fmt: skip
+        if strokes <= 1 or too_wide:
+            why = "one stroke at one voltage cannot tell an effect from damping" if strokes <= 1 else (
+                f"{1 + max(len(others) for others in confusable.values())} effects explain the data about equally well"
+            )  # fmt: skip
+            return Verdict("insufficient", best.effects, confusable, min(probability, 0.5), f"{why}. {advice}"), advice
+        if not best.effects:
+            return Verdict(
+                "none", (), {}, probability,
+                "The declared model with refitted damping explains the data down to the noise.",
+            ), ""  # fmt: skip
+        others = sorted({other for names in confusable.values() for other in names})
+        doubt = f"; {', '.join(others)} would explain the data about as well" if others else ""
+        return Verdict(
+            "effects", best.effects, confusable, probability, f"The model lacks {named}{doubt}."
+        ), advice if others else ""  # fmt: skip
+
+    def alternatives(self, best: Hypothesis, member: str) -> tuple[str, ...]:
+        """Effects that would do in place of a member."""
+        rest = best.without(member)
+        limit = self.search.score(best) + DECISIVE
+        found = [
+            (self.search.score(hypothesis), name)
+            for hypothesis in self._tried()
+            for name in hypothesis.effects
+            if hypothesis.effects == rest.adding(name).effects and name != member and self.search.score(hypothesis) < limit
+        ]
+        return tuple(dict.fromkeys(name for _, name in sorted(found)))
+
+    def probability(self, best: Hypothesis) -> float:
+        """Share of the best set in the evidence of all sets that do not merely extend it."""
+        least = self.search.score(best)
+        weight: dict[tuple[str, ...], float] = {}
+        for hypothesis in self._tried():
+            if set(hypothesis.effects) > set(best.effects) and best.effects:
+                continue
+            evidence = math.exp(-0.5 * min(max(self.search.score(hypothesis) - least, 0.0), 700.0))
+            weight[hypothesis.effects] = max(weight.get(hypothesis.effects, 0.0), evidence)
+        return weight[best.effects] / sum(weight.values())
+
+    def candidates(self, base: Hypothesis) -> list[Candidate]:
+        """Everything tried, best first, at most thirty."""
+        reference = self.search.score(base)
+        listed = sorted((h for h in self._tried() if h.effects), key=self.search.score)[:30]
+        found = []
+        for hypothesis in listed:
+            result = self.search.fit(hypothesis)
+            held = self.hold_out(result)
+            intervals = {name: covariance_interval(result, name) for name in result.free}
+            found.append(
+                Candidate(
+                    hypothesis.effects, hypothesis.timing, self.search.score(hypothesis) - reference,
+                    rmse(result), math.nan if held is None else rmse(held), intervals,
+                )
+            )  # fmt: skip
+        return found
+
+    def state(self, result: Fit, *, profile: bool) -> State:
+        """A fit with all that a report says of it."""
+        held = self.hold_out(result)
+        intervals = {
+            name: profile_interval(result, name)[0] if profile and "." in name else covariance_interval(result, name)
+            for name in result.free
+        }
+        return State(
+            result, held, rmse(result), math.nan if held is None else rmse(held), adequacy(result), intervals
+        )
+
+
+def rmse(result: Fit) -> float:
+    """Root mean square of measured less predicted position (or force) over the samples that take part."""
+    plant, problem = result.problem.plant, result.problem
+    squares, count = 0.0, 0
+    for index, (channel, shown) in enumerate(zip(plant.channels, plant.predict(result.values), strict=True)):
+        if channel.kind == "current":
+            continue
+        takes_part = problem.weight(index) > 0.0
+        squares += float(np.sum(np.square((channel.data - shown)[takes_part])))
+        count += int(np.count_nonzero(takes_part))
+    return math.sqrt(squares / max(1, count))
+
+
+def advise(plant: Plant, strokes: int) -> str:
+    """What to record next to tell effects apart (METHOD: releases, voltages and short pulses separate them)."""
+    if strokes <= 1:
+        return (
+            "Record next: eight strokes with their releases at 7.5 to 14 V, about 30 ms on and 30 ms off, "
+            "in one bag at 20 kHz."
+        )
+    return (
+        "Record next: strokes at voltages not used yet, a peak-and-hold stroke, and pulses of 3 to 5 ms that lift the "
+        "valve only partly."
+    )
+
+
+def _stroke_count(plant: Plant) -> int:
+    return sum(int(channel.group.max()) + 1 for channel in plant.channels if channel.kind != "current")
+
+
+def _split(plant: Plant) -> tuple[Mask | None, Mask | None]:
+    """Masks for training and held-out strokes, or None twice when there are too few strokes to hold any out."""
+    if _stroke_count(plant) < EVERY_FOURTH:
+        return None, None
+
+    def is_held(groups: NDArray[np.int64]) -> NDArray[np.bool_]:
+        return groups % EVERY_FOURTH == EVERY_FOURTH - 2
+
+    return (lambda index, groups: ~is_held(groups)), (lambda index, groups: is_held(groups))
+
+
+def _describe(choice: ForceMap, result: Fit, base: Fit) -> Unexplained:
+    """A fitted force map in words: how large, and where it acts."""
+    at = np.linspace(choice.low, choice.high, len(choice.free))
+    force = np.array([result.values[name] for name in choice.free])
+    strong = np.flatnonzero(np.abs(force) >= 0.5 * np.max(np.abs(force)))
+    low, high = at[max(0, strong[0] - 1)], at[min(len(at) - 1, strong[-1] + 1)]
+    scale, unit = (1e3, "mm") if choice.unit == "m" else (1e3, "ms") if choice.unit == "s" else (1.0, "m/s")
+    words = f"{choice.variable[0]} {scale * low:.3g} to {scale * high:.3g} {unit}"
+    if len(choice.variable) > 1:
+        words += f", times {choice.variable[2:]}"
+    return Unexplained(
+        float(np.sqrt(np.mean(np.square(force)))), words, choice.variable, tuple(at.tolist()), tuple(force.tolist()),
+        base.score - result.score,
+    )  # fmt: skip
+
+
+def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
+    """The content of report.json, MODEL section 6."""
+    noise = next(noise for kind, noise in diagnosis.before.fit.problem.noises.items() if kind != "current")
+    return {
+        "schema": "valve_sim/diagnosis/1",
+        "sources": list(diagnosis.sources),
+        "noise_um": 1e6 * noise.sigma,
+        "before": _state_json(diagnosis.before),
+        "verdict": {
+            "kind": diagnosis.verdict.kind,
+            "effects": list(diagnosis.verdict.effects),
+            "confusable_with": {name: list(others) for name, others in diagnosis.verdict.confusable_with.items()},
+            "probability": diagnosis.verdict.probability,
+            "summary": diagnosis.verdict.summary,
+        },
+        "after": {**_state_json(diagnosis.after), "effects": _effects_json(diagnosis.after)},
+        "candidates": [
+            {
+                "effect": " + ".join(candidate.effects),
+                "effects": list(candidate.effects),
+                "command_errors": candidate.timing,
+                "delta_bic": candidate.delta_score,
+                "rmse_um": {"train": 1e6 * candidate.train_rmse, "holdout": _number(1e6 * candidate.holdout_rmse)},
+                "parameters": {name: interval.to_json() for name, interval in candidate.intervals.items()},
+            }
+            for candidate in diagnosis.candidates
+        ],
+        "unexplained": None if diagnosis.unexplained is None else _unexplained_json(diagnosis.unexplained),
+        "force_maps": [_unexplained_json(entry) for entry in diagnosis.maps],
+        "record_next": diagnosis.record_next or None,
+    }
+
+
+def _state_json(state: State) -> dict[str, Any]:
+    return {
+        "parameters": {name: i.to_json() for name, i in state.intervals.items() if "." not in name},
+        "rmse_um": {"train": 1e6 * state.train_rmse, "holdout": _number(1e6 * state.holdout_rmse)},
+        "white": state.adequacy.is_white,
+        "chi2_per_sample": state.fit.chi2 / state.fit.problem.effective_samples,
+        "test": {"p_value": state.adequacy.p_value, "worst": state.adequacy.worst},
+    }
+
+
+def _effects_json(state: State) -> dict[str, dict[str, Any]]:
+    effects: dict[str, dict[str, Any]] = {}
+    for name, interval in state.intervals.items():
+        effect, dot, parameter = name.partition(".")
+        if dot:
+            effects.setdefault(effect, {})[parameter] = interval.to_json()
+    for name, value in state.fit.values.items():
+        effect, dot, parameter = name.partition(".")
+        if dot and effect in effects and parameter not in effects[effect]:
+            effects[effect][parameter] = {"value": value, "stderr": 0.0, "ci95": [value, value]}
+    return effects
+
+
+def _unexplained_json(entry: Unexplained) -> dict[str, Any]:
+    return {
+        "force_rms_n": entry.force_rms,
+        "where": entry.where,
+        "variable": entry.variable,
+        "at": list(entry.at),
+        "force": list(entry.force),
+        "delta_bic": -entry.gain,
+    }
+
+
+def _number(value: float) -> float | None:
+    return value if math.isfinite(value) else None

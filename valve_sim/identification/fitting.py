@@ -1,0 +1,471 @@
+"""Output-error fits on whitened residuals: bounded Gauss–Newton with Levenberg's damping, and what they are worth.
+
+The criterion is χ² = Σ e² + Σ (nuisance / prior)², e the whitened residual. Its score, for comparing models, is
+
+    S = χ²/f + k ln N + Σ ln(1 + σ_j² I_j)
+
+with k freed parameters, N samples that move (a sample at rest repeats the one before it), f the factor by which slow noise discounts evidence, and for
+each nuisance the Occam factor of its prior σ_j and information I_j (Laplace; MacKay 2003, chapter 28). A difference
+of 10 in S is what METHOD calls ΔBIC 10.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from valve_sim.identification.noise import Noise, estimate_noise, still_runs
+from valve_sim.identification.plant import (
+    Array,
+    Nuisance,
+    Plant,
+    from_search,
+    search_bounds,
+    search_scale,
+    search_slope,
+    to_search,
+)
+from valve_sim.model import SimulationError
+
+Mask = Callable[[int, NDArray[np.int64]], NDArray[np.bool_]]
+
+DIFFERENCE: Final = 2e-3
+"""Step of a difference quotient, in natural sizes of its parameter."""
+NUISANCE_DIFFERENCE: Final = 1e-6
+"""s: likewise for times."""
+MOST_ITERATIONS: Final = 40
+CONVERGED: Final = 1e-2
+"""A fit has converged when a step would lower χ² by less than this: a tenth of a standard error."""
+LARGEST_DAMPING: Final = 1e4
+"""Levenberg's, in units of the information: beyond it no step helps and the fit stands still."""
+FEW: Final = 4
+"""So many nuisances have their derivatives renewed in every step; those of more are kept while they serve."""
+LONGEST_RUN: Final = 4
+"""Identical readings in a row beyond which a coarse sensor is taken to repeat one reading."""
+
+
+class Problem:
+    """Measured channels, their noise, and which samples take part.
+
+    Args:
+        plant: the machine and its data.
+        takes_part: (channel index, (n,) groups) → (n,) mask of samples that are fitted; default all.
+        noises: noise by kind of channel; default estimated from the channels.
+    """
+
+    def __init__(
+        self, plant: Plant, takes_part: Mask | None = None, noises: Mapping[str, Noise] | None = None
+    ) -> None:
+        self.plant = plant
+        kinds = {channel.kind for channel in plant.channels}
+        self.noises = dict(noises) if noises is not None else {
+            kind: estimate_noise([channel for channel in plant.channels if channel.kind == kind])
+            for kind in sorted(kinds)
+        }  # fmt: skip
+        self._weights = [
+            self._weight(index, takes_part) for index in range(len(plant.channels))
+        ]
+        self.samples = sum(int(np.count_nonzero(weight)) for weight in self._weights)
+        self.effective_samples = float(sum(np.sum(np.minimum(weight, 1.0) ** 2) for weight in self._weights))
+        self.excess = max(noise.excess for noise in self.noises.values())
+
+    def restricted(self, takes_part: Mask) -> Problem:
+        """The same data and noise with other samples taking part."""
+        return Problem(self.plant, takes_part, self.noises)
+
+    def noise_of(self, index: int) -> Noise:
+        """The noise of a channel."""
+        return self.noises[self.plant.channels[index].kind]
+
+    def weight(self, index: int) -> Array:
+        """(n,) how much each sample of a channel counts; 0 where it takes no part."""
+        return self._weights[index]
+
+    def residuals(self, values: Mapping[str, float]) -> Array:
+        """Whitened, weighted residuals of all channels in a row (measured − predicted)."""
+        shown = self.plant.predict(values)
+        return np.concatenate(
+            [
+                self.noise_of(index).whiten(channel.data - prediction) * weight
+                for index, (channel, prediction, weight) in enumerate(
+                    zip(self.plant.channels, shown, self._weights, strict=True)
+                )
+            ]
+        )
+
+    def _weight(self, index: int, takes_part: Mask | None) -> Array:
+        channel = self.plant.channels[index]
+        weight = np.ones(len(channel.data))
+        noise = self.noise_of(index)
+        if noise.step > 0.0 and noise.is_coarse:
+            # A coarse sensor at rest repeats one reading; a thousand copies are not a thousand measurements.
+            runs = still_runs(channel.data)
+            weight = np.where(runs > LONGEST_RUN, 1.0 / np.sqrt(runs), weight)
+            for start, stop in _stretches(channel.quiet):
+                weight[start:stop] = np.minimum(weight[start:stop], 1.0 / math.sqrt(stop - start))
+        if takes_part is not None:
+            weight = np.where(takes_part(index, channel.group), weight, 0.0)
+        return weight
+
+
+@dataclass(frozen=True)
+class Fit:
+    """The outcome of one fit.
+
+    Attributes:
+        problem: what was fitted.
+        free: names of the freed parameters. nuisances: of the nuisances estimated along.
+        values: every freed parameter and nuisance at the optimum, in its unit.
+        chi2: criterion at the optimum, nuisance priors included.
+        residuals: whitened residuals there.
+        jacobian: (n, k + m) d(residuals)/d(search coordinate), nuisances last.
+        information: (k + m, k + m), priors included.
+        converged: whether the last step was small enough.
+    """
+
+    problem: Problem
+    free: tuple[str, ...]
+    nuisances: tuple[Nuisance, ...]
+    values: dict[str, float]
+    chi2: float
+    residuals: Array
+    jacobian: Array
+    information: Array
+    converged: bool
+    coordinates: Array = field(repr=False)
+
+    @property
+    def covariance(self) -> Array:
+        """(k + m, k + m) of the search coordinates, slow noise included; directions the data do not hold are huge."""
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(self.information), 1e-300))
+        normalised = self.information * np.outer(scale, scale)
+        inverse = np.linalg.pinv(normalised, rcond=1e-14, hermitian=True)
+        return np.asarray(inverse * np.outer(scale, scale) * self.problem.excess)
+
+    @property
+    def score(self) -> float:
+        """S of the module's page: smaller is better, by 10 is decisive."""
+        occam = 0.0
+        for index, nuisance in enumerate(self.nuisances, start=len(self.free)):
+            occam += math.log(max(1.0, nuisance.sigma**2 * float(self.information[index, index])))
+        excess = self.problem.excess
+        return self.chi2 / excess + len(self.free) * math.log(self.problem.effective_samples) + occam
+
+    def stderr(self, name: str) -> float:
+        """Standard error of a freed parameter in its own unit; inf where the data do not hold it."""
+        index = self.free.index(name)
+        error = math.sqrt(max(0.0, float(self.covariance[index, index])))
+        slope = search_slope(self.problem.plant.parameter(name), float(self.coordinates[index]))
+        return error * slope
+
+    def correlation(self) -> Array:
+        """(k, k) of the freed parameters."""
+        k = len(self.free)
+        covariance = self.covariance[:k, :k]
+        error = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+        return np.asarray(covariance / np.outer(error, error))
+
+    def on_bound(self, name: str) -> str | None:
+        """'lower' or 'upper' if a parameter sits on that bound, by its search coordinate."""
+        lower, upper = search_bounds(self.problem.plant.parameter(name))
+        at = float(self.coordinates[self.free.index(name)])
+        scale = 1e-9 * max(abs(at), search_scale(self.problem.plant.parameter(name)))
+        return "lower" if at - lower <= scale else "upper" if upper - at <= scale else None
+
+
+def fit(
+    problem: Problem,
+    free: Sequence[str],
+    start: Mapping[str, float],
+    *,
+    nuisances: Sequence[Nuisance] = (),
+    fixed: Mapping[str, float] | None = None,
+    robust: Sequence[float] = (),
+) -> Fit:
+    """Minimise χ² from one start.
+
+    Args:
+        problem: data and noise.
+        free: parameters to free.
+        start: values to start from, by name; what is missing starts at its declared value (nuisances at 0).
+        nuisances: estimated along, with their priors.
+        fixed: further values to hold, e.g. an effect's parameter in a profile.
+        robust: scales in σ of a Cauchy loss that is used first, one after the other, to leave wrong basins.
+    """
+    search = _Search(problem, tuple(free), tuple(nuisances), dict(fixed or {}))
+    at = search.start(start)
+    for scale in robust:
+        at, *_ = search.descend(at, scale)
+    at, chi2, residuals, jacobian, information, converged = search.descend(at, math.inf)
+    return Fit(
+        problem, tuple(free), tuple(nuisances), search.values(at), chi2, residuals, jacobian, information,
+        converged, at,
+    )  # fmt: skip
+
+
+class _Search:
+    """One minimisation: coordinates in natural sizes, bounds, difference quotients."""
+
+    def __init__(
+        self, problem: Problem, free: tuple[str, ...], nuisances: tuple[Nuisance, ...], fixed: dict[str, float]
+    ) -> None:
+        self.problem, self.free, self.nuisances, self.fixed = problem, free, nuisances, fixed
+        self.parameters = [problem.plant.parameter(name) for name in free]
+        bounds = [search_bounds(parameter) for parameter in self.parameters]
+        self.lower = np.array([low for low, _ in bounds] + [-20.0 * n.sigma for n in nuisances])
+        self.upper = np.array([high for _, high in bounds] + [20.0 * n.sigma for n in nuisances])
+        scales = [search_scale(parameter) for parameter in self.parameters]
+        self.steps = np.array([DIFFERENCE * s for s in scales] + [NUISANCE_DIFFERENCE] * len(nuisances))
+        self.prior = np.array([0.0] * len(free) + [1.0 / n.sigma**2 for n in nuisances])
+        self._nuisance_columns: Array | None = None
+
+    def start(self, values: Mapping[str, float]) -> Array:
+        plant = self.problem.plant
+        coordinates = [
+            to_search(parameter, values.get(name, plant.declared(name)))
+            for name, parameter in zip(self.free, self.parameters, strict=True)
+        ]
+        coordinates += [values.get(nuisance.name, 0.0) for nuisance in self.nuisances]
+        return np.clip(np.array(coordinates, dtype=np.float64), self.lower, self.upper)
+
+    def values(self, at: Array) -> dict[str, float]:
+        values = dict(self.fixed)
+        for name, parameter, coordinate in zip(self.free, self.parameters, at, strict=False):
+            values[name] = from_search(parameter, float(coordinate))
+        for nuisance, coordinate in zip(self.nuisances, at[len(self.free) :], strict=True):
+            values[nuisance.name] = float(coordinate)
+        return values
+
+    def residuals(self, at: Array) -> Array | None:
+        """Residuals, or None where the model cannot be simulated."""
+        try:
+            residuals = self.problem.residuals(self.values(at))
+        except SimulationError:
+            return None
+        return residuals if np.all(np.isfinite(residuals)) else None
+
+    def jacobian(self, at: Array, residuals: Array) -> Array:
+        """Forward differences, away from the bound ahead; the columns of many nuisances are kept while they do."""
+        columns = np.zeros((len(residuals), len(at)))
+        for index in range(len(at)):
+            is_nuisance = index >= len(self.free)
+            if is_nuisance and self._nuisance_columns is not None:
+                break
+            columns[:, index] = self._column(at, index, residuals)
+        if self._nuisance_columns is None:
+            self._nuisance_columns = columns[:, len(self.free) :]
+        columns[:, len(self.free) :] = self._nuisance_columns
+        return columns
+
+    def _column(self, at: Array, index: int, residuals: Array) -> Array:
+        step = self.steps[index]
+        if abs(at[index]) > 0.0 and index < len(self.free):
+            step = max(step, 1e-5 * abs(at[index]))
+        for size in (step, -step, 0.1 * step, -0.1 * step):
+            moved = at.copy()
+            moved[index] = min(max(at[index] + size, self.lower[index]), self.upper[index])
+            actual = moved[index] - at[index]
+            there = self.residuals(moved) if actual != 0.0 else None
+            if there is not None:
+                return np.asarray((there - residuals) / actual)
+        return np.zeros(len(residuals))
+
+    def descend(self, at: Array, cauchy: float) -> tuple[Array, float, Array, Array, Array, bool]:
+        """Gauss–Newton with Levenberg's damping, variables on a bound held while they push outwards."""
+        residuals = self.residuals(at)
+        if residuals is None:
+            raise SimulationError("the model cannot be simulated at the start of the fit")
+        damping, converged = 1e-4, False
+        cost = self._cost(at, residuals, cauchy)
+        jacobian = self.jacobian(at, residuals)
+        is_stale = False
+        information, gradient = self._normal(at, residuals, jacobian, cauchy)
+        for _ in range(MOST_ITERATIONS):
+            move, gain = self._step(at, information, gradient, damping)
+            if gain < CONVERGED:
+                converged = True
+                break
+            candidate = np.clip(at + move, self.lower, self.upper)
+            there = self.residuals(candidate)
+            new_cost = self._cost(candidate, there, cauchy) if there is not None else math.inf
+            if there is not None and new_cost < cost:
+                converged = cost - new_cost < CONVERGED
+                damping = max(1e-9, damping * (0.1 if cost - new_cost > 0.5 * gain else 0.5))
+                if len(self.nuisances) <= FEW or cost - new_cost > 0.01 * cost:
+                    self._nuisance_columns = None
+                is_stale = self._nuisance_columns is not None
+                at, residuals, cost = candidate, there, new_cost
+                jacobian = self.jacobian(at, residuals)
+            elif is_stale:
+                self._nuisance_columns = None
+                jacobian = self.jacobian(at, residuals)
+                is_stale = False
+            else:
+                damping *= 10.0
+                converged = damping > LARGEST_DAMPING
+            if converged:
+                break
+            information, gradient = self._normal(at, residuals, jacobian, cauchy)
+        if math.isfinite(cauchy):
+            information, _ = self._normal(at, residuals, jacobian, math.inf)
+        return at, cost, residuals, jacobian, information, converged
+
+    def _normal(self, at: Array, residuals: Array, jacobian: Array, cauchy: float) -> tuple[Array, Array]:
+        """Information matrix and half the gradient of the criterion, priors included."""
+        if math.isfinite(cauchy):
+            weighted = jacobian / (1.0 + np.square(residuals / cauchy))[:, None]
+        else:
+            weighted = jacobian
+        return weighted.T @ jacobian + np.diag(self.prior), weighted.T @ residuals + self.prior * at
+
+    def _cost(self, at: Array, residuals: Array, cauchy: float) -> float:
+        prior = float(self.prior @ np.square(at))
+        if not math.isfinite(cauchy):
+            return float(residuals @ residuals) + prior
+        return float(cauchy**2 * np.sum(np.log1p(np.square(residuals / cauchy)))) + prior
+
+    def _step(self, at: Array, information: Array, gradient: Array, damping: float) -> tuple[Array, float]:
+        """The damped step within bounds, and the decrease that it promises."""
+        scale = np.maximum(np.diag(information), 1e-300)
+        held = ((at <= self.lower) & (gradient > 0)) | ((at >= self.upper) & (gradient < 0)) | (scale <= 1e-290)
+        move = np.zeros(len(at))
+        for _ in range(len(at)):
+            moving = ~held
+            if not np.any(moving):
+                break
+            size = 1.0 / np.sqrt(scale[moving])
+            normal = information[np.ix_(moving, moving)] * np.outer(size, size)
+            normal[np.diag_indices_from(normal)] *= 1.0 + damping
+            normal[np.diag_indices_from(normal)] += 1e-12
+            rest = gradient[moving] + information[np.ix_(moving, held)] @ move[held]
+            move[moving] = -size * np.linalg.solve(normal, size * rest)
+            beyond = moving & ((at + move < self.lower) | (at + move > self.upper))
+            if not np.any(beyond):
+                break
+            move[beyond] = np.clip(at[beyond] + move[beyond], self.lower[beyond], self.upper[beyond]) - at[beyond]
+            held = held | beyond
+        gain = -float(2.0 * gradient @ move + move @ information @ move)
+        return move, max(gain, 0.0)
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A value with its uncertainty, in the parameter's unit.
+
+    Attributes:
+        value, stderr: from the covariance. low, high: 95 % interval; infinite where the data do not close it.
+        remark: why it is wide or one-sided, or empty.
+    """
+
+    value: float
+    stderr: float
+    low: float
+    high: float
+    remark: str = ""
+
+    def to_json(self) -> dict[str, object]:
+        """As in report.json; infinities become null, which JSON has."""
+        finite = [bound if math.isfinite(bound) else None for bound in (self.low, self.high)]
+        value = self.value if math.isfinite(self.value) else None
+        stderr = self.stderr if math.isfinite(self.stderr) else None
+        entry: dict[str, object] = {"value": value, "stderr": stderr, "ci95": finite}
+        if self.remark:
+            entry["remark"] = self.remark
+        return entry
+
+
+def covariance_interval(result: Fit, name: str) -> Interval:
+    """The 95 % interval from the covariance at the optimum, cut at the parameter's range."""
+    plant = result.problem.plant
+    parameter = plant.parameter(name)
+    index = result.free.index(name)
+    at = float(result.coordinates[index])
+    half = 1.959964 * math.sqrt(max(0.0, float(result.covariance[index, index])))
+    lower, upper = search_bounds(parameter)
+    ends = sorted(from_search(parameter, end) for end in (max(lower, at - half), min(upper, at + half)))
+    return Interval(result.values[name], result.stderr(name), ends[0], ends[1])
+
+
+def profile_interval(result: Fit, name: str, *, points: int = 12) -> tuple[Interval, list[tuple[float, float]]]:
+    """The 95 % interval by profile likelihood: where χ², all others refitted, has risen by 3.84.
+
+    Args:
+        result: a converged fit.
+        name: one of its freed parameters.
+        points: how many refits to spend on each side.
+
+    Returns:
+        the interval, and the profile as (value, rise of χ²) pairs in ascending order of value.
+    """
+    parameter = result.problem.plant.parameter(name)
+    index = result.free.index(name)
+    at = float(result.coordinates[index])
+    lower, upper = search_bounds(parameter)
+    level = float(stats.chi2.ppf(0.95, 1)) * result.problem.excess
+    spread = math.sqrt(max(0.0, float(result.covariance[index, index])))
+    natural = search_scale(parameter)
+    spread = min(spread, 10.0 * max(natural, abs(at))) if spread > 0 else natural
+    curve = [(at, 0.0)]
+    ends: list[float] = []
+    remark = ""
+    for sign, bound in ((-1.0, lower), (1.0, upper)):
+        end, side = _profile_side(result, index, at, sign, bound, spread, level, points)
+        curve.extend(side)
+        if end is None:
+            remark = "the profile stays flat: these data do not hold it"
+            ends.append(sign * math.inf if math.isinf(bound) else bound)
+        else:
+            ends.append(end)
+    values = sorted(from_search(parameter, end) for end in ends)
+    pairs = sorted((from_search(parameter, where), rise) for where, rise in curve)
+    return Interval(result.values[name], result.stderr(name), values[0], values[1], remark), pairs
+
+
+def _profile_side(
+    result: Fit, index: int, at: float, sign: float, bound: float, spread: float, level: float, points: int
+) -> tuple[float | None, list[tuple[float, float]]]:
+    """One side of a profile: the coordinate where χ² has risen by `level`, or None if it never does."""
+    name = result.free[index]
+    parameter = result.problem.plant.parameter(name)
+    others = tuple(other for other in result.free if other != name)
+    warm = dict(result.values)
+    curve: list[tuple[float, float]] = []
+    inside, outside = (at, 0.0), None
+    step = 1.96 * spread
+    for _ in range(points):
+        if outside is None:
+            where = inside[0] + sign * step
+            step *= 2.0
+            if (where - bound) * sign >= 0.0:
+                where = bound
+        else:
+            # χ² is nearly a parabola: its root is where the square root of the rise is linear.
+            low, high = math.sqrt(max(inside[1], 0.0)), math.sqrt(outside[1])
+            share = (math.sqrt(level) - low) / (high - low) if high > low else 0.5
+            where = inside[0] + min(max(share, 0.05), 0.95) * (outside[0] - inside[0])
+        if where == inside[0]:
+            return (bound if where == bound else None), curve
+        fixed = {name: from_search(parameter, where)}
+        refit = fit(result.problem, others, warm, nuisances=result.nuisances, fixed=fixed)
+        rise = refit.chi2 - result.chi2
+        curve.append((where, rise))
+        if rise < level:
+            inside, warm = (where, rise), refit.values
+            if where == bound:
+                return (None if rise < 0.1 * level else bound), curve
+        else:
+            outside = (where, rise)
+        if outside is not None and (abs(rise - level) < 0.02 * level or abs(outside[0] - inside[0]) < 1e-3 * spread):
+            return where, curve
+    return (None if outside is None else outside[0]), curve
+
+
+def _stretches(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

@@ -1,0 +1,168 @@
+"""What identification sees of a machine: named parameters, effects that may be on, and what sensors would show.
+
+The valve is one plant (`valve_plant`), a servo axis another (`benchmarks/emps`), a user's actuator a third. Fit and
+diagnosis know only this page.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valve_sim.model.parameters import Parameter
+
+Array = NDArray[np.float64]
+
+
+class Nuisance(NamedTuple):
+    """Something that is not the machine's but must be estimated along: a name, a prior N(0, sigma) and a unit."""
+
+    name: str
+    sigma: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class EffectChoice:
+    """An effect that a diagnosis may add: its parameters are freed as `<name>.<parameter>`."""
+
+    name: str
+    parameters: tuple[Parameter, ...]
+    confused_with: tuple[str, ...] = ()
+
+    def free_names(self) -> tuple[str, ...]:
+        """The names that a fit frees."""
+        return tuple(f"{self.name}.{parameter.name}" for parameter in self.parameters)
+
+
+@dataclass(frozen=True)
+class ForceMap:
+    """A force of unknown origin that a fit may add: a curve over one variable, free at its knots.
+
+    Attributes:
+        variable: what it is a function of, e.g. "x" or "t·v".
+        free: names of the knots. fixed: values that place them.
+        low, high: the range of the variable, in `unit`.
+    """
+
+    variable: str
+    free: tuple[str, ...]
+    fixed: Mapping[str, float]
+    low: float
+    high: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One measured signal: what a fit compares with the prediction.
+
+    Attributes:
+        name: for people, e.g. "train.mcap: pilot_position".
+        kind: "position", "current" or "force": signals of one kind share their noise.
+        times: (n,) s. data: (n,) in `unit`.
+        quiet: (n,) True where the machine is known to be still, so that what is seen is the sensor's noise.
+        group: (n,) the stroke (or window) that each sample belongs to, from 0 on; hold-out takes whole groups.
+        unit: SI.
+    """
+
+    name: str
+    kind: str
+    times: Array
+    data: Array
+    quiet: NDArray[np.bool_]
+    group: NDArray[np.int64]
+    unit: str = "m"
+
+
+class Plant(Protocol):
+    """A machine with its measured data."""
+
+    @property
+    def channels(self) -> Sequence[Channel]:
+        """What was measured."""
+
+    @property
+    def base(self) -> Sequence[str]:
+        """The parameters that are refitted before any effect is claimed."""
+
+    @property
+    def nuisances(self) -> Sequence[Nuisance]:
+        """Always estimated: clock offsets."""
+
+    @property
+    def timing_errors(self) -> Sequence[Nuisance]:
+        """Estimated where the data ask for it: errors of each command's stamp."""
+
+    @property
+    def effects(self) -> Mapping[str, EffectChoice]:
+        """What may be missing, by name."""
+
+    @property
+    def force_maps(self) -> Sequence[ForceMap]:
+        """Curves that stand for what no named effect explains."""
+
+    def parameter(self, name: str) -> Parameter:
+        """Unit and range of anything that can be freed."""
+
+    def declared(self, name: str) -> float:
+        """The declared value of a parameter, or the value at which an effect's parameter changes nothing."""
+
+    def predict(self, values: Mapping[str, float]) -> list[Array]:
+        """What each channel would show.
+
+        Args:
+            values: freed parameters and nuisances by name; the rest is as declared. Effects that appear are on.
+        """
+
+
+def _is_logarithmic(parameter: Parameter) -> bool:
+    """Whether a parameter is a scale (a time constant, a film) that is searched by its logarithm."""
+    return parameter.off is None and parameter.lower > 0.0
+
+
+def _is_reciprocal(parameter: Parameter) -> bool:
+    """Whether a parameter is off at infinity and therefore searched by its reciprocal."""
+    return parameter.off is not None and math.isinf(parameter.off)
+
+
+def to_search(parameter: Parameter, value: float) -> float:
+    """The coordinate in which a parameter is searched: its value, 1/value where 'off' is at infinity, or ln(value)."""
+    if _is_reciprocal(parameter):
+        return 0.0 if math.isinf(value) else 1.0 / value
+    return math.log(value) if _is_logarithmic(parameter) else value
+
+
+def from_search(parameter: Parameter, coordinate: float) -> float:
+    """The inverse of `to_search`."""
+    if _is_reciprocal(parameter):
+        return math.inf if coordinate <= 0.0 else 1.0 / coordinate
+    return math.exp(coordinate) if _is_logarithmic(parameter) else coordinate
+
+
+def search_slope(parameter: Parameter, coordinate: float) -> float:
+    """|d value / d coordinate|; infinite where the value is."""
+    if _is_reciprocal(parameter):
+        return math.inf if coordinate <= 0.0 else 1.0 / coordinate**2
+    return math.exp(coordinate) if _is_logarithmic(parameter) else 1.0
+
+
+def search_bounds(parameter: Parameter) -> tuple[float, float]:
+    """The bounds of the search coordinate."""
+    if _is_reciprocal(parameter):
+        return 0.0, 1.0 / parameter.lower
+    if _is_logarithmic(parameter):
+        return math.log(parameter.lower), math.log(parameter.upper)
+    return parameter.lower, parameter.upper
+
+
+def search_scale(parameter: Parameter) -> float:
+    """A natural size of the search coordinate."""
+    if _is_reciprocal(parameter):
+        return 1.0 / parameter.typical
+    return 1.0 if _is_logarithmic(parameter) else abs(parameter.typical)

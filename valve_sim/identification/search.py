@@ -1,0 +1,171 @@
+"""The search over named effects: every candidate is refitted inside the simulator (METHOD steps 4, 5 and 8).
+
+A hypothesis is a set of effects, with or without errors in each command's stamp. Hypotheses are compared by the
+score S of `fitting`; the best of each is kept, so that asking twice costs nothing.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from valve_sim.identification.fitting import Fit, Problem, fit
+from valve_sim.identification.plant import EffectChoice, from_search, search_bounds, search_scale, to_search
+from valve_sim.model import SimulationError
+from valve_sim.model.parameters import Parameter
+
+DECISIVE: Final = 10.0
+"""Difference of S that decides (METHOD: ΔBIC 10, odds of 150 to 1)."""
+SMALL, LARGE = 0.05, (0.5, 1.5, 3.0)
+"""Starts, in natural sizes of a parameter: one near off, which follows the gradient, and some that leave its basin."""
+SHAPES: Final = (1.0, 0.2, 5.0)
+"""Likewise for parameters that shape an effect but do not switch it."""
+ANNEALING: Final = (100.0, 20.0, 5.0)
+"""σ: Cauchy scales that lead a fit with impacts out of wrong basins (METHOD)."""
+ROBUST: Final = 20.0
+"""σ: scale of the cost by which starts are ranked, so that one impact at another time does not decide."""
+MOST_EFFECTS: Final = 3
+
+Progress = Callable[[str, float], None]
+
+
+class Hypothesis(NamedTuple):
+    """A set of effects, in alphabetical order, and whether each command's stamp may err."""
+
+    effects: tuple[str, ...]
+    timing: bool = False
+
+    def adding(self, effect: str) -> Hypothesis:
+        """The same and one effect more."""
+        return Hypothesis(tuple(sorted((*self.effects, effect))), self.timing)
+
+    def without(self, effect: str) -> Hypothesis:
+        """The same less one effect."""
+        return Hypothesis(tuple(name for name in self.effects if name != effect), self.timing)
+
+
+class Search:
+    """Fits hypotheses to one problem, and remembers.
+
+    Args:
+        problem: training data.
+        progress: told what is being tried, and the fraction done.
+    """
+
+    def __init__(self, problem: Problem, progress: Progress | None = None) -> None:
+        self.problem = problem
+        self.fits: dict[Hypothesis, Fit] = {}
+        self._progress = progress or (lambda what, fraction: None)
+        self._annealed: set[Hypothesis] = set()
+
+    def say(self, what: str, fraction: float) -> None:
+        """Report progress."""
+        self._progress(what, fraction)
+
+    def fit(self, hypothesis: Hypothesis, *, anneal: bool = False) -> Fit:
+        """The best fit of a hypothesis, from several starts."""
+        if hypothesis in self.fits and (not anneal or hypothesis in self._annealed):
+            return self.fits[hypothesis]
+        fits = [self.fits[hypothesis]] if hypothesis in self.fits else list(self._fits(hypothesis))
+        if anneal:
+            self._annealed.add(hypothesis)
+            fits.extend(self._attempt(hypothesis, dict(fits[0].values), ANNEALING))
+        self.fits[hypothesis] = min(fits, key=lambda result: result.chi2)
+        return self.fits[hypothesis]
+
+    def score(self, hypothesis: Hypothesis) -> float:
+        """S of a hypothesis."""
+        return self.fit(hypothesis).score
+
+    def best(self, hypotheses: Iterable[Hypothesis]) -> Hypothesis:
+        """The hypothesis of the lowest score."""
+        return min(hypotheses, key=self.score)
+
+    def free_names(self, hypothesis: Hypothesis) -> tuple[str, ...]:
+        """What a hypothesis frees."""
+        plant = self.problem.plant
+        return (*plant.base, *itertools.chain(*(plant.effects[name].free_names() for name in hypothesis.effects)))
+
+    def _fits(self, hypothesis: Hypothesis) -> Iterable[Fit]:
+        """Fits from each start; a smaller hypothesis that was fitted lends its values."""
+        if not hypothesis.effects:
+            plain = Hypothesis(())
+            warm = self.fits[plain].values if plain in self.fits else {}
+            starts: list[Mapping[str, float]] = [warm]
+            if not warm:
+                starts.append({name: 3.0 * self.problem.plant.declared(name) for name in self.problem.plant.base})
+            for start in starts:
+                yield from self._attempt(hypothesis, start)
+            return
+        known = [name for name in hypothesis.effects if hypothesis.without(name) in self.fits]
+        untimed = hypothesis._replace(timing=False)
+        if hypothesis.timing and untimed in self.fits:
+            yield from self._attempt(hypothesis, self.fits[untimed].values)
+        for added in known or hypothesis.effects[-1:]:
+            smaller = hypothesis.without(added)
+            warm = self.fit(smaller).values
+            for start in effect_starts(self.problem, self.problem.plant.effects[added], warm):
+                yield from self._attempt(hypothesis, {**warm, **start})
+
+    def _attempt(
+        self, hypothesis: Hypothesis, start: Mapping[str, float], robust: Sequence[float] = ()
+    ) -> Iterable[Fit]:
+        plant = self.problem.plant
+        nuisances = (*plant.nuisances, *(plant.timing_errors if hypothesis.timing else ()))
+        try:
+            yield fit(self.problem, self.free_names(hypothesis), start, nuisances=nuisances, robust=robust)
+        except SimulationError:
+            return
+
+
+def effect_starts(problem: Problem, effect: EffectChoice, warm: Mapping[str, float]) -> list[dict[str, float]]:
+    """Where to start an effect's parameters from: near off, and the best of some larger sizes and other shapes."""
+    near = [] if _is_saddle(effect) else [_start(effect, [SMALL] * len(effect.parameters), 1.0)]
+    amplitudes = [parameter.off is not None for parameter in effect.parameters]
+    choices = [_sizes(parameter) if is_amplitude else (1.0,) for parameter, is_amplitude in zip(effect.parameters, amplitudes, strict=True)]
+    combinations = list(itertools.product(*choices)) if sum(amplitudes) <= 2 else [(size,) * len(choices) for size in LARGE]
+    shapes = SHAPES if not all(amplitudes) else SHAPES[:1]
+    far = [_start(effect, sizes, shape) for sizes in combinations for shape in shapes]
+
+    def cost(start: Mapping[str, float]) -> float:
+        try:
+            residuals = problem.residuals({**warm, **start})
+        except SimulationError:
+            return math.inf
+        return float(np.sum(np.log1p(np.square(residuals / ROBUST))))
+
+    return near + sorted(far, key=cost)[: 1 if near and sum(amplitudes) == 1 else 2]
+
+
+def _is_saddle(effect: EffectChoice) -> bool:
+    """Whether the gradient vanishes where the effect is off, so that a start there would stay."""
+    return any(parameter.off is not None and math.isinf(parameter.off) for parameter in effect.parameters)
+
+
+def _sizes(parameter: Parameter) -> list[float]:
+    lower, upper = search_bounds(parameter)
+    assert parameter.off is not None
+    two_sided = lower < to_search(parameter, parameter.off) < upper
+    return [sign * size for size in LARGE for sign in ((1.0, -1.0) if two_sided else (1.0,))]
+
+
+def _start(effect: EffectChoice, sizes: Sequence[float], shape: float) -> dict[str, float]:
+    return {
+        f"{effect.name}.{parameter.name}": _start_value(parameter, size, shape)
+        for parameter, size in zip(effect.parameters, sizes, strict=True)
+    }
+
+
+def _start_value(parameter: Parameter, size: float, shape: float) -> float:
+    if parameter.off is None:
+        return min(max(parameter.typical * shape, parameter.lower), parameter.upper)
+    lower, upper = search_bounds(parameter)
+    off = to_search(parameter, parameter.off)
+    at = off + size * search_scale(parameter)
+    if not lower <= at <= upper:
+        at = off - size * search_scale(parameter)
+    return from_search(parameter, min(max(at, lower), upper))

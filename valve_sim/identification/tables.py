@@ -1,0 +1,94 @@
+"""Small tables that people write by hand or export from a spreadsheet: CSV in, columns of numbers out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from valve_sim.identification.plant import Array
+from valve_sim.model import ValveError
+
+_DELIMITERS: Final = (";", "\t", ",")
+
+
+class TableError(ValveError):
+    """A table cannot be used: one line that names the file and the line, what was found and what is expected."""
+
+
+def read_table(path: Path | str, columns: Mapping[str, Sequence[str]]) -> dict[str, Array]:
+    """Columns of numbers from a CSV file.
+
+    Cells are parted by commas, semicolons, tabs or blanks; a comma is a decimal point where semicolons or tabs part. A
+    first line of names chooses the columns and may name others beside; without it, columns come in the order asked for.
+    Empty lines and lines that begin with # are passed over.
+
+    Args:
+        path: the file.
+        columns: what to read, and under which names a header may call it.
+
+    Returns:
+        by the same keys, (n,) each.
+
+    Raises:
+        TableError: the file cannot be read, a column is missing, or a cell is no finite number.
+    """
+    lines = _content(path, columns)
+    delimiter = next((mark for mark in _DELIMITERS if mark in lines[0][1]), None)
+    rows = [(number, _cells(line, delimiter)) for number, line in lines]
+    places = dict(zip(columns, range(len(columns)), strict=True))
+    if any(_number(cell) is None for cell in rows[0][1]):
+        places = _places(path, rows.pop(0)[1], columns)
+    values = [[_cell(path, number, cells, name, place) for name, place in places.items()] for number, cells in rows]
+    if not values:
+        raise TableError(f"{path}: has no row of numbers; expected columns {', '.join(columns)}")
+    return dict(zip(columns, np.array(values).T.copy(), strict=True))
+
+
+def _content(path: Path | str, columns: Mapping[str, Sequence[str]]) -> list[tuple[int, str]]:
+    try:
+        text = Path(path).read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise TableError(f"{path}: cannot be read ({error.strerror}); expected a CSV file") from error
+    except UnicodeDecodeError as error:
+        raise TableError(f"{path}: is not UTF-8 text; expected a CSV file of {', '.join(columns)}") from error
+    lines = [(number, line.strip()) for number, line in enumerate(text.splitlines(), start=1)]
+    lines = [(number, line) for number, line in lines if line and not line.startswith("#")]
+    if not lines:
+        raise TableError(f"{path}: is empty; expected columns {', '.join(columns)}")
+    return lines
+
+
+def _cells(line: str, delimiter: str | None) -> list[str]:
+    cells = [cell.strip().strip('"') for cell in line.split(delimiter)]
+    return cells if delimiter in (",", None) else [cell.replace(",", ".") for cell in cells]
+
+
+def _places(path: Path | str, header: Sequence[str], columns: Mapping[str, Sequence[str]]) -> dict[str, int]:
+    found = [name.lower() for name in header]
+    places = {}
+    for column, names in columns.items():
+        matches = [found.index(name) for name in names if name in found]
+        if not matches:
+            raise TableError(f"{path}: has the columns {', '.join(header)}; expected one named {' or '.join(names)}")
+        places[column] = matches[0]
+    return places
+
+
+def _cell(path: Path | str, line: int, cells: Sequence[str], name: str, place: int) -> float:
+    if place >= len(cells):
+        raise TableError(f"{path}: line {line}: has {len(cells)} cells, expected {name} in cell {place + 1}")
+    value = _number(cells[place])
+    if value is None or not math.isfinite(value):
+        raise TableError(f"{path}: line {line}: {name}: found {cells[place]!r}, expected a finite number")
+    return value
+
+
+def _number(cell: str) -> float | None:
+    try:
+        return float(cell)
+    except ValueError:
+        return None

@@ -1,0 +1,41 @@
+"""The physics of the valve: parameters, equations, effects, event-accurate simulation. Knows no ROS, file or clock."""
+
+from valve_sim.model.core_types import EventKind, Phase
+from valve_sim.model.effects import CATALOGUE, Effect
+from valve_sim.model.errors import ParameterError, SimulationError, ValveError
+from valve_sim.model.parameters import DECLARED, Parameter, ValveParameters
+from valve_sim.model.simulation import (
+    TOLERANCE,
+    Drive,
+    Event,
+    Reading,
+    Response,
+    Stepper,
+    Valve,
+    published_times,
+    simulate,
+    simulate_many,
+)
+
+__all__ = [
+    "CATALOGUE",
+    "DECLARED",
+    "TOLERANCE",
+    "Drive",
+    "Effect",
+    "Event",
+    "EventKind",
+    "Parameter",
+    "ParameterError",
+    "Phase",
+    "Reading",
+    "Response",
+    "SimulationError",
+    "Stepper",
+    "Valve",
+    "ValveError",
+    "ValveParameters",
+    "published_times",
+    "simulate",
+    "simulate_many",
+]

@@ -1,0 +1,149 @@
+"""The two records that the compiled core reads and writes: what a valve is, and where it is.
+
+Both are plain NumPy records, so that equations can say `p.pilot_mass`, a batch is an array of them, and
+nothing is allocated while the valve is being stepped.
+"""
+
+from __future__ import annotations
+
+import enum
+from typing import Final
+
+import numpy as np
+
+MAXIMUM_TERMS: Final = 8
+"""How many compiled force terms can be on at once."""
+MAXIMUM_TERM_PARAMETERS: Final = 16
+"""How many numbers one compiled force term can read."""
+
+VALVE_RECORD: Final = np.dtype(
+    [
+        # The declared valve, MODEL section 2, after the effects that rewrite it.
+        ("pilot_mass", "f8"),
+        ("moving_mass", "f8"),
+        ("pilot_damping", "f8"),
+        ("main_damping", "f8"),
+        ("spring_rate", "f8"),
+        ("spring_preload", "f8"),
+        ("a0", "f8"),
+        ("a1", "f8"),
+        ("a2", "f8"),
+        ("a3", "f8"),
+        ("pilot_gap", "f8"),
+        ("stroke", "f8"),
+        ("reference_voltage", "f8"),
+        ("coil_time_constant", "f8"),
+        ("coil_resistance", "f8"),
+        ("seat_load", "f8"),
+        ("pickup_velocity_ratio", "f8"),
+        # Dry friction: a level by direction, and a breakaway peak that fades with speed.
+        ("friction_opening", "f8"),
+        ("friction_closing", "f8"),
+        ("breakaway", "f8"),
+        ("stribeck_velocity", "f8"),
+        ("damping_opening", "f8"),
+        ("damping_closing", "f8"),
+        # Pressure across the main plunger.
+        ("pressure_force", "f8"),
+        ("equalisation_time", "f8"),
+        # From commanded voltage to the current that pulls.
+        ("eddy_time_constant", "f8"),
+        ("temperature_rate", "f8"),
+        ("cooling_time_constant", "f8"),
+        ("saturation_current", "f8"),
+        ("residual_current", "f8"),
+        # Contacts.
+        ("restitution_stop", "f8"),
+        ("restitution_seat", "f8"),
+        # What a position sensor shows.
+        ("sensor_delay", "f8"),
+        ("sensor_cutoff_frequency", "f8"),
+        ("sensor_gain", "f8"),
+        # Compiled force terms: addresses, whether they act in Phase 2 only, and the numbers they read.
+        ("term_count", "i8"),
+        ("term_address", "i8", (MAXIMUM_TERMS,)),
+        ("term_in_phase_2_only", "i8", (MAXIMUM_TERMS,)),
+        ("term_parameters", "f8", (MAXIMUM_TERMS, MAXIMUM_TERM_PARAMETERS)),
+    ],
+    align=True,
+)
+"""What a valve is, to the compiled core. One record a parameter set."""
+
+STATE_RECORD: Final = np.dtype(
+    [
+        ("time", "f8"),  # s, the end of the last committed step
+        ("x", "f8"),  # m
+        ("v", "f8"),  # m/s
+        ("u", "f8"),  # normalised coil current; integrated only while the coil heats
+        ("w", "f8"),  # the current that pulls, behind the eddy pole; likewise
+        ("temperature", "f8"),  # K above the start
+        ("mode", "i8"),  # Phase
+        ("moving", "i8"),  # 0 at rest, 1 in motion
+        ("direction", "i8"),  # +1 opening, -1 closing; the sign of dry friction
+        ("volts", "f8"),  # V, as commanded
+        ("segment_time", "f8"),  # s, when this voltage began
+        ("segment_u", "f8"),  # u at that time
+        ("segment_w", "f8"),  # w at that time
+        ("peak_current", "f8"),  # largest abs(u) so far
+        ("held_by_residual", "i8"),  # 1 while the pull is at the residual floor
+        ("unseated_time", "f8"),  # s, when the pilot last left x = 0
+        ("step", "f8"),  # s, the step that error control proposes
+        ("shown_pilot", "f8"),  # m, behind the sensor's bandwidth
+        ("shown_main", "f8"),  # m, likewise
+    ],
+    align=True,
+)
+"""Where a valve is, to the compiled core: all that its future depends on."""
+
+EVENT_RECORD: Final = np.dtype([("time", "f8"), ("kind", "i8"), ("x", "f8"), ("v", "f8")], align=True)
+"""One event of the compiled core; `v` is the velocity before it."""
+
+
+class Phase(enum.IntEnum):
+    """The mode of the valve, as published on ~/phase (MODEL section 4)."""
+
+    CLOSED = 0
+    PILOT = 1
+    GAP_HOLD = 2
+    MAIN = 3
+    OPEN = 4
+
+
+class EventKind(enum.IntEnum):
+    """What happened at an event. The published t1 is PICKED_UP, t2 is REACHED_STOP."""
+
+    UNSEATED = 0
+    """The pilot plunger left its seat."""
+    PICKED_UP = 1
+    """The pilot plunger reached the main plunger and took it along."""
+    HELD_AT_GAP = 2
+    """The pilot plunger came to rest against the main plunger, which is too heavy to lift yet."""
+    LIFTED = 3
+    """The main plunger was lifted from rest at the gap."""
+    DROPPED = 4
+    """The pilot plunger fell back from rest at the gap."""
+    REACHED_STOP = 5
+    """All parts reached the core and stayed."""
+    BOUNCED_AT_STOP = 6
+    """All parts reached the core and rebounded."""
+    RELEASED = 7
+    """All parts left the core."""
+    MAIN_SEATED = 8
+    """The main plunger fell back to its seat; the pilot plunger goes on."""
+    SEATED = 9
+    """The pilot plunger came to rest on its seat."""
+    BOUNCED_AT_SEAT = 10
+    """The pilot plunger rebounded from its seat."""
+    STUCK = 11
+    """Dry friction stopped the plungers between the contacts."""
+    BROKE_AWAY = 12
+    """The plungers broke away from where friction held them."""
+
+
+class Outcome(enum.IntEnum):
+    """Why a run of the compiled core ended."""
+
+    FINISHED = 0
+    STEP_TOO_SMALL = 1
+    TOO_MANY_STEPS = 2
+    CHATTERING = 3

@@ -1,0 +1,123 @@
+"""One step of the Dormand–Prince 5(4) pair with dense output, compiled.
+
+Source: Hairer, Nørsett and Wanner, *Solving Ordinary Differential Equations I*, 2nd ed., section II.4 (coefficients,
+step control) and II.6; dense output of order 4 after Shampine, Math. Comp. 46 (1986) 135–150.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from valve_sim.model.compiling import inner
+
+from valve_sim.model.equations import coil_state, heating_rates, mechanical_rates
+
+STAGES: Final = 7
+"""Stages of the pair; the seventh is the first of the next step."""
+MECHANICAL_STATES: Final = 2
+"""x and v."""
+ALL_STATES: Final = 5
+"""x, v and, while the coil heats, u, w and T."""
+
+WORK_RECORD: Final = np.dtype(
+    [
+        ("states", "i8"),  # how many of the states are integrated, 2 or 5
+        ("y", "f8", (ALL_STATES,)),  # at the start of the step
+        ("y_stage", "f8", (ALL_STATES,)),  # where a stage looks
+        ("y_new", "f8", (ALL_STATES,)),  # at the end of the step
+        ("k", "f8", (STAGES, ALL_STATES)),  # y' at the stages
+        ("dense", "f8", (ALL_STATES, 4)),  # coefficients of the dense output
+        ("slopes", "f8", (4,)),  # of what a sensor filters
+    ],
+    align=True,
+)
+"""The scratch paper of one run; a record, because arrays that are passed around cost reference counts."""
+
+C2, C3, C4, C5 = 1 / 5, 3 / 10, 4 / 5, 8 / 9
+A21 = 1 / 5
+A31, A32 = 3 / 40, 9 / 40
+A41, A42, A43 = 44 / 45, -56 / 15, 32 / 9
+A51, A52, A53, A54 = 19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729
+A61, A62, A63, A64, A65 = 9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656
+B1, B3, B4, B5, B6 = 35 / 384, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84
+E1, E3, E4, E5, E6, E7 = -71 / 57600, 71 / 16695, -71 / 1920, 17253 / 339200, -22 / 525, 1 / 40
+
+_DENSE = np.array(
+    [
+        [1, -8048581381 / 2820520608, 8663915743 / 2820520608, -12715105075 / 11282082432],
+        [0, 0, 0, 0],
+        [0, 131558114200 / 32700410799, -68118460800 / 10900136933, 87487479700 / 32700410799],
+        [0, -1754552775 / 470086768, 14199869525 / 1410260304, -10690763975 / 1880347072],
+        [0, 127303824393 / 49829197408, -318862633887 / 49829197408, 701980252875 / 199316789632],
+        [0, -282668133 / 205662961, 2019193451 / 616988883, -1453857185 / 822651844],
+        [0, 40617522 / 29380423, -110615467 / 29380423, 69997945 / 29380423],
+    ]
+)
+
+SMALLEST_SCALE = np.array([1e-5, 1e-2, 1e-2, 1e-2, 1e-1])
+"""Below these sizes (m, m/s, –, –, K), a hundredth of what a stroke moves, the error is held absolutely."""
+
+
+@inner
+def rates(p, s, work, t, y, stage):
+    """Write y' into row `stage` of work.k; y is one of work's states."""
+    u, w = coil_state(p, s, t, y[2], y[3], y[4])
+    work.k[stage, 0], work.k[stage, 1] = mechanical_rates(p, s, t, y[0], y[1], u, w)
+    if work.states > MECHANICAL_STATES:
+        work.k[stage, 2], work.k[stage, 3], work.k[stage, 4] = heating_rates(p, s, u, w, y[4])
+
+
+@inner
+def try_step(p, s, work, h):
+    """One trial step of size h, s, from work.y; work.k[0] holds y' there. Writes work.y_new and work.k."""
+    t = s.time
+    k, y, y_stage, y_new = work.k, work.y, work.y_stage, work.y_new
+    for j in range(work.states):
+        y_stage[j] = y[j] + h * (A21 * k[0, j])
+    rates(p, s, work, t + C2 * h, y_stage, 1)
+    for j in range(work.states):
+        y_stage[j] = y[j] + h * (A31 * k[0, j] + A32 * k[1, j])
+    rates(p, s, work, t + C3 * h, y_stage, 2)
+    for j in range(work.states):
+        y_stage[j] = y[j] + h * (A41 * k[0, j] + A42 * k[1, j] + A43 * k[2, j])
+    rates(p, s, work, t + C4 * h, y_stage, 3)
+    for j in range(work.states):
+        y_stage[j] = y[j] + h * (A51 * k[0, j] + A52 * k[1, j] + A53 * k[2, j] + A54 * k[3, j])
+    rates(p, s, work, t + C5 * h, y_stage, 4)
+    for j in range(work.states):
+        y_stage[j] = y[j] + h * (A61 * k[0, j] + A62 * k[1, j] + A63 * k[2, j] + A64 * k[3, j] + A65 * k[4, j])
+    rates(p, s, work, t + h, y_stage, 5)
+    for j in range(work.states):
+        y_new[j] = y[j] + h * (B1 * k[0, j] + B3 * k[2, j] + B4 * k[3, j] + B5 * k[4, j] + B6 * k[5, j])
+    rates(p, s, work, t + h, y_new, 6)
+
+
+@inner
+def error_norm(work, h, tolerance):
+    """The largest component of the error estimate in units of the tolerance; above 1 the step is refused."""
+    worst = 0.0
+    k = work.k
+    for j in range(work.states):
+        error = h * (E1 * k[0, j] + E3 * k[2, j] + E4 * k[3, j] + E5 * k[4, j] + E6 * k[5, j] + E7 * k[6, j])
+        scale = tolerance * max(max(abs(work.y[j]), abs(work.y_new[j])), SMALLEST_SCALE[j])
+        worst = max(worst, abs(error) / scale)
+    return worst
+
+
+@inner
+def fill_dense(work):
+    """Work out the dense-output coefficients of the step just taken."""
+    for j in range(work.states):
+        for power in range(4):
+            total = _DENSE[0, power] * work.k[0, j]
+            for i in range(2, STAGES):
+                total += _DENSE[i, power] * work.k[i, j]
+            work.dense[j, power] = total
+
+
+@inner
+def interpolate(work, h, j, theta):
+    """State j at the fraction theta of a step of size h, from its dense output."""
+    slopes = work.dense[j, 1] + theta * (work.dense[j, 2] + theta * work.dense[j, 3])
+    return work.y[j] + h * theta * (work.dense[j, 0] + theta * slopes)

@@ -1,0 +1,168 @@
+"""The valve's equations, compiled as they stand here.
+
+Symbols and equation numbers:
+
+    (1)  τ u' = V/V_ref − u                                      coil
+    (2)  F_a(x, u) = u² (a0 + a1 x + a2 x² + a3 x³)              attraction
+    (3)  Phase 1:  m_1 v' = F_a − F_seat − c_1 v + Σ effects     the paper's equation for 0 ≤ t ≤ t1
+    (4)  Phase 2:  m_2 v' = F_a − F_0 − k x − c_2 v + Σ effects  the paper's equation for t1 ≤ t ≤ t2
+
+Effects that are part of the hybrid automaton or of the coil stand here, numbered too; all other force effects are
+compiled terms f(x, v, u, t) that (5) adds up, wherever they were registered.
+
+    (5)  Σ effects = Σ_j f_j(x, v, u, t) − c_± v − F_p exp(−(t − t_o)/τ_p) [Phase 2]
+    (6)  dry friction: F_± + F_b exp(−(v/v_s)²) against the motion; at rest it holds up to F_± + F_b
+    (7)  saturation: u² → u² (1 + 1/u_s²) / (1 + (u/u_s)²)
+    (8)  residual magnetism: the u that pulls never falls below u_r min(1, max |u| so far)
+    (9)  eddy currents: τ_e w' = u − w; w pulls, u is measured
+    (10) heating: T' = q u² − T/τ_c; R/R_0 = 1 + α T divides u's target and τ in (1)
+
+Here τ_c is the cooling time constant, F_p the pressure force and t_o the time when the pilot last left its seat.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+
+from valve_sim.model.compiling import inner
+from valve_sim.model.core_types import Phase
+
+COPPER_TEMPERATURE_COEFFICIENT: Final = 0.00393
+"""α, 1/K: the resistance of copper at 20 °C (IEC 60028)."""
+
+MAIN: Final = int(Phase.MAIN)
+
+
+@intrinsic
+def _call_term(
+    typingctx: Any, address: Any, x: Any, v: Any, u: Any, t: Any, numbers: Any
+) -> tuple[Any, Any]:  # pragma: no cover - runs in the compiler
+    """Call a compiled term f(x, v, u, t, numbers) by its address; `numbers` is a contiguous array."""
+    signature = types.float64(types.int64, types.float64, types.float64, types.float64, types.float64, numbers)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        array = context.make_array(signature.args[5])(context, builder, arguments[5])
+        double = ir.DoubleType()
+        kind = ir.FunctionType(double, [double] * 4 + [array.data.type])
+        function = builder.inttoptr(arguments[0], kind.as_pointer())
+        return builder.call(function, [*arguments[1:5], array.data])
+
+    return signature, generate
+
+
+@inner
+def attraction(p, x, pull_squared):
+    """F_a of equation (2), N, with u² already through (7) and (8)."""
+    return pull_squared * (p.a0 + x * (p.a1 + x * (p.a2 + x * p.a3)))
+
+
+@inner
+def residual_floor(p, peak_current):
+    """The smallest u that pulls, equation (8)."""
+    return p.residual_current * min(1.0, peak_current)
+
+
+@inner
+def pull_squared(p, w, peak_current):
+    """The u² of equation (2), through residual magnetism (8) and saturation (7)."""
+    pull = max(abs(w), residual_floor(p, peak_current))
+    squared = pull * pull
+    if p.saturation_current > 0.0:
+        knee = 1.0 / (p.saturation_current * p.saturation_current)
+        squared = squared * (1.0 + knee) / (1.0 + squared * knee)
+    return squared
+
+
+@inner
+def force_without_dry_friction(p, mode, x, v, direction, u, pull2, t, unseated_time):
+    """Right-hand sides of (3) and (4), N, with (5); the dry friction of (6) is the caller's."""
+    if mode >= MAIN:
+        force = attraction(p, x, pull2) - p.spring_preload - p.spring_rate * x - p.main_damping * v
+        if p.pressure_force != 0.0:
+            force -= p.pressure_force * math.exp(-(t - unseated_time) / p.equalisation_time)
+    else:
+        force = attraction(p, x, pull2) - p.seat_load - p.pilot_damping * v
+    force -= (p.damping_opening if direction > 0 else p.damping_closing) * v
+    for j in range(p.term_count):
+        if mode >= MAIN or p.term_in_phase_2_only[j] == 0:
+            force += _call_term(p.term_address[j], x, v, u, t, p.term_parameters[j])
+    return force
+
+
+@inner
+def dry_friction(p, v, direction):
+    """Equation (6), N, a size; it acts against `direction`."""
+    level = p.friction_opening if direction > 0 else p.friction_closing
+    if p.breakaway != 0.0:
+        ratio = v / p.stribeck_velocity
+        level += p.breakaway * math.exp(-ratio * ratio)
+    return level
+
+
+@inner
+def acceleration(p, mode, x, v, direction, u, pull2, t, unseated_time):
+    """v' of equation (3) or (4) in motion, m/s²."""
+    force = force_without_dry_friction(p, mode, x, v, direction, u, pull2, t, unseated_time)
+    force -= direction * dry_friction(p, v, direction)
+    return force / (p.moving_mass if mode >= MAIN else p.pilot_mass)
+
+
+@inner
+def coil_current_between_commands(p, s, t):
+    """The solution of (1) and (9) at time t for a coil that does not heat: u and w, exactly."""
+    target = s.volts / p.reference_voltage
+    elapsed = t - s.segment_time
+    u = target
+    decay = 0.0
+    if p.coil_time_constant > 0.0:
+        decay = math.exp(-elapsed / p.coil_time_constant)
+        u = target + (s.segment_u - target) * decay
+    if p.eddy_time_constant == 0.0:
+        return u, u
+    eddy_decay = math.exp(-elapsed / p.eddy_time_constant)
+    w = target + (s.segment_w - target) * eddy_decay
+    if p.coil_time_constant > 0.0:
+        # (τ/(τ − τ_e)) (e^{−t/τ} − e^{−t/τ_e}), written so that τ = τ_e is no special case.
+        gap = elapsed / p.eddy_time_constant - elapsed / p.coil_time_constant
+        if abs(gap) < 1.0:
+            share = decay * (-np.expm1(-gap) / gap if gap != 0.0 else 1.0)
+        else:
+            share = (decay - eddy_decay) / gap
+        w += (s.segment_u - target) * share * elapsed / p.eddy_time_constant
+    return u, w
+
+
+@inner
+def coil_state(p, s, t, u, w, temperature):
+    """The current u and the pulling current w at time t; the last three are integrated while the coil heats."""
+    if p.temperature_rate == 0.0:
+        return coil_current_between_commands(p, s, t)
+    if p.coil_time_constant == 0.0:
+        u = s.volts / p.reference_voltage / (1.0 + COPPER_TEMPERATURE_COEFFICIENT * temperature)
+    return u, w if p.eddy_time_constant > 0.0 else u
+
+
+@inner
+def mechanical_rates(p, s, t, x, v, u, w):
+    """x' and v' of (3) and (4); plungers at rest stay there."""
+    if not s.moving:
+        return 0.0, 0.0
+    pull2 = pull_squared(p, w, max(s.peak_current, abs(u)))
+    return v, acceleration(p, s.mode, x, v, s.direction, u, pull2, t, s.unseated_time)
+
+
+@inner
+def heating_rates(p, s, u, w, temperature):
+    """u', w' and T' of (1), (9) and (10) while the coil heats."""
+    resistance_ratio = 1.0 + COPPER_TEMPERATURE_COEFFICIENT * temperature
+    du = 0.0
+    if p.coil_time_constant > 0.0:
+        du = (s.volts / p.reference_voltage - u * resistance_ratio) / p.coil_time_constant
+    dw = (u - w) / p.eddy_time_constant if p.eddy_time_constant > 0.0 else 0.0
+    return du, dw, p.temperature_rate * u * u - temperature / p.cooling_time_constant

@@ -1,0 +1,459 @@
+"""One simulation core for everyone: a whole trace, many parameter sets at once, one step after another."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from valve_sim.model import automaton
+from valve_sim.model.core_types import EVENT_RECORD, STATE_RECORD, VALVE_RECORD, EventKind, Outcome, Phase
+from valve_sim.model.effects import check_effects, fill_record
+from valve_sim.model.errors import ParameterError, SimulationError
+from valve_sim.model.parameters import POLYNOMIAL_NAMES, ValveParameters, check_declared, check_geometry
+
+Array = NDArray[np.float64]
+
+TOLERANCE: Final = 1e-9
+"""Relative error of one step; against a 1e-13 reference it leaves positions within 1 nm and events within 1 ns."""
+MOST_STEPS: Final = 20_000_000
+"""Steps after which a run is given up: a minute of work."""
+_EVENT_ROOM: Final = 256
+_NO_TIMES: Final = np.empty(0)
+
+
+class Drive(NamedTuple):
+    """The commanded coil voltage: held between commands, 0 before the first.
+
+    Attributes:
+        times: (k,) s, ascending.
+        volts: (k,) V.
+    """
+
+    times: Array
+    volts: Array
+
+    @classmethod
+    def of(cls, times: ArrayLike, volts: ArrayLike) -> Drive:
+        """A drive from anything that NumPy takes for two arrays of one length."""
+        return cls(
+            np.atleast_1d(np.asarray(times, dtype=np.float64)), np.atleast_1d(np.asarray(volts, dtype=np.float64))
+        )
+
+    def at(self, times: ArrayLike) -> Array:
+        """The voltage in force at each time (a command acts from its own time on), V."""
+        index = np.searchsorted(self.times, np.asarray(times, dtype=np.float64), side="right")
+        return np.concatenate([[0.0], self.volts])[index]
+
+
+class Event(NamedTuple):
+    """Something that happened to the plungers: time in s, position in m, velocity before it in m/s."""
+
+    time: float
+    kind: EventKind
+    position: float
+    velocity: float
+
+
+@dataclass(frozen=True)
+class Valve:
+    """What is simulated: the declared parameters, and the effects that are on.
+
+    Attributes:
+        parameters: the declared valve.
+        effects: effect name to its parameters, e.g. {"coulomb_friction": {"force": 0.3}}.
+    """
+
+    parameters: ValveParameters = ValveParameters()
+    effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+    @classmethod
+    def from_mapping(cls, values: Mapping[str, Any], source: str) -> Valve:
+        """A checked valve from {"valve": {...}, "effects": {...}}, both optional.
+
+        Args:
+            values: as found in a parameter file.
+            source: the file or node, for messages.
+
+        Raises:
+            ParameterError: anything unknown, of the wrong type or out of range; the message names it.
+        """
+        parameters = check_declared(dict(values.get("valve") or {}), source)
+        valve = cls(parameters, check_effects(values.get("effects") or {}, source))
+        record = valve.record()[0]
+        check_geometry(float(record["pilot_gap"]), float(record["stroke"]), f"{source} (with effects)")
+        return valve
+
+    def to_mapping(self) -> dict[str, dict[str, Any]]:
+        """The plain mapping that `from_mapping` takes back."""
+        declared = self.parameters._asdict()
+        declared["attraction_polynomial"] = list(self.parameters.attraction_polynomial)
+        mapping: dict[str, dict[str, Any]] = {"valve": declared}
+        if self.effects:
+            mapping["effects"] = {name: dict(values) for name, values in self.effects.items()}
+        return mapping
+
+    def declared(self) -> dict[str, float]:
+        """The declared scalars by name, the polynomial as a0 … a3."""
+        values = self.parameters._asdict()
+        polynomial = values.pop("attraction_polynomial")
+        return {**values, **dict(zip(POLYNOMIAL_NAMES, polynomial, strict=True))}
+
+    def record(self) -> Any:
+        """The (1,) VALVE_RECORD array that the compiled core reads."""
+        records = np.zeros(1, VALVE_RECORD)
+        fill_record(records[0], self.declared(), self.effects)
+        return records
+
+    def with_values(self, **values: float) -> Valve:
+        """The same valve with some declared scalars (a0 … a3 among them) replaced.
+
+        Raises:
+            ParameterError: no such scalar.
+        """
+        declared = self.declared()
+        for name, value in values.items():
+            if name not in declared:
+                raise ParameterError(f"valve.{name}: no such parameter")
+            declared[name] = value
+        polynomial = tuple(declared.pop(name) for name in POLYNOMIAL_NAMES)
+        return Valve(ValveParameters(**declared, attraction_polynomial=polynomial), self.effects)  # type: ignore[arg-type]
+
+    def can_open(self) -> bool:
+        """Whether the reference voltage, held for ever, would lift the pilot plunger off its seat."""
+        record = self.record()
+        state = new_states(record, 0.0)
+        automaton.set_voltage(record[0], state[0], float(record[0]["reference_voltage"]))
+        settled = 50.0 * float(record[0]["coil_time_constant"] + record[0]["eddy_time_constant"]) + 1e-3
+        _check(_run(record[0], state[0], settled, _NO_TIMES, np.empty((0, 5)), _events(), TOLERANCE)[1])
+        return bool(state[0]["mode"] != Phase.CLOSED)
+
+
+@dataclass(frozen=True)
+class Response:
+    """What a valve does, at the sample times. Positions are what a position sensor shows (effects sensor_*).
+
+    Attributes:
+        time: (n,) s. pilot_position, main_position: (n,) m. pilot_velocity: (n,) m/s, of the plunger itself.
+        coil_current: (n,) A. attraction: (n,) N. phase: (n,) Phase as uint8.
+        events: what happened, in order.
+    """
+
+    time: Array
+    pilot_position: Array
+    main_position: Array
+    pilot_velocity: Array
+    coil_current: Array
+    attraction: Array
+    phase: NDArray[np.uint8]
+    events: tuple[Event, ...]
+
+    def first(self, *kinds: EventKind) -> float:
+        """The time of the first event of any of these kinds, s; nan when there is none."""
+        return next((event.time for event in self.events if event.kind in kinds), math.nan)
+
+
+def new_states(records: Any, start_time: float) -> Any:
+    """States of valves that rest closed and without current: one STATE_RECORD for each record."""
+    states = np.zeros(len(records), STATE_RECORD)
+    states["time"] = states["segment_time"] = states["unseated_time"] = start_time
+    states["direction"] = 1
+    states["step"] = automaton.FIRST_STEP
+    return states
+
+
+def simulate(
+    valve: Valve,
+    drive: Drive,
+    sample_times: ArrayLike,
+    *,
+    tolerance: float = TOLERANCE,
+    start_time: float | None = None,
+) -> Response:
+    """The response of a valve at rest to a commanded voltage.
+
+    Args:
+        valve: what is simulated.
+        drive: the commanded voltage.
+        sample_times: (n,) s, ascending.
+        tolerance: relative error of one step.
+        start_time: s; the valve rests closed until then. Default: the first command or sample.
+
+    Raises:
+        SimulationError: the run could not be carried to its end.
+    """
+    times = np.ascontiguousarray(sample_times, dtype=np.float64)
+    record = valve.record()
+    if start_time is None:
+        start_time = float(min(np.min(drive.times, initial=math.inf), np.min(times, initial=math.inf)))
+        start_time = start_time if math.isfinite(start_time) else 0.0
+    rows, currents = np.empty((len(times), 5)), np.empty(len(times))
+    room = _EVENT_ROOM
+    while True:
+        state, events = new_states(record, start_time), _events(room)
+        count = run_record(record[0], state[0], drive, times, rows, times, currents, events, tolerance)
+        if count <= room:
+            break
+        room = count
+    if record[0]["sensor_delay"]:
+        # Only the positions are late: the rest is what the plungers do at the sample times.
+        shown = rows[:, :2].copy()
+        record[0]["sensor_delay"] = 0.0
+        state = new_states(record, start_time)
+        run_record(record[0], state[0], drive, times, rows, times, currents, events, tolerance)
+        rows[:, :2] = shown
+    amperes = float(record[0]["reference_voltage"] / record[0]["coil_resistance"])
+    return Response(
+        times, rows[:, 0], rows[:, 1], rows[:, 2], currents * amperes, rows[:, 3],
+        rows[:, 4].astype(np.uint8), _event_tuple(events, count),
+    )  # fmt: skip
+
+
+def run_record(
+    record: Any,
+    state: Any,
+    drive: Drive,
+    times: Array,
+    rows: Array,
+    current_times: Array,
+    currents: Array,
+    events: Any,
+    tolerance: float = TOLERANCE,
+) -> int:
+    """The compiled core on ready-made arrays, for callers that run it ten thousand times.
+
+    Args:
+        record: one VALVE_RECORD. state: one STATE_RECORD, advanced. drive: the commanded voltage.
+        times: (n,) s, of the positions. rows: (n, 5) written: pilot and main position as shown (m), velocity (m/s),
+            attraction (N), phase.
+        current_times: (m,) s. currents: (m,) written: normalised current u.
+        events: (e,) EVENT_RECORD array, written as far as it goes.
+        tolerance: relative error of one step.
+
+    Returns:
+        how many events there were.
+
+    Raises:
+        SimulationError: the run could not be carried to its end.
+    """
+    end = max(times[-1] if len(times) else -math.inf, current_times[-1] if len(current_times) else -math.inf)
+    delay = float(record["sensor_delay"])
+    count, outcome = automaton.run_drive(
+        record, state, drive.times, drive.volts, end, times - delay if delay else times, rows,
+        current_times, currents, events, tolerance, MOST_STEPS,
+    )  # fmt: skip
+    _check(outcome)
+    return int(count)
+
+
+def simulate_many(
+    valves: Any,
+    drive: Drive,
+    sample_times: ArrayLike,
+    *,
+    tolerance: float = TOLERANCE,
+    threads: int | None = None,
+) -> Array:
+    """Pilot plunger positions of many valves under one drive, on several threads.
+
+    Args:
+        valves: (k,) VALVE_RECORD array, or a sequence of `Valve`.
+        drive: the commanded voltage.
+        sample_times: (n,) s, ascending.
+        tolerance: relative error of one step.
+        threads: how many; default all processors.
+
+    Returns:
+        (k, n) m, as the position sensor shows it.
+
+    Raises:
+        SimulationError: a run could not be carried to its end; it names the set.
+    """
+    records = valves if isinstance(valves, np.ndarray) else np.concatenate([valve.record() for valve in valves])
+    times = np.ascontiguousarray(sample_times, dtype=np.float64)
+    positions = np.empty((len(records), len(times)))
+    states = new_states(records, float(min(np.min(drive.times, initial=math.inf), np.min(times, initial=math.inf))))
+    workers = threads or os.cpu_count() or 1
+    chunks = [chunk for chunk in np.array_split(np.arange(len(records)), workers * 4) if len(chunk)]
+
+    def work(chunk: NDArray[np.int64]) -> tuple[int, int]:
+        first, last = int(chunk[0]), int(chunk[-1]) + 1
+        return automaton.run_batch(  # type: ignore[no-any-return]
+            records[first:last], states[first:last], drive.times, drive.volts, times, positions[first:last],
+            tolerance, MOST_STEPS,
+        )  # fmt: skip
+
+    with ThreadPoolExecutor(workers) as pool:
+        for chunk, (failed, outcome) in zip(chunks, pool.map(work, chunks), strict=True):
+            _check(outcome, f"parameter set {int(chunk[0]) + failed}: ")
+    return positions
+
+
+class Reading(NamedTuple):
+    """A valve at one time: m, m/s, A, N; `main_effort` is the spring's force on the main plunger (− closes)."""
+
+    time: float
+    pilot_position: float
+    main_position: float
+    pilot_velocity: float
+    main_velocity: float
+    coil_current: float
+    attraction: float
+    main_effort: float
+    phase: Phase
+    events: tuple[Event, ...]
+
+
+class Stepper:
+    """A valve stepped in real time, by the same compiled core; its state never depends on how time is cut.
+
+    Args:
+        valve: what is stepped.
+        start_time: s; the valve rests closed and without current until then.
+        tolerance: relative error of one step.
+    """
+
+    def __init__(self, valve: Valve, start_time: float = 0.0, *, tolerance: float = TOLERANCE) -> None:
+        self._tolerance = tolerance
+        self._events = _events()
+        self._pending: list[Event] = []
+        self._row = np.empty((1, 5))
+        self._current = np.empty(1)
+        self._valve = valve
+        self._record = valve.record()
+        self._commands: list[tuple[float, float]] = []
+        self.reset(start_time)
+
+    @property
+    def valve(self) -> Valve:
+        """What is stepped."""
+        return self._valve
+
+    @property
+    def volts(self) -> float:
+        """The voltage in force, V."""
+        return float(self._state[0]["volts"])
+
+    def reset(self, time: float) -> None:
+        """Rest closed and without current at `time`, s."""
+        self._state = new_states(self._record, time)
+        self._shown = self._state.copy()
+        self._commands = []
+        self._pending = []
+
+    def command(self, time: float, volts: float) -> None:
+        """A voltage in force from `time` on; a time that is past takes effect at the latest time stepped to."""
+        time = max(time, float(self._state[0]["time"]))
+        self._go(self._state, time, commit=True, collect=True)
+        automaton.set_voltage(self._record[0], self._state[0], volts)
+        if self._delay:
+            self._commands.append((time, volts))
+
+    def advance(self, time: float) -> Reading:
+        """Step to `time`, s (not before the last command), and read the valve there.
+
+        Raises:
+            SimulationError: the step could not be carried to its end.
+        """
+        self._go(self._state, time, commit=False, collect=True)
+        row = self._row[0]
+        pilot, main, velocity, attraction, phase_number = (float(value) for value in row)
+        current = float(self._current[0])
+        phase = Phase(int(phase_number))
+        moves_main = phase is Phase.MAIN
+        x = float(pilot)
+        if self._delay:
+            pilot, main = self._delayed(time - self._delay)
+        record = self._record[0]
+        lifted = phase in (Phase.MAIN, Phase.OPEN)
+        effort = -float(record["spring_preload"] + record["spring_rate"] * x) if lifted else 0.0
+        amperes = float(record["reference_voltage"] / record["coil_resistance"])
+        events, self._pending = tuple(self._pending), []
+        return Reading(
+            time, pilot, main, velocity, velocity if moves_main else 0.0, current * amperes,
+            attraction, effort, phase, events,
+        )  # fmt: skip
+
+    def set_valve(self, valve: Valve, time: float) -> None:
+        """Go on as another valve from `time` on, without a jump in position, velocity or current.
+
+        The one thing that must give way is geometry: plungers beyond a stop that moved inwards are at the new stop.
+        """
+        time = max(time, float(self._state[0]["time"]))
+        self._go(self._state, time, commit=True, collect=True)
+        state = self._state[0]
+        volts = float(state["volts"])
+        automaton.set_voltage(self._record[0], state, volts)  # the current so far belongs to the old coil
+        self._valve = valve
+        self._record = valve.record()
+        automaton.settle_geometry(self._record[0], state)
+        self._shown = self._state.copy()
+        self._commands = []
+
+    @property
+    def _delay(self) -> float:
+        return float(self._record[0]["sensor_delay"])
+
+    def _go(self, states: Any, time: float, *, commit: bool, collect: bool) -> None:
+        self._times = np.array([time])
+        _, _, count, outcome = automaton.run(
+            self._record[0], states[0], time, commit, self._times, self._row, self._times, self._current,
+            self._events, 0, self._tolerance, MOST_STEPS,
+        )  # fmt: skip
+        _check(outcome)
+        if collect:
+            self._pending.extend(_event_tuple(self._events, min(count, len(self._events))))
+
+    def _delayed(self, time: float) -> tuple[float, float]:
+        """What a late sensor shows: a second state follows the first by the delay."""
+        record, shown = self._record[0], self._shown
+        time = max(time, float(shown[0]["time"]))
+        while self._commands and self._commands[0][0] <= time:
+            command_time, volts = self._commands.pop(0)
+            self._go(shown, max(command_time, float(shown[0]["time"])), commit=True, collect=False)
+            automaton.set_voltage(record, shown[0], volts)
+        self._go(shown, time, commit=False, collect=False)
+        return float(self._row[0, 0]), float(self._row[0, 1])
+
+
+def published_times(response: Response) -> tuple[float, float]:
+    """The paper's t1 (pilot reaches the main plunger) and t2 (all parts reach the core), s; nan when not reached."""
+    t1 = response.first(EventKind.PICKED_UP, EventKind.HELD_AT_GAP)
+    t2 = response.first(EventKind.REACHED_STOP, EventKind.BOUNCED_AT_STOP)
+    return t1, t2
+
+
+def _events(room: int = _EVENT_ROOM) -> Any:
+    return np.zeros(room, EVENT_RECORD)
+
+
+def _event_tuple(events: Any, count: int) -> tuple[Event, ...]:
+    return tuple(
+        Event(float(e["time"]), EventKind(int(e["kind"])), float(e["x"]), float(e["v"])) for e in events[:count]
+    )
+
+
+def _run(record: Any, state: Any, end: float, times: Array, rows: Array, events: Any, tolerance: float) -> Any:
+    result = automaton.run(
+        record, state, end, True, times, rows, _NO_TIMES, np.empty(0), events, 0, tolerance, MOST_STEPS
+    )
+    return result[2:]
+
+
+def _check(outcome: int, what: str = "") -> None:
+    if outcome == Outcome.FINISHED:
+        return
+    why = {
+        Outcome.STEP_TOO_SMALL: "the forces change faster than error control can follow; look for a parameter that is "
+        "many orders of magnitude off",
+        Outcome.TOO_MANY_STEPS: f"more than {MOST_STEPS} steps are needed; look for a time constant that is far below "
+        "a microsecond",
+        Outcome.CHATTERING: "the plungers chatter without progress in time",
+    }
+    raise SimulationError(f"{what}the simulation stopped early: {why[Outcome(outcome)]}")

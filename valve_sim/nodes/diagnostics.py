@@ -1,0 +1,136 @@
+"""What valve_node says about itself on /diagnostics, without ROS: timing, command, valve."""
+
+from __future__ import annotations
+
+import enum
+import math
+from typing import Final, NamedTuple
+
+from valve_sim.model import Phase
+from valve_sim.nodes.realtime import NANOSECONDS, Timing
+
+SLOWEST_ACCEPTED: Final = 0.95
+"""Rate reached over rate wanted below which timing is a warning."""
+
+
+class Level(enum.IntEnum):
+    """As in diagnostic_msgs/DiagnosticStatus."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+    STALE = 3
+
+
+class Status(NamedTuple):
+    """One diagnostic_msgs/DiagnosticStatus; `task` follows the node's name and a colon."""
+
+    task: str
+    level: Level
+    message: str
+    values: dict[str, str]
+
+
+class CommandFacts(NamedTuple):
+    """What is known of the commands.
+
+    Attributes:
+        age: s since the last good one; nan before the first.
+        volts: in force.
+        rejected: how many, in all, were not finite or beyond max_voltage.
+        rejected_now: those of them since the last look.
+        last_rejected: the last of them, V.
+        timed_out: whether the coil was de-energised for lack of commands.
+        deaf_to: how many publishers cannot be heard for their QoS.
+    """
+
+    age: float
+    volts: float
+    rejected: int
+    rejected_now: int
+    last_rejected: float
+    timed_out: bool
+    deaf_to: int
+
+
+class ValveFacts(NamedTuple):
+    """What is known of the valve; `failure` is why it was last put back to rest, empty if it never was."""
+
+    phase: Phase
+    strokes: int
+    failures: int
+    failure: str
+
+
+def timing_status(timing: Timing, rate_wanted: float, waiting_for: str) -> Status:
+    """Whether the pace is kept; `waiting_for` says what there is no pace without, empty if nothing."""
+    values = {
+        "rate wanted (Hz)": f"{rate_wanted:g}",
+        "rate reached (Hz)": _number(timing.rate, ".1f"),
+        "lateness p99 (ms)": _number(timing.lateness * 1e3, ".3f"),
+        "overruns": str(timing.overruns),
+        "lost steps": str(timing.lost),
+    }
+    if waiting_for:
+        return Status("timing", Level.WARN, f"waiting for {waiting_for}", values)
+    if timing.lost_now:
+        return Status("timing", Level.WARN, f"{timing.lost_now} samples were not published, for lack of time", values)
+    if timing.rate < SLOWEST_ACCEPTED * rate_wanted:
+        return Status("timing", Level.WARN, "slower than publish_rate", values)
+    return Status("timing", Level.OK, "keeps pace", values)
+
+
+def command_status(facts: CommandFacts) -> Status:
+    """Whether commands arrive and are accepted."""
+    values = {
+        "age (s)": _number(facts.age, ".3f"),
+        "voltage (V)": f"{facts.volts:g}",
+        "rejected": str(facts.rejected),
+        "timed out": str(facts.timed_out).lower(),
+        "publishers of incompatible QoS": str(facts.deaf_to),
+    }
+    if facts.rejected_now:
+        message = f"{facts.rejected_now} rejected, the last of {facts.last_rejected:g} V; the last good one stays"
+        return Status("command", Level.WARN, message, values)
+    if facts.timed_out:
+        return Status("command", Level.WARN, "none for longer than command_timeout: coil de-energised", values)
+    if math.isnan(facts.age):
+        return Status("command", Level.OK, "none yet", values)
+    return Status("command", Level.OK, "accepted", values)
+
+
+def valve_status(facts: ValveFacts) -> Status:
+    """Where the valve is."""
+    values = {
+        "phase": facts.phase.name.lower(),
+        "strokes": str(facts.strokes),
+        "failures": str(facts.failures),
+    }
+    if facts.failure:
+        return Status("valve", Level.ERROR, f"was put back to rest: {facts.failure}", values)
+    return Status("valve", Level.OK, facts.phase.name.lower(), values)
+
+
+class CommandCount:
+    """Counts rejected commands; belongs to one thread."""
+
+    def __init__(self) -> None:
+        self.rejected = 0
+        self.last_rejected = math.nan
+        self.deaf_to = 0
+        self._before = 0
+
+    def reject(self, volts: float) -> None:
+        """One more that is ignored."""
+        self.rejected += 1
+        self.last_rejected = volts
+
+    def look(self, now: int, last_command: int | None, volts: float, timed_out: bool) -> CommandFacts:
+        """What is known now; `now` and `last_command` in ns of the node's clock."""
+        since, self._before = self.rejected - self._before, self.rejected
+        age = math.nan if last_command is None else (now - last_command) / NANOSECONDS
+        return CommandFacts(age, volts, self.rejected, since, self.last_rejected, timed_out, self.deaf_to)
+
+
+def _number(value: float, form: str) -> str:
+    return "none" if math.isnan(value) else format(value, form)

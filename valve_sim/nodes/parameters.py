@@ -1,0 +1,219 @@
+"""The one table of valve_node's parameters: names, defaults, units, ranges; declarations and checks follow from it.
+
+Entries `valve.*` come from the model's declared parameters, `effects.*` from its catalogue. Needs no ROS.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from typing import Final, NamedTuple
+
+from valve_sim.model import CATALOGUE, DECLARED, Parameter, ParameterError, Valve, ValveParameters
+from valve_sim.model.parameters import closest
+from valve_sim.parameter_files import Section, check_with_off, off_value, valve_from_flat
+
+Value = float | str | list[float]
+
+_POLYNOMIAL: Final = "valve.attraction_polynomial"
+_SETTINGS: Final = (
+    (
+        Parameter("publish_rate", "Hz", "samples a second of the clock on ~/joint_states and ~/coil_current", 0.1, 1e4),
+        1000.0,
+    ),
+    (
+        Parameter("time_scale", "–", "model seconds a second of the clock; below 1 is slow motion", 1e-6, 1e3),
+        1.0,
+    ),
+    (
+        Parameter("command_timeout", "s", "without a command for so long, the coil is de-energised; 0: never", 0, 1e6),
+        0.0,
+    ),
+    (
+        Parameter("max_voltage", "V", "commands beyond it, either sign, are ignored and counted", 0, 1e4),
+        30.0,
+    ),
+)
+_FRAME_ID: Final = "frame_id"
+_ROS_OWN: Final = ("use_sim_time", "start_type_description_service")
+_ROS_OWN_PREFIX: Final = "qos_overrides."
+
+
+class NodeParameter(NamedTuple):
+    """One parameter of the node.
+
+    Attributes:
+        name: flat, dotted.
+        default: gives the type too: float, list of floats, or text.
+        description: unit first.
+        rule: range and unit; None for text and lists.
+    """
+
+    name: str
+    default: Value
+    description: str
+    rule: Parameter | None = None
+
+    @property
+    def range(self) -> tuple[float, float] | None:
+        """Smallest and largest value that may be declared to ROS; None for none."""
+        if self.rule is None or (math.isinf(self.rule.lower) and math.isinf(self.rule.upper)):
+            return None
+        upper = math.inf if self.rule.off == math.inf else self.rule.upper
+        return self.rule.lower, upper
+
+    def check(self, value: object, source: str) -> Value:
+        """The value in its own type; an integer may stand for a double.
+
+        Raises:
+            ParameterError: wrong type, or out of range.
+        """
+        where = f"{source}: {self.name}"
+        if self.rule is not None:
+            return check_with_off(self.rule, value, where)
+        if isinstance(self.default, str):
+            if not isinstance(value, str):
+                raise ParameterError(f"{where}: found {value!r}, expected text")
+            return value
+        if isinstance(value, str) or not isinstance(value, Sequence):
+            raise ParameterError(f"{where}: found {value!r}, expected a list of numbers")
+        return [_number(item, f"{where}[{index}]") for index, item in enumerate(value)]
+
+
+class Settings(NamedTuple):
+    """The parameters that belong to the node and not to the valve; units as in the table."""
+
+    publish_rate: float
+    time_scale: float
+    command_timeout: float
+    max_voltage: float
+    frame_id: str
+
+
+def table(default: Valve) -> dict[str, NodeParameter]:
+    """Every parameter of the node by name.
+
+    Args:
+        default: the valve whose values are the defaults.
+    """
+    entries = [NodeParameter(rule.name, value, _describe(rule), rule) for rule, value in _SETTINGS]
+    entries.append(NodeParameter(_FRAME_ID, "", "header.frame_id of the joint states"))
+    entries += _declared_entries(default.parameters)
+    entries += _effect_entries(default.effects)
+    return {entry.name: entry for entry in entries}
+
+
+def check_overrides(
+    overrides: Mapping[str, object], entries: Mapping[str, NodeParameter], sources: Mapping[str, str]
+) -> dict[str, Value]:
+    """The values to start with: the defaults, and what was given in their place.
+
+    Args:
+        overrides: given names and values; those of ROS itself are passed over.
+        entries: the table.
+        sources: name to the file where it was given; the command line where missing.
+
+    Raises:
+        ParameterError: unknown name, wrong type, out of range, or a valve that cannot be.
+    """
+    values = {name: entry.default for name, entry in entries.items()}
+    for name, value in overrides.items():
+        source = sources.get(name, "command line")
+        if name in entries:
+            values[name] = entries[name].check(value, source)
+        elif name not in _ROS_OWN and not name.startswith(_ROS_OWN_PREFIX):
+            raise ParameterError(
+                f"{source}: {name}: found {value!r} under an unknown name; expected a parameter of valve_node, "
+                f"did you mean {closest(name, list(entries))}?"
+            )
+    files = [sources[name] for name in overrides if name in sources and name.startswith(("valve.", "effects."))]
+    valve_of(values, files[-1] if files else "command line")
+    return values
+
+
+def sources_of(sections: Sequence[tuple[str, Section]], node: str) -> dict[str, str]:
+    """Flat name to the file that gave it to this node; a later file wins, as in ROS.
+
+    Args:
+        sections: (file, section) in the order of the command line.
+        node: full name.
+    """
+    return {name: path for path, section in sections if section.applies_to(node) for name in section.values}
+
+
+def files_for_others(sections: Sequence[tuple[str, Section]], node: str) -> dict[str, list[str]]:
+    """Files that hold nothing for this node, and the node names that they do hold."""
+    names: dict[str, list[str]] = {}
+    for path, section in sections:
+        names.setdefault(path, []).append(section.node)
+    used = {path for path, section in sections if section.applies_to(node)}
+    return {path: found for path, found in names.items() if path not in used}
+
+
+def valve_of(values: Mapping[str, object], source: str) -> Valve:
+    """The valve that the node's values describe.
+
+    Raises:
+        ParameterError: they are no valve, such as a gap beyond the stroke.
+    """
+    return valve_from_flat(
+        {name: value for name, value in values.items() if name.startswith(("valve.", "effects."))}, source, Valve()
+    )
+
+
+def settings_of(values: Mapping[str, Value]) -> Settings:
+    """The node's own settings among its values."""
+    numbers = {rule.name: values[rule.name] for rule, _ in _SETTINGS}
+    return Settings(frame_id=str(values[_FRAME_ID]), **numbers)  # type: ignore[arg-type]
+
+
+def as_declared(name: str, value: object, entries: Mapping[str, NodeParameter]) -> object:
+    """An integer where the table has a double, and integers in its list, become doubles; all else is returned as is."""
+    if name not in entries:
+        return value
+    default = entries[name].default
+    if isinstance(default, float) and type(value) is int:
+        return float(value)
+    if isinstance(default, list) and _is_list_of_numbers(value):
+        return [float(item) for item in value]  # type: ignore[attr-defined]
+    return value
+
+
+def _is_list_of_numbers(value: object) -> bool:
+    return (
+        not isinstance(value, str)
+        and isinstance(value, Collection)
+        and all(type(item) in (int, float) for item in value)
+    )
+
+
+def _declared_entries(parameters: ValveParameters) -> list[NodeParameter]:
+    entries = []
+    for name, value in parameters._asdict().items():
+        if name == "attraction_polynomial":
+            words = "[N, N/m, N/m², N/m³] attraction at u = 1: a0 + a1 x + a2 x² + a3 x³"
+            entries.append(NodeParameter(_POLYNOMIAL, list(value), words))
+        else:
+            entries.append(NodeParameter(f"valve.{name}", float(value), _describe(DECLARED[name]), DECLARED[name]))
+    return entries
+
+
+def _effect_entries(on: Mapping[str, Mapping[str, float]]) -> list[NodeParameter]:
+    entries = []
+    for effect in CATALOGUE.values():
+        for rule in effect.parameters:
+            off = "shapes the effect, does not switch it" if rule.off is None else f"off: {rule.off:g}"
+            description = f"{_describe(rule)} ({effect.summary}; {off})"
+            default = on.get(effect.name, {}).get(rule.name, off_value(rule))
+            entries.append(NodeParameter(f"effects.{effect.name}.{rule.name}", default, description, rule))
+    return entries
+
+
+def _describe(rule: Parameter) -> str:
+    return f"[{rule.unit}] {rule.description}"
+
+
+def _number(value: object, where: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ParameterError(f"{where}: found {value!r}, expected a number")
+    return float(value)

@@ -1,0 +1,292 @@
+"""Keeping pace with a clock, without ROS: deadlines that do not drift, a bounded backlog, and how well it went.
+
+A ROS timer drops late ticks, so ticks are never counted here: the clock is read, and whatever has become due since is
+handed out, each with the time that it stands for.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections import deque
+from collections.abc import Callable
+from typing import Final, NamedTuple, Protocol
+
+NANOSECONDS: Final = 1_000_000_000
+BACKLOG_SECONDS: Final = 0.5
+"""Samples that are overdue for longer are not made up for; the model itself is stepped over them all the same."""
+LONGEST_LEAP_SECONDS: Final = 60.0
+"""A clock that moves further between two looks was set, not run."""
+
+
+class Due(NamedTuple):
+    """What has become due: clock times in ns, ascending, and how many older ones were given up."""
+
+    times: range | list[int]
+    lost: int
+
+
+class Schedule:
+    """Absolute deadlines start + k / rate, rounded to ns one by one, so that nothing accumulates.
+
+    Args:
+        rate: deadlines a second of the clock, Hz.
+        start: clock time of the first, ns.
+        backlog: how much overdue time is made up for, s; at least one deadline always is.
+    """
+
+    def __init__(self, rate: float, start: int, backlog: float = BACKLOG_SECONDS) -> None:
+        self._rate = rate
+        self._start = start
+        self._index = 0
+        self._most = max(1, int(backlog * rate))
+
+    @property
+    def next(self) -> int:
+        """Clock time of the next deadline, ns."""
+        return self._at(self._index)
+
+    def take(self, now: int) -> Due:
+        """The deadlines up to `now`, ns; each is handed out once."""
+        if now < self.next:
+            return Due([], 0)
+        end = int((now - self._start) * self._rate / NANOSECONDS) + 1
+        while self._at(end - 1) > now:
+            end -= 1
+        while self._at(end) <= now:
+            end += 1
+        first = max(self._index, end - self._most)
+        lost = first - self._index
+        self._index = end
+        return Due([self._at(index) for index in range(first, end)], lost)
+
+    def _at(self, index: int) -> int:
+        return self._start + round(index * NANOSECONDS / self._rate)
+
+
+class Timing(NamedTuple):
+    """How well the pace was kept since the last look.
+
+    Attributes:
+        rate: steps a second of the clock that were made, Hz; nan without a second look.
+        lateness: 99th percentile of how late steps began, s; nan without steps.
+        overruns: steps, in all, that began more than a period late.
+        lost: steps, in all, that were given up.
+        lost_now: those of them since the last look.
+    """
+
+    rate: float
+    lateness: float
+    overruns: int
+    lost: int
+    lost_now: int
+
+
+class TimingRecord:
+    """Counts in the stepping thread; read, once a second or so, in another."""
+
+    def __init__(self) -> None:
+        self._late: list[int] = []
+        self._looked_at: int | None = None
+        self._overruns = 0
+        self._lost = 0
+        self._lost_before = 0
+
+    def note(self, lateness: int, period: float) -> None:
+        """One step that began `lateness` ns after its deadline; the period is in ns."""
+        self._late.append(lateness)
+        if lateness > period:
+            self._overruns += 1
+
+    def note_lost(self, count: int) -> None:
+        """Steps that were given up."""
+        self._lost += count
+
+    def look(self, now: int) -> Timing:
+        """How it went since the last look; `now` in ns of the clock that the steps follow."""
+        late, self._late = sorted(self._late), []
+        elapsed = 0 if self._looked_at is None else now - self._looked_at
+        self._looked_at = now
+        lost_now, self._lost_before = self._lost - self._lost_before, self._lost
+        rate = len(late) * NANOSECONDS / elapsed if elapsed > 0 else math.nan
+        lateness = late[min(len(late) - 1, int(0.99 * len(late)))] / NANOSECONDS if late else math.nan
+        return Timing(rate, lateness, self._overruns, self._lost, lost_now)
+
+
+class ClockReading(NamedTuple):
+    """What a clock shows, ns, and whether that is simulated time."""
+
+    nanoseconds: int
+    is_simulated: bool
+
+
+class PaceClock(Protocol):
+    """The clock that a `Worker` follows."""
+
+    def read(self) -> ClockReading | None:
+        """The time; None before the first /clock message."""
+
+    def sleep_until(self, time: int) -> None:
+        """Return at this time of the clock, ns, or earlier."""
+
+    def wake(self) -> None:
+        """Make `sleep_until` return soon."""
+
+
+class Restart(NamedTuple):
+    """The clock can no longer be followed as before.
+
+    Attributes:
+        reading: what it shows now.
+        reason: why, in a few words; empty at the first start.
+    """
+
+    reading: ClockReading
+    reason: str
+
+
+class Worker(threading.Thread):
+    """A thread that steps something at a steady rate of a clock.
+
+    Args:
+        clock: is followed.
+        rate: steps a second of the clock, Hz; `set_rate` changes it.
+        prepare: called first, in the thread.
+        restart: called before the first step, and whenever the clock jumped or was exchanged.
+        step: called with each deadline, ns of the clock.
+        fail: called with what went wrong, if anything did; the thread then ends.
+    """
+
+    def __init__(
+        self,
+        clock: PaceClock,
+        rate: float,
+        *,
+        prepare: Callable[[], None],
+        restart: Callable[[Restart], None],
+        step: Callable[[int], None],
+        fail: Callable[[Exception], None],
+    ) -> None:
+        super().__init__(name="valve stepper", daemon=True)
+        self.timing = TimingRecord()
+        self._clock = clock
+        self._rate = rate
+        self._prepare = prepare
+        self._restart = restart
+        self._step = step
+        self._fail = fail
+        self._stopping = threading.Event()
+
+    @property
+    def is_stopping(self) -> bool:
+        """Whether `stop` was called."""
+        return self._stopping.is_set()
+
+    def set_rate(self, rate: float) -> None:
+        """Steps a second from now on, Hz."""
+        self._rate = rate
+        self._clock.wake()
+
+    def stop(self, timeout: float) -> bool:
+        """End the thread; whether it has ended within `timeout`, s. It cannot while it compiles."""
+        self._stopping.set()
+        self._clock.wake()
+        if self.is_alive():
+            self.join(timeout)
+        return not self.is_alive()
+
+    def run(self) -> None:
+        """The thread."""
+        try:
+            self._prepare()
+            self._follow()
+        except Exception as error:
+            if not self.is_stopping:
+                self._fail(error)
+
+    def _follow(self) -> None:
+        pace = _Pace(self._clock, self._restart)
+        while not self.is_stopping:
+            schedule = pace.look(self._rate)
+            if schedule is None:
+                self._clock.sleep_until(0)
+                continue
+            due = schedule.take(pace.now)
+            if due.lost:
+                self.timing.note_lost(due.lost)
+            for time in due.times:
+                if self.is_stopping:
+                    return
+                reading = self._clock.read()
+                self.timing.note((reading.nanoseconds if reading else pace.now) - time, NANOSECONDS / self._rate)
+                self._step(time)
+            self._clock.sleep_until(schedule.next)
+
+
+class _Pace:
+    """Watches the clock for jumps, and the rate for changes."""
+
+    def __init__(self, clock: PaceClock, restart: Callable[[Restart], None]) -> None:
+        self._clock = clock
+        self._restart = restart
+        self._last: ClockReading | None = None
+        self._rate = math.nan
+        self._schedule: Schedule | None = None
+
+    @property
+    def now(self) -> int:
+        """The clock when last looked at, ns."""
+        return 0 if self._last is None else self._last.nanoseconds
+
+    def look(self, rate: float) -> Schedule | None:
+        """Read the clock; the schedule that holds now, or None while the clock shows nothing."""
+        reading = self._clock.read()
+        if reading is None:
+            return None
+        reason = why_restart(self._last, reading)
+        self._last = reading
+        if reason is not None:
+            self._restart(Restart(reading, reason))
+            self._schedule = None
+        if self._schedule is None:
+            self._schedule = Schedule(rate, reading.nanoseconds)
+        elif rate != self._rate:
+            # Go on where the old rate would have: no deadline twice, none left out.
+            self._schedule = Schedule(rate, self._schedule.next)
+        self._rate = rate
+        return self._schedule
+
+
+def why_restart(last: ClockReading | None, now: ClockReading) -> str | None:
+    """Why a clock cannot be followed from its last reading to this one; None if it can, empty if it just began."""
+    if last is None:
+        return ""
+    if now.is_simulated != last.is_simulated:
+        return "use_sim_time was changed"
+    moved = (now.nanoseconds - last.nanoseconds) / NANOSECONDS
+    if moved < 0.0:
+        return f"the clock jumped back by {-moved:g} s"
+    if moved > LONGEST_LEAP_SECONDS:
+        return f"the clock jumped ahead by {moved:g} s"
+    return None
+
+
+class Mailbox:
+    """First in, first out, between threads: callbacks store, the stepper takes what its time has come."""
+
+    def __init__(self) -> None:
+        self._letters: deque[tuple[int, Callable[[int], None]]] = deque()
+
+    def post(self, time: int, action: Callable[[int], None]) -> None:
+        """Store an action for clock time `time`, ns; it will be called with that time."""
+        self._letters.append((time, action))
+
+    def deliver(self, since: int, until: int) -> None:
+        """Call every action whose time is not after `until`, ns, in the order of posting, none as of before `since`."""
+        while self._letters and self._letters[0][0] <= until:
+            time, action = self._letters.popleft()
+            action(max(time, since))
+
+    def clear(self) -> None:
+        """Forget all actions."""
+        self._letters.clear()

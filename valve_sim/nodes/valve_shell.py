@@ -1,0 +1,355 @@
+"""The ROS side of valve_node: parameters, topics and services wired to a `LiveValve`. No physics, no decisions.
+
+Threads: callbacks run in the main thread, in a `SingleThreadedExecutor`, and only store (commands, parameters, resets).
+One `Worker` thread steps the valve and publishes; it consumes what was stored, each at its own time.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from typing import Any, Final
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.clock import Clock, JumpThreshold
+from rclpy.clock_type import ClockType
+from rclpy.duration import Duration
+from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool, Float64, UInt8
+from std_srvs.srv import Trigger
+
+from valve_sim.model import ParameterError, Stepper, Valve
+from valve_sim.nodes.diagnostics import CommandCount, ValveFacts, command_status, timing_status, valve_status
+from valve_sim.nodes.live_valve import LiveValve, Step, self_test
+from valve_sim.nodes.messages import (
+    ReadingMessages,
+    accepted_voltage,
+    descriptor,
+    diagnostic_array,
+    is_open_message,
+    phase_message,
+)
+from valve_sim.nodes.parameters import (
+    Settings,
+    Value,
+    as_declared,
+    check_overrides,
+    files_for_others,
+    settings_of,
+    sources_of,
+    table,
+    valve_of,
+)
+from valve_sim.nodes.realtime import NANOSECONDS, ClockReading, Restart, Worker
+from valve_sim.parameter_files import Section, default_valve
+
+_RELIABLE: Final = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+_LATCHED: Final = QoSProfile(
+    depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
+)
+_LONGEST_SLEEP: Final = 0.05
+_STOP_SECONDS: Final = 0.4
+_PATIENCE_SECONDS: Final = 1.5
+_SWITCH_INTERVAL: Final = 5e-4
+"""How long a callback in Python may keep the stepper waiting for the interpreter, s; Python's own is ten times that."""
+
+
+class NodeClock:
+    """The clock that the node follows: elapsed time, or /clock with use_sim_time."""
+
+    def __init__(self, node: Node) -> None:
+        self._clock: Any = node.get_clock()
+        self._woken = threading.Event()
+        # Held, because ROS forgets a callback whose handle is gone. Every /clock message is a jump of some size.
+        threshold = JumpThreshold(
+            min_forward=Duration(nanoseconds=1), min_backward=Duration(nanoseconds=-1), on_clock_change=True
+        )
+        self._handle = self._clock.create_jump_callback(threshold, post_callback=lambda jump: self._woken.set())
+
+    def read(self) -> ClockReading | None:
+        """Elapsed time, or simulated time once there is any."""
+        if not self._clock.ros_time_is_active:
+            return ClockReading(time.monotonic_ns(), False)
+        now = self._clock.now().nanoseconds
+        return ClockReading(now, True) if now else None
+
+    def sleep_until(self, deadline: int) -> None:
+        """Return at the deadline, at the next /clock message, or after 50 ms."""
+        if self._clock.ros_time_is_active:
+            self._woken.wait(_LONGEST_SLEEP)
+            self._woken.clear()
+        else:
+            remaining = (deadline - time.monotonic_ns()) / NANOSECONDS
+            if remaining > 0.0:
+                time.sleep(min(remaining, _LONGEST_SLEEP))
+
+    def wake(self) -> None:
+        """Make `sleep_until` return soon."""
+        self._woken.set()
+
+    def stamp(self) -> int:
+        """ROS time, ns: what a message that is sent now is stamped with."""
+        return int(self._clock.now().nanoseconds)
+
+
+class ValveShell:
+    """The node `valve`.
+
+    Topics (MODEL section 4): in ~/coil_voltage; out ~/joint_states and ~/coil_current at publish_rate, ~/phase and
+    ~/is_open on change (latched), /diagnostics at 1 Hz. Services: ~/reset (rests closed, no current, no command),
+    ~/self_test (one stroke of a copy of the valve, off line). Parameters: the table of
+    `valve_sim.nodes.parameters`; all can be set at run time.
+
+    Args:
+        sections: (file, section) of the parameter files on the command line.
+
+    Raises:
+        ParameterError: an override is unknown, of the wrong type or out of range.
+    """
+
+    def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
+        self._node = Node("valve")
+        try:
+            self._entries = table(default_valve())
+            self._settings = self._declare(sections)
+            self._clock = NodeClock(self._node)
+            self._live = LiveValve(
+                self._current_valve(),
+                scale=self._settings.time_scale,
+                command_timeout=self._settings.command_timeout,
+            )
+            self._commands = CommandCount()
+            self._failure = ""
+            self._is_ready = False
+            self._messages = ReadingMessages(self._settings.frame_id)
+            self._wire()
+        except BaseException:
+            self._node.destroy_node()
+            raise
+        self._worker = Worker(
+            self._clock,
+            self._settings.publish_rate,
+            prepare=self._prepare,
+            restart=self._restart,
+            step=self._step,
+            fail=self._fail,
+        )
+
+    def spin(self) -> None:
+        """Step, publish and answer until ROS is shut down."""
+        sys.setswitchinterval(_SWITCH_INTERVAL)
+        executor = SingleThreadedExecutor()
+        executor.add_node(self._node)
+        self._worker.start()
+        try:
+            executor.spin()
+        finally:
+            executor.remove_node(self._node)
+
+    def close(self) -> bool:
+        """Stop and release everything; whether the stepper has ended."""
+        has_ended = self._worker.stop(_STOP_SECONDS)
+        if has_ended:
+            self._node.destroy_node()
+        return has_ended
+
+    # --- wiring ---
+
+    def _declare(self, sections: Sequence[tuple[str, Section]]) -> Settings:
+        node, name = self._node, self._node.get_fully_qualified_name()
+        for path, found in files_for_others(sections, name).items():
+            node.get_logger().warning(f"{path} has parameters for {', '.join(found)}, and none for {name}")
+        # rclpy passes over a misspelt name without a word; only here is it known what was given.
+        given = {key: override.value for key, override in node._parameter_overrides.items()}
+        values = check_overrides(given, self._entries, sources_of(sections, name))
+        for key, entry in self._entries.items():
+            node.declare_parameter(key, values[key], descriptor(entry), ignore_override=True)
+        node.add_pre_set_parameters_callback(self._accept_integers)
+        node.add_on_set_parameters_callback(self._validate)
+        node.add_post_set_parameters_callback(self._apply)
+        return settings_of(values)
+
+    def _wire(self) -> None:
+        node = self._node
+        self._joint_states = node.create_publisher(JointState, "~/joint_states", _RELIABLE)
+        self._coil_current = node.create_publisher(Float64, "~/coil_current", _RELIABLE)
+        self._phase = node.create_publisher(UInt8, "~/phase", _LATCHED)
+        self._is_open = node.create_publisher(Bool, "~/is_open", _LATCHED)
+        self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", _RELIABLE)
+        events = SubscriptionEventCallbacks(incompatible_qos=self._cannot_hear)
+        node.create_subscription(Float64, "~/coil_voltage", self._take_command, _RELIABLE, event_callbacks=events)
+        node.create_service(Trigger, "~/reset", self._reset)
+        node.create_service(Trigger, "~/self_test", self._self_test)
+        # By the wall: diagnostics must tell, too, that /clock is silent.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        node.create_timer(1.0, self._diagnose, clock=steady)
+        self._patience = node.create_timer(_PATIENCE_SECONDS, self._ask_for_patience, clock=steady)
+
+    # --- the stepping thread ---
+
+    def _prepare(self) -> None:
+        """Load the compiled model, or compile it, before time begins to count."""
+        valve = self._live.valve
+        stepper = Stepper(valve)
+        stepper.command(1e-3, valve.parameters.reference_voltage)
+        stepper.set_valve(valve, 2e-3)
+        stepper.advance(3e-3)
+        self._warn_if_it_cannot_open(valve)
+        self._is_ready = True
+
+    def _restart(self, restart: Restart) -> None:
+        stamp = self._clock.stamp()
+        if restart.reason:
+            self._node.get_logger().warning(f"{restart.reason}: the valve rests closed, and no command holds any more")
+        self._live.restart(
+            restart.reading.nanoseconds, restart.reading.nanoseconds if restart.reading.is_simulated else stamp
+        )
+
+    def _step(self, deadline: int) -> None:
+        step = self._live.step(deadline)
+        self._joint_states.publish(self._messages.joint_states(step.stamp, step.reading))
+        self._coil_current.publish(self._messages.coil_current(step.reading))
+        if step.phases:
+            self._publish_phases(step)
+        if step.failure:
+            self._failure = step.failure
+            self._node.get_logger().error(f"the valve was put back to rest: {step.failure}")
+
+    def _publish_phases(self, step: Step) -> None:
+        for phase in step.phases:
+            self._phase.publish(phase_message(phase))
+            self._is_open.publish(is_open_message(phase))
+
+    def _fail(self, error: Exception) -> None:
+        if self._node.context.ok():
+            self._node.get_logger().fatal(f"the stepper ended: {error!r}")
+            self._node.context.try_shutdown()
+
+    # --- callbacks, in the main thread ---
+
+    def _now(self) -> int:
+        reading = self._clock.read()
+        return 0 if reading is None else reading.nanoseconds
+
+    def _take_command(self, message: Float64) -> None:
+        now = self._now()
+        volts = accepted_voltage(message, self._settings.max_voltage)
+        if volts is None:
+            self._commands.reject(message.data)
+        else:
+            self._live.command(now, volts)
+
+    def _cannot_hear(self, event: QoSRequestedIncompatibleQoSInfo) -> None:
+        self._commands.deaf_to = event.total_count
+        policy = qos_policy_name_from_kind(event.last_policy_kind)
+        self._node.get_logger().warning(
+            f"{self._node.get_fully_qualified_name()}/coil_voltage: a publisher offers an incompatible QoS ({policy}) "
+            "and cannot be heard; publish reliable, as this topic asks"
+        )
+
+    def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._live.reset(self._now())
+        self._failure = ""
+        response.success = True
+        response.message = "the valve rests closed, without current; the last command no longer holds"
+        return response
+
+    def _self_test(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if not self._is_ready:
+            response.success, response.message = False, "the model is still being compiled; ask again in some seconds"
+            return response
+        response.success, response.message = self_test(self._live.valve)
+        return response
+
+    def _diagnose(self) -> None:
+        now = self._now()
+        waiting_for = "" if self._is_ready else "the model to be compiled"
+        if self._is_ready and self._clock.read() is None:
+            waiting_for = "/clock (use_sim_time is true)"
+        live = self._live
+        statuses = (
+            timing_status(self._worker.timing.look(now), self._settings.publish_rate, waiting_for),
+            command_status(self._commands.look(now, live.last_command, live.volts, live.timed_out)),
+            valve_status(ValveFacts(live.phase, live.strokes, live.failures, self._failure)),
+        )
+        name = self._node.get_fully_qualified_name()
+        self._diagnostics.publish(diagnostic_array(statuses, name, self._clock.stamp()))
+
+    def _ask_for_patience(self) -> None:
+        self._patience.cancel()
+        if not self._is_ready:
+            self._node.get_logger().info("compiling the model for this machine; this takes some seconds, once")
+
+    # --- parameters ---
+
+    def _accept_integers(self, parameters: list[Parameter]) -> list[Parameter]:
+        return [
+            Parameter(parameter.name, value=as_declared(parameter.name, parameter.value, self._entries))
+            if parameter.name in self._entries and parameter.type_ is not Parameter.Type.NOT_SET
+            else parameter
+            for parameter in parameters
+        ]
+
+    def _validate(self, parameters: list[Parameter]) -> SetParametersResult:
+        name = self._node.get_fully_qualified_name()
+        try:
+            changes = self._checked(parameters, name)
+            valve_of({**self._values(), **changes}, name)
+        except ParameterError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _apply(self, parameters: list[Parameter]) -> None:
+        """All parameters are checked and stored; take over those that are the node's or the valve's."""
+        names = {parameter.name for parameter in parameters} & self._entries.keys()
+        if not names:
+            return
+        now, settings = self._now(), settings_of(self._values())
+        if settings.time_scale != self._settings.time_scale:
+            self._live.set_scale(now, settings.time_scale)
+        self._live.command_timeout = settings.command_timeout
+        self._messages.set_frame_id(settings.frame_id)
+        if settings.publish_rate != self._settings.publish_rate:
+            self._worker.set_rate(settings.publish_rate)
+        self._settings = settings
+        if any(name.startswith(("valve.", "effects.")) for name in names):
+            valve = self._current_valve()
+            self._live.set_valve(now, valve)
+            if self._is_ready:
+                self._warn_if_it_cannot_open(valve)
+
+    def _checked(self, parameters: list[Parameter], source: str) -> dict[str, Value]:
+        checked = {}
+        for parameter in parameters:
+            if parameter.name in self._entries:
+                if parameter.type_ is Parameter.Type.NOT_SET:
+                    raise ParameterError(f"{source}: {parameter.name}: cannot be undeclared")
+                checked[parameter.name] = self._entries[parameter.name].check(parameter.value, source)
+        return checked
+
+    def _values(self) -> dict[str, Value]:
+        found = {}
+        for name, entry in self._entries.items():
+            value = self._node.get_parameter(name).value
+            found[name] = list(value) if isinstance(entry.default, list) else value
+        return found
+
+    def _current_valve(self) -> Valve:
+        return valve_of(self._values(), self._node.get_fully_qualified_name())
+
+    def _warn_if_it_cannot_open(self, valve: Valve) -> None:
+        with contextlib.suppress(Exception):
+            if not valve.can_open():
+                self._node.get_logger().warning(
+                    f"with these parameters the valve cannot open: at {valve.parameters.reference_voltage:g} V nothing "
+                    "lifts the pilot plunger off its seat (look at valve.attraction_polynomial[0] and valve.seat_load)"
+                )

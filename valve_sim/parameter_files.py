@@ -1,0 +1,355 @@
+"""ROS 2 parameter files in and out: the same file means the same valve to the node and to the command line.
+
+    /**:
+      ros__parameters:
+        valve: {pilot_mass: 0.109, ..., attraction_polynomial: [...]}
+        effects:
+          coulomb_friction: {force: 0.3}
+
+Read are all the forms that ROS 2 itself reads: `/**`, wildcards, node names with and without slash, namespaces nested
+or joined, flat dotted keys (`valve.pilot_mass: 0.109`), and what `ros2 param dump` writes. Beyond these, an integer
+may stand for a double (also among doubles in a list) and 1e-3 is a number.
+
+Two rules make a file complete:
+
+* A valve parameter that is not given has the value of the shipped default, config/valve.yaml.
+* An effect's parameter that is not given has its off-value, or its typical value if it has none. An effect is on when
+  one of its parameters differs from its off-value; so a dump, which lists every effect, switches on only what was on.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import difflib
+import functools
+import math
+import os
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import yaml
+
+from valve_sim.model import CATALOGUE, Effect, Parameter, ParameterError, Valve, ValveParameters
+from valve_sim.model.parameters import closest
+from valve_sim.resources import config_path
+
+DEFAULT_FILE: Final = "valve.yaml"
+"""The shipped parameter file whose values hold where a file gives none."""
+
+_ROOT_KEYS: Final = ("valve", "effects")
+_FORM: Final = "expected a ROS 2 parameter file: '/**:', below it 'ros__parameters:', below it 'valve:' and 'effects:'"
+
+
+class Section(NamedTuple):
+    """The parameters that a file holds for one node.
+
+    Attributes:
+        node: the node's full name, or a pattern, with a leading slash.
+        values: flat dotted name to value, as found.
+    """
+
+    node: str
+    values: dict[str, object]
+
+    def applies_to(self, node: str) -> bool:
+        """Whether ROS 2 hands these parameters to the node of this full name."""
+        pattern = re.escape(self.node).replace(r"/\*\*", "(/[^/]+)*").replace(r"\*", "[^/]+")
+        return re.fullmatch(pattern, node) is not None
+
+
+def load_valve(path: Path | str, node: str | None = None) -> Valve:
+    """The valve that a parameter file describes.
+
+    Keys beside `valve` and `effects` belong to nodes and are passed over.
+
+    Args:
+        path: a ROS 2 parameter file.
+        node: full name of the node whose parameters are meant; needed only where a file describes several valves.
+
+    Raises:
+        ParameterError: the file cannot be read, or anything in it about the valve is unknown, of the wrong type or
+            out of range; one line that names file, key, what was found and what is expected.
+    """
+    sections = [section for section in read_sections(path) if node is None or section.applies_to(node)]
+    sections = [section for section in sections if any(_is_about_valve(name) for name in section.values)]
+    if not sections:
+        meant = "" if node is None else f" of {node}"
+        raise ParameterError(f"{path}: holds no parameters{meant} of a valve; {_FORM}")
+    named = sorted({section.node for section in sections if "*" not in section.node})
+    if len(named) > 1:
+        raise ParameterError(f"{path}: describes several valves, {', '.join(named)}; expected one, or a node's name")
+    merged = {name: value for section in sections for name, value in section.values.items()}
+    return valve_from_flat(merged, str(path))
+
+
+def valve_from_flat(values: Mapping[str, object], source: str, base: Valve | None = None) -> Valve:
+    """A checked valve from flat dotted names.
+
+    Args:
+        values: such as {"valve.pilot_mass": 0.109, "effects.stiction.force": 0.3}; other nodes' names are passed over.
+        source: the file or node they come from, for messages.
+        base: has the values that are not given; default: the shipped config/valve.yaml.
+
+    Raises:
+        ParameterError: as `load_valve`.
+    """
+    mapping = (base or default_valve()).to_mapping()
+    declared: dict[str, object] = dict(mapping["valve"])
+    effects: dict[str, dict[str, object]] = {name: dict(found) for name, found in mapping.get("effects", {}).items()}
+    for name, value in values.items():
+        root, _, rest = name.partition(".")
+        if root == "valve":
+            _check_name(rest, ValveParameters._fields, name, value, source)
+            declared[rest] = value
+        elif root == "effects":
+            effect, _, parameter = rest.partition(".")
+            _check_effect_name(effect, parameter, name, value, source)
+            effects.setdefault(effect, {})[parameter] = value
+        else:
+            _check_misplaced(name, value, source)
+    on = {name: checked for name, found in effects.items() if (checked := complete_effect(name, found, source))}
+    return Valve.from_mapping({"valve": declared, "effects": on}, source)
+
+
+def complete_effect(name: str, found: Mapping[str, object], source: str) -> dict[str, float] | None:
+    """All parameters of an effect of which some are given; None when they leave it off.
+
+    Args:
+        name: of an effect in the catalogue.
+        found: its parameters by name, as given.
+        source: the file or node they come from, for messages.
+
+    Raises:
+        ParameterError: not a number, or out of range.
+    """
+    effect = CATALOGUE[name]
+    values = {
+        parameter.name: check_with_off(parameter, found[parameter.name], f"{source}: effects.{name}.{parameter.name}")
+        if parameter.name in found
+        else off_value(parameter)
+        for parameter in effect.parameters
+    }
+    return values if is_on(effect, values) else None
+
+
+def is_on(effect: Effect, values: Mapping[str, float]) -> bool:
+    """Whether any of the effect's parameters differs from its off-value."""
+    return any(parameter.off is not None and values[parameter.name] != parameter.off for parameter in effect.parameters)
+
+
+def off_value(parameter: Parameter) -> float:
+    """What an effect's parameter is while it is not given: its off-value, or a typical one if it has none."""
+    return parameter.typical if parameter.off is None else parameter.off
+
+
+def check_with_off(parameter: Parameter, value: object, where: str) -> float:
+    """As `Parameter.check`, but the off-value passes too, which may be infinite.
+
+    Raises:
+        ParameterError: not a number, or neither the off-value nor in range.
+    """
+    if isinstance(value, float) and value == parameter.off:
+        return value
+    return parameter.check(value, where)
+
+
+@functools.cache
+def default_valve() -> Valve:
+    """The valve of config/valve.yaml.
+
+    Raises:
+        ValveError: the installation lacks the file.
+    """
+    path = config_path(DEFAULT_FILE)
+    values = {name: value for section in read_sections(path) for name, value in section.values.items()}
+    return valve_from_flat(values, str(path), Valve())
+
+
+def read_sections(path: Path | str) -> tuple[Section, ...]:
+    """Every node's parameters in a file, in the file's order. Knows no names: any ROS 2 parameter file will do.
+
+    Raises:
+        ParameterError: the file cannot be read, is no YAML, or has not the form of a parameter file.
+    """
+    try:
+        document = yaml.load(Path(path).read_text(encoding="utf-8"), Loader=_Loader)
+        sections = tuple(_find_sections(document, "", str(path)))
+    except OSError as error:
+        raise ParameterError(f"{path}: cannot be read ({error.strerror}); expected a ROS 2 parameter file") from error
+    except UnicodeDecodeError as error:
+        raise ParameterError(f"{path}: is not UTF-8 text; {_FORM}") from error
+    except yaml.MarkedYAMLError as error:
+        line = "" if error.problem_mark is None else f"line {error.problem_mark.line + 1}: "
+        raise ParameterError(f"{path}: {line}{error.problem or error.context}, expected valid YAML") from error
+    except (yaml.YAMLError, RecursionError) as error:
+        raise ParameterError(f"{path}: {' '.join(str(error).split())}, expected valid YAML") from error
+    if not sections:
+        raise ParameterError(f"{path}: holds no ros__parameters; {_FORM}")
+    return sections
+
+
+def save_valve(path: Path | str, valve: Valve, provenance: str) -> None:
+    """Write a parameter file, whole or not at all.
+
+    Args:
+        path: the file, replaced if it exists.
+        valve: what is written.
+        provenance: where the values are from; becomes a comment at the top.
+
+    Raises:
+        ParameterError: the file cannot be written.
+    """
+    comment = "".join(f"# {line}".rstrip() + "\n" for line in provenance.splitlines())
+    document = {"/**": {"ros__parameters": _plain(valve.to_mapping())}}
+    text = comment + yaml.dump(document, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=120)
+    target = Path(path)
+    partial = target.with_name(f".{target.name}.{os.getpid()}.partial")
+    try:
+        partial.write_text(text, encoding="utf-8")
+        partial.replace(target)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)
+        raise ParameterError(f"{path}: cannot be written ({error.strerror}); expected a path in a folder") from error
+
+
+def write_sections(path: Path, sections: Sequence[Section]) -> None:
+    """Write parameters in the plainest form: flat names, and lists of one type.
+
+    ROS 2's own parser refuses a file where one list holds 0 and 0.5, or where a mapping is empty.
+    """
+    document: dict[str, Any] = {}
+    for section in sections:
+        document.setdefault(section.node, {"ros__parameters": {}})["ros__parameters"].update(
+            {name: _one_type(value) for name, value in section.values.items()}
+        )
+    filled = {node: content for node, content in document.items() if content["ros__parameters"]}
+    path.write_text(yaml.dump(filled, Dumper=_Dumper, sort_keys=False, allow_unicode=True) if filled else "{}\n")
+
+
+# --- YAML as ROS 2 reads and writes it ----------------------------------------------------------------------------
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML 1.1 with two mends: 1e-3 is a number, and a key given twice is an error."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        seen: set[str] = set()
+        for key, _ in node.value:
+            if key.value in seen and key.tag != "tag:yaml.org,2002:merge":
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"found {key.value!r} a second time", key.start_mark
+                )
+            if isinstance(key.value, str):
+                seen.add(key.value)
+        return super().construct_mapping(node, deep)
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
+)
+
+
+class _Dumper(yaml.SafeDumper):
+    """Mappings in block style, lists of numbers on one line."""
+
+
+_Dumper.add_representer(
+    list, lambda dumper, items: dumper.represent_sequence("tag:yaml.org,2002:seq", items, flow_style=True)
+)
+
+
+def _find_sections(found: object, prefix: str, path: str) -> Iterator[Section]:
+    if not isinstance(found, Mapping):
+        raise ParameterError(f"{path}: {prefix or 'the file'}: found {_short(found)}; {_FORM}")
+    for key, value in found.items():
+        if not isinstance(key, str):
+            raise ParameterError(f"{path}: {prefix}: found the key {key!r}, expected a name")
+        if key == "ros__parameters":
+            yield Section(prefix or "/**", dict(_flat(value, "", path)))
+        else:
+            yield from _find_sections(value, f"{prefix}/{key.strip('/')}", path)
+
+
+def _flat(found: object, prefix: str, path: str) -> Iterator[tuple[str, object]]:
+    """Dotted names and values. An empty mapping has none, unless it stands where an effect's parameters belong."""
+    if found is None and prefix in ("", *_ROOT_KEYS):
+        return
+    if not isinstance(found, Mapping):
+        if not prefix:
+            raise ParameterError(f"{path}: ros__parameters: found {_short(found)}, expected names and values")
+        if found is None:
+            raise ParameterError(f"{path}: {prefix}: has no value; give one, or take the line out")
+        yield prefix, found
+        return
+    if not found and prefix.startswith("effects."):
+        yield prefix, {}
+    for key, value in found.items():
+        if not isinstance(key, str):
+            raise ParameterError(f"{path}: {prefix}: found the key {key!r}, expected a name")
+        yield from _flat(value, f"{prefix}.{key}" if prefix else key, path)
+
+
+def _one_type(value: object) -> object:
+    is_mixed = isinstance(value, list) and any(isinstance(item, float) for item in value)
+    if is_mixed and all(type(item) in (int, float) for item in value):  # type: ignore[attr-defined]
+        return [float(item) for item in value]  # type: ignore[attr-defined]
+    return value
+
+
+def _plain(value: Any) -> Any:
+    """Mappings, lists and floats only, where NumPy's own may have crept in."""
+    if isinstance(value, Mapping):
+        return {name: _plain(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return float(value)
+
+
+# --- names --------------------------------------------------------------------------------------------------------
+
+
+def _is_about_valve(name: str) -> bool:
+    return name.partition(".")[0] in _ROOT_KEYS
+
+
+def _check_name(given: str, known: Sequence[str], key: str, value: object, source: str) -> None:
+    if given not in known:
+        mend = f"; did you mean {closest(given, known)}?" if given else ""
+        names = ", ".join(known)
+        raise ParameterError(
+            f"{source}: {key}: found {_short(value)} under an unknown name{mend} Expected one of {names}"
+        )
+
+
+def _check_effect_name(effect: str, parameter: str, key: str, value: object, source: str) -> None:
+    _check_name(effect, list(CATALOGUE), key, value, source)
+    names = [entry.name for entry in CATALOGUE[effect].parameters]
+    if not parameter:
+        raise ParameterError(f"{source}: {key}: found {_short(value)}, expected {{{', '.join(names)}}}")
+    _check_name(parameter, names, key, value, source)
+
+
+def _check_misplaced(name: str, value: object, source: str) -> None:
+    """Other nodes' names pass; names that look like the valve's own, in the wrong place or misspelt, do not."""
+    root = name.partition(".")[0]
+    if root in ValveParameters._fields:
+        raise ParameterError(
+            f"{source}: {name}: found {_short(value)} beside valve:, expected it below, as valve.{name}"
+        )
+    if root in CATALOGUE:
+        raise ParameterError(f"{source}: {name}: found {_short(value)} beside effects:, expected it as effects.{name}")
+    for known in _ROOT_KEYS:
+        if "." in name and _are_alike(root, known):
+            raise ParameterError(f"{source}: {name}: found {_short(value)} below {root}:, expected {known}:")
+
+
+def _are_alike(name: str, known: str) -> bool:
+    return difflib.SequenceMatcher(None, name.lower(), known).ratio() >= 0.75
+
+
+def _short(value: object) -> str:
+    text = "nan" if isinstance(value, float) and math.isnan(value) else repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."

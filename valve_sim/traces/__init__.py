@@ -1,0 +1,32 @@
+"""Recordings in and out: one valve's commands and measured samples as arrays with units and a clock."""
+
+from valve_sim.traces.errors import TraceError
+from valve_sim.traces.events import SensorEvent, StrokeEvents, events_from_sensors
+from valve_sim.traces.reading import list_valves, read_trace
+from valve_sim.traces.strokes import Stroke, find_strokes
+from valve_sim.traces.summary import Gap, Rate, TraceSummary, describe
+from valve_sim.traces.trace import Signal, Trace
+from valve_sim.traces.writing import CSV_COLUMNS, BagRecorder, commanded_voltage, write_bag, write_bags, write_csv
+
+__all__ = [
+    "CSV_COLUMNS",
+    "BagRecorder",
+    "Gap",
+    "Rate",
+    "SensorEvent",
+    "Signal",
+    "Stroke",
+    "StrokeEvents",
+    "Trace",
+    "TraceError",
+    "TraceSummary",
+    "commanded_voltage",
+    "describe",
+    "events_from_sensors",
+    "find_strokes",
+    "list_valves",
+    "read_trace",
+    "write_bag",
+    "write_bags",
+    "write_csv",
+]

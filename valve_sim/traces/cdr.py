@@ -1,0 +1,260 @@
+"""ROS 2 messages (CDR) to arrays and back, many at a time.
+
+Messages of one topic mostly have one layout: the same lengths, the same names, other numbers. So one message is walked
+with the type's definition, and every message whose lengths and names are the same bytes is read with it, as columns of
+one matrix. A message that fits no common layout is walked alone: the general way, some hundred times slower.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from rosbags.interfaces import Nodetype
+from rosbags.typesys import Stores, get_typestore
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from numpy.typing import NDArray
+    from rosbags.typesys.store import Typestore
+
+ENCAPSULATION_SIZE = 4
+"""Bytes before the message: representation (big or little endian CDR) and options."""
+
+LARGEST_PADDING = 3
+"""A middleware may pad a message to 4 bytes; more than this after the last field is rubbish."""
+
+MOST_LAYOUTS = 16
+"""Layouts tried on all messages of one length before the rest is read one by one (bounds the work on rubbish)."""
+
+_BASE_TYPES = {
+    "bool": "u1",
+    "byte": "u1",
+    "char": "u1",
+    "octet": "u1",
+    "uint8": "u1",
+    "int8": "i1",
+    "uint16": "u2",
+    "int16": "i2",
+    "uint32": "u4",
+    "int32": "i4",
+    "uint64": "u8",
+    "int64": "i8",
+    "float32": "f4",
+    "float64": "f8",
+}
+
+
+@functools.cache
+def typestore() -> Typestore:
+    """Return the message definitions that this package reads and writes (the same from Humble to Kilted)."""
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+class MalformedMessage(Exception):  # noqa: N818 -- never leaves this room: it is counted, not shown
+    """These bytes are not a message of this type."""
+
+
+class Field(NamedTuple):
+    """Where the numbers of one field are: `size` values of NumPy type `dtype` from byte `offset`."""
+
+    offset: int
+    dtype: str
+    size: int
+
+
+class Layout(NamedTuple):
+    """The shape of one message.
+
+    Attributes:
+        fields: Dotted path ("header.stamp.sec") to the place of its numbers.
+        texts: Dotted path to the strings found there.
+        fixed: Byte ranges [start, stop) that another message must share to have this layout: lengths and names.
+        end: Where the last field ends; bytes beyond are padding or rubbish.
+    """
+
+    fields: Mapping[str, Field]
+    texts: Mapping[str, tuple[str, ...]]
+    fixed: tuple[tuple[int, int], ...]
+    end: int
+
+
+class Batch(NamedTuple):
+    """Messages of one layout: `places` (n,) in the topic, `matrix` (n, length) their raw bytes."""
+
+    places: NDArray[np.intp]
+    layout: Layout
+    matrix: NDArray[np.uint8]
+
+    def column(self, path: str) -> NDArray[Any]:
+        """Return the numbers of one field, shape (n, size)."""
+        field = self.layout.fields[path]
+        stop = field.offset + field.size * np.dtype(field.dtype).itemsize
+        return np.ascontiguousarray(self.matrix[:, field.offset : stop]).view(field.dtype)
+
+
+class Decoded(NamedTuple):
+    """All messages of a topic: batches that could be read, how many could not, how many had bytes to trim."""
+
+    batches: tuple[Batch, ...]
+    malformed: int
+    trimmed: int
+
+
+class _Walker:
+    """Walks one message along its type's definition and notes where everything is."""
+
+    def __init__(self, payload: bytes) -> None:
+        if len(payload) < ENCAPSULATION_SIZE or payload[0] != 0 or payload[1] not in {0, 1}:
+            raise MalformedMessage
+        self.payload = payload
+        self.order = "<" if payload[1] else ">"
+        self.position = ENCAPSULATION_SIZE
+        self.fields: dict[str, Field] = {}
+        self.texts: dict[str, tuple[str, ...]] = {}
+        self.fixed: list[tuple[int, int]] = [(0, 2)]
+
+    def walk(self, message_type: str, prefix: str = "") -> None:
+        """Take all fields of a message or of a message in it."""
+        detail: Any  # its shape depends on the kind, which the library types as a union
+        for name, (kind, detail) in typestore().fielddefs[message_type][1]:
+            path = prefix + name
+            if kind == Nodetype.NAME:
+                self.walk(detail, path + ".")
+            elif kind == Nodetype.BASE:
+                self.take(path, detail[0], count=1, listed=False)
+            else:
+                (_, (base, _)), length = detail
+                count = self.length() if kind == Nodetype.SEQUENCE else length
+                self.take(path, base, count, listed=True)
+
+    def take(self, path: str, base: str, count: int, *, listed: bool) -> None:
+        """Take `count` values of a base type; strings in a list are names and so part of the layout."""
+        if base == "string":
+            self.texts[path] = tuple(self.text(fixed=listed) for _ in range(count))
+            return
+        dtype = np.dtype(self.order + _BASE_TYPES[base])
+        if count:
+            self.align(dtype.itemsize)
+        self.fields[path] = Field(self.position, dtype.str, count)
+        self.advance(count * dtype.itemsize)
+
+    def length(self) -> int:
+        """Take a sequence's or string's length."""
+        self.align(4)
+        start = self.position
+        self.advance(4)
+        self.fixed.append((start, self.position))
+        return int.from_bytes(self.payload[start : self.position], "little" if self.order == "<" else "big")
+
+    def text(self, *, fixed: bool) -> str:
+        """Take one string with its closing zero."""
+        length = self.length()
+        start = self.position
+        self.advance(length)
+        if fixed:
+            self.fixed.append((start, self.position))
+        try:
+            return self.payload[start : self.position].rstrip(b"\0").decode()
+        except UnicodeDecodeError as error:
+            raise MalformedMessage from error
+
+    def align(self, size: int) -> None:
+        """Go to the next multiple of `size`, counted from the end of the encapsulation."""
+        self.position += -(self.position - ENCAPSULATION_SIZE) % size
+
+    def advance(self, size: int) -> None:
+        """Go on, but never beyond the message."""
+        self.position += size
+        if self.position > len(self.payload):
+            raise MalformedMessage
+
+    def layout(self) -> Layout:
+        return Layout(self.fields, self.texts, tuple(self.fixed), self.position)
+
+
+def find_layout(payload: bytes, message_type: str) -> Layout:
+    """Walk one message.
+
+    Raises:
+        MalformedMessage: The bytes end too early, or are no plain CDR.
+    """
+    walker = _Walker(payload)
+    walker.walk(message_type)
+    return walker.layout()
+
+
+def decode_messages(payloads: Sequence[bytes], message_type: str) -> Decoded:
+    """Read all messages of one topic, layout by layout."""
+    lengths = np.fromiter(map(len, payloads), dtype=np.int64, count=len(payloads))
+    batches: list[Batch] = []
+    malformed = trimmed = 0
+    for length in np.unique(lengths):
+        index = np.flatnonzero(lengths == length)
+        same_length = payloads if len(index) == len(payloads) else [payloads[place] for place in index.tolist()]
+        matrix = np.frombuffer(b"".join(same_length), np.uint8).reshape(len(index), int(length))
+        for batch in _split_by_layout(matrix, index, message_type):
+            if batch is None:
+                malformed += 1
+                continue
+            batches.append(batch)
+            if length - batch.layout.end > LARGEST_PADDING:
+                trimmed += len(batch.places)
+    return Decoded(tuple(batches), malformed, trimmed)
+
+
+def _split_by_layout(matrix: NDArray[np.uint8], index: NDArray[np.intp], message_type: str) -> Iterator[Batch | None]:
+    """Yield batches that share a layout; None for each message that cannot be read."""
+    layouts = 0
+    while len(index):
+        try:
+            layout = find_layout(matrix[0].tobytes(), message_type)
+        except MalformedMessage:
+            yield None
+            matrix, index = matrix[1:], index[1:]
+            continue
+        layouts += 1
+        same = np.zeros(len(index), dtype=bool)
+        same[0] = True
+        if layouts <= MOST_LAYOUTS:
+            same = _same_layout(matrix, layout)
+        if same.all():
+            yield Batch(index, layout, matrix)
+            return
+        yield Batch(index[same], layout, matrix[same])
+        # The general way drops one row from the front: a view. Copying what is left each time would be quadratic.
+        only_first = layouts > MOST_LAYOUTS
+        matrix, index = (matrix[1:], index[1:]) if only_first else (matrix[~same], index[~same])
+
+
+def _same_layout(matrix: NDArray[np.uint8], layout: Layout) -> NDArray[np.bool_]:
+    same = np.ones(len(matrix), dtype=bool)
+    for start, stop in layout.fixed:
+        same &= (matrix[:, start:stop] == matrix[0, start:stop]).all(axis=1)
+    return same
+
+
+def encode_messages(
+    template: object, message_type: str, columns: Mapping[str, NDArray[Any]], count: int
+) -> list[bytes]:
+    """Serialize `count` messages that differ from a template only in some numbers.
+
+    Args:
+        template: A message of the typestore with all arrays at their final length.
+        message_type: Its type, "sensor_msgs/msg/JointState".
+        columns: Dotted path to the numbers, shape (count,) or (count, values of the field).
+        count: How many messages.
+    """
+    payload = bytes(typestore().serialize_cdr(template, message_type))
+    layout = find_layout(payload, message_type)
+    matrix = np.tile(np.frombuffer(payload, np.uint8), (count, 1))
+    for path, values in columns.items():
+        field = layout.fields[path]
+        numbers = np.ascontiguousarray(np.asarray(values).reshape(count, field.size).astype(field.dtype))
+        raw = numbers.view(np.uint8).reshape(count, -1)
+        matrix[:, field.offset : field.offset + raw.shape[1]] = raw
+    everything = matrix.tobytes()
+    size = len(payload)
+    return [everything[place : place + size] for place in range(0, count * size, size)]

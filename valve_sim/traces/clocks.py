@@ -1,0 +1,209 @@
+"""Which sample was taken when: reordered, duplicated and jumping stamps, and two clocks in one bag.
+
+A recorder writes down when a message came (bag time); a sensor stamps when it measured. The stamp is the better time,
+as long as its clock did not jump. Whether a late message was only delivered late or its stamp is wrong shows in the
+samples around it: a late message fills a hole that it left, a wrong stamp lands where a sample is already.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Stamps = NDArray[np.int64]
+
+SECOND = 1_000_000_000
+"""ns."""
+
+DAY = 86_400 * SECOND
+"""Stamps and bag times further apart are two clocks (model time from 0 beside wall time), not one clock and a delay."""
+
+LONG_DELAY = SECOND
+"""Stamps older than this when recorded are worth a word: the clocks of two computers may differ."""
+
+JUMP_RUN = 20
+"""So many wrong stamps in a row mean that the clock was set, not that a message went astray."""
+
+FORWARD_JUMP = SECOND // 10
+"""A step of the stamps that exceeds the step of bag time by so much means that the clock was set forward."""
+
+GAP_FACTOR = 3.0
+"""An interval so many times the usual one is a gap."""
+
+
+class Ordered(NamedTuple):
+    """The samples to keep.
+
+    Attributes:
+        places: Where they are in the recording, in the order of their stamps, shape (n,).
+        shift: What to add to the samples' clock of an unjumped stretch to get the kept one's, ns: commands follow it.
+        findings: What was reordered and dropped.
+    """
+
+    places: NDArray[np.intp]
+    shift: int
+    findings: tuple[str, ...]
+
+
+def order_samples(stamps: Stamps, bag_times: Stamps, values: NDArray[np.float64], topic: str) -> Ordered:
+    """Put samples into the order of their stamps; drop those that are twice there or whose stamp is wrong.
+
+    Args:
+        stamps: ns, shape (n,), in bag order.
+        bag_times: ns, ascending, shape (n,).
+        values: Shape (n, columns); a repeated stamp with equal values is a repeated message.
+        topic: For the findings.
+    """
+    findings: list[str] = []
+    index = np.arange(len(stamps))
+    if (np.diff(stamps) > 0).all() and not _jumps_forward(stamps, bag_times).any():
+        return Ordered(index, 0, ())
+    index, lead = _without_foreign(index, stamps, bag_times, topic, findings)
+    index = _without_repeated(index, stamps, values, topic, findings)
+    index, shift = _longest_stretch(index, stamps, bag_times, topic, findings)
+    index = _without_wrong(index, stamps, topic, findings)
+    late = int(_is_late(stamps[index]).sum())
+    if late:
+        findings.append(
+            f"{topic}: {late} of {len(stamps)} samples were recorded out of order and put back by their stamps"
+        )
+    return Ordered(index[np.argsort(stamps[index], kind="stable")], lead + shift, tuple(findings))
+
+
+def _jumps_forward(stamps: Stamps, bag_times: Stamps) -> NDArray[np.bool_]:
+    jumps: NDArray[np.bool_] = np.diff(stamps) - np.diff(bag_times) > FORWARD_JUMP
+    return jumps
+
+
+def _is_late(stamps: Stamps) -> NDArray[np.bool_]:
+    """Return which stamps are below an earlier one."""
+    late: NDArray[np.bool_] = stamps < np.maximum.accumulate(stamps)
+    return late
+
+
+def _without_foreign(
+    index: NDArray[np.intp], stamps: Stamps, bag_times: Stamps, topic: str, findings: list[str]
+) -> tuple[NDArray[np.intp], int]:
+    """Drop stamps further from the others than the whole recording lasts (0, or another century).
+
+    Returns the rest, and its lead as in `Ordered`: many such stamps mean that the clock was set while recording.
+    """
+    delay = bag_times - stamps
+    usual = np.sort(delay)[(len(delay) - 1) // 2]
+    foreign = np.abs(delay - usual) > np.ptp(bag_times) + SECOND
+    if not foreign.any():
+        return index, 0
+    first = stamps[np.argmax(foreign)] / SECOND
+    findings.append(
+        f"{topic}: dropped {foreign.sum()} of {len(stamps)} samples whose stamps are of another time "
+        f"(first: {first:.3f} s)"
+    )
+    other = int(np.median(delay[foreign]))
+    was_set = foreign.sum() >= JUMP_RUN and abs(other) < abs(int(usual))
+    return index[~foreign[index]], other - int(usual) if was_set else 0
+
+
+def _without_repeated(
+    index: NDArray[np.intp], stamps: Stamps, values: NDArray[np.float64], topic: str, findings: list[str]
+) -> NDArray[np.intp]:
+    """Drop messages that are there twice: same stamp and same values."""
+    order = index[np.argsort(stamps[index], kind="stable")]
+    same_stamp = np.diff(stamps[order]) == 0
+    same = same_stamp & (values[order[1:]] == values[order[:-1]]).all(axis=1)
+    if not same.any():
+        return index
+    findings.append(f"{topic}: dropped {same.sum()} of {len(stamps)} samples that were recorded twice")
+    return np.sort(order[np.concatenate([[True], ~same])])
+
+
+def _misfits(stamps: Stamps) -> NDArray[np.bool_]:
+    """Return which late samples do not fill a hole between those in order."""
+    late = _is_late(stamps)
+    result = np.zeros(len(stamps), dtype=bool)
+    if not late.any():
+        return result
+    in_order = stamps[~late]
+    usual = max(1.0, float(np.median(np.diff(np.unique(stamps)))))
+    right = np.searchsorted(in_order, stamps[late])
+    # Before the first sample there is a hole without end: who comes late from there fits.
+    hole = np.where(right == 0, np.inf, in_order[right] - in_order[right - 1])
+    room = np.round(hole / usual) - 1
+    crowd = np.bincount(right, minlength=len(in_order))[right]
+    result[late] = (crowd > 1.1 * room) | (in_order[right] == stamps[late])
+    return result
+
+
+def _runs_start(flags: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Return where runs of at least `JUMP_RUN` begin."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(np.int8), [0]])))
+    starts, stops = edges[::2], edges[1::2]
+    return starts[stops - starts >= JUMP_RUN]
+
+
+def _longest_stretch(
+    index: NDArray[np.intp], stamps: Stamps, bag_times: Stamps, topic: str, findings: list[str]
+) -> tuple[NDArray[np.intp], int]:
+    """Cut where the clock was set, back or forward, and keep the longest stretch and its lead on the first clock."""
+    kept_stamps, kept_bag = stamps[index], bag_times[index]
+    backward = _runs_start(_misfits(kept_stamps))
+    forward = np.flatnonzero(_jumps_forward(kept_stamps, kept_bag)) + 1
+    if len(backward) == 0:
+        # A message delivered late is followed by a step forward, too: only a step that is never taken back is a jump.
+        lowest_ahead = np.minimum.accumulate(kept_stamps[::-1])[::-1]
+        forward = forward[lowest_ahead[forward] > np.maximum.accumulate(kept_stamps)[forward - 1]]
+    cuts = np.union1d(backward, forward)
+    if len(cuts) == 0:
+        return index, 0
+    stretches = np.split(index, cuts)
+    delays = [int(np.median(bag_times[stretch] - stamps[stretch])) for stretch in stretches]
+    longest = int(np.argmax([len(stretch) for stretch in stretches]))
+    shift = min(delays, key=abs) - delays[longest]
+    jumps = ", ".join(
+        f"{(before - after) / SECOND:+.3f} s at {(kept_stamps[cut - 1] - kept_stamps[0]) / SECOND:.3f} s"
+        for cut, before, after in zip(cuts[:3], delays, delays[1:], strict=False)
+    )
+    findings.append(
+        f"{topic}: the stamps' clock was set {len(cuts)} times ({jumps}); kept the longest stretch, "
+        f"{len(stretches[longest])} of {len(stamps)} samples"
+    )
+    return stretches[longest], shift
+
+
+def _without_wrong(index: NDArray[np.intp], stamps: Stamps, topic: str, findings: list[str]) -> NDArray[np.intp]:
+    wrong = _misfits(stamps[index])
+    if wrong.any():
+        findings.append(
+            f"{topic}: dropped {wrong.sum()} of {len(stamps)} samples whose stamps jump back to where other samples are"
+        )
+    return index[~wrong]
+
+
+def clock_offset(stamps: Stamps, bag_times: Stamps, topic: str) -> tuple[int, tuple[str, ...]]:
+    """Return what to take from bag times to get the stamps' clock, ns, and what to say about it.
+
+    Bag times and stamps are of one clock unless they are days apart: then the usual delay between them is taken out.
+    """
+    delay = int(np.median(bag_times - stamps))
+    if abs(delay) > DAY:
+        return delay, (
+            f"{topic}: stamps and bag times are of two clocks, {delay / SECOND:.3f} s apart (median): commands and "
+            "other messages without a header were moved onto the stamps' clock, good to the transport delay only",
+        )
+    if abs(delay) > LONG_DELAY:
+        return 0, (
+            f"{topic}: bag times are {delay / SECOND:.3f} s from the stamps (median) and were taken as the same clock; "
+            "if the computers' clocks differ, commands and samples do not belong together",
+        )
+    return 0, ()
+
+
+def find_gaps(times: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Return after which samples an interval is more than `GAP_FACTOR` times the usual one."""
+    intervals = np.diff(times)
+    if len(intervals) == 0:
+        return np.empty(0, dtype=np.intp)
+    return np.flatnonzero(intervals > GAP_FACTOR * np.median(intervals))

@@ -1,0 +1,243 @@
+"""Raw messages out of rosbag2 folders, bare .mcap and .db3 files, whole or damaged."""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from rosbags.rosbag2 import Reader
+
+from valve_sim.traces.errors import TraceError
+from valve_sim.traces.indexed_mcap import read_indexed_mcap
+from valve_sim.traces.salvage import (
+    KEPT_TYPES,
+    MCAP_MAGIC,
+    SQLITE_MAGIC,
+    ZSTD_MAGIC,
+    Salvaged,
+    full_type,
+    salvage_mcap,
+    salvage_sqlite,
+    unpack_zstd,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Mapping, Sequence
+
+    from numpy.typing import ArrayLike, NDArray
+
+    Select = Callable[[Mapping[str, str]], Collection[str]]
+
+STORAGE_SUFFIXES = (".mcap", ".db3")
+
+
+class RawTopic(NamedTuple):
+    """The messages of one topic in bag-time order: `times` int64 ns (n,), `payloads` n serialized messages."""
+
+    times: NDArray[np.int64]
+    payloads: Sequence[bytes]
+
+
+class Recording(NamedTuple):
+    """What was read.
+
+    Attributes:
+        types: Every topic in the recording and its message type ("std_msgs/msg/Float64").
+        topics: The messages of the topics that were asked for.
+        findings: What was wrong with the files, and what was kept.
+    """
+
+    types: Mapping[str, str]
+    topics: Mapping[str, RawTopic]
+    findings: tuple[str, ...]
+
+
+def read_recording(path: Path, select: Select) -> Recording:
+    """Read the messages of some topics.
+
+    Args:
+        path: A rosbag2 folder, or a bare .mcap or .db3 file.
+        select: Called with all topics and their types; returns those to read.
+
+    Raises:
+        TraceError: Nothing can be read from it.
+    """
+    _refuse_what_is_no_recording(path)
+    if path.is_dir() and not (path / "metadata.yaml").exists():
+        return _read_storages(path, select, "metadata.yaml is missing (the recorder writes it when it ends)")
+    try:
+        return _read_whole(path, select)
+    except TraceError:
+        raise
+    except Exception as error:  # a damaged bag makes the readers raise whatever they stumble over
+        return _read_storages(path, select, _one_line(error))
+
+
+def _refuse_what_is_no_recording(path: Path) -> None:
+    if not path.exists():
+        raise TraceError(f"{path}: does not exist; give a rosbag2 folder or a .mcap file")
+    if path.suffix == ".bag":
+        raise TraceError(f"{path}: is a ROS 1 bag, a rosbag2 folder or .mcap file is needed; rosbags-convert makes one")
+    if path.is_dir():
+        if not _storage_files(path):
+            raise TraceError(f"{path}: the folder holds no .mcap or .db3 file; give a rosbag2 folder or a .mcap file")
+        return
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(16)
+    except OSError as error:
+        raise TraceError(f"{path}: cannot be read ({error.strerror}); check the permissions") from error
+    if not head:
+        raise TraceError(f"{path}: is empty (0 bytes), nothing was recorded; record it again")
+    if _magic_of(path) is None:
+        raise TraceError(f"{path}: is not a recording; give a rosbag2 folder or a .mcap file")
+    if not head.startswith((_magic_of(path) or b"", ZSTD_MAGIC)):
+        raise TraceError(
+            f"{path}: is not a {path.suffix} file, it starts with {head[:8]!r}; give a rosbag2 folder or a .mcap file"
+        )
+
+
+def _magic_of(path: Path) -> bytes | None:
+    return {".mcap": MCAP_MAGIC, ".db3": SQLITE_MAGIC, ".zstd": ZSTD_MAGIC}.get(path.suffix)
+
+
+def _one_line(error: BaseException) -> str:
+    text = " ".join(str(error).split()) or type(error).__name__
+    return text.rstrip(".")[:200]
+
+
+def _read_whole(path: Path, select: Select) -> Recording:
+    if path.suffix == ".mcap" and path.is_file():
+        try:
+            types, parts = read_indexed_mcap(path, select)
+        except TraceError:
+            raise
+        except Exception:  # no index, or a damaged one: rosbags says what is the matter
+            return _read_by_rosbags(path, select)
+        return Recording(types, _merge(parts), ())
+    return _read_by_rosbags(path, select)
+
+
+def _read_by_rosbags(path: Path, select: Select) -> Recording:
+    with Reader(path) as reader:
+        types = {connection.topic: full_type(connection.msgtype) for connection in reader.connections}
+        wanted = set(select(types))
+        if (
+            path.is_dir()
+            and not reader.compression_mode
+            and all(file.suffix == ".mcap" for file in _storage_files(path))
+        ):
+            kept = [_read_whole(file, lambda _: wanted) for file in _storage_files(path)]
+            pieces = [(topic, raw.times, raw.payloads) for part in kept for topic, raw in part.topics.items()]
+            return Recording(types, _merge(pieces), ())
+        connections = [connection for connection in reader.connections if connection.topic in wanted]
+        times: dict[int, list[int]] = {connection.id: [] for connection in connections}
+        payloads: dict[int, list[bytes]] = {connection.id: [] for connection in connections}
+        sinks = {number: (times[number].append, payloads[number].append) for number in times}
+        for connection, time, payload in reader.messages(connections) if connections else ():
+            add_time, add_payload = sinks[connection.id]
+            add_time(time)
+            add_payload(payload)
+        parts = [(connection.topic, times[connection.id], payloads[connection.id]) for connection in connections]
+    return Recording(types, _merge(parts), ())
+
+
+def _merge(parts: Sequence[tuple[str, ArrayLike, Sequence[bytes]]]) -> dict[str, RawTopic]:
+    """Join what several files or publishers hold of a topic, in bag-time order."""
+    topics: dict[str, RawTopic] = {}
+    for topic, part_times, part_payloads in parts:
+        times = np.array(part_times, dtype=np.int64)
+        if topic in topics:
+            times = np.concatenate([topics[topic].times, times])
+            part_payloads = [*topics[topic].payloads, *part_payloads]  # noqa: PLW2901 -- joined with what was there
+        if (np.diff(times) < 0).any():
+            order = np.argsort(times, kind="stable")
+            times = times[order]
+            part_payloads = [part_payloads[place] for place in order]  # noqa: PLW2901
+        topics[topic] = RawTopic(times, part_payloads)
+    return topics
+
+
+def _storage_files(path: Path) -> list[Path]:
+    """Return a folder's storage files in the order they were recorded (bag_2 before bag_10)."""
+    names = [*STORAGE_SUFFIXES, *(suffix + ".zstd" for suffix in STORAGE_SUFFIXES)]
+    files = [file for file in path.iterdir() if file.name.endswith(tuple(names)) and file.is_file()]
+    return sorted(
+        files, key=lambda file: [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", file.name)]
+    )
+
+
+def _read_storages(path: Path, select: Select, reason: str) -> Recording:
+    """Read storage files one by one, each whole or what is left of it."""
+    files = _storage_files(path) if path.is_dir() else [path]
+    kept = [_read_storage(file, alone=not path.is_dir()) for file in files]
+    types = {topic: message_type for part in kept for topic, message_type in part.types.items()}
+    count = sum(part.count for part in kept)
+    if not count:
+        encodings = sorted(encoding for part in kept for encoding in part.encodings)
+        if encodings:
+            raise TraceError(
+                f"{path}: messages are encoded as {', '.join(encodings)}, cdr is needed; record it with ros2 bag"
+            )
+        raise TraceError(f"{path}: no message could be saved ({reason}); record it again")
+    wanted = set(select(types))
+    parts = [
+        (topic, part.times[topic], part.payloads[topic]) for part in kept for topic in part.times if topic in wanted
+    ]
+    findings = [_describe_salvage(path, kept, count, reason)]
+    return Recording(types, _merge(parts), tuple(findings))
+
+
+def _describe_salvage(path: Path, kept: Sequence[Salvaged], count: int, reason: str) -> str:
+    recorded = _declared_count(path)
+    of_all = f" of {recorded}" if recorded and recorded >= count else ""
+    complete = all(part.complete for part in kept)
+    chunks = sum(part.damaged_chunks for part in kept)
+    lost = "the data reach their end" if complete else "what followed is lost"
+    damaged = f", {chunks} damaged {'chunk' if chunks == 1 else 'chunks'}" if chunks else ""
+    return f"{path.name}: damaged or unfinished ({reason}); kept {count}{of_all} messages, {lost}{damaged}"
+
+
+def _declared_count(path: Path) -> int | None:
+    """Return how many messages a folder's metadata promise, where they can be read at all."""
+    file = path / "metadata.yaml"
+    try:
+        found = re.search(r"^  message_count: (\d+)", file.read_text("utf-8"), re.MULTILINE)
+    except (OSError, UnicodeDecodeError):
+        return None
+    return int(found[1]) if found else None
+
+
+def _read_storage(file: Path, *, alone: bool) -> Salvaged:
+    """Read one file: by rosbags where it is whole and has not been tried, otherwise by salvage."""
+    with ExitStack() as stack:
+        if file.suffix == ".zstd":
+            folder = stack.enter_context(tempfile.TemporaryDirectory())
+            unpacked = Path(folder) / file.stem
+            unpacked.write_bytes(unpack_zstd(file.read_bytes()))
+            file = unpacked
+        elif alone:
+            return _salvage(file)
+        try:
+            whole = _read_whole(file, _kept_topics)
+        except Exception:  # damaged: see read_recording
+            return _salvage(file)
+    salvaged = Salvaged(types=dict(whole.types), complete=True)
+    for topic, raw in whole.topics.items():
+        for time, payload in zip(raw.times.tolist(), raw.payloads, strict=True):
+            salvaged.add(topic, time, payload)
+    return salvaged
+
+
+def _kept_topics(types: Mapping[str, str]) -> list[str]:
+    return [topic for topic, message_type in types.items() if message_type in KEPT_TYPES]
+
+
+def _salvage(file: Path) -> Salvaged:
+    if file.suffix == ".mcap":
+        return salvage_mcap(file)
+    return salvage_sqlite(file)

@@ -1,0 +1,128 @@
+"""The strokes of a trace: what each voltage step made the valve do."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from valve_sim.traces.trace import Trace
+
+    Array = NDArray[np.float64]
+
+MAD_TO_SIGMA = 1.4826
+"""Median absolute deviation of a normal distribution to its standard deviation."""
+
+MOTION_SIGMAS = 25.0
+"""Noise alone spans 9 sigma in 10⁵ samples; sigma from differences is half the truth for AR(1) noise of 0.7."""
+
+MOTION_STEPS = 3.0
+"""Quantisation steps that a resting sensor may flicker over."""
+
+SMALLEST_MOTION = 1e-6
+"""m; below the resolution that any of the sensors of the paper resolves at rest."""
+
+FULL_TRAVEL = 0.9
+"""An opening that ends below this share of the trace's travel did not reach the stop: a pulse."""
+
+
+class Stroke(NamedTuple):
+    """One voltage step and what follows until the next.
+
+    Attributes:
+        kind: "opening", "pulse" (an opening taken back before the stop), "closing" or "hold" (a step that moves nothing
+            from where the valve is open, as from peak to hold voltage).
+        start: Time of the command, s.
+        stop: Time of the next command or the trace's end, s (not in the window).
+        volts: The new voltage.
+        name: For people: "opening at 0.010 s, 9.0 V".
+        moved: Whether the pilot plunger was seen to move.
+    """
+
+    kind: str
+    start: float
+    stop: float
+    volts: float
+    name: str
+    moved: bool
+
+
+def sample_noise(position: Array) -> float:
+    """Return the standard deviation of white noise on a position, m, from second differences, which motion spares."""
+    if len(position) < 4:
+        return 0.0
+    return float(MAD_TO_SIGMA * np.median(np.abs(np.diff(position, 2))) / np.sqrt(6.0))
+
+
+def _quantisation_step(position: Array) -> float:
+    """Return the sensor's step, m; next to 0 for one whose values lie anywhere."""
+    changes = np.abs(np.diff(position))
+    # Values on a grid come back with rounding errors of 1e-19 m, which are no steps.
+    changes = changes[changes > 1e-12]
+    return float(changes.min()) if len(changes) else 0.0
+
+
+def motion_threshold(position: Array) -> float:
+    """Return the span, m, beyond which a position has moved and not only shown noise."""
+    return MOTION_SIGMAS * sample_noise(position) + MOTION_STEPS * _quantisation_step(position) + SMALLEST_MOTION
+
+
+def largest_travel(position: Array) -> float:
+    """Return the span of a position, m, without single outliers (medians of three)."""
+    if len(position) < 3:
+        return float(np.ptp(position)) if len(position) else 0.0
+    smooth = np.median(np.stack([position[:-2], position[1:-1], position[2:]]), axis=0)
+    return float(np.ptp(smooth))
+
+
+def find_strokes(trace: Trace) -> tuple[Stroke, ...]:
+    """Return the strokes of a trace in time order; commands that repeat the voltage start none."""
+    times, volts = _steps(trace.drive.times, trace.drive.volts)
+    if len(times) == 0:
+        return ()
+    end = np.nextafter(max(float(trace.times[-1]), float(times[-1])), np.inf)
+    stops = [*times[1:], end]
+    before = [0.0, *volts[:-1]]
+    threshold = motion_threshold(trace.pilot_position)
+    closed, opened = _extent(trace.pilot_position)
+    strokes = []
+    for start, stop, old, new in zip(times, stops, before, volts, strict=True):
+        window = trace.pilot_position[np.searchsorted(trace.times, start) : np.searchsorted(trace.times, stop)]
+        moved = len(window) > 0 and largest_travel(window) > threshold
+        share = (window - closed) / max(opened - closed, threshold) if len(window) else np.zeros(1)
+        kind = _kind(abs(old), abs(new), share, moved=moved)
+        strokes.append(
+            Stroke(kind, float(start), float(stop), float(new), f"{kind} at {start:.3f} s, {new:.1f} V", moved)
+        )
+    return tuple(strokes)
+
+
+def _steps(times: Array, volts: Array) -> tuple[Sequence[float], Sequence[float]]:
+    """Return the commands that change the voltage; before the first it is 0."""
+    changed = np.diff(volts, prepend=0.0) != 0
+    return times[changed].tolist(), volts[changed].tolist()
+
+
+def _extent(position: Array) -> tuple[float, float]:
+    """Return the closed and the open end of a trace's motion, m."""
+    if len(position) < 3:
+        return float(position.min()), float(position.max())
+    smooth = np.median(np.stack([position[:-2], position[1:-1], position[2:]]), axis=0)
+    return float(smooth.min()), float(smooth.max())
+
+
+def _kind(old: float, new: float, share: Array, *, moved: bool) -> str:
+    """Name a step of the absolute voltage by what the pilot plunger did (share: 0 closed, 1 as open as it gets)."""
+    was_open = share[0] > FULL_TRAVEL
+    if new > old:
+        if was_open:
+            return "hold"
+        return "pulse" if moved and share.max() < FULL_TRAVEL else "opening"
+    if new == 0 or (moved and share[-1] < share[0]):
+        return "closing"
+    return "hold"

@@ -1,0 +1,57 @@
+"""What one recording says about one valve: arrays with units on one clock."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from valve_sim.model import Drive
+
+
+class Signal(NamedTuple):
+    """A sampled quantity beside the positions.
+
+    Attributes:
+        times: Seconds since the trace's `epoch_ns`, ascending, shape (n,).
+        values: SI values (°C for a temperature), shape (n,).
+    """
+
+    times: NDArray[np.float64]
+    values: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Trace:
+    """One valve in one recording; all times are seconds since `epoch_ns`.
+
+    Attributes:
+        source: The file and the valve, for messages.
+        drive: Commanded voltage (V), held between commands, 0 V before the first.
+        times: Sample times, strictly ascending, s, shape (n,).
+        pilot_position: Pilot plunger, m, shape (n,).
+        main_position: Main plunger, m, shape (n,); None where it was not recorded.
+        coil_current: Measured current, A.
+        acceleration: Along the axis, m/s².
+        inlet_pressure: Pa.
+        coil_temperature: °C.
+        epoch_ns: The first stamp of commands or samples, ns, on the samples' clock.
+        clock: "header" when samples are timed by their stamps, "bag" when by the time they were recorded.
+        findings: One sentence each: what was dropped, repaired or salvaged, with counts.
+    """
+
+    source: str
+    drive: Drive
+    times: NDArray[np.float64]
+    pilot_position: NDArray[np.float64]
+    main_position: NDArray[np.float64] | None = None
+    coil_current: Signal | None = None
+    acceleration: Signal | None = None
+    inlet_pressure: Signal | None = None
+    coil_temperature: Signal | None = None
+    epoch_ns: int = 0
+    clock: str = "header"
+    findings: tuple[str, ...] = ()

@@ -1,0 +1,301 @@
+"""Traces to recordings: .mcap files, rosbag2 folders and CSV, whole or not at all."""
+
+from __future__ import annotations
+
+import csv
+import os
+import shutil
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+
+from valve_sim.traces.cdr import encode_messages, typestore
+from valve_sim.traces.clocks import SECOND
+from valve_sim.traces.errors import TraceError
+from valve_sim.traces.reading import CHANNELS, COMMAND, FLOAT, JOINT_STATE, MAIN, MEASURED, PILOT
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+    from os import PathLike
+    from types import TracebackType
+
+    from numpy.typing import ArrayLike, NDArray
+    from rosbags.interfaces import Connection
+
+    from valve_sim.traces.reading import Channel
+    from valve_sim.traces.trace import Signal, Trace
+
+    Storage = Literal["mcap", "sqlite3"]
+
+CSV_COLUMNS = ("time", "coil_voltage", "coil_current", "pilot_position", "main_position", "pilot_velocity", "phase")
+
+
+class BagRecorder:
+    """Writes messages as they come; the recording appears under its name when it is complete.
+
+    Use it as a context manager: an exception inside leaves nothing behind.
+
+    Args:
+        path: Ends with .mcap for a bare file (one that exists is replaced), otherwise a rosbag2 folder, a new one.
+        storage: What a folder holds: "mcap" or "sqlite3".
+        compressed: Pack with zstd: chunks of an MCAP, messages of a SQLite3 bag.
+
+    Raises:
+        TraceError: The place cannot be written to.
+    """
+
+    def __init__(self, path: str | PathLike[str], *, storage: Storage = "mcap", compressed: bool = False) -> None:
+        """Open the recording under a temporary name; see the class."""
+        self.path = Path(path)
+        self._bare = self.path.suffix == ".mcap"
+        self._workshop = self.path.with_name(f".{self.path.name}.{os.getpid()}.partial")
+        name = self.path.stem if self._bare else self.path.name
+        if self.path.is_dir() or (self.path.exists() and not self._bare):
+            raise TraceError(f"{self.path}: exists already; choose another name or remove it")
+        plugin = StoragePlugin.MCAP if self._bare or storage == "mcap" else StoragePlugin.SQLITE3
+        try:
+            shutil.rmtree(self._workshop, ignore_errors=True)
+            self._workshop.mkdir(parents=True)
+            self._writer = Writer(self._workshop / name, version=9, storage_plugin=plugin)
+            if compressed:
+                mode = CompressionMode.STORAGE if plugin == StoragePlugin.MCAP else CompressionMode.MESSAGE
+                self._writer.set_compression(mode, CompressionFormat.ZSTD)
+            self._writer.open()
+        except OSError as error:
+            shutil.rmtree(self._workshop, ignore_errors=True)
+            raise TraceError(f"{self.path}: cannot be written ({error.strerror}); choose another place") from error
+        self._connections: dict[str, Connection] = {}
+        self._types: dict[str, str] = {}
+
+    def add_topic(self, topic: str, message_type: str) -> None:
+        """Announce a topic, even if no message follows.
+
+        Args:
+            topic: Its full name.
+            message_type: "std_msgs/msg/Float64".
+
+        Raises:
+            TraceError: The type is unknown, or the topic has another one.
+        """
+        if message_type not in typestore().fielddefs:
+            raise TraceError(
+                f"{self.path}: topic {topic}: type {message_type} is unknown; record common ROS 2 types only"
+            )
+        if self._types.setdefault(topic, message_type) != message_type:
+            raise TraceError(
+                f"{self.path}: topic {topic} is {self._types[topic]}, not {message_type}; use another name"
+            )
+        if topic not in self._connections:
+            self._connections[topic] = self._writer.add_connection(topic, message_type, typestore=typestore())
+
+    def write(self, topic: str, message_type: str, payload: bytes, time_ns: int) -> None:
+        """Write one serialized (CDR) message that came at `time_ns`, ns of the recorder's clock."""
+        if self._types.get(topic) != message_type:
+            self.add_topic(topic, message_type)
+        self._writer.write(self._connections[topic], time_ns, payload)
+
+    def close(self) -> None:
+        """Finish the recording and move it to its name."""
+        try:
+            self._writer.close()
+            if self._bare:
+                (self._writer.path / self.path.name).replace(self.path)
+            else:
+                self._writer.path.rename(self.path)
+        except OSError as error:
+            raise TraceError(f"{self.path}: cannot be written ({error.strerror}); choose another place") from error
+        finally:
+            shutil.rmtree(self._workshop, ignore_errors=True)
+
+    def discard(self) -> None:
+        """Give the recording up and leave nothing behind."""
+        self._writer.abort()
+        shutil.rmtree(self._workshop, ignore_errors=True)
+
+    def __enter__(self) -> BagRecorder:
+        """Return the open recorder."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        """Finish, or after an exception discard."""
+        if kind is None:
+            self.close()
+        else:
+            self.discard()
+
+
+def write_bag(
+    path: str | PathLike[str],
+    trace: Trace,
+    *,
+    valve: str = "/valve",
+    velocities: NDArray[np.float64] | None = None,
+    efforts: NDArray[np.float64] | None = None,
+    storage: Storage = "mcap",
+    compressed: bool = False,
+) -> None:
+    """Write a trace with the topics of measured data; bag times are the stamps.
+
+    Args:
+        path: Ends with .mcap for a bare file, otherwise a rosbag2 folder that must not exist.
+        trace: What to write.
+        valve: The name in front of the topics.
+        velocities: m/s, shape (n, 2), pilot and main plunger; None writes NaN (not measured).
+        efforts: N, shape (n, 2); None writes NaN.
+        storage: What a folder holds: "mcap" or "sqlite3".
+        compressed: Pack with zstd.
+
+    Raises:
+        TraceError: The place cannot be written to, or stamps are before 1970.
+    """
+    write_bags(path, {valve: trace}, velocities=velocities, efforts=efforts, storage=storage, compressed=compressed)
+
+
+def write_bags(
+    path: str | PathLike[str],
+    traces: Mapping[str, Trace],
+    *,
+    velocities: NDArray[np.float64] | None = None,
+    efforts: NDArray[np.float64] | None = None,
+    storage: Storage = "mcap",
+    compressed: bool = False,
+) -> None:
+    """Write several valves, by name, into one recording; otherwise as `write_bag`."""
+    topics = []
+    for valve, trace in traces.items():
+        if trace.epoch_ns + SECOND * min(float(trace.drive.times.min(initial=0.0)), float(trace.times[0])) < 0:
+            raise TraceError(f"{path}: stamps before 0 cannot be stored in a bag; start the trace at 0 or later")
+        prefix = "/" + valve.strip("/") if valve.strip("/") else ""
+        topics += [
+            (f"{prefix}/{name}", *content) for name, content in _measured_topics(trace, velocities, efforts).items()
+        ]
+    with BagRecorder(path, storage=storage, compressed=compressed) as recorder:
+        for topic, message_type, _, _ in topics:
+            recorder.add_topic(topic, message_type)
+        places = np.concatenate([np.full(len(times), place) for place, (_, _, times, _) in enumerate(topics)])
+        order = np.argsort(np.concatenate([times for _, _, times, _ in topics]), kind="stable")
+        # Within one topic a stable sort keeps the order of messages, so that each topic is simply taken from its front.
+        queues = [zip(times.tolist(), payloads, strict=True) for _, _, times, payloads in topics]
+        for place in places[order].tolist():
+            time, payload = next(queues[place])
+            recorder.write(topics[place][0], topics[place][1], payload, time)
+
+
+def _measured_topics(
+    trace: Trace, velocities: NDArray[np.float64] | None, efforts: NDArray[np.float64] | None
+) -> dict[str, tuple[str, NDArray[np.int64], list[bytes]]]:
+    """Return by topic its type, times in ns, and messages."""
+    volts = {"data": trace.drive.volts}
+    times = _nanoseconds(trace, trace.drive.times)
+    topics = {COMMAND: (FLOAT, times, _messages(FLOAT, volts, times))}
+    stamps = _nanoseconds(trace, trace.times)
+    topics[MEASURED] = (JOINT_STATE, stamps, _joint_states(trace, stamps, velocities, efforts))
+    for name, channel in CHANNELS.items():
+        signal: Signal | None = getattr(trace, name)
+        if signal is not None:
+            times = _nanoseconds(trace, signal.times)
+            topics[channel.topic] = (channel.message_type, times, _channel_messages(channel, signal, times))
+    return topics
+
+
+def _nanoseconds(trace: Trace, times: NDArray[np.float64]) -> NDArray[np.int64]:
+    return trace.epoch_ns + np.rint(np.asarray(times) * SECOND).astype(np.int64)
+
+
+def _channel_messages(channel: Channel, signal: Signal, times: NDArray[np.int64]) -> list[bytes]:
+    columns: dict[str, NDArray[Any]] = {channel.path: signal.values}
+    if channel.path == "linear_acceleration.x":
+        # -1 says that there is no orientation and no angular velocity (sensor_msgs/Imu).
+        unknown = np.zeros((len(times), 9))
+        unknown[:, 0] = -1.0
+        columns |= {"orientation_covariance": unknown, "angular_velocity_covariance": unknown}
+    return _messages(channel.message_type, columns, times)
+
+
+def _joint_states(
+    trace: Trace,
+    stamps: NDArray[np.int64],
+    velocities: NDArray[np.float64] | None,
+    efforts: NDArray[np.float64] | None,
+) -> list[bytes]:
+    """Return JointStates with all arrays filled: rclpy adds rubbish to those whose last arrays are empty."""
+    main = trace.main_position if trace.main_position is not None else np.full(len(stamps), np.nan)
+    unknown = np.full((len(stamps), 2), np.nan)
+    columns = {
+        "position": np.column_stack([trace.pilot_position, main]),
+        "velocity": unknown if velocities is None else velocities,
+        "effort": unknown if efforts is None else efforts,
+    }
+    return _messages(JOINT_STATE, columns, stamps)
+
+
+def _messages(message_type: str, columns: Mapping[str, NDArray[Any]], stamps: NDArray[np.int64]) -> list[bytes]:
+    """Serialize messages with these numbers, and with header stamps where the type has a header."""
+    if message_type != FLOAT:
+        seconds, nanoseconds = np.divmod(stamps, SECOND)
+        columns = {**columns, "header.stamp.sec": seconds, "header.stamp.nanosec": nanoseconds}
+    return encode_messages(_blank(message_type), message_type, columns, len(stamps))
+
+
+def _blank(message_type: str) -> object:
+    """Return a message with zeros and, for a JointState, with this package's joints."""
+    types = typestore().types
+    header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](0, 0), "")
+    zeros = np.zeros(9)
+
+    def vector() -> Any:
+        return types["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
+
+    if message_type == FLOAT:
+        return types[FLOAT](0.0)
+    if message_type == JOINT_STATE:
+        return types[JOINT_STATE](header, [PILOT, MAIN], np.zeros(2), np.zeros(2), np.zeros(2))
+    if message_type == "sensor_msgs/msg/Imu":
+        level = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+        return types[message_type](header, level, zeros, vector(), zeros, vector(), zeros)
+    return types[message_type](header, 0.0, 0.0)
+
+
+def write_csv(path: str | PathLike[str], columns: Mapping[str, ArrayLike]) -> None:
+    """Write a table in SI units with the columns of `CSV_COLUMNS`, in that order.
+
+    Args:
+        path: The file; one that exists is replaced.
+        columns: Each column's values, shape (n,); phase as on the topic (0 closed ... 4 open).
+
+    Raises:
+        TraceError: The place cannot be written to.
+        KeyError: A column is missing.
+    """
+    table = [np.asarray(columns[name]).tolist() for name in CSV_COLUMNS]
+    with _replacing(Path(path)) as partial, partial.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(CSV_COLUMNS)
+        writer.writerows(zip(*table, strict=True))
+
+
+@contextmanager
+def _replacing(path: Path) -> Iterator[Path]:
+    """Give a name to write to; move the file to its own name when all went well."""
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield partial
+        partial.replace(path)
+    except OSError as error:
+        raise TraceError(f"{path}: cannot be written ({error.strerror}); choose another place") from error
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def commanded_voltage(
+    trace_times: NDArray[np.float64], times: NDArray[np.float64], volts: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the voltage held at each sample, V: commands of `volts` at `times` (ascending), 0 V before the first."""
+    place = np.searchsorted(times, trace_times, side="right")
+    return np.concatenate([[0.0], volts])[place]
