@@ -71,6 +71,7 @@ setup(
     extras_require={"ros": ROS_JAZZY, "ros-kilted": ROS_KILTED, "test": CHECKS},
     entry_points={
         "console_scripts": [
+            "identification_node = valve_sim.nodes.identification_node:main",
             "valve_node = valve_sim.nodes.valve_node:main",
             "valve-sim = valve_sim.cli:main",
         ],

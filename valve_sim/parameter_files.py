@@ -58,6 +58,11 @@ class Section(NamedTuple):
         pattern = re.escape(self.node).replace(r"/\*\*", "(/[^/]+)*").replace(r"\*", "[^/]+")
         return re.fullmatch(pattern, node) is not None
 
+    @property
+    def is_about_valve(self) -> bool:
+        """Whether a valve or its effects are among the parameters."""
+        return any(name.partition(".")[0] in _ROOT_KEYS for name in self.values)
+
 
 def load_valve(path: Path | str, node: str | None = None) -> Valve:
     """The valve that a parameter file describes.
@@ -72,9 +77,11 @@ def load_valve(path: Path | str, node: str | None = None) -> Valve:
         ParameterError: the file cannot be read, or anything in it about the valve is unknown, of the wrong type or
             out of range; one line that names file, key, what was found and what is expected.
     """
-    sections = [section for section in read_sections(path) if node is None or section.applies_to(node)]
-    sections = [section for section in sections if any(_is_about_valve(name) for name in section.values)]
+    candidates = [section for section in read_sections(path) if node is None or section.applies_to(node)]
+    sections = [section for section in candidates if section.is_about_valve]
     if not sections:
+        for section in candidates:
+            valve_from_flat(section.values, str(path))  # perhaps all that is wrong is where a name stands
         meant = "" if node is None else f" of {node}"
         raise ParameterError(f"{path}: holds no parameters{meant} of a valve; {_FORM}")
     named = sorted({section.node for section in sections if "*" not in section.node})
@@ -309,10 +316,6 @@ def _plain(value: Any) -> Any:
 
 
 # --- names --------------------------------------------------------------------------------------------------------
-
-
-def _is_about_valve(name: str) -> bool:
-    return name.partition(".")[0] in _ROOT_KEYS
 
 
 def _check_name(given: str, known: Sequence[str], key: str, value: object, source: str) -> None:

@@ -1,4 +1,4 @@
-"""Is what a model leaves more than noise? (METHOD step 2)"""
+"""Tests of whether what a model leaves is more than noise (METHOD step 2)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy import stats
+from scipy.special import fdtrc
 
 from valve_sim.identification.fitting import Fit, Problem
 from valve_sim.identification.plant import Array
@@ -70,4 +70,4 @@ def _size_test(values: Array, excess: float, quiet: int, free: int) -> float:
     """P-value of Σ values² being noise, whose own variance is known from `quiet` samples only (an F test)."""
     freedom = max(1, len(values) - free)
     ratio = float(values @ values) / freedom / excess
-    return float(stats.f.sf(ratio, freedom, quiet))
+    return float(fdtrc(freedom, quiet, ratio))

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from valve_sim.identification.fitting import Fit, Interval, Problem, covariance_interval, fit, profile_interval
+from valve_sim.identification.fitting import Fit, Interval, Problem, fit, profile_interval
 from valve_sim.identification.plant import Array, Plant
 from valve_sim.identification.valve_plant import ValvePlant
 from valve_sim.model import CATALOGUE, DECLARED, ParameterError, Valve
@@ -60,9 +60,7 @@ class Identification:
                 "quantisation_um": 1e6 * noise.step,
             },
             "parameters": {name: interval.to_json() for name, interval in self.intervals.items()},
-            "clock_offsets_us": [
-                1e6 * self.fit.values[nuisance.name] for nuisance in self.fit.problem.plant.nuisances
-            ],
+            "clock_offsets_us": [1e6 * self.fit.values[nuisance.name] for nuisance in self.fit.problem.plant.nuisances],
             "rmse_um": {"before": 1e6 * self.rmse_before, "after": 1e6 * self.rmse_after},
             "chi2_per_sample": self.fit.chi2 / self.fit.problem.effective_samples,
             "converged": self.fit.converged,

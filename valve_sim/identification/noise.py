@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -18,6 +18,8 @@ LARGEST_ORDER: Final = 3
 """Of the autoregression."""
 SHORTEST_WINDOW: Final = 100
 """Samples: a shorter quiet window says too little of colour."""
+SHORT_WINDOW: Final = 25
+"""Samples: what must do where no quiet window is longer. The size of the noise is taken from these, not its colour."""
 BLOCK: Final = 64
 """Samples in a block whose mean shows noise slower than the autoregression."""
 COARSE: Final = 2.0
@@ -65,6 +67,9 @@ def estimate_noise(channels: Sequence[Channel]) -> Noise:
         channels: of one kind; at least one with samples.
     """
     windows = [window for channel in channels for window in quiet_windows(channel)]
+    shows_colour = bool(windows)
+    if not shows_colour:
+        windows = [window for channel in channels for window in quiet_windows(channel, SHORT_WINDOW)]
     step = quantisation_step(np.concatenate([channel.data for channel in channels]))
     if not windows:
         # Never still: the second difference of a smooth motion is nearly all noise.
@@ -80,18 +85,21 @@ def estimate_noise(channels: Sequence[Channel]) -> Noise:
         return Noise(sigma, sigma, (), step, 1.0, samples)
     if spread < floor:
         return Noise(floor, floor, (), step, 1.0, samples)
+    if not shows_colour:
+        white = Noise(spread, spread, (), step, 1.0, samples)
+        return replace(white, excess=_excess(white, centred, SHORT_WINDOW))
     coefficients, innovation = _autoregression(centred, samples)
     noise = Noise(spread, innovation, coefficients, step, 1.0, samples)
     return Noise(spread, innovation, coefficients, step, _excess(noise, centred), samples)
 
 
-def quiet_windows(channel: Channel) -> list[Array]:
-    """The stretches of a channel in which the machine is still, each of at least SHORTEST_WINDOW samples."""
+def quiet_windows(channel: Channel, shortest: int = SHORTEST_WINDOW) -> list[Array]:
+    """The stretches of a channel in which the machine is still, each of at least `shortest` samples."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], channel.quiet.astype(np.int8), [0]])))
     return [
         channel.data[start:stop]
         for start, stop in zip(edges[::2], edges[1::2], strict=True)
-        if stop - start >= SHORTEST_WINDOW
+        if stop - start >= shortest
     ]
 
 
@@ -159,13 +167,13 @@ def _autoregression(windows: Sequence[Array], samples: int) -> tuple[tuple[float
     return tuple(float(value) for value in best[1]), math.sqrt(best[2])
 
 
-def _excess(noise: Noise, windows: Sequence[Array]) -> float:
+def _excess(noise: Noise, windows: Sequence[Array], block: int = BLOCK) -> float:
     """How much more the means of blocks vary than those of white noise, at least 1; 1 where too few to tell."""
     means = []
     for window in windows:
         white = noise.whiten(window)
-        blocks = len(white) // BLOCK
-        means.extend(white[: blocks * BLOCK].reshape(blocks, BLOCK).mean(axis=1) * math.sqrt(BLOCK))
+        blocks = len(white) // block
+        means.extend(white[: blocks * block].reshape(blocks, block).mean(axis=1) * math.sqrt(block))
     if len(means) < 10:
         return 1.0
     ratio = float(np.mean(np.square(means)))

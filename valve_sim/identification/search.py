@@ -28,6 +28,8 @@ ANNEALING: Final = (100.0, 20.0, 5.0)
 """σ: Cauchy scales that lead a fit with impacts out of wrong basins (METHOD)."""
 ROBUST: Final = 20.0
 """σ: scale of the cost by which starts are ranked, so that one impact at another time does not decide."""
+SCATTER: Final = (1.0, 3.0, 3.0, 10.0, 10.0, 30.0)
+"""Standard errors by which the starts of a polish are scattered."""
 MOST_EFFECTS: Final = 3
 
 Progress = Callable[[str, float], None]
@@ -61,6 +63,7 @@ class Search:
         self.fits: dict[Hypothesis, Fit] = {}
         self._progress = progress or (lambda what, fraction: None)
         self._annealed: set[Hypothesis] = set()
+        self._polished: set[Hypothesis] = set()
 
     def say(self, what: str, fraction: float) -> None:
         """Report progress."""
@@ -76,6 +79,32 @@ class Search:
             fits.extend(self._attempt(hypothesis, dict(fits[0].values), ANNEALING))
         self.fits[hypothesis] = min(fits, key=lambda result: result.chi2)
         return self.fits[hypothesis]
+
+    def polish(self, hypothesis: Hypothesis) -> Fit:
+        """Fit again from around the best fit: contacts that come and go make shallow wrong basins beside the right one.
+
+        The starts are scattered by a few standard errors, with a seed of their own, so that a diagnosis repeats.
+        """
+        best = self.fit(hypothesis, anneal=True)
+        if hypothesis in self._polished:
+            return best
+        self._polished.add(hypothesis)
+        random = np.random.default_rng(len(hypothesis.effects))
+        plant = self.problem.plant
+        for spread in SCATTER:
+            start = dict(best.values)
+            for name in best.free:
+                parameter = plant.parameter(name)
+                index = best.free.index(name)
+                error = min(math.sqrt(float(best.covariance[index, index])), search_scale(parameter))
+                at = float(best.coordinates[index]) + spread * error * float(random.standard_normal())
+                lower, upper = search_bounds(parameter)
+                start[name] = from_search(parameter, min(max(at, lower), upper))
+            for result in self._attempt(hypothesis, start):
+                if result.chi2 < best.chi2:
+                    best = result
+        self.fits[hypothesis] = best
+        return best
 
     def score(self, hypothesis: Hypothesis) -> float:
         """S of a hypothesis."""
@@ -101,15 +130,14 @@ class Search:
             for start in starts:
                 yield from self._attempt(hypothesis, start)
             return
-        known = [name for name in hypothesis.effects if hypothesis.without(name) in self.fits]
         untimed = hypothesis._replace(timing=False)
         if hypothesis.timing and untimed in self.fits:
             yield from self._attempt(hypothesis, self.fits[untimed].values)
-        for added in known or hypothesis.effects[-1:]:
-            smaller = hypothesis.without(added)
-            warm = self.fit(smaller).values
-            for start in effect_starts(self.problem, self.problem.plant.effects[added], warm):
-                yield from self._attempt(hypothesis, {**warm, **start})
+        known = [name for name in hypothesis.effects if hypothesis.without(name) in self.fits]
+        added = min(known, key=lambda name: self.score(hypothesis.without(name))) if known else hypothesis.effects[-1]
+        warm = self.fit(hypothesis.without(added)).values
+        for start in effect_starts(self.problem, self.problem.plant.effects[added], warm):
+            yield from self._attempt(hypothesis, {**warm, **start})
 
     def _attempt(
         self, hypothesis: Hypothesis, start: Mapping[str, float], robust: Sequence[float] = ()
@@ -126,8 +154,13 @@ def effect_starts(problem: Problem, effect: EffectChoice, warm: Mapping[str, flo
     """Where to start an effect's parameters from: near off, and the best of some larger sizes and other shapes."""
     near = [] if _is_saddle(effect) else [_start(effect, [SMALL] * len(effect.parameters), 1.0)]
     amplitudes = [parameter.off is not None for parameter in effect.parameters]
-    choices = [_sizes(parameter) if is_amplitude else (1.0,) for parameter, is_amplitude in zip(effect.parameters, amplitudes, strict=True)]
-    combinations = list(itertools.product(*choices)) if sum(amplitudes) <= 2 else [(size,) * len(choices) for size in LARGE]
+    choices = [
+        _sizes(parameter) if is_amplitude else (1.0,)
+        for parameter, is_amplitude in zip(effect.parameters, amplitudes, strict=True)
+    ]
+    combinations = (
+        list(itertools.product(*choices)) if sum(amplitudes) <= 2 else [(size,) * len(choices) for size in LARGE]
+    )
     shapes = SHAPES if not all(amplitudes) else SHAPES[:1]
     far = [_start(effect, sizes, shape) for sizes in combinations for shape in shapes]
 

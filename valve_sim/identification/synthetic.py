@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import yaml
+from numpy.typing import NDArray
 
 from valve_sim.identification.plant import Array
 from valve_sim.identification.tables import TableError, read_table
@@ -45,11 +46,11 @@ class Recording(NamedTuple):
     response: Response
     trace: Trace
 
-    def columns(self) -> dict[str, Array]:
+    def columns(self) -> dict[str, NDArray[Any]]:
         """The table of `CSV_COLUMNS`: positions and current as measured, velocity and phase as they were."""
         trace, response = self.trace, self.response
         assert trace.main_position is not None and trace.coil_current is not None
-        values = (
+        values: tuple[NDArray[Any], ...] = (
             trace.times,
             trace.drive.at(trace.times),
             trace.coil_current.values,
@@ -75,14 +76,17 @@ def record(valve: Valve, drive: Drive, duration: float, rate: float, sensor: Sen
         ValveError: no command, no sample, or too many of them fall into the duration.
         SimulationError: the run could not be carried to its end.
     """
-    count = round(duration * rate)
-    if not 2 <= count <= MOST_SAMPLES:
+    if not 1.5 <= duration * rate <= MOST_SAMPLES:
         raise ValveError(
-            f"{duration:g} s at {rate:g} Hz are {count} samples; expected 2 to {MOST_SAMPLES}: change duration or rate"
+            f"{duration:g} s at {rate:g} Hz are {duration * rate:.6g} samples; expected 2 to {MOST_SAMPLES}: change "
+            "duration or rate"
         )
     inside = drive.times < duration
     if not inside.any():
-        raise ValveError(f"the first command comes at {drive.times[0]:g} s; expected one before the end, {duration:g} s")
+        raise ValveError(
+            f"the first command comes at {drive.times[0]:g} s; expected one before the end, {duration:g} s"
+        )
+    count = round(duration * rate)
     times = np.arange(count) / rate
     response = simulate(valve, drive, times, start_time=0.0)
     random = np.random.default_rng(sensor.seed)

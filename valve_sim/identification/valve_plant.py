@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
@@ -84,12 +85,18 @@ class ValvePlant:
         """Curves over position, velocity and time, and such curves times v or u²."""
         fastest = max(_fastest(trace) for trace in self.traces)
         longest = max(float(trace.times[-1]) for trace in self.traces)
-        spans = {"x": (0.0, self.valve.parameters.stroke, "m"), "v": (-fastest, fastest, "m/s"), "t": (0.0, longest, "s")}
+        spans = {
+            "x": (0.0, self.valve.parameters.stroke, "m"),
+            "v": (-fastest, fastest, "m/s"),
+            "t": (0.0, longest, "s"),
+        }
         maps = []
         for index, variable in enumerate(FORCE_MAP_VARIABLES):
             low, high, unit = spans[variable[0]]
             fixed = {"force_map.variable": float(index), "force_map.low": low, "force_map.high": high}
-            maps.append(ForceMap(variable, tuple(f"force_map.{knot}" for knot in FORCE_MAP_KNOTS), fixed, low, high, unit))
+            maps.append(
+                ForceMap(variable, tuple(f"force_map.{knot}" for knot in FORCE_MAP_KNOTS), fixed, low, high, unit)
+            )
         return maps
 
     def parameter(self, name: str) -> Parameter:
@@ -156,7 +163,7 @@ class ValvePlant:
         current_times = trace.coil_current.times - offset if trace.coil_current is not None else _NO_TIMES
         rows = np.empty((len(times), 5))
         currents = np.empty(len(current_times))
-        start = min(float(drive.times[0]), float(times[0])) - CLOCK_SIGMA
+        start = min(float(drive.times[0]), float(times[0]))
         state = new_states(np.empty(1), start)[0]
         run_record(record, state, drive, times, rows, current_times, currents, _NO_EVENTS, FIT_TOLERANCE)
         shown = [rows[:, 0]]
@@ -174,11 +181,11 @@ def still_mask(trace: Trace) -> NDArray[np.bool_]:
     quiet = np.zeros(len(data), dtype=bool)
     bends = np.abs(np.diff(data, 2)) if len(data) > 2 else np.zeros(1)
     edges = np.searchsorted(times, np.concatenate([[-np.inf], trace.drive.times, [np.inf]]))
-    resting = [bends[max(0, b - (b - a) // 4) : b - 2] for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    resting = [bends[max(0, b - (b - a) // 4) : b - 2] for a, b in itertools.pairwise(edges)]
     spread = [1.4826 * float(np.median(piece)) for piece in resting if len(piece) > 10]
     sigma = float(np.median(spread)) if spread else 0.0
     width = STILL * max(sigma, 1e-9) + _coarse_step(data)
-    for index, (start, stop) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+    for index, (start, stop) in enumerate(itertools.pairwise(edges)):
         if stop - start < 20:
             continue
         tail = data[stop - max(10, (stop - start) // 8) : stop]

@@ -15,11 +15,21 @@ import math
 from typing import Final
 
 import numpy as np
-from valve_sim.model.compiling import compiled, inner
 
+from valve_sim.model.compiling import compiled, inner
 from valve_sim.model.core_types import EVENT_RECORD, EventKind, Outcome, Phase
-from valve_sim.model.dormand_prince import ALL_STATES, MECHANICAL_STATES, SMALLEST_SCALE, STAGES, WORK_RECORD
-from valve_sim.model.dormand_prince import error_norm, fill_dense, interpolate, rates, try_step
+from valve_sim.model.dormand_prince import (
+    ALL_STATES,
+    MECHANICAL_STATES,
+    SMALLEST_SCALE,
+    STAGES,
+    WORK_RECORD,
+    error_norm,
+    fill_dense,
+    interpolate,
+    rates,
+    try_step,
+)
 from valve_sim.model.equations import (
     attraction,
     coil_state,
@@ -74,13 +84,13 @@ def _guard_ahead(p, s):
 
 @inner
 def _coil_now(p, s):
-    """u and w at the state's time."""
+    """Give u and w at the state's time."""
     return coil_state(p, s, s.time, s.u, s.w, s.temperature)
 
 
 @inner
 def _coil_within(p, s, work, h, theta):
-    """u and w at the fraction theta of a step."""
+    """Give u and w at the fraction theta of a step."""
     t = s.time + theta * h
     if work.states == MECHANICAL_STATES:
         return coil_state(p, s, t, 0.0, 0.0, 0.0)
@@ -541,7 +551,7 @@ def run(p, s, t_end, commit_end, times, rows, current_times, currents, events, c
         if chatter > LONGEST_CHATTER:
             return at, at_current, count, CHATTERING
         _commit(p, s, work, h, t_new)
-        if ends == NO_EVENT or ends == MOVED_OFF:
+        if ends in (NO_EVENT, MOVED_OFF):
             s.step = following
         first_is_known = ends == NO_EVENT
         if first_is_known:
@@ -604,8 +614,7 @@ def run_batch(records, states, command_times, volts, times, positions, tolerance
 @compiled
 def settle_geometry(p, s):
     """Make mode and position agree after the contacts moved: nothing jumps but what a contact must push."""
-    if s.x > p.stroke:
-        s.x = p.stroke
+    s.x = min(s.x, p.stroke)
     at_rest_in_contact = not s.moving and s.mode in (GAP_HOLD, OPEN)
     if at_rest_in_contact and s.x != (p.stroke if s.mode == OPEN else p.pilot_gap):
         # The contact has gone: at rest between contacts, free to move off.

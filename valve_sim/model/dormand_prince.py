@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from valve_sim.model.compiling import inner
 
+from valve_sim.model.compiling import inner
 from valve_sim.model.equations import coil_state, heating_rates, mechanical_rates
 
 STAGES: Final = 7

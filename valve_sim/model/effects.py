@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from numba import carray, cfunc, types
+from numba import carray, cfunc, types  # type: ignore[attr-defined]
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
 from valve_sim.model.compiling import cached, compiled
@@ -111,7 +111,7 @@ def compile_term(term: Term, count: int) -> Any:
     force = compiled(term)
 
     def callback(x: float, v: float, u: float, t: float, numbers: Any) -> float:
-        return force(x, v, u, t, *to_fixed_tuple(carray(numbers, (count,)), count))  # type: ignore[no-any-return]
+        return force(x, v, u, t, *to_fixed_tuple(carray(numbers, (count,)), count))  # type: ignore[no-any-return, call-arg]
 
     with cached():
         return cfunc(_TERM_SIGNATURE, cache=True)(callback)
@@ -199,10 +199,10 @@ def _force_map(
     at = x
     if variable == 1.0:
         at = v
-    elif variable == 2.0 or variable == 5.0:
+    elif variable in (2.0, 5.0):
         at = t
     factor = 1.0
-    if variable == 3.0 or variable == 5.0:
+    if variable in (3.0, 5.0):
         factor = v
     elif variable == 4.0:
         factor = u * u
@@ -215,7 +215,9 @@ def _force_map(
     there, after = knots[left + 1], knots[min(left + 2, 7)]
     slope_here, slope_there = 0.5 * (there - before), 0.5 * (after - here)
     rise = there - here
-    value = here + s * (slope_here + s * (3.0 * rise - 2.0 * slope_here - slope_there + s * (slope_here + slope_there - 2.0 * rise)))
+    value = here + s * (
+        slope_here + s * (3.0 * rise - 2.0 * slope_here - slope_there + s * (slope_here + slope_there - 2.0 * rise))
+    )
     return factor * value
 
 
@@ -514,9 +516,7 @@ def _check_effect(effect: Effect, found: Mapping[str, object], where: str) -> di
     }
 
 
-def fill_record(
-    record: Any, declared: Mapping[str, float], effects: Mapping[str, Mapping[str, float]]
-) -> None:
+def fill_record(record: Any, declared: Mapping[str, float], effects: Mapping[str, Mapping[str, float]]) -> None:
     """Write a valve into one record of the compiled core.
 
     Args:

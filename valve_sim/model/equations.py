@@ -107,7 +107,7 @@ def dry_friction(p, v, direction):
 
 @inner
 def acceleration(p, mode, x, v, direction, u, pull2, t, unseated_time):
-    """v' of equation (3) or (4) in motion, m/s²."""
+    """Acceleration v' of equation (3) or (4) in motion, m/s²."""
     force = force_without_dry_friction(p, mode, x, v, direction, u, pull2, t, unseated_time)
     force -= direction * dry_friction(p, v, direction)
     return force / (p.moving_mass if mode >= MAIN else p.pilot_mass)
@@ -115,7 +115,7 @@ def acceleration(p, mode, x, v, direction, u, pull2, t, unseated_time):
 
 @inner
 def coil_current_between_commands(p, s, t):
-    """The solution of (1) and (9) at time t for a coil that does not heat: u and w, exactly."""
+    """Solve (1) and (9) at time t for a coil that does not heat: u and w, exactly."""
     target = s.volts / p.reference_voltage
     elapsed = t - s.segment_time
     u = target
@@ -150,7 +150,7 @@ def coil_state(p, s, t, u, w, temperature):
 
 @inner
 def mechanical_rates(p, s, t, x, v, u, w):
-    """x' and v' of (3) and (4); plungers at rest stay there."""
+    """Rates x' and v' of (3) and (4); plungers at rest stay there."""
     if not s.moving:
         return 0.0, 0.0
     pull2 = pull_squared(p, w, max(s.peak_current, abs(u)))
@@ -159,7 +159,7 @@ def mechanical_rates(p, s, t, x, v, u, w):
 
 @inner
 def heating_rates(p, s, u, w, temperature):
-    """u', w' and T' of (1), (9) and (10) while the coil heats."""
+    """Rates u', w' and T' of (1), (9) and (10) while the coil heats."""
     resistance_ratio = 1.0 + COPPER_TEMPERATURE_COEFFICIENT * temperature
     du = 0.0
     if p.coil_time_constant > 0.0:

@@ -6,6 +6,7 @@ Valve for an Ultra-High Pressure Vessel", Appl. Sci. 2021, 11, 2329 ("the paper"
 
 from __future__ import annotations
 
+import difflib
 import math
 from collections.abc import Sequence
 from typing import Final, NamedTuple
@@ -140,14 +141,13 @@ def check_geometry(pilot_gap: float, stroke: float, source: str) -> None:
     """
     if not 0.0 < pilot_gap < stroke:
         raise ParameterError(
-            f"{source}: valve.pilot_gap: found {pilot_gap:g} m with stroke {stroke:g} m, expected 0 < pilot_gap < stroke"
+            f"{source}: valve.pilot_gap: found {pilot_gap:g} m with stroke {stroke:g} m, "
+            "expected 0 < pilot_gap < stroke"
         )
 
 
 def closest(name: str, known: Sequence[str]) -> str:
     """The known name most like a misspelt one, for a message."""
-    import difflib
-
     matches = difflib.get_close_matches(name, known, n=1, cutoff=0.0)
     return matches[0]
 

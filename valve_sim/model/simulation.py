@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
@@ -70,7 +70,7 @@ class Valve:
         effects: effect name to its parameters, e.g. {"coulomb_friction": {"force": 0.3}}.
     """
 
-    parameters: ValveParameters = ValveParameters()
+    parameters: ValveParameters = field(default_factory=ValveParameters)
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     @classmethod

@@ -36,6 +36,10 @@ class GivenFiles(NamedTuple):
 class Shell(Protocol):
     """What `run_node` runs."""
 
+    @property
+    def exit_code(self) -> int:
+        """0, or 1 if something in it failed."""
+
     def spin(self) -> None:
         """Return when ROS is shut down."""
 
@@ -52,7 +56,7 @@ def run_node(name: str, make: Callable[[GivenFiles], Shell], args: Sequence[str]
         args: the command line with the program's own name first; default sys.argv.
 
     Returns:
-        0 after SIGINT or SIGTERM, 2 after one line on stderr about unusable input.
+        0 after SIGINT or SIGTERM, 1 if the node failed, 2 after one line on stderr about unusable input.
     """
     arguments = list(sys.argv if args is None else args)
     try:
@@ -89,7 +93,8 @@ def read_files(arguments: Sequence[str], folder: Path) -> GivenFiles:
             path = arguments[index + 1]
             found = read_sections(path)
             for section in found:
-                valve_from_flat(section.values, path)
+                if section.is_about_valve:
+                    valve_from_flat(section.values, path)
             sections += [(path, section) for section in found]
             copy = folder / f"{index}.yaml"
             write_sections(copy, found)
@@ -140,8 +145,13 @@ def _made(make: Callable[[GivenFiles], Shell], given: GivenFiles) -> Shell | Non
 def _spin(shell: Shell) -> int:
     shutdown_seen = importlib.import_module("rclpy.executors").ExternalShutdownException
     try:
-        with contextlib.suppress(KeyboardInterrupt, shutdown_seen):
-            shell.spin()
+        shell.spin()
+    except (KeyboardInterrupt, shutdown_seen):
+        pass
+    except Exception:
+        # A signal shuts ROS down under whatever callback is at work, which then fails in a way of its own.
+        if rclpy().ok():
+            raise
     finally:
         # A second Ctrl-C while everything is being put away would only leave a mess.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -152,8 +162,8 @@ def _spin(shell: Shell) -> int:
         # A thread is compiling and cannot be asked to stop; Python would wait for it.
         sys.stdout.flush()
         sys.stderr.flush()
-        os._exit(0)
-    return 0
+        os._exit(shell.exit_code)
+    return shell.exit_code
 
 
 @contextlib.contextmanager

@@ -17,14 +17,14 @@ def main(args: Sequence[str] | None = None) -> int:
         args: the command line with the program's own name first; default sys.argv.
 
     Returns:
-        the exit code: 0 after a signal, 2 after unusable input.
+        the exit code: 0 after a signal, 1 if the node failed, 2 after unusable input.
     """
     return run_node("valve_node", _make_shell, args)
 
 
 def _make_shell(given: GivenFiles) -> Shell:
     # Not before `run_node` has seen that ROS is there: without it, one line says so.
-    from valve_sim.nodes.valve_shell import ValveShell  # noqa: PLC0415
+    from valve_sim.nodes.valve_shell import ValveShell
 
     return ValveShell(given.sections)
 

@@ -1,0 +1,118 @@
+"""The attraction polynomial from a static table: values, honest intervals, and what a missing constant term does."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from valve_sim.identification.static_force import fit_static_force
+from valve_sim.identification.tables import TableError
+from valve_sim.model import ValveError
+from valve_sim.parameter_files import default_valve
+
+TRUTH = np.array([3.0336, 17.096e3, -30.931e6, 24.026e9])
+NOISE = 0.05  # N
+
+
+def table(folder: Path, seed: int = 0, *, scale: float = 1.0, points: int = 60, begin: float = 0.0) -> Path:
+    """A table of the default valve's attraction, as a load cell with noise would show it."""
+    displacement = np.linspace(begin, 1.23e-3, points)
+    force = scale * np.polynomial.polynomial.polyval(displacement, TRUTH)
+    force += NOISE * np.random.default_rng(seed).standard_normal(points)
+    path = folder / f"force_{seed}.csv"
+    rows = np.column_stack([displacement, force])
+    np.savetxt(path, rows, delimiter=",", header="displacement,force", comments="")
+    return path
+
+
+def test_95_percent_intervals_hold_the_truth_in_95_percent_of_tables(tmp_path: Path):
+    inside = np.zeros(4)
+    for seed in range(200):
+        # Few points, so that Student's t and the normal distribution differ (2.23 against 1.96).
+        found = fit_static_force(table(tmp_path, seed, points=14), default_valve()).intervals
+        inside += [found[f"a{power}"].low <= TRUTH[power] <= found[f"a{power}"].high for power in range(4)]
+    # 95 % of 200 with three standard errors of a proportion.
+    assert np.all(np.abs(inside / 200 - 0.95) < 3 * np.sqrt(0.95 * 0.05 / 200))
+
+
+def test_residual_is_the_noise(tmp_path: Path):
+    found = fit_static_force(table(tmp_path, points=2000), default_valve())
+    assert found.rmse == pytest.approx(NOISE, rel=0.05)
+    assert found.to_json()["samples"] == 2000
+
+
+def test_force_at_another_voltage_is_scaled_to_the_reference(tmp_path: Path):
+    found = fit_static_force(table(tmp_path, scale=4.0), default_valve(), voltage=18.0)
+    assert found.valve.parameters.attraction_polynomial[0] == pytest.approx(TRUTH[0], abs=0.05)
+    assert np.max(np.abs(found.force - found.predicted)) < 5 * NOISE
+
+
+def test_constant_term_is_said_to_start_the_motion(tmp_path: Path):
+    remark = fit_static_force(table(tmp_path), default_valve()).remarks[0]
+    assert "starts the motion" in remark
+    assert "without it the valve never opens at 9 V" in remark
+
+
+def test_without_a_constant_term_the_valve_is_said_never_to_open(tmp_path: Path):
+    found = fit_static_force(table(tmp_path), default_valve(), constant=False)
+    assert found.valve.parameters.attraction_polynomial[0] == 0.0
+    assert set(found.intervals) == {"a1", "a2", "a3"}
+    assert "never opens at 9 V" in found.remarks[0]
+    assert not found.valve.can_open()
+
+
+def test_a_table_that_begins_away_from_the_seat_is_said_to_extrapolate(tmp_path: Path):
+    remarks = fit_static_force(table(tmp_path, begin=2e-4), default_valve()).remarks
+    assert any("begins at 200 µm" in remark for remark in remarks)
+
+
+def test_degree_two_leaves_the_cubic_term_out(tmp_path: Path):
+    found = fit_static_force(table(tmp_path), default_valve(), degree=2)
+    assert found.valve.parameters.attraction_polynomial[3] == 0.0
+    assert found.rmse > 5 * NOISE
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "0 0.1\n0.0005 6.1\n0.001 9.5\n0.0011 11\n0.0012 13\n0.00122 14\n",
+        "x;f\n0;0,1\n0,0005;6,1\n0,001;9,5\n0,0011;11\n0,0012;13\n0,00122;14\n",
+        "# stage 3\nforce,note,displacement\n0.1,-,0\n6.1,,0.0005\n9.5,,0.001\n11,,0.0011\n13,,0.0012\n14,,0.00122\n",
+    ],
+    ids=["blanks", "decimal commas", "named columns"],
+)
+def test_tables_as_people_export_them_are_read(tmp_path: Path, text: str):
+    path = tmp_path / "force.csv"
+    path.write_text(text)
+    found = fit_static_force(path, default_valve())
+    assert found.displacement.tolist() == [0, 0.0005, 0.001, 0.0011, 0.0012, 0.00122]
+    assert found.force.tolist() == [0.1, 6.1, 9.5, 11, 13, 14]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "is empty"),
+        ("displacement,force\n", "no row of numbers"),
+        ("displacement,weight\n0,1\n", "expected one named force"),
+        ("displacement,force\n0,1\n0.001,abc\n", "line 3: force: found 'abc'"),
+        ("displacement,force\n0,1\n0.001,nan\n", "line 3: force: found 'nan'"),
+        ("displacement,force\n0,1\n0.001\n", "line 3: has 1 cells"),
+        ("displacement,force\n0,3\n0.26,6\n0.6,7\n1.0,11\n1.23,20\n", "expected metres"),
+        ("displacement,force\n0,3\n0.001,6\n0.0012,7\n", "has 3 points at 3 displacements"),
+    ],
+)
+def test_unusable_tables_are_refused_by_name(tmp_path: Path, text: str, words: str):
+    path = tmp_path / "force.csv"
+    path.write_text(text)
+    with pytest.raises(TableError, match=words) as refusal:
+        fit_static_force(path, default_valve())
+    assert str(path) in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    "settings", [{"degree": 4}, {"degree": -1}, {"degree": 0, "constant": False}, {"voltage": 0.0}]
+)
+def test_settings_without_sense_are_refused(tmp_path: Path, settings: dict[str, float]):
+    with pytest.raises(ValveError, match="expected"):
+        fit_static_force(table(tmp_path), default_valve(), **settings)  # type: ignore[arg-type]

@@ -1,0 +1,29 @@
+"""Marker and fixtures of the tests that run a real valve_node."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+from collections.abc import Iterator
+
+import pytest
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.addinivalue_line("markers", "ros: runs real ROS 2 processes")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    if importlib.util.find_spec("rclpy") is None:
+        for item in items:
+            if item.get_closest_marker("ros"):
+                item.add_marker(pytest.mark.skip(reason="there is no ROS 2 here: rclpy cannot be imported"))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def own_domain() -> Iterator[None]:
+    """No neighbour is heard, and none hears us: domains 20 to 99, by process."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROS_DOMAIN_ID", str(20 + os.getpid() % 80))
+        patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        yield

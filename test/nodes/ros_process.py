@@ -1,0 +1,134 @@
+"""A real valve_node in a process of its own, and a node here that talks to it."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+PATIENCE = 30.0
+"""Seconds after which something that should happen counts as not happening: a busy machine compiles for long."""
+
+
+class NodeProcess:
+    """valve_node, started as a user does; its stderr goes to a file."""
+
+    def __init__(self, folder: Path, arguments: Sequence[str] = (), **environment: str) -> None:
+        self._log = folder / f"stderr-{time.monotonic_ns()}.txt"
+        command = [sys.executable, "-m", "valve_sim.nodes.valve_node", *arguments]
+        with self._log.open("w") as log:
+            self.process = subprocess.Popen(
+                command, stdout=log, stderr=log, env={**os.environ, "ROS_LOG_DIR": str(folder), **environment}
+            )
+
+    @property
+    def output(self) -> str:
+        """What it has said so far."""
+        return self._log.read_text()
+
+    def exit_code(self) -> int:
+        """The exit code, once it has ended."""
+        return self.process.wait(PATIENCE)
+
+    def seconds_to_end(self, number: int) -> float:
+        """How long it takes to end after a signal."""
+        start = time.monotonic()
+        self.process.send_signal(number)
+        self.process.wait(PATIENCE)
+        return time.monotonic() - start
+
+
+@contextlib.contextmanager
+def running(folder: Path, arguments: Sequence[str] = (), **environment: str) -> Iterator[NodeProcess]:
+    """valve_node while inside."""
+    node = NodeProcess(folder, arguments, **environment)
+    try:
+        yield node
+    finally:
+        if node.process.poll() is None:
+            node.process.send_signal(signal.SIGTERM)
+            try:
+                node.process.wait(5.0)
+            except subprocess.TimeoutExpired:
+                node.process.kill()
+                node.process.wait()
+
+
+class Probe:
+    """A node in the test's own process: hears, commands, calls."""
+
+    def __init__(self, target: str = "/valve") -> None:
+        import rclpy
+        from rclpy.executors import SingleThreadedExecutor
+
+        self.target = target
+        self.node: Any = rclpy.create_node("probe")
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self.node)
+
+    def close(self) -> None:
+        """Release the node."""
+        self._executor.shutdown()
+        self.node.destroy_node()
+
+    def hear(self, topic: str, kind: Any, *, latched: bool = False) -> list[Any]:
+        """A list that grows by each message."""
+        from rclpy.qos import DurabilityPolicy, QoSProfile
+
+        durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
+        heard: list[Any] = []
+        name = topic if topic.startswith("/") else f"{self.target}/{topic}"
+        self.node.create_subscription(kind, name, heard.append, QoSProfile(depth=1000, durability=durability))
+        return heard
+
+    def talker(self, topic: str, kind: Any, qos: Any = 10) -> Any:
+        """A publisher that somebody listens to."""
+        name = topic if topic.startswith("/") else f"{self.target}/{topic}"
+        publisher = self.node.create_publisher(kind, name, qos)
+        return publisher
+
+    def until(self, condition: Callable[[], Any], patience: float = PATIENCE) -> bool:
+        """Spin until the condition holds; whether it came to that."""
+        end = time.monotonic() + patience
+        while not condition():
+            if time.monotonic() > end:
+                return False
+            self._executor.spin_once(timeout_sec=0.02)
+        return True
+
+    def spin_for(self, seconds: float) -> None:
+        """Hear what comes in so many seconds: for what must not come."""
+        self.until(lambda: False, seconds)
+
+    def call(self, service: str, kind: Any, request: Any = None) -> Any:
+        """The answer of a service of the node."""
+        client = self.node.create_client(kind, f"{self.target}/{service}")
+        assert self.until(client.service_is_ready), f"{service} did not appear"
+        future = client.call_async(kind.Request() if request is None else request)
+        assert self.until(future.done), f"{service} did not answer"
+        return future.result()
+
+    def set_parameters(self, **values: Any) -> list[Any]:
+        """Set parameters, `__` for a dot; the results."""
+        from rcl_interfaces.srv import SetParameters
+        from rclpy.parameter import Parameter
+
+        parameters = [
+            Parameter(name.replace("__", "."), value=value).to_parameter_msg() for name, value in values.items()
+        ]
+        return list(self.call("set_parameters", SetParameters, SetParameters.Request(parameters=parameters)).results)
+
+    def parameters(self) -> dict[str, Any]:
+        """All parameters of the node."""
+        from rcl_interfaces.srv import GetParameters, ListParameters
+        from rclpy.parameter import parameter_value_to_python
+
+        names = list(self.call("list_parameters", ListParameters).result.names)
+        values = self.call("get_parameters", GetParameters, GetParameters.Request(names=names)).values
+        return {name: parameter_value_to_python(value) for name, value in zip(names, values, strict=True)}

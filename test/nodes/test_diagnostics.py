@@ -1,0 +1,65 @@
+"""What the node says about itself, without ROS."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from valve_sim.model import Phase
+from valve_sim.nodes.diagnostics import (
+    CommandCount,
+    Level,
+    ValveFacts,
+    command_status,
+    timing_status,
+    valve_status,
+)
+from valve_sim.nodes.realtime import Timing
+
+GOOD = Timing(999.0, 1e-4, 2, 0, 0)
+
+
+@pytest.mark.parametrize(
+    ("timing", "waiting_for", "level", "message"),
+    [
+        (GOOD, "", Level.OK, "keeps pace"),
+        (GOOD._replace(rate=math.nan), "", Level.OK, "keeps pace"),
+        (GOOD._replace(rate=900.0), "", Level.WARN, "slower than publish_rate"),
+        (GOOD._replace(lost=9, lost_now=3), "", Level.WARN, "3 samples were not published, for lack of time"),
+        (GOOD._replace(lost=9), "", Level.OK, "keeps pace"),
+        (GOOD, "/clock", Level.WARN, "waiting for /clock"),
+    ],
+)
+def test_timing(timing: Timing, waiting_for: str, level: Level, message: str) -> None:
+    status = timing_status(timing, 1000.0, waiting_for)
+    assert (status.task, status.level, status.message) == ("timing", level, message)
+    assert status.values["rate wanted (Hz)"] == "1000"
+    assert status.values["lateness p99 (ms)"] == "0.100"
+    assert status.values["lost steps"] == str(timing.lost)
+
+
+def test_rejected_commands_are_a_warning_once_and_counted_for_ever() -> None:
+    count = CommandCount()
+    assert command_status(count.look(0, None, 0.0, False)).message == "none yet"
+    count.reject(math.nan)
+    count.reject(99.0)
+    status = command_status(count.look(3_000_000_000, 1_000_000_000, 9.0, False))
+    assert status.level is Level.WARN
+    assert status.message == "2 rejected, the last of 99 V; the last good one stays"
+    assert status.values["rejected"] == "2"
+    assert status.values["age (s)"] == "2.000"
+    status = command_status(count.look(4_000_000_000, 1_000_000_000, 9.0, False))
+    assert (status.level, status.message, status.values["rejected"]) == (Level.OK, "accepted", "2")
+
+
+def test_a_command_that_timed_out_is_a_warning() -> None:
+    status = command_status(CommandCount().look(9, 1, 0.0, True))
+    assert (status.level, status.values["timed out"]) == (Level.WARN, "true")
+
+
+def test_the_valve_says_where_it_is_and_why_it_was_put_back() -> None:
+    status = valve_status(ValveFacts(Phase.GAP_HOLD, 3, 0, ""))
+    assert (status.level, status.message) == (Level.OK, "gap_hold")
+    assert (status.values["phase"], status.values["strokes"]) == ("gap_hold", "3")
+    assert valve_status(ValveFacts(Phase.CLOSED, 3, 1, "too stiff")).level is Level.ERROR

@@ -1,0 +1,194 @@
+"""identification_node as a user meets it: a live valve recorded, identified, and given what was found."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from valve_sim.parameter_files import load_valve
+from valve_sim.traces import read_trace
+
+from .ros_process import PATIENCE, Probe, running
+
+pytestmark = pytest.mark.ros
+pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
+
+import rclpy  # noqa: E402
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from sensor_msgs.msg import JointState  # noqa: E402
+from std_msgs.msg import Float64, String  # noqa: E402
+
+MAKER = Path(__file__).resolve().parents[2] / "bags" / "make_samples.py"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def ros(own_domain: None) -> Iterator[None]:
+    rclpy.init()
+    yield
+    rclpy.try_shutdown()
+
+
+@pytest.fixture(scope="module")
+def samples(own_domain: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The sample bags made anew, with a recording of a valve_node that runs in real time."""
+    folder = tmp_path_factory.mktemp("samples")
+    subprocess.run([sys.executable, str(MAKER), "--folder", str(folder), "--live"], check=True, timeout=3 * PATIENCE)
+    return folder
+
+
+@pytest.fixture
+def probe(ros: None) -> Iterator[Probe]:
+    probe = Probe("/identification")
+    yield probe
+    probe.close()
+
+
+@contextlib.contextmanager
+def identifying(folder: Path, **parameters: object) -> Iterator[subprocess.Popen[str]]:
+    """identification_node while inside; it writes into the folder."""
+    given = {"output": folder, **parameters}
+    pairs = [word for name, value in given.items() for word in ("-p", f"{name}:={value}")]
+    command = [sys.executable, "-m", "valve_sim.nodes.identification_node", "--ros-args", *pairs]
+    environment = {**os.environ, "ROS_LOG_DIR": str(folder)}
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment) as process:
+        try:
+            yield process
+        finally:
+            if process.poll() is None:
+                process.kill()
+
+
+def maker() -> Any:
+    spec = importlib.util.spec_from_file_location("make_samples", MAKER)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["make_samples"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_a_live_valve_is_recorded_identified_and_another_one_given_its_parameters(
+    samples: Path, probe: Probe, tmp_path: Path
+) -> None:
+    results = probe.hear("result", String, latched=True)
+    live = Probe("/valve")
+    with running(tmp_path) as _, identifying(tmp_path, bag=samples / "live.mcap", apply_to="valve", rate=0) as process:
+        assert probe.until(lambda: results), "no result"
+        report = json.loads(results[0].data)
+        applied = live.parameters()
+        process.send_signal(signal.SIGINT)
+        assert process.wait(PATIENCE) == 0
+    for name, truth in maker().LIVE_DAMPINGS.items():
+        found = report["parameters"][name]
+        assert found["ci95"][0] <= truth <= found["ci95"][1]
+        assert found["ci95"][1] - found["ci95"][0] < 0.05 * truth
+        assert applied[f"valve.{name}"] == found["value"]
+    assert report["applied"] == {"node": "/valve", "is_set": True, "reason": ""}
+    file = tmp_path / "identified.yaml"
+    assert report["file"] == str(file)
+    assert load_valve(file).parameters.pilot_damping == pytest.approx(applied["valve.pilot_damping"], rel=1e-12)
+    with running(tmp_path, ["--ros-args", "--params-file", str(file), "-r", "__node:=another"]):
+        assert Probe("/another").parameters()["valve.main_damping"] == pytest.approx(applied["valve.main_damping"])
+    live.close()
+
+
+def test_a_node_that_is_not_there_is_said_not_to_have_taken_the_result(
+    samples: Path, probe: Probe, tmp_path: Path
+) -> None:
+    results, heard = probe.hear("result", String, latched=True), probe.hear("/diagnostics", DiagnosticArray)
+    with identifying(tmp_path, bag=samples / "one_opening.mcap", apply_to="/nobody", rate=0):
+        assert probe.until(lambda: results), "no result"
+        applied = json.loads(results[0].data)["applied"]
+        assert not applied["is_set"]
+        assert applied["node"] == "/nobody"
+        assert probe.until(lambda: b"\x02" in levels(heard, "identification"))
+
+
+def levels(heard: list[Any], task: str) -> list[bytes]:
+    name = f"identification: {task}"
+    return [status.level for message in heard for status in message.status if status.name == name]
+
+
+def test_the_replay_is_the_recording_beside_the_model(samples: Path, probe: Probe, tmp_path: Path) -> None:
+    bag = samples / "one_opening.mcap"
+    trace = read_trace(bag)
+    measured, predicted = (
+        probe.hear("measured/joint_states", JointState),
+        probe.hear("predicted/joint_states", JointState),
+    )
+    residuals, volts = probe.hear("residual", Float64), probe.hear("coil_voltage", Float64)
+    heard = probe.hear("/diagnostics", DiagnosticArray)
+    stamps = {trace.epoch_ns + round(time * 1e9) for time in trace.times.tolist()}
+    with identifying(tmp_path, bag=bag, rate=0.05, loop="true") as process:
+        assert probe.until(lambda: by_stamp(measured).keys() == by_stamp(predicted).keys() == stamps)
+        assert probe.until(lambda: volts and b"\x00" in levels(heard, "replay"))
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(PATIENCE) == 0
+    positions = np.array([message.position[0] for _, message in sorted(by_stamp(measured).items())])
+    np.testing.assert_array_equal(positions, trace.pilot_position)
+    model = np.array([message.position[0] for _, message in sorted(by_stamp(predicted).items())])
+    assert np.std(positions - model) < 3e-6
+    assert {round(message.data, 12) for message in volts} == {9.0}
+    assert max(abs(message.data) for message in residuals) < 10e-6
+
+
+def by_stamp(heard: list[Any]) -> dict[int, Any]:
+    return {message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec: message for message in heard}
+
+
+def test_a_diagnosis_is_published_too(samples: Path, probe: Probe, tmp_path: Path) -> None:
+    results = probe.hear("result", String, latched=True)
+    with identifying(tmp_path, bag=samples / "one_opening.mcap", mode="diagnose", rate=0):
+        assert probe.until(lambda: results, 3 * PATIENCE), "no result"
+    report = json.loads(results[0].data)
+    assert report["schema"] == "valve_sim/diagnosis/1"
+    assert load_valve(tmp_path / "corrected.yaml").parameters.stroke == 1.23e-3
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_it_at_work_with_code_0(
+    samples: Path, probe: Probe, tmp_path: Path, number: signal.Signals
+) -> None:
+    measured = probe.hear("measured/joint_states", JointState)
+    with identifying(tmp_path, bag=samples / "eight_strokes.mcap", rate=0, loop="true") as process:
+        assert probe.until(lambda: measured)
+        process.send_signal(number)
+        assert process.wait(5.0) == 0
+        assert process.stderr is not None
+        assert "Traceback" not in process.stderr.read()
+    assert not list(tmp_path.glob("*.partial"))
+
+
+@pytest.mark.parametrize(
+    ("parameters", "says"),
+    [
+        ({}, "bag: not given"),
+        ({"bag": "nowhere.mcap"}, "nowhere.mcap"),
+        ({"bag": str(MAKER)}, "make_samples.py"),
+        ({"bag": "a.mcap", "free": "[pilot_dampin]"}, "did you mean pilot_damping"),
+        ({"bag": "a.mcap", "ratee": "1.0"}, "did you mean rate"),
+        ({"bag": "a.mcap", "mode": "guess"}, "identify or diagnose"),
+        ({"bag": "a.mcap", "params": "nowhere.yaml"}, "nowhere.yaml"),
+        ({"bag": "a.mcap", "apply_to": "no/{such"}, "name of a node"),
+    ],
+)
+def test_unusable_input_ends_it_with_one_line_and_code_2(
+    tmp_path: Path, parameters: dict[str, object], says: str
+) -> None:
+    with identifying(tmp_path, **parameters) as process:
+        _, words = process.communicate(timeout=PATIENCE)
+        assert process.returncode == 2
+    assert says in words
+    assert len(words.strip().splitlines()) == 1

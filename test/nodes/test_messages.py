@@ -1,0 +1,64 @@
+"""Messages of the model and back; wants the message types, not a running ROS."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from valve_sim.model import Phase, Reading
+from valve_sim.nodes.diagnostics import Level, Status
+from valve_sim.nodes.parameters import table
+from valve_sim.parameter_files import default_valve
+
+std_msgs = pytest.importorskip("std_msgs.msg", reason="there is no ROS 2 here: its messages cannot be imported")
+
+from valve_sim.nodes import messages  # noqa: E402
+
+READING = Reading(1.0, 2e-3, 1e-3, 0.5, 0.25, 0.8, 15.0, -3.0, Phase.OPEN, ())
+
+
+def test_joint_states_carry_everything_of_both_plungers() -> None:
+    maker = messages.ReadingMessages("tank")
+    message = maker.joint_states(1_500_000_002, READING)
+    assert (message.header.stamp.sec, message.header.stamp.nanosec) == (1, 500_000_002)
+    assert message.header.frame_id == "tank"
+    assert list(message.name) == ["pilot_plunger", "main_plunger"]
+    assert (list(message.position), list(message.velocity)) == ([2e-3, 1e-3], [0.5, 0.25])
+    assert list(message.effort) == [15.0, -3.0]
+    assert maker.coil_current(READING).data == 0.8
+    maker.set_frame_id("other")
+    assert maker.joint_states(0, READING).header.frame_id == "other"
+
+
+@pytest.mark.parametrize("phase", list(Phase))
+def test_phase_and_is_open(phase: Phase) -> None:
+    assert messages.phase_message(phase).data == int(phase)
+    assert messages.is_open_message(phase).data is (phase is Phase.OPEN)
+
+
+@pytest.mark.parametrize(
+    ("volts", "accepted"),
+    [(9.0, 9.0), (-12.0, -12.0), (0.0, 0.0), (12.001, None), (math.nan, None), (math.inf, None), (-math.inf, None)],
+)
+def test_commands_are_finite_and_within_the_largest(volts: float, accepted: float | None) -> None:
+    assert messages.accepted_voltage(std_msgs.Float64(data=volts), 12.0) == accepted
+
+
+def test_diagnostics_are_named_after_the_node() -> None:
+    status = Status("timing", Level.WARN, "slow", {"overruns": "3"})
+    array = messages.diagnostic_array([status], "/tank_1/valve", 2_000_000_001)
+    (found,) = array.status
+    assert (found.name, found.hardware_id, found.level) == ("tank_1/valve: timing", "tank_1/valve", b"\x01")
+    assert [(item.key, item.value) for item in found.values] == [("overruns", "3")]
+    assert (array.header.stamp.sec, array.header.stamp.nanosec) == (2, 1)
+
+
+def test_descriptors_carry_unit_and_range() -> None:
+    entries = table(default_valve())
+    mass = messages.descriptor(entries["valve.pilot_mass"])
+    assert mass.description == "[kg] mass that moves in Phase 1"
+    assert (mass.floating_point_range[0].from_value, mass.floating_point_range[0].to_value) == (0.0, 100.0)
+    bandwidth = messages.descriptor(entries["effects.sensor_bandwidth.cutoff_frequency"])
+    assert bandwidth.floating_point_range[0].to_value == math.inf
+    assert not messages.descriptor(entries["frame_id"]).floating_point_range

@@ -1,0 +1,114 @@
+"""The table of the node's parameters, without ROS."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from valve_sim.model import CATALOGUE, ParameterError, ValveParameters
+from valve_sim.nodes.parameters import (
+    as_declared,
+    check_overrides,
+    files_for_others,
+    settings_of,
+    sources_of,
+    table,
+    valve_of,
+)
+from valve_sim.parameter_files import Section, default_valve
+
+ENTRIES = table(default_valve())
+DEFAULTS = {name: entry.default for name, entry in ENTRIES.items()}
+
+
+def test_the_table_holds_the_valve_every_effect_and_the_settings() -> None:
+    valve = {f"valve.{name}" for name in ValveParameters._fields}
+    effects = {f"effects.{effect.name}.{rule.name}" for effect in CATALOGUE.values() for rule in effect.parameters}
+    settings = {"publish_rate", "time_scale", "command_timeout", "max_voltage", "frame_id"}
+    assert ENTRIES.keys() == valve | effects | settings
+
+
+def test_the_defaults_are_the_default_valve_and_pass_their_own_checks() -> None:
+    assert {name: entry.check(entry.default, "here") for name, entry in ENTRIES.items()} == DEFAULTS
+    assert valve_of(DEFAULTS, "here") == default_valve()
+    settings = settings_of(DEFAULTS)
+    assert (settings.publish_rate, settings.time_scale, settings.command_timeout) == (1000.0, 1.0, 0.0)
+
+
+def test_every_default_lies_in_the_range_that_ros_enforces() -> None:
+    for entry in ENTRIES.values():
+        if entry.range is not None:
+            assert isinstance(entry.default, float)
+            assert entry.range[0] <= entry.default <= entry.range[1]
+
+
+@pytest.mark.parametrize("effect", [effect for effect in CATALOGUE.values()], ids=lambda effect: effect.name)
+def test_one_parameter_alone_switches_its_effect_on(effect: object) -> None:
+    for rule in CATALOGUE[effect.name].parameters:  # type: ignore[attr-defined]
+        if rule.off is None:
+            continue
+        value = rule.off + rule.typical if math.isfinite(rule.off) else rule.typical
+        if not rule.lower <= value <= rule.upper:
+            value = rule.off - rule.typical
+        valve = valve_of({**DEFAULTS, f"effects.{effect.name}.{rule.name}": value}, "here")  # type: ignore[attr-defined]
+        assert valve.effects[effect.name][rule.name] == value  # type: ignore[attr-defined]
+
+
+def test_what_was_given_replaces_defaults_and_integers_become_doubles() -> None:
+    given = {"valve.pilot_damping": 3, "publish_rate": 100, "use_sim_time": True, "qos_overrides./a.b": 1}
+    values = check_overrides({**given, "valve.attraction_polynomial": [3, 0, 0, 0]}, ENTRIES, {})
+    assert values == {
+        **DEFAULTS,
+        "valve.pilot_damping": 3.0,
+        "publish_rate": 100.0,
+        "valve.attraction_polynomial": [3.0, 0.0, 0.0, 0.0],
+    }
+    assert isinstance(values["publish_rate"], float)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "source", "says"),
+    [
+        ("publish_rat", 100, "command line", "publish_rat: found 100 .* did you mean publish_rate"),
+        ("valve.pilot_mas", 1.0, "some.yaml", "valve.pilot_mas: found 1.0 .* did you mean valve.pilot_mass"),
+        ("publish_rate", 0, "some.yaml", "publish_rate: found 0, expected a number from 0.1 to 10000 Hz"),
+        ("publish_rate", "fast", "some.yaml", "publish_rate: found 'fast', expected a number Hz"),
+        ("frame_id", 3, "some.yaml", "frame_id: found 3, expected text"),
+        ("valve.stroke", 1e-4, "some.yaml", "valve.pilot_gap: .* expected 0 < pilot_gap < stroke"),
+        ("valve.attraction_polynomial", [1.0], "some.yaml", "attraction_polynomial: found 1 terms"),
+        ("valve.attraction_polynomial", "1, 2", "some.yaml", "expected a list of numbers"),
+        ("valve.attraction_polynomial", [1.0, "x"], "some.yaml", r"attraction_polynomial\[1\]: found 'x'"),
+    ],
+)
+def test_what_cannot_be_is_refused_with_its_source(name: str, value: object, source: str, says: str) -> None:
+    sources = {} if source == "command line" else {name: source}
+    with pytest.raises(ParameterError, match=f"{source}: .*{says}"):
+        check_overrides({name: value}, ENTRIES, sources)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "declared"),
+    [
+        ("valve.pilot_damping", 3, 3.0),
+        ("valve.pilot_damping", True, True),
+        ("valve.attraction_polynomial", [1, 2.0], [1.0, 2.0]),
+        ("frame_id", 3, 3),
+        ("use_sim_time", 1, 1),
+    ],
+)
+def test_integers_set_at_run_time_become_doubles_where_doubles_belong(
+    name: str, value: object, declared: object
+) -> None:
+    found = as_declared(name, value, ENTRIES)
+    assert (found, type(found)) == (declared, type(declared))
+
+
+def test_the_last_file_that_gives_a_name_to_this_node_is_its_source() -> None:
+    sections = [
+        ("a.yaml", Section("/**", {"publish_rate": 1, "frame_id": "a"})),
+        ("b.yaml", Section("/other", {"frame_id": "b"})),
+        ("c.yaml", Section("/valve", {"publish_rate": 2})),
+    ]
+    assert sources_of(sections, "/valve") == {"publish_rate": "c.yaml", "frame_id": "a.yaml"}
+    assert files_for_others(sections, "/valve") == {"b.yaml": ["/other"]}

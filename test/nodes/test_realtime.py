@@ -1,0 +1,200 @@
+"""Keeping pace, without ROS and without waiting: every clock here is moved by hand."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from valve_sim.nodes.realtime import (
+    ClockReading,
+    Mailbox,
+    Restart,
+    Schedule,
+    TimingRecord,
+    Worker,
+    why_restart,
+)
+
+MILLISECOND = 1_000_000
+SECOND = 1_000_000_000
+
+
+@pytest.mark.parametrize("rate", [1.0, 300.0, 999.9, 1000.0, 7919.0])
+def test_every_deadline_is_handed_out_once_and_none_drifts(rate: float) -> None:
+    generator = np.random.default_rng(1)
+    schedule, now, times = Schedule(rate, 17), 17, []
+    while now < 20 * SECOND:
+        due = schedule.take(now)
+        assert due.lost == 0
+        assert all(time <= now for time in due.times)
+        assert schedule.next > now
+        times += due.times
+        now += int(generator.integers(1, 400 * MILLISECOND))
+    assert times == [17 + round(k * SECOND / rate) for k in range(len(times))]
+
+
+def test_of_a_long_backlog_the_newest_half_second_is_made_up_for() -> None:
+    schedule = Schedule(1000.0, 0)
+    due = schedule.take(2 * SECOND)
+    assert due.lost == 2001 - 500
+    assert due.times[0] == 1501 * MILLISECOND
+    assert due.times[-1] == 2 * SECOND
+    assert schedule.take(2 * SECOND + MILLISECOND - 1).times == []
+    assert schedule.take(2 * SECOND + MILLISECOND).times == [2 * SECOND + MILLISECOND]
+
+
+def test_a_slow_rate_still_gets_its_newest_deadline() -> None:
+    due = Schedule(0.1, 0).take(35 * SECOND)
+    assert (due.times, due.lost) == ([30 * SECOND], 3)
+
+
+@pytest.mark.parametrize(
+    ("last", "now", "why"),
+    [
+        (None, (5, False), ""),
+        ((5, False), (5, False), None),
+        ((5, True), (4, True), "the clock jumped back by 1e-09 s"),
+        ((5, True), (5 + 60 * SECOND, True), None),
+        ((0, True), (61 * SECOND, True), "the clock jumped ahead by 61 s"),
+        ((5, True), (6, False), "use_sim_time was changed"),
+    ],
+)
+def test_when_a_clock_cannot_be_followed(last: tuple[int, bool] | None, now: tuple[int, bool], why: str | None) -> None:
+    before = None if last is None else ClockReading(*last)
+    assert why_restart(before, ClockReading(*now)) == why
+
+
+def test_timing_counts_rate_lateness_overruns_and_losses() -> None:
+    record = TimingRecord()
+    first = record.look(0)
+    assert math.isnan(first.rate)
+    assert math.isnan(first.lateness)
+    for index in range(1000):
+        record.note(2 * MILLISECOND if index >= 990 else 1000, MILLISECOND)
+    record.note_lost(7)
+    timing = record.look(SECOND)
+    assert timing.rate == 1000.0
+    assert timing.lateness == 2e-3
+    assert (timing.overruns, timing.lost, timing.lost_now) == (10, 7, 7)
+    assert record.look(2 * SECOND)[2:] == (10, 7, 0)
+
+
+def test_letters_are_delivered_in_order_when_their_time_has_come() -> None:
+    mailbox, got = Mailbox(), []
+    for time in (0, 5, 9):
+        mailbox.post(time, got.append)
+    mailbox.deliver(3, 8)
+    assert got == [3, 5]
+    mailbox.clear()
+    mailbox.deliver(0, 100)
+    assert got == [3, 5]
+
+
+class ScriptedClock:
+    """Shows one reading of a script after another; ends the worker when the script is over."""
+
+    def __init__(self, script: list[ClockReading | None]) -> None:
+        self.script = script
+        self.at = 0
+        self.stop: Callable[[], None] = lambda: None
+
+    def read(self) -> ClockReading | None:
+        return self.script[min(self.at, len(self.script) - 1)]
+
+    def sleep_until(self, time: int) -> None:
+        self.at += 1
+        if self.at >= len(self.script):
+            self.stop()
+
+    def wake(self) -> None:
+        pass
+
+
+class Run:
+    """A worker run in this thread, to the end of a script."""
+
+    def __init__(self, script: list[ClockReading | None], rate: float = 1000.0) -> None:
+        self.clock = ScriptedClock(script)
+        self.log: list[object] = []
+        self.worker = Worker(
+            self.clock,
+            rate,
+            prepare=lambda: self.log.append("prepared"),
+            restart=self.log.append,
+            step=self.step,
+            fail=self.log.append,
+        )
+        self.clock.stop = lambda: self.worker.stop(0.0) and None
+        self.rates: dict[int, float] = {}
+
+    def step(self, time: int) -> None:
+        self.log.append(time)
+        if time in self.rates:
+            self.worker.set_rate(self.rates[time])
+
+
+def simulated(milliseconds: float) -> ClockReading:
+    return ClockReading(int(milliseconds * MILLISECOND), True)
+
+
+def test_nothing_happens_before_the_first_clock_message() -> None:
+    run = Run([None, None, simulated(3), simulated(5)])
+    run.worker.run()
+    assert run.log == ["prepared", Restart(simulated(3), ""), *(k * MILLISECOND for k in (3, 4, 5))]
+
+
+def test_a_clock_that_jumps_back_starts_anew() -> None:
+    run = Run([simulated(500), simulated(501), simulated(1), simulated(2)])
+    run.worker.run()
+    restart = Restart(simulated(1), "the clock jumped back by 0.5 s")
+    times = [500 * MILLISECOND, 501 * MILLISECOND, restart, MILLISECOND, 2 * MILLISECOND]
+    assert run.log[2:] == times
+
+
+def test_a_fast_clock_gets_every_sample_and_a_leap_of_seconds_is_reported() -> None:
+    run = Run([simulated(0), simulated(400), simulated(3400)])
+    run.worker.run()
+    assert run.log[2:] == [k * MILLISECOND for k in [*range(401), *range(2901, 3401)]]
+    assert run.worker.timing.look(0).lost == 2500
+
+
+def test_a_new_rate_goes_on_where_the_old_one_would_have() -> None:
+    run = Run([simulated(0), simulated(1), simulated(2), simulated(10)])
+    run.rates = {MILLISECOND: 250.0}
+    run.worker.run()
+    assert run.log[2:] == [0, MILLISECOND, 2 * MILLISECOND, 6 * MILLISECOND, 10 * MILLISECOND]
+
+
+def test_what_goes_wrong_in_the_thread_is_handed_on() -> None:
+    run = Run([simulated(0)])
+    error = RuntimeError("no more")
+
+    def fail() -> None:
+        raise error
+
+    worker = Worker(run.clock, 1.0, prepare=fail, restart=run.log.append, step=run.step, fail=run.log.append)
+    worker.run()
+    assert run.log == [error]
+
+
+def test_a_worker_that_cannot_end_yet_says_so() -> None:
+    release, begun = threading.Event(), threading.Event()
+
+    def compile_for_long() -> None:
+        begun.set()
+        release.wait(10.0)
+
+    run = Run([simulated(0)])
+    worker = Worker(
+        run.clock, 1.0, prepare=compile_for_long, restart=run.log.append, step=run.step, fail=run.log.append
+    )
+    worker.start()
+    assert begun.wait(10.0)
+    assert not worker.stop(0.01)
+    release.set()
+    assert worker.stop(10.0)
+    assert run.log == []

@@ -1,0 +1,321 @@
+"""valve_node as a user meets it: real processes, topics, services, parameters, signals."""
+
+from __future__ import annotations
+
+import array
+import itertools
+import math
+import re
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from valve_sim.resources import config_path
+
+from .ros_process import NodeProcess, Probe, running
+
+pytestmark = pytest.mark.ros
+pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
+
+import rclpy  # noqa: E402
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
+from rosgraph_msgs.msg import Clock  # noqa: E402
+from sensor_msgs.msg import JointState  # noqa: E402
+from std_msgs.msg import Bool, Float64, UInt8  # noqa: E402
+from std_srvs.srv import Trigger  # noqa: E402
+
+
+@pytest.fixture(scope="module", autouse=True)
+def ros(own_domain: None) -> Iterator[None]:
+    rclpy.init()
+    yield
+    rclpy.try_shutdown()
+
+
+@pytest.fixture(scope="module")
+def valve(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[NodeProcess]:
+    """One node for all tests that leave it as it was."""
+    with running(tmp_path_factory.mktemp("valve")) as process:
+        yield process
+
+
+@pytest.fixture
+def probe(ros: None) -> Iterator[Probe]:
+    probe = Probe()
+    yield probe
+    probe.close()
+
+
+@pytest.fixture
+def rested(valve: NodeProcess, probe: Probe) -> Probe:
+    """The shared node, closed and without a command."""
+    assert probe.call("reset", Trigger).success
+    return probe
+
+
+def connected(probe: Probe, publisher: Any) -> Any:
+    assert probe.until(lambda: publisher.get_subscription_count() > 0), "nobody listens"
+    return publisher
+
+
+def commander(probe: Probe) -> Any:
+    return connected(probe, probe.talker("coil_voltage", Float64))
+
+
+def nanoseconds(message: JointState) -> int:
+    return int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)
+
+
+def diagnostics(heard: list[Any], name: str) -> Any:
+    for message in reversed(heard):
+        for status in message.status:
+            if status.name == f"valve: {name}":
+                return {**{item.key: item.value for item in status.values}, "level": status.level}
+    return {}
+
+
+def plain(value: Any) -> Any:
+    return list(value) if isinstance(value, array.array) else value
+
+
+def test_a_valve_opens_and_closes_on_topics(rested: Probe) -> None:
+    joints, current = rested.hear("joint_states", JointState), rested.hear("coil_current", Float64)
+    phases, is_open = rested.hear("phase", UInt8, latched=True), rested.hear("is_open", Bool, latched=True)
+    command = commander(rested)
+    assert rested.until(lambda: joints and phases and phases[-1].data == 0)
+    command.publish(Float64(data=9.0))
+    assert rested.until(lambda: phases[-1].data == 4 and is_open[-1].data and len(joints) > 300)
+    assert [message.data for message in phases[-3:]] == [1, 3, 4]
+    assert rested.until(lambda: current[-1].data > 0.899)
+    assert joints[-1].name == ["pilot_plunger", "main_plunger"]
+    assert list(joints[-1].position) == pytest.approx([1.23e-3, 0.97e-3])
+    assert joints[-1].effort[0] > 15.0
+    assert joints[-1].effort[1] == pytest.approx(-(2.524 + 428.0 * 1.23e-3))
+    steps = [nanoseconds(after) - nanoseconds(before) for before, after in itertools.pairwise(joints)]
+    assert set(steps) == {1_000_000}
+    command.publish(Float64(data=0.0))
+    assert rested.until(lambda: not is_open[-1].data)
+    assert rested.until(lambda: list(joints[-1].position)[1] == 0.0)
+
+
+def test_who_comes_late_still_learns_phase_and_is_open(rested: Probe) -> None:
+    rested.spin_for(0.1)
+    phases, is_open = rested.hear("phase", UInt8, latched=True), rested.hear("is_open", Bool, latched=True)
+    assert rested.until(lambda: phases and is_open)
+    assert (phases[0].data, is_open[0].data) == (0, False)
+
+
+def test_bad_commands_are_ignored_counted_and_reported(rested: Probe) -> None:
+    heard, phases = rested.hear("/diagnostics", DiagnosticArray), rested.hear("phase", UInt8, latched=True)
+    command = commander(rested)
+    assert rested.until(lambda: diagnostics(heard, "command"))
+    before = int(diagnostics(heard, "command")["rejected"])
+    command.publish(Float64(data=9.0))
+    assert rested.until(lambda: phases and phases[-1].data == 4)
+    for volts in (math.nan, math.inf, -1000.0):
+        command.publish(Float64(data=volts))
+    assert rested.until(lambda: int(diagnostics(heard, "command")["rejected"]) == before + 3)
+    assert diagnostics(heard, "command")["voltage (V)"] == "9"
+    assert phases[-1].data == 4
+
+
+def test_diagnostics_come_each_second_and_say_all(rested: Probe) -> None:
+    heard = rested.hear("/diagnostics", DiagnosticArray)
+    assert rested.until(lambda: len(heard) >= 3)
+    names = [status.name for status in heard[-1].status]
+    assert names == ["valve: timing", "valve: command", "valve: valve"]
+    assert {status.hardware_id for status in heard[-1].status} == {"valve"}
+    stamps = [message.header.stamp.sec + message.header.stamp.nanosec * 1e-9 for message in heard]
+    assert stamps[-1] - stamps[-2] == pytest.approx(1.0, abs=0.5)
+    timing = diagnostics(heard, "timing")
+    assert timing["rate wanted (Hz)"] == "1000"
+    assert float(timing["rate reached (Hz)"]) > 900.0
+    assert diagnostics(heard, "valve")["phase"] == "closed"
+
+
+def test_a_publisher_that_cannot_be_heard_is_reported(valve: NodeProcess, rested: Probe) -> None:
+    heard = rested.hear("/diagnostics", DiagnosticArray)
+    rested.talker("coil_voltage", Float64, QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT))
+    assert rested.until(lambda: "incompatible QoS (RELIABILITY) and cannot be heard" in valve.output)
+    assert rested.until(lambda: diagnostics(heard, "command").get("publishers of incompatible QoS") == "1")
+
+
+def test_the_self_test_answers_with_the_published_times(rested: Probe) -> None:
+    answer = rested.call("self_test", Trigger)
+    assert answer.success
+    assert "picked up after 5.300 ms, stop reached after 9.900 ms" in answer.message
+
+
+def test_parameters_are_validated_and_applied_without_a_jump(rested: Probe) -> None:
+    joints = rested.hear("joint_states", JointState)
+    commander(rested).publish(Float64(data=9.0))
+    assert rested.until(lambda: joints and joints[-1].position[0] == pytest.approx(1.23e-3))
+    good = rested.set_parameters(valve__spring_rate=500, effects__stiction__force=0.3, publish_rate=500)
+    assert [result.successful for result in good] == [True] * 3
+    assert rested.parameters()["valve.spring_rate"] == 500.0
+    assert rested.until(lambda: joints[-1].effort[1] == pytest.approx(-(2.524 + 500.0 * 1.23e-3)))
+    assert {message.position[0] for message in joints[-5:]} == {joints[-1].position[0]}
+    assert rested.until(lambda: nanoseconds(joints[-1]) - nanoseconds(joints[-2]) == 2_000_000)
+    bad = rested.set_parameters(
+        valve__pilot_mass=0, valve__pilot_gap=2e-3, valve__spring_rate="stiff", valve__attraction_polynomial=[1.0, 2.0]
+    )
+    assert [result.successful for result in bad] == [False] * 4
+    assert "valve.pilot_mass: found 0.0, expected a number above 0 to 100 kg" in bad[0].reason
+    assert "expected 0 < pilot_gap < stroke" in bad[1].reason
+    assert "expected four numbers" in bad[3].reason
+    assert rested.parameters()["valve.pilot_gap"] == 0.26e-3
+    back = rested.set_parameters(valve__spring_rate=428.0, effects__stiction__force=0.0, publish_rate=1000.0)
+    assert [result.successful for result in back] == [True] * 3
+
+
+def test_a_coil_without_commands_is_de_energised(rested: Probe) -> None:
+    is_open, heard = rested.hear("is_open", Bool, latched=True), rested.hear("/diagnostics", DiagnosticArray)
+    assert rested.set_parameters(command_timeout=0.2)[0].successful
+    commander(rested).publish(Float64(data=9.0))
+    assert rested.until(lambda: is_open and is_open[-1].data)
+    assert rested.until(lambda: not is_open[-1].data)
+    assert rested.until(lambda: diagnostics(heard, "command").get("timed out") == "true")
+    assert rested.set_parameters(command_timeout=0.0)[0].successful
+
+
+def test_dumped_parameters_can_be_loaded_again(rested: Probe, tmp_path: Path) -> None:
+    changes = {"valve__main_damping": 3.5, "effects__magnetic_saturation__current": 2.0, "frame_id": "tank"}
+    assert all(result.successful for result in rested.set_parameters(**changes))
+    dumped = {name: plain(value) for name, value in rested.parameters().items()}
+    originals = {"valve__main_damping": 4.0, "effects__magnetic_saturation__current": math.inf, "frame_id": ""}
+    assert all(result.successful for result in rested.set_parameters(**originals))
+    nested: dict[str, Any] = {}
+    for name, value in dumped.items():
+        *folders, last = name.split(".")
+        place = nested
+        for folder in folders:
+            place = place.setdefault(folder, {})
+        place[last] = value
+    path = tmp_path / "dump.yaml"
+    path.write_text(yaml.dump({"/other": {"ros__parameters": nested}}))
+    arguments = ["--ros-args", "-r", "__node:=other", "--params-file", str(path)]
+    other = Probe("/other")
+    try:
+        with running(tmp_path, arguments):
+            assert {name: plain(value) for name, value in other.parameters().items()} == dumped
+    finally:
+        other.close()
+
+
+def test_a_tank_of_the_station_has_its_own_names_and_file(ros: None, tmp_path: Path) -> None:
+    arguments = ["--ros-args", "-r", "__ns:=/tank_2", "--params-file", str(config_path("tank_2.yaml"))]
+    tank = Probe("/tank_2/valve")
+    try:
+        with running(tmp_path, arguments):
+            joints, heard = tank.hear("joint_states", JointState), tank.hear("/diagnostics", DiagnosticArray)
+            assert tank.until(lambda: joints)
+            assert joints[-1].header.frame_id == "tank_2"
+            assert tank.parameters()["effects.coulomb_friction.force"] == 0.3
+            assert tank.until(lambda: any(m.status[0].name == "tank_2/valve: timing" for m in heard))
+    finally:
+        tank.close()
+
+
+def test_simulated_time_is_followed_and_may_jump_back(ros: None, tmp_path: Path) -> None:
+    simulated = Probe("/simulated")
+    try:
+        with running(tmp_path, ["--ros-args", "-r", "__node:=simulated", "-p", "use_sim_time:=true"]) as process:
+            joints = simulated.hear("joint_states", JointState)
+            is_open = simulated.hear("is_open", Bool, latched=True)
+            heard = simulated.hear("/diagnostics", DiagnosticArray)
+            clock = connected(simulated, simulated.talker("/clock", Clock))
+            assert simulated.until(lambda: heard and "waiting for /clock" in heard[-1].status[0].message)
+            assert joints == []
+
+            def tick(nanoseconds: int) -> None:
+                message = Clock()
+                message.clock.sec, message.clock.nanosec = divmod(nanoseconds, 1_000_000_000)
+                clock.publish(message)
+
+            def tick_until(first: int, step: int, condition: Any) -> int:
+                now = first
+
+                def ticked() -> bool:
+                    nonlocal now
+                    tick(now)
+                    now += step
+                    return bool(condition())
+
+                assert simulated.until(ticked)
+                return now
+
+            now = tick_until(1_000_000_000, 10_000_000, lambda: joints)
+            assert nanoseconds(joints[0]) >= 1_000_000_000
+            command = commander(simulated)
+            command.publish(Float64(data=9.0))
+            tick_until(now, 10_000_000, lambda: is_open and is_open[-1].data)
+            steps = [nanoseconds(after) - nanoseconds(before) for before, after in itertools.pairwise(joints)]
+            assert set(steps) == {1_000_000}
+            tick_until(1_000_000, 1_000_000, lambda: not is_open[-1].data and nanoseconds(joints[-1]) < 1_000_000_000)
+            assert list(joints[-1].position) == [0.0, 0.0]
+            assert "the clock jumped back" in process.output
+    finally:
+        simulated.close()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_it_within_a_second_with_code_0(ros: None, tmp_path: Path, number: signal.Signals) -> None:
+    ending = Probe("/ending")
+    try:
+        with running(tmp_path, ["--ros-args", "-r", "__node:=ending"]) as process:
+            joints = ending.hear("joint_states", JointState)
+            assert ending.until(lambda: joints)
+            assert process.seconds_to_end(number) < 1.0
+            assert process.exit_code() == 0, process.output
+            assert "Traceback" not in process.output
+    finally:
+        ending.close()
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        ("publish_rat: 100", "publish_rat: found 100 under an unknown name; .*did you mean publish_rate"),
+        ("valve: {pilot_mass: 0}", "valve.pilot_mass: found 0, expected a number above 0"),
+        ("valve: {pilot_mass: heavy}", "valve.pilot_mass: found 'heavy', expected a number"),
+        ("valve: {attraction_polynomial: [0, 1.5, 2]}", "valve.attraction_polynomial: found 3 terms"),
+    ],
+)
+def test_a_bad_file_ends_it_with_one_line_and_code_2(tmp_path: Path, content: str, says: str) -> None:
+    path = tmp_path / "bad.yaml"
+    path.write_text(f"/**:\n  ros__parameters:\n    {content}\n")
+    check_refusal(NodeProcess(tmp_path, ["--ros-args", "--params-file", str(path)]), f"^valve_node: {path}: {says}")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["-p", "valve.pilot_mas:=1.0"], "valve_node: command line: valve.pilot_mas: .*did you mean valve.pilot_mass"),
+        (["--params-file", "none.yaml"], "valve_node: none.yaml: cannot be read"),
+        (["--nonsense"], "valve_node: ROS 2 refused to start: .*--nonsense"),
+    ],
+)
+def test_a_bad_command_line_ends_it_with_one_line_and_code_2(tmp_path: Path, arguments: list[str], says: str) -> None:
+    check_refusal(NodeProcess(tmp_path, ["--ros-args", *arguments]), says)
+
+
+def check_refusal(process: NodeProcess, says: str) -> None:
+    assert process.exit_code() == 2
+    (line,) = process.output.splitlines()
+    assert re.search(says, line), line
+
+
+def test_the_published_valve_is_said_not_to_open_and_logs_go_elsewhere(ros: None, tmp_path: Path) -> None:
+    arguments = ["--ros-args", "-r", "__node:=published", "--params-file", str(config_path("published.yaml"))]
+    published = Probe("/published")
+    try:
+        with running(tmp_path, arguments, ROS_LOG_DIR="/dev/null/logs") as process:
+            assert published.until(lambda: "the valve cannot open" in process.output)
+            assert "valve_node: /dev/null/logs: cannot be written (Not a directory); logs go to " in process.output
+    finally:
+        published.close()

@@ -1,0 +1,359 @@
+"""The command line: what it writes, prints and returns, in one process and as a real one."""
+
+import csv
+import json
+import subprocess
+import sys
+from pathlib import Path
+from xml.etree import ElementTree
+
+import click
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from valve_sim import __version__
+from valve_sim.cli import main
+from valve_sim.parameter_files import default_valve, load_valve, save_valve
+from valve_sim.traces import CSV_COLUMNS, read_trace
+
+STROKES = "time,volts\n0.010,9.0\n0.040,0.0\n0.070,12.0\n0.100,0.0\n"
+COMMANDS = ("simulate", "info", "identify", "diagnose", "validate", "fit-force")
+
+
+def run(*arguments: object) -> Result:
+    result = CliRunner().invoke(main, [str(argument) for argument in arguments])
+    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
+    return result
+
+
+def run_well(*arguments: object) -> Result:
+    result = run(*arguments)
+    assert result.exit_code == 0, result.output
+    return result
+
+
+def run_process(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "valve_sim", *arguments], capture_output=True, text=True, timeout=60, check=False
+    )
+
+
+@pytest.fixture(scope="module")
+def strokes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bag of two noisy strokes of the default valve."""
+    folder = tmp_path_factory.mktemp("strokes")
+    (folder / "strokes.csv").write_text(STROKES)
+    bag = folder / "strokes.mcap"
+    settings = ("--duration", 0.14, "--noise-um", 1, "--quantisation-um", 0.1, "--seed", 5, "--output", bag)
+    run_well("simulate", "--profile", folder / "strokes.csv", *settings)
+    return bag
+
+
+@pytest.fixture(scope="module")
+def more_damped(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A parameter file with 20 % more main damping."""
+    path = tmp_path_factory.mktemp("parameters") / "more_damped.yaml"
+    save_valve(path, default_valve().with_values(main_damping=4.8), "a test")
+    return path
+
+
+# --- help ---
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_of_every_command_teaches_by_example(command: str):
+    assert f"\n    valve-sim {command} " in run_well(command, "--help").output
+
+
+def test_help_lists_every_command_and_keeps_examples_as_they_stand():
+    output = run_well("--help").output
+    assert all(f"\n  {command} " in output for command in COMMANDS)
+    assert "\n    valve-sim info strokes.mcap\n    valve-sim identify strokes.mcap" in output
+    assert "recordings." in output.splitlines()[-1]  # a summary that fits is not cut off
+
+
+def test_help_imports_nothing_heavy():
+    script = "import sys, valve_sim.cli; print([m for m in ('numpy', 'numba', 'scipy', 'rich') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_version():
+    assert __version__ in run_well("--version").output
+
+
+# --- simulate ---
+
+
+def test_simulate_writes_the_table_of_an_opening(tmp_path: Path):
+    path = tmp_path / "opening.csv"
+    run_well("simulate", "--voltage", 9, "--duration", 0.02, "--rate", 1e5, "--output", path)
+    with path.open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert tuple(rows[0]) == CSV_COLUMNS
+    assert len(rows) == 2000
+    phase = np.array([int(row["phase"]) for row in rows])
+    # Phase 3 begins at the first sample after 5.300 ms, phase 4 after 9.900 ms.
+    assert [int(np.argmax(phase == number)) for number in (3, 4)] == [530, 990]
+    assert float(rows[-1]["pilot_position"]) == 1.23e-3
+    assert float(rows[-1]["coil_voltage"]) == 9.0
+
+
+def test_simulate_says_the_event_times(tmp_path: Path):
+    arguments = ("simulate", "--voltage", 9, "--duration", 0.02, "--output", tmp_path / "x.csv")
+    report = json.loads(run_well(*arguments, "--json").stdout)
+    assert report["t1_ms"] == pytest.approx(5.3, abs=1e-3)
+    assert report["t2_ms"] == pytest.approx(9.9, abs=1e-3)
+    assert [event["kind"] for event in report["events"]] == ["unseated", "picked_up", "reached_stop"]
+    assert "9.899964 ms  reached stop" in run_well(*arguments).output
+
+
+def test_simulate_of_a_valve_that_stays_closed_says_so(tmp_path: Path):
+    arguments = ("simulate", "--voltage", 0, "--duration", 0.02, "--output", tmp_path / "x.csv")
+    assert "stays closed" in run_well(*arguments).output
+    assert json.loads(run_well(*arguments, "--json").stdout)["t1_ms"] is None
+
+
+def test_noise_is_seeded_quantised_and_of_its_size(tmp_path: Path):
+    def positions(seed: int, name: str) -> np.ndarray:
+        settings = ("--noise-um", 2, "--quantisation-um", 0.5, "--seed", seed, "--output", tmp_path / name)
+        run_well("simulate", "--voltage", 9, "--duration", 0.2, *settings)
+        return read_trace(tmp_path / name).pilot_position
+
+    first, again, other = positions(1, "a.mcap"), positions(1, "b.mcap"), positions(2, "c.mcap")
+    assert (first == again).all()
+    assert not (first == other).all()
+    assert np.allclose(first / 0.5e-6, np.round(first / 0.5e-6), atol=1e-6)
+    # 2 µm and the 0.14 µm of rounding; 3800 samples hold it to 1.2 %.
+    assert np.std(first[300:]) == pytest.approx(np.hypot(2e-6, 0.5e-6 / np.sqrt(12)), rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("strokes.csv", STROKES),
+        ("bare.csv", "0.010 9.0\n0.040 0.0\n0.070 12.0\n0.100 0.0\n"),
+        ("strokes.yaml", "[[0.010, 9.0], [0.040, 0.0], [0.070, 12.0], [1e-1, 0]]"),
+        (
+            "named.yml",
+            "- {time: 0.01, volts: 9}\n- {time: 0.04, volts: 0}\n- {time: 0.07, volts: 12}\n- {time: 0.1, volts: 0}",
+        ),
+    ],
+)
+def test_profiles_in_every_form_give_the_same_commands(tmp_path: Path, name: str, text: str):
+    (tmp_path / name).write_text(text)
+    run_well("simulate", "--profile", tmp_path / name, "--duration", 0.14, "--output", tmp_path / "x.mcap")
+    drive = read_trace(tmp_path / "x.mcap").drive
+    # Times in a bag count from the first stamp, here the first sample at 0.
+    assert drive.times.tolist() == [0.01, 0.04, 0.07, 0.1]
+    assert drive.volts.tolist() == [9.0, 0.0, 12.0, 0.0]
+
+
+def test_a_table_that_simulate_wrote_is_a_profile(tmp_path: Path):
+    (tmp_path / "strokes.csv").write_text(STROKES)
+    run_well("simulate", "--profile", tmp_path / "strokes.csv", "--duration", 0.14, "--output", tmp_path / "a.csv")
+    run_well("simulate", "--profile", tmp_path / "a.csv", "--duration", 0.14, "--output", tmp_path / "b.csv")
+    assert (tmp_path / "a.csv").read_text() == (tmp_path / "b.csv").read_text()
+
+
+def test_a_name_without_ending_becomes_a_rosbag2_folder(tmp_path: Path):
+    run_well("simulate", "--voltage", 9, "--duration", 0.02, "--output", tmp_path / "bag")
+    assert (tmp_path / "bag" / "metadata.yaml").is_file()
+    assert len(read_trace(tmp_path / "bag").times) == 400
+
+
+def test_plots_are_pictures(tmp_path: Path, strokes: Path, more_damped: Path):
+    picture = tmp_path / "opening.png"
+    run_well("simulate", "--voltage", 9, "--duration", 0.02, "--output", tmp_path / "x.csv", "--plot", picture)
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    run("validate", strokes, "--params", more_damped, "--plot", tmp_path / "replay.png")
+    assert (tmp_path / "replay.png").read_bytes().startswith(b"\x89PNG")
+
+
+# --- info ---
+
+
+def test_info_names_strokes_rates_and_arrivals(strokes: Path):
+    output = run_well("info", strokes).output
+    assert "2800 samples       20000 Hz" in output
+    assert "opening at 0.070 s, 12.0 V" in output
+    assert "reaches stop (position)" in output
+
+
+def test_info_as_json(strokes: Path):
+    (valve,) = json.loads(run_well("info", strokes, "--json").stdout)["valves"]
+    assert valve["signals"]["position"] == {"samples": 2800, "rate": pytest.approx(20000)}
+    assert [stroke["kind"] for stroke in valve["strokes"]] == ["opening", "closing", "opening", "closing"]
+    first = {event["kind"]: event["after_command"] for event in valve["arrivals"][0]["events"]}
+    assert first["pilot_reaches_main"] == pytest.approx(5.3e-3, abs=3e-5)
+    assert first["reaches_stop"] == pytest.approx(9.9e-3, abs=3e-5)
+
+
+# --- identify, diagnose, validate ---
+
+
+def test_identify_writes_what_validate_and_the_node_load(tmp_path: Path, strokes: Path):
+    output = run_well("identify", strokes, "--output", tmp_path / "results").output
+    report = json.loads((tmp_path / "results" / "identify.json").read_text())
+    identified = load_valve(tmp_path / "results" / "identified.yaml").parameters
+    for name, truth in (("pilot_damping", 1.0), ("main_damping", 4.0)):
+        found = report["parameters"][name]
+        assert abs(found["value"] - truth) < 4 * found["stderr"]
+        assert getattr(identified, name) == found["value"]
+        assert name in output
+    run_well("validate", strokes, "--params", tmp_path / "results" / "identified.yaml")
+
+
+def test_identify_frees_what_it_is_told_to(tmp_path: Path, strokes: Path):
+    result = run_well("identify", strokes, "--free", "a0, main_damping", "--output", tmp_path, "--json")
+    assert set(json.loads(result.stdout)["parameters"]) == {"a0", "main_damping"}
+
+
+def test_diagnose_of_the_declared_valve_claims_nothing(tmp_path: Path, strokes: Path):
+    run_well("diagnose", strokes, "--output", tmp_path)
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert report["schema"] == "valve_sim/diagnosis/1"
+    assert report["verdict"]["kind"] in ("none", "insufficient")
+    assert report["verdict"]["effects"] == []
+    assert load_valve(tmp_path / "corrected.yaml").effects == {}
+
+
+def test_validate_exits_0_within_and_1_outside(tmp_path: Path, strokes: Path, more_damped: Path):
+    declared = tmp_path / "declared.yaml"
+    save_valve(declared, default_valve(), "a test")
+    assert run("validate", strokes, "--params", declared).exit_code == 0
+    outside = run("validate", strokes, "--params", more_damped, "--junit", tmp_path / "replay.xml")
+    assert outside.exit_code == 1
+    assert "FAILED" in outside.output
+    assert int(ElementTree.parse(tmp_path / "replay.xml").getroot().attrib["failures"]) > 0
+    assert run("validate", strokes, "--params", more_damped, "--tolerance-um", 50).exit_code == 0
+
+
+def test_validate_takes_several_bags(strokes: Path, more_damped: Path):
+    result = run("validate", strokes, strokes, "--params", more_damped, "--json")
+    assert [recording["passed"] for recording in json.loads(result.stdout)["recordings"]] == [False, False]
+
+
+def test_fit_force_writes_parameters_report_and_picture(tmp_path: Path):
+    x = np.linspace(0, 1.23e-3, 80)
+    polynomial = default_valve().parameters.attraction_polynomial
+    force = np.polynomial.polynomial.polyval(x, np.array(polynomial))
+    force += 0.02 * np.random.default_rng(0).standard_normal(80)
+    np.savetxt(
+        tmp_path / "force.csv", np.column_stack([x, force]), delimiter=",", header="displacement,force", comments=""
+    )
+    output = run_well("fit-force", tmp_path / "force.csv", "--output", tmp_path / "results").output
+    assert "starts the motion" in output
+    fitted = load_valve(tmp_path / "results" / "attraction.yaml").parameters.attraction_polynomial
+    report = json.loads((tmp_path / "results" / "fit-force.json").read_text())
+    assert list(fitted) == report["attraction_polynomial"]
+    assert fitted[0] == pytest.approx(polynomial[0], abs=4 * report["parameters"]["a0"]["stderr"])
+    assert (tmp_path / "results" / "fit-force.png").read_bytes().startswith(b"\x89PNG")
+
+
+# --- unusable input ---
+
+SIMULATE = ("simulate", "--duration", "0.02", "--output", "{folder}/x.csv")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((), "Missing command"),
+        (("frobnicate",), "frobnicate"),
+        (SIMULATE, "--voltage or --profile"),
+        ((*SIMULATE, "--voltage", "nine"), "found 'nine', expected a finite number"),
+        ((*SIMULATE, "--voltage", "nan"), "found 'nan'"),
+        ((*SIMULATE, "--voltage", "9", "--rate", "0"), "above 0"),
+        ((*SIMULATE, "--voltage", "9", "--rate", "1e300"), "change duration or rate"),
+        ((*SIMULATE, "--voltage", "9", "--params", "{folder}/none.yaml"), "none.yaml: cannot be read"),
+        ((*SIMULATE, "--profile", "{folder}/none.csv"), "none.csv: cannot be read"),
+        ((*SIMULATE, "--profile", "{folder}/backward.csv"), "row 2: found time 0.01 s, expected one after 0.02 s"),
+        ((*SIMULATE, "--profile", "{folder}/negative.csv"), "expected times from 0 on"),
+        ((*SIMULATE, "--profile", "{folder}/late.csv"), "first command comes at 5 s"),
+        ((*SIMULATE, "--profile", "{folder}/words.yaml"), "row 1: found"),
+        (("simulate", "--voltage", "9", "--duration", "0.02", "--output", "{folder}/x.txt"), "expected x.mcap, x.csv"),
+        (
+            ("simulate", "--voltage", "9", "--duration", "0.02", "--output", "{folder}/late.csv/x.mcap"),
+            "cannot be written",
+        ),
+        (("info", "{folder}/none.mcap"), "none.mcap: does not exist"),
+        (("info", "{folder}/late.csv"), "is not a recording"),
+        (("identify", "{folder}/none.mcap", "--output", "{folder}/results"), "none.mcap: does not exist"),
+        (("identify", "{strokes}"), "--output"),
+        (
+            ("identify", "{strokes}", "--free", "pilot_dampin", "--output", "{folder}/results"),
+            "did you mean pilot_damping?",
+        ),
+        (("identify", "{strokes}", "--free", " , ", "--output", "{folder}/results"), "names nothing"),
+        (("identify", "{strokes}", "--valve", "/pump", "--output", "{folder}/results"), "holds no valve /pump"),
+        (("identify", "{strokes}", "--output", "{folder}/late.csv/results"), "cannot be written"),
+        (
+            ("diagnose", "{strokes}", "--holdout", "{folder}/none.mcap", "--output", "{folder}/results"),
+            "does not exist",
+        ),
+        (("validate", "{strokes}"), "--params"),
+        (("validate", "{strokes}", "--params", "{folder}/late.csv"), "late.csv"),
+        (("validate", "{strokes}", "{strokes}", "--params", "{folder}/late.csv", "--plot", "x.png"), "one BAG"),
+        (("fit-force", "{folder}/late.csv", "--output", "{folder}/results"), "expected one named displacement"),
+    ],
+)
+def test_unusable_input_is_one_line_and_exit_2(tmp_path: Path, strokes: Path, arguments: tuple[str, ...], words: str):
+    (tmp_path / "backward.csv").write_text("0.02,9\n0.01,0\n")
+    (tmp_path / "negative.csv").write_text("-0.02,9\n0.01,0\n")
+    (tmp_path / "late.csv").write_text("time,volts\n5,9\n6,0\n")
+    (tmp_path / "words.yaml").write_text("[open, shut]")
+    before = sorted(tmp_path.rglob("*"))
+    result = run(*(argument.format(folder=tmp_path, strokes=strokes) for argument in arguments))
+    assert result.exit_code == 2
+    assert words in result.stderr
+    assert result.stderr.count("\n") == 1
+    assert result.stderr.startswith("valve-sim: ")
+    assert result.stdout == ""
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_a_mistake_in_the_program_keeps_its_traceback(monkeypatch: pytest.MonkeyPatch, strokes: Path):
+    def fails(*arguments: object) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr("valve_sim.traces.describe", fails)
+    assert isinstance(CliRunner().invoke(main, ["info", str(strokes)]).exception, ZeroDivisionError)
+
+
+def test_an_interrupted_command_says_so_and_exits_130(monkeypatch: pytest.MonkeyPatch, strokes: Path):
+    def stops(*arguments: object) -> None:
+        raise click.Abort
+
+    monkeypatch.setattr("valve_sim.traces.describe", stops)
+    result = run("info", strokes)
+    assert (result.exit_code, result.stderr) == (130, "valve-sim: stopped\n")
+
+
+# --- as a real process ---
+
+
+def test_process_answers_on_stdout_and_refuses_on_stderr(strokes: Path, tmp_path: Path):
+    good = run_process("info", str(strokes), "--json")
+    assert (good.returncode, good.stderr) == (0, "")
+    assert len(json.loads(good.stdout)["valves"]) == 1
+    bad = run_process("info", str(tmp_path / "none.mcap"))
+    assert (bad.returncode, bad.stdout) == (2, "")
+    assert bad.stderr.count("\n") == 1
+
+
+def test_process_whose_reader_has_had_enough_ends_quietly(strokes: Path):
+    command = f"{sys.executable} -m valve_sim info {strokes} --json | head -c 1"
+    done = subprocess.run(
+        ["bash", "-o", "pipefail", "-c", command], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "{", "")
+
+
+def test_written_parameters_say_where_they_are_from(strokes: Path, tmp_path: Path):
+    done = run_process("identify", str(strokes), "--output", str(tmp_path))
+    assert done.returncode == 0
+    header = (tmp_path / "identified.yaml").read_text().splitlines()[:3]
+    assert header[0] == f"# Written by: valve-sim identify {strokes} --output {tmp_path}"
+    assert header[2].startswith("# identified: pilot_damping: ")

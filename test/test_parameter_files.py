@@ -1,0 +1,207 @@
+"""Parameter files: every form that ROS 2 reads, and one line for everything else."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from pathlib import Path
+
+import pytest
+
+from valve_sim.model import Drive, ParameterError, Valve, published_times, simulate
+from valve_sim.parameter_files import Section, default_valve, load_valve, read_sections, save_valve, write_sections
+from valve_sim.resources import config_path
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "given.yaml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def below_parameters(text: str) -> str:
+    return "/**:\n  ros__parameters:\n" + "".join(f"    {line}\n" for line in text.splitlines())
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "/**:\n  ros__parameters:\n    valve: {pilot_mass: 0.2}",
+        "/**:\n  ros__parameters:\n    valve.pilot_mass: 0.2",
+        "/**:\n  ros__parameters: {valve: {pilot_mass: 2e-1}}",
+        "valve:\n  ros__parameters:\n    valve: {pilot_mass: 0.2}",
+        "/valve:\n  ros__parameters:\n    valve:\n      pilot_mass: 0.2",
+        "/tank_1/valve:\n  ros__parameters:\n    valve: {pilot_mass: 0.2}",
+        "tank_1:\n  valve:\n    ros__parameters:\n      valve: {pilot_mass: 0.2}",
+        "/**/valve:\n  ros__parameters:\n    valve: {pilot_mass: .2E0}",
+        "/**:\n  ros__parameters:\n    publish_rate: 100\n    empty: {}\n    valve: {pilot_mass: 0.2}\n    effects:",
+        "other_node:\n  ros__parameters: {gain: 3}\n/valve:\n  ros__parameters: {valve: {pilot_mass: 0.2}}",
+        "/**:\n  ros__parameters: {valve: {pilot_mass: 9}}\n/valve:\n  ros__parameters: {valve: {pilot_mass: 0.2}}",
+    ],
+)
+def test_every_form_that_ros_reads_is_read(tmp_path: Path, text: str) -> None:
+    assert load_valve(written(tmp_path, text)) == default_valve().with_values(pilot_mass=0.2)
+
+
+def test_an_integer_may_stand_for_a_double(tmp_path: Path) -> None:
+    text = below_parameters("valve: {pilot_damping: 3, attraction_polynomial: [3, 17.096e3, -30931000, 24.026e9]}")
+    parameters = load_valve(written(tmp_path, text)).parameters
+    assert parameters.pilot_damping == 3.0
+    assert parameters.attraction_polynomial == (3.0, 17096.0, -30.931e6, 24.026e9)
+    assert all(isinstance(term, float) for term in (parameters.pilot_damping, *parameters.attraction_polynomial))
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("valve: {pilot_mas: 0.125}", ["valve.pilot_mas", "0.125", "did you mean pilot_mass"]),
+        ("valve: {pilot_mass: heavy}", ["valve.pilot_mass", "'heavy'", "expected a number"]),
+        ("valve: {pilot_mass: true}", ["valve.pilot_mass", "True", "expected a number"]),
+        ("valve: {pilot_mass: .nan}", ["valve.pilot_mass", "nan", "expected a number above 0"]),
+        ("valve: {pilot_mass: 0}", ["valve.pilot_mass", "found 0", "expected a number above 0"]),
+        ("valve: {pilot_mass: }", ["valve.pilot_mass", "has no value"]),
+        ("valve: {pilot_gap: 1.5e-3}", ["valve.pilot_gap", "0.0015", "0.00123", "expected 0 < pilot_gap < stroke"]),
+        ("valve: {attraction_polynomial: [1.0, 2.0, 3.0]}", ["valve.attraction_polynomial", "3 terms", "four numbers"]),
+        ("valve: {attraction_polynomial: [1.0, x, 3.0, 4.0]}", ["valve.attraction_polynomial[1]", "'x'", "a number"]),
+        ("valve: 3", ["valve", "found 3", "pilot_mass"]),
+        ("effects: {stictoin: {force: 0.1}}", ["effects.stictoin.force", "0.1", "did you mean stiction"]),
+        ("effects: {stiction: {forse: 0.1}}", ["effects.stiction.forse", "0.1", "did you mean force"]),
+        ("effects: {stiction: {force: -1}}", ["effects.stiction.force", "-1", "from 0 to 100000 N"]),
+        ("effects: {stiction: {}}", ["effects.stiction", "{}", "force, breakaway, stribeck_velocity"]),
+        ("effects: {stiction: 0.3}", ["effects.stiction", "0.3", "force, breakaway, stribeck_velocity"]),
+        ("effects: {stroke_offset: {offset: -1.2e-3}}", ["with effects", "pilot_gap < stroke"]),
+        ("effects: {sensor_bandwidth: {cutoff_frequency: -.inf}}", ["cutoff_frequency", "-inf", "1e+09 Hz"]),
+        ("pilot_mass: 0.1", ["pilot_mass", "0.1", "valve.pilot_mass"]),
+        ("stiction: {force: 0.1}", ["stiction.force", "0.1", "effects.stiction.force"]),
+        ("valves: {pilot_mass: 0.1}", ["valves.pilot_mass", "0.1", "expected valve:"]),
+        ("valve: {pilot_mass: 0.1, pilot_mass: 0.2}", ["line 3", "'pilot_mass'", "second time"]),
+        ("valve: {pilot_mass: 0.1", ["line", "expected"]),
+        ("publish_rate: 100", ["no parameters of a valve", "ros__parameters"]),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_line(tmp_path: Path, text: str, named: list[str]) -> None:
+    path = written(tmp_path, below_parameters(text))
+    with pytest.raises(ParameterError) as caught:
+        load_valve(path)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert [part for part in [str(path), *named] if part not in message] == []
+
+
+@pytest.mark.parametrize(
+    "text", ["", "3", "[1, 2]", "valve: {pilot_mass: 0.1}", "/**: {ros__parameters: 3}", "&a [*a]", "\t"]
+)
+def test_what_is_no_parameter_file_is_said_in_one_line(tmp_path: Path, text: str) -> None:
+    path = written(tmp_path, text)
+    with pytest.raises(ParameterError, match="expected") as caught:
+        load_valve(path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+    binary = tmp_path / "binary.yaml"
+    binary.write_bytes(b"\xff\xfe\x00")
+    for path in (tmp_path / "none.yaml", tmp_path, binary):
+        with pytest.raises(ParameterError, match=str(path)):
+            load_valve(path)
+
+
+def test_of_several_valves_one_must_be_named(tmp_path: Path) -> None:
+    each = "  ros__parameters: {{valve: {{pilot_mass: {}}}}}\n"
+    path = written(tmp_path, "/a/valve:\n" + each.format(0.1) + "/b/valve:\n" + each.format(0.2))
+    with pytest.raises(ParameterError, match="/a/valve, /b/valve"):
+        load_valve(path)
+    assert load_valve(path, "/b/valve").parameters.pilot_mass == 0.2
+    with pytest.raises(ParameterError, match="/c/valve"):
+        load_valve(path, "/c/valve")
+
+
+@pytest.mark.parametrize(
+    ("pattern", "node", "applies"),
+    [
+        ("/**", "/valve", True),
+        ("/**", "/tank_1/valve", True),
+        ("/*/valve", "/tank_1/valve", True),
+        ("/*/valve", "/valve", False),
+        ("/**/valve", "/valve", True),
+        ("/**/valve", "/a/b/valve", True),
+        ("/valve", "/tank_1/valve", False),
+        ("/tank_*", "/tank_1", True),
+    ],
+)
+def test_patterns_of_node_names_match_as_in_ros(pattern: str, node: str, applies: bool) -> None:
+    assert Section(pattern, {}).applies_to(node) is applies
+
+
+def test_an_effect_is_on_when_a_parameter_differs_from_its_off_value(tmp_path: Path) -> None:
+    text = below_parameters(
+        "effects:\n"
+        "  stiction: {force: 0.3}\n"
+        "  coulomb_friction: {force: 0.0}\n"
+        "  drive_gain: {gain: 1}\n"
+        "  sensor_bandwidth: {cutoff_frequency: .inf}\n"
+        "  squeeze_film: {film_thickness: 2.0e-4}"
+    )
+    effects = load_valve(written(tmp_path, text)).effects
+    assert effects == {"stiction": {"force": 0.3, "breakaway": 0.0, "stribeck_velocity": 0.02}}
+
+
+def test_what_is_saved_is_read_back(tmp_path: Path) -> None:
+    valve = Valve(
+        default_valve().parameters._replace(pilot_damping=1 / 3), {"stiction": stiction(), "drive_gain": {"gain": 0.9}}
+    )
+    path = tmp_path / "saved.yaml"
+    save_valve(path, valve, "identified from a bag\nand so on")
+    assert load_valve(path) == valve
+    assert path.read_text().startswith("# identified from a bag\n# and so on\n/**:\n")
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def stiction() -> dict[str, float]:
+    return {"force": 0.25, "breakaway": 1e-5, "stribeck_velocity": 0.02}
+
+
+def test_a_file_that_cannot_be_written_is_left_as_it_was(tmp_path: Path) -> None:
+    with pytest.raises(ParameterError, match="cannot be written"):
+        save_valve(tmp_path / "none" / "saved.yaml", default_valve(), "")
+    target = tmp_path / "folder"
+    target.mkdir()
+    with pytest.raises(ParameterError, match="cannot be written"):
+        save_valve(target, default_valve(), "")
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_plain_copies_mean_the_same(tmp_path: Path) -> None:
+    path = written(
+        tmp_path,
+        below_parameters("valve: {attraction_polynomial: [0, 1.5, 2, 3], stroke: 2e-3}\neffects: {}\nname: '1'"),
+    )
+    copy = tmp_path / "copy.yaml"
+    write_sections(copy, read_sections(path))
+    assert read_sections(copy) == read_sections(path)
+    assert "0.0, 1.5" in copy.read_text()
+
+
+def test_shipped_files_say_where_each_value_is_from() -> None:
+    for name in ("valve.yaml", "published.yaml"):
+        lines = config_path(name).read_text().splitlines()
+        sourced = ("published", "calibrated", "assumed")
+        for before, line in itertools.pairwise(lines):
+            key, colon, _ = line.partition(":")
+            if colon and key.strip() in Valve().parameters._fields:
+                assert any(word in line + before for word in sourced), f"{name}: {line}"
+
+
+def test_the_default_opens_at_the_published_times_and_the_published_one_never() -> None:
+    response = simulate(default_valve(), Drive.of([0.0], [9.0]), [0.02])
+    assert published_times(response) == pytest.approx((5.3e-3, 9.9e-3), abs=1e-6)
+    published = load_valve(config_path("published.yaml"))
+    assert published == Valve()
+    assert not published.can_open()
+    assert all(math.isnan(time) for time in published_times(simulate(published, Drive.of([0.0], [9.0]), [1.0])))
+
+
+@pytest.mark.parametrize("tank", [1, 2, 3])
+def test_every_tank_of_the_station_opens(tank: int) -> None:
+    assert load_valve(config_path(f"tank_{tank}.yaml")).can_open()

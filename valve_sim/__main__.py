@@ -1,0 +1,5 @@
+"""`python -m valve_sim` is `valve-sim`."""
+
+from valve_sim.cli import main
+
+main()

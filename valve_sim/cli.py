@@ -1,0 +1,563 @@
+"""`valve-sim`: parse, call, print.
+
+Everything that takes long to import is imported by the command that needs it, so that --help answers at once. Exit
+codes: 0 done (validate: within), 1 outside (validate), 2 unusable input, with one line on stderr.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import json
+import math
+import os
+import shlex
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, NoReturn
+
+import click
+
+from valve_sim import __version__
+
+if TYPE_CHECKING:
+    from valve_sim.model import Valve
+    from valve_sim.traces import StrokeEvents, Trace, TraceSummary
+
+Progress = Callable[[str, float], None]
+
+OUTSIDE: Final = 1
+UNUSABLE: Final = 2
+STOPPED: Final = 130
+_FILE: Final = click.Path(path_type=Path)
+
+
+class Command(click.Command):
+    """A command whose help shows paragraphs with indented lines, its examples, as they stand."""
+
+    def __init__(self, *arguments: Any, **settings: Any) -> None:
+        super().__init__(*arguments, **{**settings, "help": _with_examples(settings.get("help"))})
+
+
+class CommandLine(click.Group):
+    """A group whose every failure is one line on stderr."""
+
+    command_class = Command
+
+    def __init__(self, *arguments: Any, **settings: Any) -> None:
+        super().__init__(*arguments, **{**settings, "help": _with_examples(settings.get("help"))})
+
+    def main(self, *arguments: Any, **settings: Any) -> Any:
+        """Run the command line and exit."""
+        settings["standalone_mode"] = False
+        try:
+            code = super().main(*arguments, **settings)
+            sys.stdout.flush()
+        except click.ClickException as error:
+            context = getattr(error, "ctx", None)
+            hint = f" (see {context.command_path} --help)" if context else ""
+            _end(f"{_one_line(error.format_message())}{hint}")
+        except click.Abort:
+            _end("stopped", STOPPED)
+        except BrokenPipeError:
+            # Whoever read the output, such as head, has had enough; Python's own last flush must not complain.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            sys.exit(0)
+        except Exception as error:
+            from valve_sim.model.errors import ValveError
+
+            if not isinstance(error, ValveError):
+                raise
+            _end(_one_line(str(error)))
+        sys.exit(code if isinstance(code, int) else 0)
+
+
+def _with_examples(text: str | None) -> str | None:
+    """Help in which click leaves the lines of paragraphs with indented lines alone."""
+    if text is None:
+        return None
+    paragraphs = inspect.cleandoc(text).split("\n\n")
+    return "\n\n".join(f"\b\n{words}" if "\n  " in f"\n{words}" else words for words in paragraphs)
+
+
+def _number(lowest: float = -math.inf, *, is_open: bool = False) -> Callable[[str], float]:
+    """The type of an option that takes a finite number, above a bound or from it on."""
+
+    def convert(text: str) -> float:
+        try:
+            number = float(text)
+        except ValueError:
+            number = math.nan
+        if not math.isfinite(number) or number < lowest or (is_open and number == lowest):
+            bound = "" if math.isinf(lowest) else f", {'above' if is_open else 'at least'} {lowest:g}"
+            raise click.BadParameter(f"found {text!r}, expected a finite number{bound}")
+        return number
+
+    return convert
+
+
+@click.group(
+    cls=CommandLine,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110, "show_default": True},
+    no_args_is_help=False,
+)
+@click.version_option(__version__, prog_name="valve-sim")
+def main() -> None:
+    """Simulate, identify, diagnose and validate a pilot-operated solenoid valve.
+
+    From nothing to an identified valve in four lines:
+      echo '[[0.01, 9], [0.04, 0], [0.07, 12], [0.10, 0]]' > strokes.yaml
+      valve-sim simulate --profile strokes.yaml --duration 0.14 --noise-um 1 --output strokes.mcap
+      valve-sim info strokes.mcap
+      valve-sim identify strokes.mcap --output results
+
+    A recording is a rosbag2 folder or a bare .mcap file with the topics ~/coil_voltage and ~/measured/joint_states. A
+    parameter file is a ROS 2 parameter file, the one that valve_node takes; without --params the shipped
+    config/valve.yaml holds.
+    """
+
+
+# --- options that several commands share ---
+
+_bags = click.argument("bags", metavar="BAG...", type=_FILE, nargs=-1, required=True)
+_params = click.option("--params", metavar="FILE", type=_FILE, help="Parameter file. Default: the shipped valve.yaml.")
+_valve = click.option("--valve", "name", metavar="NAME", help="Which valve of a bag that holds several, /tank_1/valve.")
+_json = click.option("--json", "as_json", is_flag=True, help="Print JSON in place of text.")
+_folder = click.option("--output", metavar="DIR", type=_FILE, required=True, help="Folder for the results.")
+
+
+# --- commands ---
+
+
+@main.command()
+@_params
+@click.option("--voltage", metavar="V", type=_number(), help="Hold this voltage from time 0 on.")
+@click.option("--profile", metavar="FILE", type=_FILE, help="Voltage over time: see below.")
+@click.option("--duration", metavar="S", type=_number(0.0, is_open=True), required=True, help="How long, s.")
+@click.option("--rate", metavar="HZ", type=_number(0.0, is_open=True), default=20000.0, help="Samples a second.")
+@click.option(
+    "--noise-um", metavar="UM", type=_number(0.0), default=0.0, help="Noise of the positions, µm (std. dev.)."
+)
+@click.option("--quantisation-um", metavar="UM", type=_number(0.0), default=0.0, help="Step of the positions, µm.")
+@click.option(
+    "--current-noise-ma",
+    metavar="MA",
+    type=_number(0.0),
+    show_default="1 with --noise-um, else 0",
+    help="Noise of the coil current, mA.",
+)
+@click.option("--seed", type=click.IntRange(min=0), default=0, help="Of the noise; the same gives the same recording.")
+@click.option("--output", metavar="FILE", type=_FILE, required=True, help="x.mcap, x.csv, or x for a rosbag2 folder.")
+@click.option("--plot", metavar="PNG", type=_FILE, help="Draw displacement, velocity, current and phase.")
+@_json
+def simulate(
+    *,
+    params: Path | None,
+    voltage: float | None,
+    profile: Path | None,
+    duration: float,
+    rate: float,
+    noise_um: float,
+    quantisation_um: float,
+    current_noise_ma: float | None,
+    seed: int,
+    output: Path,
+    plot: Path | None,
+    as_json: bool,
+) -> None:
+    """Simulate strokes and record them.
+
+    One opening at 9 V, as a table and a picture:
+      valve-sim simulate --voltage 9 --duration 0.02 --output opening.csv --plot opening.png
+    Strokes with a noisy sensor, as a bag that identify reads back:
+      valve-sim simulate --profile strokes.csv --duration 0.5 --noise-um 1 --output strokes.mcap
+
+    A profile is a CSV file with the columns time (s) and volts (V), each voltage held until the next row:
+      time,volts
+      0.010,9.0
+      0.040,0.0
+    or a YAML file of the same rows: [[0.010, 9.0], [0.040, 0.0]] or [{time: 0.010, volts: 9.0}, ...].
+    A CSV that simulate wrote is a profile too.
+
+    The CSV has the columns time, coil_voltage, coil_current, pilot_position, main_position, pilot_velocity, phase, in
+    SI units. The bag has /valve/coil_voltage, /valve/measured/joint_states and /valve/measured/coil_current, and
+    its stamps begin at 0.
+    """
+    if (voltage is None) == (profile is None):
+        raise click.UsageError("give either --voltage or --profile", click.get_current_context())
+    from valve_sim.identification.synthetic import Sensor, read_profile, record
+    from valve_sim.model import Drive, published_times
+    from valve_sim.traces import write_bag, write_csv
+
+    if output.suffix not in (".csv", ".mcap", ""):
+        _refuse(f"--output {output}: expected x.mcap, x.csv, or a name without ending for a rosbag2 folder")
+    drive = Drive.of([0.0], [voltage or 0.0]) if profile is None else read_profile(profile)
+    current_noise = (1.0 if noise_um else 0.0) if current_noise_ma is None else current_noise_ma
+    sensor = Sensor(1e-6 * noise_um, 1e-6 * quantisation_um, 1e-3 * current_noise, seed)
+    valve = _load(params)
+    recording = record(valve, drive, duration, rate, sensor)
+    if output.suffix == ".csv":
+        write_csv(output, recording.columns())
+    else:
+        write_bag(output, recording.trace)
+    if plot is not None:
+        from valve_sim.identification.plots import plot_response
+
+        levels = {"gap": valve.parameters.pilot_gap, "stroke": valve.parameters.stroke}
+        plot_response(plot, recording.response, recording.trace.drive, str(params or "valve.yaml"), levels=levels)
+    events = recording.response.events
+    first = dict(zip(("t1_ms", "t2_ms"), (1e3 * time for time in published_times(recording.response)), strict=True))
+    if as_json:
+        listed = [{**event._asdict(), "kind": event.kind.name.lower()} for event in events]
+        _print_json({"output": output, "samples": len(recording.trace.times), **first, "events": listed})
+        return
+    for event in events:
+        words = event.kind.name.lower().replace("_", " ")
+        click.echo(f"{1e3 * event.time:12.6f} ms  {words:<16}{1e6 * event.position:10.3f} µm{event.velocity:12.6f} m/s")
+    if not events:
+        click.echo("the valve stays closed")
+    click.echo(f"wrote {output} ({len(recording.trace.times)} samples)" + (f" and {plot}" if plot else ""))
+
+
+@main.command()
+@click.argument("bag", type=_FILE)
+@_valve
+@_params
+@_json
+def info(*, bag: Path, name: str | None, params: Path | None, as_json: bool) -> None:
+    """Say what a recording holds.
+
+    Valves, signals and their rates, strokes, gaps, trouble with clocks, and what reading it dropped or repaired.
+    Arrivals of each stroke are read from the sensors alone; only the place of the gap is taken from the parameters.
+
+      valve-sim info strokes.mcap
+      valve-sim info station_bag --valve /tank_1/valve --json | jq '.valves[0].strokes'
+    """
+    from valve_sim.traces import describe, events_from_sensors, list_valves, read_trace
+
+    gap = _load(params).parameters.pilot_gap
+    valves = []
+    for valve in (name,) if name else list_valves(bag) or (None,):
+        trace = read_trace(bag, valve)
+        valves.append((describe(trace), events_from_sensors(trace, gap)))
+    if as_json:
+        _print_json({"valves": [{**_plain(summary), "arrivals": _plain(arrivals)} for summary, arrivals in valves]})
+        return
+    for summary, arrivals in valves:
+        _print_summary(summary, arrivals)
+
+
+@main.command()
+@_bags
+@_params
+@click.option(
+    "--free",
+    metavar="A,B",
+    default="pilot_damping,main_damping",
+    help="What to refit: declared parameters (a0 ... a3 of the polynomial) and effects, coulomb_friction.force.",
+)
+@_valve
+@_folder
+@_json
+def identify(
+    *, bags: tuple[Path, ...], params: Path | None, free: str, name: str | None, output: Path, as_json: bool
+) -> None:
+    """Refit parameters to recordings.
+
+    Every value comes with its 95 % interval, and what the data do not hold is said. Writes DIR/identify.json and
+    DIR/identified.yaml, which valve_node, simulate and validate load.
+
+      valve-sim identify strokes.mcap --output results
+      valve-sim identify day_1 day_2 --free pilot_damping,main_damping,a0 --params my_valve.yaml --output results
+      valve-sim validate tomorrow.mcap --params results/identified.yaml
+    """
+    from valve_sim.identification.identify import identify as refit
+    from valve_sim.parameter_files import save_valve
+
+    valve = _load(params)
+    names = tuple(dict.fromkeys(part.strip() for part in free.split(",") if part.strip()))
+    if not names:
+        _refuse(f"--free {free!r}: names nothing; expected names, parted by commas")
+    traces = _read(bags, name)
+    with _progress() as progress:
+        result = refit(traces, valve, names, progress)
+    report = result.to_json()
+    _write(output / "identify.json", _json_text(report))
+    values = [f"{key}: {interval.value:.6g} ± {interval.stderr:.2g}" for key, interval in result.intervals.items()]
+    save_valve(output / "identified.yaml", result.valve, _provenance(params, [f"identified: {', '.join(values)}"]))
+    _print_report(report, result.text(), (output / "identify.json", output / "identified.yaml"), as_json)
+
+
+@main.command()
+@_bags
+@click.option(
+    "--holdout", metavar="BAG", type=_FILE, multiple=True, help="Recording to judge by, not to fit. Repeatable."
+)
+@_params
+@_valve
+@_folder
+@_json
+def diagnose(
+    *,
+    bags: tuple[Path, ...],
+    holdout: tuple[Path, ...],
+    params: Path | None,
+    name: str | None,
+    output: Path,
+    as_json: bool,
+) -> None:
+    """Find the effect that the model lacks.
+
+    Refits the declared model, tests whether what is left is more than noise, searches the effects, and reports errors
+    before and after, on the data it was fitted to and on held-out data. Without --holdout, strokes are held out.
+
+    Writes DIR/report.json, DIR/report.html for people, and DIR/corrected.yaml, which valve_node, simulate and validate
+    load.
+
+      valve-sim diagnose strokes.mcap --output results
+      valve-sim diagnose day_1 day_2 --holdout day_3 --params my_valve.yaml --output results
+    """
+    from valve_sim.identification.diagnosis import diagnose as trace_residual
+    from valve_sim.identification.diagnosis import to_json
+    from valve_sim.parameter_files import save_valve
+
+    valve = _load(params)
+    traces, held_out = _read(bags, name), _read(holdout, name)
+    with _progress() as progress:
+        result = trace_residual(traces, held_out, valve, progress)
+    report = to_json(result)
+    _write(output / "report.json", _json_text(report))
+    save_valve(output / "corrected.yaml", result.valve, _provenance(params, [report["verdict"]["summary"]]))
+    _print_report(report, result.verdict.summary, (output / "report.json", output / "corrected.yaml"), as_json)
+
+
+@main.command()
+@_bags
+@click.option("--params", metavar="FILE", type=_FILE, required=True, help="Parameter file of the valve to check.")
+@click.option(
+    "--tolerance-um",
+    metavar="UM",
+    type=_number(0.0, is_open=True),
+    show_default="3 times the noise",
+    help="Largest rms error, µm.",
+)
+@click.option("--command-jitter", is_flag=True, help="Take an error of each command's stamp for granted, N(0, 50 µs).")
+@click.option("--junit", metavar="XML", type=_FILE, help="Write a JUnit report, a test case for each stroke.")
+@click.option("--plot", metavar="PNG", type=_FILE, help="Draw measured, predicted and what lies between (one BAG).")
+@_valve
+@_json
+def validate(
+    *,
+    bags: tuple[Path, ...],
+    params: Path,
+    tolerance_um: float | None,
+    command_jitter: bool,
+    junit: Path | None,
+    plot: Path | None,
+    name: str | None,
+    as_json: bool,
+) -> int:
+    """Check a declared valve against recordings.
+
+    The recorded commands are replayed on it. Exit 0 when it does what was measured, 1 when not. A stroke is within
+    the tolerance when its root-mean-square error is, over all its samples and over those in which
+    the model moves. Nothing is fitted but the offset between the clocks of commands and samples, prior N(0, 50 µs).
+
+      valve-sim validate strokes.mcap --params config/valve.yaml
+      valve-sim validate tests/*.mcap --params results/identified.yaml --tolerance-um 17 --junit replay.xml
+    """
+    if plot is not None and len(bags) > 1:
+        raise click.UsageError("--plot draws one recording; give one BAG", click.get_current_context())
+    from valve_sim.identification.validation import validate as replay
+
+    valve = _load(params)
+    traces = _read(bags, name)
+    tolerance = None if tolerance_um is None else 1e-6 * tolerance_um
+    with _progress() as progress:
+        result = replay(traces, valve, tolerance, command_jitter=command_jitter, progress=progress)
+    if junit is not None:
+        _write(junit, result.junit())
+    if plot is not None:
+        from valve_sim.identification.plots import plot_replay
+
+        plot_replay(plot, result.replays[0])
+    _print_report(result.to_json(), result.text(), [path for path in (junit, plot) if path], as_json)
+    return 0 if result.passed else OUTSIDE
+
+
+@main.command("fit-force")
+@click.argument("file", type=_FILE)
+@_params
+@click.option("--degree", type=int, default=3, help="Of the polynomial, up to 3.")
+@click.option("--voltage", metavar="V", type=_number(), help="Of the table. Default: valve.reference_voltage.")
+@click.option("--no-constant", is_flag=True, help="Leave a0 out, as the paper does; the report says what comes of it.")
+@_folder
+@_json
+def fit_force(
+    *,
+    file: Path,
+    params: Path | None,
+    degree: int,
+    voltage: float | None,
+    no_constant: bool,
+    output: Path,
+    as_json: bool,
+) -> None:
+    """Fit the attraction to a static table.
+
+    FILE is a CSV with the columns displacement (m) and force (N), measured at one voltage with load cell and stage.
+    Writes DIR/fit-force.json, DIR/fit-force.png (force and residuals) and DIR/attraction.yaml, which valve_node,
+    simulate and validate load.
+
+      valve-sim fit-force force_9V.csv --output results
+      valve-sim fit-force force_12V.csv --voltage 12 --params my_valve.yaml --output results
+    """
+    from valve_sim.identification.plots import plot_static_force
+    from valve_sim.identification.static_force import fit_static_force
+    from valve_sim.parameter_files import save_valve
+
+    result = fit_static_force(file, _load(params), degree=degree, voltage=voltage, constant=not no_constant)
+    report, picture, parameters = (output / f for f in ("fit-force.json", "fit-force.png", "attraction.yaml"))
+    _write(report, _json_text(result.to_json()))
+    plot_static_force(picture, result)
+    save_valve(parameters, result.valve, _provenance(params, ["attraction_polynomial: fitted", *result.remarks]))
+    _print_report(result.to_json(), result.text(), (report, picture, parameters), as_json)
+
+
+# --- in ---
+
+
+def _load(params: Path | None) -> Valve:
+    from valve_sim.parameter_files import default_valve, load_valve
+
+    return default_valve() if params is None else load_valve(params)
+
+
+def _read(bags: Sequence[Path], name: str | None) -> list[Trace]:
+    """Read recordings; what was dropped or repaired is said on stderr."""
+    from valve_sim.traces import read_trace
+
+    traces = []
+    for bag in bags:
+        trace = read_trace(bag, name)
+        for finding in trace.findings:
+            click.echo(f"valve-sim: {bag}: {finding}", err=True)
+        traces.append(trace)
+    return traces
+
+
+# --- out ---
+
+
+@contextmanager
+def _progress() -> Iterator[Progress]:
+    """A bar on stderr while that is a terminal; silence elsewhere."""
+    if not sys.stderr.isatty():
+        yield lambda what, fraction: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("starting", total=1.0)
+        yield lambda what, fraction: bar.update(task, description=what, completed=fraction)
+
+
+def _print_report(report: Mapping[str, Any], text: str, written: Sequence[Path], as_json: bool) -> None:
+    if as_json:
+        _print_json(report)
+        return
+    click.echo(text)
+    if written:
+        click.echo(f"wrote {', '.join(str(path) for path in written)}")
+
+
+def _print_summary(summary: TraceSummary, arrivals: Sequence[StrokeEvents]) -> None:
+    low, high = (1e6 * position for position in summary.position_range)
+    click.echo(f"{summary.source}: {summary.duration:.6g} s, timed by {summary.clock} stamps")
+    for signal, rate in summary.signals.items():
+        click.echo(f"  {signal:<18}{rate.samples:>9} samples{rate.rate:>12.6g} Hz")
+    click.echo(f"  {'commands':<18}{summary.commands:>9} at {', '.join(f'{volts:g}' for volts in summary.voltages)} V")
+    click.echo(
+        f"  pilot plunger from {low:.2f} to {high:.2f} µm, noise {1e6 * summary.noise:.3g} µm; "
+        f"sample interval within {1e6 * summary.jitter:.3f} µs of its median (99 %)"
+    )
+    for gap in summary.gaps[:10]:
+        click.echo(f"  gap at {gap.start:.6f} s: {1e3 * gap.length:.3f} ms without samples")
+    if len(summary.gaps) > 10:
+        click.echo(f"  and {len(summary.gaps) - 10} gaps more")
+    seen = {found.stroke: found.events for found in arrivals}
+    for stroke in summary.strokes:
+        click.echo(f"  {stroke.name}" + ("" if stroke.moved else ": nothing moved"))
+        for event in seen.get(stroke, ()):
+            words = f"{event.kind.replace('_', ' ')} ({event.sensor})"
+            click.echo(f"    {words:<34}{1e3 * event.after_command:9.3f} ± {1e3 * event.uncertainty:.3f} ms")
+    for finding in summary.findings:
+        click.echo(f"  note: {finding}")
+
+
+def _provenance(params: Path | None, lines: Sequence[str]) -> str:
+    """Where the values of a written parameter file are from."""
+    command = shlex.join(["valve-sim", *sys.argv[1:]])
+    return "\n".join(
+        [f"Written by: {command}", f"From: {params or 'the shipped valve.yaml'}, changed as follows", *lines]
+    )
+
+
+def _print_json(report: Mapping[str, Any]) -> None:
+    click.echo(_json_text(report), nl=False)
+
+
+def _json_text(report: Mapping[str, Any]) -> str:
+    return json.dumps(_plain(report), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _plain(value: Any) -> Any:
+    """What JSON has: records become mappings, numbers that are not finite null."""
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    if dataclasses.is_dataclass(value):
+        return {field.name: _plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
+    if hasattr(value, "_asdict"):
+        return _plain(value._asdict())
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return str(value) if isinstance(value, Path) else value
+
+
+def _write(path: Path, text: str) -> None:
+    """Write a file, whole or not at all."""
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial.write_text(text, encoding="utf-8")
+        partial.replace(path)
+    except OSError as error:
+        _refuse(f"{path}: cannot be written ({error.strerror}); choose another place")
+    finally:
+        with suppress(OSError):
+            partial.unlink(missing_ok=True)
+
+
+def _refuse(message: str) -> NoReturn:
+    from valve_sim.model.errors import ValveError
+
+    raise ValveError(message)
+
+
+def _one_line(message: str) -> str:
+    return " ".join(message.split())
+
+
+def _end(message: str, code: int = UNUSABLE) -> NoReturn:
+    click.echo(f"valve-sim: {message}", err=True)
+    sys.exit(code)
+
+
+if __name__ == "__main__":
+    main()

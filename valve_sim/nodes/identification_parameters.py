@@ -1,0 +1,122 @@
+"""The one table of identification_node's parameters: names, defaults, meaning and checks. Needs no ROS."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from valve_sim.identification.identify import DEFAULT_FREE, check_free
+from valve_sim.model import ParameterError
+from valve_sim.model.parameters import closest
+
+MODES: Final = ("identify", "diagnose")
+_VALVE_KEYS: Final = ("valve.", "effects.")
+
+
+class Settings(NamedTuple):
+    """What the node does.
+
+    Attributes:
+        bag: the recording. valve_name: which valve in it; empty if there is one only.
+        params: parameter file of the declared valve; empty for the shipped one.
+        free: what is refitted.
+        rate: seconds of the bag a second of the clock; 0 for as fast as possible. loop: replay it again and again.
+        apply_to: the node that gets the result; empty for none. output: folder of the files.
+        mode: of MODES.
+    """
+
+    bag: str = ""
+    valve_name: str = ""
+    params: str = ""
+    free: tuple[str, ...] = DEFAULT_FREE
+    rate: float = 1.0
+    loop: bool = False
+    apply_to: str = ""
+    output: str = "."
+    mode: str = MODES[0]
+
+
+DESCRIPTIONS: Final = {
+    "bag": "the recording: a rosbag2 folder or an .mcap file",
+    "valve_name": "which valve of the recording, such as /tank_1/valve; needed only where it holds several",
+    "params": "parameter file of the declared valve; empty: the shipped one",
+    "free": "parameters to refit (mode identify), such as pilot_damping or coulomb_friction.force",
+    "rate": "[–] replay: 1 as recorded, 2 twice as fast, 0 as fast as possible",
+    "loop": "whether the replay begins anew at its end",
+    "apply_to": "running valve node whose parameters are set to the result; empty: none",
+    "output": "folder where identified.yaml (mode diagnose: corrected.yaml) is written",
+    "mode": "identify: refit `free`; diagnose: find the effect that the declared valve lacks",
+}
+
+
+def check_settings(given: Mapping[str, object], sources: Mapping[str, str]) -> Settings:
+    """The settings to start with.
+
+    Args:
+        given: names and values; those of ROS itself left out.
+        sources: name to the file where it was given; the command line where missing.
+
+    Raises:
+        ParameterError: unknown name, wrong type or out of range; one line.
+    """
+    values: dict[str, object] = {}
+    for name, value in given.items():
+        where = f"{sources.get(name, 'command line')}: {name}"
+        if name.startswith(_VALVE_KEYS):
+            raise ParameterError(f"{where}: belongs to a valve; give the file's name as the parameter params instead")
+        if name not in Settings._fields:
+            raise ParameterError(
+                f"{where}: found {value!r} under an unknown name; expected a parameter of identification_node, "
+                f"did you mean {closest(name, Settings._fields)}?"
+            )
+        values[name] = _checked(name, value, where)
+    settings = Settings(**values)  # type: ignore[arg-type]
+    if not settings.bag:
+        raise ParameterError("bag: not given; expected a rosbag2 folder or an .mcap file (-p bag:=FILE)")
+    return settings
+
+
+def output_folder(settings: Settings) -> Path:
+    """The folder of the results, made if it is not there.
+
+    Raises:
+        ParameterError: it cannot be made.
+    """
+    folder = Path(settings.output).expanduser()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ParameterError(f"output: {folder}: cannot be made ({error.strerror}); expected a folder") from error
+    return folder
+
+
+def _checked(name: str, value: object, where: str) -> object:
+    if name == "free":
+        return _checked_free(value, where)
+    if name == "rate":
+        if isinstance(value, bool) or not isinstance(value, int | float) or not (0.0 <= value < math.inf):
+            raise ParameterError(f"{where}: found {value!r}, expected a number from 0 on")
+        return float(value)
+    if name == "loop":
+        if not isinstance(value, bool):
+            raise ParameterError(f"{where}: found {value!r}, expected true or false")
+        return value
+    if not isinstance(value, str):
+        raise ParameterError(f"{where}: found {value!r}, expected text")
+    if name == "mode" and value not in MODES:
+        raise ParameterError(f"{where}: found {value!r}, expected {' or '.join(MODES)}")
+    return value
+
+
+def _checked_free(value: object, where: str) -> tuple[str, ...]:
+    """Names as a list, or in one text, parted by commas."""
+    parts = value.split(",") if isinstance(value, str) else value
+    if not isinstance(parts, Sequence) or not all(isinstance(part, str) for part in parts):
+        raise ParameterError(f"{where}: found {value!r}, expected a list of names")
+    names = tuple(dict.fromkeys(part.strip() for part in parts if part.strip()))
+    if not names:
+        raise ParameterError(f"{where}: found {value!r}, expected at least one name")
+    check_free(names)
+    return names

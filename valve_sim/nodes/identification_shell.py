@@ -1,0 +1,228 @@
+"""The ROS side of identification_node: a recording, a replay and a task wired to topics. No physics, no fitting.
+
+Threads: callbacks run in the main thread. A `Replay` thread publishes what is due, a `Task` thread refits, publishes
+the result and hands it on.
+"""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.exceptions import InvalidTopicNameException
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.expand_topic_name import expand_topic_name
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64, String
+
+from valve_sim.model import ParameterError, Valve
+from valve_sim.nodes.identification_parameters import DESCRIPTIONS, Settings, check_settings, output_folder
+from valve_sim.nodes.identification_task import Applied, Outcome, Progress, Task, find_out, report_text
+from valve_sim.nodes.messages import ReadingMessages, diagnostic_array
+from valve_sim.nodes.parameters import files_for_others, sources_of, table
+from valve_sim.nodes.replay import Prediction, Replay, measured_reading, predict, replay_status
+from valve_sim.nodes.valve_shell import NodeClock
+from valve_sim.parameter_files import Section, default_valve, load_valve
+from valve_sim.traces import read_trace
+
+_RELIABLE: Final = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
+"""Deep, because a recording has more samples a second than a live valve."""
+_LATCHED: Final = QoSProfile(
+    depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
+)
+_STOP_SECONDS: Final = 0.4
+_ANSWER_SECONDS: Final = 5.0
+_SWITCH_INTERVAL: Final = 5e-4
+_QOS_PREFIX: Final = "qos_overrides."
+
+
+class IdentificationShell:
+    """The node `identification`.
+
+    Topics: ~/coil_voltage and ~/measured/joint_states as recorded, header stamps too; ~/predicted/joint_states with the
+    same stamps, by the declared valve until the refitted one is known; ~/residual, m, measured less predicted position
+    of the pilot plunger; ~/result (JSON, latched) when it is known; /diagnostics at 1 Hz. Parameters: `Settings`; they
+    are read once, at the start.
+
+    Args:
+        sections: (file, section) of the parameter files on the command line.
+
+    Raises:
+        ValveError: a parameter, the recording or the parameter file cannot be used.
+    """
+
+    def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
+        self._node = Node("identification")
+        try:
+            self._settings = self._declare(sections)
+            self._folder = output_folder(self._settings)
+            self._target = self._resolved_target()
+            self._declared = load_valve(self._settings.params) if self._settings.params else default_valve()
+            bag = Path(self._settings.bag).expanduser()
+            self._trace = read_trace(bag, self._settings.valve_name or None)
+            self._clock = NodeClock(self._node)
+            self._wire()
+        except BaseException:
+            self._node.destroy_node()
+            raise
+        self._prediction: Prediction | None = None
+        self._exit_code = 0
+        self._task = Task(self._work, self._report)
+        self._replay = Replay(
+            self._clock,
+            self._trace,
+            rate=self._settings.rate,
+            loop=self._settings.loop,
+            player=self,
+            prepare=self._prepare,
+            fail=self._fail,
+        )
+
+    @property
+    def exit_code(self) -> int:
+        """0, or 1 if the replay failed."""
+        return self._exit_code
+
+    def spin(self) -> None:
+        """Replay, refit and answer until ROS is shut down."""
+        sys.setswitchinterval(_SWITCH_INTERVAL)
+        for finding in self._trace.findings:
+            self._node.get_logger().warning(finding)
+        executor = SingleThreadedExecutor()
+        executor.add_node(self._node)
+        self._replay.start()
+        try:
+            executor.spin()
+        finally:
+            executor.remove_node(self._node)
+
+    def close(self) -> bool:
+        """Stop and release everything; whether both threads have ended."""
+        has_ended = self._replay.stop(_STOP_SECONDS) and self._task.stop(_STOP_SECONDS)
+        if has_ended:
+            self._node.destroy_node()
+        return has_ended
+
+    # --- wiring ---
+
+    def _declare(self, sections: Sequence[tuple[str, Section]]) -> Settings:
+        node, name = self._node, self._node.get_fully_qualified_name()
+        for path, found in files_for_others(sections, name).items():
+            node.get_logger().warning(f"{path} has parameters for {', '.join(found)}, and none for {name}")
+        given = {
+            key: override.value
+            for key, override in node._parameter_overrides.items()
+            if not node.has_parameter(key) and not key.startswith(_QOS_PREFIX)  # those are ROS's own
+        }
+        settings = check_settings(given, sources_of(sections, name))
+        for key, value in settings._asdict().items():
+            descriptor = ParameterDescriptor(name=key, description=DESCRIPTIONS[key], read_only=True)
+            plain = list(value) if isinstance(value, tuple) else value
+            node.declare_parameter(key, plain, descriptor, ignore_override=True)
+        return settings
+
+    def _resolved_target(self) -> str:
+        """The full name of the node that gets the result; empty for none."""
+        given, node = self._settings.apply_to, self._node
+        try:
+            return expand_topic_name(given, node.get_name(), node.get_namespace()) if given else ""
+        except InvalidTopicNameException as error:
+            raise ParameterError(f"apply_to: found {given!r}, expected the name of a node, such as /valve") from error
+
+    def _wire(self) -> None:
+        node = self._node
+        self._voltage = node.create_publisher(Float64, "~/coil_voltage", _RELIABLE)
+        self._measured = node.create_publisher(JointState, "~/measured/joint_states", _RELIABLE)
+        self._predicted = node.create_publisher(JointState, "~/predicted/joint_states", _RELIABLE)
+        self._residual = node.create_publisher(Float64, "~/residual", _RELIABLE)
+        self._result = node.create_publisher(String, "~/result", _LATCHED)
+        self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", _RELIABLE)
+        self._messages = ReadingMessages("")
+        # By the wall: diagnostics must tell, too, that /clock is silent.
+        node.create_timer(1.0, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._client = AsyncParameterClient(node, self._target) if self._target else None
+
+    # --- the replay's thread ---
+
+    def _prepare(self) -> None:
+        self._prediction = predict(self._trace, self._declared, 0.0, "declared")
+        self._task.start()
+
+    def command(self, index: int) -> None:
+        """Publish one command of the recording."""
+        self._voltage.publish(Float64(data=float(self._trace.drive.volts[index])))
+
+    def sample(self, index: int) -> None:
+        """Publish one sample of the recording, what the model says of it, and the difference."""
+        assert self._prediction is not None
+        measured, predicted = measured_reading(self._trace, index), self._prediction.reading(index)
+        stamp = self._trace.epoch_ns + round(measured.time * 1e9)
+        self._measured.publish(self._messages.joint_states(stamp, measured))
+        self._predicted.publish(self._messages.joint_states(stamp, predicted))
+        self._residual.publish(Float64(data=measured.pilot_position - predicted.pilot_position))
+
+    def _fail(self, error: Exception) -> None:
+        if self._node.context.ok():
+            self._exit_code = 1
+            self._node.get_logger().fatal(f"the replay ended: {error!r}")
+            self._node.context.try_shutdown()
+
+    # --- the task's thread ---
+
+    def _work(self, progress: Progress) -> str:
+        outcome = find_out(self._trace, self._declared, self._settings, self._folder, progress)
+        self._prediction = predict(self._trace, outcome.valve, outcome.clock_offset, self._settings.mode)
+        applied = self._apply(outcome) if self._target else None
+        self._result.publish(String(data=report_text(outcome, applied)))
+        if applied is not None and not applied.is_set:
+            raise ParameterError(f"{outcome.summary}; but apply_to: {applied.node} did not take it: {applied.reason}")
+        return outcome.summary
+
+    def _report(self, words: str, is_good: bool) -> None:
+        if self._node.context.ok():
+            logger = self._node.get_logger()
+            (logger.info if is_good else logger.error)(words)
+
+    def _apply(self, outcome: Outcome) -> Applied:
+        """Set the whole valve, effects that are off too, at once or not at all."""
+        assert self._client is not None
+        if not outcome.is_applicable:
+            return Applied(self._target, False, "the result is not certain enough to be used")
+        if not self._client.wait_for_services(timeout_sec=_ANSWER_SECONDS):
+            return Applied(self._target, False, f"no such node answered within {_ANSWER_SECONDS:g} s")
+        future: Any = self._client.set_parameters_atomically(valve_parameters(outcome.valve))
+        answered = threading.Event()
+        future.add_done_callback(lambda _: answered.set())
+        if not answered.wait(_ANSWER_SECONDS):
+            return Applied(self._target, False, f"it did not answer within {_ANSWER_SECONDS:g} s")
+        result = future.result().result
+        return Applied(self._target, bool(result.successful), str(result.reason))
+
+    # --- callbacks, in the main thread ---
+
+    def _diagnose(self) -> None:
+        reading = self._clock.read()
+        model = "none yet" if self._prediction is None else self._prediction.model
+        statuses = (replay_status(self._replay, reading.nanoseconds if reading else 0, model), self._task.status)
+        name = self._node.get_fully_qualified_name()
+        self._diagnostics.publish(diagnostic_array(statuses, name, self._clock.stamp()))
+
+
+def valve_parameters(valve: Valve) -> list[Parameter]:
+    """Every parameter of valve_node that describes its valve, with the values of this one."""
+    return [
+        Parameter(entry.name, value=entry.default)
+        for entry in table(valve).values()
+        if entry.name.startswith(("valve.", "effects."))
+    ]

@@ -1,0 +1,241 @@
+"""A recording played back by a clock, without ROS: what is due when, and what the model says beside it."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable
+from typing import Final, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valve_sim.model import Phase, Reading, Response, Valve, simulate
+from valve_sim.nodes.diagnostics import Level, Status
+from valve_sim.nodes.realtime import NANOSECONDS, PaceClock, TimingRecord, why_restart
+from valve_sim.traces import Trace
+
+LISTENERS_SECONDS: Final = 0.5
+"""How long a replay waits for listeners to be found: discovery takes up to a quarter of a second."""
+LATE_SECONDS: Final = 0.01
+"""Samples that are published later than this, at the 99th percentile, are a warning."""
+_UNKNOWN: Final = math.nan
+
+
+class Prediction(NamedTuple):
+    """What a valve would have shown at a trace's samples.
+
+    Attributes:
+        response: by the model. model: its name, for people.
+    """
+
+    response: Response
+    model: str
+
+    def reading(self, index: int) -> Reading:
+        """At one sample; the main plunger's force is left open (NaN)."""
+        shown, phase = self.response, Phase(int(self.response.phase[index]))
+        velocity = float(shown.pilot_velocity[index])
+        return Reading(
+            float(shown.time[index]),
+            float(shown.pilot_position[index]),
+            float(shown.main_position[index]),
+            velocity,
+            velocity if phase is Phase.MAIN else 0.0,
+            float(shown.coil_current[index]),
+            float(shown.attraction[index]),
+            _UNKNOWN,
+            phase,
+            (),
+        )
+
+
+class Score(NamedTuple):
+    """A trace in the order of its replay.
+
+    Attributes:
+        offsets: (k + n,) ns after the replay's start, ascending.
+        places: (k + n,) index of a sample, or −1 − index of a command.
+    """
+
+    offsets: NDArray[np.int64]
+    places: NDArray[np.int64]
+
+
+class Player(Protocol):
+    """Where a replay goes."""
+
+    def command(self, index: int) -> None:
+        """One command of the trace."""
+
+    def sample(self, index: int) -> None:
+        """One sample of the trace."""
+
+
+def predict(trace: Trace, valve: Valve, clock_offset: float, model: str) -> Prediction:
+    """What a valve would have shown.
+
+    Args:
+        trace: commands and sample times.
+        valve: the model.
+        clock_offset: s by which samples are stamped late.
+        model: its name, for people.
+
+    Raises:
+        SimulationError: the valve cannot be simulated.
+    """
+    return Prediction(simulate(valve, trace.drive, trace.times - clock_offset), model)
+
+
+def measured_reading(trace: Trace, index: int) -> Reading:
+    """A sample; what was not measured is NaN."""
+    main = _UNKNOWN if trace.main_position is None else float(trace.main_position[index])
+    return Reading(
+        float(trace.times[index]),
+        float(trace.pilot_position[index]),
+        main,
+        _UNKNOWN,
+        _UNKNOWN,
+        _UNKNOWN,
+        _UNKNOWN,
+        _UNKNOWN,
+        Phase.CLOSED,
+        (),
+    )
+
+
+def score(trace: Trace, rate: float) -> Score:
+    """When each command and sample is due; a command comes before a sample of its time. All at once at rate 0."""
+    times = np.concatenate([trace.drive.times, trace.times])
+    commands = len(trace.drive.times)
+    places = np.concatenate([-1 - np.arange(commands), np.arange(len(trace.times))])
+    order = np.argsort(times, kind="stable")
+    elapsed = times[order] - times[order[0]]
+    offsets = np.rint(elapsed * (NANOSECONDS / rate)) if rate > 0.0 else np.zeros(len(elapsed))
+    return Score(offsets.astype(np.int64), places[order])
+
+
+class Replay(threading.Thread):
+    """A thread that plays a trace by absolute deadlines: nothing is left out, and lateness never accumulates.
+
+    Args:
+        clock: is followed; after a jump of it the replay begins anew.
+        trace: what is played.
+        rate: seconds of the trace a second of the clock, 0 for as fast as possible.
+        loop: whether to begin anew at the end.
+        player: is told what is due.
+        prepare: called first, in the thread.
+        fail: called with what went wrong, if anything did; the thread then ends.
+    """
+
+    def __init__(
+        self,
+        clock: PaceClock,
+        trace: Trace,
+        *,
+        rate: float,
+        loop: bool,
+        player: Player,
+        prepare: Callable[[], None],
+        fail: Callable[[Exception], None],
+    ) -> None:
+        super().__init__(name="replay", daemon=True)
+        self.timing = TimingRecord()
+        self.passes = 0
+        self.played = 0
+        self.is_done = False
+        self._clock = clock
+        self._score = score(trace, rate)
+        self._rate = rate
+        self._loop = loop
+        self._player = player
+        self._prepare = prepare
+        self._fail = fail
+        self._stopping = threading.Event()
+        span = float(trace.times[-1] - trace.times[0])
+        self.samples_a_second = rate * (len(trace.times) - 1) / span if span > 0.0 else 0.0
+        self._period = NANOSECONDS / self.samples_a_second if self.samples_a_second > 0.0 else math.inf
+
+    @property
+    def samples(self) -> int:
+        """Commands and samples of one pass."""
+        return len(self._score.offsets)
+
+    def stop(self, timeout: float) -> bool:
+        """End the thread; whether it has ended within `timeout`, s."""
+        self._stopping.set()
+        self._clock.wake()
+        if self.is_alive():
+            self.join(timeout)
+        return not self.is_alive()
+
+    def run(self) -> None:
+        """The thread."""
+        try:
+            self._prepare()
+            self._stopping.wait(LISTENERS_SECONDS)
+            while not self._stopping.is_set():
+                is_whole = self._play()
+                self.passes += is_whole
+                if is_whole and not self._loop:
+                    break
+            self.is_done = not self._stopping.is_set()
+        except Exception as error:
+            if not self._stopping.is_set():
+                self._fail(error)
+
+    def _play(self) -> bool:
+        """One pass; False if it was broken off because the clock jumped or the thread is to end."""
+        last, start, self.played = None, 0, 0
+        while self.played < self.samples:
+            reading = self._clock.read()
+            if self._stopping.is_set():
+                return False
+            if reading is None:
+                self._clock.sleep_until(0)
+                continue
+            if last is None:
+                start = reading.nanoseconds
+            elif why_restart(last, reading):
+                return False
+            last = reading
+            due = int(np.searchsorted(self._score.offsets, reading.nanoseconds - start, side="right"))
+            self._hand_out(due, start)
+            if self.played < self.samples:
+                self._clock.sleep_until(start + int(self._score.offsets[self.played]))
+        return True
+
+    def _hand_out(self, until: int, start: int) -> None:
+        for index in range(self.played, until):
+            if self._stopping.is_set():
+                return
+            place = int(self._score.places[index])
+            if place < 0:
+                self._player.command(-1 - place)
+            else:
+                now = self._clock.read()
+                if now is not None:
+                    self.timing.note(now.nanoseconds - start - int(self._score.offsets[index]), self._period)
+                self._player.sample(place)
+            self.played = index + 1
+
+
+def replay_status(replay: Replay, now: int, model: str) -> Status:
+    """How the replay goes; `now` in ns of the clock that it follows."""
+    timing = replay.timing.look(now)
+    wanted = replay.samples_a_second
+    values = {
+        "model": model,
+        "passes": str(replay.passes),
+        "played": f"{replay.played} of {replay.samples}",
+        "rate wanted (Hz)": f"{wanted:g}" if wanted > 0.0 else "as fast as possible",
+        "rate reached (Hz)": "none" if math.isnan(timing.rate) else f"{timing.rate:.1f}",
+    }
+    if replay.is_done:
+        return Status("replay", Level.OK, "done", values)
+    if wanted > 0.0:
+        values["lateness p99 (ms)"] = "none" if math.isnan(timing.lateness) else f"{1e3 * timing.lateness:.3f}"
+        if timing.lateness > LATE_SECONDS:
+            message = f"samples are published up to {timing.lateness:.3f} s late; ask for a lower rate"
+            return Status("replay", Level.WARN, message, values)
+    return Status("replay", Level.OK, "playing" if replay.played else "about to begin", values)
