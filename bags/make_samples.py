@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -93,6 +94,8 @@ def make(sample: Sample, folder: Path) -> Path:
         sample.name, drive, times, pilot, main, current if sample.with_current else None, epoch_ns=EPOCH_NS
     )  # fmt: skip
     path = folder / sample.name
+    if path.is_dir():
+        shutil.rmtree(path)
     write_bag(path, trace, storage=sample.storage, compressed=True)
     return path
 

@@ -2,9 +2,12 @@
 
 import csv
 import json
+import os
+import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import click
@@ -357,3 +360,39 @@ def test_written_parameters_say_where_they_are_from(strokes: Path, tmp_path: Pat
     header = (tmp_path / "identified.yaml").read_text().splitlines()[:3]
     assert header[0] == f"# Written by: valve-sim identify {strokes} --output {tmp_path}"
     assert header[2].startswith("# identified: pilot_damping: ")
+
+
+# --- the README ---
+
+
+def readme_blocks(language: str) -> list[str]:
+    readme = Path(__file__).parents[1] / "README.md"
+    return re.findall(rf"```{language}\n(.*?)```", readme.read_text(), flags=re.DOTALL)
+
+
+def test_the_commands_of_the_readme_work_as_they_stand(tmp_path: Path):
+    (block,) = (block for block in readme_blocks("console") if "$ valve-sim" in block)
+    commands = [line.removeprefix("$ ") for line in block.splitlines()]
+    script = "\n".join(['set -e; valve-sim() { "$PYTHON" -m valve_sim "$@"; }', *commands])
+    done = subprocess.run(
+        ["bash", "-c", script],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHON": sys.executable, "PYTHONPATH": os.pathsep.join(sys.path)},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "passed" in done.stdout
+    assert sorted(path.name for path in (tmp_path / "results").glob("*.yaml")) == ["corrected.yaml", "identified.yaml"]
+
+
+def test_the_python_and_the_parameter_file_of_the_readme_work(tmp_path: Path):
+    names: dict[str, Any] = {}
+    (python,) = readme_blocks("python")
+    exec(python, names)
+    assert (names["t1"], names["t2"]) == (pytest.approx(5.3e-3, abs=1e-6), pytest.approx(9.9e-3, abs=1e-6))
+    (parameters,) = readme_blocks("yaml")
+    (tmp_path / "readme.yaml").write_text(parameters)
+    assert load_valve(tmp_path / "readme.yaml").effects == {"coulomb_friction": {"force": 0.3}}

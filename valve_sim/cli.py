@@ -202,16 +202,18 @@ def simulate(
         write_csv(output, recording.columns())
     else:
         write_bag(output, recording.trace)
+    events, (t1, t2) = recording.response.events, published_times(recording.response)
     if plot is not None:
         from valve_sim.identification.plots import plot_response
 
         levels = {"gap": valve.parameters.pilot_gap, "stroke": valve.parameters.stroke}
-        plot_response(plot, recording.response, recording.trace.drive, str(params or "valve.yaml"), levels=levels)
-    events = recording.response.events
-    first = dict(zip(("t1_ms", "t2_ms"), (1e3 * time for time in published_times(recording.response)), strict=True))
+        marks = {name: time for name, time in (("t1", t1), ("t2", t2)) if math.isfinite(time)}
+        title = str(params or "valve.yaml")
+        plot_response(plot, recording.response, recording.trace.drive, title, marks=marks, levels=levels)
     if as_json:
         listed = [{**event._asdict(), "kind": event.kind.name.lower()} for event in events]
-        _print_json({"output": output, "samples": len(recording.trace.times), **first, "events": listed})
+        times = {"t1_ms": 1e3 * t1, "t2_ms": 1e3 * t2}
+        _print_json({"output": output, "samples": len(recording.trace.times), **times, "events": listed})
         return
     for event in events:
         words = event.kind.name.lower().replace("_", " ")
@@ -313,8 +315,7 @@ def diagnose(
     Refits the declared model, tests whether what is left is more than noise, searches the effects, and reports errors
     before and after, on the data it was fitted to and on held-out data. Without --holdout, strokes are held out.
 
-    Writes DIR/report.json, DIR/report.html for people, and DIR/corrected.yaml, which valve_node, simulate and validate
-    load.
+    Writes DIR/report.json and DIR/corrected.yaml, which valve_node, simulate and validate load.
 
       valve-sim diagnose strokes.mcap --output results
       valve-sim diagnose day_1 day_2 --holdout day_3 --params my_valve.yaml --output results
@@ -330,7 +331,7 @@ def diagnose(
     report = to_json(result)
     _write(output / "report.json", _json_text(report))
     save_valve(output / "corrected.yaml", result.valve, _provenance(params, [report["verdict"]["summary"]]))
-    _print_report(report, result.verdict.summary, (output / "report.json", output / "corrected.yaml"), as_json)
+    _print_report(report, _diagnosis_text(report), (output / "report.json", output / "corrected.yaml"), as_json)
 
 
 @main.command()
@@ -464,6 +465,32 @@ def _progress() -> Iterator[Progress]:
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("starting", total=1.0)
         yield lambda what, fraction: bar.update(task, description=what, completed=fraction)
+
+
+def _diagnosis_text(report: Mapping[str, Any]) -> str:
+    """What a person wants of report.json."""
+    verdict, before, after = report["verdict"], report["before"], report["after"]
+    lines = [f"{verdict['kind']}: {verdict['summary']} (probability {verdict['probability']:.2g})"]
+    for data in ("train", "holdout"):
+        errors = [state["rmse_um"][data] for state in (before, after)]
+        if None not in errors:
+            lines.append(f"  {data:<10}{errors[0]:10.3g} µm before {errors[1]:10.3g} µm after (rms)")
+    lines.append(f"  {'noise':<10}{report['noise_um']:10.3g} µm")
+    values = {**after["parameters"]}
+    for effect, parameters in after["effects"].items():
+        values |= {f"{effect}.{name}": found for name, found in parameters.items()}
+    lines += [f"  {name:<36}{_value_text(found)}" for name, found in values.items()]
+    for effect, others in verdict["confusable_with"].items():
+        if others:
+            lines.append(f"  {effect} could also be {', '.join(others)}")
+    if report.get("record_next"):
+        lines.append(f"  {report['record_next']}")
+    return "\n".join(lines)
+
+
+def _value_text(found: Mapping[str, Any]) -> str:
+    value, error = (math.nan if found[key] is None else found[key] for key in ("value", "stderr"))
+    return f"{value:.5g} ± {error:.2g}"
 
 
 def _print_report(report: Mapping[str, Any], text: str, written: Sequence[Path], as_json: bool) -> None:

@@ -58,10 +58,10 @@ BAR: Final = 41
 NANOSECONDS: Final = 1_000_000_000
 
 PAPER: Final[Mapping[str, tuple[str, float]]] = {
-    "pilot_reaches_main": ("t1  main plunger picked up", 5.3e-3),
-    "reaches_stop": ("t2  core reached", 9.9e-3),
-    "main_seats": ("main plunger seated", math.nan),
-    "reaches_seat": ("pilot plunger seated", math.nan),
+    "pilot_reaches_main": ("t1 main picked up", 5.3e-3),
+    "reaches_stop": ("t2 core reached", 9.9e-3),
+    "main_seats": ("main seated", math.nan),
+    "reaches_seat": ("pilot seated", math.nan),
 }
 """Arrivals by name: words, and the time after the command that the paper measured at 9 V, s."""
 

@@ -29,6 +29,7 @@ from valve_sim.model.compiling import compiled
 from valve_sim.model.core_types import VALVE_RECORD
 from valve_sim.model.effects import FORCE_MAP_KNOTS, FORCE_MAP_VARIABLES, fill_record
 from valve_sim.model.equations import dry_friction, force_without_dry_friction
+from valve_sim.parameter_files import off_value
 
 LOW_PASS: Final = 100.0
 """Hz, of the fourth-order Butterworth filter that position passes forwards and backwards."""
@@ -172,11 +173,7 @@ class AxisPlant:
 
     def declared(self, name: str) -> float:
         """Where a fit starts, or the value at which an effect changes nothing."""
-        effect, dot, parameter = name.partition(".")
-        if not dot:
-            return self._declared[name]
-        entry = CATALOGUE[effect].parameter(parameter)
-        return entry.typical if entry.off is None else entry.off
+        return off_value(self.parameter(name)) if "." in name else self._declared[name]
 
     def predict(self, values: Mapping[str, float]) -> list[Array]:
         """The force that (1) asks for, N, at the channel's times."""

@@ -8,6 +8,7 @@ that fit equally well; and ranks measurements by how far members of that region 
 from __future__ import annotations
 
 import itertools
+import json
 import math
 import os
 import re
@@ -21,6 +22,7 @@ import numpy as np
 from scipy import stats
 from scipy.optimize import least_squares
 
+from valve_sim.identification.event_plots import plot_event_diagnosis
 from valve_sim.identification.event_table import EventPlant, EventTable, reached
 from valve_sim.identification.fitting import fit
 from valve_sim.identification.plant import Array
@@ -34,8 +36,8 @@ LEVEL: Final = float(stats.chi2.ppf(0.95, 1))
 DAMPINGS: Final = ("pilot_damping", "main_damping")
 PULLS: Final = ("rest_attraction.force", "coil_lag.time_constant")
 """What is fitted at each pair of dampings, to draw the region in all four."""
-DAMPING_AXIS: Final = np.concatenate([[0.0], np.logspace(-1.0, 3.0, 41)])
-"""N·s/m: 0, and 0.1 to 1000 in steps of 26 %."""
+DAMPING_AXIS: Final = np.concatenate([[0.0], np.logspace(-1.0, 3.0, 33)])
+"""N·s/m: 0, and 0.1 to 1000 in steps of a third."""
 ROUNDED: Final = 5
 """Significant digits that go into the parameter file: far finer than any table's uncertainty."""
 CLOSE: Final = 1e-5
@@ -86,8 +88,8 @@ class Region:
     allowed: np.typing.NDArray[np.bool_]
 
     def profile(self, name: str, *, capped: bool) -> Array:
-        """The lowest χ² at each value of a damping, all else free; `capped` keeps the pull at rest plausible."""
-        chi2 = np.where(self.allowed | (self.chi2 > LEVEL), self.chi2, math.inf) if capped else self.chi2
+        """The lowest χ² at each value of a damping, all else free; `capped`: infinite outside `allowed`."""
+        chi2 = np.where(self.allowed, self.chi2, math.inf) if capped else self.chi2
         return np.asarray(chi2.min(axis=1 if name == DAMPINGS[0] else 0))
 
     def interval(self, name: str, *, capped: bool) -> tuple[float, float]:
@@ -247,6 +249,21 @@ def diagnose_events(table: EventTable, progress: Progress | None = None) -> Even
     )  # fmt: skip
 
 
+def write_event_report(result: EventDiagnosis, folder: Path) -> tuple[Path, ...]:
+    """Write report.json, valve.yaml and the pictures.
+
+    Returns:
+        what was written.
+
+    Raises:
+        ValveError: a file cannot be written.
+    """
+    report, valve = folder / "report.json", folder / "valve.yaml"
+    write_whole(report, json.dumps(result.to_json(), indent=2, ensure_ascii=False, allow_nan=False) + "\n")
+    write_valve(valve, result)
+    return report, valve, *plot_event_diagnosis(folder, result)
+
+
 def write_valve(path: Path, result: EventDiagnosis) -> None:
     """Write the declared valve's file anew, with the shipped values in place: comments and all else as they were.
 
@@ -260,24 +277,32 @@ def write_valve(path: Path, result: EventDiagnosis) -> None:
         key, scalar = _FOLDED[name]
         value = f"{values[scalar]:.{ROUNDED}g}"
         body = _replaced(body, key, value, result.table.source, str(result.table.valve_file))
+    write_whole(path, _header(result) + body)
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a file, whole or not at all.
+
+    Raises:
+        ParameterError: it cannot be written.
+    """
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
-        partial.write_text(_header(result) + body, encoding="utf-8")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial.write_text(text, encoding="utf-8")
         partial.replace(path)
     except OSError as error:
         raise ParameterError(f"{path}: cannot be written ({error.strerror}); expected a path in a folder") from error
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def _replaced(body: str, key: str, value: str, table: str, source: str) -> str:
     """One line of a parameter file with another first number, and where that is from."""
-    match = re.search(rf"^( *{key}: \[?)([^,\s\]]+)([^\n#]*?) *(# \S+)?([^\n]*)$", body, re.MULTILINE)
+    match = re.search(rf"^( *{key}: \[?)([^,\s\]]+)([^\n#]*?) *(?:(# \S+)[^\n]*)?$", body, re.MULTILINE)
     if match is None:
         raise ParameterError(f"{source}: valve.{key}: found no line of its own, expected '{key}: value'")
-    before, old, rest, unit, _ = match.groups()
+    before, old, rest, unit = match.groups()
     words = f"calibrated to {Path(table).name}; {Path(source).name} has {old}"
-    mark = "# first term" if rest else unit or "#"
+    mark = "# a0" if rest else f"{unit or '#'}     "
     return f"{body[: match.start()]}{before}{value}{rest}  {mark} {words}{body[match.end() :]}"
 
 
@@ -304,8 +329,8 @@ def _header(result: EventDiagnosis) -> str:
             f"    {shipped}",
             f"(added to a0 and to the coil's lag), which gives, at {table.voltage:g} V from rest,",
             f"    {times}.",
-            "Two event times leave no freedom to check the damping: it is the paper's, and not confirmed. docs/paper.md says",
-            "what else would fit.",
+            "Two event times leave no freedom to check the damping: it is the paper's, and not confirmed.",
+            "docs/paper.md says what else would fit.",
         )
     )
 
@@ -361,7 +386,9 @@ def _refined(plant: EventPlant, values: Mapping[str, float]) -> dict[str, float]
     def residuals(scales: Array) -> Array:
         return problem.residuals(dict(zip(values, scales * sizes, strict=True)))
 
-    best = least_squares(residuals, np.ones(len(sizes)), xtol=1e-12, ftol=1e-12, gtol=1e-12, diff_step=1e-5)
+    best = least_squares(
+        residuals, np.ones(len(sizes)), xtol=1e-12, ftol=1e-12, gtol=1e-12, diff_step=np.full(len(sizes), 1e-5)
+    )
     return dict(zip(values, (best.x * sizes).tolist(), strict=True))
 
 
@@ -422,7 +449,7 @@ def _step(valve: Valve, volts: float, stop: float) -> Response:
 
 
 def _closing(plant: EventPlant, valve: Valve) -> float:
-    """ms from switching off, long after opening, to the pilot plunger's seat; nan if it stays open."""
+    """Milliseconds from switching off, long after opening, to the pilot plunger's seat; nan if it stays open."""
     off = plant.table.horizon
     response = simulate(valve, Drive.of([0.0, off], [plant.table.voltage, 0.0]), np.array([0.0, 3.0 * off]))
     return 1e3 * (response.first(EventKind.SEATED) - off)

@@ -24,8 +24,9 @@ import yaml
 
 from valve_sim.identification.fitting import Problem
 from valve_sim.identification.noise import Noise
-from valve_sim.identification.plant import Array, Channel, EffectChoice, ForceMap, Nuisance
-from valve_sim.model import CATALOGUE, DECLARED, Drive, Parameter, ParameterError, Response, Valve, simulate
+from valve_sim.identification.plant import Array, Channel, ForceMap
+from valve_sim.identification.valve_plant import ValvePlant
+from valve_sim.model import CATALOGUE, Drive, ParameterError, Response, Valve, simulate
 from valve_sim.parameter_files import load_valve
 
 GRID: Final = 5e-5
@@ -127,19 +128,18 @@ def reached(response: Response, displacement: float) -> float:
     return float(times[index - 1] + share * span)
 
 
-class EventPlant:
-    """The valve behind an event table.
+class EventPlant(ValvePlant):
+    """The valve behind an event table; no clock is in doubt, because a table's times count from the voltage.
 
     Args:
         table: the measurement; its declared valve is what effects are added to.
-        base: declared parameters that every fit frees; none by default, because a table has few numbers.
     """
 
-    def __init__(self, table: EventTable, base: Sequence[str] = ()) -> None:
+    def __init__(self, table: EventTable) -> None:
+        super().__init__((), table.valve)
         self.table = table
-        self._base = tuple(base)
-        self._declared = table.valve.declared()
         self._grid = np.arange(0.0, table.horizon, GRID)
+        # Each event is a channel of a kind of its own, because each has an uncertainty of its own.
         self._channels = [
             Channel(
                 f"{table.source}: {event.name}", f"event {event.name}", np.array([event.time]), np.array([event.time]),
@@ -149,66 +149,14 @@ class EventPlant:
         ]  # fmt: skip
 
     @property
-    def channels(self) -> Sequence[Channel]:
-        """One for each event, of a kind of its own, because each has an uncertainty of its own."""
-        return self._channels
-
-    @property
     def base(self) -> Sequence[str]:
-        """As given."""
-        return self._base
-
-    @property
-    def nuisances(self) -> Sequence[Nuisance]:
-        """None: the table's times count from the voltage."""
+        """Nothing: a handful of numbers holds no more than the effect that is asked about."""
         return ()
-
-    @property
-    def timing_errors(self) -> Sequence[Nuisance]:
-        """None, likewise."""
-        return ()
-
-    @property
-    def effects(self) -> Mapping[str, EffectChoice]:
-        """The catalogue's named effects."""
-        named = {
-            name: entry for name, entry in CATALOGUE.items() if entry.named and name not in self.table.valve.effects
-        }
-        return {name: EffectChoice(name, entry.parameters, entry.confused_with) for name, entry in named.items()}
 
     @property
     def force_maps(self) -> Sequence[ForceMap]:
         """None: a handful of numbers cannot hold a curve."""
         return ()
-
-    def parameter(self, name: str) -> Parameter:
-        """Unit and range of a declared parameter or of `<effect>.<parameter>`.
-
-        Raises:
-            KeyError: there is none.
-        """
-        effect, dot, parameter = name.partition(".")
-        return CATALOGUE[effect].parameter(parameter) if dot else DECLARED[name]
-
-    def declared(self, name: str) -> float:
-        """The declared value, or the one at which an effect changes nothing."""
-        effect, dot, parameter = name.partition(".")
-        if not dot:
-            return self._declared[name]
-        entry = CATALOGUE[effect].parameter(parameter)
-        return entry.typical if entry.off is None else entry.off
-
-    def with_values(self, values: Mapping[str, float]) -> Valve:
-        """The declared valve with values freed by a fit."""
-        effects = {name: dict(parameters) for name, parameters in self.table.valve.effects.items()}
-        declared = {}
-        for name, value in values.items():
-            effect, dot, parameter = name.partition(".")
-            if dot:
-                effects.setdefault(effect, {})[parameter] = float(value)
-            else:
-                declared[name] = float(value)
-        return Valve(self.table.valve.with_values(**declared).parameters, effects)
 
     def response(self, values: Mapping[str, float]) -> Response:
         """The opening that these values give.

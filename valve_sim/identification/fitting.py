@@ -44,6 +44,10 @@ CONVERGED: Final = 1e-2
 """A fit has converged when a step would lower χ² by less than this: a tenth of a standard error."""
 LARGEST_DAMPING: Final = 1e4
 """Levenberg's, in units of the information: beyond it no step helps and the fit stands still."""
+NO_INFORMATION: Final = 1e-290
+"""Information below which a parameter moves nothing at all."""
+SMALLEST_SHARE: Final = 1e-14
+"""Of the information, scaled to ones on its diagonal, that a direction can have and still be told from rounding."""
 FEW: Final = 4
 """So many nuisances have their derivatives renewed in every step; those of more are kept while they serve."""
 RISE_95: Final = float(chdtri(1, 0.05))
@@ -140,11 +144,18 @@ class Fit:
 
     @property
     def covariance(self) -> Array:
-        """(k + m, k + m) of the search coordinates, slow noise included; directions the data do not hold are huge."""
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(self.information), 1e-300))
-        normalised = self.information * np.outer(scale, scale)
-        inverse = np.linalg.pinv(normalised, rcond=1e-14, hermitian=True)
-        return np.asarray(inverse * np.outer(scale, scale) * self.problem.excess)
+        """(k + m, k + m) of the search coordinates, slow noise included; directions the data do not hold are huge.
+
+        A parameter without any influence has infinite variance and no correlation.
+        """
+        diagonal = np.diag(self.information)
+        alive = diagonal > NO_INFORMATION
+        scale = 1.0 / np.sqrt(diagonal[alive])
+        sizes, directions = np.linalg.eigh(self.information[np.ix_(alive, alive)] * np.outer(scale, scale))
+        inverse = (directions / np.maximum(sizes, SMALLEST_SHARE)) @ directions.T
+        covariance = np.diag(np.where(alive, 0.0, np.inf))
+        covariance[np.ix_(alive, alive)] = inverse * np.outer(scale, scale) * self.problem.excess
+        return covariance
 
     @property
     def score(self) -> float:
@@ -166,8 +177,10 @@ class Fit:
         """(k, k) of the freed parameters."""
         k = len(self.free)
         covariance = self.covariance[:k, :k]
-        error = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-        return np.asarray(covariance / np.outer(error, error))
+        error = np.sqrt(np.diag(covariance))
+        correlation = np.asarray(np.where(np.isfinite(covariance), covariance, 0.0) / np.outer(error, error))
+        np.fill_diagonal(correlation, 1.0)
+        return correlation
 
     def on_bound(self, name: str) -> str | None:
         """'lower' or 'upper' if a parameter sits on that bound, by its search coordinate."""
@@ -331,7 +344,7 @@ class _Search:
     def _step(self, at: Array, information: Array, gradient: Array, damping: float) -> tuple[Array, float]:
         """The damped step within bounds, and the decrease that it promises."""
         scale = np.maximum(np.diag(information), 1e-300)
-        held = ((at <= self.lower) & (gradient > 0)) | ((at >= self.upper) & (gradient < 0)) | (scale <= 1e-290)
+        held = ((at <= self.lower) & (gradient > 0)) | ((at >= self.upper) & (gradient < 0)) | (scale <= NO_INFORMATION)
         move = np.zeros(len(at))
         for _ in range(len(at)):
             moving = ~held

@@ -151,11 +151,15 @@ def _finish(figure: Figure, path: Path | str, title: str, unit: str) -> None:
         axes.grid(visible=True, axis="x", color="#e4e6ea", linewidth=0.6)
     lowest = max((axes for axes in figure.axes), key=lambda axes: axes.get_subplotspec().rowspan.stop)  # type: ignore[union-attr]
     lowest.set_xlabel(unit)
-    _save(figure, Path(path))
+    save_figure(figure, Path(path))
 
 
-def _save(figure: Figure, path: Path) -> None:
-    """Whole or not at all."""
+def save_figure(figure: Figure, path: Path) -> None:
+    """Write a picture, whole or not at all.
+
+    Raises:
+        ValveError: it cannot be written.
+    """
     ending = path.suffix.lstrip(".") or "png"
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:

@@ -26,7 +26,6 @@ STILL: Final = 6.0
 """Standard deviations within which a still sensor stays."""
 
 _NO_EVENTS: Final = np.empty(0, EVENT_RECORD)
-_NO_ROWS: Final = np.empty((0, 5))
 _NO_TIMES: Final = np.empty(0)
 
 
@@ -161,7 +160,7 @@ class ValvePlant:
         offset = values.get(f"clock_offset[{index}]", 0.0)
         times = trace.times - offset
         current_times = trace.coil_current.times - offset if trace.coil_current is not None else _NO_TIMES
-        rows = np.empty((len(times), 5))
+        rows = np.empty((len(times), 1))
         currents = np.empty(len(current_times))
         start = min(float(drive.times[0]), float(times[0]))
         state = new_states(np.empty(1), start)[0]

@@ -16,7 +16,6 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.exceptions import InvalidTopicNameException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.expand_topic_name import expand_topic_name
 from rclpy.node import Node
@@ -137,7 +136,7 @@ class IdentificationShell:
         given, node = self._settings.apply_to, self._node
         try:
             return expand_topic_name(given, node.get_name(), node.get_namespace()) if given else ""
-        except InvalidTopicNameException as error:
+        except ValueError as error:
             raise ParameterError(f"apply_to: found {given!r}, expected the name of a node, such as /valve") from error
 
     def _wire(self) -> None:

@@ -1,0 +1,54 @@
+"""Recordings by the independent plant, as traces."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
+from plants.recording import Profile, Recorder, record, single_opening, train_profile
+
+from valve_sim.identification.plant import Channel
+from valve_sim.model import Drive
+from valve_sim.traces import Trace
+
+FINE = Recorder(quantisation=0.1e-6)
+TRUTH = {"pilot_damping": 1.4, "main_damping": 3.2}
+"""N·s/m, neither of them declared."""
+
+
+def recorded(
+    recorder: Recorder = FINE,
+    profile: Profile | None = None,
+    seed: int = 1,
+    effects: dict[str, dict[str, float]] | None = None,
+    **parameters: float,
+) -> Trace:
+    """What a plant of these parameters shows, 8 strokes unless told."""
+    plant = DeclaredPlant(effects or {}, {**CAMPAIGN_VALVE, **TRUTH, **parameters})
+    made = record(plant, train_profile() if profile is None else profile, recorder, seed)
+    drive = Drive(made.command_times, made.volts)
+    return Trace(f"seed {seed}", drive, made.times, made.pilot_position, made.main_position)
+
+
+def one_opening(seed: int = 1, **parameters: float) -> Trace:
+    """One opening at 9 V, never released."""
+    return recorded(profile=single_opening(), seed=seed, **parameters)
+
+
+def still(values: np.ndarray, kind: str = "position") -> Channel:
+    """A channel of a machine that never moves."""
+    count = len(values)
+    return Channel("test", kind, np.arange(count) / 20e3, values, np.ones(count, bool), np.zeros(count, np.int64))
+
+
+def shortened(trace: Trace, stop: float) -> Trace:
+    """The part before `stop`, s."""
+    kept, commands = trace.times < stop, trace.drive.times < stop
+    return replace(
+        trace,
+        drive=Drive(trace.drive.times[commands], trace.drive.volts[commands]),
+        times=trace.times[kept],
+        pilot_position=trace.pilot_position[kept],
+        main_position=None,
+    )

@@ -1,0 +1,139 @@
+"""Event tables: what the paper printed, the effects that close it, and what it leaves open."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from valve_sim.identification.event_diagnosis import DAMPINGS, PULLS, diagnose_events, write_event_report
+from valve_sim.identification.event_table import EventPlant, reached, read_event_table
+from valve_sim.model import Drive, ParameterError, simulate
+from valve_sim.parameter_files import default_valve, load_valve
+
+CONFIG = Path(__file__).parents[2] / "config"
+
+
+@pytest.fixture(scope="module")
+def table():
+    return read_event_table(CONFIG / "paper_events.yaml")
+
+
+@pytest.fixture(scope="module")
+def diagnosis(table):
+    return diagnose_events(table)
+
+
+def test_the_table_holds_what_the_paper_printed(table):
+    assert [(event.displacement, event.time) for event in table.events] == [(0.26e-3, 5.3e-3), (1.23e-3, 9.9e-3)]
+    assert table.valve == load_valve(CONFIG / "published.yaml")
+    assert table.voltage == 9.0
+
+
+def test_the_published_valve_never_opens(table):
+    assert all(math.isnan(time) for time in EventPlant(table).times({}))
+
+
+def test_a_constant_pull_alone_misses_the_second_event_by_a_millisecond(table):
+    plant = EventPlant(table)
+    t1, t2 = plant.times({"rest_attraction.force": 1.5})
+    assert t1 == pytest.approx(5.32e-3, abs=5e-6)
+    assert t2 == pytest.approx(10.92e-3, abs=5e-6)
+    undamped = plant.times({"rest_attraction.force": 1.5, "main_damping": 0.0})
+    assert undamped[1] == pytest.approx(10.65e-3, abs=5e-6)
+
+
+@pytest.mark.parametrize("displacement", [0.1e-3, 0.26e-3, 0.7e-3, 1.2e-3])
+def test_a_displacement_is_reached_when_the_plunger_is_there(displacement):
+    valve, drive = default_valve(), Drive.of([0.0], [9.0])
+    time = reached(simulate(valve, drive, np.arange(0.0, 0.02, 5e-5)), displacement)
+    there = simulate(valve, drive, [time]).pilot_position[0]
+    assert there == pytest.approx(displacement, abs=2e-9)
+
+
+def test_what_is_never_reached_is_later_the_more_is_missing(table):
+    plant = EventPlant(table)
+    nothing, almost = plant.predict({}), plant.predict({"rest_attraction.force": 1.5, "stroke": 1.2e-3})
+    assert nothing[1][0] > almost[1][0] > table.horizon
+
+
+def test_no_single_effect_closes_the_table_but_many_pairs_do(diagnosis):
+    assert not any(entry.closes for entry in diagnosis.singles)
+    closing = {frozenset(entry.effects) for entry in diagnosis.pairs if entry.closes}
+    assert frozenset({"rest_attraction", "coil_lag"}) in closing
+    assert len(closing) > 4
+    report = diagnosis.to_json()
+    assert report["verdict"]["kind"] == "insufficient"
+    assert report["before"]["errors_ms"] == [None, None]
+
+
+def test_the_shipped_valve_meets_both_events_with_the_published_dampings(table, diagnosis):
+    for time, event in zip(diagnosis.shipped.times, table.events, strict=True):
+        assert time == pytest.approx(event.time, abs=10e-6)
+    declared = diagnosis.valve.declared()
+    assert [declared[name] for name in DAMPINGS] == [1.0, 4.0]
+    assert declared["a0"] == pytest.approx(3.0336, abs=1e-4)
+    assert declared["coil_time_constant"] == pytest.approx(0.9934e-3, abs=1e-7)
+
+
+def test_running_it_again_gives_the_shipped_file(tmp_path, diagnosis):
+    written = {path.name: path for path in write_event_report(diagnosis, tmp_path)}
+    assert written["valve.yaml"].read_text() == (CONFIG / "valve.yaml").read_text()
+    assert load_valve(written["valve.yaml"]) == diagnosis.valve
+    assert all(path.stat().st_size < 150_000 for path in written.values())
+
+
+def test_the_events_hold_neither_damping(diagnosis):
+    for name, published in zip(DAMPINGS, (1.0, 4.0), strict=True):
+        low, high = diagnosis.region.interval(name, capped=False)
+        assert low == 0.0
+        assert math.isinf(high)
+        low, high = diagnosis.region.interval(name, capped=True)
+        assert low == 0.0
+        assert 10.0 * published < high < math.inf
+
+
+def test_every_member_of_the_region_gives_the_events(table, diagnosis):
+    plant, region = EventPlant(table), diagnosis.region
+    for i, j in np.argwhere(region.allowed)[::60]:
+        values = dict(zip((*DAMPINGS, *PULLS), (
+            region.pilot_damping[i], region.main_damping[j], region.rest_attraction[i, j], region.coil_lag[i, j],
+        ), strict=True))  # fmt: skip
+        for time, event in zip(plant.times(values), table.events, strict=True):
+            assert abs(time - event.time) < 2.0 * event.uncertainty
+
+
+def test_it_says_what_would_decide(diagnosis):
+    assert diagnosis.questions[0].power > 100.0
+    assert "what would decide" in diagnosis.text()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("nothing: 1", "holds no event_table"),
+        ("event_table: {valve: 3}", "valve: found 3"),
+        ("event_table: {valve: published.yaml, events: []}", "events: found"),
+        (
+            "event_table: {valve: published.yaml, voltage: 9, ship: [coil_lag], events: [{name: a}]}",
+            "displacement: found",
+        ),
+        ("event_table: [", "expected 'event_table:'"),
+    ],
+)
+def test_a_table_that_cannot_be_used_is_named(tmp_path, text, words):
+    path = tmp_path / "table.yaml"
+    path.write_text(text)
+    (tmp_path / "published.yaml").write_text((CONFIG / "published.yaml").read_text())
+    with pytest.raises(ParameterError, match=words) as caught:
+        read_event_table(path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_effects_that_do_not_close_the_table_are_not_shipped(tmp_path, table):
+    text = (CONFIG / "paper_events.yaml").read_text().replace("[rest_attraction, coil_lag]", "[rest_attraction]")
+    path = tmp_path / "table.yaml"
+    path.write_text(text.replace("published.yaml", str(CONFIG / "published.yaml")))
+    with pytest.raises(ParameterError, match="does not close the table"):
+        diagnose_events(read_event_table(path))

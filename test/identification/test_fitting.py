@@ -1,0 +1,136 @@
+"""Least squares on whitened residuals: optimum, bounds, intervals, starts."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from valve_sim.identification.fitting import Interval, Problem, covariance_interval, fit, profile_interval
+from valve_sim.identification.plant import from_search, search_bounds, to_search
+from valve_sim.identification.valve_plant import ValvePlant
+from valve_sim.model import CATALOGUE, DECLARED, SimulationError
+from valve_sim.parameter_files import default_valve
+
+from .recordings import TRUTH, one_opening, recorded
+
+BOTH = ("pilot_damping", "main_damping")
+
+
+@pytest.fixture(scope="module")
+def problem() -> Problem:
+    return Problem(ValvePlant([recorded()], default_valve()))
+
+
+def test_it_finds_the_optimum_that_scipy_finds(problem: Problem) -> None:
+    nuisances = problem.plant.nuisances
+    ours = fit(problem, BOTH, {}, nuisances=nuisances)
+    sigma = nuisances[0].sigma
+
+    def residuals(at: np.ndarray) -> np.ndarray:
+        values = {"pilot_damping": at[0], "main_damping": at[1], nuisances[0].name: at[2] * sigma}
+        return np.append(problem.residuals(values), at[2])
+
+    theirs = least_squares(residuals, [1.0, 4.0, 0.0], x_scale=[0.01, 0.01, 0.01], diff_step=1e-4)
+    assert ours.converged
+    assert ours.chi2 == pytest.approx(2.0 * theirs.cost, abs=0.02)
+    for name, value in zip(BOTH, theirs.x, strict=False):
+        assert abs(ours.values[name] - value) < 0.1 * ours.stderr(name)
+
+
+@pytest.mark.parametrize("start", [(0.05, 20.0), (10.0, 0.3), (1.0, 4.0)])
+def test_it_arrives_from_afar(problem: Problem, start: tuple[float, float]) -> None:
+    found = fit(problem, BOTH, dict(zip(BOTH, start, strict=True)), nuisances=problem.plant.nuisances)
+    for name, truth in TRUTH.items():
+        assert abs(found.values[name] - truth) < 4.0 * found.stderr(name)
+
+
+def test_the_residual_of_the_truth_is_white(problem: Problem) -> None:
+    found = fit(problem, BOTH, {}, nuisances=problem.plant.nuisances)
+    assert found.chi2 == pytest.approx(problem.effective_samples, rel=0.05)
+    assert abs(np.corrcoef(found.residuals[1:], found.residuals[:-1])[0, 1]) < 0.03
+
+
+def test_profile_and_covariance_agree_where_the_data_hold_a_parameter(problem: Problem) -> None:
+    found = fit(problem, BOTH, {}, nuisances=problem.plant.nuisances)
+    for name in BOTH:
+        profile, curve = profile_interval(found, name)
+        plain = covariance_interval(found, name)
+        assert (profile.low, profile.high) == pytest.approx((plain.low, plain.high), abs=0.1 * plain.stderr)
+        assert profile.low < TRUTH[name] < profile.high
+        assert [value for value, _ in curve] == sorted(value for value, _ in curve)
+        assert min(rise for _, rise in curve) == 0.0
+
+
+def test_a_bound_is_kept_and_named() -> None:
+    """A valve without pilot damping, and a model that is too weak: less than none would fit best."""
+    trace = recorded(pilot_damping=0.0, main_damping=4.0)
+    problem = Problem(ValvePlant([trace], default_valve().with_values(a0=2.95)))
+    found = fit(problem, ("pilot_damping",), {}, nuisances=problem.plant.nuisances)
+    assert found.values["pilot_damping"] == 0.0
+    assert found.on_bound("pilot_damping") == "lower"
+    interval, _ = profile_interval(found, "pilot_damping")
+    assert interval.low == 0.0 < interval.high
+
+
+def test_a_parameter_without_influence_stays_flat() -> None:
+    """The current is not measured, so its scale moves nothing."""
+    problem = Problem(ValvePlant([one_opening()], default_valve()))
+    found = fit(problem, ("coil_resistance", "main_damping"), {}, nuisances=problem.plant.nuisances)
+    assert found.stderr("coil_resistance") == math.inf
+    assert found.correlation()[0, 1] == 0.0
+    interval, _ = profile_interval(found, "coil_resistance")
+    assert "flat" in interval.remark
+    lower, upper = search_bounds(DECLARED["coil_resistance"])
+    assert (interval.low, interval.high) == pytest.approx(
+        (from_search(DECLARED["coil_resistance"], lower), from_search(DECLARED["coil_resistance"], upper))
+    )
+
+
+def test_a_clock_offset_is_a_nuisance_with_a_prior() -> None:
+    """Samples that are stamped 80 µs late move no damping."""
+    trace = recorded()
+    late = type(trace)(trace.source, trace.drive, trace.times + 80e-6, trace.pilot_position)
+    problem = Problem(ValvePlant([late], default_valve()))
+    found = fit(problem, BOTH, {}, nuisances=problem.plant.nuisances)
+    assert found.values["clock_offset[0]"] == pytest.approx(80e-6, abs=1e-6)
+    for name, truth in TRUTH.items():
+        assert abs(found.values[name] - truth) < 4.0 * found.stderr(name)
+
+
+def test_held_out_samples_take_no_part() -> None:
+    trace = recorded()
+    spoiled = trace.pilot_position.copy()
+    spoiled[trace.times > 0.25] += 1e-4
+    broken = type(trace)(trace.source, trace.drive, trace.times, spoiled)
+    whole = Problem(ValvePlant([broken], default_valve()), noises=Problem(ValvePlant([trace], default_valve())).noises)
+    first = whole.restricted(lambda channel, group: group < 4)
+    found = fit(first, BOTH, {}, nuisances=first.plant.nuisances)
+    assert 0 < first.samples < whole.samples
+    for name, truth in TRUTH.items():
+        assert abs(found.values[name] - truth) < 4.0 * found.stderr(name)
+
+
+@pytest.mark.parametrize("effect", list(CATALOGUE))
+def test_search_coordinates_lead_back(effect: str) -> None:
+    for parameter in CATALOGUE[effect].parameters:
+        value = parameter.typical
+        assert from_search(parameter, to_search(parameter, value)) == pytest.approx(value, rel=1e-12)
+        if parameter.off is not None:
+            assert from_search(parameter, to_search(parameter, parameter.off)) == parameter.off
+
+
+def test_what_cannot_be_simulated_is_an_error(problem: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(values: object) -> None:
+        raise SimulationError("no")
+
+    monkeypatch.setattr(problem.plant, "predict", refuse)
+    with pytest.raises(SimulationError, match="start of the fit"):
+        fit(problem, BOTH, {})
+
+
+def test_infinities_become_null_in_json() -> None:
+    entry = Interval(1.0, math.inf, 0.0, math.inf, "flat").to_json()
+    assert entry == {"value": 1.0, "stderr": None, "ci95": [0.0, None], "remark": "flat"}

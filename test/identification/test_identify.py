@@ -1,0 +1,155 @@
+"""What `identify` says: values, honest intervals, and what the data do not hold."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from plants.recording import Recorder
+
+from benchmarks.coverage import measure
+from valve_sim.identification.identify import check_free, identify
+from valve_sim.model import ParameterError, Valve
+from valve_sim.parameter_files import default_valve
+
+from .recordings import TRUTH, one_opening, recorded, shortened
+
+
+@pytest.mark.parametrize(
+    "recorder",
+    [Recorder(quantisation=0.1e-6), Recorder(quantisation=0.1e-6, colour=0.7), Recorder(quantisation=5e-6)],
+    ids=["white", "coloured", "coarse"],
+)
+def test_both_dampings_come_out(recorder: Recorder) -> None:
+    result = identify([recorded(recorder)], default_valve())
+    for name, truth in TRUTH.items():
+        interval = result.intervals[name]
+        assert abs(interval.value - truth) < 4.0 * interval.stderr
+        assert interval.high - interval.low < 0.1 * truth
+        assert result.valve.declared()[name] == interval.value
+    assert result.rmse_after < result.rmse_before
+    assert result.remarks == ()
+
+
+def test_a_small_slice_of_the_coverage_benchmark_is_good() -> None:
+    rows = measure(12)
+    assert len(rows) == 6
+    assert [row for row in rows if not row.is_good] == []
+
+
+def test_one_opening_holds_the_main_damping_and_not_the_pilots() -> None:
+    result = identify([one_opening()], default_valve())
+    main, pilot = result.intervals["main_damping"], result.intervals["pilot_damping"]
+    assert main.low < TRUTH["main_damping"] < main.high
+    assert pilot.low < TRUTH["pilot_damping"] < pilot.high
+    assert main.high - main.low < 0.15 * TRUTH["main_damping"]
+    assert pilot.high - pilot.low > 3.0 * (main.high - main.low) / TRUTH["main_damping"] * TRUTH["pilot_damping"]
+    said = [remark for remark in result.remarks if remark.startswith("pilot_damping")]
+    assert len(said) == 1
+    assert "loosely" in said[0]
+    assert not any(remark.startswith("main_damping is") for remark in result.remarks)
+    profile = result.to_json()["profiles"]["pilot_damping"]
+    assert max(point["rise"] for point in profile) > 3.8
+    assert profile[-1]["value"] - profile[0]["value"] > pilot.high - pilot.low - 0.05
+
+
+def test_a_damping_of_a_phase_that_never_comes_is_not_identifiable() -> None:
+    """Cut off in Phase 1, before the main plunger moves."""
+    result = identify([shortened(one_opening(), 0.0145)], default_valve())
+    assert any(remark.startswith("main_damping is not identifiable") for remark in result.remarks)
+    assert not any(remark.startswith("pilot_damping is not identifiable") for remark in result.remarks)
+
+
+def test_two_parameters_that_do_the_same_are_named_together() -> None:
+    result = identify([one_opening()], default_valve(), ("pilot_damping", "seat_load"))
+    said = [remark for remark in result.remarks if "hardly be told apart" in remark]
+    assert len(said) == 1
+    assert "pilot_damping" in said[0]
+    assert "seat_load" in said[0]
+
+
+def test_a_parameter_on_its_bound_is_said_to_be_there() -> None:
+    weak = default_valve().with_values(a0=2.95)
+    result = identify([recorded(pilot_damping=0.0)], weak, ("pilot_damping",))
+    assert any("sits on its lower bound" in remark for remark in result.remarks)
+
+
+def test_several_bags_make_one_fit() -> None:
+    traces = [recorded(seed=seed) for seed in (1, 2, 3)]
+    alone, together = identify(traces[:1], default_valve()), identify(traces, default_valve())
+    assert len(together.to_json()["clock_offsets_us"]) == 3
+    assert together.sources == ("seed 1", "seed 2", "seed 3")
+    for name, truth in TRUTH.items():
+        assert together.intervals[name].stderr == pytest.approx(alone.intervals[name].stderr / 3.0**0.5, rel=0.1)
+        assert abs(together.intervals[name].value - truth) < 4.0 * together.intervals[name].stderr
+
+
+def test_several_starts_leave_a_wrong_basin() -> None:
+    far = default_valve().with_values(pilot_damping=40.0, main_damping=0.05)
+    result = identify([recorded()], far)
+    for name, truth in TRUTH.items():
+        assert abs(result.intervals[name].value - truth) < 4.0 * result.intervals[name].stderr
+
+
+@pytest.mark.parametrize(
+    ("name", "effects", "parameters", "truth"),
+    [
+        ("coulomb_friction.force", {"coulomb_friction": {"force": 0.2}}, {}, 0.2),
+        ("eddy_lag.time_constant", {"eddy_lag": {"time_constant": 0.3e-3}}, {}, 0.3e-3),
+        ("a0", {}, {}, 3.0336),
+        ("spring_preload", {}, {"spring_preload": 2.6}, 2.6),
+        ("coil_time_constant", {}, {"coil_time_constant": 1.1e-3}, 1.1e-3),
+    ],
+)
+def test_any_parameter_can_be_freed_by_name(
+    name: str, effects: dict[str, dict[str, float]], parameters: dict[str, float], truth: float
+) -> None:
+    trace = recorded(effects=effects, **parameters)
+    result = identify([trace], default_valve(), ("pilot_damping", "main_damping", name))
+    interval = result.intervals[name]
+    assert interval.low - 0.5 * interval.stderr < truth < interval.high + 0.5 * interval.stderr
+    assert interval.high - interval.low < 0.2 * truth
+    effect, dot, parameter = name.partition(".")
+    found = result.valve.effects[effect][parameter] if dot else result.valve.declared()[name]
+    assert found == interval.value
+
+
+def test_an_effect_that_is_declared_stays_on() -> None:
+    valve = Valve(default_valve().parameters, {"coulomb_friction": {"force": 0.2}})
+    result = identify([recorded(effects={"coulomb_friction": {"force": 0.2}})], valve)
+    assert result.valve.effects == {"coulomb_friction": {"force": 0.2}}
+    for name, truth in TRUTH.items():
+        assert abs(result.intervals[name].value - truth) < 4.0 * result.intervals[name].stderr
+
+
+@pytest.mark.parametrize(
+    ("name", "meant"), [("pilot_dampin", "pilot_damping"), ("coulomb_friction.forc", "coulomb_friction.force")]
+)
+def test_a_misspelt_name_is_refused_with_the_nearest(name: str, meant: str) -> None:
+    with pytest.raises(ParameterError, match=f"did you mean {meant}"):
+        check_free([name])
+
+
+def test_progress_is_told_and_the_report_is_json() -> None:
+    told: list[tuple[str, float]] = []
+    result = identify([one_opening()], default_valve(), progress=lambda what, done: told.append((what, done)))
+    fractions = [fraction for _, fraction in told]
+    assert fractions == sorted(fractions)
+    assert fractions[0] == 0.0
+    assert fractions[-1] == 1.0
+    assert json.loads(json.dumps(result.to_json(), allow_nan=False))["schema"] == "valve_sim/identification/1"
+    assert "pilot_damping" in result.text()
+
+
+def test_stamps_of_commands_that_scatter_are_estimated_along() -> None:
+    """A recorder hears commands late; whoever believes it gets a wrong damping."""
+    trace = recorded(Recorder(quantisation=0.1e-6, command_jitter=50e-6))
+    result = identify([trace], default_valve())
+    for name, truth in TRUTH.items():
+        assert abs(result.intervals[name].value - truth) < 4.0 * result.intervals[name].stderr
+    assert any("commands' stamps" in remark for remark in result.remarks)
+
+
+def test_a_remainder_that_is_more_than_noise_is_said() -> None:
+    result = identify([recorded(effects={"coulomb_friction": {"force": 0.2}})], default_valve())
+    assert any("more than noise" in remark for remark in result.remarks)

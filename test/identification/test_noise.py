@@ -1,0 +1,107 @@
+"""Level, colour and quantisation of noise, from windows at rest."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from plants.recording import Recorder
+
+from valve_sim.identification.noise import Noise, estimate_noise, quantisation_step, quiet_windows, still_runs
+from valve_sim.identification.valve_plant import ValvePlant
+from valve_sim.parameter_files import default_valve
+
+from .recordings import FINE, recorded, still
+
+
+def coloured(sigma: float, colour: float, count: int = 40_000, seed: int = 1) -> np.ndarray:
+    random = np.random.default_rng(seed)
+    values = np.empty(count)
+    values[0] = random.standard_normal()
+    for index, step in enumerate(random.standard_normal(count - 1), start=1):
+        values[index] = colour * values[index - 1] + np.sqrt(1.0 - colour**2) * step
+    return sigma * values
+
+
+@pytest.mark.parametrize("sigma", [0.2e-6, 1e-6, 30e-6])
+def test_the_level_of_white_noise_is_found(sigma: float) -> None:
+    noise = estimate_noise([still(coloured(sigma, 0.0))])
+    assert noise.sigma == pytest.approx(sigma, rel=0.03)
+    assert noise.innovation == pytest.approx(sigma, rel=0.03)
+    assert noise.coefficients == ()
+    assert noise.step == 0.0
+    assert noise.samples == 40_000
+
+
+@pytest.mark.parametrize("colour", [0.7, -0.4, 0.95])
+def test_the_colour_is_found_and_taken_out(colour: float) -> None:
+    values = coloured(1e-6, colour)
+    noise = estimate_noise([still(values)])
+    assert noise.coefficients[0] == pytest.approx(colour, abs=0.02)
+    assert noise.sigma == pytest.approx(1e-6, rel=0.1)
+    white = noise.whiten(values)
+    assert np.std(white) == pytest.approx(1.0, rel=0.02)
+    assert abs(np.corrcoef(white[1:], white[:-1])[0, 1]) < 0.02
+
+
+def test_second_order_colour_is_found() -> None:
+    random = np.random.default_rng(4)
+    values = np.zeros(40_000)
+    for index, step in enumerate(random.standard_normal(len(values) - 2), start=2):
+        values[index] = 1.2 * values[index - 1] - 0.5 * values[index - 2] + step
+    noise = estimate_noise([still(1e-6 * values)])
+    np.testing.assert_allclose(noise.coefficients[:2], [1.2, -0.5], atol=0.03)
+    assert noise.innovation == pytest.approx(1e-6, rel=0.02)
+
+
+def test_noise_slower_than_the_autoregression_discounts_evidence() -> None:
+    random = np.random.default_rng(5)
+    drift = np.repeat(random.standard_normal(100), 400) * 0.5
+    steady = estimate_noise([still(1e-6 * random.standard_normal(40_000))])
+    drifting = estimate_noise([still(1e-6 * (random.standard_normal(40_000) + drift))])
+    assert steady.excess == 1.0
+    assert drifting.excess > 2.0
+
+
+@pytest.mark.parametrize("step", [0.1e-6, 1e-6, 5e-6])
+def test_the_quantisation_step_is_found(step: float) -> None:
+    values = step * np.round(coloured(4e-6, 0.0) / step)
+    assert quantisation_step(values) == pytest.approx(step, rel=1e-6)
+
+
+def test_what_is_not_on_a_grid_has_no_step() -> None:
+    assert quantisation_step(coloured(1e-6, 0.0)) == 0.0
+
+
+def test_a_coarse_sensor_is_no_better_than_its_step() -> None:
+    trace = recorded(Recorder(quantisation=5e-6))
+    channels = ValvePlant([trace], default_valve()).channels
+    noise = estimate_noise(channels)
+    assert noise.step == pytest.approx(5e-6)
+    assert noise.is_coarse
+    # 1 µm of noise and rounding, which is even over a step: its variance is step²/12.
+    assert noise.sigma == pytest.approx(np.hypot(1e-6, 5e-6 / np.sqrt(12.0)), rel=0.1)
+
+
+def test_a_recording_shows_its_noise_at_rest() -> None:
+    for recorder, colour in ((FINE, 0.0), (Recorder(quantisation=0.1e-6, colour=0.7), 0.7)):
+        channel = ValvePlant([recorded(recorder)], default_valve()).channels[0]
+        noise = estimate_noise([channel])
+        assert noise.sigma == pytest.approx(1e-6, rel=0.1)
+        assert (noise.coefficients or (0.0,))[0] == pytest.approx(colour, abs=0.06)
+        assert len(quiet_windows(channel)) >= 8
+
+
+def test_a_noise_free_signal_still_has_a_level() -> None:
+    noise = estimate_noise([still(np.full(500, 1e-3))])
+    assert 0.0 < noise.sigma < 1e-12
+
+
+def test_whitening_leaves_the_input_alone() -> None:
+    values = np.array([1.0, 2.0, 3.0])
+    white = Noise(1.0, 0.5, (0.5,), 0.0, 1.0, 3).whiten(values)
+    np.testing.assert_allclose(white, [2.0, 3.0, 4.0])
+    np.testing.assert_array_equal(values, [1.0, 2.0, 3.0])
+
+
+def test_runs_of_equal_readings_are_counted() -> None:
+    np.testing.assert_array_equal(still_runs(np.array([1.0, 1.0, 2.0, 3.0, 3.0, 3.0])), [2, 2, 1, 3, 3, 3])
