@@ -106,8 +106,10 @@ class Problem:
         weight = np.ones(len(channel.data))
         noise = self.noise_of(index)
         if noise.step > 0.0 and noise.is_coarse:
-            # A coarse sensor at rest repeats one reading; a thousand copies are not a thousand measurements.
-            runs = still_runs(channel.data)
+            # A coarse sensor at rest repeats one reading; a thousand copies are not a thousand measurements. The runs
+            # are the declared model's: weights by the readings themselves lean on their errors, which with 1 µm of
+            # noise and 5 µm steps puts the dampings 0.16 standard errors off.
+            runs = still_runs(np.round(self.plant.predict({})[index] / noise.step))
             weight = np.where(runs > LONGEST_RUN, 1.0 / np.sqrt(runs), weight)
             for start, stop in _stretches(channel.quiet):
                 weight[start:stop] = np.minimum(weight[start:stop], 1.0 / math.sqrt(stop - start))

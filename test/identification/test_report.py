@@ -1,0 +1,211 @@
+"""The page that people look at: what it says, that it draws in a browser, and that it asks no network."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from identification.recordings import recorded
+from valve_sim.identification import report
+from valve_sim.identification.diagnosis import Diagnosis, diagnose
+from valve_sim.identification.outputs import write_diagnosis
+from valve_sim.identification.stroke_curves import DRAWN_POINTS, StrokeCurves, keep_extremes, strokes_of
+from valve_sim.model import ValveError
+from valve_sim.parameter_files import default_valve, load_valve
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+SETTINGS = (
+    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--hide-scrollbars",
+    "--disable-background-networking", "--disable-component-update", "--disable-sync",
+    "--host-resolver-rules=MAP * ~NOTFOUND",
+)  # fmt: skip
+HOSTILE = "</script><script>throw 1</script><img src=http://127.0.0.1:9/x>"
+LARGEST_PAGE = 8_000_000
+LARGEST_SCREENSHOT = 300_000
+needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed to open the report in")
+
+
+class Visit(NamedTuple):
+    """What a browser made of a page: its tree, the console's lines, and what the page asked of the network."""
+
+    tree: str
+    console: list[str]
+    requests: list[str]
+
+
+def visit(page: Path, folder: Path) -> Visit:
+    log = folder / "net.json"
+    ran = browse(page, folder, "--enable-logging=stderr", f"--log-net-log={log}", "--dump-dom")
+    events = json.loads(log.read_text())["events"]
+    asked = [event["params"] for event in events if "initiator" in event.get("params", {})]
+    # The browser's own requests (updates, time) have no origin; a page's have one, "null" for a file.
+    requests = [params["url"] for params in asked if params["initiator"] != "not an origin"]
+    return Visit(ran.stdout, re.findall(r"CONSOLE.*", ran.stderr), [url for url in requests if is_remote(url)])
+
+
+def is_remote(url: str) -> bool:
+    return not url.startswith(("file:", "data:"))
+
+
+def browse(page: Path, folder: Path, *settings: str) -> subprocess.CompletedProcess[str]:
+    command = [str(CHROMIUM), *SETTINGS, f"--user-data-dir={folder / 'profile'}", *settings, page.resolve().as_uri()]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+
+
+@pytest.fixture(scope="module")
+def diagnosis() -> Diagnosis:
+    friction = {"coulomb_friction": {"force": 0.1}}
+    trace, other = recorded(seed=1, effects=friction), recorded(seed=2, effects=friction)
+    return diagnose([trace], [other], default_valve())
+
+
+@pytest.fixture
+def page(diagnosis: Diagnosis, tmp_path: Path) -> Path:
+    path = tmp_path / "report.html"
+    report.write_report(diagnosis, path, provenance="valve-sim diagnose strokes.mcap")
+    return path
+
+
+def test_the_page_says_what_was_found(diagnosis: Diagnosis, page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    assert f"<h1>{diagnosis.verdict.summary}</h1>" in text
+    assert "coulomb_friction.force" in text
+    assert all(" + ".join(candidate.effects) in text for candidate in diagnosis.candidates)
+    assert all(name in text for name in diagnosis.sources)
+    assert "valve-sim diagnose strokes.mcap" in text
+
+
+def test_root_mean_squares_of_strokes_add_up_to_those_of_the_diagnosis(diagnosis: Diagnosis) -> None:
+    strokes = [stroke for stroke in strokes_of(diagnosis) if not stroke.is_held_out]
+    squares = sum(len(stroke.time) * stroke.root_mean_squares[0] ** 2 for stroke in strokes)
+    count = sum(len(stroke.time) for stroke in strokes)
+    assert (squares / count) ** 0.5 == pytest.approx(1e6 * diagnosis.before.train_rmse, rel=1e-9)
+
+
+def test_held_out_strokes_are_shown_and_named_so(diagnosis: Diagnosis) -> None:
+    held = [stroke for stroke in strokes_of(diagnosis) if stroke.is_held_out]
+    assert len(held) == 8
+    assert all(stroke.title.endswith("held out") for stroke in held)
+
+
+def test_thinning_keeps_the_extremes_and_the_ends() -> None:
+    values = np.random.default_rng(1).normal(size=20000)
+    values[12345] = 40.0
+    kept = keep_extremes((values, -values), 100)
+    assert len(kept) <= 100
+    assert {0, 12345, int(np.argmin(values)), 19999} <= set(kept.tolist())
+
+
+def test_short_strokes_are_drawn_whole() -> None:
+    assert keep_extremes((np.zeros(DRAWN_POINTS),), DRAWN_POINTS).tolist() == list(range(DRAWN_POINTS))
+
+
+def with_strokes(monkeypatch: pytest.MonkeyPatch, strokes: list[StrokeCurves]) -> None:
+    monkeypatch.setattr(report, "strokes_of", lambda _: strokes)
+
+
+def test_a_hundred_strokes_fit_into_eight_megabytes(
+    diagnosis: Diagnosis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with_strokes(monkeypatch, (strokes_of(diagnosis) * 7)[:100])
+    path = tmp_path / "report.html"
+    report.write_report(diagnosis, path)
+    assert path.read_text(encoding="utf-8").count("data-stroke=") == 100
+    assert path.stat().st_size <= LARGEST_PAGE
+
+
+def hostile(diagnosis: Diagnosis, path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    with_strokes(monkeypatch, [replace(strokes_of(diagnosis)[0], title=HOSTILE, quantity=HOSTILE)])
+    report.write_report(replace(diagnosis, sources=(HOSTILE,), record_next=HOSTILE), path, provenance=HOSTILE)
+    return path.read_text(encoding="utf-8")
+
+
+def test_names_from_bags_are_escaped(diagnosis: Diagnosis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = hostile(diagnosis, tmp_path / "report.html", monkeypatch)
+    assert HOSTILE not in text
+    assert text.count("<script") == 2
+    assert "<img" not in text
+
+
+def test_a_page_that_cannot_be_written_is_one_clear_error(diagnosis: Diagnosis, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ValveError, match="cannot be written"):
+        report.write_report(diagnosis, tmp_path / "file" / "report.html")
+
+
+def test_all_files_of_a_diagnosis_are_written_and_nothing_else(diagnosis: Diagnosis, tmp_path: Path) -> None:
+    written = write_diagnosis(diagnosis, tmp_path / "results", "by a test")
+    assert sorted(path.name for path in written) == ["corrected.yaml", "report.html", "report.json", "report.png"]
+    assert sorted((tmp_path / "results").iterdir()) == sorted(written)
+    assert json.loads(written[0].read_text())["verdict"]["effects"] == ["coulomb_friction"]
+    assert load_valve(tmp_path / "results" / "corrected.yaml") == diagnosis.valve
+    assert (tmp_path / "results" / "report.png").read_bytes().startswith(b"\x89PNG")
+
+
+class OtherMachine:
+    """A plant that is no valve."""
+
+    def __init__(self, plant: Any) -> None:
+        self._plant = plant
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._plant, name)
+
+
+def test_another_machine_has_no_corrected_valve(diagnosis: Diagnosis, tmp_path: Path) -> None:
+    written = write_diagnosis(replace(diagnosis, plant=OtherMachine(diagnosis.plant)), tmp_path, "by a test")
+    assert sorted(path.name for path in written) == ["report.html", "report.json", "report.png"]
+
+
+@needs_chromium
+def test_the_page_draws_in_a_browser_without_errors_or_requests(
+    diagnosis: Diagnosis, page: Path, tmp_path: Path
+) -> None:
+    seen = visit(page, tmp_path)
+    plots = report.SHOWN_STROKES + len(diagnosis.maps)
+    assert f'data-drawn="{plots}"' in seen.tree
+    curves = [int(count) for count in re.findall(r'data-points="(\d+)"', seen.tree)]
+    assert len(curves) == 5 * report.SHOWN_STROKES + len(diagnosis.maps)
+    assert min(curves) > 50
+    assert "NaN" not in seen.tree
+    assert seen.console == []
+    assert seen.requests == []
+
+
+@needs_chromium
+def test_hostile_names_do_nothing_in_a_browser(
+    diagnosis: Diagnosis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hostile(diagnosis, tmp_path / "report.html", monkeypatch)
+    seen = visit(tmp_path / "report.html", tmp_path)
+    assert f'data-drawn="{1 + len(diagnosis.maps)}"' in seen.tree
+    assert (seen.console, seen.requests) == ([], [])
+
+
+@needs_chromium
+def test_the_browser_would_have_told_of_errors_and_requests(tmp_path: Path) -> None:
+    (tmp_path / "bad.html").write_text("<!doctype html><img src='http://127.0.0.1:9/x.png'><script>missing()</script>")
+    seen = visit(tmp_path / "bad.html", tmp_path)
+    assert any("missing is not defined" in line for line in seen.console)
+    assert "http://127.0.0.1:9/x.png" in seen.requests
+
+
+@needs_chromium
+def test_the_screenshot_of_the_readme(page: Path, tmp_path: Path) -> None:
+    """With VALVE_SIM_SCREENSHOT set to a path, the picture is kept there: `docs/report.png` is made so."""
+    picture = tmp_path / "report.png"
+    browse(page, tmp_path, "--window-size=1150,1480", f"--screenshot={picture}")
+    content = picture.read_bytes()
+    assert content.startswith(b"\x89PNG")
+    assert 50_000 < len(content) <= LARGEST_SCREENSHOT
+    if kept := os.environ.get("VALVE_SIM_SCREENSHOT"):
+        Path(kept).write_bytes(content)

@@ -1,0 +1,35 @@
+"""docs/reference.md is what the code's tables say."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+from valve_sim.reference import Interface, interfaces
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_the_reference_page_is_up_to_date() -> None:
+    # In a process of its own: other tests register effects.
+    ran = subprocess.run(
+        [sys.executable, "-m", "valve_sim.reference"], cwd=ROOT, capture_output=True, encoding="utf-8", check=True
+    )
+    told = "run: python -m valve_sim.reference docs/reference.md"
+    assert ran.stdout == (ROOT / "docs" / "reference.md").read_text(encoding="utf-8"), told
+
+
+def test_interfaces_are_read_from_a_nodes_source() -> None:
+    source = """
+def start(node):
+    node.create_service(Trigger, "~/reset", done)
+    node.create_subscription(Float64, "~/in", take, 10)
+    node.create_publisher(Bool, "~/out", 10)
+    node.create_timer(1.0, tick)
+"""
+    assert interfaces(source) == [
+        Interface("~/out", "Bool", "out"),
+        Interface("~/in", "Float64", "in"),
+        Interface("~/reset", "Trigger", "service"),
+    ]

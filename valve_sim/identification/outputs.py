@@ -1,0 +1,53 @@
+"""The files that a diagnosis leaves behind: report.json, report.html, report.png and, of a valve, corrected.yaml."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from valve_sim.identification.diagnosis import Diagnosis, to_json
+from valve_sim.identification.report import plot_diagnosis, write_report, write_whole
+from valve_sim.identification.valve_plant import ValvePlant
+from valve_sim.parameter_files import save_valve
+
+
+def write_diagnosis(diagnosis: Diagnosis, directory: Path | str, provenance: str) -> tuple[Path, ...]:
+    """Write what a diagnosis found, each file whole or not at all.
+
+    Args:
+        diagnosis: of any plant; only a valve has a corrected.yaml.
+        directory: made where it is missing.
+        provenance: how the diagnosis was made; goes into report.html and corrected.yaml.
+
+    Returns:
+        the files, report.json first.
+
+    Raises:
+        ValveError: a file cannot be written.
+    """
+    folder = Path(directory)
+    data, page, picture, corrected = (
+        folder / name for name in ("report.json", "report.html", "report.png", "corrected.yaml")
+    )
+    text = json.dumps(_without_infinities(to_json(diagnosis)), indent=2, ensure_ascii=False, allow_nan=False)
+    write_whole(data, text + "\n")
+    write_report(diagnosis, page, provenance)
+    plot_diagnosis(diagnosis, picture)
+    if not isinstance(diagnosis.plant, ValvePlant):
+        return data, page, picture
+    save_valve(corrected, diagnosis.valve, provenance)
+    return data, page, picture, corrected
+
+
+def _without_infinities(value: Any) -> Any:
+    """JSON has no number that is not finite: null."""
+    if isinstance(value, Mapping):
+        return {key: _without_infinities(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_infinities(item) for item in value]
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    return value
