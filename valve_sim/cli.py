@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from valve_sim.model import Valve
     from valve_sim.traces import StrokeEvents, Trace, TraceSummary
 
+# The matrices of a fit are thin: threads of the linear algebra cost more than they bring. NumPy comes later.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 Progress = Callable[[str, float], None]
 
 OUTSIDE: Final = 1
@@ -315,23 +318,23 @@ def diagnose(
     Refits the declared model, tests whether what is left is more than noise, searches the effects, and reports errors
     before and after, on the data it was fitted to and on held-out data. Without --holdout, strokes are held out.
 
-    Writes DIR/report.json and DIR/corrected.yaml, which valve_node, simulate and validate load.
+    Writes DIR/report.json, report.html and report.png for people, and corrected.yaml, which valve_node, simulate and
+    validate load.
 
       valve-sim diagnose strokes.mcap --output results
       valve-sim diagnose day_1 day_2 --holdout day_3 --params my_valve.yaml --output results
     """
     from valve_sim.identification.diagnosis import diagnose as trace_residual
     from valve_sim.identification.diagnosis import to_json
-    from valve_sim.parameter_files import save_valve
+    from valve_sim.identification.outputs import write_diagnosis
 
     valve = _load(params)
     traces, held_out = _read(bags, name), _read(holdout, name)
     with _progress() as progress:
         result = trace_residual(traces, held_out, valve, progress)
     report = to_json(result)
-    _write(output / "report.json", _json_text(report))
-    save_valve(output / "corrected.yaml", result.valve, _provenance(params, [report["verdict"]["summary"]]))
-    _print_report(report, _diagnosis_text(report), (output / "report.json", output / "corrected.yaml"), as_json)
+    written = write_diagnosis(result, output, _provenance(params, [report["verdict"]["summary"]]))
+    _print_report(report, _diagnosis_text(report), written, as_json)
 
 
 @main.command()

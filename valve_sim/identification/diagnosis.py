@@ -32,6 +32,10 @@ EVERY_FOURTH: Final = 4
 """Of the strokes is held out where no hold-out bag is given."""
 WEAK_EVIDENCE: Final = 30.0
 """Gain of S at which a name is still as doubtful as 63 %; at five detection limits the gain is some hundreds."""
+FAILS_HELD_OUT: Final = 1e-8
+"""P-value of held-out residuals below which a name is not believed; errors of its parameters must not do it."""
+HINT: Final = 0.02
+"""P-value below which the search goes on: it costs seconds, where stopping early costs a wrong name."""
 EXCLUDES_OFF: Final = 1.96
 """Standard errors that an effect must be away from 'off'."""
 
@@ -162,13 +166,15 @@ class _Investigation:
         search, names = self.search, list(self.plant.effects)
         search.fit(Hypothesis(()))
         self._try_singles(names, timing=False, share=(0.0, 0.3))
-        if not self.is_adequate(self.best_claimable()):
+        if self.deserves_another_look(self.best_claimable()):
             self._explore_timing(names)
         for count in range(2, MOST_EFFECTS + 1):
             best = self.best_claimable()
-            if best.effects and not self.is_adequate(best):
+            if not self.deserves_another_look(best):
+                break
+            if best.effects:
                 search.polish(best)
-            if self.is_adequate(best) or not self._extend(count, names):
+            if not self._extend(count, names):
                 break
         if not self.is_adequate(self.best_claimable()):
             self._extend_timing(names)
@@ -262,6 +268,24 @@ class _Investigation:
     def is_adequate(self, hypothesis: Hypothesis) -> bool:
         """Whether nothing but noise is left of it."""
         return adequacy(self.search.fit(hypothesis)).is_white
+
+    def fails_hold_out(self, hypothesis: Hypothesis) -> bool:
+        """Whether a claimed effect leaves more than noise of held-out data: then the name is wrong or not all."""
+        if not hypothesis.effects:
+            return False
+        result = self.search.fit(hypothesis)
+        held = self.hold_out(result, timing=self.needs_timing(result))
+        return held is not None and adequacy(held).p_value < FAILS_HELD_OUT
+
+    def deserves_another_look(self, hypothesis: Hypothesis) -> bool:
+        """Whether training or held-out data give any hint that something is left of it."""
+        result = self.search.fit(hypothesis)
+        if adequacy(result).p_value < HINT:
+            return True
+        if not hypothesis.effects:
+            return False
+        held = self.hold_out(result, timing=self.needs_timing(result))
+        return held is not None and not adequacy(held).is_white
 
     def is_claimable(self, hypothesis: Hypothesis) -> bool:
         """A parameter on its bound names nothing, nor does an effect that may as well be off.
@@ -361,7 +385,7 @@ class _Investigation:
         fitted_maps = [] if self.is_adequate(base) else self.fit_maps(base_fit)
         named_score = search.score(best)
         map_wins = bool(fitted_maps) and fitted_maps[0][1].score < named_score - DECISIVE
-        is_unknown = map_wins or not self.is_adequate(best)
+        is_unknown = map_wins or not self.is_adequate(best) or self.fails_hold_out(best)
         self._reported_timing = self.needs_timing(best_fit)
         after_fit = best_fit
         remainder: list[tuple[ForceMap, Fit]] = []
@@ -438,7 +462,7 @@ class _Investigation:
         return tuple(dict.fromkeys(name for _, name in sorted(found)))
 
     def relatives(self, name: str, found: Sequence[str]) -> tuple[str, ...]:
-        """Where the form of the model is wrong, scores mislead: what an effect is known to be confused with counts too."""
+        """Names beside the best: where the form is wrong, scores mislead, and known confusions count too."""
         return tuple(dict.fromkeys([*found, *self.plant.effects[name].confused_with]))[: LARGEST_CLASS - 1]
 
     def probability(self, best: Hypothesis) -> float:

@@ -26,7 +26,7 @@ from valve_sim.identification.fitting import Problem
 from valve_sim.identification.noise import Noise
 from valve_sim.identification.plant import Array, Channel, ForceMap
 from valve_sim.identification.valve_plant import ValvePlant
-from valve_sim.model import CATALOGUE, Drive, ParameterError, Response, Valve, simulate
+from valve_sim.model import CATALOGUE, Drive, ParameterError, Response, SimulationError, Valve, simulate
 from valve_sim.parameter_files import load_valve
 
 GRID: Final = 5e-5
@@ -162,9 +162,13 @@ class EventPlant(ValvePlant):
         """The opening that these values give.
 
         Raises:
-            SimulationError: the simulation could not be carried to its end.
+            SimulationError: the gap is not inside the stroke, or the simulation could not be carried to its end.
         """
-        return simulate(self.with_values(values), self.table.drive, self._grid)
+        valve = self.with_values(values)
+        record = valve.record()[0]
+        if not 0.0 < record["pilot_gap"] < record["stroke"]:
+            raise SimulationError(f"{self.table.source}: a valve whose gap is not inside its stroke cannot move")
+        return simulate(valve, self.table.drive, self._grid)
 
     def times(self, values: Mapping[str, float]) -> list[float]:
         """When each event happens, s; nan where it does not."""

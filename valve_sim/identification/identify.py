@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from valve_sim.identification.fitting import Fit, Interval, Problem, fit, profile_interval
-from valve_sim.identification.plant import Array, Plant
+from valve_sim.identification.plant import Array, Nuisance, Plant
 from valve_sim.identification.valve_plant import ValvePlant
 from valve_sim.model import CATALOGUE, DECLARED, ParameterError, Valve
 from valve_sim.model.parameters import closest
@@ -21,8 +21,13 @@ STARTS: Final = (1.0, 4.0, 0.25)
 """Factors on the declared values from which a fit starts, to leave wrong basins."""
 CORRELATED: Final = 0.99
 """Beyond this correlation two parameters are said to be told apart hardly."""
-WEAK: Final = 0.5
+WEAK: Final = 0.25
 """A 95 % interval wider than this share of the value (and of the declared value) holds the parameter only loosely."""
+
+TOO_MUCH: Final = 5.0
+"""Standard deviations of χ² beyond which a remainder is more than noise."""
+DECISIVE: Final = 10.0
+"""A difference of scores (METHOD: ΔBIC 10)."""
 
 Progress = Callable[[str, float], None]
 
@@ -119,7 +124,7 @@ def identify(
         say(f"interval of {name}", 0.5 + 0.5 * index / len(free))
         intervals[name], profiles[name] = profile_interval(best, name)
     say("done", 1.0)
-    offsets = {nuisance.name: best.values[nuisance.name] for nuisance in plant.nuisances}
+    offsets = {nuisance.name: best.values[nuisance.name] for nuisance in best.nuisances}
     return Identification(
         best, intervals, profiles, tuple(remarks(best, intervals)), position_rmse(plant, offsets),
         position_rmse(plant, best.values), plant.with_values(best.values), tuple(trace.source for trace in traces),
@@ -139,11 +144,36 @@ def check_free(free: Sequence[str]) -> None:
 
 
 def best_fit(problem: Problem, free: Sequence[str], progress: Callable[[float], None]) -> Fit:
-    """The best of fits from several starts."""
+    """The best of fits from several starts.
+
+    Where it leaves more than noise, errors of the commands' stamps are estimated along, and kept if that is decisive:
+    a recorder stamps a command when it hears of it, up to a millisecond beside the time at which it took effect.
+    """
+    plant = problem.plant
+    plain = _best_of_starts(problem, free, plant.nuisances, progress)
+    if not plant.timing_errors or not leaves_more_than_noise(plain):
+        return plain
+    timed = _best_of_starts(problem, free, (*plant.nuisances, *plant.timing_errors), lambda fraction: progress(1.0))
+    return timed if timed.score < plain.score - DECISIVE else plain
+
+
+def leaves_more_than_noise(result: Fit) -> bool:
+    """Whether χ² exceeds what noise gives it by 5 %, and by more than `TOO_MUCH` of its standard deviations.
+
+    Those count in that the noise itself is known from a limited number of samples at rest only.
+    """
+    samples, quiet = result.problem.effective_samples, [noise.samples for noise in result.problem.noises.values()]
+    left = result.chi2 / result.problem.excess / samples - 1.0
+    return left > max(0.05, TOO_MUCH * math.sqrt(2.0 / samples + 2.0 / max(1, min(quiet))))
+
+
+def _best_of_starts(
+    problem: Problem, free: Sequence[str], nuisances: Sequence[Nuisance], progress: Callable[[float], None]
+) -> Fit:
     fits = []
     for index, factor in enumerate(STARTS):
         start = {name: _started(problem.plant, name, factor) for name in free}
-        fits.append(fit(problem, free, start, nuisances=problem.plant.nuisances))
+        fits.append(fit(problem, free, start, nuisances=nuisances))
         progress((index + 1) / len(STARTS))
     return min(fits, key=lambda result: result.chi2)
 
@@ -180,6 +210,17 @@ def remarks(result: Fit, intervals: Mapping[str, Interval]) -> list[str]:
                 f"{name} and {strongest[1]} can hardly be told apart (correlation {strongest[0]:.4f}); "
                 "strokes at other voltages, or a release, would separate them."
             )
+    timing = [abs(result.values[nuisance.name]) for nuisance in result.nuisances[len(plant.nuisances) :]]
+    if timing:
+        said.append(
+            f"the commands' stamps are off by up to {1e6 * max(timing):.3g} µs, beside the clock offset; each was "
+            "estimated along."
+        )
+    if leaves_more_than_noise(result):
+        said.append(
+            "what is left is more than noise, so the model lacks something and the intervals are too narrow; "
+            "`diagnose` may name it."
+        )
     if not result.converged:
         said.append("the fit did not settle; treat the values with care.")
     return said

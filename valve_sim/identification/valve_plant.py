@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -22,6 +23,8 @@ FIT_TOLERANCE: Final = 1e-8
 """Of one step while fitting: a thousandth of the noise at most."""
 SETTLING: Final = 0.3
 """The part of each interval between commands that is never taken for quiet, at its beginning."""
+JITTERED: Final = 0.01
+"""Scatter of a current's sampling interval, over the interval, beyond which its times are those of arrival."""
 STILL: Final = 6.0
 """Standard deviations within which a still sensor stays."""
 
@@ -38,11 +41,11 @@ class ValvePlant:
     """
 
     def __init__(self, traces: Sequence[Trace], valve: Valve) -> None:
-        self.traces = tuple(traces)
+        self.traces = tuple(without_jittered_current(trace) for trace in traces)
         self.valve = valve
         self._declared = valve.declared()
         self._amperes = valve.parameters.reference_voltage / valve.parameters.coil_resistance
-        self._sources = [(index, kind) for index, trace in enumerate(traces) for kind in _kinds(trace)]
+        self._sources = [(index, kind) for index, trace in enumerate(self.traces) for kind in _kinds(trace)]
         self._channels = [_channel(self.traces[index], kind) for index, kind in self._sources]
         self._effects = {
             name: EffectChoice(name, entry.parameters, entry.confused_with)
@@ -214,6 +217,16 @@ def _fastest(trace: Trace) -> float:
 def _coarse_step(data: Array) -> float:
     levels = np.unique(np.round(data, 12))
     return float(np.median(np.diff(levels))) if 1 < len(levels) < 0.5 * len(data) else 0.0
+
+
+def without_jittered_current(trace: Trace) -> Trace:
+    """The trace, less a current whose times are those of its arrival: they scatter, and would drag the clock along."""
+    if trace.coil_current is None or len(trace.coil_current.times) < 3:
+        return trace
+    steps = np.diff(trace.coil_current.times)
+    usual = float(np.median(steps))
+    scatter = float(np.median(np.abs(steps - usual)))
+    return replace(trace, coil_current=None) if scatter > JITTERED * usual else trace
 
 
 def _kinds(trace: Trace) -> tuple[str, ...]:

@@ -442,9 +442,7 @@ def _show(p, s, work, h, theta):
 
 @inner
 def _sample(p, s, work, h, theta, rows, i):
-    """Fill row i of the output: pilot position as shown and, where there is room, main position, velocity,
-    attraction, phase.
-    """
+    """Fill row i of the output: pilot and, where there is room, main position, velocity, attraction, phase."""
     pilot, main = _show(p, s, work, h, theta)
     rows[i, 0] = p.sensor_gain * pilot
     if rows.shape[1] == 1:
@@ -499,7 +497,9 @@ def set_voltage(p, s, volts):
 
 
 @compiled
-def run(p, s, t_end, commit_end, times, rows, current_times, currents, events, count, tolerance, most_steps):
+def run(  # noqa: PLR0912 - the steps of a run in the order in which they happen
+    p, s, t_end, commit_end, times, rows, current_times, currents, events, count, tolerance, most_steps
+):
     """Step the valve from its state to t_end under one voltage.
 
     Args:

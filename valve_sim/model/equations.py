@@ -91,7 +91,7 @@ def force_without_dry_friction(p, mode, x, v, direction, u, pull2, t, unseated_t
     force -= (p.damping_opening if direction > 0 else p.damping_closing) * v
     for j in range(p.term_count):
         if mode >= MAIN or p.term_in_phase_2_only[j] == 0:
-            force += _call_term(p.term_address[j], x, v, u, t, p.term_parameters[j])
+            force += _call_term(p.term_address[j], x, v, u, t, p.term_parameters[j])  # type: ignore[call-arg]
     return force
 
 

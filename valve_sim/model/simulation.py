@@ -22,8 +22,8 @@ Array = NDArray[np.float64]
 
 TOLERANCE: Final = 1e-9
 """Relative error of one step; against a 1e-13 reference it leaves positions within 1 nm and events within 1 ns."""
-MOST_STEPS: Final = 20_000_000
-"""Steps after which a run is given up: a minute of work."""
+MOST_STEPS_PER_SECOND: Final = 1_000_000
+"""Steps for each second of a run, and a second's worth to begin with, after which it is given up."""
 _EVENT_ROOM: Final = 256
 _NO_TIMES: Final = np.empty(0)
 
@@ -246,7 +246,7 @@ def run_record(
     delay = float(record["sensor_delay"])
     count, outcome = automaton.run_drive(
         record, state, drive.times, drive.volts, end, times - delay if delay else times, rows,
-        current_times, currents, events, tolerance, MOST_STEPS,
+        current_times, currents, events, tolerance, _most_steps(end - float(state["time"])),
     )  # fmt: skip
     _check(outcome)
     return int(count)
@@ -286,7 +286,7 @@ def simulate_many(
         first, last = int(chunk[0]), int(chunk[-1]) + 1
         return automaton.run_batch(  # type: ignore[no-any-return]
             records[first:last], states[first:last], drive.times, drive.volts, times, positions[first:last],
-            tolerance, MOST_STEPS,
+            tolerance, _most_steps(float(np.ptp(times))),
         )  # fmt: skip
 
     with ThreadPoolExecutor(workers) as pool:
@@ -404,7 +404,7 @@ class Stepper:
         self._times = np.array([time])
         _, _, count, outcome = automaton.run(
             self._record[0], states[0], time, commit, self._times, self._row, self._times, self._current,
-            self._events, 0, self._tolerance, MOST_STEPS,
+            self._events, 0, self._tolerance, _most_steps(time - float(states[0]["time"])),
         )  # fmt: skip
         _check(outcome)
         if collect:
@@ -433,6 +433,10 @@ def _events(room: int = _EVENT_ROOM) -> Any:
     return np.zeros(room, EVENT_RECORD)
 
 
+def _most_steps(duration: float) -> int:
+    return int(MOST_STEPS_PER_SECOND * (1.0 + max(0.0, duration)))
+
+
 def _event_tuple(events: Any, count: int) -> tuple[Event, ...]:
     return tuple(
         Event(float(e["time"]), EventKind(int(e["kind"])), float(e["x"]), float(e["v"])) for e in events[:count]
@@ -441,7 +445,7 @@ def _event_tuple(events: Any, count: int) -> tuple[Event, ...]:
 
 def _run(record: Any, state: Any, end: float, times: Array, rows: Array, events: Any, tolerance: float) -> Any:
     result = automaton.run(
-        record, state, end, True, times, rows, _NO_TIMES, np.empty(0), events, 0, tolerance, MOST_STEPS
+        record, state, end, True, times, rows, _NO_TIMES, np.empty(0), events, 0, tolerance, _most_steps(end)
     )
     return result[2:]
 
@@ -452,8 +456,8 @@ def _check(outcome: int, what: str = "") -> None:
     why = {
         Outcome.STEP_TOO_SMALL: "the forces change faster than error control can follow; look for a parameter that is "
         "many orders of magnitude off",
-        Outcome.TOO_MANY_STEPS: f"more than {MOST_STEPS} steps are needed; look for a time constant that is far below "
-        "a microsecond",
+        Outcome.TOO_MANY_STEPS: f"more than {MOST_STEPS_PER_SECOND} steps a second are needed; look for a "
+        "time constant that is far below a microsecond",
         Outcome.CHATTERING: "the plungers chatter without progress in time",
     }
     raise SimulationError(f"{what}the simulation stopped early: {why[Outcome(outcome)]}")
