@@ -242,6 +242,9 @@ def run_record(
     Raises:
         SimulationError: the run could not be carried to its end.
     """
+    gap, stroke = float(record["pilot_gap"]), float(record["stroke"])
+    if not 0.0 < gap < stroke:
+        raise SimulationError(f"the simulation cannot start: pilot_gap {gap:g} m is not inside stroke {stroke:g} m")
     end = max(times[-1] if len(times) else -math.inf, current_times[-1] if len(current_times) else -math.inf)
     delay = float(record["sensor_delay"])
     count, outcome = automaton.run_drive(

@@ -1,0 +1,239 @@
+"""Published times, energy, cuts, analytic cases, sensors, messages: the core against what is known without it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, seed, settings
+from hypothesis import strategies as st
+from scipy.integrate import quad
+
+from valve_sim.model import (
+    CATALOGUE,
+    DECLARED,
+    Drive,
+    Effect,
+    EventKind,
+    Parameter,
+    ParameterError,
+    Phase,
+    SimulationError,
+    Stepper,
+    Valve,
+    ValveParameters,
+    simulate,
+    simulate_many,
+)  # fmt: skip
+
+from .random_valves import RANGES, TIMES, random_valve
+
+STEP = Drive.of([0.0], [9.0])
+CALIBRATED = Valve().with_values(a0=3.0336, coil_time_constant=0.9934e-3)
+LATE = np.linspace(0.0, 0.03, 301)
+
+
+def ballistic(**values: float) -> Valve:
+    """A valve without any attraction but a constant a0 = 1 N, spring or damping."""
+    still = dict.fromkeys(("a1", "a2", "a3", "pilot_damping", "main_damping", "spring_rate", "spring_preload"), 0.0)
+    return Valve().with_values(**{**still, "a0": 1.0, **values})
+
+
+@pytest.mark.parametrize(
+    ("valve", "first", "second"),
+    [
+        (CALIBRATED, 5.300e-3, 9.900e-3),
+        (Valve().with_values(a0=1.5), 5.3205e-3, 10.9214e-3),
+        (Valve().with_values(a0=1.5, main_damping=0.0), 5.3205e-3, 10.6537e-3),
+    ],
+)
+def test_published_times(valve: Valve, first: float, second: float) -> None:
+    response = simulate(valve, STEP, LATE)
+    assert response.first(EventKind.PICKED_UP) == pytest.approx(first, abs=1e-6)
+    assert response.first(EventKind.REACHED_STOP) == pytest.approx(second, abs=1e-6)
+
+
+def test_the_valve_as_printed_stays_closed_for_a_second() -> None:
+    response = simulate(Valve(), STEP, [0.5, 1.0])
+    assert response.events == ()
+    assert np.all(response.phase == Phase.CLOSED)
+
+
+def test_energy_is_conserved_without_losses() -> None:
+    valve = CALIBRATED.with_values(coil_time_constant=0.0, pilot_damping=0.0, main_damping=0.0)
+    times = np.linspace(0.0, 0.0082, 200)
+    response = simulate(valve, STEP, times, tolerance=1e-12)
+    x, d = response.pilot_position, valve.declared()
+    main = response.phase == Phase.MAIN
+    assert main.any()
+    assert not (response.phase == Phase.OPEN).any()
+
+    def work(position):
+        return sum(d[f"a{n}"] * position ** (n + 1) / (n + 1) for n in range(4))
+
+    gap = d["pilot_gap"]
+    kinetic = 0.5 * np.where(main, d["moving_mass"], d["pilot_mass"]) * response.pilot_velocity**2
+    spring = np.where(main, d["spring_preload"] * (x - gap) + 0.5 * d["spring_rate"] * (x**2 - gap**2), 0.0)
+    # At pick-up the velocity is continuous (ratio 1), so the main plunger's mass brings its kinetic energy with it.
+    gained = (d["moving_mass"] / d["pilot_mass"] - 1.0) * work(gap)
+    balance = kinetic + spring - work(x) - np.where(main, gained, 0.0)
+    assert np.abs(balance).max() < 1e-9 * kinetic.max()
+
+
+@pytest.mark.parametrize("number", range(12))
+def test_cuts_in_time_change_nothing(number: int) -> None:
+    valve, drive = random_valve(number)
+    random = np.random.default_rng(number)
+    cuts = np.cumsum(np.exp(random.uniform(np.log(1e-5), np.log(5e-3), 400)))
+    cuts = cuts[cuts < TIMES[-1]]
+    whole = simulate(valve, drive, cuts, start_time=0.0)
+    stepper, commands = Stepper(valve), list(zip(drive.times, drive.volts, strict=True))
+    for cut, position, velocity in zip(cuts, whole.pilot_position, whole.pilot_velocity, strict=True):
+        while commands and commands[0][0] <= cut:
+            stepper.command(*commands.pop(0))
+        reading = stepper.advance(float(cut))
+        assert reading.pilot_position == pytest.approx(position, abs=1e-12)
+        assert reading.pilot_velocity == velocity
+
+
+def test_constant_force_is_ballistic() -> None:
+    response = simulate(ballistic(), STEP, LATE)
+    assert response.first(EventKind.PICKED_UP) == pytest.approx(np.sqrt(2 * 0.26e-3 * 0.109), abs=1e-12)
+
+
+def test_linear_damping_is_exponential() -> None:
+    times = np.linspace(0.0, 7e-3, 50)
+    response = simulate(ballistic(pilot_damping=30.0), STEP, times)
+    assert np.all(response.phase[1:] == Phase.PILOT)
+    np.testing.assert_allclose(response.pilot_velocity, -np.expm1(-times * 30 / 0.109) / 30, atol=1e-10)
+
+
+@pytest.mark.parametrize("eddy", [0.3e-3, 1e-3, 1e-3 * (1 + 1e-9), 1.001e-3, 3e-3])
+def test_coil_and_eddy_poles_are_exact(eddy: float) -> None:
+    tau, times = 1e-3, np.linspace(0.0, 5e-3, 51)
+    valve = Valve(ballistic(a0=1.0, coil_time_constant=tau, seat_load=100.0).parameters,
+                  {"eddy_lag": {"time_constant": eddy}})  # fmt: skip
+    response = simulate(valve, STEP, times)
+    np.testing.assert_allclose(response.coil_current / 0.9, -np.expm1(-times / tau), atol=1e-14)
+    w = [quad(lambda s, t=t: np.exp(-(t - s) / eddy) / eddy * -np.expm1(-s / tau), 0, t, epsabs=1e-14)[0]
+         for t in times]  # fmt: skip
+    np.testing.assert_allclose(response.attraction, np.square(w), atol=1e-12)
+
+
+def test_tighter_tolerance_gives_smaller_errors() -> None:
+    exact = simulate(CALIBRATED, STEP, LATE, tolerance=1e-13).pilot_position
+    errors = [np.abs(simulate(CALIBRATED, STEP, LATE, tolerance=t).pilot_position - exact).max()
+              for t in (1e-5, 1e-7, 1e-9)]  # fmt: skip
+    assert errors[0] > 5 * errors[1] > 25 * errors[2]
+
+
+def test_event_time_gradient_by_the_implicit_function() -> None:
+    def pick_up(force):
+        return simulate(ballistic(a0=force), STEP, LATE, tolerance=1e-12).first(EventKind.PICKED_UP)
+
+    by_difference = (pick_up(1.001) - pick_up(0.999)) / 0.002
+    time = pick_up(1.0)
+    # dt/dF = −(∂x/∂F) / v at the event.
+    assert by_difference == pytest.approx(-(time**2 / 2 / 0.109) / (time / 0.109), rel=1e-5)
+
+
+def test_friction_sticks_exactly_up_to_its_force() -> None:
+    for force, moves in ((1.0, False), (1.0 + 1e-12, False), (1.0 - 1e-12, True)):
+        valve = Valve(ballistic().parameters, {"coulomb_friction": {"force": force}})
+        assert bool(simulate(valve, STEP, [1.0]).events) is moves
+    held = simulate(Valve(ballistic().parameters, {"coulomb_friction": {"force": 0.4}}),
+                    Drive.of([0.0, 5e-3], [9.0, 0.0]), np.linspace(0, 0.5, 100))  # fmt: skip
+    assert held.events[-1].kind is EventKind.STUCK
+    assert 0 < held.pilot_position[-1] == held.pilot_position[-2]
+
+
+def test_a_heavy_main_plunger_is_held_at_the_gap() -> None:
+    valve = ballistic(spring_preload=2.0, pilot_damping=3000.0)
+    response = simulate(valve, Drive.of([0.0, 1.5], [9.0, 0.0]), np.linspace(0, 1.5, 50))
+    assert response.events[-1].kind is EventKind.HELD_AT_GAP
+    assert response.pilot_position[-1] == valve.parameters.pilot_gap
+
+
+@pytest.mark.parametrize("name", sorted(RANGES))
+def test_every_parameter_of_every_effect_does_something(name: str) -> None:
+    drive = Drive.of([0.0, 0.015], [9.0, 0.0])
+    times = np.linspace(0.0, 0.04, 401)
+    middle = {key: 0.5 * (low + high) for key, (low, high) in RANGES[name].items()}
+    base = simulate(Valve(CALIBRATED.parameters, {name: middle}), drive, times).pilot_position
+    for key, (low, high) in RANGES[name].items():
+        other = {**middle, key: 0.75 * high + 0.25 * low}
+        moved = simulate(Valve(CALIBRATED.parameters, {name: other}), drive, times).pilot_position
+        assert np.abs(moved - base).max() > 1e-9, key
+
+
+def test_a_registered_effect_acts_as_the_built_in_one() -> None:
+    def pull_up(x: float, v: float, u: float, t: float, newtons: float) -> float:
+        return newtons
+
+    CATALOGUE.register(Effect("pull_up", "mine", (Parameter("newtons", "N", "up"),), "test", term=pull_up))
+    try:
+        mine = simulate(Valve(CALIBRATED.parameters, {"pull_up": {"newtons": 0.2}}), STEP, LATE)
+    finally:
+        CATALOGUE.unregister("pull_up")
+    theirs = simulate(Valve(CALIBRATED.parameters, {"constant_force": {"force": 0.2}}), STEP, LATE)
+    np.testing.assert_array_equal(mine.pilot_position, theirs.pilot_position)
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"valve": {"pilot_mas": 1.0}}, ("pilot_mas", "pilot_mass")),
+        ({"valve": {"pilot_mass": "heavy"}}, ("valve.pilot_mass", "heavy", "number")),
+        ({"valve": {"pilot_mass": 0}}, ("valve.pilot_mass", "0", "above 0")),
+        ({"valve": {"pilot_gap": 2e-3}}, ("pilot_gap", "0.002", "stroke")),
+        ({"valve": {"attraction_polynomial": [1, 2, 3]}}, ("attraction_polynomial", "3 terms", "four")),
+        ({"effects": {"coulomb_friktion": {"force": 1}}}, ("coulomb_friktion", "coulomb_friction")),
+        ({"effects": {"coulomb_friction": {}}}, ("force", "missing")),
+    ],
+)
+def test_bad_parameters_are_named(values: dict, words: tuple[str, ...]) -> None:
+    with pytest.raises(ParameterError) as caught:
+        Valve.from_mapping(values, "bad.yaml")
+    message = str(caught.value)
+    assert "\n" not in message
+    assert all(word in message for word in ("bad.yaml", *words))
+
+
+def test_many_valves_are_the_single_ones() -> None:
+    valves = [CALIBRATED.with_values(pilot_damping=0.1 * n) for n in range(9)]
+    many = simulate_many(valves, STEP, LATE, threads=2)
+    for valve, row in zip(valves, many, strict=True):
+        np.testing.assert_array_equal(row, simulate(valve, STEP, LATE).pilot_position)
+
+
+_MASS = st.floats(1e-3, 10)
+_DECLARED = st.fixed_dictionaries(
+    {
+        "pilot_mass": _MASS, "moving_mass": _MASS,
+        "pilot_damping": st.floats(0, 1e3), "main_damping": st.floats(0, 1e3),
+        "spring_rate": st.floats(0, 1e6), "spring_preload": st.floats(0, 1e3), "seat_load": st.floats(0, 100),
+        "attraction_polynomial": st.tuples(st.floats(-100, 100), st.floats(-1e5, 1e5), st.floats(-1e8, 1e8),
+                                           st.floats(-1e11, 1e11)),
+        "pilot_gap": st.floats(1e-5, 4e-4), "stroke": st.floats(5e-4, 1e-2), "coil_time_constant": st.floats(0, 0.1),
+        "pickup_velocity_ratio": st.floats(0, 1),
+    }
+)  # fmt: skip
+_EFFECTS = st.lists(st.sampled_from(sorted(set(RANGES) - {"sensor_gain"})), max_size=3, unique=True)
+
+
+@seed(20210305)
+@settings(max_examples=300, deadline=None)
+@given(declared=_DECLARED, names=_EFFECTS, share=st.floats(0, 1), volts=st.floats(-30, 30))
+def test_any_accepted_valve_stays_between_its_contacts(declared, names, share, volts) -> None:
+    effects = {name: {key: low + share * (high - low) for key, (low, high) in RANGES[name].items()} for name in names}
+    valve = Valve(ValveParameters(**declared), effects)
+    stroke = float(valve.record()[0]["stroke"])
+    if not 0 < float(valve.record()[0]["pilot_gap"]) < stroke:
+        return
+    try:
+        response = simulate(valve, Drive.of([0.0, 0.01], [volts, 0.0]), np.linspace(0, 0.02, 40))
+    except SimulationError as error:
+        pytest.fail(f"{error}: {valve}")
+    assert np.isfinite(response.pilot_velocity).all()
+    assert response.pilot_position.min() >= -1e-9
+    assert response.pilot_position.max() <= stroke + 1e-9
+    assert set(DECLARED) >= set(valve.declared())
