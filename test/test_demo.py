@@ -132,7 +132,9 @@ def test_comparison_leaves_what_was_not_seen_open():
 
 
 def test_a_node_that_dies_is_quoted(tmp_path: Path):
-    process = ValveProcess([sys.executable, "-c", "print('one'); raise SystemExit('no such valve')"], tmp_path / "log")
+    process = ValveProcess(
+        [sys.executable, "-c", "print('one', flush=True); raise SystemExit('no such valve')"], tmp_path / "log"
+    )
     process._process.wait(PATIENCE)
     with pytest.raises(DemoError, match="ended with code 1: no such valve"):
         process.check()

@@ -296,7 +296,8 @@ def identify(
 
 
 @main.command()
-@_bags
+@click.argument("bags", metavar="[BAG...]", type=_FILE, nargs=-1)
+@click.option("--events", metavar="FILE", type=_FILE, help="Table of events in place of bags, as a paper prints them.")
 @click.option(
     "--holdout", metavar="BAG", type=_FILE, multiple=True, help="Recording to judge by, not to fit. Repeatable."
 )
@@ -307,6 +308,7 @@ def identify(
 def diagnose(
     *,
     bags: tuple[Path, ...],
+    events: Path | None,
     holdout: tuple[Path, ...],
     params: Path | None,
     name: str | None,
@@ -323,7 +325,13 @@ def diagnose(
 
       valve-sim diagnose strokes.mcap --output results
       valve-sim diagnose day_1 day_2 --holdout day_3 --params my_valve.yaml --output results
+      valve-sim diagnose --events config/paper_events.yaml --output results
     """
+    if (events is None) == (not bags):
+        _refuse("diagnose takes either BAG... or --events FILE; see valve-sim diagnose --help")
+    if events is not None:
+        _diagnose_events(events, output, as_json)
+        return
     from valve_sim.identification.diagnosis import diagnose as trace_residual
     from valve_sim.identification.diagnosis import to_json
     from valve_sim.identification.outputs import write_diagnosis
@@ -335,6 +343,17 @@ def diagnose(
     report = to_json(result)
     written = write_diagnosis(result, output, _provenance(params, [report["verdict"]["summary"]]))
     _print_report(report, _diagnosis_text(report), written, as_json)
+
+
+def _diagnose_events(events: Path, output: Path, as_json: bool) -> None:
+    from valve_sim.identification.event_diagnosis import diagnose_events, write_event_report
+    from valve_sim.identification.event_table import read_event_table
+
+    table = read_event_table(events)
+    with _progress() as progress:
+        found = diagnose_events(table, progress)
+    written = write_event_report(found, output)
+    _print_report(found.to_json(), found.text(), written, as_json)
 
 
 @main.command()
