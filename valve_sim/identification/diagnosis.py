@@ -32,8 +32,8 @@ EVERY_FOURTH: Final = 4
 """Of the strokes is held out where no hold-out bag is given."""
 WEAK_EVIDENCE: Final = 30.0
 """Gain of S at which a name is still as doubtful as 63 %; at five detection limits the gain is some hundreds."""
-FAILS_HELD_OUT: Final = 1e-8
-"""P-value of held-out residuals below which a name is not believed; errors of its parameters must not do it."""
+FAILS_HELD_OUT: Final = 1.2
+"""Held-out error over noise beyond which a name is not believed; what errors of its parameters add stays below."""
 HINT: Final = 0.02
 """P-value below which the search goes on: it costs seconds, where stopping early costs a wrong name."""
 EXCLUDES_OFF: Final = 1.96
@@ -275,7 +275,7 @@ class _Investigation:
             return False
         result = self.search.fit(hypothesis)
         held = self.hold_out(result, timing=self.needs_timing(result))
-        return held is not None and adequacy(held).p_value < FAILS_HELD_OUT
+        return held is not None and held.chi2 > FAILS_HELD_OUT**2 * held.problem.effective_samples
 
     def deserves_another_look(self, hypothesis: Hypothesis) -> bool:
         """Whether training or held-out data give any hint that something is left of it."""

@@ -80,6 +80,11 @@ def compiled(function: Callable[..., Any]) -> Any:
         return numba.njit(cache=True, nogil=True, error_model="numpy")(function)
 
 
+def compiled_once(function: Callable[..., Any]) -> Any:
+    """The same for this process only: code that no module holds cannot be found again."""
+    return numba.njit(nogil=True, error_model="numpy")(function)
+
+
 def inner(function: Callable[..., Any]) -> Any:
     """Compile a function that only compiled code calls: without the wrappers that Python would need."""
     options: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "error_model": "numpy"}

@@ -13,6 +13,7 @@ A package of your own can `register` an entry; it then takes part everywhere lik
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -20,7 +21,7 @@ from typing import Any, Final
 from numba import carray, cfunc, types  # type: ignore[attr-defined]
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
-from valve_sim.model.compiling import cached, compiled
+from valve_sim.model.compiling import cached, compiled, compiled_once
 from valve_sim.model.core_types import MAXIMUM_TERM_PARAMETERS, MAXIMUM_TERMS
 from valve_sim.model.errors import ParameterError
 from valve_sim.model.parameters import DECLARED, Parameter, closest
@@ -108,13 +109,16 @@ def compile_term(term: Term, count: int) -> Any:
     """
     if count > MAXIMUM_TERM_PARAMETERS:
         raise ParameterError(f"{term.__name__}: a force term reads at most {MAXIMUM_TERM_PARAMETERS} numbers")
-    force = compiled(term)
+    # Code of a script or a notebook cannot be found again by its module's name, so it is compiled anew each time.
+    home = sys.modules.get(term.__module__)
+    is_importable = term.__module__ != "__main__" and getattr(home, term.__name__, None) is term
+    force = compiled(term) if is_importable else compiled_once(term)
 
     def callback(x: float, v: float, u: float, t: float, numbers: Any) -> float:
         return force(x, v, u, t, *to_fixed_tuple(carray(numbers, (count,)), count))  # type: ignore[no-any-return, call-arg]
 
     with cached():
-        return cfunc(_TERM_SIGNATURE, cache=True)(callback)
+        return cfunc(_TERM_SIGNATURE, cache=is_importable)(callback)
 
 
 # --- how effects enter the core -----------------------------------------------------------------------------------

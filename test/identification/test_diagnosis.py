@@ -1,0 +1,102 @@
+"""Diagnoses of data with an undeclared effect in them, from plants that share no code with the package."""
+
+import json
+from collections.abc import Mapping
+
+import pytest
+from plants.declared import DeclaredPlant
+from plants.recording import Profile, Recorder, holdout_profile, record, single_opening, train_profile
+
+from valve_sim.identification.diagnosis import Diagnosis, diagnose, to_json
+from valve_sim.model import Drive, Valve
+from valve_sim.traces import Signal, Trace
+
+DECLARED = Valve().with_values(a0=3.0336, coil_time_constant=0.9934e-3, coil_resistance=10.0)
+TRUE_DAMPING = {"pilot_damping": 1.3, "main_damping": 4.4}
+Effects = Mapping[str, Mapping[str, float]]
+
+
+def measured(effects: Effects, profile: Profile, recorder: Recorder, seed: int) -> Trace:
+    recording = record(DeclaredPlant(effects=effects, parameters=TRUE_DAMPING), profile, recorder, seed)
+    current = None if recording.coil_current is None else Signal(recording.times, recording.coil_current)
+    drive = Drive(recording.command_times, recording.volts)
+    return Trace(f"seed {seed}", drive, recording.times, recording.pilot_position, coil_current=current)
+
+
+def diagnosed(effects: Effects, seed: int, recorder: Recorder = Recorder()) -> Diagnosis:  # noqa: B008 - frozen
+    train = measured(effects, train_profile(), recorder, seed)
+    return diagnose([train], [measured(effects, holdout_profile(), recorder, seed + 5000)], DECLARED)
+
+
+@pytest.mark.parametrize(
+    "recorder",
+    [
+        Recorder(),
+        Recorder(colour=0.7),
+        Recorder(quantisation=5e-6),
+        Recorder(command_jitter=50e-6),
+        Recorder(clock_offset=60e-6, with_current=True),
+    ],
+    ids=["white", "coloured", "coarse", "jitter", "clock and current"],
+)
+def test_nothing_is_claimed_where_nothing_is_missing(recorder: Recorder) -> None:
+    verdict = diagnosed({}, 1, recorder).verdict
+    assert (verdict.kind, verdict.effects) == ("none", ())
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters"),
+    [
+        ("coulomb_friction", {"force": 0.05}),
+        ("constant_force", {"force": 0.1}),
+        ("drive_gain", {"gain": 0.99}),
+        ("eddy_lag", {"time_constant": 3e-4}),
+        ("pressure_force", {"force": 0.5, "equalisation_time": 6e-3}),
+        ("stop_bounce", {"restitution_stop": 0.3, "restitution_seat": 0.2}),
+        ("stroke_offset", {"offset": 2e-6}),
+    ],
+)
+def test_the_missing_effect_is_named_and_removes_the_residual(name: str, parameters: Mapping[str, float]) -> None:
+    diagnosis = diagnosed({name: parameters}, 10)
+    assert diagnosis.verdict.kind == "effects"
+    assert diagnosis.verdict.effects == (name,)
+    assert diagnosis.verdict.probability > 0.9
+    assert diagnosis.after.holdout_rmse < 1.1e-6 < diagnosis.before.train_rmse + diagnosis.before.holdout_rmse - 1e-6
+    for parameter, truth in parameters.items():
+        interval = diagnosis.after.intervals[f"{name}.{parameter}"]
+        assert abs(interval.value - truth) < 4.0 * interval.stderr
+    report = to_json(diagnosis)
+    assert json.loads(json.dumps(report, allow_nan=False))["verdict"]["effects"] == [name]
+    assert dict(diagnosis.valve.effects) == {
+        name: {key: diagnosis.after.fit.values[f"{name}.{key}"] for key in parameters}
+    }
+
+
+def test_two_missing_effects_are_both_named() -> None:
+    effects = {"coulomb_friction": {"force": 0.1}, "gap_offset": {"offset": 5e-6}}
+    diagnosis = diagnosed(effects, 11)
+    assert diagnosis.verdict.effects == ("coulomb_friction", "gap_offset")
+    assert diagnosis.after.holdout_rmse < 1.1e-6
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        {"damping_drift": {"rate": 4.0}},
+    ],
+    ids=["drifting damping"],
+)
+def test_what_has_no_name_gets_none(effects: Effects) -> None:
+    diagnosis = diagnosed(effects, 200)
+    assert diagnosis.verdict.kind == "unknown"
+    assert diagnosis.verdict.probability <= 0.5
+    assert diagnosis.unexplained is not None
+    assert to_json(diagnosis)["unexplained"]["force_rms_n"] > 0.0
+
+
+def test_one_opening_is_not_enough() -> None:
+    trace = measured({"coulomb_friction": {"force": 0.05}}, single_opening(), Recorder(), 2)
+    diagnosis = diagnose([trace], [], DECLARED)
+    assert diagnosis.verdict.kind == "insufficient"
+    assert "7.5 to 14 V" in diagnosis.record_next
+    assert to_json(diagnosis)["after"]["rmse_um"]["holdout"] is None
