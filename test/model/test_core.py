@@ -220,6 +220,16 @@ _DECLARED = st.fixed_dictionaries(
 _EFFECTS = st.lists(st.sampled_from(sorted(set(RANGES) - {"sensor_gain"})), max_size=3, unique=True)
 
 
+@pytest.mark.parametrize("time_constant", [1e-300, 1e-12, 1e-9, 1.9e-8, 2e-8])
+def test_a_coil_too_fast_to_integrate_heats_too(time_constant: float) -> None:
+    effects = {"coil_heating": {"temperature_rate": 100.0, "cooling_time_constant": 5.0}}
+    fast, instant = (
+        Valve(CALIBRATED.with_values(coil_time_constant=tau).parameters, effects) for tau in (time_constant, 0.0)
+    )
+    opened = [simulate(valve, STEP, LATE).first(EventKind.REACHED_STOP) for valve in (fast, instant)]
+    assert opened[0] == pytest.approx(opened[1], abs=2.0 * time_constant + 1e-9)
+
+
 @seed(20210305)
 @settings(max_examples=300, deadline=None)
 @given(declared=_DECLARED, names=_EFFECTS, share=st.floats(0, 1), volts=st.floats(-30, 30))

@@ -24,10 +24,9 @@ from numpy.typing import NDArray
 from scipy import ndimage, signal
 
 from valve_sim.identification.plant import Array, Channel, EffectChoice, ForceMap, Nuisance
-from valve_sim.model import CATALOGUE, Parameter, Phase
+from valve_sim.model import CATALOGUE, DECLARED, Parameter, Phase
 from valve_sim.model.compiling import compiled
-from valve_sim.model.core_types import VALVE_RECORD
-from valve_sim.model.effects import FORCE_MAP_KNOTS, FORCE_MAP_VARIABLES, fill_record
+from valve_sim.model.effects import FORCE_MAP_KNOTS, FORCE_MAP_VARIABLES, new_record
 from valve_sim.model.equations import dry_friction, force_without_dry_friction
 from valve_sim.parameter_files import off_value
 
@@ -208,7 +207,7 @@ class AxisPlant:
 
     def _axis(self, values: Mapping[str, float]) -> Any:
         """The compiled core's record: a pilot plunger without coil, seat and spring, and the effects that are on."""
-        declared = dict.fromkeys(VALVE_RECORD.names or (), 0.0)
+        declared = dict.fromkeys(DECLARED, 0.0)
         declared |= {"reference_voltage": 1.0, "coil_resistance": 1.0}
         declared |= {_CORE_NAMES[name]: values.get(name, self._declared[name]) for name in BASE}
         effects: dict[str, dict[str, float]] = {}
@@ -216,9 +215,7 @@ class AxisPlant:
             effect, dot, parameter = name.partition(".")
             if dot:
                 effects.setdefault(effect, {})[parameter] = value
-        records = np.zeros(1, VALVE_RECORD)
-        fill_record(records[0], declared, effects)
-        return records[0]
+        return new_record(declared, effects)[0]
 
     def _decimated(self, values: Array) -> Array:
         """Low-passed and thinned, the edges cut."""

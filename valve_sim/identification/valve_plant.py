@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from valve_sim.identification.plant import Array, Channel, EffectChoice, ForceMap, Nuisance
 from valve_sim.model import CATALOGUE, DECLARED, Drive, Parameter, Valve
-from valve_sim.model.core_types import EVENT_RECORD, VALVE_RECORD
-from valve_sim.model.effects import FORCE_MAP_KNOTS, FORCE_MAP_VARIABLES, fill_record
+from valve_sim.model.core_types import EVENT_RECORD
+from valve_sim.model.effects import FORCE_MAP_KNOTS, FORCE_MAP_VARIABLES, new_record
 from valve_sim.model.simulation import new_states, run_record
 from valve_sim.traces import Trace
 
@@ -146,7 +146,6 @@ class ValvePlant:
 
     def record(self, values: Mapping[str, float]) -> Any:
         """The compiled core's record of the valve that freed values describe."""
-        records = np.zeros(1, VALVE_RECORD)
         effects = {name: dict(parameters) for name, parameters in self.valve.effects.items()}
         declared = dict(self._declared)
         for name, value in values.items():
@@ -155,8 +154,7 @@ class ValvePlant:
                 effects.setdefault(effect, {})[parameter] = value
             elif name in declared:
                 declared[name] = value
-        fill_record(records[0], declared, effects)
-        return records[0]
+        return new_record(declared, effects)
 
     def _predict_trace(self, record: Any, index: int, trace: Trace, values: Mapping[str, float]) -> list[Array]:
         drive = _shifted(trace.drive, index, values)
@@ -166,7 +164,7 @@ class ValvePlant:
         rows = np.empty((len(times), 1))
         currents = np.empty(len(current_times))
         start = min(float(drive.times[0]), float(times[0]))
-        state = new_states(np.empty(1), start)[0]
+        state = new_states(np.empty(1), start)
         run_record(record, state, drive, times, rows, current_times, currents, _NO_EVENTS, FIT_TOLERANCE)
         shown = [rows[:, 0]]
         if trace.coil_current is not None:

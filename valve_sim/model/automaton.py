@@ -20,14 +20,22 @@ from valve_sim.model.compiling import compiled, inner
 from valve_sim.model.core_types import EVENT_RECORD, EventKind, Outcome, Phase
 from valve_sim.model.dormand_prince import (
     ALL_STATES,
+    CURRENT,
+    FIRST,
+    LAST,
     MECHANICAL_STATES,
+    POSITION,
+    PULLING_CURRENT,
     SMALLEST_SCALE,
-    STAGES,
+    TEMPERATURE,
+    VELOCITY,
     WORK_RECORD,
+    dense_slope,
     error_norm,
     fill_dense,
     interpolate,
     rates,
+    step_factor,
     try_step,
 )
 from valve_sim.model.equations import (
@@ -38,12 +46,12 @@ from valve_sim.model.equations import (
     residual_floor,
 )
 
-CLOSED, PILOT, GAP_HOLD, MAIN, OPEN = (int(phase) for phase in Phase)
+# NumPy's numbers: Numba compiles a function once for all of them, but anew for each of Python's literals.
+CLOSED, PILOT, GAP_HOLD, MAIN, OPEN = np.array(list(Phase))
+OPENING, CLOSING = np.array([1, -1])
 FINISHED, STEP_TOO_SMALL, TOO_MANY_STEPS, CHATTERING = (int(outcome) for outcome in Outcome)
-UNSEATED, PICKED_UP, HELD_AT_GAP, LIFTED = 0, 1, 2, 3
-DROPPED, REACHED_STOP, BOUNCED_AT_STOP, RELEASED = 4, 5, 6, 7
-MAIN_SEATED, SEATED, BOUNCED_AT_SEAT, STUCK, BROKE_AWAY = 8, 9, 10, 11, 12
-assert [int(kind) for kind in EventKind] == list(range(13))
+UNSEATED, PICKED_UP, HELD_AT_GAP, LIFTED, DROPPED, REACHED_STOP, BOUNCED_AT_STOP = np.array(list(EventKind)[:7])
+RELEASED, MAIN_SEATED, SEATED, BOUNCED_AT_SEAT, STUCK, BROKE_AWAY = np.array(list(EventKind)[7:])
 
 SLOW_AT_GAP: Final = 1e-3
 """m/s, MODEL section 2: a slower contact at the gap may be held there."""
@@ -54,6 +62,8 @@ FIRST_STEP: Final = 1e-5
 """s, tried when motion begins; error control takes over from there."""
 LONGEST_STEP: Final = 1e-3
 """s, in motion: a stroke takes milliseconds, so that no turn and return hides inside a step."""
+SOONEST: Final = 1e-9
+"""Of a step: what moves off sooner moves off at once, as a valve does that nothing holds when its coil is powered."""
 LONGEST_REST: Final = 2e-3
 """s: how far ahead a valve at rest is looked at in one step."""
 LOOKS_AT_REST: Final = 8
@@ -62,8 +72,14 @@ SHORTEST_STEP: Final = 1e-16
 """s: error control that wants less has failed."""
 LARGEST_GROWTH: Final = 8.0
 """Of one step over the one before."""
-BISECTIONS: Final = 36
-"""Halvings of a step that locate an event to 1e-11 of it: 1e-14 s; contacts and turns are polished further."""
+BISECTIONS: Final = 28
+"""Halvings of a step that locate an event to 4e-9 of it, 4e-12 s of the longest; contacts and turns are polished."""
+LOCATED: Final = 1e-9
+"""Fraction of a step to which a contact or turn is located on the dense output, before it is polished."""
+POLISHED: Final = 1e-15
+"""s, to which it is polished."""
+MOST_POLISHING: Final = 5
+"""Newton steps that do so; two are common."""
 DENSE_OUTPUT_EXCESS: Final = 1e3
 """How far dense output may be off inside a step, in units of the error at its end, after a sudden change of force."""
 SHORTEST_PROGRESS: Final = 1e-12
@@ -94,8 +110,8 @@ def _coil_within(p, s, work, h, theta):
     t = s.time + theta * h
     if work.states == MECHANICAL_STATES:
         return coil_state(p, s, t, 0.0, 0.0, 0.0)
-    u, w = interpolate(work, h, 2, theta), interpolate(work, h, 3, theta)
-    return coil_state(p, s, t, u, w, interpolate(work, h, 4, theta))
+    u, w = interpolate(work, h, CURRENT, theta), interpolate(work, h, PULLING_CURRENT, theta)
+    return coil_state(p, s, t, u, w, interpolate(work, h, TEMPERATURE, theta))
 
 
 @inner
@@ -111,10 +127,10 @@ def _push_at_rest(p, s, t, u, w):
     hold_up = p.friction_opening + p.breakaway
     hold_down = p.friction_closing + p.breakaway
     lifting = PILOT if s.mode <= PILOT else MAIN
-    if s.mode != OPEN and _net_at_rest(p, s, lifting, 1, t, u, w) > hold_up:
+    if s.mode != OPEN and _net_at_rest(p, s, lifting, OPENING, t, u, w) > hold_up:
         return 1
     falling = MAIN if s.mode >= MAIN else PILOT
-    if s.mode != CLOSED and _net_at_rest(p, s, falling, -1, t, u, w) < -hold_down:
+    if s.mode != CLOSED and _net_at_rest(p, s, falling, CLOSING, t, u, w) < -hold_down:
         return -1
     return 0
 
@@ -226,50 +242,53 @@ def _first_turn(work, h, direction, tolerance):
     before = 0.0
     for quarter in range(1, 5):
         theta = 0.25 * quarter
-        v = work.y_new[1] if quarter == 4 else interpolate(work, h, 1, theta)
+        v = work.y_new[1] if quarter == 4 else interpolate(work, h, VELOCITY, theta)
         unsure = tolerance * SMALLEST_SCALE[1] * (1.0 if quarter == 4 else DENSE_OUTPUT_EXCESS)
         if v * direction < -unsure:
-            low, high = before, theta
-            for _ in range(BISECTIONS):
-                middle = 0.5 * (low + high)
-                if interpolate(work, h, 1, middle) * direction < 0.0:
-                    high = middle
-                else:
-                    low = middle
-            return high
+            return _crossing(work, h, VELOCITY, -direction, 0.0, before, theta)
         before = theta
     return 2.0
 
 
 @inner
-def _crossing(work, h, direction, guard, latest):
-    """The fraction, up to `latest`, at which x, monotone until then, reaches the guard."""
-    low, high = 0.0, latest
+def _crossing(work, h, state, direction, target, low, high):
+    """The fraction, between `low` and `high`, at which a state, monotone there, reaches its target.
+
+    Newton's method on the dense output, kept inside a bracket that halves where Newton leaves it.
+    """
+    theta = high
     for _ in range(BISECTIONS):
-        middle = 0.5 * (low + high)
-        if (interpolate(work, h, 0, middle) - guard) * direction >= 0.0:
-            high = middle
+        ahead = (interpolate(work, h, state, theta) - target) * direction
+        if ahead >= 0.0:
+            high = theta
         else:
-            low = middle
-    return high
+            low = theta
+        slope = h * dense_slope(work, state, theta) * direction
+        better = theta - ahead / slope if slope > 0.0 else low
+        if abs(better - theta) < LOCATED:
+            return min(max(better, low), high)
+        theta = better if low < better < high else 0.5 * (low + high)
+    return theta
 
 
 @inner
-def _polish(p, s, work, h, state, target):
-    """Retake the step so that its end hits the event: state j (0: x, 1: v) equals `target`. Returns the step."""
+def _polish(p, s, work, h, ends):
+    """Retake a step so that it ends exactly at what ends it: x at the contact, or v at 0. Returns its size, s."""
+    state = VELOCITY if ends == TURN else POSITION
+    target = 0.0 if ends == TURN else _guard_ahead(p, s)
     longest = h * 1.001
-    for _ in range(4):
+    for _ in range(MOST_POLISHING):
         try_step(p, s, work, h)
-        miss = work.y_new[state] - target
-        slope = work.k[STAGES - 1, state]
-        if slope == 0.0 or abs(miss) < 1e-16:
+        slope = work.k[LAST, state]
+        better = h - (work.y_new[state] - target) / slope
+        # A slope of 0 makes it infinite or no number.
+        if ends == PULL_SWITCH or not 0.0 < better <= longest:
             break
-        better = h - miss / slope
-        if not 0.0 < better <= longest or better == h:
+        if abs(better - h) <= POLISHED:
             break
         h = better
-    try_step(p, s, work, h)
-    work.y_new[state] = target
+    if ends != PULL_SWITCH:
+        work.y_new[state] = target
     return h
 
 
@@ -296,36 +315,28 @@ def _pull_switch(p, s, work, h):
 
 
 @inner
-def _next_step(p, s, work, tolerance, first_is_known):
-    """Find the next committed step from the state, as far as error control or the first event.
-
-    `first_is_known`: work.k[0] holds y' at the state already, being the last stage of the step before.
+def _integrated_step(p, s, work, tolerance):
+    """The next step as far as error control or the first event of plungers in motion or of the coil.
 
     Returns:
         its size in s, what ends it, the size for the step after it, and an Outcome.
     """
-    if not first_is_known:
-        rates(p, s, work, s.time, work.y, 0)
+    if not work.start_is_known:
+        rates(p, s, work, s.time, work.y, FIRST)
     h = min(s.step, LONGEST_STEP)
     while True:
         try_step(p, s, work, h)
         error = error_norm(work, h, tolerance)
         if error <= 1.0:
             break
-        h *= max(0.1, 0.9 * error**-0.2) if math.isfinite(error) else 0.1
+        h *= max(0.1, step_factor(error)) if math.isfinite(error) else 0.1
         if h < SHORTEST_STEP:
             return h, NO_EVENT, h, STEP_TOO_SMALL
-    following = h * (LARGEST_GROWTH if error < 1e-5 else min(LARGEST_GROWTH, 0.9 * error**-0.2))
+    following = h * min(LARGEST_GROWTH, step_factor(error))
     fill_dense(work)
     fraction, ends = _first_event(p, s, work, h, tolerance)
-    if ends == CONTACT:
-        h = _polish(p, s, work, h * fraction, 0, _guard_ahead(p, s))
-    elif ends == TURN:
-        h = _polish(p, s, work, h * fraction, 1, 0.0)
-    elif ends == PULL_SWITCH:
-        h *= fraction
-        try_step(p, s, work, h)
     if ends != NO_EVENT:
+        h = _polish(p, s, work, h * fraction, ends)
         fill_dense(work)
     return h, ends, following, FINISHED
 
@@ -342,34 +353,21 @@ def _first_event(p, s, work, h, tolerance):
         fraction, ends = turn, TURN
     latest = min(fraction, 1.0)
     guard = _guard_ahead(p, s)
-    x_latest = work.y_new[0] if latest == 1.0 else interpolate(work, h, 0, latest)
+    x_latest = work.y_new[0] if latest == 1.0 else interpolate(work, h, POSITION, latest)
     if (x_latest - guard) * s.direction >= 0.0:
-        return _crossing(work, h, s.direction, guard, latest), CONTACT
+        return _crossing(work, h, POSITION, s.direction, guard, 0.0, latest), CONTACT
     return fraction, ends
 
 
 @inner
-def _next_rest(p, s, work, tolerance, first_is_known):
-    """The same as `_next_step` for plungers at rest: the step ends when the forces move them off."""
-    h, ends, following, outcome = LONGEST_REST, NO_EVENT, s.step, FINISHED
-    if work.states > MECHANICAL_STATES:
-        h, ends, following, outcome = _next_step(p, s, work, tolerance, first_is_known)
-    else:
-        for j in range(work.states):
-            work.y_new[j] = work.y[j]
-            for power in range(4):
-                work.dense[j, power] = 0.0
-    fraction = _moved_off(p, s, work, h)
-    if fraction > 1.0:
-        return h, ends, following, outcome
-    # The dense output is a polynomial in the fraction of the step: shortened with it.
+def _shorten(work, h, fraction):
+    """End a step at a fraction of it: its dense output is a polynomial in the fraction of the step."""
     for j in range(work.states):
         work.y_new[j] = interpolate(work, h, j, fraction)
         stretch = 1.0
         for power in range(4):
             work.dense[j, power] *= stretch
             stretch *= fraction
-    return h * fraction, MOVED_OFF, following, outcome
 
 
 @inner
@@ -379,6 +377,9 @@ def _moved_off(p, s, work, h):
     for look in range(1, LOOKS_AT_REST + 1):
         high = look / LOOKS_AT_REST
         if _push_after(p, s, work, h, high) != 0:
+            soonest = low + SOONEST * high
+            if _push_after(p, s, work, h, soonest) != 0:
+                return soonest
             for _ in range(BISECTIONS):
                 middle = 0.5 * (low + high)
                 if _push_after(p, s, work, h, middle) != 0:
@@ -395,6 +396,26 @@ def _push_after(p, s, work, h, theta):
     """Which way the forces push plungers that have rested for the fraction theta of a step."""
     u, w = _coil_within(p, s, work, h, theta)
     return _push_at_rest(p, s, s.time + theta * h, u, w)
+
+
+@inner
+def _next_step(p, s, work, tolerance):
+    """Find the next committed step from the state. Arguments and result as for `_integrated_step`."""
+    h, ends, following, outcome = LONGEST_REST, NO_EVENT, s.step, FINISHED
+    if s.moving or work.states > MECHANICAL_STATES:
+        h, ends, following, outcome = _integrated_step(p, s, work, tolerance)
+    else:
+        for j in range(work.states):
+            work.y_new[j] = work.y[j]
+            for power in range(4):
+                work.dense[j, power] = 0.0
+    if not s.moving and outcome == FINISHED:
+        fraction = _moved_off(p, s, work, h)
+        if fraction <= 1.0:
+            _shorten(work, h, fraction)
+            h *= fraction
+            ends = MOVED_OFF
+    return h, ends, following, outcome
 
 
 @inner
@@ -425,7 +446,7 @@ def _lagged(shown, a, value, work, theta):
 @inner
 def _show(p, s, work, h, theta):
     """What position sensors show at the fraction theta of a step: pilot and main plunger, m, without gain."""
-    x = interpolate(work, h, 0, theta)
+    x = interpolate(work, h, POSITION, theta)
     above = s.mode >= MAIN
     if p.sensor_cutoff_frequency == 0.0:
         return x, x - p.pilot_gap if above else 0.0
@@ -448,9 +469,9 @@ def _sample(p, s, work, h, theta, rows, i):
     if rows.shape[1] == 1:
         return
     u, w = _coil_within(p, s, work, h, theta)
-    x = interpolate(work, h, 0, theta)
+    x = interpolate(work, h, POSITION, theta)
     rows[i, 1] = p.sensor_gain * main
-    rows[i, 2] = interpolate(work, h, 1, theta)
+    rows[i, 2] = interpolate(work, h, VELOCITY, theta)
     rows[i, 3] = attraction(p, x, pull_squared(p, w, max(s.peak_current, abs(u))))
     rows[i, 4] = s.mode
 
@@ -467,8 +488,8 @@ def _commit(p, s, work, h, time):
         s.u = work.y_new[2]
         s.w = work.y_new[3]
         s.temperature = work.y_new[4]
-    u, _ = _coil_now(p, s)
-    s.peak_current = max(s.peak_current, abs(u))
+        # A coil that does not heat moves u one way between commands: there the largest is at an end.
+        s.peak_current = max(s.peak_current, abs(_coil_now(p, s)[0]))
 
 
 @inner
@@ -482,8 +503,9 @@ def _start_from(s, work):
 
 
 @compiled
-def set_voltage(p, s, volts):
+def set_voltage(valve, state, volts):
     """A command takes effect now, at the state's time."""
+    p, s = valve[0], state[0]
     u, w = _coil_now(p, s)
     s.segment_time = s.time
     s.segment_u = u
@@ -498,12 +520,13 @@ def set_voltage(p, s, volts):
 
 @compiled
 def run(  # noqa: PLR0912 - the steps of a run in the order in which they happen
-    p, s, t_end, commit_end, times, rows, current_times, currents, events, count, tolerance, most_steps
+    valve, state, t_end, commit_end, times, rows, current_times, currents, events, count, tolerance, most_steps
 ):
     """Step the valve from its state to t_end under one voltage.
 
     Args:
-        p: valve record. s: state record, advanced. t_end: s.
+        valve: (1,) valve record. state: (1,) state record, advanced. t_end: s. (Arrays of one, because Numba takes
+            them from Python ten times faster than bare records.)
         commit_end: whether the state shall stop exactly at t_end (before a command), or at the last whole step.
         times: (i,) ascending times of position samples, s. rows: (i, 1) or (i, 5) their output, see `_sample`.
         current_times: (j,) ascending times of current samples, s. currents: (j,) u there, written.
@@ -513,10 +536,11 @@ def run(  # noqa: PLR0912 - the steps of a run in the order in which they happen
     Returns:
         position samples written, current samples written, events counted, Outcome.
     """
+    p, s = valve[0], state[0]
     work = np.zeros(1, WORK_RECORD)[0]
     work.states = ALL_STATES if p.temperature_rate != 0.0 else MECHANICAL_STATES
     at, at_current, chatter = 0, 0, 0
-    first_is_known = False
+    work.start_is_known = 0
     for _ in range(most_steps):
         _start_from(s, work)
         if not s.moving:
@@ -524,14 +548,11 @@ def run(  # noqa: PLR0912 - the steps of a run in the order in which they happen
             push = _push_at_rest(p, s, s.time, u, w)
             if push != 0:
                 count = _move_off(p, s, push, events, count)
-                first_is_known = False
+                work.start_is_known = 0
         sampled = at == len(times) or times[at] > s.time
         if s.time >= t_end and sampled and (at_current == len(current_times) or current_times[at_current] > s.time):
             return at, at_current, count, FINISHED
-        if s.moving:
-            h, ends, following, outcome = _next_step(p, s, work, tolerance, first_is_known)
-        else:
-            h, ends, following, outcome = _next_rest(p, s, work, tolerance, first_is_known)
+        h, ends, following, outcome = _next_step(p, s, work, tolerance)
         if outcome != FINISHED:
             return at, at_current, count, outcome
         t_new = s.time + h
@@ -557,10 +578,10 @@ def run(  # noqa: PLR0912 - the steps of a run in the order in which they happen
         _commit(p, s, work, h, t_new)
         if ends in (NO_EVENT, MOVED_OFF):
             s.step = following
-        first_is_known = ends == NO_EVENT
-        if first_is_known:
+        work.start_is_known = 1 if ends == NO_EVENT else 0
+        if ends == NO_EVENT:
             for j in range(work.states):
-                work.k[0, j] = work.k[STAGES - 1, j]
+                work.k[0, j] = work.k[LAST, j]
         elif ends == CONTACT:
             count = _touch(p, s, events, count)
         elif ends == TURN:
@@ -571,7 +592,9 @@ def run(  # noqa: PLR0912 - the steps of a run in the order in which they happen
 
 
 @compiled
-def run_drive(p, s, command_times, volts, t_end, times, rows, current_times, currents, events, tolerance, most_steps):
+def run_drive(
+    valve, state, command_times, volts, t_end, times, rows, current_times, currents, events, tolerance, most_steps
+):
     """Step the valve through a whole drive; arguments as for `run`, `command_times` (c,) ascending, `volts` (c,).
 
     Returns:
@@ -582,14 +605,14 @@ def run_drive(p, s, command_times, volts, t_end, times, rows, current_times, cur
         is_last = command == len(command_times)
         end = t_end if is_last else min(command_times[command], t_end)
         done, done_current, count, outcome = run(
-            p, s, end, not is_last, times[at:], rows[at:], current_times[at_current:], currents[at_current:],
+            valve, state, end, not is_last, times[at:], rows[at:], current_times[at_current:], currents[at_current:],
             events, count, tolerance, most_steps,
         )  # fmt: skip
         at += done
         at_current += done_current
         if outcome != FINISHED or is_last or command_times[command] > t_end:
             return count, outcome
-        set_voltage(p, s, volts[command])
+        set_voltage(valve, state, volts[command])
     return count, FINISHED
 
 
@@ -606,8 +629,8 @@ def run_batch(records, states, command_times, volts, times, positions, tolerance
     for i in range(len(records)):
         shifted = times - records[i].sensor_delay
         _, outcome = run_drive(
-            records[i], states[i], command_times, volts, shifted[-1], shifted, rows, nothing, nothing, events,
-            tolerance, most_steps,
+            records[i : i + 1], states[i : i + 1], command_times, volts, shifted[-1], shifted, rows, nothing, nothing,
+            events, tolerance, most_steps,
         )  # fmt: skip
         if outcome != FINISHED:
             return i, outcome
@@ -616,8 +639,9 @@ def run_batch(records, states, command_times, volts, times, positions, tolerance
 
 
 @compiled
-def settle_geometry(p, s):
+def settle_geometry(valve, state):
     """Make mode and position agree after the contacts moved: nothing jumps but what a contact must push."""
+    p, s = valve[0], state[0]
     s.x = min(s.x, p.stroke)
     at_rest_in_contact = not s.moving and s.mode in (GAP_HOLD, OPEN)
     if at_rest_in_contact and s.x != (p.stroke if s.mode == OPEN else p.pilot_gap):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import logging
 import os
 import sys
 import tempfile
@@ -18,16 +19,12 @@ from typing import Any
 
 import numba
 
-from valve_sim.model.errors import ValveError
 
-
-def cache_folder() -> Path:
+def cache_folder() -> Path | None:
     """The folder for compiled code, made if need be.
 
-    NUMBA_CACHE_DIR, where set, wins; then the user's cache folder; then a folder of the user's among temporary files.
-
-    Raises:
-        ValveError: none of them can be written.
+    NUMBA_CACHE_DIR, where set, is the only choice; else the user's cache folder, or a folder of the user's among
+    temporary files. None where none can be written: all works, but is compiled at every start, and a warning says so.
     """
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     home = os.environ.get("XDG_CACHE_HOME") or str(Path("~").expanduser() / ".cache")
@@ -37,8 +34,12 @@ def cache_folder() -> Path:
         folder = candidate / _digest_of_sources()
         if _is_ours_to_write(folder):
             return folder
-    tried = ", ".join(str(candidate) for candidate in candidates)
-    raise ValveError(f"no folder for compiled code can be written (tried {tried}); set NUMBA_CACHE_DIR to one that can")
+    logging.getLogger("valve_sim").warning(
+        "no folder for compiled code can be written (tried %s): every start compiles anew, which takes about ten "
+        "seconds; set NUMBA_CACHE_DIR to a folder that can",
+        ", ".join(str(candidate) for candidate in candidates),
+    )
+    return None
 
 
 def _digest_of_sources() -> str:
@@ -63,21 +64,22 @@ _FOLDER = cache_folder()
 
 
 @contextlib.contextmanager
-def cached() -> Iterator[None]:
-    """While inside, Numba's decorators keep their code in our folder; other packages are left alone."""
+def cached() -> Iterator[bool]:
+    """While inside, Numba's decorators keep their code in our folder; gives whether there is one to keep it in."""
     settings: Any = numba.config
     before = settings.CACHE_DIR
-    settings.CACHE_DIR = str(_FOLDER)
+    if _FOLDER is not None:
+        settings.CACHE_DIR = str(_FOLDER)
     try:
-        yield
+        yield _FOLDER is not None
     finally:
         settings.CACHE_DIR = before
 
 
 def compiled(function: Callable[..., Any]) -> Any:
     """Compile when first called, keep on disk, release the interpreter lock; divisions follow IEEE 754."""
-    with cached():
-        return numba.njit(cache=True, nogil=True, error_model="numpy")(function)
+    with cached() as has_folder:
+        return numba.njit(cache=has_folder, nogil=True, error_model="numpy")(function)
 
 
 def compiled_once(function: Callable[..., Any]) -> Any:
@@ -85,7 +87,20 @@ def compiled_once(function: Callable[..., Any]) -> Any:
     return numba.njit(nogil=True, error_model="numpy")(function)
 
 
+_INNER: dict[str, Any] = {
+    "no_cpython_wrapper": True,
+    "no_cfunc_wrapper": True,
+    "error_model": "numpy",
+    "_nrt": False,  # nothing is allocated inside a step, so nothing needs counting
+    "fastmath": {"contract", "arcp"},  # a x + b in one rounding, one division for many; NaN and infinity stay exact
+}
+
+
 def inner(function: Callable[..., Any]) -> Any:
-    """Compile a function that only compiled code calls: without the wrappers that Python would need."""
-    options: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "error_model": "numpy"}
-    return numba.njit(**options)(function)
+    """Compile a function that only compiled code calls: without Python's wrappers and reference counts."""
+    return numba.njit(**_INNER)(function)
+
+
+def inlined(function: Callable[..., Any]) -> Any:
+    """The same, pasted into its callers: for what each stage of a step evaluates, where calls cost as much as work."""
+    return numba.njit(forceinline=True, **_INNER)(function)

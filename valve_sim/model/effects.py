@@ -18,11 +18,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
+import numpy as np
 from numba import carray, cfunc, types  # type: ignore[attr-defined]
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
 from valve_sim.model.compiling import cached, compiled, compiled_once
-from valve_sim.model.core_types import MAXIMUM_TERM_PARAMETERS, MAXIMUM_TERMS
+from valve_sim.model.core_types import MAXIMUM_TERM_PARAMETERS, MAXIMUM_TERMS, VALVE_RECORD
 from valve_sim.model.errors import ParameterError
 from valve_sim.model.parameters import DECLARED, Parameter, closest
 
@@ -117,8 +118,8 @@ def compile_term(term: Term, count: int) -> Any:
     def callback(x: float, v: float, u: float, t: float, numbers: Any) -> float:
         return force(x, v, u, t, *to_fixed_tuple(carray(numbers, (count,)), count))  # type: ignore[no-any-return, call-arg]
 
-    with cached():
-        return cfunc(_TERM_SIGNATURE, cache=is_importable)(callback)
+    with cached() as has_folder:
+        return cfunc(_TERM_SIGNATURE, cache=has_folder and is_importable)(callback)
 
 
 # --- how effects enter the core -----------------------------------------------------------------------------------
@@ -520,21 +521,33 @@ def _check_effect(effect: Effect, found: Mapping[str, object], where: str) -> di
     }
 
 
-def fill_record(record: Any, declared: Mapping[str, float], effects: Mapping[str, Mapping[str, float]]) -> None:
-    """Write a valve into one record of the compiled core.
+def _blank_record() -> Any:
+    records = np.zeros(1, VALVE_RECORD)
+    for name in ("stribeck_velocity", "equalisation_time", "cooling_time_constant", "sensor_gain"):
+        records[name] = 1.0
+    return records
+
+
+_BLANK: Final = _blank_record()
+assert VALVE_RECORD.names is not None
+assert VALVE_RECORD.names[: len(DECLARED)] == tuple(DECLARED), "the record begins with the declared parameters"
+
+
+def new_record(declared: Mapping[str, float], effects: Mapping[str, Mapping[str, float]]) -> Any:
+    """A valve as the compiled core reads it.
 
     Args:
-        record: element of an array of VALVE_RECORD, all zero.
         declared: every name of `DECLARED` to its value, SI.
         effects: the effects that are on.
+
+    Returns:
+        (1,) VALVE_RECORD array.
     """
-    for name in DECLARED:
-        record[name] = declared[name]
-    record["stribeck_velocity"] = 1.0
-    record["equalisation_time"] = 1.0
-    record["cooling_time_constant"] = 1.0
-    record["sensor_gain"] = 1.0
+    records = _BLANK.copy()
+    # Written at once, as the numbers that they are: by name it takes longer than a simulation.
+    records.view(np.float64)[: len(DECLARED)] = [declared[name] for name in DECLARED]
     for name, values in effects.items():
-        CATALOGUE[name].apply_rewrite(record, values)
+        CATALOGUE[name].apply_rewrite(records[0], values)
     for name, values in effects.items():
-        CATALOGUE[name].apply_term(record, values)
+        CATALOGUE[name].apply_term(records[0], values)
+    return records

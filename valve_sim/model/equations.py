@@ -30,13 +30,17 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from valve_sim.model.compiling import inner
+from valve_sim.model.compiling import inlined, inner
 from valve_sim.model.core_types import Phase
 
 COPPER_TEMPERATURE_COEFFICIENT: Final = 0.00393
 """α, 1/K: the resistance of copper at 20 °C (IEC 60028)."""
 
-MAIN: Final = int(Phase.MAIN)
+SHORTEST_INTEGRATED: Final = 2e-8
+"""s: while the coil heats, (1) and (9) are integrated; a current that settles faster than this follows at once instead.
+It would take tens of millions of steps a second, and moves events by no more than its time constant."""
+
+MAIN: Final = np.int64(Phase.MAIN)
 
 
 @intrinsic
@@ -51,24 +55,24 @@ def _call_term(
         double = ir.DoubleType()
         kind = ir.FunctionType(double, [double] * 4 + [array.data.type])
         function = builder.inttoptr(arguments[0], kind.as_pointer())
-        return builder.call(function, [*arguments[1:5], array.data])
+        return builder.call(function, [*arguments[1:5], array.data], attrs=("nounwind", "readonly"))
 
     return signature, generate
 
 
-@inner
+@inlined
 def attraction(p, x, pull_squared):
     """F_a of equation (2), N, with u² already through (7) and (8)."""
     return pull_squared * (p.a0 + x * (p.a1 + x * (p.a2 + x * p.a3)))
 
 
-@inner
+@inlined
 def residual_floor(p, peak_current):
     """The smallest u that pulls, equation (8)."""
     return p.residual_current * min(1.0, peak_current)
 
 
-@inner
+@inlined
 def pull_squared(p, w, peak_current):
     """The u² of equation (2), through residual magnetism (8) and saturation (7)."""
     pull = max(abs(w), residual_floor(p, peak_current))
@@ -80,6 +84,16 @@ def pull_squared(p, w, peak_current):
 
 
 @inner
+def compiled_terms(p, mode, x, v, u, t):
+    """The terms f_j(x, v, u, t) of (5), N."""
+    force = 0.0
+    for j in range(p.term_count):
+        if mode >= MAIN or p.term_in_phase_2_only[j] == 0:
+            force += _call_term(p.term_address[j], x, v, u, t, p.term_parameters[j])  # type: ignore[call-arg]
+    return force
+
+
+@inlined
 def force_without_dry_friction(p, mode, x, v, direction, u, pull2, t, unseated_time):
     """Right-hand sides of (3) and (4), N, with (5); the dry friction of (6) is the caller's."""
     if mode >= MAIN:
@@ -89,13 +103,12 @@ def force_without_dry_friction(p, mode, x, v, direction, u, pull2, t, unseated_t
     else:
         force = attraction(p, x, pull2) - p.seat_load - p.pilot_damping * v
     force -= (p.damping_opening if direction > 0 else p.damping_closing) * v
-    for j in range(p.term_count):
-        if mode >= MAIN or p.term_in_phase_2_only[j] == 0:
-            force += _call_term(p.term_address[j], x, v, u, t, p.term_parameters[j])  # type: ignore[call-arg]
+    if p.term_count > 0:
+        force += compiled_terms(p, mode, x, v, u, t)
     return force
 
 
-@inner
+@inlined
 def dry_friction(p, v, direction):
     """Equation (6), N, a size; it acts against `direction`."""
     level = p.friction_opening if direction > 0 else p.friction_closing
@@ -105,7 +118,7 @@ def dry_friction(p, v, direction):
     return level
 
 
-@inner
+@inlined
 def acceleration(p, mode, x, v, direction, u, pull2, t, unseated_time):
     """Acceleration v' of equation (3) or (4) in motion, m/s²."""
     force = force_without_dry_friction(p, mode, x, v, direction, u, pull2, t, unseated_time)
@@ -143,12 +156,12 @@ def coil_state(p, s, t, u, w, temperature):
     """The current u and the pulling current w at time t; the last three are integrated while the coil heats."""
     if p.temperature_rate == 0.0:
         return coil_current_between_commands(p, s, t)
-    if p.coil_time_constant == 0.0:
+    if p.coil_time_constant < SHORTEST_INTEGRATED:
         u = s.volts / p.reference_voltage / (1.0 + COPPER_TEMPERATURE_COEFFICIENT * temperature)
-    return u, w if p.eddy_time_constant > 0.0 else u
+    return u, w if p.eddy_time_constant >= SHORTEST_INTEGRATED else u
 
 
-@inner
+@inlined
 def mechanical_rates(p, s, t, x, v, u, w):
     """Rates x' and v' of (3) and (4); plungers at rest stay there."""
     if not s.moving:
@@ -162,7 +175,7 @@ def heating_rates(p, s, u, w, temperature):
     """Rates u', w' and T' of (1), (9) and (10) while the coil heats."""
     resistance_ratio = 1.0 + COPPER_TEMPERATURE_COEFFICIENT * temperature
     du = 0.0
-    if p.coil_time_constant > 0.0:
+    if p.coil_time_constant >= SHORTEST_INTEGRATED:
         du = (s.volts / p.reference_voltage - u * resistance_ratio) / p.coil_time_constant
-    dw = (u - w) / p.eddy_time_constant if p.eddy_time_constant > 0.0 else 0.0
+    dw = (u - w) / p.eddy_time_constant if p.eddy_time_constant >= SHORTEST_INTEGRATED else 0.0
     return du, dw, p.temperature_rate * u * u - temperature / p.cooling_time_constant

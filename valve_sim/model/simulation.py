@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from valve_sim.model import automaton
-from valve_sim.model.core_types import EVENT_RECORD, STATE_RECORD, VALVE_RECORD, EventKind, Outcome, Phase
-from valve_sim.model.effects import check_effects, fill_record
+from valve_sim.model.core_types import EVENT_RECORD, STATE_RECORD, EventKind, Outcome, Phase
+from valve_sim.model.effects import check_effects, new_record
 from valve_sim.model.errors import ParameterError, SimulationError
 from valve_sim.model.parameters import POLYNOMIAL_NAMES, ValveParameters, check_declared, check_geometry
 
@@ -107,9 +107,7 @@ class Valve:
 
     def record(self) -> Any:
         """The (1,) VALVE_RECORD array that the compiled core reads."""
-        records = np.zeros(1, VALVE_RECORD)
-        fill_record(records[0], self.declared(), self.effects)
-        return records
+        return new_record(self.declared(), self.effects)
 
     def with_values(self, **values: float) -> Valve:
         """The same valve with some declared scalars (a0 … a3 among them) replaced.
@@ -129,9 +127,9 @@ class Valve:
         """Whether the reference voltage, held for ever, would lift the pilot plunger off its seat."""
         record = self.record()
         state = new_states(record, 0.0)
-        automaton.set_voltage(record[0], state[0], float(record[0]["reference_voltage"]))
+        automaton.set_voltage(record, state, float(record[0]["reference_voltage"]))
         settled = 50.0 * float(record[0]["coil_time_constant"] + record[0]["eddy_time_constant"]) + 1e-3
-        _check(_run(record[0], state[0], settled, _NO_TIMES, np.empty((0, 5)), _events(), TOLERANCE)[1])
+        _check(_run(record, state, settled, _NO_TIMES, np.empty((0, 5)), _events(), TOLERANCE)[1])
         return bool(state[0]["mode"] != Phase.CLOSED)
 
 
@@ -197,7 +195,7 @@ def simulate(
     room = _EVENT_ROOM
     while True:
         state, events = new_states(record, start_time), _events(room)
-        count = run_record(record[0], state[0], drive, times, rows, times, currents, events, tolerance)
+        count = run_record(record, state, drive, times, rows, times, currents, events, tolerance)
         if count <= room:
             break
         room = count
@@ -206,7 +204,7 @@ def simulate(
         shown = rows[:, :2].copy()
         record[0]["sensor_delay"] = 0.0
         state = new_states(record, start_time)
-        run_record(record[0], state[0], drive, times, rows, times, currents, events, tolerance)
+        run_record(record, state, drive, times, rows, times, currents, events, tolerance)
         rows[:, :2] = shown
     amperes = float(record[0]["reference_voltage"] / record[0]["coil_resistance"])
     return Response(
@@ -229,7 +227,7 @@ def run_record(
     """The compiled core on ready-made arrays, for callers that run it ten thousand times.
 
     Args:
-        record: one VALVE_RECORD. state: one STATE_RECORD, advanced. drive: the commanded voltage.
+        record: (1,) VALVE_RECORD. state: (1,) STATE_RECORD, advanced. drive: the commanded voltage.
         times: (n,) s, of the positions. rows: (n, 5) written: pilot and main position as shown (m), velocity (m/s),
             attraction (N), phase.
         current_times: (m,) s. currents: (m,) written: normalised current u.
@@ -242,14 +240,13 @@ def run_record(
     Raises:
         SimulationError: the run could not be carried to its end.
     """
-    gap, stroke = float(record["pilot_gap"]), float(record["stroke"])
+    gap, stroke, delay = record["pilot_gap"].item(), record["stroke"].item(), record["sensor_delay"].item()
     if not 0.0 < gap < stroke:
         raise SimulationError(f"the simulation cannot start: pilot_gap {gap:g} m is not inside stroke {stroke:g} m")
     end = max(times[-1] if len(times) else -math.inf, current_times[-1] if len(current_times) else -math.inf)
-    delay = float(record["sensor_delay"])
     count, outcome = automaton.run_drive(
         record, state, drive.times, drive.volts, end, times - delay if delay else times, rows,
-        current_times, currents, events, tolerance, _most_steps(end - float(state["time"])),
+        current_times, currents, events, tolerance, _most_steps(end - state["time"].item()),
     )  # fmt: skip
     _check(outcome)
     return int(count)
@@ -354,7 +351,7 @@ class Stepper:
         """A voltage in force from `time` on; a time that is past takes effect at the latest time stepped to."""
         time = max(time, float(self._state[0]["time"]))
         self._go(self._state, time, commit=True, collect=True)
-        automaton.set_voltage(self._record[0], self._state[0], volts)
+        automaton.set_voltage(self._record, self._state, volts)
         if self._delay:
             self._commands.append((time, volts))
 
@@ -392,10 +389,10 @@ class Stepper:
         self._go(self._state, time, commit=True, collect=True)
         state = self._state[0]
         volts = float(state["volts"])
-        automaton.set_voltage(self._record[0], state, volts)  # the current so far belongs to the old coil
+        automaton.set_voltage(self._record, self._state, volts)  # the current so far belongs to the old coil
         self._valve = valve
         self._record = valve.record()
-        automaton.settle_geometry(self._record[0], state)
+        automaton.settle_geometry(self._record, self._state)
         self._shown = self._state.copy()
         self._commands = []
 
@@ -406,7 +403,7 @@ class Stepper:
     def _go(self, states: Any, time: float, *, commit: bool, collect: bool) -> None:
         self._times = np.array([time])
         _, _, count, outcome = automaton.run(
-            self._record[0], states[0], time, commit, self._times, self._row, self._times, self._current,
+            self._record, states, time, commit, self._times, self._row, self._times, self._current,
             self._events, 0, self._tolerance, _most_steps(time - float(states[0]["time"])),
         )  # fmt: skip
         _check(outcome)
@@ -420,7 +417,7 @@ class Stepper:
         while self._commands and self._commands[0][0] <= time:
             command_time, volts = self._commands.pop(0)
             self._go(shown, max(command_time, float(shown[0]["time"])), commit=True, collect=False)
-            automaton.set_voltage(record, shown[0], volts)
+            automaton.set_voltage(record, shown, volts)
         self._go(shown, time, commit=False, collect=False)
         return float(self._row[0, 0]), float(self._row[0, 1])
 
@@ -441,9 +438,7 @@ def _most_steps(duration: float) -> int:
 
 
 def _event_tuple(events: Any, count: int) -> tuple[Event, ...]:
-    return tuple(
-        Event(float(e["time"]), EventKind(int(e["kind"])), float(e["x"]), float(e["v"])) for e in events[:count]
-    )
+    return tuple(Event(time, EventKind(kind), x, v) for time, kind, x, v in events[:count].tolist())
 
 
 def _run(record: Any, state: Any, end: float, times: Array, rows: Array, events: Any, tolerance: float) -> Any:
