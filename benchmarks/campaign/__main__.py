@@ -1,0 +1,191 @@
+"""`python -m benchmarks.campaign`: the whole campaign, a slice of it for CI, or one case again."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final, TextIO
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from benchmarks.campaign import __doc__ as campaign_words
+from benchmarks.campaign.cases import FAMILIES, NOISES, draw_case, planned
+from benchmarks.campaign.effects import CATALOGUED, METHOD_LIMITS
+from benchmarks.campaign.figures import confusion_table, figures, least_demands, reliability_table
+from benchmarks.campaign.limits import detection_limit
+from benchmarks.campaign.running import Outcome, Timing, examine, run_cases, time_cold
+from valve_sim.identification.diagnosis import Diagnosis
+
+TIMED: Final = [
+    *(("single", seed) for seed in (0, 5, 11, 12, 17)),
+    *(("pair", seed) for seed in (0, 1, 2)),
+    *(("none", seed) for seed in (0, 1, 2)),
+]
+"""Cases that cold processes diagnose, one at a time."""
+DRAWN_BY_LIMITS: Final = {"single", "pair", "mismatched", "opening"}
+SHOWN_CANDIDATES: Final = 8
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run what is asked for; 1 if a figure falls short."""
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    if options.case is not None:
+        return _run_again(parser, options.case)
+    families = tuple(name.strip() for name in options.only.split(","))
+    if unknown := [name for name in families if name not in (*FAMILIES, "time")]:
+        parser.error(f"--only {unknown[0]}: expected some of {', '.join((*FAMILIES, 'time'))}")
+    for name in ("seeds", "jobs"):
+        if getattr(options, name) < 1:
+            parser.error(f"--{name} {getattr(options, name)}: expected at least 1")
+    if options.json is not None and not options.json.parent.is_dir():
+        parser.error(f"--json {options.json}: expected a file in a folder that exists")
+    started = time.perf_counter()
+    outcomes, timings = _measure(options, families)
+    _print_tables(outcomes, is_slice=options.slice)
+    shown = figures(outcomes, timings)
+    print("\n".join(figure.line(is_judged=not options.slice) for figure in shown))
+    judged = shown
+    if options.slice:
+        judged = least_demands(outcomes)
+        print("\nof a slice it is asked that:", *(figure.line() for figure in judged), sep="\n")
+    short = [figure for figure in judged if figure.is_short]
+    print(
+        f"\n{len(outcomes)} cases, {len(timings)} cold processes, {time.perf_counter() - started:.0f} s; "
+        f"{len(short)} of {len(judged)} figures fall short"
+    )
+    return 1 if short else 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.campaign", description=campaign_words, formatter_class=argparse.RawTextHelpFormatter
+    )
+    rounds = ", ".join(f"{family.per_round} {name}" for name, family in FAMILIES.items())
+    parser.add_argument("--seeds", type=int, default=10, help=f"rounds (default: 10); in each {rounds}")
+    everything = ",".join((*FAMILIES, "time"))
+    parser.add_argument("--only", default=everything, help=f"families, with commas (default: {everything})")
+    parser.add_argument("--jobs", type=int, default=2, help="processes (default: 2)")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write every case as it ends, one line of JSON each")
+    parser.add_argument("--slice", action="store_true", help="a few cases of every family, judged by the least demands")
+    parser.add_argument("--case", metavar="FAMILY:SEED", help="diagnose one case again and print what was tried")
+    return parser
+
+
+def _measure(options: argparse.Namespace, families: tuple[str, ...]) -> tuple[list[Outcome], list[Timing]]:
+    """Run the pool, then the cold processes; outcomes in the order of the plan."""
+    plan = planned(options.seeds, families, is_slice=options.slice)
+    timed = TIMED if "time" in families and not options.slice else []
+    outcomes: list[Outcome] = []
+    timings: list[Timing] = []
+    with _lines(options.json) as lines, _progress() as progress:
+        task = progress.add_task("cases", total=len(plan) + len(timed))
+        for outcome in run_cases(plan, options.jobs):
+            outcomes.append(outcome)
+            _write(lines, outcome.to_json())
+            progress.update(task, advance=1, description=f"{outcome.case.name} {outcome.label}")
+        for family, seed in timed:
+            timings.append(time_cold(family, seed))
+            _write(lines, timings[-1].to_json())
+            progress.update(task, advance=1, description=f"cold process, {family}")
+    order = {case: place for place, case in enumerate(plan)}
+    return sorted(outcomes, key=lambda outcome: order[outcome.case.family, outcome.case.seed]), timings
+
+
+@contextmanager
+def _lines(path: Path | None) -> Iterator[TextIO | None]:
+    if path is None:
+        yield None
+        return
+    with path.open("w", encoding="utf-8") as lines:
+        yield lines
+
+
+def _write(lines: TextIO | None, document: object) -> None:
+    """One line, at once: what was measured before an interruption is kept."""
+    if lines is not None:
+        lines.write(json.dumps(document, ensure_ascii=False, allow_nan=False) + "\n")
+        lines.flush()
+
+
+def _progress() -> Progress:
+    """A bar on a terminal, nothing elsewhere."""
+    console = Console(stderr=True)
+    columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    return Progress(
+        *columns, TextColumn("{task.description}"), console=console, transient=True, disable=not console.is_terminal
+    )
+
+
+def _print_tables(outcomes: Sequence[Outcome], *, is_slice: bool) -> None:
+    if not is_slice and any(outcome.case.family in DRAWN_BY_LIMITS for outcome in outcomes):
+        print(_limits_table(), end="\n\n")
+    if outcomes:
+        print(confusion_table(outcomes), end="\n\n")
+        print(reliability_table(outcomes), end="\n\n")
+
+
+def _limits_table() -> str:
+    """Detection limits in white noise that amplitudes are drawn by, for shapes in the middle of their ranges."""
+    lines = [f"{'detection limit, as a size':<28}{'here':>12}{'METHOD':>12}"]
+    for name, scale in CATALOGUED.items():
+        known = f"{METHOD_LIMITS[name]:>12.3g}" if name in METHOD_LIMITS else f"{'–':>12}"
+        lines.append(f"{name:<28}{detection_limit(name, scale.middle(), NOISES['white']):>12.3g}{known}")
+    return "\n".join(lines)
+
+
+def _run_again(parser: argparse.ArgumentParser, name: str) -> int:
+    """Diagnose one case and print all that helps to see why."""
+    family, colon, seed = name.partition(":")
+    if family not in FAMILIES or not colon or not seed.isdecimal():
+        parser.error(f"--case {name}: expected FAMILY:SEED with one of {', '.join(FAMILIES)}")
+    case = draw_case(family, int(seed))
+    print(f"truth      {case.truth or 'none'}")
+    print(f"amplitude  {case.amplitudes} detection limits (µm RMS where uncatalogued)")
+    print(f"dampings   {case.dampings}")
+    print(
+        f"recorded   {case.noise}, {'with' if case.with_current else 'without'} current, clocks {case.clock_offsets} s"
+    )
+    outcome, diagnoses = examine(case)
+    for diagnosis in diagnoses:
+        print(f"\n{_diagnosis_text(diagnosis)}")
+    covered = outcome.is_covered or {}
+    print(f"\nlabel      {outcome.label}, noise floor of the second bag {outcome.noise_floor:.4f} µm")
+    print(f"covered    {covered}")
+    print(f"seconds    {', '.join(f'{answer.seconds:.1f}' for answer in outcome.answers)}")
+    return 0
+
+
+def _diagnosis_text(diagnosis: Diagnosis) -> str:
+    verdict = diagnosis.verdict
+    lines = [
+        f"verdict    {verdict.kind} {', '.join(verdict.effects)}, probability {verdict.probability:.4f}",
+        f"confusable {dict(verdict.confusable_with)}",
+        f"summary    {verdict.summary}",
+    ]
+    for words, state in (("before", diagnosis.before), ("after", diagnosis.after)):
+        lines.append(
+            f"{words:<10} train {1e6 * state.train_rmse:.4f} µm, holdout {1e6 * state.holdout_rmse:.4f} µm, "
+            f"adequacy p {state.adequacy.p_value:.2g} ({state.adequacy.worst})"
+        )
+    for parameter, interval in diagnosis.after.intervals.items():
+        lines.append(f"    {parameter:<40} {interval.value:.6g} [{interval.low:.6g}, {interval.high:.6g}]")
+    for candidate in diagnosis.candidates[:SHOWN_CANDIDATES]:
+        timing = " with errors of the stamps" if candidate.timing else ""
+        lines.append(
+            f"candidate  {candidate.delta_score:>12.1f}  {1e6 * candidate.train_rmse:.4f} µm, holdout "
+            f"{1e6 * candidate.holdout_rmse:.4f} µm  {' + '.join(candidate.effects)}{timing}"
+        )
+    if diagnosis.unexplained is not None:
+        lines.append(f"remainder  {diagnosis.unexplained.where}, {diagnosis.unexplained.force_rms:.3g} N RMS")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,299 @@
+"""What the outcomes amount to: figures with their targets, confusion table, reliability of the probabilities."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+from benchmarks.campaign.cases import STRONG
+from benchmarks.campaign.running import Outcome, Timing
+
+LABELS: Final = ("unique", "class", "unknown", "insufficient", "none", "wrong", "error")
+"""Columns of the confusion table."""
+LARGEST_ERROR: Final = 1.2
+"""Held-out error after correction over the noise floor."""
+SMALLEST_FALL: Final = 3.0
+"""Held-out error of plant (b) before over after."""
+POOR_COVERAGE: Final = 0.85
+"""An effect whose intervals cover less is listed."""
+TIME_TARGETS: Final = {"single": 10.0, "pair": 40.0, "none": 10.0}
+"""s, median of cold processes."""
+PROBABILITY_BINS: Final = (0.0, 0.5, 0.7, 0.9, 0.99, 1.0)
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One line of what must be shown.
+
+    Attributes:
+        number: of the requirement. value: a share, or s. count: of the cases it is from.
+        low, high: what is accepted. detail: what else to know.
+    """
+
+    number: int
+    words: str
+    value: float
+    count: int
+    low: float = -math.inf
+    high: float = math.inf
+    unit: str = "%"
+    detail: str = ""
+
+    @property
+    def is_short(self) -> bool:
+        """Whether it was measured and is not what it must be."""
+        return self.count > 0 and not self.low <= self.value <= self.high
+
+    def line(self, *, is_judged: bool = True) -> str:
+        """For people."""
+        if self.count == 0:
+            return f"{self.number}  {self.words:<58} no cases"
+        scale = 100.0 if self.unit == "%" else 1.0
+        if math.isinf(self.high):
+            target = f"≥ {scale * self.low:g}"
+        elif math.isinf(self.low):
+            target = f"≤ {scale * self.high:g}"
+        else:
+            target = f"{scale * self.low:g} to {scale * self.high:g}"
+        judged = ("SHORT" if self.is_short else "ok") if is_judged else ""
+        measured = f"{scale * self.value:6.1f} {self.unit} of {self.count}"
+        return f"{self.number}  {self.words:<58} {measured:<17} target {target:<9} {judged:<5} {self.detail}".rstrip()
+
+
+def figures(outcomes: Sequence[Outcome], timings: Sequence[Timing]) -> list[Figure]:
+    """Everything that must be shown, in the order of the requirements."""
+    return [
+        *_single(_of(outcomes, "single")),
+        _share(2, "nothing missing: none", _of(outcomes, "none"), _says("none"), low=0.98),
+        *_combined(outcomes),
+        *_corrected(outcomes),
+        *_covered(outcomes),
+        *_mismatched(_of(outcomes, "mismatched")),
+        _share(7, "one opening, then the advised recording: named", _of(outcomes, "opening"), is_resolved, low=0.8),
+        *_times(timings),
+    ]
+
+
+def least_demands(outcomes: Sequence[Outcome]) -> list[Figure]:
+    """What a slice of a few cases must show."""
+    return [
+        _share(1, "any family: confidently wrong name", outcomes, is_confidently_misnamed, high=0.0),
+        _share(2, "nothing missing: none", _of(outcomes, "none"), _says("none"), low=1.0),
+        _share(1, "any family: failed with an exception", outcomes, lambda outcome: bool(outcome.error), high=0.0),
+    ]
+
+
+def _of(outcomes: Iterable[Outcome], *families: str) -> list[Outcome]:
+    return [outcome for outcome in outcomes if outcome.case.family in families]
+
+
+def _share(
+    number: int,
+    words: str,
+    outcomes: Sequence[Outcome],
+    test: Callable[[Outcome], bool],
+    low: float = -math.inf,
+    high: float = math.inf,
+    detail: str = "",
+) -> Figure:
+    """The share of outcomes that pass a test."""
+    passed = sum(map(test, outcomes))
+    return Figure(number, words, passed / max(1, len(outcomes)), len(outcomes), low, high, detail=detail)
+
+
+def _says(kind: str) -> Callable[[Outcome], bool]:
+    return lambda outcome: bool(outcome.answers) and outcome.answers[0].kind == kind
+
+
+def is_confidently_wrong(outcome: Outcome) -> bool:
+    """Whether the answer claims to be right, with or without a name, and the truth is not in its class; or failed."""
+    return bool(outcome.error) or (outcome.is_confident and not outcome.is_in_class)
+
+
+def is_confidently_misnamed(outcome: Outcome) -> bool:
+    """The same where effects are named."""
+    return _says("effects")(outcome) and is_confidently_wrong(outcome)
+
+
+def is_resolved(outcome: Outcome) -> bool:
+    """Whether an opening gave no wrong name, and the recording it asked for the right one."""
+    if len(outcome.answers) < 2 or not outcome.advice:
+        return False
+    first, second = outcome.answers
+    is_careful = first.kind == "insufficient" or outcome.is_in_class
+    return is_careful and second.kind == "effects" and set(outcome.case.truth) <= set(second.effects)
+
+
+def is_down_to_noise(outcome: Outcome) -> bool:
+    """Whether the corrected model predicts held-out data about as well as their noise allows."""
+    error = outcome.answers[0].after_holdout if outcome.answers else None
+    return error is not None and error <= LARGEST_ERROR * outcome.noise_floor
+
+
+def has_fallen(outcome: Outcome) -> bool:
+    """Whether correcting the model made the held-out error smaller by as much as asked."""
+    if not outcome.answers:
+        return False
+    before, after = outcome.answers[0].before_holdout, outcome.answers[0].after_holdout
+    return before is not None and after is not None and before >= SMALLEST_FALL * after
+
+
+def _single(singles: Sequence[Outcome]) -> list[Figure]:
+    return [
+        _share(1, "one effect: named uniquely", singles, lambda outcome: outcome.is_named, low=0.9),
+        _share(1, "one effect: in the class", singles, lambda outcome: outcome.label in ("unique", "class"), low=0.97),
+        _share(1, "one effect: confidently wrong", singles, is_confidently_wrong, high=0.01),
+    ]
+
+
+def _combined(outcomes: Sequence[Outcome]) -> list[Figure]:
+    strong = _of(outcomes, "uncatalogued")
+    faint = sum(1 for outcome in strong if _excess(outcome) < 1e6 * STRONG[0])
+    return [
+        _share(
+            3,
+            "two effects: both in the class",
+            _of(outcomes, "pair"),
+            lambda outcome: outcome.label in ("unique", "class"),
+            low=0.8,
+        ),
+        _share(
+            3,
+            "no name, strong: unknown",
+            strong,
+            _says("unknown"),
+            low=0.85,
+            detail=f"({faint} move it by less than {1e6 * STRONG[0]:g} µm RMS)" if faint else "",
+        ),
+        _share(3, "no name, a tenth: confident name", _of(outcomes, "weak"), is_confidently_misnamed, high=0.05),
+    ]
+
+
+def _excess(outcome: Outcome) -> float:
+    """µm RMS by which the refitted declared model misses the training data, beside the noise."""
+    if not outcome.answers:
+        return math.inf
+    return math.sqrt(max(0.0, outcome.answers[0].before_train ** 2 - outcome.noise_floor**2))
+
+
+def _corrected(outcomes: Sequence[Outcome]) -> list[Figure]:
+    words = f"held-out error ≤ {LARGEST_ERROR:g} × noise after correction"
+    return [_share(4, words, _of(outcomes, "single", "pair"), is_down_to_noise, low=0.9)]
+
+
+def _covered(outcomes: Sequence[Outcome]) -> list[Figure]:
+    dampings: list[bool] = []
+    parameters: list[bool] = []
+    by_effect: dict[str, list[bool]] = {}
+    for outcome in _of(outcomes, "single", "pair"):
+        for name, is_covered in (outcome.is_covered or {}).items():
+            effect, dot, _ = name.partition(".")
+            (parameters if dot else dampings).append(is_covered)
+            if dot:
+                by_effect.setdefault(effect, []).append(is_covered)
+    poor = [
+        f"{effect} {sum(found)}/{len(found)}"
+        for effect, found in by_effect.items()
+        if sum(found) < POOR_COVERAGE * len(found)
+    ]
+    return [
+        _coverage("95 % intervals of c1 and c2 hold the truth", dampings),
+        _coverage("95 % intervals of effects' parameters hold the truth", parameters, ", ".join(poor)),
+    ]
+
+
+def _coverage(words: str, found: Sequence[bool], detail: str = "") -> Figure:
+    return Figure(5, words, sum(found) / max(1, len(found)), len(found), 0.9, 0.98, detail=detail)
+
+
+def _mismatched(outcomes: Sequence[Outcome]) -> list[Figure]:
+    claims = [outcome for outcome in outcomes if outcome.is_confident and _says("effects")(outcome)]
+    return [
+        _share(6, "other form: in the class", outcomes, lambda outcome: outcome.is_in_class, low=0.7),
+        _share(6, f"other form: held-out error falls {SMALLEST_FALL:g} times", outcomes, has_fallen, low=0.8),
+        _share(6, "other form: confident names that are right", claims, lambda outcome: outcome.is_in_class, low=0.85),
+    ]
+
+
+def _times(timings: Sequence[Timing]) -> list[Figure]:
+    lines = []
+    for family, target in TIME_TARGETS.items():
+        found = [timing for timing in timings if timing.family == family]
+        seconds = [math.inf if timing.error else timing.seconds for timing in found]
+        worst = f"(slowest {max(seconds):.1f} s)" if seconds else ""
+        detail = "; ".join([worst, *(timing.error for timing in found if timing.error)])
+        median = statistics.median(seconds) if seconds else math.nan
+        lines.append(
+            Figure(8, f"cold process, {family}: median", median, len(found), high=target, unit="s", detail=detail)
+        )
+    return lines
+
+
+def confusion_table(outcomes: Sequence[Outcome]) -> str:
+    """A row for every truth: how often it was named how, and the names that were wrong."""
+    rows: dict[str, list[Outcome]] = {}
+    for outcome in outcomes:
+        rows.setdefault(_row(outcome), []).append(outcome)
+    lines = [
+        f"{'truth':<34}{'cases':>6}"
+        + "".join(f"{label:>13}" for label in LABELS)
+        + "  median s, and what else was named"
+    ]
+    for name, found in rows.items():
+        counts = Counter(outcome.label for outcome in found)
+        shown = "".join(f"{counts[label] or '·':>13}" for label in LABELS)
+        lines.append(f"{name:<34}{len(found):>6}{shown}{_median_seconds(found):>10}  {_wrong_names(found)}".rstrip())
+    return "\n".join(lines)
+
+
+def _row(outcome: Outcome) -> str:
+    """Pairs are too many for a row each."""
+    family, names = outcome.case.family, " + ".join(outcome.case.truth)
+    return family if family in ("pair", "none") else f"{family} {names}"
+
+
+def _median_seconds(outcomes: Sequence[Outcome]) -> str:
+    seconds = [sum(answer.seconds for answer in outcome.answers) for outcome in outcomes if outcome.answers]
+    return f"{statistics.median(seconds):.1f}" if seconds else "–"
+
+
+def _wrong_names(outcomes: Sequence[Outcome]) -> str:
+    """What was named in place of the truth, or beside it, and by which cases."""
+    return "; ".join(
+        f"{outcome.case.name} {_misnamed(outcome)}"
+        for outcome in outcomes
+        if outcome.label in ("wrong", "error")
+        or (outcome.label == "class" and set(outcome.answers[0].effects) != set(outcome.case.truth))
+    )
+
+
+def _misnamed(outcome: Outcome) -> str:
+    if outcome.error:
+        return outcome.error
+    truth = " + ".join(outcome.case.truth) + " as " if outcome.case.family == "pair" else ""
+    answer = outcome.answers[0]
+    return f"{truth}{' + '.join(answer.effects)} ({outcome.label}, p {answer.probability:.2f})"
+
+
+def reliability_table(outcomes: Sequence[Outcome]) -> str:
+    """Probability against rightness of all claims: a class holds all of the truth, or none is claimed rightly."""
+    lines = [f"{'probability':<16}{'names':>7}{'right':>8}{'none':>7}{'right':>8}"]
+    for low, high in pairwise(PROBABILITY_BINS):
+        cells = []
+        for kind in ("effects", "none"):
+            found = [
+                outcome
+                for outcome in filter(_says(kind), outcomes)
+                if low <= outcome.answers[0].probability < high or (high == 1.0 == outcome.answers[0].probability)
+            ]
+            right = sum(
+                1 for outcome in found if (outcome.is_in_class if kind == "effects" else not outcome.case.truth)
+            )
+            cells.append(f"{len(found):>7}" + (f"{right / len(found):>8.1%}" if found else f"{'–':>8}"))
+        lines.append(f"{low:.2f} to {high:.2f}    " + "".join(cells))
+    return "\n".join(lines)

@@ -1,0 +1,258 @@
+"""Runs cases: record, diagnose blindly, compare; and times `valve-sim diagnose` in cold processes."""
+
+from __future__ import annotations
+
+import math
+import os
+import subprocess
+import sys
+import tempfile
+import time
+import traceback
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from plants.recording import Recording, write_bag
+
+from benchmarks.campaign.cases import Case, draw_case
+from valve_sim.identification.diagnosis import Diagnosis, State, diagnose
+from valve_sim.model import Drive
+from valve_sim.parameter_files import save_valve
+from valve_sim.traces import Signal, Trace
+
+LARGEST_CLASS: Final = 4
+"""A class of more names is no answer (MODEL.md 6)."""
+CONFIDENT: Final = 0.9
+"""Probability from which a claim must be right."""
+PATIENCE: Final = 900.0
+"""s, for one cold process."""
+REPOSITORY: Final = Path(__file__).resolve().parents[2]
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What one diagnosis said. Errors are in µm RMS, None without a hold-out."""
+
+    kind: str
+    effects: tuple[str, ...]
+    confusable_with: Mapping[str, tuple[str, ...]]
+    probability: float
+    before_train: float
+    before_holdout: float | None
+    after_train: float
+    after_holdout: float | None
+    seconds: float
+
+    @property
+    def classes(self) -> list[set[str]]:
+        """For each named effect, its name and those that would do in its place."""
+        return [{name, *self.confusable_with.get(name, ())} for name in self.effects]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A case with its answers: one, for an opening a second one to the advised recording; none where it failed.
+
+    Attributes:
+        noise_floor: µm RMS of the true noise of the held-out recording.
+        is_covered: whether the 95 % interval of each parameter holds its truth, for what was named rightly.
+        advice: what to record next, as the first answer says.
+        error: last line of the traceback, or empty.
+    """
+
+    case: Case
+    answers: tuple[Answer, ...] = ()
+    noise_floor: float = math.nan
+    is_covered: Mapping[str, bool] | None = None
+    advice: str = ""
+    error: str = ""
+
+    @property
+    def is_named(self) -> bool:
+        """Whether the first answer names what is true and nothing else, without a doubt between names."""
+        return bool(self.answers) and is_named(self.case, self.answers[0])
+
+    @property
+    def is_in_class(self) -> bool:
+        """Whether everything true is among the names of the first answer."""
+        return bool(self.answers) and is_in_class(self.case, self.answers[0])
+
+    @property
+    def is_confident(self) -> bool:
+        """Whether the first answer claims to be right."""
+        return bool(self.answers) and self.answers[0].probability >= CONFIDENT
+
+    @property
+    def label(self) -> str:
+        """Column of the confusion table."""
+        if not self.answers:
+            return "error"
+        if self.is_named:
+            return "unique"
+        # What is named beside an unknown remainder is the nearest name, which only the mismatched plant asks for.
+        if self.is_in_class and (self.answers[0].kind != "unknown" or self.case.family == "mismatched"):
+            return "class"
+        return "wrong" if self.answers[0].kind == "effects" else self.answers[0].kind
+
+    def to_json(self) -> dict[str, Any]:
+        """Everything, and the label."""
+        document = asdict(self)
+        document["noise_floor"] = self.noise_floor if math.isfinite(self.noise_floor) else None
+        return {"name": self.case.name, "label": self.label, **document}
+
+
+@dataclass(frozen=True)
+class Timing:
+    """A cold process: s of wall clock, and the last line on stderr if it failed."""
+
+    family: str
+    seed: int
+    seconds: float
+    error: str = ""
+
+    def to_json(self) -> dict[str, Any]:
+        """All of it."""
+        return {"name": f"time {self.family}:{self.seed}", **asdict(self)}
+
+
+def is_named(case: Case, answer: Answer) -> bool:
+    """Whether an answer claims exactly what is true, and no other name would do."""
+    return answer.kind == "effects" and set(answer.effects) == set(case.truth) and not any(
+        answer.confusable_with.values()
+    )  # fmt: skip
+
+
+def is_in_class(case: Case, answer: Answer) -> bool:
+    """Whether every true effect is in a class that is small enough to be an answer."""
+    usable = [names for names in answer.classes if len(names) <= LARGEST_CLASS]
+    return bool(case.truth) and all(any(name in names for names in usable) for name in case.truth)
+
+
+def as_trace(recording: Recording, source: str) -> Trace:
+    """A recording as `read_trace` would give it."""
+    current = None if recording.coil_current is None else Signal(recording.times, recording.coil_current)
+    drive = Drive(recording.command_times, recording.volts)
+    return Trace(source, drive, recording.times, recording.pilot_position, recording.main_position, current)
+
+
+def run_case(family: str, seed: int) -> Outcome:
+    """Draw, record and diagnose one case; an exception becomes its error."""
+    case = draw_case(family, seed)
+    try:
+        return examine(case)[0]
+    except Exception:
+        return Outcome(case, error=traceback.format_exc().strip().splitlines()[-1])
+
+
+def examine(case: Case) -> tuple[Outcome, tuple[Diagnosis, ...]]:
+    """The outcome of a case, and the diagnoses themselves."""
+    first, second = case.recordings()
+    traces = [as_trace(first, "first bag"), as_trace(second, "second bag")]
+    if case.family == "opening":
+        opening, opening_seconds = _timed(traces[:1], [], case)
+        advised, advised_seconds = _timed(traces[1:], [], case)
+        answers = (_answer(opening, opening_seconds), _answer(advised, advised_seconds))
+        return Outcome(case, answers, _noise(second), None, opening.record_next), (opening, advised)
+    diagnosis, seconds = _timed(traces[:1], traces[1:], case)
+    answer = _answer(diagnosis, seconds)
+    covered = _coverage(case, diagnosis) if is_named(case, answer) else None
+    return Outcome(case, (answer,), _noise(second), covered, diagnosis.record_next), (diagnosis,)
+
+
+def _timed(traces: Sequence[Trace], holdout: Sequence[Trace], case: Case) -> tuple[Diagnosis, float]:
+    started = time.perf_counter()
+    diagnosis = diagnose(traces, holdout, case.declared)
+    return diagnosis, time.perf_counter() - started
+
+
+def _answer(diagnosis: Diagnosis, seconds: float) -> Answer:
+    verdict, before, after = diagnosis.verdict, diagnosis.before, diagnosis.after
+    return Answer(
+        verdict.kind,
+        verdict.effects,
+        dict(verdict.confusable_with),
+        verdict.probability,
+        1e6 * before.train_rmse,
+        _held_out(before),
+        1e6 * after.train_rmse,
+        _held_out(after),
+        seconds,
+    )
+
+
+def _held_out(state: State) -> float | None:
+    return None if math.isnan(state.holdout_rmse) else 1e6 * state.holdout_rmse
+
+
+def _noise(recording: Recording) -> float:
+    """µm RMS of what measuring added to the truth."""
+    return 1e6 * float(np.sqrt(np.mean(np.square(recording.pilot_position - recording.truth.pilot_position))))
+
+
+def _coverage(case: Case, diagnosis: Diagnosis) -> dict[str, bool]:
+    true = {f"{effect}.{name}": value for effect, values in case.truth.items() for name, value in values.items()}
+    intervals = diagnosis.after.intervals
+    return {
+        name: intervals[name].low <= value <= intervals[name].high
+        for name, value in {**case.dampings, **true}.items()
+        if name in intervals
+    }
+
+
+def run_cases(plan: Sequence[tuple[str, int]], jobs: int) -> Iterator[Outcome]:
+    """Outcomes as they come, from so many processes."""
+    with _one_thread_each(), ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        futures = {pool.submit(run_case, family, seed): (family, seed) for family, seed in plan}
+        for future in as_completed(futures):
+            error = future.exception()
+            if error is None:
+                yield future.result()
+            else:
+                yield Outcome(draw_case(*futures[future]), error=f"{type(error).__name__}: {error}")
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Processes started meanwhile leave the cores to each other."""
+    name = "OPENBLAS_NUM_THREADS"
+    before = os.environ.get(name)
+    os.environ[name] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[name]
+        else:
+            os.environ[name] = before
+
+
+def time_cold(family: str, seed: int) -> Timing:
+    """Write the bags of a case and time `python -m valve_sim diagnose` on them."""
+    case = draw_case(family, seed)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        train, holdout = (
+            write_bag(recording, folder / bag)
+            for recording, bag in zip(case.recordings(), ("train", "holdout"), strict=True)
+        )
+        save_valve(folder / "declared.yaml", case.declared, "the campaign's declared valve")
+        command = [sys.executable, "-m", "valve_sim", "diagnose", str(train), "--holdout", str(holdout)]
+        command += ["--params", str(folder / "declared.yaml"), "--output", str(folder / "results")]
+        started = time.perf_counter()
+        try:
+            done = subprocess.run(
+                command, cwd=REPOSITORY, capture_output=True, text=True, timeout=PATIENCE, check=False
+            )
+        except subprocess.TimeoutExpired:
+            return Timing(family, seed, PATIENCE, f"not done after {PATIENCE:g} s")
+        seconds = time.perf_counter() - started
+    if done.returncode == 0:
+        return Timing(family, seed, seconds)
+    last = "".join(done.stderr.strip().splitlines()[-1:])
+    return Timing(family, seed, seconds, f"exit {done.returncode}: {last}")
