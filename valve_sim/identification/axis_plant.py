@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage, signal
 
-from valve_sim.identification.plant import Array, Channel, EffectChoice, ForceMap, Nuisance
+from valve_sim.identification.plant import Array, Channel, EffectChoice, Experiment, ForceMap, Nuisance
 from valve_sim.model import CATALOGUE, DECLARED, Parameter, Phase
 from valve_sim.model.compiling import compiled
 from valve_sim.model.effects import FORCE_MAP_KNOTS, FORCE_MAP_VARIABLES, new_record
@@ -160,6 +160,11 @@ class AxisPlant:
             fixed = {"force_map.variable": index, "force_map.low": low, "force_map.high": high}
             maps.append(ForceMap(variable, knots, fixed, low, high, unit))
         return maps
+
+    @property
+    def experiments(self) -> Sequence[Experiment]:
+        """None: which trajectory a servo may follow is not for us to say."""
+        return ()
 
     def parameter(self, name: str) -> Parameter:
         """Unit and range of mass, viscous friction or `<effect>.<parameter>`.

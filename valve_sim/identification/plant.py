@@ -7,7 +7,7 @@ diagnosis know only this page.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
@@ -80,6 +80,19 @@ class Channel:
     unit: str = "m"
 
 
+@dataclass(frozen=True)
+class Experiment:
+    """A recording that could be made.
+
+    Attributes:
+        words: for people, e.g. "11 V for 4 ms".
+        simulated: the recording, without noise, as if the machine had the given values.
+    """
+
+    words: str
+    simulated: Callable[[Mapping[str, float]], Plant]
+
+
 class Plant(Protocol):
     """A machine with its measured data."""
 
@@ -106,6 +119,10 @@ class Plant(Protocol):
     @property
     def force_maps(self) -> Sequence[ForceMap]:
         """Curves that stand for what no named effect explains."""
+
+    @property
+    def experiments(self) -> Sequence[Experiment]:
+        """Recordings that could be made next, where the plant knows any."""
 
     def parameter(self, name: str) -> Parameter:
         """Unit and range of anything that can be freed."""

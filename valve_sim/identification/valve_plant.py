@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -10,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.identification.plant import Array, Channel, EffectChoice, ForceMap, Nuisance
+from valve_sim.identification.plant import Array, Channel, EffectChoice, Experiment, ForceMap, Nuisance
 from valve_sim.model import CATALOGUE, DECLARED, Drive, Parameter, Valve
 from valve_sim.model.core_types import EVENT_RECORD
 from valve_sim.model.effects import FORCE_MAP_KNOTS, FORCE_MAP_VARIABLES, new_record
@@ -27,6 +28,12 @@ JITTERED: Final = 0.01
 """Scatter of a current's sampling interval, over the interval, beyond which its times are those of arrival."""
 STILL: Final = 6.0
 """Standard deviations within which a still sensor stays."""
+PULSE_VOLTS: Final = (7.5, 9.0, 11.0, 14.0)
+"""V: the range in which such a valve is driven."""
+PULSE_DURATIONS: Final = (3e-3, 4e-3, 5e-3, 8e-3, 30e-3)
+"""s: pulses of 3 to 5 ms lift the valve partly, longer ones fully."""
+PULSE_START, PULSE_RECORDING = 5e-3, 70e-3
+"""s: when a pulse begins, and when its recording ends."""
 
 _NO_EVENTS: Final = np.empty(0, EVENT_RECORD)
 _NO_TIMES: Final = np.empty(0)
@@ -100,6 +107,25 @@ class ValvePlant:
                 ForceMap(variable, tuple(f"force_map.{knot}" for knot in FORCE_MAP_KNOTS), fixed, low, high, unit)
             )
         return maps
+
+    @property
+    def experiments(self) -> Sequence[Experiment]:
+        """Single pulses, from those that lift the valve partly to full strokes, sampled as the first trace is."""
+        interval = float(np.median(np.diff(self.traces[0].times)))
+        times = np.arange(0.0, PULSE_RECORDING, interval)
+        return [
+            Experiment(
+                f"{volts:g} V for {1e3 * duration:g} ms", functools.partial(self._recorded, volts, duration, times)
+            )
+            for volts, duration in itertools.product(PULSE_VOLTS, PULSE_DURATIONS)
+        ]
+
+    def _recorded(self, volts: float, duration: float, times: Array, values: Mapping[str, float]) -> ValvePlant:
+        """A pulse recorded from a valve of these values, without noise."""
+        drive = Drive.of([PULSE_START, PULSE_START + duration], [volts, 0.0])
+        trace = Trace("an experiment", drive, times, np.zeros_like(times))
+        (position,) = ValvePlant([trace], self.valve).predict(values)
+        return ValvePlant([replace(trace, pilot_position=position)], self.valve)
 
     def parameter(self, name: str) -> Parameter:
         """Unit and range of a declared parameter or of `<effect>.<parameter>`.

@@ -1,0 +1,60 @@
+"""Advice on what to record next: it must separate what the data could not, on a plant that is not the package's."""
+
+import numpy as np
+import pytest
+from plants.declared import DeclaredPlant
+from plants.recording import Profile, Recorder, record, single_opening
+
+from valve_sim.identification.fitting import Fit, Problem, fit
+from valve_sim.identification.next_recording import Recommendation, recommend
+from valve_sim.identification.valve_plant import ValvePlant
+from valve_sim.model import Drive, Valve
+from valve_sim.traces import Trace
+
+DECLARED = Valve().with_values(a0=3.0336, coil_time_constant=0.9934e-3, coil_resistance=10.0)
+START = {"coulomb_friction.force": 0.02, "drive_gain.gain": 0.99}
+FRICTION = {"coulomb_friction": {"force": 0.05}}
+
+
+def measured(profile: Profile, seed: int) -> Trace:
+    recording = record(DeclaredPlant(effects=FRICTION), profile, Recorder(), seed)
+    return Trace(
+        "plant (a)", Drive(recording.command_times, recording.volts), recording.times, recording.pilot_position
+    )
+
+
+def fitted(plant: ValvePlant, *effects: str) -> Fit:
+    names = [f"{effect}.{parameter.name}" for effect in effects for parameter in plant.effects[effect].parameters]
+    return fit(Problem(plant), (*plant.base, *names), START, nuisances=plant.nuisances)
+
+
+@pytest.fixture(scope="module")
+def recommendation() -> Recommendation:
+    plant = ValvePlant([measured(single_opening(), 3)], DECLARED)
+    found = recommend(
+        {"coulomb_friction": fitted(plant, "coulomb_friction"), "drive_gain": fitted(plant, "drive_gain")},
+        plant.experiments,
+    )
+    assert found is not None
+    return found
+
+
+def test_the_advised_pulse_is_worth_what_it_promises(recommendation: Recommendation) -> None:
+    """Recorded for real, the advised pulse rejects the wrong one of the pair by the promised separation, or more."""
+    volts, _, _, duration, _ = recommendation.experiment.words.split()
+    stop = 0.005 + 1e-3 * float(duration)
+    trace = measured(Profile(np.array([0.005, stop]), np.array([float(volts), 0.0]), 0.07), 4)
+    opening = measured(single_opening(), 3)
+    both = ValvePlant([opening, trace], DECLARED)
+    alone = ValvePlant([opening], DECLARED)
+    undecided = fitted(alone, "drive_gain").chi2 - fitted(alone, "coulomb_friction").chi2
+    decided = fitted(both, "drive_gain").chi2 - fitted(both, "coulomb_friction").chi2
+    assert abs(undecided) < 10.0
+    assert 0.5 * recommendation.separation**2 < decided < 10.0 * recommendation.separation**2
+
+
+def test_there_is_no_advice_without_rivals() -> None:
+    plant = ValvePlant([measured(single_opening(), 3)], DECLARED)
+    same = fitted(plant, "coulomb_friction")
+    assert recommend({"coulomb_friction": same}, plant.experiments) is None
+    assert recommend({"one": same, "its twin": same}, plant.experiments) is None

@@ -1,0 +1,79 @@
+"""What to record next: of the recordings that could be made, the one that tells the candidates apart best.
+
+METHOD step 7. A recording is simulated as if one hypothesis were the truth, and the other is refitted to it: the root
+of the χ² that is left is by how many standard deviations they differ there. (Linear differences will not do: where a
+pulse only just lifts the valve they promise ten times what a refit leaves.) What is recorded already would hold the
+refit back, so two hypotheses differ by at least that. A recording is worth what separates its least separated pair.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from valve_sim.identification.fitting import Fit, Problem, fit
+from valve_sim.identification.plant import Experiment
+from valve_sim.model import SimulationError
+
+TELLS_APART: Final = 5.0
+"""Standard deviations: what separates a pair by less is not worth recommending."""
+
+
+@dataclass(frozen=True)
+class Recommendation:
+    """An experiment, and by how many standard deviations it separates the least separated pair of candidates."""
+
+    experiment: Experiment
+    separation: float
+    pair: tuple[str, str]
+
+
+def recommend(candidates: Mapping[str, Fit], experiments: Sequence[Experiment]) -> Recommendation | None:
+    """The experiment whose least separated pair of candidates is the most separated.
+
+    Args:
+        candidates: fits of the hypotheses between which the data cannot decide, by what people call them.
+        experiments: what could be recorded.
+
+    Returns:
+        None where no experiment separates them, or there are fewer than two candidates.
+    """
+    judged = [judgement for experiment in experiments if (judgement := _judge(candidates, experiment)) is not None]
+    best = max(judged, key=lambda recommendation: recommendation.separation, default=None)
+    return best if best is not None and best.separation >= TELLS_APART else None
+
+
+def _judge(candidates: Mapping[str, Fit], experiment: Experiment) -> Recommendation | None:
+    """What an experiment is worth; None where a candidate cannot be simulated in it."""
+    try:
+        apart = {
+            (one, other): min(
+                _left_of(experiment, candidates[truth], candidates[rival])
+                for truth, rival in ((one, other), (other, one))
+            )
+            for one, other in itertools.combinations(candidates, 2)
+        }
+    except SimulationError:
+        return None
+    if not apart:
+        return None
+    pair = min(apart, key=lambda names: apart[names])
+    return Recommendation(experiment, apart[pair], pair)
+
+
+def _left_of(experiment: Experiment, truth: Fit, rival: Fit) -> float:
+    """Standard deviations that are left of a recording of `truth` when `rival` is refitted to it."""
+    plant = experiment.simulated(_machine(truth))
+    problem = Problem(plant, noises=truth.problem.noises)
+    fixed = {name: value for name, value in _machine(rival).items() if name not in rival.free}
+    refit = fit(problem, rival.free, rival.values, nuisances=plant.nuisances, fixed=fixed)
+    return math.sqrt(refit.chi2 / problem.excess)
+
+
+def _machine(result: Fit) -> dict[str, float]:
+    """The values of a fit that belong to the machine, not to its recordings."""
+    own = {nuisance.name for nuisance in result.nuisances}
+    return {name: value for name, value in result.values.items() if name not in own}
