@@ -37,6 +37,8 @@ FAILS_HELD_OUT: Final = 1.2
 """Held-out error over noise beyond which a name is not believed; what errors of its parameters add stays below."""
 HINT: Final = 0.02
 """P-value below which the search goes on: it costs seconds, where stopping early costs a wrong name."""
+MOSTLY: Final = 0.5
+"""Held-out error with named effects over that without, below which they are named beside an unexplained remainder."""
 WORTH_A_LOOK: Final = 20
 """How many of the best hypotheses are tried on held-out data where none leaves only noise."""
 EXCLUDES_OFF: Final = 1.96
@@ -426,7 +428,8 @@ class _Investigation:
             after_fit = min(options, key=self._held_out_error)
         self.search.say("intervals", 0.99)
         after = self.state(after_fit, profile=not is_unknown)
-        verdict, record_next = self.judge(best, is_unknown)
+        names_most = is_unknown and not map_wins and self.explains_most(base_fit, best_fit)
+        verdict, record_next = self.judge(best, is_unknown, names_most)
         unexplained = None
         if is_unknown:
             choice, map_fit = remainder[0]
@@ -443,7 +446,11 @@ class _Investigation:
         held = self.hold_out(result, timing=self.needs_timing(result))
         return result.score if held is None else rmse(held)
 
-    def judge(self, best: Hypothesis, is_unknown: bool) -> tuple[Verdict, str]:
+    def explains_most(self, base: Fit, best: Fit) -> bool:
+        """Whether named effects more than halve the held-out error, so that what is left is a remainder of theirs."""
+        return best is not base and self._held_out_error(best) < MOSTLY * self._held_out_error(base)
+
+    def judge(self, best: Hypothesis, is_unknown: bool, names_most: bool) -> tuple[Verdict, str]:
         """The verdict, and what to record next."""
         confusable = {name: self.alternatives(best, name) for name in best.effects}
         if is_unknown:
@@ -452,6 +459,12 @@ class _Investigation:
         strokes = _stroke_count(self.plant)
         too_wide = any(len(others) + 1 > LARGEST_CLASS for others in confusable.values())
         named = " and ".join(best.effects)
+        if names_most:
+            return Verdict(
+                "effects", best.effects, confusable, min(probability, 0.5),
+                f"The model lacks {named}, {self.share(best):.1%} of the squared residual; a remainder is left that no "
+                "catalogued effect explains.",
+            ), self.advice(best)  # fmt: skip
         if is_unknown:
             nearest = f"; {named} comes nearest, with {self.share(best):.1%} of the squared residual" if named else ""
             return Verdict(

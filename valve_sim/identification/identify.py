@@ -140,7 +140,9 @@ def check_free(free: Sequence[str]) -> None:
     known = [*DECLARED, *(f"{e.name}.{p.name}" for e in CATALOGUE.values() if e.named for p in e.parameters)]
     for name in free:
         if name not in known:
-            raise ParameterError(f"--free {name}: no such parameter; did you mean {closest(name, known)}?")
+            raise ParameterError(
+                f"{name}: cannot be freed, there is no such parameter; did you mean {closest(name, known)}?"
+            )
 
 
 def best_fit(problem: Problem, free: Sequence[str], progress: Callable[[float], None]) -> Fit:

@@ -22,6 +22,10 @@ SHORT_WINDOW: Final = 25
 """Samples: what must do where no quiet window is longer. The size of the noise is taken from these, not its colour."""
 BLOCK: Final = 64
 """Samples in a block whose mean shows noise slower than the autoregression."""
+ENOUGH_AT_REST: Final = 500
+"""Samples at seat and at stop from which their noise can be compared."""
+PLAINLY_NOISIER: Final = 1.2
+"""Standard deviation at one rest over that at the other, beyond chance for so many samples, coloured ones too."""
 COARSE: Final = 2.0
 """A quantisation step above this many standard deviations hides the noise: readings at rest then repeat."""
 
@@ -71,6 +75,7 @@ def estimate_noise(channels: Sequence[Channel]) -> Noise:
     if not shows_colour:
         windows = [window for channel in channels for window in quiet_windows(channel, SHORT_WINDOW)]
     step = quantisation_step(np.concatenate([channel.data for channel in channels]))
+    windows = _at_the_quieter_rest(windows)
     if not windows:
         # Never still: the second difference of a smooth motion is nearly all noise.
         bends = np.concatenate([np.diff(channel.data, 2) for channel in channels])
@@ -101,6 +106,28 @@ def quiet_windows(channel: Channel, shortest: int = SHORTEST_WINDOW) -> list[Arr
         for start, stop in zip(edges[::2], edges[1::2], strict=True)
         if stop - start >= shortest
     ]
+
+
+def _at_the_quieter_rest(windows: list[Array]) -> list[Array]:
+    """Those at one rest only, seat or stop, where the other is plainly noisier: what rattles there is no noise."""
+    if not windows:
+        return windows
+    levels = [float(window.mean()) for window in windows]
+    middle = 0.5 * (min(levels) + max(levels))
+    rests = [
+        [window for window, level in zip(windows, levels, strict=True) if (level > middle) == is_high]
+        for is_high in (False, True)
+    ]
+    if any(sum(len(window) for window in rest) < ENOUGH_AT_REST for rest in rests):
+        return windows
+    quieter, louder = sorted(rests, key=_spread)
+    return quieter if _spread(louder) > PLAINLY_NOISIER * _spread(quieter) else windows
+
+
+def _spread(windows: Sequence[Array]) -> float:
+    """Standard deviation within windows."""
+    squares = sum(float(np.sum(np.square(window - window.mean()))) for window in windows)
+    return math.sqrt(squares / max(1, sum(len(window) - 1 for window in windows)))
 
 
 def quantisation_step(data: Array) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import os
 import shutil
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -290,7 +290,9 @@ def _replacing(path: Path) -> Iterator[Path]:
     except OSError as error:
         raise TraceError(f"{path}: cannot be written ({error.strerror}); choose another place") from error
     finally:
-        partial.unlink(missing_ok=True)
+        # Where the folder is none, there is nothing to take away, and the error above says why.
+        with suppress(OSError):
+            partial.unlink()
 
 
 def commanded_voltage(
