@@ -51,6 +51,7 @@ check: $(ENVIRONMENT)/.ready-to-test
 	$(PYTHON) -m mypy
 	$(ENVIRONMENT)/bin/lint-imports
 	$(PYTHON) -m pytest
+	OPENBLAS_NUM_THREADS=1 $(PYTHON) -m benchmarks.campaign --slice
 
 kilted-nodes: $(KILTED_ENVIRONMENT)/.ready-to-test
 	$(KILTED_PYTHON) -m pytest test/nodes
