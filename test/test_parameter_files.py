@@ -59,6 +59,7 @@ def test_an_integer_may_stand_for_a_double(tmp_path: Path) -> None:
         ("valve: {pilot_mass: true}", ["valve.pilot_mass", "True", "expected a number"]),
         ("valve: {pilot_mass: .nan}", ["valve.pilot_mass", "nan", "expected a number above 0"]),
         ("valve: {pilot_mass: 0}", ["valve.pilot_mass", "found 0", "expected a number above 0"]),
+        (f"valve: {{pilot_mass: {'9' * 400}}}", ["valve.pilot_mass", "999...", "an integer of ROS 2"]),
         ("valve: {pilot_mass: }", ["valve.pilot_mass", "has no value"]),
         ("valve: {pilot_gap: 1.5e-3}", ["valve.pilot_gap", "0.0015", "0.00123", "expected 0 < pilot_gap < stroke"]),
         ("valve: {attraction_polynomial: [1.0, 2.0, 3.0]}", ["valve.attraction_polynomial", "3 terms", "four numbers"]),

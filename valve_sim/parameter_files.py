@@ -38,6 +38,9 @@ from valve_sim.resources import config_path
 DEFAULT_FILE: Final = "valve.yaml"
 """The shipped parameter file whose values hold where a file gives none."""
 
+LARGEST_INTEGER: Final = 2**63 - 1
+"""ROS 2 parameters hold 64 bit."""
+
 _ROOT_KEYS: Final = ("valve", "effects")
 _FORM: Final = "expected a ROS 2 parameter file: '/**:', below it 'ros__parameters:', below it 'valve:' and 'effects:'"
 
@@ -289,6 +292,9 @@ def _flat(found: object, prefix: str, path: str) -> Iterator[tuple[str, object]]
             raise ParameterError(f"{path}: ros__parameters: found {_short(found)}, expected names and values")
         if found is None:
             raise ParameterError(f"{path}: {prefix}: has no value; give one, or take the line out")
+        for item in found if isinstance(found, list) else [found]:
+            if isinstance(item, int) and abs(item) > LARGEST_INTEGER:
+                raise ParameterError(f"{path}: {prefix}: found {_short(item)}, more than an integer of ROS 2 can hold")
         yield prefix, found
         return
     if not found and prefix.startswith("effects."):

@@ -1,0 +1,286 @@
+"""Inputs that nobody would send on purpose: `python -m benchmarks.fuzz` counts what becomes of them.
+
+Bags are flipped, cut, spliced and repeated; parameter files get wrong values, lines and characters; valves get any
+parameters that are accepted. Each input must be taken, or refused in one line: anything else, and whatever takes
+longer than ten seconds, is a finding, and makes the exit code 1. A surface and a number give an input again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import collections
+import contextlib
+import math
+import signal
+import tempfile
+import time
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from types import FrameType
+from typing import Final
+
+import numpy as np
+
+from valve_sim.model import CATALOGUE, DECLARED, Drive, Parameter, ParameterError, SimulationError, Valve, simulate
+from valve_sim.model.errors import ValveError
+from valve_sim.parameter_files import load_valve
+from valve_sim.traces import list_valves, read_trace
+
+ROOT: Final = Path(__file__).parents[1]
+HANGS_AFTER: Final = 10
+"""s."""
+NASTY: Final = (
+    "nan", ".nan", ".inf", "-.inf", "1e308", "1e400", "-1", "0", "-0.0", "5e-324", "true", "null", "~", "text", "''",
+    "[]", "{}", "[1, 2]", "[[1]]", "0x10", "1_000", "2026-01-01", "!!python/object:os.system x", "&a [*a]", "1e", "|",
+    "'unclosed", "\t", "9" * 400, "é", "\x00",
+)  # fmt: skip
+"""Values that a parameter file may hold where a number is meant."""
+GENTLE: Final = 1e-9
+"""m: how far beyond its contacts a valve may be."""
+
+Random = np.random.Generator
+
+
+class Hang(BaseException):
+    """Raised by the alarm; no `except Exception` shall hide it."""
+
+
+@contextlib.contextmanager
+def limited() -> Iterator[None]:
+    """Raise `Hang` in what takes too long."""
+
+    def ring(number: int, frame: FrameType | None) -> None:
+        raise Hang(f"took more than {HANGS_AFTER} s")
+
+    before = signal.signal(signal.SIGALRM, ring)
+    signal.alarm(HANGS_AFTER)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+
+
+# --- inputs ---
+
+
+def mutated(content: bytes, others: Sequence[bytes], random: Random) -> bytes:
+    """One to three changes of a file."""
+    for _ in range(int(random.integers(1, 4))):
+        content = MUTATIONS[int(random.integers(len(MUTATIONS)))](content, others, random)
+    return content
+
+
+def _place(content: bytes, random: Random) -> int:
+    return int(random.integers(0, max(1, len(content))))
+
+
+def _flip(content: bytes, others: Sequence[bytes], random: Random) -> bytes:
+    changed = bytearray(content)
+    for _ in range(int(random.integers(1, 20)) if changed else 0):
+        changed[_place(content, random)] ^= int(random.integers(1, 256))
+    return bytes(changed)
+
+
+def _cut(content: bytes, others: Sequence[bytes], random: Random) -> bytes:
+    return content[: _place(content, random)]
+
+
+def _drop(content: bytes, others: Sequence[bytes], random: Random) -> bytes:
+    at = _place(content, random)
+    return content[:at] + content[at + int(random.integers(1, 2000)) :]
+
+
+def _repeat(content: bytes, others: Sequence[bytes], random: Random) -> bytes:
+    start, stop = sorted((_place(content, random), _place(content, random)))
+    return content[:stop] + content[start:]
+
+
+def _splice(content: bytes, others: Sequence[bytes], random: Random) -> bytes:
+    other = others[int(random.integers(len(others)))]
+    return content[: _place(content, random)] + other[_place(other, random) :]
+
+
+def _overwrite(content: bytes, others: Sequence[bytes], random: Random) -> bytes:
+    at = _place(content, random)
+    filler = bytes([int(random.choice([0x00, 0xFF, 0x7F]))]) * int(random.integers(1, 64))
+    return content[:at] + filler + content[at + len(filler) :]
+
+
+MUTATIONS: Final[tuple[Callable[[bytes, Sequence[bytes], Random], bytes], ...]] = (
+    _flip, _cut, _drop, _repeat, _splice, _overwrite,
+)  # fmt: skip
+
+
+def bad_bag(random: Random, folder: Path) -> Path:
+    """A changed copy of a shipped bag: a bare file or a rosbag2 folder."""
+    names = ("one_opening.mcap", "live.mcap")
+    contents = [(ROOT / "bags" / name).read_bytes() for name in names]
+    if random.random() < 0.7:
+        path = folder / "bag.mcap"
+        path.write_bytes(mutated(contents[int(random.integers(len(contents)))], contents, random))
+        return path
+    bag = folder / "bag"
+    bag.mkdir()
+    victim = int(random.integers(2))
+    for index, source in enumerate(sorted((ROOT / "bags" / "friction").iterdir())):
+        content = source.read_bytes()
+        (bag / source.name).write_bytes(mutated(content, contents, random) if index == victim else content)
+    return bag
+
+
+def bad_file(random: Random, folder: Path) -> Path:
+    """A changed copy of a shipped parameter file."""
+    lines = (
+        (ROOT / "config" / str(random.choice(["valve.yaml", "published.yaml", "tank_1.yaml"]))).read_text().split("\n")
+    )
+    for _ in range(int(random.integers(1, 4))):
+        at = int(random.integers(len(lines)))
+        kind = int(random.integers(6))
+        if kind == 0 and ":" in lines[at]:
+            lines[at] = f"{lines[at].split(':')[0]}: {NASTY[int(random.integers(len(NASTY)))]}"
+        elif kind == 1:
+            lines[at] = lines[at] + NASTY[int(random.integers(len(NASTY)))]
+        elif kind == 2:
+            lines[at] = " " * int(random.integers(8)) + lines[at].lstrip()
+        elif kind == 3:
+            lines.insert(at, lines[int(random.integers(len(lines)))])
+        elif kind == 4:
+            lines[at] = lines[at].replace("_", random.choice(["-", "", "__"]))
+        else:
+            lines[at : at + 1] = _flip(lines[at].encode(), (), random).decode("latin-1").split("\n")
+    path = folder / "valve.yaml"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    return path
+
+
+def _any_value(parameter: Parameter, random: Random) -> float:
+    """Anywhere in a parameter's range, small values and large ones alike, and its ends."""
+    size = abs(parameter.typical) * 10.0 ** random.uniform(-4.0, 3.0)
+    value = float(random.choice([-1.0, 1.0]) * size)
+    if random.random() < 0.1:
+        value = float(random.choice([parameter.lower, parameter.upper, 0.0]))
+    value = min(max(value, parameter.lower), parameter.upper)
+    return value if math.isfinite(value) else parameter.typical
+
+
+def any_valve(random: Random) -> Valve:
+    """A valve with up to three effects; ParameterError where it would not be accepted."""
+    declared = Valve().with_values(a0=3.0336, coil_time_constant=1e-3).to_mapping()["valve"]
+    for name in random.choice(list(DECLARED), int(random.integers(0, 6)), replace=False):
+        if str(name) in declared:
+            declared[str(name)] = _any_value(DECLARED[str(name)]._replace(typical=declared[str(name)] or 1e-3), random)
+    names = [name for name, effect in CATALOGUE.items() if effect.named]
+    effects = {
+        str(name): {entry.name: _any_value(entry, random) for entry in CATALOGUE[str(name)].parameters}
+        for name in random.choice(names, int(random.integers(0, 4)), replace=False)
+    }
+    return Valve.from_mapping({"valve": declared, "effects": effects}, "fuzz")
+
+
+# --- what must become of them ---
+
+
+def try_bag(random: Random, folder: Path) -> str:
+    """Read a bad bag: 'taken' or 'refused'."""
+    path = bad_bag(random, folder)
+    try:
+        valves = list_valves(path)
+        trace = read_trace(path, valves[0] if valves else None)
+    except ValveError as error:
+        return _refused(error)
+    assert np.isfinite(trace.pilot_position).all()
+    assert np.all(np.diff(trace.times) > 0.0)
+    assert np.isfinite(trace.drive.volts).all()
+    return "taken"
+
+
+def try_file(random: Random, folder: Path) -> str:
+    """Load a bad parameter file: 'taken' or 'refused'."""
+    path = bad_file(random, folder)
+    try:
+        valve = load_valve(path)
+    except ValveError as error:
+        return _refused(error)
+    assert all(math.isfinite(value) for value in valve.declared().values())
+    return "taken"
+
+
+def try_valve(random: Random, folder: Path) -> str:
+    """Simulate a valve through a pulse: 'taken', 'refused' before, or 'given up' with a reason."""
+    try:
+        valve = any_valve(random)
+    except ParameterError as error:
+        return _refused(error)
+    volts = float(random.uniform(-30.0, 30.0))
+    try:
+        response = simulate(valve, Drive.of([0.0, 0.01], [volts, 0.0]), np.linspace(0.0, 0.02, 40))
+    except SimulationError as error:
+        _refused(error)
+        return "given up"
+    stroke = float(valve.record()[0]["stroke"])
+    gain = float(valve.record()[0]["sensor_gain"])
+    assert np.isfinite(response.pilot_velocity).all()
+    assert np.all(
+        (response.pilot_position >= -GENTLE) & (response.pilot_position <= (stroke + GENTLE) * max(1.0, gain))
+    )
+    return "taken"
+
+
+def _refused(error: ValveError) -> str:
+    assert "\n" not in str(error), f"more than one line: {error}"
+    return "refused"
+
+
+SURFACES: Final[dict[str, tuple[Callable[[Random, Path], str], int]]] = {
+    "bags": (try_bag, 20_000),
+    "parameter files": (try_file, 10_000),
+    "valves": (try_valve, 100_000),
+}
+"""What tries one input, and how many are tried."""
+
+
+def attempt(surface: str, number: int) -> tuple[str, str]:
+    """What became of one input, and the finding if it is one."""
+    random = np.random.default_rng([sorted(SURFACES).index(surface), number])
+    with tempfile.TemporaryDirectory(prefix="valve_sim-fuzz-") as folder:
+        try:
+            with limited():
+                return SURFACES[surface][0](random, Path(folder)), ""
+        except (Exception, Hang):
+            return "finding", traceback.format_exc().strip()
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Try everything and count; 1 if there is a finding."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.fuzz", description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("--share", type=float, default=1.0, help="of the inputs (default: 1, all of them)")
+    parser.add_argument("--only", choices=tuple(SURFACES), help="one surface")
+    parser.add_argument("--number", type=int, help="one input again, with --only")
+    options = parser.parse_args(arguments)
+    if options.number is not None:
+        if options.only is None:
+            parser.error("--number: needs --only")
+        print(*attempt(options.only, options.number), sep="\n")
+        return 0
+    found = 0
+    for surface, (_, count) in SURFACES.items():
+        if options.only not in (None, surface):
+            continue
+        started, seen = time.perf_counter(), collections.Counter[str]()
+        for number in range(math.ceil(options.share * count)):
+            what, finding = attempt(surface, number)
+            seen[what] += 1
+            if finding:
+                print(f"{surface} {number}: {finding.splitlines()[-1]}")
+        found += seen["finding"]
+        counts = ", ".join(f"{many} {what}" for what, many in sorted(seen.items()))
+        print(f"{surface}: {counts}; {time.perf_counter() - started:.0f} s")
+    return 1 if found else 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
