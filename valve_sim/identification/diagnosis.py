@@ -175,7 +175,9 @@ class _Investigation:
             self._explore_timing(names)
         for count in range(2, MOST_EFFECTS + 1):
             best = self.best_claimable()
-            if not self.deserves_another_look(best):
+            # Stamps that err take up what friction delays, so two effects must have been tried beside them.
+            hides_another = best.timing and len(best.effects) == 1 and count == 2
+            if not self.deserves_another_look(best) and not hides_another:
                 break
             if best.effects:
                 search.polish(best)
@@ -187,12 +189,12 @@ class _Investigation:
         return self.eliminate(self.best_claimable())
 
     def _drop_idle(self) -> None:
-        """Where the best of all has a member that does nothing, the rest was only short of a good start."""
-        best = self.search.best(self._tried())
-        result = self.search.fit(best)
-        for member in best.effects:
-            if not self._is_on(result, member):
-                self.search.refit(best.without(member), result.values)
+        """Where the best of all has members that do nothing, the rest was only short of a good start."""
+        hypothesis = self.search.best(self._tried())
+        while idle := [member for member in hypothesis.effects if not self._is_on(hypothesis, member)]:
+            start = self.search.fit(hypothesis).values
+            hypothesis = hypothesis.without(idle[0])
+            self.search.refit(hypothesis, start)
 
     def _explore_timing(self, names: Sequence[str]) -> None:
         """Errors of the commands' stamps, where they explain more than any one effect does, or all that was left."""
@@ -265,6 +267,7 @@ class _Investigation:
         """Backward: drop every effect whose loss costs less than a decisive difference."""
         for member in best.effects:
             rest = best.without(member)
+            self.search.refit(rest, self.search.fit(best).values)
             costs_little = self.search.score(rest) < self.search.score(best) + DECISIVE
             if costs_little or not self.earns_hold_out(self.search.fit(rest), self.search.fit(best)):
                 return self.eliminate(rest)
@@ -315,11 +318,11 @@ class _Investigation:
         return self._has_effects_on(hypothesis) and (not hypothesis.timing or self.is_adequate(hypothesis))
 
     def _has_effects_on(self, hypothesis: Hypothesis) -> bool:
-        result = self.search.fit(hypothesis)
-        return all(self._is_on(result, name) for name in hypothesis.effects)
+        return all(self._is_on(hypothesis, name) for name in hypothesis.effects)
 
-    def _is_on(self, result: Fit, effect: str) -> bool:
-        away = []
+    def _is_on(self, hypothesis: Hypothesis, effect: str) -> bool:
+        """Whether an effect is away from off, or would be missed though its parameters trade with each other."""
+        result, away = self.search.fit(hypothesis), []
         for parameter in self.plant.effects[effect].parameters:
             name = f"{effect}.{parameter.name}"
             index = result.free.index(name)
@@ -333,7 +336,9 @@ class _Investigation:
                 return False
             error = math.sqrt(max(0.0, float(result.covariance[index, index])))
             away.append(abs(at - off) > EXCLUDES_OFF * error and at != off)
-        return any(away)
+        rest = hypothesis.without(effect)
+        is_missed = rest in self.search.fits and self.search.score(rest) > self.search.score(hypothesis) + DECISIVE
+        return any(away) or is_missed
 
     # -- hold-out --------------------------------------------------------------------------------------------------
 

@@ -81,7 +81,9 @@ def estimate_noise(channels: Sequence[Channel]) -> Noise:
         bends = np.concatenate([np.diff(channel.data, 2) for channel in channels])
         sigma = max(1.4826 * float(np.median(np.abs(bends))) / math.sqrt(6.0), step / math.sqrt(12.0), _tiny(channels))
         return Noise(sigma, sigma, (), step, 1.0, 0)
-    centred = [window - window.mean() for window in windows]
+    # A position at rest stays; a current drifts while the coil heats, and that is no noise.
+    drifts = channels[0].kind == "current"
+    centred = [_without_drift(window) if drifts else window - window.mean() for window in windows]
     samples = sum(len(window) for window in centred)
     spread = math.sqrt(sum(float(window @ window) for window in centred) / max(1, samples - len(centred)))
     floor = max(step / math.sqrt(12.0), _tiny(channels))
@@ -122,6 +124,12 @@ def _at_the_quieter_rest(windows: list[Array]) -> list[Array]:
         return windows
     quieter, louder = sorted(rests, key=_spread)
     return quieter if _spread(louder) > PLAINLY_NOISIER * _spread(quieter) else windows
+
+
+def _without_drift(window: Array) -> Array:
+    """A window less the straight line through it."""
+    at = np.arange(len(window)) - 0.5 * (len(window) - 1)
+    return np.asarray(window - window.mean() - at * float(at @ window) / float(at @ at))
 
 
 def _spread(windows: Sequence[Array]) -> float:
