@@ -232,6 +232,10 @@ class _Assembly:
             )
         values = self._main_positions(topic, values)
         finite &= np.isfinite(values[:, 1]) | np.isnan(values[:, 1]).all()
+        if not finite.any():
+            raise TraceError(
+                f"{self.path}: topic {topic}: no sample has finite positions of {PILOT} and {MAIN}; record both"
+            )
         samples = Samples(stamps[finite], raw.times[finite], values[finite])
         if len(samples.stamps) > 1 and (samples.stamps == samples.stamps[0]).all():
             self.findings.append(f"{topic}: all header stamps are the same: samples are timed by bag time")
@@ -263,6 +267,11 @@ class _Assembly:
         topic = self.positions_topic
         ordered = order_samples(samples.stamps, samples.bag_times, np.nan_to_num(samples.values), topic)
         self.findings += ordered.findings
+        if len(ordered.places) == 0:
+            raise TraceError(
+                f"{self.path}: topic {topic}: none of {len(samples.stamps)} samples has a stamp that can be believed; "
+                "stamp them with the time of sampling"
+            )
         samples = samples.take(ordered.places)
         fresh = np.concatenate([[True], np.diff(samples.stamps) > 0])
         repeated = int((~fresh).sum())

@@ -204,8 +204,9 @@ def salvage_sqlite(path: Path) -> Salvaged:
         # Without it SQLite refuses a file shorter than its header says, before it reads one row.
         connection.execute("PRAGMA writable_schema=ON")
         for number, name, message_type in _rows(connection, "SELECT id, name, type FROM topics"):
-            names[number] = name
-            salvaged.types[name] = full_type(message_type)
+            if isinstance(name, str) and isinstance(message_type, str):
+                names[number] = name
+                salvaged.types[name] = full_type(message_type)
         query = "SELECT id, topic_id, timestamp, data FROM messages ORDER BY id"
         rows = {row[0]: row[1:] for row in _rows(connection, query)}
         last = max(rows, default=0)
@@ -225,5 +226,5 @@ def salvage_sqlite(path: Path) -> Salvaged:
 def _rows(connection: sqlite3.Connection, query: str) -> Iterator[tuple[Any, ...]]:
     try:
         yield from connection.execute(query)
-    except sqlite3.Error:  # a damaged page: what came before it is kept
+    except (sqlite3.Error, MemoryError):  # a damaged page, or one that claims terabytes: what came before it is kept
         return
