@@ -126,7 +126,8 @@ class ReferenceValve:
     def guards(self) -> list[tuple[str, Callable[[float, Any], float]]]:
         """What ends a piece: functions that rise through zero."""
         found: list[tuple[str, Callable[[float, Any], float]]] = []
-        if "residual_magnetism" in self.e:
+        # Before the first command the current and its floor are both 0, and would cross for ever.
+        if "residual_magnetism" in self.e and (self.peak > 0 or self.volts != 0):
             sign = -1.0 if self.held else 1.0
             found.append(("magnet", lambda t, y: sign * (self.floor(self.coil(y)[0]) - abs(self.coil(y)[1]))))
         if not self.moving:

@@ -27,7 +27,7 @@ def differences(seed: int) -> tuple[float, float, bool]:
     return position, max((abs(event.time - when) for event, (when, _) in pairs), default=0.0), kinds
 
 
-@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.parametrize("seed", [*range(30), 34, 62])  # the last two with residual magnetism
 def test_agrees_with_dop853(seed: int) -> None:
     position, moment, same = differences(seed)
     assert same
