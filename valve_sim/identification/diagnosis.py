@@ -463,7 +463,7 @@ class _Investigation:
         probability = self.probability(best)
         strokes = _stroke_count(self.plant)
         too_wide = any(len(others) + 1 > LARGEST_CLASS for others in confusable.values())
-        named = " and ".join(best.effects)
+        named = _listed(best.effects)
         if names_most:
             return Verdict(
                 "effects", best.effects, confusable, min(probability, 0.5),
@@ -606,6 +606,11 @@ def advise(strokes: int, telling: Recommendation | None) -> str:
         f"{advice}; of single pulses {telling.experiment.words} tells most: it sets {one} and {other} apart by "
         f"{telling.separation:.0f} standard deviations, and others by more."
     )
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Names as in a sentence: a, b and c."""
+    return " and ".join(part for part in (", ".join(names[:-1]), *names[-1:]) if part)
 
 
 def _stroke_count(plant: Plant) -> int:
