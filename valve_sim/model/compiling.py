@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import logging
 import os
 import sys
 import tempfile
+import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -34,10 +34,12 @@ def cache_folder() -> Path | None:
         folder = candidate / _digest_of_sources()
         if _is_ours_to_write(folder):
             return folder
-    logging.getLogger("valve_sim").warning(
-        "no folder for compiled code can be written (tried %s): every start compiles anew, which takes about ten "
+    tried = ", ".join(str(candidate) for candidate in candidates)
+    warnings.warn(
+        f"no folder for compiled code can be written (tried {tried}): every start compiles anew, which takes about ten "
         "seconds; set NUMBA_CACHE_DIR to a folder that can",
-        ", ".join(str(candidate) for candidate in candidates),
+        RuntimeWarning,
+        stacklevel=2,
     )
     return None
 
