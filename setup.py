@@ -73,6 +73,7 @@ setup(
     entry_points={
         "console_scripts": [
             "identification_node = valve_sim.nodes.identification_node:main",
+            "monitor_node = valve_sim.nodes.monitor_node:main",
             "valve_node = valve_sim.nodes.valve_node:main",
             "valve-sim = valve_sim.cli:main",
         ],

@@ -25,11 +25,13 @@ def test_interfaces_are_read_from_a_nodes_source() -> None:
 def start(node):
     node.create_service(Trigger, "~/reset", done)
     node.create_subscription(Float64, "~/in", take, 10)
+    node.create_subscription(Float64, f"{self._valve}/{self._what}", take, 10)
     node.create_publisher(Bool, "~/out", 10)
     node.create_timer(1.0, tick)
 """
     assert interfaces(source) == [
         Interface("~/out", "Bool", "out"),
         Interface("~/in", "Float64", "in"),
+        Interface("<valve>/<what>", "Float64", "in"),
         Interface("~/reset", "Trigger", "service"),
     ]

@@ -14,12 +14,17 @@ from typing import Final, NamedTuple
 
 from valve_sim.model import CATALOGUE
 from valve_sim.model.parameters import Parameter
+from valve_sim.nodes import monitor_parameters
 from valve_sim.nodes.identification_parameters import DESCRIPTIONS, Settings
 from valve_sim.nodes.parameters import NodeParameter, table
 from valve_sim.parameter_files import default_valve
 from valve_sim.traces.reading import CHANNELS, MEASURED
 
-_NODES: Final = {"valve_node": "valve_shell.py", "identification_node": "identification_shell.py"}
+_NODES: Final = {
+    "valve_node": "valve_shell.py",
+    "identification_node": "identification_shell.py",
+    "monitor_node": "monitor_shell.py",
+}
 _CALLS: Final = {"create_publisher": "out", "create_subscription": "in", "create_service": "service"}
 
 
@@ -42,10 +47,23 @@ def interfaces(source: str) -> list[Interface]:
 def _interfaces(tree: ast.AST) -> Iterator[Interface]:
     for node in ast.walk(tree):
         match node:
-            case ast.Call(
-                func=ast.Attribute(attr=call), args=[ast.Name(id=message), ast.Constant(value=str(name)), *_]
-            ) if call in _CALLS:
-                yield Interface(name, message, _CALLS[call])
+            case ast.Call(func=ast.Attribute(attr=call), args=[ast.Name(id=message), name, *_]) if call in _CALLS:
+                yield Interface(_written(name), message, _CALLS[call])
+
+
+def _written(name: ast.expr) -> str:
+    """A name as it is written in the source; `<valve>` where a value is put in."""
+    match name:
+        case ast.Constant(value=str(words)):
+            return words
+        case ast.JoinedStr(values=parts):
+            return "".join(_written(part) for part in parts)
+        case ast.FormattedValue(value=value):
+            return _written(value)
+        case ast.Attribute(attr=attribute):
+            return f"<{attribute.lstrip('_')}>"
+        case _:
+            raise ValueError(f"a topic is made as {ast.unparse(name)}, which cannot be read from the source")
 
 
 def page() -> str:
@@ -68,6 +86,7 @@ def _topics() -> Iterator[str]:
         yield f"### {node}"
         found = interfaces((folder / file).read_text(encoding="utf-8"))
         yield _table(("name", "type", "direction"), [(f"`{e.name}`", e.message, e.direction) for e in found])
+    yield "`<valve>` and `<measured>` are parameters of monitor_node; `<sensors>` is where `<measured>` is."
 
 
 def _bag_topics() -> Iterator[str]:
@@ -93,6 +112,10 @@ def _node_parameters() -> Iterator[str]:
         ("name", "default", "meaning"),
         [(f"`{name}`", _default(defaults[name]), DESCRIPTIONS[name]) for name in defaults],
     )
+    yield "## Parameters of monitor_node"
+    yield "Beside these: `valve.` and `effects.` as for valve_node, for the valve that it declares."
+    own, words = monitor_parameters.Settings()._asdict(), monitor_parameters.descriptions()
+    yield _table(("name", "default", "meaning"), [(f"`{name}`", _default(own[name]), words[name]) for name in own])
 
 
 def _effects() -> Iterator[str]:

@@ -181,7 +181,7 @@ def test_a_signal_ends_it_at_work_with_code_0(
         ({"bag": "a.mcap", "ratee": "1.0"}, "did you mean rate"),
         ({"bag": "a.mcap", "mode": "guess"}, "identify or diagnose"),
         ({"bag": "a.mcap", "params": "nowhere.yaml"}, "nowhere.yaml"),
-        ({"bag": "a.mcap", "apply_to": "no/{such"}, "name of a node"),
+        ({"bag": "a.mcap", "apply_to": "no/{such"}, "expected a ROS name"),
     ],
 )
 def test_unusable_input_ends_it_with_one_line_and_code_2(

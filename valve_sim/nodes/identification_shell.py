@@ -13,15 +13,12 @@ from pathlib import Path
 from typing import Any, Final
 
 from diagnostic_msgs.msg import DiagnosticArray
-from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.expand_topic_name import expand_topic_name
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, String
 
@@ -29,21 +26,19 @@ from valve_sim.model import ParameterError, Valve
 from valve_sim.nodes.identification_parameters import DESCRIPTIONS, Settings, check_settings, output_folder
 from valve_sim.nodes.identification_task import Applied, Outcome, Progress, Task, find_out, report_text
 from valve_sim.nodes.messages import ReadingMessages, diagnostic_array
-from valve_sim.nodes.parameters import files_for_others, sources_of, table
+from valve_sim.nodes.parameters import sources_of, table
 from valve_sim.nodes.replay import Prediction, Replay, measured_reading, predict, replay_status
+from valve_sim.nodes.shell_parts import LATCHED, declare_read_only, full_name, given_parameters
+from valve_sim.nodes.spinning import spin
 from valve_sim.nodes.valve_shell import NodeClock
 from valve_sim.parameter_files import Section, default_valve, load_valve
 from valve_sim.traces import read_trace
 
-_RELIABLE: Final = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
-"""Deep, because a recording has more samples a second than a live valve."""
-_LATCHED: Final = QoSProfile(
-    depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
-)
+_DEEP: Final = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
+"""A recording has more samples a second than a live valve."""
 _STOP_SECONDS: Final = 0.4
 _ANSWER_SECONDS: Final = 5.0
 _SWITCH_INTERVAL: Final = 5e-4
-_QOS_PREFIX: Final = "qos_overrides."
 
 
 class IdentificationShell:
@@ -98,13 +93,8 @@ class IdentificationShell:
         sys.setswitchinterval(_SWITCH_INTERVAL)
         for finding in self._trace.findings:
             self._node.get_logger().warning(finding)
-        executor = SingleThreadedExecutor()
-        executor.add_node(self._node)
         self._replay.start()
-        try:
-            executor.spin()
-        finally:
-            executor.remove_node(self._node)
+        spin(self._node)
 
     def close(self) -> bool:
         """Stop and release everything; whether both threads have ended."""
@@ -117,36 +107,24 @@ class IdentificationShell:
 
     def _declare(self, sections: Sequence[tuple[str, Section]]) -> Settings:
         node, name = self._node, self._node.get_fully_qualified_name()
-        for path, found in files_for_others(sections, name).items():
-            node.get_logger().warning(f"{path} has parameters for {', '.join(found)}, and none for {name}")
-        given = {
-            key: override.value
-            for key, override in node._parameter_overrides.items()
-            if not node.has_parameter(key) and not key.startswith(_QOS_PREFIX)  # those are ROS's own
-        }
+        given = given_parameters(node, sections)
         settings = check_settings(given, sources_of(sections, name))
-        for key, value in settings._asdict().items():
-            descriptor = ParameterDescriptor(name=key, description=DESCRIPTIONS[key], read_only=True)
-            plain = list(value) if isinstance(value, tuple) else value
-            node.declare_parameter(key, plain, descriptor, ignore_override=True)
+        declare_read_only(node, settings._asdict(), DESCRIPTIONS)
         return settings
 
     def _resolved_target(self) -> str:
         """The full name of the node that gets the result; empty for none."""
-        given, node = self._settings.apply_to, self._node
-        try:
-            return expand_topic_name(given, node.get_name(), node.get_namespace()) if given else ""
-        except ValueError as error:
-            raise ParameterError(f"apply_to: found {given!r}, expected the name of a node, such as /valve") from error
+        given = self._settings.apply_to
+        return full_name(self._node, given, "apply_to") if given else ""
 
     def _wire(self) -> None:
         node = self._node
-        self._voltage = node.create_publisher(Float64, "~/coil_voltage", _RELIABLE)
-        self._measured = node.create_publisher(JointState, "~/measured/joint_states", _RELIABLE)
-        self._predicted = node.create_publisher(JointState, "~/predicted/joint_states", _RELIABLE)
-        self._residual = node.create_publisher(Float64, "~/residual", _RELIABLE)
-        self._result = node.create_publisher(String, "~/result", _LATCHED)
-        self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", _RELIABLE)
+        self._voltage = node.create_publisher(Float64, "~/coil_voltage", _DEEP)
+        self._measured = node.create_publisher(JointState, "~/measured/joint_states", _DEEP)
+        self._predicted = node.create_publisher(JointState, "~/predicted/joint_states", _DEEP)
+        self._residual = node.create_publisher(Float64, "~/residual", _DEEP)
+        self._result = node.create_publisher(String, "~/result", LATCHED)
+        self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", _DEEP)
         self._messages = ReadingMessages("")
         # By the wall: diagnostics must tell, too, that /clock is silent.
         node.create_timer(1.0, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))

@@ -1,0 +1,95 @@
+"""Strokes of the independent plant as a monitor meets them: one after another, in small batches, stamps jittered."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from plants.common import FloatArray
+from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
+
+LEVELS = (9.0, 12.0, 7.5, 14.0, 10.3, 8.4, 13.0, 11.2)
+"""V, one stroke each, over and over."""
+LEAD, OPEN_SECONDS, CLOSED_SECONDS = 0.02, 0.03, 0.03
+"""s: of rest before a stroke, with voltage, and after it."""
+STEP = 1e-5
+"""s: of the plant. Its fourth order leaves the positions within a picometre of those by 2 µs."""
+BATCH = 0.01
+"""s of samples that are handed over together."""
+
+
+class LiveStroke(NamedTuple):
+    """One stroke as stamped: commands (2,) s and V, samples (n,) s, m and A (the current without noise)."""
+
+    command_times: FloatArray
+    volts: FloatArray
+    times: FloatArray
+    position: FloatArray
+    current: FloatArray
+
+
+@dataclass
+class LiveValve:
+    """A valve that strokes for ever.
+
+    Attributes:
+        seed: of noise and jitter. parameters: that differ from the shipped valve's.
+        rate: samples a second. noise: m, standard deviation. colour: of first order.
+        jitter: s, of each command's stamp. offset: s by which all samples are stamped late.
+    """
+
+    seed: int
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    rate: float = 20e3
+    noise: float = 1e-6
+    colour: float = 0.0
+    jitter: float = 50e-6
+    offset: float = 0.0
+    levels: tuple[float, ...] = LEVELS
+    strokes: int = 0
+
+    def __post_init__(self) -> None:
+        self._random = np.random.default_rng(self.seed)
+        self._time = 0.0
+
+    def stroke(self, effects: Mapping[str, Mapping[str, float]] | None = None, **parameters: float) -> LiveStroke:
+        """The next stroke, by a valve with these effects."""
+        random = self._random
+        volts = np.array([self.levels[self.strokes % len(self.levels)], 0.0])
+        true_times = np.array([LEAD, LEAD + OPEN_SECONDS])
+        duration = LEAD + OPEN_SECONDS + CLOSED_SECONDS
+        first = np.ceil(self._time * self.rate) / self.rate - self._time
+        times = np.arange(first, duration - 1e-9, 1.0 / self.rate)
+        plant = DeclaredPlant(effects or {}, {**CAMPAIGN_VALVE, **self.parameters, **parameters}, step=STEP)
+        shown = plant.simulate(true_times, volts, times)
+        white = random.standard_normal(len(times))
+        noise = np.empty_like(white)
+        noise[0] = white[0]
+        for index in range(1, len(white)):
+            noise[index] = self.colour * noise[index - 1] + np.sqrt(1.0 - self.colour**2) * white[index]
+        stamps = self._time + true_times + self.jitter * random.standard_normal(2)
+        position = shown.pilot_position + self.noise * noise
+        made = LiveStroke(stamps, volts, self._time + times + self.offset, position, shown.coil_current)
+        self._time += duration
+        self.strokes += 1
+        return made
+
+
+def feed(monitor: Any, stroke: LiveStroke, current: FloatArray | None = None, late: float = 0.0) -> Iterator[Any]:
+    """Hand a stroke over as time goes by, with what an ammeter shows, stamped late; yields the reports."""
+    edges = np.searchsorted(stroke.times, np.sort(np.concatenate([stroke.command_times, _ticks(stroke)])))
+    commands = list(zip(stroke.command_times.tolist(), stroke.volts.tolist(), strict=True))
+    for first, stop in zip([0, *edges], [*edges, len(stroke.times)], strict=True):
+        while commands and commands[0][0] <= stroke.times[min(first, len(stroke.times) - 1)]:
+            yield from monitor.command(*commands.pop(0))
+        if current is not None:
+            for index in range(first, stop):
+                monitor.watch.measure_current(float(stroke.times[index]) + late, float(current[index]))
+        if stop > first:
+            yield from monitor.measure_many(stroke.times[first:stop], stroke.position[first:stop])
+
+
+def _ticks(stroke: LiveStroke) -> FloatArray:
+    return np.arange(stroke.times[0] + BATCH, stroke.times[-1], BATCH)

@@ -1,0 +1,85 @@
+"""The independent plant as a station's real valve: clock, commands and samples on topics, in simulated time.
+
+Nothing waits by the wall: the next samples are sent when the monitor has answered the last, so that strokes pass as
+fast as it can take them, and a busy machine is slow and no worse.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from identification.live_strokes import LiveStroke, LiveValve
+
+from .ros_process import Probe
+
+CHUNK = 100
+"""Samples that are under way at most."""
+SECOND = 1_000_000_000
+
+
+class PlantOnTopics:
+    """A valve for monitor_node to watch, and ears for what it says.
+
+    Args:
+        probe: of the test.
+        valve: the plant with its sensor.
+        monitor: the monitor's full name.
+    """
+
+    def __init__(self, probe: Probe, valve: LiveValve, monitor: str = "/monitor") -> None:
+        from rosgraph_msgs.msg import Clock
+        from sensor_msgs.msg import JointState
+        from std_msgs.msg import Float64, String
+
+        self._probe = probe
+        self._valve = valve
+        self._float, self._joints, self._clock_message = Float64, JointState, Clock
+        self._clock = probe.talker("/clock", Clock, 1000)
+        self._voltage = probe.talker("coil_voltage", Float64)
+        self._samples = probe.talker("measured/joint_states", JointState, 1000)
+        self.predicted = probe.hear(f"{monitor}/predicted/joint_states", JointState)
+        self.residuals = probe.hear(f"{monitor}/residual", Float64)
+        self._reports = probe.hear(f"{monitor}/stroke_report", String)
+
+    def is_heard(self) -> bool:
+        """Whether the monitor is there."""
+        talkers = (self._clock, self._voltage, self._samples)
+        return all(talker.get_subscription_count() > 0 for talker in talkers)
+
+    def stroke(self, effects: Mapping[str, Mapping[str, float]] | None = None) -> None:
+        """One stroke of the valve with these effects, each sample answered."""
+        made = self._valve.stroke(effects)
+        edges = np.searchsorted(made.times, made.command_times).tolist()
+        for index, (first, stop) in enumerate(zip([0, *edges], [*edges, len(made.times)], strict=True)):
+            if index:
+                self._command(float(made.command_times[index - 1]), float(made.volts[index - 1]))
+            for start in range(first, stop, CHUNK):
+                self._send(made, start, min(start + CHUNK, stop))
+
+    def strokes(self, count: int, effects: Mapping[str, Mapping[str, float]] | None = None) -> list[Any]:
+        """So many strokes; the reports that came meanwhile."""
+        before = len(self._reports)
+        for _ in range(count):
+            self.stroke(effects)
+        return [json.loads(report.data) for report in self._reports[before:]]
+
+    def _command(self, time: float, volts: float) -> None:
+        self._clock.publish(self._clock_message(clock=_stamp(self._joints().header.stamp, time)))
+        self._voltage.publish(self._float(data=volts))
+
+    def _send(self, made: LiveStroke, first: int, stop: int) -> None:
+        for index in range(first, stop):
+            message = self._joints(name=["pilot_plunger"], position=[float(made.position[index])])
+            _stamp(message.header.stamp, float(made.times[index]))
+            self._samples.publish(message)
+        last = message.header.stamp
+        assert self._probe.until(lambda: self.predicted and self.predicted[-1].header.stamp == last), "no prediction"
+
+
+def _stamp(stamp: Any, time: float) -> Any:
+    """From the tenth second on: ROS takes a time of zero for no clock."""
+    stamp.sec, stamp.nanosec = divmod(10 * SECOND + round(time * SECOND), SECOND)
+    return stamp

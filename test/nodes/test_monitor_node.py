@@ -1,0 +1,195 @@
+"""monitor_node as a user meets it: beside a running valve_node that wears, and beside one that sticks."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from identification.live_strokes import LiveValve
+
+from .plant_on_topics import PlantOnTopics
+from .ros_process import PATIENCE, Probe, running
+
+pytestmark = pytest.mark.ros
+pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
+
+import rclpy  # noqa: E402
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from sensor_msgs.msg import JointState  # noqa: E402
+from std_msgs.msg import Float64, String  # noqa: E402
+
+FEW = 8
+"""Commissioning strokes, the fewest that are allowed."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def ros(own_domain: None) -> Iterator[None]:
+    rclpy.init()
+    yield
+    rclpy.try_shutdown()
+
+
+@pytest.fixture
+def probe(ros: None) -> Iterator[Probe]:
+    probe = Probe("/valve")
+    yield probe
+    probe.close()
+
+
+@contextlib.contextmanager
+def monitoring(folder: Path, **parameters: object) -> Iterator[subprocess.Popen[str]]:
+    """monitor_node while inside."""
+    given: dict[str, object] = {"commissioning_strokes": FEW, "measured": "joint_states", **parameters}
+    pairs = [word for name, value in given.items() for word in ("-p", f"{name}:={value}")]
+    command = [sys.executable, "-m", "valve_sim.nodes.monitor_node", "--ros-args", *pairs]
+    environment = {**os.environ, "ROS_LOG_DIR": str(folder)}
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment) as process:
+        try:
+            yield process
+        finally:
+            if process.poll() is None:
+                process.kill()
+
+
+class Ears:
+    """What the monitor says, and a hand on the valve."""
+
+    def __init__(self, probe: Probe) -> None:
+        self.probe = probe
+        self.reports = probe.hear("/monitor/stroke_report", String)
+        self.findings = probe.hear("/monitor/finding", String, latched=True)
+        self.diagnostics = probe.hear("/diagnostics", DiagnosticArray)
+        self.voltage = probe.talker("coil_voltage", Float64)
+
+    def is_said(self, task: str, level: int, words: str = "") -> bool:
+        """Whether a status of this task has had this level and words."""
+        return any(
+            status.level == bytes([level]) and words in status.message
+            for message in self.diagnostics
+            for status in message.status
+            if status.name == f"monitor: {task}"
+        )
+
+    def ready(self) -> None:
+        """Wait until the valve runs and the monitor hears it: it then waits for a command only."""
+        assert self.probe.until(lambda: self.voltage.get_subscription_count() == 2)
+        assert self.probe.until(lambda: self.is_said("input", 1, "waiting for a command")), "no samples are heard"
+
+    def stroke(self, volts: float = 9.0) -> None:
+        """Open and close; 30 ms and 90 ms, give or take what else the machine does."""
+        self.voltage.publish(Float64(data=volts))
+        self.probe.spin_for(0.03)
+        self.voltage.publish(Float64(data=0.0))
+        self.probe.spin_for(0.09)
+
+    def strokes(self, count: int) -> list[Any]:
+        """So many strokes; their reports."""
+        before = len(self.reports)
+        for index in range(count):
+            self.stroke(9.0 + index % 3)
+        assert self.probe.until(lambda: len(self.reports) >= before + count), "a stroke was not reported"
+        return [json.loads(report.data) for report in self.reports[before:]]
+
+
+def test_friction_that_appears_in_a_real_valve_is_warned_of_and_named(probe: Probe, tmp_path: Path) -> None:
+    plant = PlantOnTopics(probe, LiveValve(seed=5, rate=5e3, jitter=0.0))
+    findings = probe.hear("/monitor/finding", String, latched=True)
+    ears = Ears(probe)
+    with monitoring(tmp_path, measured="measured/joint_states", use_sim_time=True, max_rate=1e5) as process:
+        assert probe.until(plant.is_heard)
+        reports = plant.strokes(FEW)
+        before = len(plant.residuals)
+        reports += plant.strokes(8)
+        assert [report["state"] for report in reports] == ["commissioning"] * FEW + ["watching"] * (len(reports) - FEW)
+        assert all(report["opened"] and report["closed"] for report in reports)
+        assert not any(report["alarm"]["raised"] for report in reports)
+        assert plant.predicted[-1].name == ["pilot_plunger", "main_plunger"]
+        residual = np.array([message.data for message in plant.residuals[before:]])
+        assert np.sqrt(np.mean(residual**2)) == pytest.approx(1e-6, rel=0.1)
+        reports = plant.strokes(10, {"coulomb_friction": {"force": 0.3}})
+        assert any(report["alarm"]["raised"] for report in reports[:5])
+        assert probe.until(lambda: ears.is_said("valve", 1, "not those of the commissioned valve"))
+        assert probe.until(lambda: findings, 2 * PATIENCE), "the cause was not traced"
+        finding = json.loads(findings[0].data)
+        assert finding["effects"] == ["coulomb_friction"], finding
+        assert finding["summary"].startswith("Coulomb friction 0.3")
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(PATIENCE) == 0
+
+
+def test_a_stuck_valve_is_an_error(probe: Probe, tmp_path: Path) -> None:
+    ears = Ears(probe)
+    with running(tmp_path), monitoring(tmp_path):
+        ears.ready()
+        ears.strokes(2)
+        assert probe.set_parameters(valve__seat_load=100.0)[0].successful
+        (report,) = ears.strokes(1)
+        assert report["opened"] is False
+        assert "did not open" in report["fault"]
+        assert probe.until(lambda: ears.is_said("valve", 2, "did not open"))
+
+
+def test_bad_samples_are_counted_and_harm_nothing(probe: Probe, tmp_path: Path) -> None:
+    ears = Ears(probe)
+    samples = probe.talker("measured/joint_states", JointState)
+    with monitoring(tmp_path, measured="measured/joint_states"):
+        assert probe.until(lambda: samples.get_subscription_count() == 1)
+        assert probe.until(lambda: ears.is_said("input", 1, "waiting for samples"))
+        for position in (0.0, float("nan")):
+            samples.publish(joints(["pilot_plunger"], [position]))
+        samples.publish(joints(["elbow"], [0.0]))
+        samples.publish(joints(["pilot_plunger"], []))
+        samples.publish(joints(["main_plunger", "pilot_plunger"], [0.0, 1e-6]))
+        assert probe.until(lambda: ears.is_said("input", 1, "waiting for a command"))
+        last = [status for status in ears.diagnostics[-1].status if status.name == "monitor: input"]
+        values = {pair.key: pair.value for pair in last[0].values}
+        assert values["samples"] == "2"
+        assert values["rejected"] == "3"
+
+
+def joints(names: list[str], positions: list[float]) -> JointState:
+    message = JointState(name=names, position=positions)
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(time.time_ns(), 1_000_000_000)
+    return message
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_it_with_code_0(probe: Probe, tmp_path: Path, number: signal.Signals) -> None:
+    heard = probe.hear("/diagnostics", DiagnosticArray)
+    with monitoring(tmp_path) as process:
+        assert probe.until(lambda: heard)
+        process.send_signal(number)
+        assert process.wait(5.0) == 0
+        assert process.stderr is not None
+        assert "Traceback" not in process.stderr.read()
+
+
+@pytest.mark.parametrize(
+    ("parameters", "says"),
+    [
+        ({"noise_mu": 1.0}, "did you mean noise_um"),
+        ({"commissioning_strokes": 2}, "from 8 to 1000"),
+        ({"commissioning_strokes": 20.5}, "a whole number"),
+        ({"valve": "no/{such"}, "expected a ROS name"),
+        ({"valve.pilot_gap": 5e-3}, "pilot_gap"),
+        ({"effects.coulomb_fricton.force": 0.1}, "did you mean"),
+    ],
+)
+def test_unusable_input_ends_it_with_one_line_and_code_2(
+    tmp_path: Path, parameters: dict[str, object], says: str
+) -> None:
+    with monitoring(tmp_path, **parameters) as process:
+        _, words = process.communicate(timeout=PATIENCE)
+        assert process.returncode == 2
+    assert says in words
+    assert len(words.strip().splitlines()) == 1

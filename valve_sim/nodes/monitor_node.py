@@ -1,0 +1,33 @@
+"""`ros2 run valve_sim monitor_node`: the model in shadow of a real valve, which says when that changes, and how.
+
+See `valve_sim.nodes.monitor_shell.MonitorShell` for topics and parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from valve_sim.nodes.starting import GivenFiles, Shell, run_node
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node until SIGINT or SIGTERM.
+
+    Args:
+        args: the command line with the program's own name first; default sys.argv.
+
+    Returns:
+        the exit code: 0 after a signal, 1 if the node failed, 2 after unusable input.
+    """
+    return run_node("monitor_node", _make_shell, args)
+
+
+def _make_shell(given: GivenFiles) -> Shell:
+    # Not before `run_node` has seen that ROS is there: without it, one line says so.
+    from valve_sim.nodes.monitor_shell import MonitorShell
+
+    return MonitorShell(given.sections)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

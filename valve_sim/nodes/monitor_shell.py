@@ -1,0 +1,295 @@
+"""The ROS side of monitor_node: a `Watch`, a `Judge` and a tracing wired to topics. No physics, no decisions.
+
+Threads: callbacks run in the main thread; each sample is a step of the model there, some tens of microseconds. A thread
+judges strokes, another traces the cause of an alarm; the live path waits for neither.
+"""
+
+from __future__ import annotations
+
+import gc
+import json
+import sys
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64, String
+
+from valve_sim.identification.monitoring import Judge, Prediction, StrokeReport, Watch
+from valve_sim.identification.stroke_scores import Healthy
+from valve_sim.identification.tracing import Finding
+from valve_sim.model import Stepper
+from valve_sim.nodes.messages import JOINT_NAMES, ReadingMessages, diagnostic_array
+from valve_sim.nodes.monitor_parameters import Given, check_given, descriptions
+from valve_sim.nodes.monitor_status import InputCount, health_status, input_status, model_status, tracing_status
+from valve_sim.nodes.monitor_tasks import Judging, Tracing
+from valve_sim.nodes.parameters import sources_of
+from valve_sim.nodes.realtime import NANOSECONDS
+from valve_sim.nodes.shell_parts import LATCHED, RELIABLE, declare_read_only, full_name, given_parameters
+from valve_sim.nodes.valve_shell import NodeClock
+from valve_sim.parameter_files import Section
+from valve_sim.traces import Trace
+
+_MEASURED: Final = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""Hears sensors of either reliability; deep, because the model may still be compiling when they begin."""
+_COMMANDS: Final = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
+_STOP_SECONDS: Final = 0.4
+_SWITCH_INTERVAL: Final = 1e-4
+_JUMP_SECONDS: Final = 1.0
+"""A stamp that goes back by more is a clock that was set, or a bag that began anew, and no sample out of order."""
+_MOST_WAITING: Final = 100_000
+
+
+class MonitorShell:
+    """The node `monitor`.
+
+    Topics of the valve <valve>, in: <valve>/coil_voltage, <valve>/<measured>, and coil_current beside the latter, where
+    there is one: with it the tracing tells a change of the coil from one of the magnetic circuit. Out:
+    ~/predicted/joint_states and ~/residual (m, measured less predicted position of the pilot plunger) with each sample;
+    ~/stroke_report (JSON) with each stroke; ~/finding (JSON, latched), what has changed, after an alarm; /diagnostics
+    at 1 Hz. Parameters: those of `valve_sim.nodes.monitor_parameters`; they are read once, at the start.
+
+    Args:
+        sections: (file, section) of the parameter files on the command line.
+
+    Raises:
+        ParameterError: a parameter is unknown, of the wrong type or out of range.
+    """
+
+    def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
+        self._node = Node("monitor")
+        try:
+            given = self._declare(sections)
+            self._settings = given.settings
+            self._valve = full_name(self._node, given.settings.valve, "valve")
+            self._measured = full_name(self._node, f"{self._valve}/{given.settings.measured}", "measured")
+            self._sensors = self._measured.rpartition("/")[0]
+            self._clock = NodeClock(self._node)
+            self._wire()
+        except BaseException:
+            self._node.destroy_node()
+            raise
+        self._exit_code = 0
+        self._epoch = 0
+        self._last_stamp = 0
+        self._next_message = 0
+        self._input = InputCount()
+        self._watch = Watch(given.valve, given.settings.monitor)
+        self._judge = Judge(given.valve, given.settings.monitor)
+        self._tracing = Tracing(self._tell)
+        self._last_report: StrokeReport | None = None
+        self._healthy: Healthy | None = None
+        self._is_ready = False
+        self._waiting: deque[Callable[[], None]] = deque(maxlen=_MOST_WAITING)
+        self._judging = Judging(
+            self._judge, prepare=self._prepare, report=self._report, trace=self._trace, fail=self._fail
+        )
+
+    @property
+    def exit_code(self) -> int:
+        """0, or 1 if the judging failed."""
+        return self._exit_code
+
+    def spin(self) -> None:
+        """Watch, judge and tell until ROS is shut down."""
+        sys.setswitchinterval(_SWITCH_INTERVAL)
+        executor = SingleThreadedExecutor()
+        executor.add_node(self._node)
+        self._judging.start()
+        try:
+            executor.spin()
+        finally:
+            executor.remove_node(self._node)
+
+    def close(self) -> bool:
+        """Stop and release everything; whether both threads have ended."""
+        has_ended = self._judging.stop(_STOP_SECONDS) and self._tracing.stop(_STOP_SECONDS)
+        if has_ended:
+            self._node.destroy_node()
+        return has_ended
+
+    # --- wiring ---
+
+    def _declare(self, sections: Sequence[tuple[str, Section]]) -> Given:
+        node, name = self._node, self._node.get_fully_qualified_name()
+        given = check_given(given_parameters(node, sections), sources_of(sections, name), name)
+        declare_read_only(node, given.values, descriptions())
+        return given
+
+    def _wire(self) -> None:
+        node = self._node
+        self._predicted = node.create_publisher(JointState, "~/predicted/joint_states", RELIABLE)
+        self._residual = node.create_publisher(Float64, "~/residual", RELIABLE)
+        self._stroke_report = node.create_publisher(String, "~/stroke_report", RELIABLE)
+        self._finding = node.create_publisher(String, "~/finding", LATCHED)
+        self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
+        self._messages = ReadingMessages(self._settings.frame_id)
+        events = SubscriptionEventCallbacks(incompatible_qos=self._cannot_hear)
+        hear_command: Any = self._hear_command  # with the message's times, which rclpy's types do not know of
+        node.create_subscription(
+            Float64, f"{self._valve}/coil_voltage", hear_command, _COMMANDS, event_callbacks=events
+        )
+        node.create_subscription(JointState, self._measured, self._hear_sample, _MEASURED)
+        hear_current: Any = self._hear_current
+        node.create_subscription(Float64, f"{self._sensors}/coil_current", hear_current, _MEASURED)
+        # By the wall: diagnostics must tell, too, that /clock is silent.
+        node.create_timer(1.0, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    # --- callbacks, in the main thread ---
+
+    def _hear_command(self, message: Float64, info: Any) -> None:
+        stamp = self._arrival(info)
+        self._when_ready(lambda: self._command(stamp, message.data))
+
+    def _hear_current(self, message: Float64, info: Any) -> None:
+        stamp = self._arrival(info)
+        self._when_ready(lambda: self._watch.measure_current(self._seconds(stamp), message.data))
+
+    def _arrival(self, info: Any) -> int:
+        """When a message without a stamp came in, ns; in simulated time, when this thread got to it."""
+        reading = self._clock.read()
+        is_simulated = reading is not None and reading.is_simulated
+        received = info.get("received_timestamp", 0) if isinstance(info, dict) else 0
+        return self._clock.stamp() if is_simulated or not received else int(received)
+
+    def _hear_sample(self, message: JointState) -> None:
+        self._when_ready(lambda: self._sample(message))
+
+    def _when_ready(self, action: Callable[[], None]) -> None:
+        if not self._is_ready:
+            self._waiting.append(action)
+            return
+        while self._waiting:
+            self._waiting.popleft()()
+        action()
+
+    def _command(self, stamp: int, volts: float) -> None:
+        rejected = self._watch.rejected
+        self._watch.command(self._seconds(stamp), volts)
+        if self._watch.rejected > rejected:
+            self._input.reject(f"{self._valve}/coil_voltage: {volts:g} V")
+        self._input.commands += 1
+        self._hand_over()
+
+    def _sample(self, message: JointState) -> None:
+        position = self._position_of(message)
+        if position is None:
+            return
+        header = message.header.stamp
+        stamp = header.sec * NANOSECONDS + header.nanosec
+        if stamp < self._last_stamp - _JUMP_SECONDS * NANOSECONDS:
+            self._node.get_logger().warning("the stamps jumped back: the valve is taken to be at rest")
+            self._watch.reset()
+        prediction = self._watch.measure(self._seconds(stamp), position)
+        if prediction is None:
+            self._input.reject(f"{self._measured}: {position:g} m at {stamp} ns, the last at {self._last_stamp} ns")
+            return
+        self._last_stamp = stamp
+        self._input.samples += 1
+        self._publish(stamp, prediction)
+        self._hand_over()
+
+    def _position_of(self, message: JointState) -> float | None:
+        """The pilot plunger's position, m; None, and counted, where the message has none."""
+        names, positions = message.name, message.position
+        if JOINT_NAMES[0] not in names:
+            self._input.reject(f"{self._measured}: joints {list(names)}, expected {JOINT_NAMES[0]} among them")
+            return None
+        index = names.index(JOINT_NAMES[0])
+        if len(positions) <= index:
+            self._input.reject(f"{self._measured}: {len(positions)} positions for {len(names)} joints")
+            return None
+        return float(positions[index])
+
+    def _publish(self, stamp: int, prediction: Prediction) -> None:
+        """The model beside the sample, where anybody listens, at max_rate at most."""
+        if stamp < self._next_message:
+            return
+        self._next_message = max(self._next_message, stamp) + round(0.9 * NANOSECONDS / self._settings.max_rate)
+        if self._predicted.get_subscription_count():
+            self._predicted.publish(self._messages.joint_states(stamp, prediction.reading))
+        if self._residual.get_subscription_count():
+            self._residual.publish(Float64(data=prediction.residual))
+
+    def _hand_over(self) -> None:
+        for record in self._watch.take_finished():
+            self._judging.post(record)
+        healthy = self._judge.healthy
+        if healthy is not self._healthy and healthy is not None:
+            self._watch.use(healthy.valve, healthy.lateness)
+            self._healthy = healthy
+
+    def _seconds(self, stamp: int) -> float:
+        """Since the first stamp, so that a double holds nanoseconds."""
+        if not self._epoch:
+            self._epoch = stamp
+        return (stamp - self._epoch) / NANOSECONDS
+
+    def _cannot_hear(self, event: QoSRequestedIncompatibleQoSInfo) -> None:
+        policy = qos_policy_name_from_kind(event.last_policy_kind)
+        self._node.get_logger().warning(
+            f"{self._valve}/coil_voltage: a publisher offers an incompatible QoS ({policy}) and cannot be heard; "
+            "publish reliable"
+        )
+
+    def _diagnose(self) -> None:
+        waiting_for = "" if self._is_ready else "the model to be compiled"
+        if self._is_ready and self._clock.read() is None:
+            waiting_for = "/clock (use_sim_time is true)"
+        elif self._is_ready and not self._input.samples:
+            waiting_for = f"samples on {self._measured}"
+        elif self._is_ready and not self._input.commands:
+            waiting_for = f"a command on {self._valve}/coil_voltage"
+        facts = self._input.look(time.monotonic(), self._judging.lost, waiting_for)
+        wanted = self._settings.commissioning_strokes
+        statuses = (
+            health_status(self._watch.fault, self._judge, self._last_report, wanted, self._tracing),
+            model_status(self._judge),
+            input_status(facts),
+            tracing_status(self._tracing),
+        )
+        name = self._node.get_fully_qualified_name()
+        self._diagnostics.publish(diagnostic_array(statuses, name, self._clock.stamp()))
+
+    # --- the judging thread, and the tracing's ---
+
+    def _prepare(self) -> None:
+        """Load the compiled model, or compile it, before the first sample is looked at."""
+        stepper = Stepper(self._watch.valve)
+        stepper.command(1e-3, self._watch.valve.parameters.reference_voltage)
+        stepper.advance(20e-3)
+        gc.freeze()
+        self._is_ready = True
+
+    def _report(self, report: StrokeReport) -> None:
+        self._last_report = report
+        self._stroke_report.publish(String(data=json.dumps(report.to_json(), ensure_ascii=False)))
+        if report.alarm is not None:
+            self._node.get_logger().warning(
+                f"{report.name}: not as commissioned since stroke {report.alarm.began}, most in the direction of "
+                f"{report.alarm.cause}"
+            )
+        if report.record.fault:
+            self._node.get_logger().error(f"{report.name}: {report.record.fault}")
+
+    def _trace(self, strokes: list[Trace], healthy: Healthy) -> None:
+        self._tracing.begin(strokes, healthy)
+
+    def _tell(self, finding: Finding) -> None:
+        self._finding.publish(String(data=json.dumps(finding.to_json(), ensure_ascii=False)))
+        self._node.get_logger().warning(finding.summary)
+
+    def _fail(self, error: Exception) -> None:
+        if self._node.context.ok():
+            self._exit_code = 1
+            self._node.get_logger().fatal(f"the judging ended: {error!r}")
+            self._node.context.try_shutdown()

@@ -1,0 +1,136 @@
+"""What monitor_node says on /diagnostics, without ROS: the valve, the model beside it, the input, the tracing."""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+from valve_sim.identification.monitoring import Judge, StrokeReport
+from valve_sim.nodes.diagnostics import Level, Status
+from valve_sim.nodes.monitor_tasks import Tracing
+
+SILENT_SECONDS: Final = 2.0
+"""Without samples for so long, the input is a warning."""
+
+
+class InputFacts(NamedTuple):
+    """What is known of the input.
+
+    Attributes:
+        samples, commands: how many, in all. rate: samples a second since the last look, Hz.
+        rejected: samples and commands, in all, that could not be used. rejected_now: since the last look.
+        why: of the last of them. silence: s since the last sample, nan before the first.
+        lost: strokes, in all, that were not judged for lack of time. waiting_for: what there is no input without.
+    """
+
+    samples: int
+    commands: int
+    rate: float
+    rejected: int
+    rejected_now: int
+    why: str
+    silence: float
+    lost: int
+    waiting_for: str
+
+
+def health_status(fault: str, judge: Judge, last: StrokeReport | None, wanted: int, tracing: Tracing) -> Status:
+    """Whether the valve does as it did: ERROR where it does not open or close, WARN where it has changed."""
+    values = {
+        "strokes": "0" if last is None else str(last.record.number + 1),
+        "alarms": str(judge.alarms),
+        "state": "commissioning" if judge.healthy is None else "watching",
+        "highest sum": "none" if last is None or math.isnan(last.sum) else f"{last.sum:.2f} ({last.cause})",
+        "threshold": "none" if last is None or math.isnan(last.threshold) else f"{last.threshold:.2f}",
+        "residual (µm)": "none" if last is None or math.isnan(last.rms) else f"{1e6 * last.rms:.3f}",
+        "cause": "" if tracing.finding is None else tracing.finding.summary,
+    }
+    if fault:
+        return Status("valve", Level.ERROR, fault, values)
+    alarm = judge.alarm
+    if alarm is not None:
+        cause = f"the strokes since number {alarm.began} are not those of the commissioned valve"
+        known = tracing.finding.summary if tracing.finding is not None else f"most in the direction of {alarm.cause}"
+        return Status("valve", Level.WARN, f"{cause}: {known}", values)
+    if judge.healthy is None:
+        return Status("valve", Level.OK, f"commissioning, {judge.commissioned} of {wanted} strokes", values)
+    return Status("valve", Level.OK, "as commissioned", values)
+
+
+def model_status(judge: Judge) -> Status:
+    """Whether the declared model explains the healthy valve."""
+    healthy = judge.healthy
+    if healthy is None:
+        return Status("model", Level.OK, "not commissioned yet", {})
+    parameters = healthy.valve.parameters
+    values = {
+        "pilot_damping (N·s/m)": f"{parameters.pilot_damping:.5g}",
+        "main_damping (N·s/m)": f"{parameters.main_damping:.5g}",
+        "noise (µm)": f"{1e6 * healthy.noise.sigma:.3f}",
+        "lateness (µs)": f"{1e6 * healthy.lateness:.1f}",
+        "scatter of commands (µs)": f"{1e6 * healthy.scatter:.1f}",
+    }
+    against = judge.contradictions
+    if against:
+        words = f"the declared valve is not this one, even when healthy (see {', '.join(against[:3])}); `diagnose` it"
+        return Status("model", Level.WARN, words, values)
+    return Status("model", Level.OK, "explains the healthy valve", values)
+
+
+def input_status(facts: InputFacts) -> Status:
+    """Whether samples and commands arrive and can be used."""
+    values = {
+        "samples": str(facts.samples),
+        "commands": str(facts.commands),
+        "rate (Hz)": "none" if math.isnan(facts.rate) else f"{facts.rate:.1f}",
+        "rejected": str(facts.rejected),
+        "strokes not judged": str(facts.lost),
+    }
+    if facts.waiting_for:
+        return Status("input", Level.WARN, f"waiting for {facts.waiting_for}", values)
+    if facts.rejected_now:
+        return Status("input", Level.WARN, f"{facts.rejected_now} rejected, the last: {facts.why}", values)
+    if facts.silence > SILENT_SECONDS:
+        return Status("input", Level.WARN, f"no sample for {facts.silence:.1f} s", values)
+    return Status("input", Level.OK, "arrives", values)
+
+
+def tracing_status(tracing: Tracing) -> Status:
+    """What the tracing is at."""
+    if tracing.failure:
+        return Status("tracing", Level.WARN, tracing.failure, {})
+    if tracing.doing:
+        return Status("tracing", Level.OK, "at work", {"doing": tracing.doing})
+    return Status("tracing", Level.OK, "idle", {})
+
+
+class InputCount:
+    """Counts samples and what was rejected; belongs to one thread."""
+
+    def __init__(self) -> None:
+        self.samples = 0
+        self.commands = 0
+        self.rejected = 0
+        self._why = ""
+        self._looked_at = math.nan
+        self._samples_before = 0
+        self._rejected_before = 0
+        self._last_sample = math.nan
+
+    def reject(self, why: str) -> None:
+        """One more that cannot be used."""
+        self.rejected += 1
+        self._why = why
+
+    def look(self, now: float, lost: int, waiting_for: str) -> InputFacts:
+        """What is known now; `now` in s of a clock that never stands still."""
+        fresh = self.samples - self._samples_before
+        if fresh or math.isnan(self._last_sample):
+            self._last_sample = now if fresh else math.nan
+        rate = fresh / (now - self._looked_at) if now > self._looked_at else math.nan
+        rejected_now = self.rejected - self._rejected_before
+        self._looked_at, self._samples_before, self._rejected_before = now, self.samples, self.rejected
+        return InputFacts(
+            self.samples, self.commands, rate, self.rejected, rejected_now, self._why, now - self._last_sample, lost,
+            waiting_for,
+        )  # fmt: skip

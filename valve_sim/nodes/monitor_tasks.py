@@ -1,0 +1,152 @@
+"""The monitor's work beside the live path, without ROS: a thread that judges strokes, and one that traces causes."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Callable
+from typing import Final
+
+from valve_sim.identification.monitoring import Judge, StrokeRecord, StrokeReport
+from valve_sim.identification.stroke_scores import Healthy
+from valve_sim.identification.tracing import Finding, trace_cause
+from valve_sim.model.errors import ValveError
+from valve_sim.traces import Trace
+
+MOST_WAITING: Final = 100
+"""Strokes that wait to be judged; further ones are left out and counted."""
+
+
+class Judging(threading.Thread):
+    """A thread that judges strokes in the order in which they were made.
+
+    Args:
+        judge: does it; belongs to this thread.
+        prepare: called first, in the thread.
+        report: called with each report.
+        trace: called with the strokes of an alarm, when it is time to look for its cause.
+        fail: called with what went wrong, if anything did; the thread then ends.
+    """
+
+    def __init__(
+        self,
+        judge: Judge,
+        *,
+        prepare: Callable[[], None],
+        report: Callable[[StrokeReport], None],
+        trace: Callable[[list[Trace], Healthy], None],
+        fail: Callable[[Exception], None],
+    ) -> None:
+        super().__init__(name="judging", daemon=True)
+        self.lost = 0
+        self._judge = judge
+        self._prepare = prepare
+        self._report = report
+        self._trace = trace
+        self._fail = fail
+        self._waiting: queue.Queue[StrokeRecord | None] = queue.Queue(MOST_WAITING)
+        self._stopping = threading.Event()
+
+    def post(self, record: StrokeRecord) -> None:
+        """Have a stroke judged; never waits."""
+        try:
+            self._waiting.put_nowait(record)
+        except queue.Full:
+            self.lost += 1
+
+    def stop(self, timeout: float) -> bool:
+        """End the thread; whether it has ended within `timeout`, s."""
+        self._stopping.set()
+        self.post_nothing()
+        if self.is_alive():
+            self.join(timeout)
+        return not self.is_alive()
+
+    def post_nothing(self) -> None:
+        """Wake the thread."""
+        try:
+            self._waiting.put_nowait(None)
+        except queue.Full:
+            return
+
+    def run(self) -> None:
+        """The thread."""
+        try:
+            self._prepare()
+            while not self._stopping.is_set():
+                record = self._waiting.get()
+                if record is not None and not self._stopping.is_set():
+                    self._work(record)
+        except Exception as error:
+            if not self._stopping.is_set():
+                self._fail(error)
+
+    def _work(self, record: StrokeRecord) -> None:
+        self._report(self._judge.judge(record))
+        healthy, evidence = self._judge.healthy, self._judge.take_evidence()
+        if evidence and healthy is not None:
+            self._trace(evidence, healthy)
+
+
+class Tracing:
+    """Traces one cause at a time, each in a thread of its own; what comes meanwhile waits, the latest of it.
+
+    Args:
+        tell: called with each finding, in the thread.
+    """
+
+    def __init__(self, tell: Callable[[Finding], None]) -> None:
+        self.finding: Finding | None = None
+        self.doing = ""
+        self.failure = ""
+        self._tell = tell
+        self._next: tuple[list[Trace], Healthy] | None = None
+        self._thread: threading.Thread | None = None
+        self._lock = threading.Lock()
+        self._stopping = threading.Event()
+
+    def begin(self, strokes: list[Trace], healthy: Healthy) -> None:
+        """Trace the cause behind these strokes, now or after what is under way."""
+        with self._lock:
+            self._next = strokes, healthy
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._run, name="tracing", daemon=True)
+                self._thread.start()
+
+    def stop(self, timeout: float) -> bool:
+        """End it at its next word of progress; whether it has ended within `timeout`, s."""
+        self._stopping.set()
+        thread = self._thread
+        if thread is not None:
+            thread.join(timeout)
+        return thread is None or not thread.is_alive()
+
+    def _run(self) -> None:
+        while (work := self._take()) is not None:
+            try:
+                found = trace_cause(*work, self._say)
+            except _Cancelled:
+                return
+            except (ValveError, ArithmeticError, ValueError) as error:
+                self.failure = f"the cause could not be traced: {error}"
+            else:
+                self.finding, self.failure = found, ""
+                if not self._stopping.is_set():
+                    self._tell(found)
+
+    def _take(self) -> tuple[list[Trace], Healthy] | None:
+        with self._lock:
+            work, self._next = self._next, None
+            if work is None or self._stopping.is_set():
+                self._thread, self.doing = None, ""
+                return None
+            return work
+
+    def _say(self, what: str, fraction: float) -> None:
+        if self._stopping.is_set():
+            raise _Cancelled
+        self.doing = f"{what} ({100.0 * fraction:.0f} %)"
+
+
+class _Cancelled(Exception):  # noqa: N818 -- not an error: the node ends
+    """The tracing was asked to stop."""

@@ -1,0 +1,59 @@
+"""What the nodes' shells share: qualities of service, and parameters that are read once, at the start."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.expand_topic_name import expand_topic_name
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+from valve_sim.model import ParameterError
+from valve_sim.nodes.parameters import files_for_others
+from valve_sim.parameter_files import Section
+
+RELIABLE: Final = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+LATCHED: Final = QoSProfile(
+    depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
+)
+"""Whoever comes later still hears the last message."""
+_QOS_PREFIX: Final = "qos_overrides."
+
+
+def given_parameters(node: Node, sections: Sequence[tuple[str, Section]]) -> dict[str, object]:
+    """Flat name to value of what was given on the command line and in its files, those of ROS itself left out.
+
+    rclpy passes over a misspelt name without a word; only here is it known what was given. A file that holds nothing
+    for this node is warned about.
+    """
+    name = node.get_fully_qualified_name()
+    for path, found in files_for_others(sections, name).items():
+        node.get_logger().warning(f"{path} has parameters for {', '.join(found)}, and none for {name}")
+    return {
+        key: override.value
+        for key, override in node._parameter_overrides.items()
+        if not node.has_parameter(key) and not key.startswith(_QOS_PREFIX)
+    }
+
+
+def declare_read_only(node: Node, values: Mapping[str, Any], descriptions: Mapping[str, str]) -> None:
+    """Declare parameters that do not change while the node runs."""
+    for key, value in values.items():
+        descriptor = ParameterDescriptor(name=key, description=descriptions[key], read_only=True)
+        node.declare_parameter(
+            key, list(value) if isinstance(value, tuple) else value, descriptor, ignore_override=True
+        )
+
+
+def full_name(node: Node, given: str, key: str) -> str:
+    """The full name of another node or topic, relative to this node's namespace unless it begins with a slash.
+
+    Raises:
+        ParameterError: it is no name; the message says that parameter `key` holds it.
+    """
+    try:
+        return str(expand_topic_name(given, node.get_name(), node.get_namespace()))
+    except ValueError as error:
+        raise ParameterError(f"{key}: found {given!r}, expected a ROS name, such as valve or /tank_1/valve") from error
