@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from valve_sim.identification.adequacy import Adequacy, adequacy
 from valve_sim.identification.fitting import Fit, Interval, Mask, Problem, covariance_interval, fit, profile_interval
 from valve_sim.identification.next_recording import Recommendation, recommend
+from valve_sim.identification.noise import Noise
 from valve_sim.identification.plant import ForceMap, Nuisance, Plant, to_search
 from valve_sim.identification.search import DECISIVE, MOST_EFFECTS, Hypothesis, Progress, Search
 from valve_sim.identification.valve_plant import ValvePlant
@@ -39,6 +40,8 @@ HINT: Final = 0.02
 """P-value below which the search goes on: it costs seconds, where stopping early costs a wrong name."""
 MOSTLY: Final = 0.5
 """Held-out error with named effects over that without, below which they are named beside an unexplained remainder."""
+CURRENT_UNEXPLAINED: Final = 3.0
+"""Standard deviations by which the best effects miss the current, beyond which it is believed to as much only."""
 WORTH_A_LOOK: Final = 20
 """How many of the best hypotheses are tried on held-out data where none leaves only noise."""
 EXCLUDES_OFF: Final = 1.96
@@ -145,20 +148,35 @@ def diagnose(
 
 def diagnose_plant(plant: Plant, holdout: Plant | None, progress: Progress | None = None) -> Diagnosis:
     """The same for any plant; `holdout` is the same machine with other data."""
-    return _Investigation(plant, holdout, progress).conclude()
+    first = _Investigation(plant, holdout, progress)
+    best = first.explore()
+    left = 0.0 if first.is_adequate(best) else current_left(first.search.fit(best))
+    if left <= CURRENT_UNEXPLAINED:
+        return first.conclude(best)
+    # Believed to the last milliampere, a current of another form would bend the motion to it.
+    noises = dict(first.search.problem.noises)
+    noises["current"] = replace(noises["current"], innovation=left * noises["current"].innovation)
+    second = _Investigation(plant, holdout, progress, noises)
+    return second.conclude(second.explore())
 
 
 class _Investigation:
     """One diagnosis under way: the training search, the held-out problem, and what was concluded so far."""
 
-    def __init__(self, plant: Plant, holdout: Plant | None, progress: Progress | None) -> None:
+    def __init__(
+        self,
+        plant: Plant,
+        holdout: Plant | None,
+        progress: Progress | None,
+        noises: Mapping[str, Noise] | None = None,
+    ) -> None:
         self.plant = plant
         train_mask, holdout_mask = _split(plant) if holdout is None else (None, None)
-        problem = Problem(plant, train_mask)
+        problem = Problem(plant, train_mask, noises)
         self.search = Search(problem, progress)
         self.holdout: Problem | None = None
         if holdout is not None:
-            self.holdout = Problem(holdout)
+            self.holdout = Problem(holdout, noises=noises)
         elif holdout_mask is not None:
             self.holdout = problem.restricted(holdout_mask)
         self._held: dict[tuple[int, bool], Fit] = {}
@@ -407,9 +425,8 @@ class _Investigation:
 
     # -- the conclusion ----------------------------------------------------------------------------------------------
 
-    def conclude(self) -> Diagnosis:
-        """Run everything and word it."""
-        best = self.explore()
+    def conclude(self, best: Hypothesis) -> Diagnosis:
+        """Judge what was explored, and word it."""
         search = self.search
         if not self.is_adequate(best):
             best = self.eliminate(self.best_on_hold_out(best))
@@ -587,6 +604,18 @@ def rmse(result: Fit) -> float:
         takes_part = problem.weight(index) > 0.0
         squares += float(np.sum(np.square((channel.data - shown)[takes_part])))
         count += int(np.count_nonzero(takes_part))
+    return math.sqrt(squares / max(1, count))
+
+
+def current_left(result: Fit) -> float:
+    """Standard deviations of its noise, root mean square, by which the measured current is missed; 0 without one."""
+    squares, count, start = 0.0, 0, 0
+    for index, channel in enumerate(result.problem.plant.channels):
+        stop = start + len(channel.data)
+        if channel.kind == "current":
+            squares += float(np.sum(np.square(result.residuals[start:stop])))
+            count += int(np.count_nonzero(result.problem.weight(index)))
+        start = stop
     return math.sqrt(squares / max(1, count))
 
 
