@@ -37,7 +37,7 @@ REPOSITORY: Final = Path(__file__).resolve().parents[2]
 
 @dataclass(frozen=True)
 class Answer:
-    """What one diagnosis said. Errors are in µm RMS, None without a hold-out."""
+    """What one diagnosis said. Errors are in µm RMS, None without a hold-out; whole if nothing is left unexplained."""
 
     kind: str
     effects: tuple[str, ...]
@@ -48,6 +48,8 @@ class Answer:
     after_train: float
     after_holdout: float | None
     seconds: float
+    evidence: float
+    is_whole: bool
 
     @property
     def classes(self) -> list[set[str]]:
@@ -183,6 +185,8 @@ def _answer(diagnosis: Diagnosis, seconds: float) -> Answer:
         1e6 * after.train_rmse,
         _held_out(after),
         seconds,
+        verdict.evidence,
+        diagnosis.unexplained is None,
     )
 
 

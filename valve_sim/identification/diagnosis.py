@@ -17,13 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.identification.adequacy import Adequacy, adequacy
+from valve_sim.identification.calibration import calibrated
+from valve_sim.identification.false_alarm import FalseAlarm, false_alarm
 from valve_sim.identification.fitting import Fit, Interval, Mask, Problem, covariance_interval, fit, profile_interval
 from valve_sim.identification.next_recording import Recommendation, recommend
 from valve_sim.identification.noise import Noise
 from valve_sim.identification.plant import ForceMap, Nuisance, Plant, to_search
 from valve_sim.identification.search import DECISIVE, MOST_EFFECTS, Hypothesis, Progress, Search
 from valve_sim.identification.valve_plant import ValvePlant
-from valve_sim.model import Valve
+from valve_sim.model import SimulationError, Valve
 from valve_sim.traces import Trace
 
 BEAM: Final = 2
@@ -40,6 +42,8 @@ HINT: Final = 0.02
 """P-value below which the search goes on: it costs seconds, where stopping early costs a wrong name."""
 MOSTLY: Final = 0.5
 """Held-out error with named effects over that without, below which they are named beside an unexplained remainder."""
+MOST_FALSE_ALARMS: Final = 0.01
+"""Probability that the search finds as much in noise alone, beyond which nothing is claimed."""
 CURRENT_UNEXPLAINED: Final = 3.0
 """Standard deviations by which the best effects miss the current, beyond which it is believed to as much only."""
 WORTH_A_LOOK: Final = 20
@@ -50,13 +54,18 @@ EXCLUDES_OFF: Final = 1.96
 
 @dataclass(frozen=True)
 class Verdict:
-    """What is claimed; the fields are those of report.json."""
+    """What is claimed; the fields are those of report.json.
+
+    `evidence` is the share of the claim in the evidence of all that was tried; `probability` is what a share of that
+    size has been worth on the campaign.
+    """
 
     kind: str
     effects: tuple[str, ...]
     confusable_with: Mapping[str, tuple[str, ...]]
     probability: float
     summary: str
+    evidence: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -113,6 +122,7 @@ class Diagnosis:
     unexplained: Unexplained | None
     maps: tuple[Unexplained, ...]
     record_next: str
+    false_alarm: FalseAlarm
     sources: tuple[str, ...] = ()
 
     @property
@@ -179,7 +189,7 @@ class _Investigation:
             self.holdout = Problem(holdout, noises=noises)
         elif holdout_mask is not None:
             self.holdout = problem.restricted(holdout_mask)
-        self._held: dict[tuple[int, bool], Fit] = {}
+        self._held: dict[tuple[int, bool], Fit | None] = {}
         self._reported_timing = False
 
     # -- the search ------------------------------------------------------------------------------------------------
@@ -312,7 +322,7 @@ class _Investigation:
         result = self.search.fit(hypothesis)
         held = self.hold_out(result, timing=self.needs_timing(result))
         if held is None:
-            return False
+            return self.holdout is not None
         # Plainly too: where noise is coloured, whitening takes most of what is slow out of a residual, wrong or right.
         sigma = max(noise.sigma for kind, noise in held.problem.noises.items() if kind != "current")
         is_large = rmse(held) > FAILS_HELD_OUT * sigma
@@ -326,7 +336,7 @@ class _Investigation:
         if not hypothesis.effects:
             return False
         held = self.hold_out(result, timing=self.needs_timing(result))
-        return held is not None and not adequacy(held).is_white
+        return self.holdout is not None and (held is None or not adequacy(held).is_white)
 
     def is_claimable(self, hypothesis: Hypothesis) -> bool:
         """A parameter on its bound names nothing, nor does an effect that may as well be off.
@@ -361,7 +371,7 @@ class _Investigation:
     # -- hold-out --------------------------------------------------------------------------------------------------
 
     def hold_out(self, result: Fit, *, timing: bool) -> Fit | None:
-        """The same machine on held-out data: only the nuisances are estimated."""
+        """The same machine on held-out data: only the nuisances are estimated. None if it cannot be simulated there."""
         if self.holdout is None:
             return None
         key = (id(result), timing)
@@ -370,7 +380,10 @@ class _Investigation:
             nuisances: tuple[Nuisance, ...] = (*plant.nuisances, *(plant.timing_errors if timing else ()))
             own = {nuisance.name for nuisance in (*self.plant.nuisances, *self.plant.timing_errors)}
             machine = {name: value for name, value in result.values.items() if name not in own}
-            self._held[key] = fit(self.holdout, (), {}, nuisances=nuisances, fixed=machine)
+            try:
+                self._held[key] = fit(self.holdout, (), {}, nuisances=nuisances, fixed=machine)
+            except SimulationError:
+                self._held[key] = None
         return self._held[key]
 
     def needs_timing(self, result: Fit) -> bool:
@@ -387,7 +400,7 @@ class _Investigation:
         timing = self.needs_timing(rich)
         held_simple, held_rich = self.hold_out(simple, timing=timing), self.hold_out(rich, timing=timing)
         if held_simple is None or held_rich is None:
-            return True
+            return self.holdout is None or held_rich is not None
         gain = held_simple.chi2 - held_rich.chi2
         apart = float(np.sum(np.square(held_simple.residuals - held_rich.residuals)))
         # The gain of the truth is `apart` on average, with standard error 2 √apart.
@@ -437,6 +450,10 @@ class _Investigation:
         earned = best.effects and self.earns_hold_out(base_fit, best_fit)
         if best.effects and not earned:
             best, best_fit = base, base_fit
+        search.say("what the same search finds in noise alone", 0.88)
+        alarm = false_alarm(base_fit, best_fit)
+        if best.effects and self.is_adequate(best) and alarm.probability > MOST_FALSE_ALARMS:
+            best, best_fit = base, base_fit
         fitted_maps = [] if self.is_adequate(base) else self.fit_maps(base_fit)
         named_score = search.score(best)
         map_wins = bool(fitted_maps) and fitted_maps[0][1].score < named_score - DECISIVE
@@ -452,6 +469,7 @@ class _Investigation:
         after = self.state(after_fit, profile=not is_unknown)
         names_most = is_unknown and not map_wins and self.explains_most(base_fit, best_fit)
         verdict, record_next = self.judge(best, is_unknown, names_most)
+        verdict = replace(verdict, evidence=self.evidence(best))
         unexplained = None
         if is_unknown:
             choice, map_fit = remainder[0]
@@ -460,13 +478,15 @@ class _Investigation:
         return Diagnosis(
             self.plant, self.state(base_fit, profile=False), after, verdict, tuple(self.candidates(base)),
             unexplained, tuple(_describe(choice, result, base_fit) for choice, result in fitted_maps), record_next,
-            tuple(channel.name for channel in self.plant.channels),
+            alarm, tuple(channel.name for channel in self.plant.channels),
         )  # fmt: skip
 
     def _held_out_error(self, result: Fit) -> float:
         """Plain held-out error; where no form is right, whitening would hide what is slow in it. Else the score."""
+        if self.holdout is None:
+            return result.score
         held = self.hold_out(result, timing=self.needs_timing(result))
-        return result.score if held is None else rmse(held)
+        return math.inf if held is None else rmse(held)
 
     def explains_most(self, base: Fit, best: Fit) -> bool:
         """Whether named effects more than halve the held-out error, so that what is left is a remainder of theirs."""
@@ -477,20 +497,21 @@ class _Investigation:
         confusable = {name: self.alternatives(best, name) for name in best.effects}
         if is_unknown:
             confusable = {name: self.relatives(name, others) for name, others in confusable.items()}
-        probability = self.probability(best)
+        evidence = self.evidence(best)
+        doubtful = min(evidence, 0.5)
         strokes = _stroke_count(self.plant)
         too_wide = any(len(others) + 1 > LARGEST_CLASS for others in confusable.values())
         named = _listed(best.effects)
         if names_most:
             return Verdict(
-                "effects", best.effects, confusable, min(probability, 0.5),
+                "effects", best.effects, confusable, doubtful,
                 f"The model lacks {named}, {self.share(best):.1%} of the squared residual; a remainder is left that no "
                 "catalogued effect explains.",
             ), self.advice(best)  # fmt: skip
         if is_unknown:
             nearest = f"; {named} comes nearest, with {self.share(best):.1%} of the squared residual" if named else ""
             return Verdict(
-                "unknown", best.effects, confusable, min(probability, 0.5),
+                "unknown", best.effects, confusable, doubtful,
                 f"Something acts that no catalogued effect explains{nearest}.",
             ), self.advice(best)  # fmt: skip
         if strokes <= 1 or too_wide:
@@ -498,16 +519,16 @@ class _Investigation:
                 f"{1 + max(len(others) for others in confusable.values())} effects explain the data about equally well"
             )  # fmt: skip
             advice = self.advice(best)
-            return Verdict("insufficient", best.effects, confusable, min(probability, 0.5), f"{why}. {advice}"), advice
+            return Verdict("insufficient", best.effects, confusable, doubtful, f"{why}. {advice}"), advice
         if not best.effects:
             return Verdict(
-                "none", (), {}, probability,
+                "none", (), {}, calibrated("none", evidence),
                 "The declared model with refitted damping explains the data down to the noise.",
             ), ""  # fmt: skip
         others = sorted({other for names in confusable.values() for other in names})
         doubt = f"; {', '.join(others)} would explain the data about as well" if others else ""
         return Verdict(
-            "effects", best.effects, confusable, probability, f"The model lacks {named}{doubt}."
+            "effects", best.effects, confusable, calibrated("effects", evidence), f"The model lacks {named}{doubt}."
         ), self.advice(best) if others else ""  # fmt: skip
 
     def advice(self, best: Hypothesis) -> str:
@@ -548,7 +569,7 @@ class _Investigation:
         """Names beside the best: where the form is wrong, scores mislead, and known confusions count too."""
         return tuple(dict.fromkeys([*found, *self.plant.effects[name].confused_with]))[: LARGEST_CLASS - 1]
 
-    def probability(self, best: Hypothesis) -> float:
+    def evidence(self, best: Hypothesis) -> float:
         """Share of the best set in the evidence of all sets that do not merely extend it.
 
         A weak effect without a name is easily taken for a weak one with a name (measured on the campaign: at a tenth
@@ -686,6 +707,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
             "effects": list(diagnosis.verdict.effects),
             "confusable_with": {name: list(others) for name, others in diagnosis.verdict.confusable_with.items()},
             "probability": diagnosis.verdict.probability,
+            "evidence": diagnosis.verdict.evidence,
             "summary": diagnosis.verdict.summary,
         },
         "after": {**_state_json(diagnosis.after), "effects": _effects_json(diagnosis.after)},
@@ -703,6 +725,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "unexplained": None if diagnosis.unexplained is None else _unexplained_json(diagnosis.unexplained),
         "force_maps": [_unexplained_json(entry) for entry in diagnosis.maps],
         "record_next": diagnosis.record_next or None,
+        "false_alarm": diagnosis.false_alarm._asdict(),
     }
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,9 @@ from numpy.typing import NDArray
 from valve_sim.model.parameters import Parameter
 
 Array = NDArray[np.float64]
+
+SMALL_MOVE: Final = 0.05
+"""Natural sizes of a parameter: a difference that shows the direction in which it moves the residual."""
 
 
 class Nuisance(NamedTuple):
@@ -183,3 +186,11 @@ def search_scale(parameter: Parameter) -> float:
     if _is_reciprocal(parameter):
         return 1.0 / parameter.typical
     return 1.0 if _is_logarithmic(parameter) else abs(parameter.typical)
+
+
+def moved(parameter: Parameter, value: float) -> float:
+    """A value a little off, by a share of its natural size, within its range: for the direction that it moves in."""
+    at = to_search(parameter, value)
+    lower, upper = search_bounds(parameter)
+    step = SMALL_MOVE * search_scale(parameter)
+    return from_search(parameter, min(max(at + step if at + step <= upper else at - step, lower), upper))

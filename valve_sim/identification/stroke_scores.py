@@ -25,7 +25,7 @@ from valve_sim.identification.commissioned_current import CommissionedCurrent, c
 from valve_sim.identification.fitting import Fit, Interval, Problem, covariance_interval, fit
 from valve_sim.identification.identify import DEFAULT_FREE
 from valve_sim.identification.noise import Noise
-from valve_sim.identification.plant import Array, Nuisance, from_search, search_bounds, search_scale, to_search
+from valve_sim.identification.plant import Array, Nuisance, moved
 from valve_sim.identification.search import ANNEALING
 from valve_sim.identification.valve_plant import CLOCK_SIGMA, ValvePlant
 from valve_sim.model import SimulationError, Valve, simulate
@@ -38,8 +38,6 @@ FINEST: Final = 0.05e-6
 """m: noise is taken to be no smaller, the repeatability of the paper's laser; a simulated valve has none at all."""
 MOST_SHIFTS: Final = 6
 """Commands of a stroke whose stamps may err; of more (a ramp, a modulated voltage) the first and the last."""
-SMALL: Final = 0.05
-"""Natural sizes of a parameter, the difference that gives an effect's direction."""
 TELLS_NOTHING: Final = 1e-3
 """Standard deviations that so large an effect must move a stroke by for its direction to be looked at."""
 STILL: Final = 1e-5
@@ -248,7 +246,7 @@ class _Stroke:
         """Names, and the change of the whitened residual by a small effect of each: dampings, the catalogue, stamps."""
         plant = self._plant
         for name in DEFAULT_FREE:
-            yield from self._direction(result, name, {name: _moved(plant.parameter(name), plant.declared(name))})
+            yield from self._direction(result, name, {name: moved(plant.parameter(name), plant.declared(name))})
         for effect in plant.effects.values():
             for switch in effect.parameters:
                 if switch.off is not None:
@@ -280,19 +278,11 @@ class _Stroke:
         return [nuisance._replace(sigma=self._healthy.jitter) for nuisance in chosen]
 
 
-def _moved(parameter: Parameter, value: float) -> float:
-    """A value a little off, by its natural size, within its range."""
-    at = to_search(parameter, value)
-    lower, upper = search_bounds(parameter)
-    step = SMALL * search_scale(parameter)
-    return from_search(parameter, min(max(at + step if at + step <= upper else at - step, lower), upper))
-
-
 def _with_switch(parameter: Parameter, switch: Parameter) -> float:
     """The value of an effect's parameter where this switch of it alone is a little on."""
     if parameter.off is None:
         return parameter.typical
-    return _moved(parameter, parameter.off) if parameter is switch else parameter.off
+    return moved(parameter, parameter.off) if parameter is switch else parameter.off
 
 
 def _size(problem: Problem, left: Array) -> float:

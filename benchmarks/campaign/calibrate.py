@@ -1,0 +1,88 @@
+"""`python -m benchmarks.campaign.calibrate results.jsonl ...`: a and b of `valve_sim.identification.calibration`.
+
+The lines are those that `python -m benchmarks.campaign --json results.jsonl` wrote. All families on the plant of the
+declared form count, as often as the campaign has them; a claim of effects is right where all that is true is in its
+classes, a claim of none where nothing is missing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from scipy.optimize import minimize
+
+from valve_sim.identification.calibration import log_odds
+
+FAMILIES: Final = ("single", "none", "pair", "uncatalogued", "weak")
+BINS: Final = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 0.99, 1.0)
+
+
+class Claim(NamedTuple):
+    """A claim with its share of the evidence, and whether it is right."""
+
+    kind: str
+    share: float
+    is_right: bool
+
+
+def claims(lines: Iterator[str]) -> Iterator[Claim]:
+    """The claims in a campaign's lines."""
+    for line in lines:
+        row: dict[str, Any] = json.loads(line)
+        if row.get("case", {}).get("family") not in FAMILIES or not row["answers"]:
+            continue
+        answer = row["answers"][0]
+        # What is named beside a remainder claims no more than an even chance by rule, and is not calibrated.
+        if answer["kind"] == "none":
+            yield Claim("none", answer["evidence"], not row["case"]["truth"])
+        elif answer["kind"] == "effects" and answer["is_whole"]:
+            yield Claim("effects", answer["evidence"], row["label"] in ("unique", "class"))
+
+
+def platt(found: Sequence[Claim]) -> tuple[float, float]:
+    """Offset and slope of greatest likelihood, with Platt's counts, which keep a flawless record from being certain."""
+    odds = np.array([log_odds(claim.share) for claim in found])
+    right = np.array([claim.is_right for claim in found])
+    high = (right.sum() + 1.0) / (right.sum() + 2.0)
+    low = 1.0 / ((~right).sum() + 2.0)
+    target = np.where(right, high, low)
+
+    def loss(ab: np.ndarray) -> float:
+        z = ab[0] + ab[1] * odds
+        return float(np.sum(np.logaddexp(0.0, z) - target * z))
+
+    best = minimize(loss, np.array([0.0, 1.0]), bounds=[(None, None), (0.0, None)])
+    return float(best.x[0]), float(best.x[1])
+
+
+def main() -> int:
+    """Print the constants, and how the calibrated probabilities do."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("files", nargs="+", type=Path)
+    found = [claim for path in parser.parse_args().files for claim in claims(iter(path.read_text().splitlines()))]
+    for kind in ("none", "effects"):
+        own = [claim for claim in found if claim.kind == kind]
+        if not own:
+            print(f"{kind}: no claims")
+            continue
+        offset, slope = platt(own)
+        print(f'"{kind}": Platt({offset:.3f}, {slope:.3f})   {sum(c.is_right for c in own)} of {len(own)} are right')
+        probability = np.array([1.0 / (1.0 + np.exp(-(offset + slope * log_odds(c.share)))) for c in own])
+        right = np.array([claim.is_right for claim in own])
+        for low, high in itertools.pairwise(BINS):
+            chosen = (probability >= low) & (probability < high)
+            if chosen.any():
+                words = f"{np.count_nonzero(chosen):>5} claims, {right[chosen].mean():.1%} right"
+                print(f"  {low:.2f} to {high:.2f} {words}, {probability[chosen].mean():.1%} claimed")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,40 @@
+"""What a share of the evidence is worth: probabilities calibrated on the campaign.
+
+Evidence by scores knows the hypotheses that were tried, and nothing of those that nobody thought of: a share of it is
+no probability yet. How often claims with such shares were right on blind recordings says what it is worth (Platt,
+Advances in Large Margin Classifiers, 1999): p = 1 / (1 + exp(−(a + b ln(share / (1 − share))))).
+
+`python -m benchmarks.campaign.calibrate results.jsonl` works a and b out from what
+`python -m benchmarks.campaign --seeds 10 --json results.jsonl` wrote; docs/diagnosis.md has how well they do.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Final, NamedTuple
+
+
+class Platt(NamedTuple):
+    """Of one kind of claim: the offset and the slope of its log odds."""
+
+    offset: float
+    slope: float
+
+
+CALIBRATION: Final[Mapping[str, Platt]] = {"none": Platt(0.0, 1.0), "effects": Platt(0.0, 1.0)}
+"""By kind of verdict."""
+MOST_CERTAIN: Final = 1e-4
+"""Shares are taken to be no nearer to 0 or 1."""
+
+
+def log_odds(share: float) -> float:
+    """Of a share, from 0 to 1, of the evidence."""
+    share = min(max(share, MOST_CERTAIN), 1.0 - MOST_CERTAIN)
+    return math.log(share / (1.0 - share))
+
+
+def calibrated(kind: str, share: float) -> float:
+    """The probability that a claim of this kind ("none" or "effects") with this share of the evidence is right."""
+    offset, slope = CALIBRATION[kind]
+    return 1.0 / (1.0 + math.exp(-(offset + slope * log_odds(share))))
