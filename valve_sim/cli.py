@@ -401,7 +401,7 @@ def validate(
     with _progress() as progress:
         result = replay(traces, valve, tolerance, command_jitter=command_jitter, progress=progress)
     if junit is not None:
-        _write(junit, result.junit())
+        _write(junit, _shown(result.junit()))  # XML has no place for control characters
     if plot is not None:
         from valve_sim.identification.plots import plot_replay
 
@@ -466,7 +466,7 @@ def _read(bags: Sequence[Path], name: str | None) -> list[Trace]:
     for bag in bags:
         trace = read_trace(bag, name)
         for finding in trace.findings:
-            click.echo(f"valve-sim: {bag}: {finding}", err=True)
+            click.echo(_shown(f"valve-sim: {bag}: {finding}"), err=True)
         traces.append(trace)
     return traces
 
@@ -519,14 +519,14 @@ def _print_report(report: Mapping[str, Any], text: str, written: Sequence[Path],
     if as_json:
         _print_json(report)
         return
-    click.echo(text)
+    click.echo(_shown(text))
     if written:
-        click.echo(f"wrote {', '.join(str(path) for path in written)}")
+        click.echo(_shown(f"wrote {', '.join(str(path) for path in written)}"))
 
 
 def _print_summary(summary: TraceSummary, arrivals: Sequence[StrokeEvents]) -> None:
     low, high = (1e6 * position for position in summary.position_range)
-    click.echo(f"{summary.source}: {summary.duration:.6g} s, timed by {summary.clock} stamps")
+    click.echo(_shown(summary.source) + f": {summary.duration:.6g} s, timed by {summary.clock} stamps")
     for signal, rate in summary.signals.items():
         click.echo(f"  {signal:<18}{rate.samples:>9} samples{rate.rate:>12.6g} Hz")
     click.echo(f"  {'commands':<18}{summary.commands:>9} at {', '.join(f'{volts:g}' for volts in summary.voltages)} V")
@@ -545,7 +545,7 @@ def _print_summary(summary: TraceSummary, arrivals: Sequence[StrokeEvents]) -> N
             words = f"{event.kind.replace('_', ' ')} ({event.sensor})"
             click.echo(f"    {words:<34}{1e3 * event.after_command:9.3f} ± {1e3 * event.uncertainty:.3f} ms")
     for finding in summary.findings:
-        click.echo(f"  note: {finding}")
+        click.echo(_shown(f"  note: {finding}"))
 
 
 def _provenance(params: Path | None, lines: Sequence[str]) -> str:
@@ -600,7 +600,12 @@ def _refuse(message: str) -> NoReturn:
 
 
 def _one_line(message: str) -> str:
-    return " ".join(message.split())
+    return _shown(" ".join(message.split()))
+
+
+def _shown(text: str) -> str:
+    """Text with names from bags and files, fit for a terminal and XML: what would steer it becomes a mark."""
+    return "".join(character if character.isprintable() or character == "\n" else "\ufffd" for character in text)
 
 
 def _end(message: str, code: int = UNUSABLE) -> NoReturn:

@@ -91,6 +91,20 @@ def test_friction_of_five_limits_is_found_within_five_strokes(colour: float) -> 
         assert monitor.judge.alarms > 0
 
 
+def test_a_cause_is_traced_soon_again_and_then_once_in_a_full_ring() -> None:
+    monitor, valve = Monitor(default_valve(), refit=False), LiveValve(5, HEALTHY, jitter=0.0)
+    strokes(monitor, valve, 25)
+    looked, sizes = [], []
+    for index in range(60):
+        strokes(monitor, valve, 1, {"coulomb_friction": {"force": FIVE_LIMITS}})
+        if evidence := monitor.judge.take_evidence():
+            looked.append(index)
+            sizes.append(len(evidence))
+    assert (sizes[0], sizes[-1]) == (6, 19)
+    assert len(looked) == 4
+    assert np.diff(looked)[-1] == 20
+
+
 def test_friction_that_grows_is_named() -> None:
     monitor, valve = Monitor(default_valve(), refit=False), LiveValve(5, HEALTHY, jitter=0.0)
     strokes(monitor, valve, 25)
@@ -148,7 +162,7 @@ def test_with_the_current_a_weaker_coil_is_told_from_a_weaker_magnet() -> None:
 
 
 def test_a_valve_that_does_not_open_is_an_error_at_once() -> None:
-    monitor, valve = Monitor(default_valve()), LiveValve(1, HEALTHY)
+    monitor, valve = Monitor(default_valve(), MonitorSettings(patience=10e-3)), LiveValve(1, HEALTHY)
     strokes(monitor, valve, 3)
     stuck = valve.stroke(seat_load=100.0)
     reports, begin = [], float(stuck.command_times[0])
@@ -167,7 +181,7 @@ def test_a_valve_that_does_not_open_is_an_error_at_once() -> None:
 
 
 def test_a_valve_that_does_not_close_is_an_error() -> None:
-    watch, valve = Watch(default_valve(), MonitorSettings()), LiveValve(1, HEALTHY)
+    watch, valve = Watch(default_valve(), MonitorSettings(patience=10e-3)), LiveValve(1, HEALTHY)
     stroke = valve.stroke()
     held = np.where(stroke.times > stroke.command_times[1], 1.23e-3, stroke.position)
     commands = list(zip(stroke.command_times.tolist(), stroke.volts.tolist(), strict=True))
@@ -178,8 +192,19 @@ def test_a_valve_that_does_not_close_is_an_error() -> None:
     assert "did not close" in watch.fault
 
 
+def test_commands_before_the_first_sample_are_reported_and_harm_nothing() -> None:
+    """Strokes are commanded while the model is still being compiled, say."""
+    monitor = Monitor(default_valve())
+    reports = []
+    for time, volts in ((0.0, 9.0), (0.05, 0.0), (0.2, 9.0)):
+        reports += monitor.command(time, volts)
+    for time in np.arange(0.1, 0.4, 1e-3).tolist():
+        reports += monitor.measure(time, 0.0)
+    assert [report.state for report in reports] == ["not judged"]
+
+
 def test_a_stroke_that_does_not_begin_at_rest_is_not_judged() -> None:
-    watch = Watch(default_valve(), MonitorSettings(settle=0.01))
+    watch = Watch(default_valve(), MonitorSettings(settle=0.01, patience=0.01))
     times = np.arange(0.0, 0.2, 1e-3)
     commands = [(0.02, 9.0), (0.05, 0.0), (0.0505, 9.0), (0.1, 0.0)]
     for time in times.tolist():

@@ -1,4 +1,4 @@
-"""A real valve_node in a process of its own, and a node here that talks to it."""
+"""A real node in a process of its own, and a node here that talks to it."""
 
 from __future__ import annotations
 
@@ -17,11 +17,13 @@ PATIENCE = 30.0
 
 
 class NodeProcess:
-    """valve_node, started as a user does; its stderr goes to a file."""
+    """valve_node or another program, started as a user does; its stderr goes to a file."""
 
-    def __init__(self, folder: Path, arguments: Sequence[str] = (), **environment: str) -> None:
+    def __init__(
+        self, folder: Path, arguments: Sequence[str] = (), program: str = "valve_node", **environment: str
+    ) -> None:
         self._log = folder / f"stderr-{time.monotonic_ns()}.txt"
-        command = [sys.executable, "-m", "valve_sim.nodes.valve_node", *arguments]
+        command = [sys.executable, "-m", f"valve_sim.nodes.{program}", *arguments]
         with self._log.open("w") as log:
             self.process = subprocess.Popen(
                 command, stdout=log, stderr=log, env={**os.environ, "ROS_LOG_DIR": str(folder), **environment}
@@ -45,9 +47,11 @@ class NodeProcess:
 
 
 @contextlib.contextmanager
-def running(folder: Path, arguments: Sequence[str] = (), **environment: str) -> Iterator[NodeProcess]:
-    """valve_node while inside."""
-    node = NodeProcess(folder, arguments, **environment)
+def running(
+    folder: Path, arguments: Sequence[str] = (), program: str = "valve_node", **environment: str
+) -> Iterator[NodeProcess]:
+    """valve_node, or another program, while inside."""
+    node = NodeProcess(folder, arguments, program, **environment)
     try:
         yield node
     finally:

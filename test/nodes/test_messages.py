@@ -29,20 +29,14 @@ def test_joint_states_carry_everything_of_both_plungers() -> None:
     assert maker.coil_current(READING).data == 0.8
     maker.set_frame_id("other")
     assert maker.joint_states(0, READING).header.frame_id == "other"
+    late = maker.joint_states(2**31 * 1_000_000_000 + 5, READING)
+    assert (late.header.stamp.sec, late.header.stamp.nanosec) == (2**31 - 1, 999_999_999)
 
 
 @pytest.mark.parametrize("phase", list(Phase))
 def test_phase_and_is_open(phase: Phase) -> None:
     assert messages.phase_message(phase).data == int(phase)
     assert messages.is_open_message(phase).data is (phase is Phase.OPEN)
-
-
-@pytest.mark.parametrize(
-    ("volts", "accepted"),
-    [(9.0, 9.0), (-12.0, -12.0), (0.0, 0.0), (12.001, None), (math.nan, None), (math.inf, None), (-math.inf, None)],
-)
-def test_commands_are_finite_and_within_the_largest(volts: float, accepted: float | None) -> None:
-    assert messages.accepted_voltage(std_msgs.Float64(data=volts), 12.0) == accepted
 
 
 def test_diagnostics_are_named_after_the_node() -> None:

@@ -94,6 +94,17 @@ def test_letters_are_delivered_in_order_when_their_time_has_come() -> None:
     assert got == [3, 5]
 
 
+def test_letters_that_flood_a_clock_that_stands_still_fill_no_memory() -> None:
+    mailbox, got = Mailbox(), []
+    for volts in range(10_000):
+        mailbox.post(7, lambda time, volts=volts: got.append((time, volts)), "command")
+    mailbox.post(8, lambda time: got.append((time, "later")), "command")
+    mailbox.post(8, lambda time: got.append((time, "reset")))
+    mailbox.post(8, lambda time: got.append((time, "again")), "command")
+    mailbox.deliver(0, 9)
+    assert got == [(7, 9999), (8, "later"), (8, "reset"), (8, "again")]
+
+
 class ScriptedClock:
     """Shows one reading of a script after another; ends the worker when the script is over."""
 

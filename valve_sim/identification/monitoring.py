@@ -51,8 +51,6 @@ OPENED: Final = 0.9
 """Share of the stroke that counts as open."""
 CLOSED: Final = 0.1
 """Share of the stroke that counts as closed."""
-PATIENCE: Final = 10e-3
-"""s that a valve may be later than the model before it is said to be stuck, or as long as the model took, if longer."""
 STILL: Final = 1e-5
 """m/s: below it the model rests."""
 NO_CURRENT: Final = 1e-3
@@ -66,11 +64,15 @@ TRACED_FROM: Final = 6
 SCORED_MOST: Final = 8.0
 """Standard deviations: the most that a score says."""
 FEWEST_SAMPLES: Final = 4
-"""Of a stroke after its command."""
+"""Of a stroke between its first command and its last."""
 FEWEST_TO_LEARN: Final = 8
 """Commissioning strokes that show a direction, from which its mean and spread are learned."""
 FORGETS: Final = 20
 """Judged strokes without a further alarm, after which one is over."""
+MOST_VOLTS: Final = 1e4
+"""V: no coil has more, and stepping the forces of more takes minutes a second."""
+LONGEST_GAP: Final = 60.0
+"""s without samples, after which the model is not stepped on but begins at rest."""
 
 
 class MonitorSettings(NamedTuple):
@@ -83,6 +85,8 @@ class MonitorSettings(NamedTuple):
         stroke_timeout: s after which a stroke that has not ended is.
         settle: s of rest after which a stroke has ended.
         noise: standard deviation of the position sensor, m; 0 to estimate it.
+        patience: s that a valve may be later than the model before it is said to be stuck; as long as the model took,
+            if that is longer.
     """
 
     commissioning_strokes: int = 20
@@ -91,6 +95,7 @@ class MonitorSettings(NamedTuple):
     stroke_timeout: float = 600.0
     settle: float = 0.05
     noise: float = 0.0
+    patience: float = 0.1
 
 
 class Prediction(NamedTuple):
@@ -213,6 +218,7 @@ class Watch:
         self.fault = ""
         """What the valve does not do, in words; empty where it does. Stays until a stroke goes well."""
         self._stepper: Stepper | None = None
+        self._stepped = -math.inf
         self._volts = math.nan
         self._last = self._last_command = -math.inf
         self._position = math.nan
@@ -238,7 +244,8 @@ class Watch:
         an earlier time than the last, is rejected and counted.
         """
         latest = self._pending[-1][0] if self._pending else self._last_command
-        if not (math.isfinite(time) and math.isfinite(volts)) or time < latest or len(self._pending) >= MOST_COMMANDS:
+        is_possible = math.isfinite(time) and abs(volts) <= MOST_VOLTS
+        if not is_possible or time < latest or len(self._pending) >= MOST_COMMANDS:
             self.rejected += 1
             return
         self._pending.append((time, volts))
@@ -259,7 +266,13 @@ class Watch:
             self._begin(time)
         if self._stroke is not None and len(self._stroke.drive) < MOST_COMMANDS:
             self._stroke.drive.append((time, volts))
-        self._model(time).command(time, volts)
+        try:
+            self._model(time).command(time, volts)
+        except SimulationError:
+            # A voltage that no coil has: the model rests without current until the next command.
+            self._stepper = Stepper(self._valve, time)
+            if self._stroke is not None:
+                self._stroke.is_at_rest = False
 
     def measure(self, time: float, position: float) -> Prediction | None:
         """One sample of the pilot plunger's position, m; the model beside it, None where the sample was rejected."""
@@ -296,8 +309,12 @@ class Watch:
         return finished
 
     def _model(self, time: float) -> Stepper:
-        if self._stepper is None:
+        if self._stepper is None or time - self._stepped > LONGEST_GAP:
+            # Stepping over years, where a stamp leaps, would take hours: at rest from here on.
             self._stepper = Stepper(self._valve, time - self._lateness)
+            if self._stroke is not None:
+                self._stroke.is_at_rest = False
+        self._stepped = time
         return self._stepper
 
     def _step(self, time: float) -> Reading:
@@ -341,8 +358,8 @@ class Watch:
         """Whether the valve is where the model has been for longer than patience allows."""
         if math.isnan(self._volts):
             return
-        took = self._phase_since - self._last_command
-        if time - max(self._phase_since, self._last_command) <= max(PATIENCE, took if math.isfinite(took) else 0.0):
+        took, patience = self._phase_since - self._last_command, self._settings.patience
+        if time - max(self._phase_since, self._last_command) <= max(patience, took if math.isfinite(took) else 0.0):
             return
         stroke = self._stroke
         if self._phase is Phase.OPEN and self._volts != 0.0 and stroke is not None and stroke.opened is None:
@@ -399,6 +416,8 @@ class Watch:
         """Hand the stroke out; its last moments at rest are the next one's first."""
         if stroke.opened is None and stroke.model_opened:
             self._judge_opening(stroke)
+        if stroke.closed is None and self._phase is Phase.CLOSED and self._is_closed(self._position):
+            stroke.closed = True
         if not stroke.fault:
             self.fault = ""
         start = self._times[0] if self._times else stroke.drive[0][0]
@@ -412,7 +431,9 @@ class Watch:
             epoch_ns=round(start * 1e9),
         )
         remark = remark or ("" if stroke.is_at_rest else "it did not begin at rest") or stroke.fault
-        if np.count_nonzero(trace.times > trace.drive.times[0]) < FEWEST_SAMPLES:
+        first, last = float(trace.drive.times[0]), float(trace.drive.times[-1])
+        opening = (trace.times > first) & ((trace.times < last) | (last == first))
+        if np.count_nonzero(opening) < FEWEST_SAMPLES:
             remark = remark or "it has too few samples"
         self._finished.append(
             StrokeRecord(
@@ -488,7 +509,9 @@ class Judge:
         if len(evidence) < TRACED_FROM or self._judged < self._trace_at:
             return []
         most = self._settings.diagnosis_strokes
-        self._trace_at = self._judged + (min(len(evidence), most - len(evidence)) if len(evidence) < most else most)
+        # A full ring gives one less, because `evidence` leaves the first out.
+        missing = most - 1 - len(evidence)
+        self._trace_at = self._judged + (min(len(evidence), missing) if missing > 0 else most)
         return evidence
 
     def judge(self, record: StrokeRecord, *, refit: bool = True) -> StrokeReport:
@@ -687,7 +710,9 @@ def _opening_delay(trace: Trace, valve: Valve, lateness: float) -> float:
     before_next = trace.times < (trace.drive.times[1] if len(trace.drive.times) > 1 else math.inf)
     times, position = trace.times[before_next], trace.pilot_position[before_next]
     try:
-        shown = simulate(valve, drive, times - lateness, start_time=float(min(drive.times[0], *times[:1] - lateness)))
+        shown = simulate(
+            valve, drive, times - lateness, start_time=float(min([drive.times[0], *(times[:1] - lateness)]))
+        )
     except SimulationError:
         return math.nan
     level = 0.25 * valve.parameters.pilot_gap

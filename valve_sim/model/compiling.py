@@ -2,7 +2,8 @@
 
 Numba looks at a function's own file only when it decides whether a cached version is still good, so the cache lives
 in a folder named after a digest of every source in this room: change one, and all is compiled anew. The folder is
-the user's own (the package may be installed read-only) and closed to others, because it holds code.
+the user's own (the package may be installed read-only) and closed to others: Numba unpickles what it finds there, so
+whoever can write into it runs code in our name. One that somebody else owns or can write to is not used.
 """
 
 from __future__ import annotations
@@ -10,14 +11,19 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
+import shutil
+import stat
 import sys
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numba
+
+_ROOM: Final = 16_000_000
+"""Bytes that must be free: Numba fails where its code, some two million, cannot be written to the end."""
 
 
 def cache_folder() -> Path | None:
@@ -30,14 +36,16 @@ def cache_folder() -> Path | None:
     home = os.environ.get("XDG_CACHE_HOME") or str(Path("~").expanduser() / ".cache")
     temporary = Path(tempfile.gettempdir()) / f"valve_sim-{os.getuid()}"
     candidates = [Path(chosen)] if chosen else [Path(home) / "valve_sim", temporary]
+    tried = []
     for candidate in candidates:
         folder = candidate / _digest_of_sources()
-        if _is_ours_to_write(folder):
+        why_not = _why_unusable(folder)
+        if not why_not:
             return folder
-    tried = ", ".join(str(candidate) for candidate in candidates)
+        tried.append(f"{candidate}: {why_not}")
     warnings.warn(
-        f"no folder for compiled code can be written (tried {tried}): every start compiles anew, which takes about ten "
-        "seconds; set NUMBA_CACHE_DIR to a folder that can",
+        f"no folder for compiled code can be used ({'; '.join(tried)}): every start compiles anew, which takes about "
+        "ten seconds; set NUMBA_CACHE_DIR to a folder that only you can write to",
         RuntimeWarning,
         stacklevel=2,
     )
@@ -51,15 +59,31 @@ def _digest_of_sources() -> str:
     return digest.hexdigest()[:16]
 
 
-def _is_ours_to_write(folder: Path) -> bool:
+def _why_unusable(folder: Path) -> str:
+    """Why code that is found in a folder, made if need be, cannot be kept or trusted; empty if it can."""
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        if folder.stat().st_uid != os.getuid():
-            return False
-        with tempfile.TemporaryFile(dir=folder):
-            return True
-    except OSError:
-        return False
+        whole = folder.resolve()
+        if whole.stat().st_uid != os.getuid():
+            return "owned by another user"
+        if whole.stat().st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+            return "others can write to it"
+        for above in whole.parents:
+            if _others_can_exchange(above.stat()):
+                return f"others can exchange what is in {above}"
+        with tempfile.TemporaryFile(dir=whole):
+            return "" if shutil.disk_usage(whole).free >= _ROOM else "the disk is full"
+    except OSError as error:
+        return f"cannot be written, {error.strerror}"
+
+
+def _others_can_exchange(above: os.stat_result) -> bool:
+    """Whether a user who is neither we nor root can put another folder in the place of one inside.
+
+    A group may write here, for many a system makes each user a group of one.
+    """
+    is_foreign = above.st_uid not in (0, os.getuid())
+    return is_foreign or bool(above.st_mode & stat.S_IWOTH and not above.st_mode & stat.S_ISVTX)
 
 
 _FOLDER = cache_folder()
@@ -81,7 +105,31 @@ def cached() -> Iterator[bool]:
 def compiled(function: Callable[..., Any]) -> Any:
     """Compile when first called, keep on disk, release the interpreter lock; divisions follow IEEE 754."""
     with cached() as has_folder:
-        return numba.njit(cache=has_folder, nogil=True, error_model="numpy")(function)
+        dispatcher = numba.njit(cache=has_folder, nogil=True, error_model="numpy")(function)
+    if has_folder:
+        _keep_where_possible(dispatcher)
+    return dispatcher
+
+
+def _keep_where_possible(dispatcher: Any) -> None:
+    """Code that is compiled is good, though it cannot be kept: a disk may fill up, or a quota be used up, any time."""
+    cache = dispatcher._cache  # Numba has no public way to say so
+    keep = cache.save_overload
+
+    def keep_if_possible(signature: Any, result: Any) -> None:
+        with contextlib.suppress(OSError):
+            keep(signature, result)
+
+    cache.save_overload = keep_if_possible
+
+
+def compiled_callback(signature: Any, function: Callable[..., Any], *, is_kept: bool) -> Any:
+    """Compile to a C callback now, and keep it on disk where that is wanted and possible."""
+    with cached() as has_folder:
+        try:
+            return numba.cfunc(signature, cache=has_folder and is_kept)(function)
+        except OSError:
+            return numba.cfunc(signature)(function)
 
 
 def compiled_once(function: Callable[..., Any]) -> Any:

@@ -19,10 +19,10 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
-from numba import carray, cfunc, types  # type: ignore[attr-defined]
+from numba import carray, types  # type: ignore[attr-defined]
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
-from valve_sim.model.compiling import cached, compiled, compiled_once
+from valve_sim.model.compiling import compiled, compiled_callback, compiled_once
 from valve_sim.model.core_types import MAXIMUM_TERM_PARAMETERS, MAXIMUM_TERMS, VALVE_RECORD
 from valve_sim.model.errors import ParameterError
 from valve_sim.model.parameters import DECLARED, Parameter, closest
@@ -118,8 +118,7 @@ def compile_term(term: Term, count: int) -> Any:
     def callback(x: float, v: float, u: float, t: float, numbers: Any) -> float:
         return force(x, v, u, t, *to_fixed_tuple(carray(numbers, (count,)), count))  # type: ignore[no-any-return, call-arg]
 
-    with cached() as has_folder:
-        return cfunc(_TERM_SIGNATURE, cache=has_folder and is_importable)(callback)
+    return compiled_callback(_TERM_SIGNATURE, callback, is_kept=is_importable)
 
 
 # --- how effects enter the core -----------------------------------------------------------------------------------

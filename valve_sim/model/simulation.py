@@ -412,12 +412,12 @@ class Stepper:
 
     def _delayed(self, time: float) -> tuple[float, float]:
         """What a late sensor shows: a second state follows the first by the delay."""
-        record, shown = self._record[0], self._shown
+        shown = self._shown
         time = max(time, float(shown[0]["time"]))
         while self._commands and self._commands[0][0] <= time:
             command_time, volts = self._commands.pop(0)
             self._go(shown, max(command_time, float(shown[0]["time"])), commit=True, collect=False)
-            automaton.set_voltage(record, shown, volts)
+            automaton.set_voltage(self._record, shown, volts)
         self._go(shown, time, commit=False, collect=False)
         return float(self._row[0, 0]), float(self._row[0, 1])
 

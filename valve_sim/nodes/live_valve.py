@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Final, NamedTuple
 
 from valve_sim.model import Event, EventKind, Phase, Reading, SimulationError, Stepper, Valve
@@ -71,18 +72,21 @@ class Step(NamedTuple):
 
 
 class LiveValve:
-    """A stepper with its clock, its command and its watchdog.
+    """A stepper with its clock, its command and its watchdog; docs/command_safety.md says which command holds when.
 
-    `command`, `set_valve`, `set_scale`, `reset` may be called in any thread: they store, the next `step` consumes, each
-    at its own time. `restart` and `step` belong to one stepping thread.
+    `command`, `limit`, `set_valve`, `set_scale`, `reset` may be called in any thread: they store, the next `step`
+    consumes, each at its own time. `restart` and `step` belong to one stepping thread.
 
     Args:
         valve: what is simulated.
         scale: model seconds a second of the clock.
         command_timeout: s of the clock after which, without a new command, the coil is de-energised; 0 for never.
+        max_voltage: V, the largest command of either sign; `limit` changes it.
     """
 
-    def __init__(self, valve: Valve, *, scale: float = 1.0, command_timeout: float = 0.0) -> None:
+    def __init__(
+        self, valve: Valve, *, scale: float = 1.0, command_timeout: float = 0.0, max_voltage: float = math.inf
+    ) -> None:
         self.command_timeout = command_timeout
         self.last_command: int | None = None
         self.timed_out = False
@@ -90,11 +94,12 @@ class LiveValve:
         self.phase = Phase.CLOSED
         self.volts = 0.0
         self.failures = 0
+        self._max_voltage = max_voltage
         self._valve = valve
         self._scale = scale
         self._timeline = Timeline(0, 0, scale)
         self._mailbox = Mailbox()
-        self._started = 0
+        self._reached = 0
         self._stepper: Stepper | None = None
         self._announced: Phase | None = None
 
@@ -103,14 +108,22 @@ class LiveValve:
         """What is simulated, or will be from the next step on."""
         return self._valve
 
-    def command(self, clock: int, volts: float) -> None:
-        """A checked voltage that is in force from clock time `clock`, ns."""
-        self._mailbox.post(clock, lambda time: self._energise(time, volts))
+    def command(self, clock: int, volts: float) -> bool:
+        """A voltage that is in force from clock time `clock`, ns; False, and nothing else, if it is not acceptable."""
+        if not (math.isfinite(volts) and abs(volts) <= self._max_voltage):
+            return False
+        self._mailbox.post(clock, lambda time: self._energise(time, volts), "command")
+        return True
+
+    def limit(self, clock: int, max_voltage: float) -> None:
+        """Accept no more than this from now on, V; what is in force beyond it ends at clock time `clock`, ns."""
+        self._max_voltage = max_voltage
+        self._mailbox.post(clock, lambda time: self._withdraw_beyond(time, max_voltage))
 
     def set_valve(self, clock: int, valve: Valve) -> None:
         """Go on as another valve, without a jump in state."""
         self._valve = valve
-        self._mailbox.post(clock, lambda time: self._running.set_valve(valve, self._timeline.model_time(time)))
+        self._mailbox.post(clock, lambda time: self._running.set_valve(valve, self._timeline.model_time(time)), "valve")
 
     def set_scale(self, clock: int, scale: float) -> None:
         """Go on at another pace."""
@@ -128,7 +141,7 @@ class LiveValve:
         """
         if self._stepper is not None:
             self._mailbox.clear()
-        self._started = clock
+        self._reached = clock
         self._timeline = Timeline(clock, stamp, self._scale)
         self._stepper = Stepper(self._valve, 0.0)
         self._announced = None
@@ -138,7 +151,8 @@ class LiveValve:
         """Advance to clock time `clock`, ns. The state does not depend on how often this is called."""
         failure = ""
         try:
-            self._mailbox.deliver(self._started, clock)
+            # Nothing acts before what has been published: that cannot be taken back.
+            self._mailbox.deliver(self._reached, clock)
             self._watch_command(clock)
             reading = self._running.advance(self._timeline.model_time(clock))
         except SimulationError as error:
@@ -146,6 +160,7 @@ class LiveValve:
             self.failures += 1
             self._rest(clock)
             reading = self._running.advance(self._timeline.model_time(clock))
+        self._reached = clock
         self.strokes += sum(event.kind is EventKind.REACHED_STOP for event in reading.events)
         self.phase = reading.phase
         self.volts = self._running.volts
@@ -166,10 +181,15 @@ class LiveValve:
     def _watch_command(self, clock: int) -> None:
         if self.command_timeout <= 0.0 or self.last_command is None or self.timed_out:
             return
-        deadline = self.last_command + round(self.command_timeout * NANOSECONDS)
+        deadline = max(self._reached, self.last_command + round(self.command_timeout * NANOSECONDS))
         if clock >= deadline:
             self._running.command(self._timeline.model_time(deadline), 0.0)
             self.timed_out = True
+
+    def _withdraw_beyond(self, clock: int, max_voltage: float) -> None:
+        if abs(self._running.volts) > max_voltage:
+            self._running.command(self._timeline.model_time(clock), 0.0)
+            self._forget_command()
 
     def _rest(self, clock: int) -> None:
         self._running.reset(self._timeline.model_time(clock))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import array
-import math
 from collections.abc import Sequence
 from typing import Final
 
@@ -19,6 +18,8 @@ from valve_sim.nodes.parameters import NodeParameter
 from valve_sim.nodes.realtime import NANOSECONDS
 
 JOINT_NAMES: Final = ("pilot_plunger", "main_plunger")
+LAST_STAMP: Final = 2**31 * NANOSECONDS - 1
+"""ns, in 2038: a stamp has 32 bits for seconds. A thousand times faster than real time, a node is there in days."""
 
 
 class ReadingMessages:
@@ -42,9 +43,9 @@ class ReadingMessages:
         self._joints.header.frame_id = frame_id
 
     def joint_states(self, stamp: int, reading: Reading) -> JointState:
-        """Positions m, velocities m/s, efforts N; `stamp` in ns. Valid until the next call."""
+        """Positions m, velocities m/s, efforts N; `stamp` in ns, LAST_STAMP at most. Valid until the next call."""
         joints = self._joints
-        self._stamp.sec, self._stamp.nanosec = divmod(stamp, NANOSECONDS)
+        self._stamp.sec, self._stamp.nanosec = divmod(min(stamp, LAST_STAMP), NANOSECONDS)
         joints.position[0], joints.position[1] = reading.pilot_position, reading.main_position
         joints.velocity[0], joints.velocity[1] = reading.pilot_velocity, reading.main_velocity
         joints.effort[0], joints.effort[1] = reading.attraction, reading.main_effort
@@ -64,12 +65,6 @@ def phase_message(phase: Phase) -> UInt8:
 def is_open_message(phase: Phase) -> Bool:
     """~/is_open: the flow path is fully open."""
     return Bool(data=phase is Phase.OPEN)
-
-
-def accepted_voltage(message: Float64, max_voltage: float) -> float | None:
-    """The commanded voltage, V; None if it is not finite or beyond the largest."""
-    volts = float(message.data)
-    return volts if math.isfinite(volts) and abs(volts) <= max_voltage else None
 
 
 def diagnostic_array(statuses: Sequence[Status], node: str, stamp: int) -> DiagnosticArray:

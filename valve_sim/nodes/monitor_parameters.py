@@ -37,6 +37,9 @@ _NUMBERS: Final = {
     ),
     "stroke_timeout": Parameter("stroke_timeout", "s", "a stroke that has not ended by then is", 0.1, 1e6),
     "settle": Parameter("settle", "s", "of rest, after which a stroke has ended", 5e-3, 100.0),
+    "patience": Parameter(
+        "patience", "s", "a valve that is later than the model by more is said to be stuck", 1e-3, 1e3
+    ),
     "noise_um": Parameter("noise_um", "µm", "standard deviation of the position sensor; 0: estimated", 0.0, 1e4),
     "max_rate": Parameter(
         "max_rate", "Hz", "messages a second, at most, on predicted/joint_states and residual", 0.1, 1e5
@@ -55,6 +58,7 @@ class Settings(NamedTuple):
     strokes_between_false_alarms: float = _DEFAULTS.strokes_between_false_alarms
     stroke_timeout: float = _DEFAULTS.stroke_timeout
     settle: float = _DEFAULTS.settle
+    patience: float = _DEFAULTS.patience
     noise_um: float = 0.0
     max_rate: float = 1000.0
 
@@ -68,6 +72,7 @@ class Settings(NamedTuple):
             self.stroke_timeout,
             self.settle,
             self.noise_um * _MICRO,
+            self.patience,
         )
 
 

@@ -11,16 +11,16 @@ import json
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
+from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, String
 
@@ -33,8 +33,9 @@ from valve_sim.nodes.monitor_parameters import Given, check_given, descriptions
 from valve_sim.nodes.monitor_status import InputCount, health_status, input_status, model_status, tracing_status
 from valve_sim.nodes.monitor_tasks import Judging, Tracing
 from valve_sim.nodes.parameters import sources_of
-from valve_sim.nodes.realtime import NANOSECONDS
+from valve_sim.nodes.realtime import LONGEST_LEAP_SECONDS, NANOSECONDS
 from valve_sim.nodes.shell_parts import LATCHED, RELIABLE, declare_read_only, full_name, given_parameters
+from valve_sim.nodes.spinning import spin
 from valve_sim.nodes.valve_shell import NodeClock
 from valve_sim.parameter_files import Section
 from valve_sim.traces import Trace
@@ -44,6 +45,8 @@ _MEASURED: Final = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFF
 _COMMANDS: Final = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
 _STOP_SECONDS: Final = 0.4
 _SWITCH_INTERVAL: Final = 1e-4
+_PAUSE: Final = 10e-3
+"""s between looks at what waits: waking up for each sample would cost rclpy more than the model's step."""
 _JUMP_SECONDS: Final = 1.0
 """A stamp that goes back by more is a clock that was set, or a bag that began anew, and no sample out of order."""
 _MOST_WAITING: Final = 100_000
@@ -79,8 +82,8 @@ class MonitorShell:
             self._node.destroy_node()
             raise
         self._exit_code = 0
-        self._epoch = 0
-        self._last_stamp = 0
+        self._epoch: int | None = None
+        self._last_stamp: int | None = None
         self._next_message = 0
         self._input = InputCount()
         self._watch = Watch(given.valve, given.settings.monitor)
@@ -102,13 +105,8 @@ class MonitorShell:
     def spin(self) -> None:
         """Watch, judge and tell until ROS is shut down."""
         sys.setswitchinterval(_SWITCH_INTERVAL)
-        executor = SingleThreadedExecutor()
-        executor.add_node(self._node)
         self._judging.start()
-        try:
-            executor.spin()
-        finally:
-            executor.remove_node(self._node)
+        spin(self._node, lambda: 0.0 if self._is_simulated() else _PAUSE)
 
     def close(self) -> bool:
         """Stop and release everything; whether both threads have ended."""
@@ -135,12 +133,12 @@ class MonitorShell:
         self._messages = ReadingMessages(self._settings.frame_id)
         events = SubscriptionEventCallbacks(incompatible_qos=self._cannot_hear)
         hear_command: Any = self._hear_command  # with the message's times, which rclpy's types do not know of
-        node.create_subscription(
+        self._commands = node.create_subscription(
             Float64, f"{self._valve}/coil_voltage", hear_command, _COMMANDS, event_callbacks=events
         )
-        node.create_subscription(JointState, self._measured, self._hear_sample, _MEASURED)
-        hear_current: Any = self._hear_current
-        node.create_subscription(Float64, f"{self._sensors}/coil_current", hear_current, _MEASURED)
+        self._samples = node.create_subscription(JointState, self._measured, self._hear_samples, _MEASURED)
+        hear_current: Any = self._hear_currents
+        self._currents = node.create_subscription(Float64, f"{self._sensors}/coil_current", hear_current, _MEASURED)
         # By the wall: diagnostics must tell, too, that /clock is silent.
         node.create_timer(1.0, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
@@ -150,16 +148,39 @@ class MonitorShell:
         stamp = self._arrival(info)
         self._when_ready(lambda: self._command(stamp, message.data))
 
+    def _hear_currents(self, message: Float64, info: Any) -> None:
+        self._hear_current(message, info)
+        for waiting in self._waiting_on(self._currents):
+            self._hear_current(*waiting)
+
     def _hear_current(self, message: Float64, info: Any) -> None:
         stamp = self._arrival(info)
         self._when_ready(lambda: self._watch.measure_current(self._seconds(stamp), message.data))
 
+    def _hear_samples(self, message: JointState) -> None:
+        """Take all samples that wait, each after the commands that have come in before it."""
+        self._hear_sample(message)
+        for waiting, _ in self._waiting_on(self._samples):
+            for command in self._waiting_on(self._commands):
+                self._hear_command(*command)
+            self._hear_sample(waiting)
+
+    def _waiting_on(self, subscription: Subscription) -> Iterator[tuple[Any, Any]]:
+        """Messages with their times; none in simulated time, where /clock must keep its place between them."""
+        if self._is_simulated():
+            return
+        handle: Any = subscription.handle
+        while (waiting := handle.take_message(subscription.msg_type, subscription.raw)) is not None:
+            yield waiting
+
+    def _is_simulated(self) -> bool:
+        reading = self._clock.read()
+        return reading is None or reading.is_simulated
+
     def _arrival(self, info: Any) -> int:
         """When a message without a stamp came in, ns; in simulated time, when this thread got to it."""
-        reading = self._clock.read()
-        is_simulated = reading is not None and reading.is_simulated
         received = info.get("received_timestamp", 0) if isinstance(info, dict) else 0
-        return self._clock.stamp() if is_simulated or not received else int(received)
+        return self._clock.stamp() if self._is_simulated() or not received else int(received)
 
     def _hear_sample(self, message: JointState) -> None:
         self._when_ready(lambda: self._sample(message))
@@ -186,9 +207,12 @@ class MonitorShell:
             return
         header = message.header.stamp
         stamp = header.sec * NANOSECONDS + header.nanosec
-        if stamp < self._last_stamp - _JUMP_SECONDS * NANOSECONDS:
-            self._node.get_logger().warning("the stamps jumped back: the valve is taken to be at rest")
+        moved = (stamp - self._last_stamp) / NANOSECONDS if self._last_stamp is not None else 0.0
+        if moved < -_JUMP_SECONDS or moved > LONGEST_LEAP_SECONDS:
+            words = f"the stamps jumped by {moved:g} s: the valve is taken to be at rest"
+            self._node.get_logger().warning(words, throttle_duration_sec=1.0)
             self._watch.reset()
+            self._epoch, self._last_stamp, self._next_message = stamp, stamp - 1, 0
         prediction = self._watch.measure(self._seconds(stamp), position)
         if prediction is None:
             self._input.reject(f"{self._measured}: {position:g} m at {stamp} ns, the last at {self._last_stamp} ns")
@@ -230,7 +254,7 @@ class MonitorShell:
 
     def _seconds(self, stamp: int) -> float:
         """Since the first stamp, so that a double holds nanoseconds."""
-        if not self._epoch:
+        if self._epoch is None:
             self._epoch = stamp
         return (stamp - self._epoch) / NANOSECONDS
 

@@ -275,18 +275,31 @@ class Mailbox:
     """First in, first out, between threads: callbacks store, the stepper takes what its time has come."""
 
     def __init__(self) -> None:
-        self._letters: deque[tuple[int, Callable[[int], None]]] = deque()
+        self._letters: deque[tuple[int, Callable[[int], None], str]] = deque()
+        self._lock = threading.Lock()
 
-    def post(self, time: int, action: Callable[[int], None]) -> None:
-        """Store an action for clock time `time`, ns; it will be called with that time."""
-        self._letters.append((time, action))
+    def post(self, time: int, action: Callable[[int], None], kind: str = "") -> None:
+        """Store an action for clock time `time`, ns; it will be called with that time.
+
+        It takes the place of the letter before it if both have this time and this kind: while a clock stands still,
+        letters may come for hours, and memory would fill with them. Letters without a kind are all kept.
+        """
+        with self._lock:
+            if kind and self._letters and (self._letters[-1][0], self._letters[-1][2]) == (time, kind):
+                self._letters.pop()
+            self._letters.append((time, action, kind))
 
     def deliver(self, since: int, until: int) -> None:
         """Call every action whose time is not after `until`, ns, in the order of posting, none as of before `since`."""
-        while self._letters and self._letters[0][0] <= until:
-            time, action = self._letters.popleft()
+        while (letter := self._take(until)) is not None:
+            time, action, _ = letter
             action(max(time, since))
 
     def clear(self) -> None:
         """Forget all actions."""
-        self._letters.clear()
+        with self._lock:
+            self._letters.clear()
+
+    def _take(self, until: int) -> tuple[int, Callable[[int], None], str] | None:
+        with self._lock:
+            return self._letters.popleft() if self._letters and self._letters[0][0] <= until else None

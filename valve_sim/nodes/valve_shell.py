@@ -20,7 +20,6 @@ from rclpy.clock import Clock, JumpThreshold
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
@@ -33,12 +32,12 @@ from valve_sim.nodes.diagnostics import CommandCount, ValveFacts, command_status
 from valve_sim.nodes.live_valve import LiveValve, Step, self_test
 from valve_sim.nodes.messages import (
     ReadingMessages,
-    accepted_voltage,
     descriptor,
     diagnostic_array,
     is_open_message,
     phase_message,
 )
+from valve_sim.nodes.namesakes import Namesakes
 from valve_sim.nodes.parameters import (
     Settings,
     Value,
@@ -51,6 +50,7 @@ from valve_sim.nodes.parameters import (
     valve_of,
 )
 from valve_sim.nodes.realtime import NANOSECONDS, ClockReading, Restart, Worker
+from valve_sim.nodes.spinning import spin
 from valve_sim.parameter_files import Section, default_valve
 
 _RELIABLE: Final = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
@@ -130,8 +130,10 @@ class ValveShell:
                 self._current_valve(),
                 scale=self._settings.time_scale,
                 command_timeout=self._settings.command_timeout,
+                max_voltage=self._settings.max_voltage,
             )
             self._commands = CommandCount()
+            self._namesakes = Namesakes(self._node)
             self._failure = ""
             self._exit_code = 0
             self._is_ready = False
@@ -157,13 +159,8 @@ class ValveShell:
     def spin(self) -> None:
         """Step, publish and answer until ROS is shut down."""
         sys.setswitchinterval(_SWITCH_INTERVAL)
-        executor = SingleThreadedExecutor()
-        executor.add_node(self._node)
         self._worker.start()
-        try:
-            executor.spin()
-        finally:
-            executor.remove_node(self._node)
+        spin(self._node)
 
     def close(self) -> bool:
         """Stop and release everything; whether the stepper has ended."""
@@ -234,7 +231,8 @@ class ValveShell:
             self._publish_phases(step)
         if step.failure:
             self._failure = step.failure
-            self._node.get_logger().error(f"the valve was put back to rest: {step.failure}")
+            # A valve that fails at every step would fill the disk with a thousand lines a second.
+            self._node.get_logger().error(f"the valve was put back to rest: {step.failure}", throttle_duration_sec=1.0)
 
     def _publish_phases(self, step: Step) -> None:
         for phase in step.phases:
@@ -254,12 +252,8 @@ class ValveShell:
         return 0 if reading is None else reading.nanoseconds
 
     def _take_command(self, message: Float64) -> None:
-        now = self._now()
-        volts = accepted_voltage(message, self._settings.max_voltage)
-        if volts is None:
+        if not self._live.command(self._now(), message.data):
             self._commands.reject(message.data)
-        else:
-            self._live.command(now, volts)
 
     def _cannot_hear(self, event: QoSRequestedIncompatibleQoSInfo) -> None:
         self._commands.deaf_to = event.total_count
@@ -292,7 +286,7 @@ class ValveShell:
         statuses = (
             timing_status(self._worker.timing.look(now), self._settings.publish_rate, waiting_for),
             command_status(self._commands.look(now, live.last_command, live.volts, live.timed_out)),
-            valve_status(ValveFacts(live.phase, live.strokes, live.failures, self._failure)),
+            valve_status(ValveFacts(live.phase, live.strokes, live.failures, self._failure, self._namesakes.look())),
         )
         name = self._node.get_fully_qualified_name()
         self._diagnostics.publish(diagnostic_array(statuses, name, self._clock.stamp()))
@@ -329,6 +323,8 @@ class ValveShell:
         now, settings = self._now(), settings_of(self._values())
         if settings.time_scale != self._settings.time_scale:
             self._live.set_scale(now, settings.time_scale)
+        if settings.max_voltage != self._settings.max_voltage:
+            self._live.limit(now, settings.max_voltage)
         self._live.command_timeout = settings.command_timeout
         self._messages.set_frame_id(settings.frame_id)
         if settings.publish_rate != self._settings.publish_rate:

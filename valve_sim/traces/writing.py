@@ -5,9 +5,10 @@ from __future__ import annotations
 import csv
 import os
 import shutil
+import sqlite3
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 import numpy as np
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
@@ -56,7 +57,7 @@ class BagRecorder:
         if self.path.is_dir() or (self.path.exists() and not self._bare):
             raise TraceError(f"{self.path}: exists already; choose another name or remove it")
         plugin = StoragePlugin.MCAP if self._bare or storage == "mcap" else StoragePlugin.SQLITE3
-        try:
+        with self._or_nothing():
             shutil.rmtree(self._workshop, ignore_errors=True)
             self._workshop.mkdir(parents=True)
             self._writer = Writer(self._workshop / name, version=9, storage_plugin=plugin)
@@ -64,9 +65,6 @@ class BagRecorder:
                 mode = CompressionMode.STORAGE if plugin == StoragePlugin.MCAP else CompressionMode.MESSAGE
                 self._writer.set_compression(mode, CompressionFormat.ZSTD)
             self._writer.open()
-        except OSError as error:
-            shutil.rmtree(self._workshop, ignore_errors=True)
-            raise TraceError(f"{self.path}: cannot be written ({error.strerror}); choose another place") from error
         self._connections: dict[str, Connection] = {}
         self._types: dict[str, str] = {}
 
@@ -78,7 +76,7 @@ class BagRecorder:
             message_type: "std_msgs/msg/Float64".
 
         Raises:
-            TraceError: The type is unknown, or the topic has another one.
+            TraceError: The type is unknown, the topic has another one, or the disk is full.
         """
         if message_type not in typestore().fielddefs:
             raise TraceError(
@@ -89,31 +87,55 @@ class BagRecorder:
                 f"{self.path}: topic {topic} is {self._types[topic]}, not {message_type}; use another name"
             )
         if topic not in self._connections:
-            self._connections[topic] = self._writer.add_connection(topic, message_type, typestore=typestore())
+            with self._or_nothing():
+                self._connections[topic] = self._writer.add_connection(topic, message_type, typestore=typestore())
 
     def write(self, topic: str, message_type: str, payload: bytes, time_ns: int) -> None:
-        """Write one serialized (CDR) message that came at `time_ns`, ns of the recorder's clock."""
+        """Write one serialized (CDR) message that came at `time_ns`, ns of the recorder's clock.
+
+        Raises:
+            TraceError: It cannot be written; nothing is left behind.
+        """
         if self._types.get(topic) != message_type:
             self.add_topic(topic, message_type)
-        self._writer.write(self._connections[topic], time_ns, payload)
+        try:
+            self._writer.write(self._connections[topic], time_ns, payload)
+        except (OSError, sqlite3.Error) as error:
+            self._refuse(error)
 
     def close(self) -> None:
-        """Finish the recording and move it to its name."""
-        try:
+        """Finish the recording and move it to its name.
+
+        Raises:
+            TraceError: It cannot be written; nothing is left behind.
+        """
+        with self._or_nothing():
             self._writer.close()
             if self._bare:
                 (self._writer.path / self.path.name).replace(self.path)
             else:
                 self._writer.path.rename(self.path)
-        except OSError as error:
-            raise TraceError(f"{self.path}: cannot be written ({error.strerror}); choose another place") from error
-        finally:
-            shutil.rmtree(self._workshop, ignore_errors=True)
+        shutil.rmtree(self._workshop, ignore_errors=True)
 
     def discard(self) -> None:
         """Give the recording up and leave nothing behind."""
-        self._writer.abort()
+        # A disk that is full, or a file that was never opened, cannot be finished either.
+        with suppress(Exception):
+            self._writer.abort()
         shutil.rmtree(self._workshop, ignore_errors=True)
+
+    @contextmanager
+    def _or_nothing(self) -> Iterator[None]:
+        """What cannot be written leaves nothing behind."""
+        try:
+            yield
+        except (OSError, sqlite3.Error) as error:
+            self._refuse(error)
+
+    def _refuse(self, error: OSError | sqlite3.Error) -> NoReturn:
+        self.discard()
+        why = error.strerror if isinstance(error, OSError) else error
+        raise TraceError(f"{self.path}: cannot be written ({why}); choose another place") from error
 
     def __enter__(self) -> BagRecorder:
         """Return the open recorder."""

@@ -1,0 +1,139 @@
+"""Any parameters that are accepted: the run ends, the plungers stay between seat and stop, and nothing chatters on."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, assume, given, seed, settings
+from hypothesis import strategies as st
+
+from benchmarks.fuzz import limited
+from valve_sim.model import (
+    CATALOGUE,
+    DECLARED,
+    Drive,
+    EventKind,
+    Parameter,
+    ParameterError,
+    Phase,
+    SimulationError,
+    Stepper,
+    Valve,
+    simulate,
+)
+
+BEYOND = 1e-9
+"""m: how far beyond a contact a plunger may be shown."""
+SECONDS = 0.02
+MOST_EVENTS = 20_000
+"""Of 20 ms: a contact slower than 1 or 5 mm/s does not rebound, so there cannot be many."""
+SENSORS = ("sensor_delay", "sensor_bandwidth", "sensor_gain")
+CALIBRATED = Valve().with_values(a0=3.0336, coil_time_constant=1e-3)
+
+
+def values(parameter: Parameter, typical: float) -> st.SearchStrategy[float]:
+    """Its ends, zero, and anything from a ten-thousandth to a thousand times what is typical."""
+    sizes = st.floats(-4.0, 3.0).map(lambda decades: abs(typical or 1e-3) * 10.0**decades)
+    signed = st.builds(math.copysign, sizes, st.sampled_from((1.0, -1.0)))
+    ends = [end for end in (parameter.lower, parameter.upper, 0.0) if math.isfinite(end)]
+    return st.one_of(signed, st.sampled_from(ends)).map(lambda value: min(max(value, parameter.lower), parameter.upper))
+
+
+@st.composite
+def valves(draw: st.DrawFn, *, with_sensors: bool) -> Valve:
+    """Up to five declared parameters and three effects anywhere in their ranges; what is refused is drawn anew."""
+    declared: dict[str, Any] = CALIBRATED.to_mapping()["valve"]
+    for name in draw(st.lists(st.sampled_from([name for name in DECLARED if name in declared]), max_size=5)):
+        declared[name] = draw(values(DECLARED[name], declared[name]))
+    names = [name for name, effect in CATALOGUE.items() if effect.named and (with_sensors or name not in SENSORS)]
+    chosen = draw(st.lists(st.sampled_from(names), max_size=3, unique=True))
+    effects = {
+        name: {entry.name: draw(values(entry, entry.typical)) for entry in CATALOGUE[name].parameters}
+        for name in chosen
+    }
+    try:
+        return Valve.from_mapping({"valve": declared, "effects": effects}, "drawn")
+    except ParameterError as error:
+        assert "\n" not in str(error)
+        assume(False)
+        raise
+
+
+drives = st.lists(st.tuples(st.floats(0.0, SECONDS), st.floats(-1e4, 1e4) | st.sampled_from((0.0, 9.0, -9.0, 30.0))),
+                  min_size=1, max_size=6).map(sorted)  # fmt: skip
+some = settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiled() -> None:
+    """What compiles is no hang: all is compiled before the first clock runs."""
+    valve = Valve(CALIBRATED.parameters, {"sensor_delay": {"delay": 1e-3}})
+    simulate(valve, Drive.of([0.0], [9.0]), [0.01])
+    stepper = Stepper(valve)
+    stepper.command(1e-3, 9.0)
+    stepper.advance(0.01)
+
+
+@seed(7)
+@some
+@given(valve=valves(with_sensors=False), commands=drives)
+def test_plungers_stay_between_seat_and_stop(valve: Valve, commands: list[tuple[float, float]]) -> None:
+    record = valve.record()[0]
+    gap, stroke = float(record["pilot_gap"]), float(record["stroke"])
+    drive = Drive.of([time for time, _ in commands], [volts for _, volts in commands])
+    with limited():
+        try:
+            response = simulate(valve, drive, np.linspace(0.0, SECONDS, 200))
+        except SimulationError as error:
+            assert "\n" not in str(error)
+            return
+    for name in ("pilot_position", "main_position", "pilot_velocity", "coil_current", "attraction"):
+        assert np.isfinite(getattr(response, name)).all(), name
+    pilot, main = response.pilot_position, response.main_position
+    assert np.all((pilot >= -BEYOND) & (pilot <= stroke + BEYOND))
+    assert np.all((main >= -BEYOND) & (main <= stroke - gap + BEYOND))
+    assert np.all(np.abs(pilot[response.phase == Phase.CLOSED]) <= BEYOND)
+    assert np.all(np.abs(pilot[response.phase == Phase.OPEN] - stroke) <= BEYOND)
+    assert np.all(np.abs(pilot[response.phase == Phase.GAP_HOLD] - gap) <= BEYOND)
+    times = [event.time for event in response.events]
+    assert times == sorted(times)
+    assert len(times) < MOST_EVENTS
+    for event in response.events:
+        assert event.kind in EventKind
+        assert -BEYOND <= event.position <= stroke + BEYOND
+        assert math.isfinite(event.velocity)
+
+
+@seed(8)
+@some
+@given(valve=valves(with_sensors=True), commands=drives, step=st.floats(1e-5, 5e-3))
+def test_a_stepper_of_any_valve_shows_finite_readings(
+    valve: Valve, commands: list[tuple[float, float]], step: float
+) -> None:
+    stepper, waiting = Stepper(valve), list(commands)
+    with limited():
+        try:
+            for time in np.arange(step, SECONDS, step).tolist():
+                while waiting and waiting[0][0] <= time:
+                    stepper.command(*waiting.pop(0))
+                reading = stepper.advance(time)
+                assert all(math.isfinite(value) for value in reading[:8])
+        except SimulationError as error:
+            assert "\n" not in str(error)
+            return
+
+
+@pytest.mark.parametrize("delay", [1e-4, 1.37e-3, 9e-3])
+def test_a_stepper_shows_a_late_sensor_as_a_whole_run_does(delay: float) -> None:
+    valve = Valve(CALIBRATED.parameters, {"sensor_delay": {"delay": delay}})
+    times = np.arange(1, 60) * 1e-3
+    whole = simulate(valve, Drive.of([1e-3, 20.5e-3, 21e-3], [9.0, 0.0, 12.0]), times, start_time=0.0)
+    stepper, waiting = Stepper(valve), [(1e-3, 9.0), (20.5e-3, 0.0), (21e-3, 12.0)]
+    for time, pilot, main in zip(times.tolist(), whole.pilot_position, whole.main_position, strict=True):
+        while waiting and waiting[0][0] <= time:
+            stepper.command(*waiting.pop(0))
+        reading = stepper.advance(time)
+        assert (reading.pilot_position, reading.main_position) == pytest.approx((pilot, main), abs=1e-12)

@@ -1,0 +1,240 @@
+"""Nothing that is read is ever run: no pickle or eval, safe loaders, escaped names, and a compile cache of our own."""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import stat
+import warnings
+from html.parser import HTMLParser
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+import yaml
+from click.testing import CliRunner
+from identification.recordings import one_opening
+
+from valve_sim import parameter_files
+from valve_sim.cli import main
+from valve_sim.identification.event_table import read_event_table
+from valve_sim.identification.synthetic import read_profile
+from valve_sim.model import ValveError, compiling
+from valve_sim.parameter_files import load_valve
+from valve_sim.traces import list_valves, write_bag
+
+SOURCES = sorted((Path(__file__).parents[1] / "valve_sim").rglob("*.py"))
+MODULES_THAT_RUN_DATA = {"pickle", "cPickle", "dill", "cloudpickle", "shelve", "marshal", "joblib", "code"}
+FUNCTIONS_THAT_RUN_DATA = {
+    "eval", "exec", "compile", "__import__", "os.system", "os.popen", "os.execv", "tempfile.mktemp",
+    "yaml.unsafe_load", "yaml.full_load", "yaml.load_all", "yaml.unsafe_load_all",
+}  # fmt: skip
+SCRIPT = "<script>alert(1)</script>"
+
+
+# --- sources ---
+
+
+def faults(source: str) -> list[str]:
+    """What a source does that could run data."""
+    return [fault for node in ast.walk(ast.parse(source)) for fault in _faults_of(node)]
+
+
+def _faults_of(node: ast.AST) -> list[str]:
+    if isinstance(node, ast.Import):
+        return [alias.name for alias in node.names if alias.name.split(".")[0] in MODULES_THAT_RUN_DATA]
+    if isinstance(node, ast.ImportFrom):
+        return [node.module or ""] if (node.module or "").split(".")[0] in MODULES_THAT_RUN_DATA else []
+    if not isinstance(node, ast.Call):
+        return []
+    name, keywords = ast.unparse(node.func), {word.arg: ast.unparse(word.value) for word in node.keywords}
+    found = [name] if name in FUNCTIONS_THAT_RUN_DATA else []
+    found += [
+        f"{word}={keywords[word]}" for word in ("shell", "allow_pickle") if keywords.get(word, "False") != "False"
+    ]
+    if name == "yaml.load" and keywords.get("Loader") not in ("_Loader", "yaml.SafeLoader"):
+        found.append(f"yaml.load by {keywords.get('Loader')}")
+    return found
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda path: path.name)
+def test_no_source_runs_what_it_reads(path: Path) -> None:
+    assert faults(path.read_text(encoding="utf-8")) == []
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "import pickle", "from pickle import loads", "import os.path, shelve", "eval('1')", "exec(text)",
+        "subprocess.run(command, shell=True)", "subprocess.run(command, shell=choice)", "np.load(f, allow_pickle=True)",
+        "yaml.load(text)", "yaml.load(text, Loader=yaml.Loader)", "yaml.unsafe_load(text)", "os.system('ls')",
+    ],
+)  # fmt: skip
+def test_the_search_finds_what_it_looks_for(source: str) -> None:
+    assert faults(source) != []
+
+
+def test_the_one_loader_of_our_own_is_a_safe_one() -> None:
+    assert issubclass(parameter_files._Loader, yaml.SafeLoader)
+
+
+@pytest.mark.parametrize("read", [load_valve, read_profile, read_event_table])
+def test_yaml_that_would_call_something_is_refused(tmp_path: Path, read) -> None:
+    mark = tmp_path / "was_run"
+    path = tmp_path / "file.yaml"
+    path.write_text(f"valve: !!python/object/apply:os.mkdir ['{mark}']\n")
+    with pytest.raises(ValveError) as refusal:
+        read(path)
+    assert "\n" not in str(refusal.value)
+    assert not mark.exists()
+
+
+# --- names from bags ---
+
+
+class Page(HTMLParser):
+    """The elements of a page, the attributes that run scripts, and what the scripts hold."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.elements: list[str] = []
+        self.handlers: list[str] = []
+        self.scripts: list[str] = []
+        self.text = ""
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append(tag)
+        self.handlers += [name for name, _ in attrs if name.startswith("on")]
+        if tag == "script":
+            self.scripts.append("")
+
+    def handle_data(self, data: str) -> None:
+        if self.elements and self.elements[-1] == "script":
+            self.scripts[-1] += data
+        else:
+            self.text += data
+
+
+NAMES = {
+    "a script": SCRIPT,
+    "an attribute": "\" onmouseover='alert(1)' x=\"",
+    "the end of JSON": "</script><script>alert(1);",
+    "a comment": "<!--<script>",
+    "mathematics": r"$\frac{1}{$",
+    "a template": "{{ 7 * 7 }}{% raw %}",
+}
+
+
+@pytest.fixture(scope="module")
+def clean(tmp_path_factory: pytest.TempPathFactory) -> Page:
+    """The report of a recording with a harmless name."""
+    return diagnosed(tmp_path_factory.mktemp("clean"), "valve")
+
+
+def diagnosed(folder: Path, name: str) -> Page:
+    """The report of a recording whose file and valve have this name."""
+    bag = folder / f"{name}.mcap"
+    bag.parent.mkdir(parents=True, exist_ok=True)
+    write_bag(bag, one_opening(), valve=f"/{name}")
+    assert list_valves(bag) == (f"/{name}",)
+    results = folder / "results"
+    ran = CliRunner().invoke(main, ["diagnose", str(bag), "--output", str(results)])
+    assert ran.exit_code == 0, ran.output
+    json.loads((results / "report.json").read_text())
+    load_valve(results / "corrected.yaml")
+    return Page((results / "report.html").read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize("name", NAMES.values(), ids=NAMES)
+def test_a_name_in_a_bag_is_text_on_the_page(clean: Page, tmp_path: Path, name: str) -> None:
+    page = diagnosed(tmp_path, name)
+    assert page.elements == clean.elements
+    assert page.handlers == []
+    assert json.loads(page.scripts[0]).keys() == {"strokes", "maps"}
+    assert page.scripts[1:] == clean.scripts[1:]
+    assert name in page.text
+
+
+@pytest.mark.parametrize("name", [*NAMES.values(), "\x1b]0;owned\x07", "a\x01b"], ids=[*NAMES, "escapes", "control"])
+def test_a_name_in_a_bag_is_text_in_junit_and_on_the_terminal(tmp_path: Path, name: str) -> None:
+    bag, junit = tmp_path / "x.mcap", tmp_path / "replay.xml"
+    write_bag(bag, one_opening(), valve=f"/{name}")
+    shipped = Path(__file__).parents[1] / "config" / "valve.yaml"
+    ran = CliRunner().invoke(main, ["validate", str(bag), "--params", str(shipped), "--junit", str(junit)], color=True)
+    assert ran.exit_code in (0, 1), ran.output
+    assert {element.tag for element in ElementTree.parse(junit).iter()} <= {
+        "testsuites", "testsuite", "testcase", "failure", "properties", "property", "system-out",
+    }  # fmt: skip
+    for arguments in (["info", str(bag)], ["info", str(bag), "--valve", "/other"]):
+        ran = CliRunner().invoke(main, arguments, color=True)
+        assert not set(ran.output) & {"\x1b", "\x07", "\x01"}
+
+
+# --- the compile cache: loading it runs code ---
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where code would be kept."""
+    place = tmp_path / "cache"
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(place))
+    return place
+
+
+def refused(says: str) -> bool:
+    with pytest.warns(RuntimeWarning, match=says):
+        return compiling.cache_folder() is None
+
+
+def test_a_new_cache_is_closed_to_others_whatever_the_umask(cache: Path) -> None:
+    cache.mkdir(mode=0o755)
+    before = os.umask(0)
+    try:
+        folder = compiling.cache_folder()
+    finally:
+        os.umask(before)
+    assert folder is not None
+    assert folder.parent == cache
+    assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+
+
+def test_one_that_is_ours_is_used_again(cache: Path) -> None:
+    assert compiling.cache_folder() == compiling.cache_folder() != None  # noqa: E711
+
+
+@pytest.mark.parametrize("mode", [0o777, 0o770, 0o702])
+def test_one_that_others_can_write_to_is_not_used(cache: Path, mode: int) -> None:
+    folder = compiling.cache_folder()
+    assert folder is not None
+    folder.chmod(mode)
+    assert refused("others can write to it")
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root can give a folder away")
+def test_one_that_somebody_else_owns_is_not_used(cache: Path) -> None:
+    folder = compiling.cache_folder()
+    assert folder is not None
+    os.chown(folder, 12345, -1)
+    assert refused("owned by another user")
+
+
+@pytest.mark.parametrize(("mode", "is_used"), [(0o777, False), (0o1777, True), (0o775, True)])
+def test_one_that_others_can_exchange_is_not_used(cache: Path, mode: int, is_used: bool) -> None:
+    cache.mkdir()
+    cache.chmod(mode)
+    if is_used:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            assert compiling.cache_folder() is not None
+    else:
+        assert refused("others can exchange what is in")
+
+
+def test_a_link_to_a_folder_of_others_is_not_used(cache: Path, tmp_path: Path) -> None:
+    open_to_all = tmp_path / "open"
+    open_to_all.mkdir()
+    open_to_all.chmod(0o777)
+    cache.symlink_to(open_to_all)
+    assert refused("others can exchange what is in")
