@@ -1,33 +1,69 @@
-"""A station of three tanks: valves /tank_1/valve … /tank_3/valve, each with a parameter file of its own."""
+"""A station of three tanks: /tank_1 to /tank_3, in each a `valve` with a parameter file of its own and its `monitor`.
+
+    ros2 launch valve_sim station.launch.py monitors:=false command_timeout:=0.5
+
+A monitor declares the valve that its parameter file describes, and hears the simulated valve's own joint_states in
+place of a sensor's. What a parameter sets while the station runs is a fault to it.
+"""
 
 from pathlib import Path
 
 from launch.actions import DeclareLaunchArgument
+from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchDescription
 
 CONFIG = Path(__file__).resolve().parents[1] / "config"
+NOISE_UM = 1.0
+"""Of a laser; simulated valves have none at all, and a monitor that knew it would warn of what no sensor shows."""
 TANKS = ("tank_1", "tank_2", "tank_3")
+ARGUMENTS = {
+    "use_sim_time": ("false", "follow /clock"),
+    "monitors": ("true", "whether each valve has a monitor_node beside it"),
+    "publish_rate": ("500.0", "Hz, of each valve"),
+    "command_timeout": ("0.0", "s without a command, after which a valve closes by itself; 0: never"),
+    "commissioning_strokes": ("20", "so many first strokes of a valve are taken for healthy by its monitor"),
+}
+
+
+def valve_of(tank: str) -> Node:
+    """The simulated valve of a tank."""
+    return Node(
+        package="valve_sim",
+        executable="valve_node",
+        name="valve",
+        namespace=tank,
+        parameters=[
+            str(CONFIG / f"{tank}.yaml"),
+            {name: LaunchConfiguration(name) for name in ("use_sim_time", "publish_rate", "command_timeout")},
+        ],
+        output="screen",
+    )
+
+
+def monitor_of(tank: str) -> Node:
+    """The monitor beside it, with the same parameter file."""
+    return Node(
+        package="valve_sim",
+        executable="monitor_node",
+        name="monitor",
+        namespace=tank,
+        parameters=[
+            str(CONFIG / f"{tank}.yaml"),
+            {"measured": "joint_states", "noise_um": NOISE_UM},
+            {name: LaunchConfiguration(name) for name in ("use_sim_time", "commissioning_strokes")},
+        ],
+        condition=IfCondition(LaunchConfiguration("monitors")),
+        output="screen",
+    )
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Three times valve_node, in namespaces."""
-    valves = [
-        Node(
-            package="valve_sim",
-            executable="valve_node",
-            name="valve",
-            namespace=tank,
-            parameters=[str(CONFIG / f"{tank}.yaml"), {"use_sim_time": LaunchConfiguration("use_sim_time")}],
-            output="screen",
-        )
-        for tank in TANKS
+    """A valve and a monitor for each tank."""
+    arguments = [
+        DeclareLaunchArgument(name, default_value=value, description=words)
+        for name, (value, words) in ARGUMENTS.items()
     ]
-    return LaunchDescription(
-        [
-            DeclareLaunchArgument("use_sim_time", default_value="false", description="follow /clock"),
-            *valves,
-        ]
-    )
+    return LaunchDescription([*arguments, *(valve_of(tank) for tank in TANKS), *(monitor_of(tank) for tank in TANKS)])

@@ -1,0 +1,148 @@
+"""docs/examples/sequencer.py before real valves: all goes well, one sticks, one is missing, a signal comes."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from .ros_process import PATIENCE, Probe, running
+
+pytestmark = pytest.mark.ros
+pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
+
+import rclpy  # noqa: E402
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from std_msgs.msg import Bool  # noqa: E402
+
+SEQUENCER = Path(__file__).parents[2] / "docs" / "examples" / "sequencer.py"
+TANKS = ("tank_1", "tank_2", "tank_3")
+
+
+class Tank:
+    """A valve of the station, as the test sees it."""
+
+    def __init__(self, name: str) -> None:
+        self.probe = Probe(f"/{name}/valve")
+        self.is_open = self.probe.hear("is_open", Bool, latched=True)
+        self._status = f"{name}/valve: command"
+        self._diagnostics = self.probe.hear("/diagnostics", DiagnosticArray)
+
+    def openings(self) -> int:
+        return sum(message.data for message in self.is_open)
+
+    def is_without_voltage(self) -> bool:
+        """What it says from now on."""
+        now = self.probe.node.get_clock().now().nanoseconds
+        assert self.probe.until(lambda: self._voltages(now)), "no diagnostics"
+        return self._voltages(now) == ["0"]
+
+    def _voltages(self, since: int) -> list[str]:
+        fresh = [m for m in self._diagnostics if m.header.stamp.sec * 10**9 + m.header.stamp.nanosec > since]
+        statuses = [status for message in fresh for status in message.status if status.name == self._status]
+        return [pair.value for status in statuses for pair in status.values if pair.key == "voltage (V)"]
+
+
+@pytest.fixture(scope="module")
+def station(own_domain: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[Tank]]:
+    """Three valves that run."""
+    folder = tmp_path_factory.mktemp("station")
+    rclpy.init()
+    with contextlib.ExitStack() as stack:
+        for name in TANKS:
+            arguments = ["--ros-args", "-r", f"__ns:=/{name}", "-p", "publish_rate:=100.0"]
+            stack.enter_context(running(folder, arguments))
+        tanks = [Tank(name) for name in TANKS]
+        for tank in tanks:
+            assert tank.probe.until(lambda tank=tank: tank.is_open)
+        yield tanks
+        for tank in tanks:
+            tank.probe.close()
+    rclpy.try_shutdown()
+
+
+@contextlib.contextmanager
+def sequencing(folder: Path, **parameters: object) -> Iterator[subprocess.Popen[str]]:
+    """The sequencer while inside."""
+    words = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
+    command = [sys.executable, str(SEQUENCER), "--ros-args", *words]
+    environment = {**os.environ, "ROS_LOG_DIR": str(folder)}
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment) as process:
+        try:
+            yield process
+        finally:
+            if process.poll() is None:
+                process.kill()
+
+
+def run(folder: Path, **parameters: object) -> tuple[int, str]:
+    """Exit code and stderr of a whole sequence."""
+    with sequencing(folder, **parameters) as process:
+        _, words = process.communicate(timeout=2 * PATIENCE)
+        return process.returncode, words
+
+
+def test_each_valve_is_opened_in_its_turn_and_closed_again(station: list[Tank], tmp_path: Path) -> None:
+    before = [tank.openings() for tank in station]
+    code, words = run(tmp_path, cycles=2, timeout=PATIENCE)
+    assert code == 0, words
+    order = [line.split()[-3] for line in words.splitlines() if line.endswith("is open")]
+    assert order == 2 * [tank.probe.target for tank in station]
+    for tank, count in zip(station, before, strict=True):
+        assert tank.probe.until(
+            lambda tank=tank, count=count: tank.openings() == count + 2 and not tank.is_open[-1].data
+        )
+        assert tank.is_without_voltage()
+
+
+def test_a_valve_that_sticks_closes_all_and_is_named(station: list[Tank], tmp_path: Path) -> None:
+    first, stuck, last = station
+    before = [tank.openings() for tank in station]
+    assert stuck.probe.set_parameters(valve__seat_load=1000.0)[0].successful
+    try:
+        code, words = run(tmp_path, timeout=3.0)
+    finally:
+        assert stuck.probe.set_parameters(valve__seat_load=0.0)[0].successful
+    assert code == 1
+    assert words.splitlines()[-1] == "sequencer: after 3 s not open: /tank_2/valve; all valves are commanded closed"
+    assert first.probe.until(lambda: first.openings() == before[0] + 1)
+    assert all(tank.is_without_voltage() for tank in station)
+    assert [tank.openings() for tank in (stuck, last)] == before[1:], "it went on, or the valve did open"
+
+
+def test_a_valve_that_does_not_stay_open_closes_all_and_is_named(station: list[Tank], tmp_path: Path) -> None:
+    with sequencing(tmp_path, hold=1000.0, timeout=PATIENCE) as process:
+        last = station[-1]
+        assert last.probe.until(lambda: last.is_open[-1].data)
+        assert last.probe.set_parameters(max_voltage=1.0)[0].successful
+        _, words = process.communicate(timeout=PATIENCE)
+    assert last.probe.set_parameters(max_voltage=30.0)[0].successful
+    assert process.returncode == 1
+    assert words.splitlines()[-1] == "sequencer: closed by itself: /tank_3/valve; all valves are commanded closed"
+    assert all(tank.is_without_voltage() for tank in station)
+
+
+def test_a_valve_that_is_missing_is_named_before_any_is_opened(station: list[Tank], tmp_path: Path) -> None:
+    before = [tank.openings() for tank in station]
+    code, words = run(tmp_path, namespaces="[tank_1, tank_4]", patience=3.0)
+    assert code == 1
+    assert "after 3 s not there: /tank_4/valve; all" in words
+    assert [tank.openings() for tank in station] == before
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_closes_all(station: list[Tank], tmp_path: Path, number: signal.Signals) -> None:
+    with sequencing(tmp_path, hold=1000.0, timeout=PATIENCE) as process:
+        last = station[-1]
+        assert last.probe.until(lambda: last.is_open[-1].data)
+        process.send_signal(number)
+        _, words = process.communicate(timeout=PATIENCE)
+        assert process.returncode == 1
+        assert words.splitlines()[-1] == "sequencer: interrupted; all valves are commanded closed"
+    assert all(tank.is_without_voltage() for tank in station)

@@ -1,0 +1,91 @@
+"""The station of launch/station.launch.py: what it starts, and a fault in one valve that its own monitor reports."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from .clockwork import Clockwork
+from .launch_plan import LaunchConfiguration, LaunchPlan, read_launch_file
+from .ros_process import Probe
+
+LAUNCH_FILE = Path(__file__).parents[2] / "launch" / "station.launch.py"
+TANKS = ("tank_1", "tank_2", "tank_3")
+COMMISSIONING = 8
+"""Strokes, the fewest that are allowed."""
+
+
+@pytest.fixture(scope="module")
+def plan() -> LaunchPlan:
+    return read_launch_file(LAUNCH_FILE)
+
+
+def test_each_tank_has_a_valve_and_a_monitor(plan: LaunchPlan) -> None:
+    assert {(node.full_name, node.executable) for node in plan.started({})} == {
+        (f"/{tank}/{name}", f"{name}_node") for tank in TANKS for name in ("valve", "monitor")
+    }
+    assert {node.executable for node in plan.started({"monitors": "false"})} == {"valve_node"}
+
+
+def test_both_nodes_of_a_tank_have_its_parameter_file(plan: LaunchPlan) -> None:
+    for node in plan.nodes:
+        (file,) = (Path(given) for given in node.parameters if isinstance(given, str))
+        assert file.is_file()
+        assert file.name == f"{node.namespace}.yaml"
+
+
+def test_every_argument_sets_the_parameter_of_its_name(plan: LaunchPlan) -> None:
+    used = {node.condition.configuration.name for node in plan.nodes if node.condition}
+    for node in plan.nodes:
+        for given in node.parameters:
+            for name, value in given.items() if isinstance(given, dict) else ():
+                if isinstance(value, LaunchConfiguration):
+                    assert value.name == name
+                    used.add(name)
+    assert used == set(plan.arguments)
+
+
+def test_the_page_names_every_argument_with_its_default(plan: LaunchPlan) -> None:
+    page = (LAUNCH_FILE.parents[1] / "docs" / "station.md").read_text(encoding="utf-8")
+    for name, default in plan.arguments.items():
+        assert f"| `{name}` | `{default}` |" in page
+
+
+@pytest.mark.ros
+def test_a_fault_in_one_valve_is_reported_by_its_own_monitor(
+    plan: LaunchPlan, own_domain: None, tmp_path: Path
+) -> None:
+    rclpy = pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
+    from diagnostic_msgs.msg import DiagnosticArray
+
+    rclpy.init()
+    healthy, faulty = probes = [Probe("/tank_1/valve"), Probe("/tank_2/valve")]
+    try:
+        values = {"use_sim_time": "true", "commissioning_strokes": str(COMMISSIONING)}
+        with plan.running(tmp_path, ("tank_1", "tank_2"), values):
+            heard = healthy.hear("/diagnostics", DiagnosticArray)
+            clockwork = Clockwork(probes)
+            clockwork.wait_for_all()
+            clockwork.commission(COMMISSIONING + 20)
+            assert faulty.set_parameters(effects__stiction__force=0.5)[0].successful
+            assert clockwork.strokes_until(12, lambda: clockwork.is_alarmed(1)), "no alarm"
+            assert not clockwork.is_alarmed(0)
+            assert healthy.until(lambda: valves_that_changed(heard)), "nothing on /diagnostics"
+            assert valves_that_changed(heard) == {"tank_2/monitor: valve"}
+    finally:
+        for probe in probes:
+            probe.close()
+        rclpy.try_shutdown()
+
+
+def valves_that_changed(heard: Sequence[Any]) -> set[str]:
+    """The names of the statuses that warn of a valve that is not as commissioned."""
+    return {
+        status.name
+        for message in heard
+        for status in message.status
+        if status.level == b"\x01" and "not those of the commissioned valve" in status.message
+    }

@@ -1,0 +1,61 @@
+"""What a supervisor builds on, since the nodes are plain ones; docs/station.md says why. Exit codes: other tests."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from .ros_process import Probe, running
+
+pytestmark = pytest.mark.ros
+pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
+
+import rclpy  # noqa: E402
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from std_msgs.msg import Bool, Float64, UInt8  # noqa: E402
+
+LIFECYCLE = {"change_state", "get_state", "get_available_states", "get_available_transitions", "get_transition_graph"}
+
+
+@pytest.fixture
+def probe(own_domain: None) -> Iterator[Probe]:
+    rclpy.init()
+    probe = Probe()
+    yield probe
+    probe.close()
+    rclpy.try_shutdown()
+
+
+def test_a_valve_obeys_from_its_first_word_on_and_asks_for_no_transition(probe: Probe, tmp_path: Path) -> None:
+    is_open = probe.hear("is_open", Bool, latched=True)
+    voltage = probe.talker("coil_voltage", Float64)
+    with running(tmp_path):
+        assert probe.until(lambda: is_open and voltage.get_subscription_count() == 1)
+        voltage.publish(Float64(data=9.0))
+        assert probe.until(lambda: is_open[-1].data)
+        services = {name.rpartition("/")[2] for name, _ in probe.node.get_service_names_and_types()}
+        assert "self_test" in services
+        assert not LIFECYCLE & services
+
+
+def test_a_valve_that_was_killed_while_open_comes_back_closed_and_without_voltage(probe: Probe, tmp_path: Path) -> None:
+    is_open = probe.hear("is_open", Bool, latched=True)
+    voltage = probe.talker("coil_voltage", Float64)
+    with running(tmp_path) as killed:
+        assert probe.until(lambda: is_open and voltage.get_subscription_count() == 1)
+        voltage.publish(Float64(data=9.0))
+        assert probe.until(lambda: is_open[-1].data)
+        killed.process.kill()
+        assert killed.exit_code() == -signal.SIGKILL
+    phases, heard = probe.hear("phase", UInt8, latched=True), probe.hear("/diagnostics", DiagnosticArray)
+    with running(tmp_path):
+        assert probe.until(lambda: not is_open[-1].data), (
+            "the controller's publisher is still there, its command is not"
+        )
+        assert probe.until(lambda: heard)
+        (command,) = (status for status in heard[-1].status if status.name == "valve: command")
+        assert (command.message, {pair.key: pair.value for pair in command.values}["voltage (V)"]) == ("none yet", "0")
+        assert {message.data for message in phases} == {0}

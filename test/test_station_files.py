@@ -1,0 +1,181 @@
+"""The station's files for other programs: SROS 2, Foxglove, PlotJuggler. Well formed, and true to the nodes' topics."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from importlib import resources
+from pathlib import Path
+from typing import Any, NamedTuple
+from xml.etree import ElementTree
+
+import pytest
+
+from valve_sim.reference import interfaces
+
+CONFIG = Path(__file__).parents[1] / "config"
+TANKS = ("tank_1", "tank_2", "tank_3")
+SHELLS = {"valve": "valve_shell.py", "monitor": "monitor_shell.py"}
+FIELDS = {"JointState": r"position\[[01]\]", "Float64": "data", "UInt8": "data", "Bool": "data"}
+"""What may be plotted of each message, as Foxglove names it."""
+SERIES = {
+    "JointState": r"(pilot|main)_plunger/(position|velocity|effort)",
+    "Float64": "data",
+    "UInt8": "data",
+    "Bool": "data",
+}
+"""The same as PlotJuggler names it."""
+
+
+@pytest.fixture(scope="module")
+def topics() -> dict[str, str]:
+    """Every topic of the station, and its message."""
+    found = {}
+    for node, file in SHELLS.items():
+        source = (resources.files("valve_sim.nodes") / file).read_text(encoding="utf-8")
+        for entry in interfaces(source):
+            if entry.direction != "service":
+                found.update({entry.name.replace("~", f"/{tank}/{node}"): entry.message for tank in TANKS})
+    return found
+
+
+def split_path(path: str, topics: dict[str, str], between: str) -> tuple[str, str]:
+    """The message of the topic that a path begins with, and the rest of it."""
+    topic = max((name for name in topics if path.startswith(name + between)), key=len, default=None)
+    assert topic is not None, f"{path}: no node has this topic"
+    return topics[topic], path.removeprefix(topic + between)
+
+
+# --- Foxglove ---
+
+
+@pytest.fixture(scope="module")
+def foxglove() -> Any:
+    return json.loads((CONFIG / "foxglove_station.json").read_text(encoding="utf-8"))
+
+
+def panels_of(layout: Any) -> Iterator[str]:
+    if isinstance(layout, str):
+        yield layout
+    else:
+        assert layout["direction"] in ("row", "column")
+        assert 0 < layout["splitPercentage"] < 100
+        yield from panels_of(layout["first"])
+        yield from panels_of(layout["second"])
+
+
+def test_every_foxglove_panel_is_shown_once(foxglove: Any) -> None:
+    shown = list(panels_of(foxglove["layout"]))
+    assert sorted(shown) == sorted(foxglove["configById"])
+    assert {name.partition("!")[0] for name in shown} == {
+        "Plot",
+        "StateTransitions",
+        "DiagnosticSummary",
+        "RawMessages",
+    }
+
+
+def test_foxglove_plots_fields_that_the_topics_have(foxglove: Any, topics: dict[str, str]) -> None:
+    paths = [path for panel in foxglove["configById"].values() for path in panel.get("paths", ())]
+    for path in paths:
+        message, field = split_path(path["value"], topics, ".")
+        assert re.fullmatch(FIELDS[message], field), path["value"]
+        # What has no header is placed by the time at which it came.
+        assert path["timestampMethod"] == ("headerStamp" if message == "JointState" else "receiveTime")
+    shown = {path["value"].rpartition("/")[2] for path in paths}
+    assert shown == {"joint_states.position[0]", "residual.data", "phase.data", "is_open.data"}
+
+
+def test_foxglove_shows_diagnostics_and_findings(foxglove: Any, topics: dict[str, str]) -> None:
+    panels = foxglove["configById"]
+    assert topics[panels["DiagnosticSummary!station"]["topicToRender"]] == "DiagnosticArray"
+    assert {panels[f"RawMessages!{tank}"]["topicPath"] for tank in TANKS} <= set(topics)
+
+
+# --- PlotJuggler ---
+
+
+@pytest.fixture(scope="module")
+def plotjuggler() -> ElementTree.Element:
+    return ElementTree.parse(CONFIG / "plotjuggler_station.xml").getroot()
+
+
+def test_plotjuggler_subscribes_to_what_it_plots_and_to_nothing_else(
+    plotjuggler: ElementTree.Element, topics: dict[str, str]
+) -> None:
+    (selected,) = plotjuggler.iter("selected_topics")
+    subscribed = dict.fromkeys(selected.attrib["value"].split(";"), 0)
+    assert set(subscribed) <= set(topics)
+    for curve in plotjuggler.iter("curve"):
+        name = curve.attrib["name"]
+        message, series = split_path(name, topics, "/")
+        assert re.fullmatch(SERIES[message], series), name
+        subscribed[name.removesuffix("/" + series)] += 1
+    assert all(subscribed.values()), subscribed
+
+
+def test_plotjuggler_splits_add_up(plotjuggler: ElementTree.Element) -> None:
+    assert [tab.attrib["tab_name"] for tab in plotjuggler.iter("Tab")] == [*TANKS, "residuals"]
+    for splitter in plotjuggler.iter("DockSplitter"):
+        sizes = [float(size) for size in splitter.attrib["sizes"].split(";")]
+        assert len(sizes) == int(splitter.attrib["count"]) == len(list(splitter))
+        assert sum(sizes) == pytest.approx(1.0, abs=1e-5)
+    (streamer,) = plotjuggler.iter("previouslyLoaded_Streamer")
+    assert [plugin.attrib["ID"] for plugin in plotjuggler.iter("plugin")] == [streamer.attrib["name"]]
+
+
+# --- SROS 2 ---
+
+
+class Rule(NamedTuple):
+    """What may be below an element of a policy; attributes that it needs, and those of which it needs one or more."""
+
+    children: tuple[str, ...]
+    needs: tuple[str, ...] = ()
+    one_of: tuple[str, ...] = ()
+
+
+GRAMMAR = {
+    "policy": Rule(("enclaves",), ("version",)),
+    "enclaves": Rule(("enclave",)),
+    "enclave": Rule(("profiles",), ("path",)),
+    "profiles": Rule(("profile",)),
+    "profile": Rule(("topics", "services"), ("ns", "node")),
+    "topics": Rule(("topic",), (), ("publish", "subscribe")),
+    "services": Rule(("service",), (), ("reply", "request")),
+    "topic": Rule(()),
+    "service": Rule(()),
+}
+"""Policies of version 0.2.0, as far as this one goes."""
+
+
+def check_element(element: ElementTree.Element) -> None:
+    rule = GRAMMAR[element.tag]
+    assert set(rule.needs) <= set(element.attrib) <= {*rule.needs, *rule.one_of}, element.attrib
+    if rule.one_of:
+        assert set(element.attrib.values()) == {"ALLOW"}
+    assert {child.tag for child in element} <= set(rule.children)
+    assert bool(rule.children) == bool(len(element)), f"{element.tag} is empty"
+    if not rule.children:
+        assert re.fullmatch(r"(~/|/)?[a-z_0-9]+(/[a-z_0-9]+)*", element.text or ""), element.text
+    for child in element:
+        check_element(child)
+
+
+def test_the_policy_keeps_to_the_grammar() -> None:
+    root = ElementTree.parse(CONFIG / "sros2" / "station.policy.xml").getroot()
+    assert (root.tag, root.attrib) == ("policy", {"version": "0.2.0"})
+    check_element(root)
+
+
+def test_each_node_has_an_enclave_of_its_own_name() -> None:
+    root = ElementTree.parse(CONFIG / "sros2" / "station.policy.xml").getroot()
+    enclaves = {
+        enclave.attrib["path"]: [
+            f"{profile.attrib['ns'].rstrip('/')}/{profile.attrib['node']}" for profile in enclave.iter("profile")
+        ]
+        for enclave in root.iter("enclave")
+    }
+    wanted = [f"/{tank}/{node}" for tank in TANKS for node in SHELLS] + ["/sequencer"]
+    assert enclaves == {path: [path] for path in wanted}
