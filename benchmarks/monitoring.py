@@ -21,6 +21,9 @@ import argparse
 import sys
 import time
 from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor
+from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from typing import NamedTuple
 
@@ -112,9 +115,9 @@ def _strokes(monitor: Monitor, valve: LiveValve, forces: Sequence[float]) -> Ite
         yield from feed(monitor, valve.stroke({"coulomb_friction": {"force": force}} if force else None))
 
 
-def report_healthy(strokes: int, seeds: int) -> bool:
+def report_healthy(strokes: int, seeds: int, pool: Executor) -> bool:
     """Print the healthy strokes; whether they are as wanted."""
-    rows = [healthy(seed, -(-strokes // seeds)) for seed in range(seeds)]
+    rows = list(pool.map(partial(healthy, strokes=-(-strokes // seeds)), range(seeds)))
     total, warnings = sum(row.strokes for row in rows), sum(row.warnings for row in rows)
     worst = max(abs(row.ratio - 1.0) for row in rows)
     seconds = sum(row.monitor_seconds for row in rows) / total
@@ -125,12 +128,14 @@ def report_healthy(strokes: int, seeds: int) -> bool:
     return are_few and is_noise and is_fast
 
 
-def report_growth(seeds: int, jitter: float) -> bool:
+def report_growth(seeds: int, jitter: float, pool: Executor) -> bool:
     """Print the growing friction; whether it is as wanted."""
     force = NAME_FORCES[jitter]
     words = f"stamps off by {1e6 * jitter:g} µs"
-    named = [growth(seed, jitter, force, trace=True) for seed in range(seeds)]
-    alarms = named if force == ALARM_FORCE else [growth(s, jitter, ALARM_FORCE, trace=False) for s in range(seeds)]
+    named = list(pool.map(partial(growth, jitter=jitter, force=force, trace=True), range(seeds)))
+    alarms = named
+    if force != ALARM_FORCE:
+        alarms = list(pool.map(partial(growth, jitter=jitter, force=ALARM_FORCE, trace=False), range(seeds)))
     soon = sum(row.alarmed_after is not None and row.alarmed_after <= 5 for row in alarms)
     right = sum(row.names == ("coulomb_friction",) for row in named)
     wanted = 0.9 * seeds
@@ -151,11 +156,13 @@ def _say(is_good: bool, words: str) -> None:
 def main() -> int:
     """Run and print; 1 if anything falls short."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--strokes", type=int, default=10_000, help="healthy strokes in all")
+    parser.add_argument("--strokes", type=int, default=10_000, help="healthy strokes in all; 0: none")
     parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--jobs", type=int, default=2, help="processes (default: 2)")
     chosen = parser.parse_args()
-    good = [report_healthy(chosen.strokes, chosen.seeds)]
-    good += [report_growth(chosen.seeds, jitter) for jitter in NAME_FORCES]
+    with ProcessPoolExecutor(chosen.jobs, mp_context=get_context("spawn")) as pool:
+        good = [report_healthy(chosen.strokes, chosen.seeds, pool)] if chosen.strokes else []
+        good += [report_growth(chosen.seeds, jitter, pool) for jitter in NAME_FORCES]
     return 0 if all(good) else 1
 
 

@@ -66,6 +66,11 @@ class PlantOnTopics:
             self.stroke(effects)
         return [json.loads(report.data) for report in self._reports[before:]]
 
+    def forget(self) -> None:
+        """What has been heard: for runs that are long."""
+        for heard in (self.predicted, self.residuals, self._reports):
+            del heard[:-1]
+
     def _command(self, time: float, volts: float) -> None:
         self._clock.publish(self._clock_message(clock=_stamp(self._joints().header.stamp, time)))
         self._voltage.publish(self._float(data=volts))
