@@ -97,16 +97,16 @@ def test_a_process_that_was_stopped_makes_up_for_half_a_second_and_says_what_it_
         command.publish(Float64(data=9.0))
         assert probe.until(lambda: ears.is_open and ears.is_open[-1].data)
         process.process.send_signal(signal.SIGSTOP)
-        probe.spin_for(2.0)
+        probe.spin_for(5.0)
         before, lost = len(ears.joints), int(ears.value("timing", "lost steps") or 0)
         process.process.send_signal(signal.SIGCONT)
         assert probe.until(lambda: len(ears.joints) > before + 50)
         stamps = ears.stamps
         leap = max(later - earlier for earlier, later in itertools.pairwise(stamps[before - 1 :]))
-        assert leap > SECOND, "samples of two seconds came in a burst"
+        assert leap > 4 * SECOND, "samples of five seconds came in a burst"
         first = next(at for at in range(before, len(stamps)) if stamps[at] - stamps[at - 1] > SECOND)
         assert len(stamps) - first <= MOST_AT_ONCE + (stamps[-1] - stamps[first]) // MILLISECOND
-        assert probe.until(lambda: int(ears.value("timing", "lost steps") or 0) >= lost + 1000)
+        assert probe.until(lambda: int(ears.value("timing", "lost steps") or 0) >= lost + 4000)
         assert any("samples were not published, for lack of time" in status.message for status in ears.said("timing"))
         assert probe.until(lambda: ears.value("command", "timed out") == "true"), "the command was older than 1 s"
         assert not ears.is_open[-1].data
