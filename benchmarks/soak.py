@@ -120,7 +120,7 @@ def soak_monitor(strokes: int, folder: Path) -> Soaked:
     arguments = ["--ros-args", *(word for name in names for word in ("-p", name))]
     warm = 0.0
     with running(folder, arguments, "monitor_node") as node:
-        assert probe.until(plant.is_heard)
+        plant.wait_for_monitor()
         for stroke in range(strokes):
             plant.stroke()
             plant.forget()

@@ -18,7 +18,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 STAND_IN = Path(__file__).with_name("ros2_stand_in.py")
 PATIENCE = 300.0
-FOREGROUND_SECONDS = 15
+FOREGROUND_SECONDS = 8
 """A node that is started in the foreground runs until Ctrl-C; here that comes after so long."""
 
 NOT_HERE = {

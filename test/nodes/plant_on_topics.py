@@ -13,11 +13,15 @@ from typing import Any
 import numpy as np
 from identification.live_strokes import LiveStroke, LiveValve
 
-from .ros_process import Probe
+from .ros_process import PATIENCE, Probe
 
 CHUNK = 100
 """Samples that are under way at most."""
 SECOND = 1_000_000_000
+PAUSE = 0.05
+"""s by the wall between the samples that are sent before the monitor answers."""
+BEFORE = -5.0
+"""s: their stamps begin so long before the first stroke that nothing of them is kept with it."""
 
 
 class PlantOnTopics:
@@ -44,10 +48,17 @@ class PlantOnTopics:
         self.residuals = probe.hear(f"{monitor}/residual", Float64)
         self._reports = probe.hear(f"{monitor}/stroke_report", String)
 
-    def is_heard(self) -> bool:
-        """Whether the monitor is there."""
+    def wait_for_monitor(self) -> None:
+        """Until each hears the other: samples of long before the first stroke are sent until one is answered."""
         talkers = (self._clock, self._voltage, self._samples)
-        return all(talker.get_subscription_count() > 0 for talker in talkers)
+        assert self._probe.until(lambda: all(talker.get_subscription_count() > 0 for talker in talkers))
+        for index in range(round(PATIENCE / PAUSE)):
+            message = self._joints(name=["pilot_plunger"], position=[0.0])
+            _stamp(message.header.stamp, BEFORE + 1e-3 * index)
+            self._samples.publish(message)
+            if self._probe.until(lambda: bool(self.predicted), PAUSE):
+                return
+        raise AssertionError("the monitor predicts nothing")
 
     def stroke(self, effects: Mapping[str, Mapping[str, float]] | None = None) -> None:
         """One stroke of the valve with these effects, each sample answered."""

@@ -106,7 +106,7 @@ def test_friction_that_appears_in_a_real_valve_is_warned_of_and_named(probe: Pro
     findings = probe.hear("/monitor/finding", String, latched=True)
     ears = Ears(probe)
     with monitoring(tmp_path, measured="measured/joint_states", use_sim_time=True, max_rate=1e5) as process:
-        assert probe.until(plant.is_heard)
+        plant.wait_for_monitor()
         reports = plant.strokes(FEW)
         before = len(plant.residuals)
         reports += plant.strokes(8)

@@ -22,7 +22,7 @@ from rclpy.duration import Duration
 from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
+from rclpy.qos import qos_policy_name_from_kind
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64, UInt8
 from std_srvs.srv import Trigger
@@ -50,13 +50,10 @@ from valve_sim.nodes.parameters import (
     valve_of,
 )
 from valve_sim.nodes.realtime import NANOSECONDS, ClockReading, Restart, Worker
+from valve_sim.nodes.shell_parts import LATCHED, RELIABLE
 from valve_sim.nodes.spinning import spin
 from valve_sim.parameter_files import Section, default_valve
 
-_RELIABLE: Final = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
-_LATCHED: Final = QoSProfile(
-    depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
-)
 _LONGEST_SLEEP: Final = 0.05
 _STOP_SECONDS: Final = 0.4
 _PATIENCE_SECONDS: Final = 1.5
@@ -187,13 +184,13 @@ class ValveShell:
 
     def _wire(self) -> None:
         node = self._node
-        self._joint_states = node.create_publisher(JointState, "~/joint_states", _RELIABLE)
-        self._coil_current = node.create_publisher(Float64, "~/coil_current", _RELIABLE)
-        self._phase = node.create_publisher(UInt8, "~/phase", _LATCHED)
-        self._is_open = node.create_publisher(Bool, "~/is_open", _LATCHED)
-        self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", _RELIABLE)
+        self._joint_states = node.create_publisher(JointState, "~/joint_states", RELIABLE)
+        self._coil_current = node.create_publisher(Float64, "~/coil_current", RELIABLE)
+        self._phase = node.create_publisher(UInt8, "~/phase", LATCHED)
+        self._is_open = node.create_publisher(Bool, "~/is_open", LATCHED)
+        self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
         events = SubscriptionEventCallbacks(incompatible_qos=self._cannot_hear)
-        node.create_subscription(Float64, "~/coil_voltage", self._take_command, _RELIABLE, event_callbacks=events)
+        node.create_subscription(Float64, "~/coil_voltage", self._take_command, RELIABLE, event_callbacks=events)
         node.create_service(Trigger, "~/reset", self._reset)
         node.create_service(Trigger, "~/self_test", self._self_test)
         # By the wall: diagnostics must tell, too, that /clock is silent.
