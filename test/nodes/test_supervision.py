@@ -55,7 +55,7 @@ def test_a_valve_that_was_killed_while_open_comes_back_closed_and_without_voltag
         assert probe.until(lambda: not is_open[-1].data), (
             "the controller's publisher is still there, its command is not"
         )
-        assert probe.until(lambda: heard)
+        assert probe.until(lambda: heard and phases)
         (command,) = (status for status in heard[-1].status if status.name == "valve: command")
         assert (command.message, {pair.key: pair.value for pair in command.values}["voltage (V)"]) == ("none yet", "0")
         assert {message.data for message in phases} == {0}
