@@ -63,9 +63,9 @@ class Verdict:
     kind: str
     effects: tuple[str, ...]
     confusable_with: Mapping[str, tuple[str, ...]]
+    evidence: float
     probability: float
     summary: str
-    evidence: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -469,7 +469,6 @@ class _Investigation:
         after = self.state(after_fit, profile=not is_unknown)
         names_most = is_unknown and not map_wins and self.explains_most(base_fit, best_fit)
         verdict, record_next = self.judge(best, is_unknown, names_most)
-        verdict = replace(verdict, evidence=self.evidence(best))
         unexplained = None
         if is_unknown:
             choice, map_fit = remainder[0]
@@ -504,14 +503,14 @@ class _Investigation:
         named = _listed(best.effects)
         if names_most:
             return Verdict(
-                "effects", best.effects, confusable, doubtful,
+                "effects", best.effects, confusable, evidence, doubtful,
                 f"The model lacks {named}, {self.share(best):.1%} of the squared residual; a remainder is left that no "
                 "catalogued effect explains.",
             ), self.advice(best)  # fmt: skip
         if is_unknown:
             nearest = f"; {named} comes nearest, with {self.share(best):.1%} of the squared residual" if named else ""
             return Verdict(
-                "unknown", best.effects, confusable, doubtful,
+                "unknown", best.effects, confusable, evidence, doubtful,
                 f"Something acts that no catalogued effect explains{nearest}.",
             ), self.advice(best)  # fmt: skip
         if strokes <= 1 or too_wide:
@@ -519,16 +518,17 @@ class _Investigation:
                 f"{1 + max(len(others) for others in confusable.values())} effects explain the data about equally well"
             )  # fmt: skip
             advice = self.advice(best)
-            return Verdict("insufficient", best.effects, confusable, doubtful, f"{why}. {advice}"), advice
+            return Verdict("insufficient", best.effects, confusable, evidence, doubtful, f"{why}. {advice}"), advice
         if not best.effects:
             return Verdict(
-                "none", (), {}, calibrated("none", evidence),
+                "none", (), {}, evidence, calibrated("none", evidence),
                 "The declared model with refitted damping explains the data down to the noise.",
             ), ""  # fmt: skip
         others = sorted({other for names in confusable.values() for other in names})
         doubt = f"; {', '.join(others)} would explain the data about as well" if others else ""
         return Verdict(
-            "effects", best.effects, confusable, calibrated("effects", evidence), f"The model lacks {named}{doubt}."
+            "effects", best.effects, confusable, evidence, calibrated("effects", evidence),
+            f"The model lacks {named}{doubt}.",
         ), self.advice(best) if others else ""  # fmt: skip
 
     def advice(self, best: Hypothesis) -> str:

@@ -9,12 +9,13 @@ from valve_sim.identification.monitoring import MonitorSettings
 from valve_sim.model import Parameter, ParameterError, Valve
 from valve_sim.model.parameters import closest
 from valve_sim.nodes.parameters import NodeParameter, Value, table, valve_of
+from valve_sim.nodes.parameters import Settings as ValveNodeSettings
 from valve_sim.parameter_files import default_valve
 
 _MICRO: Final = 1e-6
 _VALVE_KEYS: Final = ("valve.", "effects.")
 _DEFAULTS: Final = MonitorSettings()
-_OF_VALVE_NODE: Final = ("publish_rate", "time_scale", "command_timeout", "max_voltage")
+_OF_VALVE_NODE: Final = ValveNodeSettings._fields
 """One parameter file may serve valve_node and its monitor."""
 
 _TEXTS: Final = {

@@ -7,6 +7,7 @@ judges strokes, another traces the cause of an alarm; the live path waits for ne
 from __future__ import annotations
 
 import gc
+import itertools
 import json
 import sys
 import time
@@ -35,7 +36,7 @@ from valve_sim.nodes.monitor_tasks import Judging, Tracing
 from valve_sim.nodes.parameters import sources_of
 from valve_sim.nodes.realtime import LONGEST_LEAP_SECONDS, NANOSECONDS
 from valve_sim.nodes.shell_parts import LATCHED, RELIABLE, declare_read_only, full_name, given_parameters
-from valve_sim.nodes.spinning import spin
+from valve_sim.nodes.spinning import say_left_out, spin
 from valve_sim.nodes.valve_shell import NodeClock
 from valve_sim.parameter_files import Section
 from valve_sim.traces import Trace
@@ -159,19 +160,22 @@ class MonitorShell:
 
     def _hear_samples(self, message: JointState) -> None:
         """Take all samples that wait, each after the commands that have come in before it."""
-        self._hear_sample(message)
-        for waiting, _ in self._waiting_on(self._samples):
+        samples = (waiting for waiting, _ in self._waiting_on(self._samples))
+        for sample in itertools.chain([message], samples):
             for command in self._waiting_on(self._commands):
                 self._hear_command(*command)
-            self._hear_sample(waiting)
+            self._hear_sample(sample)
 
     def _waiting_on(self, subscription: Subscription) -> Iterator[tuple[Any, Any]]:
         """Messages with their times; none in simulated time, where /clock must keep its place between them."""
         if self._is_simulated():
             return
         handle: Any = subscription.handle
-        while (waiting := handle.take_message(subscription.msg_type, subscription.raw)) is not None:
-            yield waiting
+        try:
+            while (waiting := handle.take_message(subscription.msg_type, subscription.raw)) is not None:
+                yield waiting
+        except Exception as error:  # rclpy's own: what is done with a message is not in here
+            say_left_out(self._node, error)
 
     def _is_simulated(self) -> bool:
         reading = self._clock.read()
@@ -198,7 +202,8 @@ class MonitorShell:
         self._watch.command(self._seconds(stamp), volts)
         if self._watch.rejected > rejected:
             self._input.reject(f"{self._valve}/coil_voltage: {volts:g} V")
-        self._input.commands += 1
+        else:
+            self._input.commands += 1
         self._hand_over()
 
     def _sample(self, message: JointState) -> None:

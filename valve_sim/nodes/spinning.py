@@ -38,10 +38,14 @@ def spin(node: Node, pause: Callable[[], float] | None = None) -> None:
             except Exception as error:
                 if _is_ours(error) or not node.context.ok():
                     raise
-                words = f"a message was left out that ROS cannot take: {error!r}"
-                node.get_logger().error(words, throttle_duration_sec=1.0)
+                say_left_out(node, error)
     finally:
         executor.remove_node(node)
+
+
+def say_left_out(node: Node, error: Exception) -> None:
+    """A line in the log, one a second at most, for a message that rclpy refuses with this exception."""
+    node.get_logger().error(f"a message was left out that ROS cannot take: {error!r}", throttle_duration_sec=1.0)
 
 
 def _is_ours(error: Exception) -> bool:
