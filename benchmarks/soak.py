@@ -123,6 +123,7 @@ def soak_monitor(strokes: int, folder: Path) -> Soaked:
         plant.wait_for_monitor()
         for stroke in range(strokes):
             plant.stroke()
+            plant.take_reports()
             plant.forget()
             if stroke == round(WARM * strokes):
                 warm = resident(node.process.pid)

@@ -47,6 +47,7 @@ class PlantOnTopics:
         self.predicted = probe.hear(f"{monitor}/predicted/joint_states", JointState)
         self.residuals = probe.hear(f"{monitor}/residual", Float64)
         self._reports = probe.hear(f"{monitor}/stroke_report", String)
+        self._taken = 0
 
     def wait_for_monitor(self) -> None:
         """Until each hears the other: samples of long before the first stroke are sent until one is answered."""
@@ -72,14 +73,25 @@ class PlantOnTopics:
 
     def strokes(self, count: int, effects: Mapping[str, Mapping[str, float]] | None = None) -> list[Any]:
         """So many strokes; the reports that came meanwhile."""
-        before = len(self._reports)
         for _ in range(count):
             self.stroke(effects)
-        return [json.loads(report.data) for report in self._reports[before:]]
+        return self.take_reports()
+
+    @property
+    def told(self) -> int:
+        """How many strokes have been reported."""
+        return self._taken + len(self._reports)
+
+    def take_reports(self) -> list[Any]:
+        """The reports that have come since it was last asked."""
+        taken = [json.loads(report.data) for report in self._reports]
+        self._taken += len(taken)
+        self._reports.clear()
+        return taken
 
     def forget(self) -> None:
-        """What has been heard: for runs that are long."""
-        for heard in (self.predicted, self.residuals, self._reports):
+        """All samples but the last: for runs that are long."""
+        for heard in (self.predicted, self.residuals):
             del heard[:-1]
 
     def _command(self, time: float, volts: float) -> None:
