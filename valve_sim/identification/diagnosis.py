@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 from valve_sim.identification.adequacy import Adequacy, adequacy
 from valve_sim.identification.calibration import calibrated
+from valve_sim.identification.current_form import doubt_of_current
 from valve_sim.identification.false_alarm import FalseAlarm, false_alarm
 from valve_sim.identification.fitting import Fit, Interval, Mask, Problem, covariance_interval, fit, profile_interval
 from valve_sim.identification.next_recording import Recommendation, recommend
-from valve_sim.identification.noise import Noise
 from valve_sim.identification.plant import ForceMap, Nuisance, Plant, to_search
 from valve_sim.identification.search import DECISIVE, MOST_EFFECTS, Hypothesis, Progress, Search
 from valve_sim.identification.valve_plant import ValvePlant
@@ -44,8 +44,6 @@ MOSTLY: Final = 0.5
 """Held-out error with named effects over that without, below which they are named beside an unexplained remainder."""
 MOST_FALSE_ALARMS: Final = 0.01
 """Probability that the search finds as much in noise alone, beyond which nothing is claimed."""
-CURRENT_UNEXPLAINED: Final = 3.0
-"""Standard deviations by which the best effects miss the current, beyond which it is believed to as much only."""
 WORTH_A_LOOK: Final = 20
 """How many of the best hypotheses are tried on held-out data where none leaves only noise."""
 EXCLUDES_OFF: Final = 1.96
@@ -158,35 +156,24 @@ def diagnose(
 
 def diagnose_plant(plant: Plant, holdout: Plant | None, progress: Progress | None = None) -> Diagnosis:
     """The same for any plant; `holdout` is the same machine with other data."""
-    first = _Investigation(plant, holdout, progress)
-    best = first.explore()
-    left = 0.0 if first.is_adequate(best) else current_left(first.search.fit(best))
-    if left <= CURRENT_UNEXPLAINED:
-        return first.conclude(best)
-    # Believed to the last milliampere, a current of another form would bend the motion to it.
-    noises = dict(first.search.problem.noises)
-    noises["current"] = replace(noises["current"], innovation=left * noises["current"].innovation)
-    second = _Investigation(plant, holdout, progress, noises)
-    return second.conclude(second.explore())
+    investigation = _Investigation(plant, holdout, progress)
+    return investigation.conclude(investigation.explore())
 
 
 class _Investigation:
     """One diagnosis under way: the training search, the held-out problem, and what was concluded so far."""
 
-    def __init__(
-        self,
-        plant: Plant,
-        holdout: Plant | None,
-        progress: Progress | None,
-        noises: Mapping[str, Noise] | None = None,
-    ) -> None:
+    def __init__(self, plant: Plant, holdout: Plant | None, progress: Progress | None) -> None:
         self.plant = plant
         train_mask, holdout_mask = _split(plant) if holdout is None else (None, None)
-        problem = Problem(plant, train_mask, noises)
+        problem = Problem(plant, train_mask)
+        # Believed to the last milliampere, a current of another form would bend the motion to it.
+        doubt = doubt_of_current(problem)
+        problem = problem.doubting("current", doubt)
         self.search = Search(problem, progress)
         self.holdout: Problem | None = None
         if holdout is not None:
-            self.holdout = Problem(holdout, noises=noises)
+            self.holdout = Problem(holdout).doubting("current", doubt)
         elif holdout_mask is not None:
             self.holdout = problem.restricted(holdout_mask)
         self._held: dict[tuple[int, bool], Fit | None] = {}
@@ -406,6 +393,28 @@ class _Investigation:
         # The gain of the truth is `apart` on average, with standard error 2 √apart.
         return gain > 4.0 * math.sqrt(apart)
 
+    def predictive_score(self, hypothesis: Hypothesis, *, timing: bool) -> float:
+        """S of the training data, and χ² by which it then predicts held-out data (Dawid 1984: prequential)."""
+        score = self.search.score(hypothesis)
+        if self.holdout is None:
+            return score
+        held = self.hold_out(self.search.fit(hypothesis), timing=timing)
+        return math.inf if held is None else score + held.score
+
+    def standings(self, best: Hypothesis) -> dict[Hypothesis, float]:
+        """By how much each hypothesis of as many effects that comes near the best predicts worse, in S."""
+        timing = self.needs_timing(self.search.fit(best))
+        limit = self.search.score(best) + 2.0 * DECISIVE
+        count = max(1, len(best.effects))
+        near = [h for h in self._tried() if len(h.effects) == count and self.search.score(h) < limit]
+        least = self.predictive_score(best, timing=timing)
+        return {hypothesis: self.predictive_score(hypothesis, timing=timing) - least for hypothesis in near}
+
+    def rivals(self, best: Hypothesis) -> list[Hypothesis]:
+        """What does about as well as the best, itself included where it has effects; best first."""
+        standings = self.standings(best)
+        return sorted((h for h, worse in standings.items() if worse < DECISIVE), key=standings.__getitem__)
+
     def best_on_hold_out(self, best: Hypothesis) -> Hypothesis:
         """Of the best few on training data, the one that predicts held-out data best.
 
@@ -444,6 +453,7 @@ class _Investigation:
         if not self.is_adequate(best):
             best = self.eliminate(self.best_on_hold_out(best))
         if best.effects:
+            best = next(filter(self.is_claimable, self.rivals(best)), best)
             search.polish(best)
         base = Hypothesis((), best.timing)
         base_fit, best_fit = search.fit(base), search.fit(best)
@@ -537,13 +547,7 @@ class _Investigation:
 
     def telling_experiment(self, best: Hypothesis) -> Recommendation | None:
         """The recording that would tell the best hypothesis best from those of its size that do about as well."""
-        limit = self.search.score(best) + DECISIVE
-        rivals = [
-            hypothesis
-            for hypothesis in sorted(self._tried(), key=self.search.score)
-            if len(hypothesis.effects) == max(1, len(best.effects)) and self.search.score(hypothesis) < limit
-        ]
-        candidates = {" + ".join(hypothesis.effects): self.search.fit(hypothesis) for hypothesis in rivals}
+        candidates = {" + ".join(hypothesis.effects): self.search.fit(hypothesis) for hypothesis in self.rivals(best)}
         few = dict(list(candidates.items())[:LARGEST_CLASS])
         return recommend(few, self.plant.experiments) if len(few) > 1 else None
 
@@ -554,16 +558,13 @@ class _Investigation:
     def alternatives(self, best: Hypothesis, member: str) -> tuple[str, ...]:
         """Effects that would do in place of a member."""
         rest = best.without(member)
-        limit = self.search.score(best) + DECISIVE
         found = [
-            (self.search.score(hypothesis), name)
-            for hypothesis in self._tried()
+            name
+            for hypothesis in self.rivals(best)
             for name in hypothesis.effects
-            if hypothesis.effects == rest.adding(name).effects
-            and name != member
-            and self.search.score(hypothesis) < limit
+            if name != member and hypothesis.effects == rest.adding(name).effects
         ]
-        return tuple(dict.fromkeys(name for _, name in sorted(found)))
+        return tuple(dict.fromkeys(found))
 
     def relatives(self, name: str, found: Sequence[str]) -> tuple[str, ...]:
         """Names beside the best: where the form is wrong, scores mislead, and known confusions count too."""
@@ -575,12 +576,13 @@ class _Investigation:
         A weak effect without a name is easily taken for a weak one with a name (measured on the campaign: at a tenth
         of a strong one, damping that varies with x passes for spring hardening), so weak evidence is never certain.
         """
-        least = self.search.score(best)
+        least, standings = self.search.score(best), self.standings(best)
         weight: dict[tuple[str, ...], float] = {}
         for hypothesis in self._tried():
             if set(hypothesis.effects) > set(best.effects) and best.effects:
                 continue
-            evidence = math.exp(-0.5 * min(max(self.search.score(hypothesis) - least, 0.0), 700.0))
+            worse = standings.get(hypothesis, self.search.score(hypothesis) - least)
+            evidence = math.exp(-0.5 * min(max(worse, 0.0), 700.0))
             weight[hypothesis.effects] = max(weight.get(hypothesis.effects, 0.0), evidence)
         share = weight[best.effects] / sum(weight.values())
         if not best.effects:
@@ -609,7 +611,9 @@ class _Investigation:
         """A fit with all that a report says of it."""
         held = self.hold_out(result, timing=self._reported_timing)
         intervals = {
-            name: profile_interval(result, name)[0] if profile and "." in name else covariance_interval(result, name)
+            name: profile_interval(result, name)[0]
+            if profile and ("." in name or result.is_entangled(name))
+            else covariance_interval(result, name)
             for name in result.free
         }
         return State(result, held, rmse(result), math.nan if held is None else rmse(held), adequacy(result), intervals)
@@ -625,18 +629,6 @@ def rmse(result: Fit) -> float:
         takes_part = problem.weight(index) > 0.0
         squares += float(np.sum(np.square((channel.data - shown)[takes_part])))
         count += int(np.count_nonzero(takes_part))
-    return math.sqrt(squares / max(1, count))
-
-
-def current_left(result: Fit) -> float:
-    """Standard deviations of its noise, root mean square, by which the measured current is missed; 0 without one."""
-    squares, count, start = 0.0, 0, 0
-    for index, channel in enumerate(result.problem.plant.channels):
-        stop = start + len(channel.data)
-        if channel.kind == "current":
-            squares += float(np.sum(np.square(result.residuals[start:stop])))
-            count += int(np.count_nonzero(result.problem.weight(index)))
-        start = stop
     return math.sqrt(squares / max(1, count))
 
 

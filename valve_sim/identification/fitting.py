@@ -11,9 +11,10 @@ evidence, and for each nuisance the Occam factor of its prior σ_j and informati
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -50,6 +51,8 @@ SMALLEST_SHARE: Final = 1e-14
 """Of the information, scaled to ones on its diagonal, that a direction can have and still be told from rounding."""
 FEW: Final = 4
 """So many nuisances have their derivatives renewed in every step; those of more are kept while they serve."""
+ENTANGLED: Final = 100.0
+"""Variance of a parameter over what it would be if all others were known, beyond which directions are nearly flat."""
 RISE_95: Final = float(chdtri(1, 0.05))
 """By how much χ² rises at the ends of a 95 % interval: 3.84. (scipy.stats would take half a second to load.)"""
 LONGEST_RUN: Final = 4
@@ -80,6 +83,15 @@ class Problem:
     def restricted(self, takes_part: Mask) -> Problem:
         """The same data and noise with other samples taking part."""
         return Problem(self.plant, takes_part, self.noises)
+
+    def doubting(self, kind: str, factor: float) -> Problem:
+        """The same with the noise of a kind of channel taken to be so many times as large."""
+        doubtful = copy.copy(self)
+        doubtful.noises = {
+            name: replace(noise, innovation=factor * noise.innovation) if name == kind else noise
+            for name, noise in self.noises.items()
+        }
+        return doubtful
 
     def noise_of(self, index: int) -> Noise:
         """The noise of a channel."""
@@ -174,6 +186,15 @@ class Fit:
         error = math.sqrt(max(0.0, float(self.covariance[index, index])))
         slope = search_slope(self.problem.plant.parameter(name), float(self.coordinates[index]))
         return error * slope
+
+    def is_entangled(self, name: str) -> bool:
+        """Whether others can take its place so nearly that a parabola no longer says how far it reaches.
+
+        Dampings are, beside an asymmetric friction that has dampings of its own for both directions.
+        """
+        index = self.free.index(name)
+        inflation = float(self.information[index, index] * self.covariance[index, index]) / self.problem.excess
+        return not inflation <= ENTANGLED
 
     def correlation(self) -> Array:
         """(k, k) of the freed parameters."""
