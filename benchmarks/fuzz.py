@@ -1,8 +1,9 @@
 """Inputs that nobody would send on purpose: `python -m benchmarks.fuzz` counts what becomes of them.
 
 Bags are flipped, cut, spliced and repeated; parameter files get wrong values, lines and characters; valves get any
-parameters that are accepted. Each input must be taken, or refused in one line: anything else, and whatever takes
-longer than ten seconds, is a finding, and makes the exit code 1. A surface and a number give an input again.
+parameters that are accepted; command lines get all of it, and options that make no sense. Each input must be taken,
+or refused in one line: anything else, and whatever takes longer than ten seconds, is a finding, and makes the exit
+code 1. A surface and a number give an input again.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from typing import Final
 
 import numpy as np
 
+from benchmarks.command_lines import try_command_line
 from valve_sim.model import CATALOGUE, DECLARED, Drive, Parameter, ParameterError, SimulationError, Valve, simulate
 from valve_sim.model.errors import ValveError
 from valve_sim.parameter_files import load_valve
@@ -237,13 +239,14 @@ SURFACES: Final[dict[str, tuple[Callable[[Random, Path], str], int]]] = {
     "bags": (try_bag, 20_000),
     "parameter files": (try_file, 10_000),
     "valves": (try_valve, 100_000),
+    "command lines": (lambda random, folder: try_command_line(random, folder, bad_bag, bad_file), 10_000),
 }
-"""What tries one input, and how many are tried."""
+"""What tries one input, and how many are tried; a new one comes last, for the place is a seed."""
 
 
 def attempt(surface: str, number: int) -> tuple[str, str]:
     """What became of one input, and the finding if it is one."""
-    random = np.random.default_rng([sorted(SURFACES).index(surface), number])
+    random = np.random.default_rng([list(SURFACES).index(surface), number])
     with tempfile.TemporaryDirectory(prefix="valve_sim-fuzz-") as folder:
         try:
             with limited():

@@ -165,7 +165,7 @@ def stiction() -> dict[str, float]:
 
 def test_a_file_that_cannot_be_written_is_left_as_it_was(tmp_path: Path) -> None:
     with pytest.raises(ParameterError, match="cannot be written"):
-        save_valve(tmp_path / "none" / "saved.yaml", default_valve(), "")
+        save_valve(tmp_path, default_valve(), "")
     target = tmp_path / "folder"
     target.mkdir()
     with pytest.raises(ParameterError, match="cannot be written"):

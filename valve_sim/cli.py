@@ -14,7 +14,7 @@ import os
 import shlex
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
@@ -280,6 +280,7 @@ def identify(
     """
     from valve_sim.identification.identify import identify as refit
     from valve_sim.parameter_files import save_valve
+    from valve_sim.whole_files import write_whole
 
     valve = _load(params)
     names = tuple(dict.fromkeys(part.strip() for part in free.split(",") if part.strip()))
@@ -289,7 +290,7 @@ def identify(
     with _progress() as progress:
         result = refit(traces, valve, names, progress)
     report = result.to_json()
-    _write(output / "identify.json", _json_text(report))
+    write_whole(output / "identify.json", _json_text(report))
     values = [f"{key}: {interval.value:.6g} ± {interval.stderr:.2g}" for key, interval in result.intervals.items()]
     save_valve(output / "identified.yaml", result.valve, _provenance(params, [f"identified: {', '.join(values)}"]))
     _print_report(report, result.text(), (output / "identify.json", output / "identified.yaml"), as_json)
@@ -394,6 +395,7 @@ def validate(
     if plot is not None and len(bags) > 1:
         raise click.UsageError("--plot draws one recording; give one BAG", click.get_current_context())
     from valve_sim.identification.validation import validate as replay
+    from valve_sim.whole_files import write_whole
 
     valve = _load(params)
     traces = _read(bags, name)
@@ -401,7 +403,7 @@ def validate(
     with _progress() as progress:
         result = replay(traces, valve, tolerance, command_jitter=command_jitter, progress=progress)
     if junit is not None:
-        _write(junit, _shown(result.junit()))  # XML has no place for control characters
+        write_whole(junit, _shown(result.junit()))  # XML has no place for control characters
     if plot is not None:
         from valve_sim.identification.plots import plot_replay
 
@@ -440,10 +442,11 @@ def fit_force(
     from valve_sim.identification.plots import plot_static_force
     from valve_sim.identification.static_force import fit_static_force
     from valve_sim.parameter_files import save_valve
+    from valve_sim.whole_files import write_whole
 
     result = fit_static_force(file, _load(params), degree=degree, voltage=voltage, constant=not no_constant)
     report, picture, parameters = (output / f for f in ("fit-force.json", "fit-force.png", "attraction.yaml"))
-    _write(report, _json_text(result.to_json()))
+    write_whole(report, _json_text(result.to_json()))
     plot_static_force(picture, result)
     save_valve(parameters, result.valve, _provenance(params, ["attraction_polynomial: fitted", *result.remarks]))
     _print_report(result.to_json(), result.text(), (report, picture, parameters), as_json)
@@ -577,20 +580,6 @@ def _plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
     return str(value) if isinstance(value, Path) else value
-
-
-def _write(path: Path, text: str) -> None:
-    """Write a file, whole or not at all."""
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        partial.write_text(text, encoding="utf-8")
-        partial.replace(path)
-    except OSError as error:
-        _refuse(f"{path}: cannot be written ({error.strerror}); choose another place")
-    finally:
-        with suppress(OSError):
-            partial.unlink(missing_ok=True)
 
 
 def _refuse(message: str) -> NoReturn:

@@ -19,11 +19,9 @@ Two rules make a file complete:
 
 from __future__ import annotations
 
-import contextlib
 import difflib
 import functools
 import math
-import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -34,6 +32,7 @@ import yaml
 from valve_sim.model import CATALOGUE, Effect, Parameter, ParameterError, Valve, ValveParameters
 from valve_sim.model.parameters import closest
 from valve_sim.resources import config_path
+from valve_sim.whole_files import write_whole
 
 DEFAULT_FILE: Final = "valve.yaml"
 """The shipped parameter file whose values hold where a file gives none."""
@@ -214,15 +213,7 @@ def save_valve(path: Path | str, valve: Valve, provenance: str) -> None:
     comment = "".join(f"# {line}".rstrip() + "\n" for line in provenance.splitlines())
     document = {"/**": {"ros__parameters": _plain(valve.to_mapping())}}
     text = comment + yaml.dump(document, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=120)
-    target = Path(path)
-    partial = target.with_name(f".{target.name}.{os.getpid()}.partial")
-    try:
-        partial.write_text(text, encoding="utf-8")
-        partial.replace(target)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            partial.unlink(missing_ok=True)
-        raise ParameterError(f"{path}: cannot be written ({error.strerror}); expected a path in a folder") from error
+    write_whole(Path(path), text, ParameterError)
 
 
 def write_sections(path: Path, sections: Sequence[Section]) -> None:

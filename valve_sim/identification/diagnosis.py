@@ -8,6 +8,7 @@ timing errors of single commands pay the Occam factor of their prior instead of 
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -22,7 +23,7 @@ from valve_sim.identification.current_form import doubt_of_current
 from valve_sim.identification.false_alarm import FalseAlarm, false_alarm
 from valve_sim.identification.fitting import Fit, Interval, Mask, Problem, covariance_interval, fit, profile_interval
 from valve_sim.identification.next_recording import Recommendation, recommend
-from valve_sim.identification.plant import ForceMap, Nuisance, Plant, to_search
+from valve_sim.identification.plant import Array, ForceMap, Nuisance, Plant, to_search
 from valve_sim.identification.search import DECISIVE, MOST_EFFECTS, Hypothesis, Progress, Search
 from valve_sim.identification.valve_plant import ValvePlant
 from valve_sim.model import SimulationError, Valve
@@ -393,13 +394,15 @@ class _Investigation:
         # The gain of the truth is `apart` on average, with standard error 2 √apart.
         return gain > 4.0 * math.sqrt(apart)
 
-    def predictive_score(self, hypothesis: Hypothesis, *, timing: bool) -> float:
-        """S of the training data, and χ² by which it then predicts held-out data (Dawid 1984: prequential)."""
-        score = self.search.score(hypothesis)
+    def predictive_score(self, result: Fit, *, timing: bool) -> float:
+        """S of the training data, and that of predicting held-out data with what was fitted.
+
+        Dawid, J. R. Stat. Soc. A 147, 1984, p. 278: a model is worth what it predicts.
+        """
         if self.holdout is None:
-            return score
-        held = self.hold_out(self.search.fit(hypothesis), timing=timing)
-        return math.inf if held is None else score + held.score
+            return result.score
+        held = self.hold_out(result, timing=timing)
+        return math.inf if held is None else result.score + held.score
 
     def standings(self, best: Hypothesis) -> dict[Hypothesis, float]:
         """By how much each hypothesis of as many effects that comes near the best predicts worse, in S."""
@@ -407,8 +410,8 @@ class _Investigation:
         limit = self.search.score(best) + 2.0 * DECISIVE
         count = max(1, len(best.effects))
         near = [h for h in self._tried() if len(h.effects) == count and self.search.score(h) < limit]
-        least = self.predictive_score(best, timing=timing)
-        return {hypothesis: self.predictive_score(hypothesis, timing=timing) - least for hypothesis in near}
+        least = self.predictive_score(self.search.fit(best), timing=timing)
+        return {h: self.predictive_score(self.search.fit(h), timing=timing) - least for h in near}
 
     def rivals(self, best: Hypothesis) -> list[Hypothesis]:
         """What does about as well as the best, itself included where it has effects; best first."""
@@ -436,14 +439,34 @@ class _Investigation:
             self.search.say(f"a force over {choice.variable}", 0.9 + 0.08 * index / 6)
             others = {name: value for name, value in base.values.items() if name not in names}
             nuisance_names = {nuisance.name for nuisance in base.nuisances}
-            fixed = {**{n: v for n, v in others.items() if n not in nuisance_names}, **choice.fixed}
+            fixed = {**{n: v for n, v in others.items() if n not in nuisance_names}, **choice.held}
             free = (*base.free, *choice.free)
             fitted.append((choice, fit(base.problem, free, base.values, nuisances=base.nuisances, fixed=fixed)))
         return sorted(fitted, key=lambda pair: pair[1].score)
 
+    def fit_local_forces(self, best: Hypothesis) -> list[tuple[ForceMap, Fit]]:
+        """A force at one place alone instead of each member of a hypothesis, best score first.
+
+        It has as many parameters as the simplest effects. Where it does as well as a name, the data speak of one
+        place only, and the name of the rest of the stroke by hope (on the campaign: a ripple or a vibration of half a
+        millinewton that lifts the pilot plunger off its seat, as a constant force would).
+        """
+        fitted = []
+        places = [one for choice in self.plant.force_maps if choice.variable == "x" for one in choice.at_one_knot()]
+        for member, choice in itertools.product(best.effects, places):
+            rest = self.search.fit(best.without(member))
+            try:
+                result = fit(
+                    rest.problem, (*rest.free, *choice.free), rest.values, nuisances=rest.nuisances, fixed=choice.held
+                )
+            except SimulationError:
+                continue
+            fitted.append((choice, result))
+        return sorted(fitted, key=lambda pair: pair[1].score)
+
     def on_top(self, choice: ForceMap, base: Fit) -> Fit:
         """A force map with all else held, so that it shows what is left and trades nothing with friction or mass."""
-        return fit(base.problem, choice.free, {}, fixed={**base.values, **choice.fixed})
+        return fit(base.problem, choice.free, {}, fixed={**base.values, **choice.held})
 
     # -- the conclusion ----------------------------------------------------------------------------------------------
 
@@ -466,21 +489,26 @@ class _Investigation:
             best, best_fit = base, base_fit
         fitted_maps = [] if self.is_adequate(base) else self.fit_maps(base_fit)
         named_score = search.score(best)
-        map_wins = bool(fitted_maps) and fitted_maps[0][1].score < named_score - DECISIVE
+        can_tell = self.is_adequate(best) and _stroke_count(self.plant) > 1
+        local_forces = self.fit_local_forces(best) if can_tell else []
+        nameless = sorted([*fitted_maps, *local_forces], key=lambda pair: pair[1].score)
+        map_wins = bool(nameless) and nameless[0][1].score < named_score - DECISIVE
         is_unknown = map_wins or not self.is_adequate(best) or self.fails_hold_out(best)
         self._reported_timing = self.needs_timing(best_fit)
         after_fit = best_fit
         remainder: list[tuple[ForceMap, Fit]] = []
         if is_unknown:
             remainder = self.fit_maps(best_fit) if best.effects else fitted_maps
-            options = [best_fit, *(f for _, f in (*fitted_maps[:1], *remainder[:1]))]
+            options = [best_fit, *(f for _, f in (*nameless[:1], *remainder[:1]))]
             after_fit = min(options, key=self._held_out_error)
         self.search.say("intervals", 0.99)
         after = self.state(after_fit, profile=not is_unknown)
         names_most = is_unknown and not map_wins and self.explains_most(base_fit, best_fit)
-        verdict, record_next = self.judge(best, is_unknown, names_most)
+        verdict, record_next = self.judge(best, is_unknown, names_most, nameless)
         unexplained = None
-        if is_unknown:
+        if is_unknown and nameless and nameless[0] in local_forces:
+            unexplained = _describe(*nameless[0], base_fit)
+        elif is_unknown:
             choice, map_fit = remainder[0]
             shape = self.on_top(choice, best_fit) if best.effects else map_fit
             unexplained = _describe(choice, shape, best_fit)
@@ -501,12 +529,15 @@ class _Investigation:
         """Whether named effects more than halve the held-out error, so that what is left is a remainder of theirs."""
         return best is not base and self._held_out_error(best) < MOSTLY * self._held_out_error(base)
 
-    def judge(self, best: Hypothesis, is_unknown: bool, names_most: bool) -> tuple[Verdict, str]:
-        """The verdict, and what to record next."""
+    def judge(
+        self, best: Hypothesis, is_unknown: bool, names_most: bool, nameless: Sequence[tuple[ForceMap, Fit]]
+    ) -> tuple[Verdict, str]:
+        """The verdict, and what to record next; `nameless` are fits of forces without a name."""
         confusable = {name: self.alternatives(best, name) for name in best.effects}
         if is_unknown:
             confusable = {name: self.relatives(name, others) for name, others in confusable.items()}
-        evidence = self.evidence(best)
+        rivals = self.nameless_rivals(best, nameless)
+        evidence = self.evidence(best, [worse for _, worse in rivals])
         doubtful = min(evidence, 0.5)
         strokes = _stroke_count(self.plant)
         too_wide = any(len(others) + 1 > LARGEST_CLASS for others in confusable.values())
@@ -535,7 +566,14 @@ class _Investigation:
                 "The declared model with refitted damping explains the data down to the noise.",
             ), ""  # fmt: skip
         others = sorted({other for names in confusable.values() for other in names})
-        doubt = f"; {', '.join(others)} would explain the data about as well" if others else ""
+        places = [
+            f"a force at {_where(choice, fitted)} alone" for (choice, fitted), worse in rivals if worse < DECISIVE
+        ]
+        doubt = (
+            f"; {_listed([*others, *places[:1]], 'or')} would explain the data about as well"
+            if others or places
+            else ""
+        )
         return Verdict(
             "effects", best.effects, confusable, evidence, calibrated("effects", evidence),
             f"The model lacks {named}{doubt}.",
@@ -570,11 +608,22 @@ class _Investigation:
         """Names beside the best: where the form is wrong, scores mislead, and known confusions count too."""
         return tuple(dict.fromkeys([*found, *self.plant.effects[name].confused_with]))[: LARGEST_CLASS - 1]
 
-    def evidence(self, best: Hypothesis) -> float:
-        """Share of the best set in the evidence of all sets that do not merely extend it.
+    def nameless_rivals(
+        self, best: Hypothesis, nameless: Sequence[tuple[ForceMap, Fit]]
+    ) -> list[tuple[tuple[ForceMap, Fit], float]]:
+        """Forces without a name that come near the best in S, and by how much they predict worse than it."""
+        timing, limit = self.needs_timing(self.search.fit(best)), self.search.score(best) + 2.0 * DECISIVE
+        least = self.predictive_score(self.search.fit(best), timing=timing)
+        near = [pair for pair in nameless if pair[1].score < limit]
+        return [(pair, self.predictive_score(pair[1], timing=timing) - least) for pair in near]
 
-        A weak effect without a name is easily taken for a weak one with a name (measured on the campaign: at a tenth
-        of a strong one, damping that varies with x passes for spring hardening), so weak evidence is never certain.
+    def evidence(self, best: Hypothesis, nameless: Sequence[float]) -> float:
+        """Share of the best set in all evidence but that for sets that merely extend it.
+
+        Forces without a name have a share, too; `nameless` is by how much each predicts worse than the best
+        set. A weak effect without a name is easily taken for a weak one with a name (measured on the campaign:
+        at a tenth of a strong one, damping that varies with x passes for spring hardening), so weak evidence is
+        never certain.
         """
         least, standings = self.search.score(best), self.standings(best)
         weight: dict[tuple[str, ...], float] = {}
@@ -584,7 +633,8 @@ class _Investigation:
             worse = standings.get(hypothesis, self.search.score(hypothesis) - least)
             evidence = math.exp(-0.5 * min(max(worse, 0.0), 700.0))
             weight[hypothesis.effects] = max(weight.get(hypothesis.effects, 0.0), evidence)
-        share = weight[best.effects] / sum(weight.values())
+        least_worse = max(min(nameless, default=math.inf), 0.0)
+        share = weight[best.effects] / (sum(weight.values()) + math.exp(-0.5 * least_worse))
         if not best.effects:
             return share
         gain = self.search.score(Hypothesis((), best.timing)) - least
@@ -650,9 +700,9 @@ def advise(strokes: int, telling: Recommendation | None) -> str:
     )
 
 
-def _listed(names: Sequence[str]) -> str:
+def _listed(names: Sequence[str], last: str = "and") -> str:
     """Names as in a sentence: a, b and c."""
-    return " and ".join(part for part in (", ".join(names[:-1]), *names[-1:]) if part)
+    return f" {last} ".join(part for part in (", ".join(names[:-1]), *names[-1:]) if part)
 
 
 def _stroke_count(plant: Plant) -> int:
@@ -672,18 +722,27 @@ def _split(plant: Plant) -> tuple[Mask | None, Mask | None]:
 
 def _describe(choice: ForceMap, result: Fit, base: Fit) -> Unexplained:
     """A fitted force map in words: how large, and where it acts."""
-    at = np.linspace(choice.low, choice.high, len(choice.free))
-    force = np.array([result.values[name] for name in choice.free])
+    at, force = _curve(choice, result)
+    return Unexplained(
+        float(np.sqrt(np.mean(np.square(force)))), _where(choice, result), choice.variable, tuple(at.tolist()),
+        tuple(force.tolist()), base.score - result.score,
+    )  # fmt: skip
+
+
+def _curve(choice: ForceMap, result: Fit) -> tuple[Array, Array]:
+    """Knots of a fitted force map, and the force there, N."""
+    at = np.linspace(choice.low, choice.high, len(choice.all_knots))
+    return at, np.array([result.values[name] for name in choice.all_knots])
+
+
+def _where(choice: ForceMap, result: Fit) -> str:
+    """Where a fitted force map acts, in words."""
+    at, force = _curve(choice, result)
     strong = np.flatnonzero(np.abs(force) >= 0.5 * np.max(np.abs(force)))
     low, high = at[max(0, strong[0] - 1)], at[min(len(at) - 1, strong[-1] + 1)]
     scale, unit = (1e3, "mm") if choice.unit == "m" else (1e3, "ms") if choice.unit == "s" else (1.0, "m/s")
     words = f"{choice.variable[0]} {scale * low:.3g} to {scale * high:.3g} {unit}"
-    if len(choice.variable) > 1:
-        words += f", times {choice.variable[2:]}"
-    return Unexplained(
-        float(np.sqrt(np.mean(np.square(force)))), words, choice.variable, tuple(at.tolist()), tuple(force.tolist()),
-        base.score - result.score,
-    )  # fmt: skip
+    return words + (f", times {choice.variable[2:]}" if len(choice.variable) > 1 else "")
 
 
 def to_json(diagnosis: Diagnosis) -> dict[str, Any]:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import itertools
 import json
 import math
-import os
 import re
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
@@ -28,6 +27,7 @@ from valve_sim.identification.fitting import fit
 from valve_sim.identification.plant import Array
 from valve_sim.identification.search import Hypothesis, Search
 from valve_sim.model import Drive, EventKind, ParameterError, Response, Valve, simulate
+from valve_sim.whole_files import write_whole
 
 Progress = Callable[[str, float], None]
 
@@ -278,21 +278,6 @@ def write_valve(path: Path, result: EventDiagnosis) -> None:
         value = f"{values[scalar]:.{ROUNDED}g}"
         body = _replaced(body, key, value, result.table.source, str(result.table.valve_file))
     write_whole(path, _header(result) + body)
-
-
-def write_whole(path: Path, text: str) -> None:
-    """Write a file, whole or not at all.
-
-    Raises:
-        ParameterError: it cannot be written.
-    """
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        partial.write_text(text, encoding="utf-8")
-        partial.replace(path)
-    except OSError as error:
-        raise ParameterError(f"{path}: cannot be written ({error.strerror}); expected a path in a folder") from error
 
 
 def _replaced(body: str, key: str, value: str, table: str, source: str) -> str:

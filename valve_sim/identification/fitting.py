@@ -193,8 +193,8 @@ class Fit:
         Dampings are, beside an asymmetric friction that has dampings of its own for both directions.
         """
         index = self.free.index(name)
-        inflation = float(self.information[index, index] * self.covariance[index, index]) / self.problem.excess
-        return not inflation <= ENTANGLED
+        known, variance = float(self.information[index, index]), float(self.covariance[index, index])
+        return math.isfinite(variance) and known * variance > ENTANGLED * self.problem.excess
 
     def correlation(self) -> Array:
         """(k, k) of the freed parameters."""

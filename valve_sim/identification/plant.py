@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, NamedTuple, Protocol
 
 import numpy as np
@@ -49,16 +49,32 @@ class ForceMap:
 
     Attributes:
         variable: what it is a function of, e.g. "x" or "t·v".
-        free: names of the knots. fixed: values that place them.
+        all_knots: names of the knots. fixed: values that place them.
         low, high: the range of the variable, in `unit`.
+        one_knot: the only knot that is free, or None: all are.
     """
 
     variable: str
-    free: tuple[str, ...]
+    all_knots: tuple[str, ...]
     fixed: Mapping[str, float]
     low: float
     high: float
     unit: str
+    one_knot: int | None = None
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Names of the knots that a fit frees."""
+        return self.all_knots if self.one_knot is None else (self.all_knots[self.one_knot],)
+
+    @property
+    def held(self) -> dict[str, float]:
+        """What a fit holds: the place of the knots, and no force at those that are not free."""
+        return {**self.fixed, **{name: 0.0 for name in self.all_knots if name not in self.free}}
+
+    def at_one_knot(self) -> list[ForceMap]:
+        """The same with only one knot free, for each knot: forces that act at one place alone."""
+        return [replace(self, one_knot=index) for index in range(len(self.all_knots))]
 
 
 @dataclass(frozen=True)

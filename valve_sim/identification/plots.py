@@ -5,8 +5,6 @@ Drawn without a display and without global state.
 
 from __future__ import annotations
 
-import contextlib
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
@@ -19,6 +17,7 @@ from valve_sim.identification.plant import Array
 from valve_sim.identification.static_force import StaticForce
 from valve_sim.identification.validation import Replay
 from valve_sim.model import Drive, Phase, Response, ValveError
+from valve_sim.whole_files import replacing
 
 PILOT, MAIN, SECOND, QUIET = "#0b6fa4", "#d9730d", "#7b3fa0", "#8a8f98"
 """Colours that stay apart for colour-blind readers and in grey print."""
@@ -161,15 +160,10 @@ def save_figure(figure: Figure, path: Path) -> None:
         ValveError: it cannot be written.
     """
     ending = path.suffix.lstrip(".") or "png"
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(partial, dpi=130, format=ending)
-        partial.replace(path)
-    except (OSError, ValueError) as error:
+        with replacing(path) as partial:
+            figure.savefig(partial, dpi=130, format=ending)
+    except ValueError as error:
         raise ValveError(
             f"{path}: the picture cannot be written ({error}); expected a path that ends with .png"
         ) from error
-    finally:
-        with contextlib.suppress(OSError):
-            partial.unlink(missing_ok=True)

@@ -5,9 +5,7 @@ The page needs no network: its plots are drawn by a few lines of script that it 
 
 from __future__ import annotations
 
-import contextlib
 import math
-import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -20,7 +18,7 @@ from valve_sim import __version__
 from valve_sim.identification.diagnosis import Candidate, Diagnosis, State, Unexplained
 from valve_sim.identification.fitting import Interval
 from valve_sim.identification.stroke_curves import StrokeCurves, readable_unit, strokes_of
-from valve_sim.model import ValveError
+from valve_sim.whole_files import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -57,24 +55,6 @@ def write_report(diagnosis: Diagnosis, path: Path | str, provenance: str = "") -
     )
     page = environment.get_template("report.html.j2").render(_content(diagnosis), provenance=provenance)
     write_whole(Path(path), page)
-
-
-def write_whole(path: Path, text: str) -> None:
-    """Write a text file, whole or not at all.
-
-    Raises:
-        ValveError: it cannot be written.
-    """
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        partial.write_text(text, encoding="utf-8")
-        partial.replace(path)
-    except OSError as error:
-        raise ValveError(f"{path}: cannot be written ({error.strerror}); choose another place") from error
-    finally:
-        with contextlib.suppress(OSError):
-            partial.unlink(missing_ok=True)
 
 
 def plot_diagnosis(diagnosis: Diagnosis, path: Path | str) -> None:

@@ -35,6 +35,10 @@ MOST_REPEATED = 0.05
 
 LARGEST_POSITION = 0.1
 """m; a solenoid valve's plunger moves millimetres: beyond this the unit is most likely not metres."""
+BROKEN_READING = 1.0
+"""m; what is beyond this among metres is no position, and what is a million times beyond it is none in any unit."""
+MICROMETRES = 1e6
+"""In a metre."""
 
 
 class Channel(NamedTuple):
@@ -223,6 +227,10 @@ class _Assembly:
             for column, name in enumerate((PILOT, MAIN)):
                 if name in names and names.index(name) < positions.shape[1]:
                     values[batch.places, column] = positions[:, names.index(name)]
+        broken = self._broken(values)
+        if broken.any():
+            self.findings.append(f"{topic}: {broken.sum()} positions are none, such as {values[broken][0]:.3g} m")
+            values = np.where(broken, np.nan, values)
         finite = np.isfinite(values[:, 0])
         if not finite.any():
             raise TraceError(self._no_positions(topic, len(values), unnamed))
@@ -241,6 +249,12 @@ class _Assembly:
             self.findings.append(f"{topic}: all header stamps are the same: samples are timed by bag time")
             return samples._replace(stamps=samples.bag_times), "bag"
         return samples, "header"
+
+    def _broken(self, values: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """(n, 2) readings that no plunger can have, as broken messages hold; other units than metres are no break."""
+        sizes = np.abs(np.where(np.isfinite(values), values, 0.0))
+        is_metres = float(np.median(sizes[:, 0])) <= LARGEST_POSITION
+        return np.asarray(sizes > (BROKEN_READING if is_metres else BROKEN_READING * MICROMETRES))
 
     def _no_positions(self, topic: str, count: int, names: tuple[str, ...] | None) -> str:
         if names is not None:

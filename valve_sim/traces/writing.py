@@ -17,6 +17,7 @@ from valve_sim.traces.cdr import encode_messages, typestore
 from valve_sim.traces.clocks import SECOND
 from valve_sim.traces.errors import TraceError
 from valve_sim.traces.reading import CHANNELS, COMMAND, FLOAT, JOINT_STATE, MAIN, MEASURED, PILOT
+from valve_sim.whole_files import replacing
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -52,10 +53,10 @@ class BagRecorder:
         """Open the recording under a temporary name; see the class."""
         self.path = Path(path)
         self._bare = self.path.suffix == ".mcap"
-        self._workshop = self.path.with_name(f".{self.path.name}.{os.getpid()}.partial")
         name = self.path.stem if self._bare else self.path.name
         if self.path.is_dir() or (self.path.exists() and not self._bare):
             raise TraceError(f"{self.path}: exists already; choose another name or remove it")
+        self._workshop = self.path.with_name(f".{self.path.name}.{os.getpid()}.partial")
         plugin = StoragePlugin.MCAP if self._bare or storage == "mcap" else StoragePlugin.SQLITE3
         with self._or_nothing():
             shutil.rmtree(self._workshop, ignore_errors=True)
@@ -295,26 +296,10 @@ def write_csv(path: str | PathLike[str], columns: Mapping[str, ArrayLike]) -> No
         KeyError: A column is missing.
     """
     table = [np.asarray(columns[name]).tolist() for name in CSV_COLUMNS]
-    with _replacing(Path(path)) as partial, partial.open("w", encoding="utf-8", newline="") as stream:
+    with replacing(Path(path), TraceError) as partial, partial.open("w", encoding="utf-8", newline="") as stream:
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(CSV_COLUMNS)
         writer.writerows(zip(*table, strict=True))
-
-
-@contextmanager
-def _replacing(path: Path) -> Iterator[Path]:
-    """Give a name to write to; move the file to its own name when all went well."""
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        yield partial
-        partial.replace(path)
-    except OSError as error:
-        raise TraceError(f"{path}: cannot be written ({error.strerror}); choose another place") from error
-    finally:
-        # Where the folder is none, there is nothing to take away, and the error above says why.
-        with suppress(OSError):
-            partial.unlink()
 
 
 def commanded_voltage(

@@ -1,0 +1,41 @@
+"""Files are written whole or not at all: under a hidden name first, which then takes the place of the old file."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from valve_sim.model.errors import ValveError
+
+
+@contextmanager
+def replacing(path: Path, refusal: type[ValveError] = ValveError) -> Iterator[Path]:
+    """Give a name to write to; move the file to its own name when all went well. Its folder is made.
+
+    Args:
+        path: the file, replaced if it exists.
+        refusal: the error that is raised.
+
+    Raises:
+        ValveError: it cannot be written; of the type `refusal`.
+    """
+    # Neither "." nor ".." is a name that another could stand beside; what else is a folder cannot be replaced.
+    partial = path.absolute().with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield partial
+        partial.replace(path)
+    except OSError as error:
+        raise refusal(f"{path}: cannot be written ({error.strerror}); choose another place") from error
+    finally:
+        # Where the folder is none, there is nothing to take away, and the error above says why.
+        with suppress(OSError):
+            partial.unlink(missing_ok=True)
+
+
+def write_whole(path: Path, text: str, refusal: type[ValveError] = ValveError) -> None:
+    """Write a text file in UTF-8; see `replacing`."""
+    with replacing(path, refusal) as partial:
+        partial.write_text(text, encoding="utf-8")
