@@ -159,7 +159,7 @@ def _catalogued(
     shape, sign = scale.draw_shape(random), scale.draw_sign(random)
     limit = detection_limit(name, shape, recorder)
     low = limits[0] * limit
-    size = log_uniform(random, low, max(NARROWEST * low, min(limits[1] * limit, scale.largest)))
+    size = min(log_uniform(random, low, max(NARROWEST * low, min(limits[1] * limit, scale.largest))), scale.most)
     return {name: scale.parameters(sign * size, shape)}, {name: size / limit}
 
 

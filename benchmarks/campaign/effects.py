@@ -24,6 +24,7 @@ class Scale:
         largest: the upper end of what is drawn; what is physically sensible (METHOD, "Physics with sources").
         shapes: range of each shape parameter, drawn evenly in the logarithm, or evenly if the range begins at 0.
         is_signed: whether MODEL.md 3 allows both signs.
+        most: what physics cannot exceed.
         limit_shape: what takes the place of the drawn shape where the detection limit is worked out.
     """
 
@@ -33,6 +34,7 @@ class Scale:
     shapes: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     is_signed: bool = False
     limit_shape: Mapping[str, float] = field(default_factory=dict)
+    most: float = math.inf
 
     def middle(self) -> Values:
         """The shape in the middle of all ranges."""
@@ -113,6 +115,7 @@ CATALOGUED: Final[Mapping[str, Scale]] = {
         {"seat_share": (0.5, 1.0)},
         # Nothing presses the pilot back on its seat, so that even a rebound too slow to be one shows there.
         limit_shape={"seat_share": 0.0},
+        most=0.9,
     ),
     # The size is the lost share of the velocity; a plastic impact loses 0.187.
     "pickup_impact": Scale(lambda size, shape: {"velocity_ratio": 1.0 - size}, 0.01, 0.187),

@@ -250,8 +250,8 @@ class _Investigation:
         """Add one more effect to the best few, swap members; whether that was decisive."""
         search = self.search
         smaller = [hypothesis for hypothesis in self._tried() if len(hypothesis.effects) == count - 1]
-        smaller = sorted((h for h in smaller if not h.timing), key=search.score)
-        before = search.score(self.best_claimable())
+        smaller = sorted((h for h in smaller if not h.timing), key=self.merit)
+        before = self.merit(self.best_claimable())
         for rank, start in enumerate(smaller[:BEAM]):
             for index, name in enumerate(names):
                 if name in start.effects:
@@ -267,7 +267,7 @@ class _Investigation:
                 timed = best._replace(timing=True)
                 if self.plant.timing_errors and not best.timing:
                     search.fit(timed)
-        return search.score(self.best_claimable()) < before - DECISIVE
+        return self.merit(self.best_claimable()) < before - DECISIVE
 
     def _swap(self, best: Hypothesis, names: Sequence[str]) -> Hypothesis:
         """Swap each member through the catalogue (METHOD: cured most wrong pairs)."""
@@ -293,8 +293,17 @@ class _Investigation:
         return best
 
     def best_claimable(self) -> Hypothesis:
-        """The hypothesis of the lowest score whose effects are away from off and from bounds."""
-        return min((h for h in self._tried() if self.is_claimable(h)), key=self.search.score)
+        """The hypothesis that predicts best of those whose effects are away from off and from bounds."""
+        return min((h for h in self._tried() if self.is_claimable(h)), key=self.merit)
+
+    def merit(self, hypothesis: Hypothesis) -> float:
+        """What a hypothesis is worth to the search: its predictive score.
+
+        Where no form is right, the score of the training data rewards what bends to them most, such as a pressure force
+        that only acts there (on the plant of other form: 2.8 µm in training, 11 µm held out, where nothing has 10 µm).
+        """
+        result = self.search.fit(hypothesis)
+        return self.predictive_score(result, timing=self.needs_timing(result))
 
     def _tried(self) -> list[Hypothesis]:
         return list(self.search.fits)
@@ -424,7 +433,7 @@ class _Investigation:
         Where no form is right, the score rewards what bends to the training data most, such as a pressure force that
         only acts there (seen on the plant of other form: 1.4 µm in training, 9 µm held out).
         """
-        few = sorted(filter(self.is_claimable, self._tried()), key=self.search.score)[:WORTH_A_LOOK]
+        few = sorted(filter(self.is_claimable, self._tried()), key=self.merit)[:WORTH_A_LOOK]
         if self.holdout is None or not few:
             return best
         return min(few, key=lambda hypothesis: self._held_out_error(self.search.fit(hypothesis)))
