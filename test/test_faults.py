@@ -40,11 +40,10 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from valve_sim.cli import _write
-from valve_sim.identification import event_diagnosis, report
 from valve_sim.identification.plots import save_figure
 from valve_sim.parameter_files import default_valve, load_valve, save_valve
 from valve_sim.traces import CSV_COLUMNS, read_trace, write_bag, write_csv
+from valve_sim.whole_files import write_whole
 
 folder, kills = Path(sys.argv[1]), int(sys.argv[2])
 trace = read_trace(sys.argv[3])
@@ -92,9 +91,7 @@ def table(path, version):
 
 
 SURFACES = {
-    "report.html": (lambda path, n: report.write_whole(path, text(n, "html")), is_whole_text),
-    "identify.json": (lambda path, n: _write(path, text(n, "json")), is_whole_text),
-    "event.yaml": (lambda path, n: event_diagnosis.write_whole(path, text(n, "event")), is_whole_text),
+    "report.html": (lambda path, n: write_whole(path, text(n, "html")), is_whole_text),
     "corrected.yaml": (parameters, is_whole_parameters),
     "report.png": (lambda path, n: save_figure(figure, path), lambda path: path.read_bytes()[-8:-4] == b"IEND"),
     "strokes.mcap": (bag, is_whole_bag),

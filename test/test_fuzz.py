@@ -7,6 +7,7 @@ from benchmarks.fuzz import attempt
 ONCE_FOUND = {
     "bags": (242, 457, 777, 799, 935, 1266, 1644, 1942, 2009, 2504, 2643, 4323, 4357),
     "parameter files": (410, 2431, 2544),
+    "command lines": (143, 447, 681, 1279, 1307, 1716),
 }
 
 
@@ -16,7 +17,9 @@ def test_what_was_found_once_is_mended(surface: str, number: int) -> None:
     assert what != "finding", finding
 
 
-@pytest.mark.parametrize(("surface", "count"), [("bags", 60), ("parameter files", 200), ("valves", 1000)])
+@pytest.mark.parametrize(
+    ("surface", "count"), [("bags", 60), ("parameter files", 200), ("valves", 1000), ("command lines", 30)]
+)
 def test_bad_input_is_taken_or_refused(surface: str, count: int) -> None:
     numbers = range(1_000_000, 1_000_000 + count)
     findings = [finding for number in numbers if (finding := attempt(surface, number)[1])]

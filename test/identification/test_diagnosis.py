@@ -96,6 +96,26 @@ def test_what_has_no_name_gets_none(effects: Effects) -> None:
     assert to_json(diagnosis)["unexplained"]["force_rms_n"] > 0.0
 
 
+def test_a_force_that_shows_at_the_seat_alone_gets_no_sure_name() -> None:
+    # Half a millinewton lifts the pilot plunger off its seat, as a constant force would; elsewhere it does not show.
+    ripple = {"force_ripple": {"amplitude": 0.457e-3, "wavelength": 0.2376e-3, "phase": 1.3617}}
+    verdict = diagnosed(ripple, 30).verdict
+    assert verdict.probability < 0.9
+    assert "a force at x 0 to 0.19 mm alone would explain the data about as well" in verdict.summary
+
+
+def test_dampings_that_an_effect_can_take_over_have_intervals_that_say_so() -> None:
+    friction = {"force_opening": 0.05, "force_closing": 0.09, "damping_opening": 0.6, "damping_closing": 0.3}
+    diagnosis = diagnosed({"asymmetric_friction": friction}, 40)
+    assert diagnosis.verdict.effects == ("asymmetric_friction",)
+    assert diagnosis.after.fit.is_entangled("pilot_damping")
+    for name, truth in TRUE_DAMPING.items():
+        interval = diagnosis.after.intervals[name]
+        assert interval.low <= truth <= interval.high
+        # What both directions have in common may be the valve's damping or the friction's.
+        assert interval.high - interval.low > 0.3
+
+
 def test_one_opening_is_not_enough() -> None:
     trace = measured({"coulomb_friction": {"force": 0.05}}, single_opening(), Recorder(), 2)
     diagnosis = diagnose([trace], [], DECLARED)

@@ -359,6 +359,21 @@ def test_samples_that_are_not_finite_are_dropped(value: float, tmp_path: Path) -
     check(make_mcap(tmp_path / "a.mcap", messages), "dropped 1 of 1000 samples without a finite pilot_plunger", 998)
 
 
+def test_readings_that_no_plunger_can_have_are_dropped(tmp_path: Path) -> None:
+    messages = changed(good_messages(), 300, positions=(3e155, 0.0))
+    messages = changed(messages, 700, positions=(0.0, -40.0))
+    check(make_mcap(tmp_path / "a.mcap", messages), r"2 positions are none, such as 3e\+155 m", 998)
+
+
+def test_positions_in_another_unit_are_kept_and_doubted(tmp_path: Path) -> None:
+    messages = [
+        joint_state(MEASURED, EPOCH + n * 10**5, (1e6 * x, 0.0)) for n, x in enumerate(clean_trace().pilot_position)
+    ]
+    trace = read_trace(make_mcap(tmp_path / "a.mcap", [*only_commands(), *messages]))
+    assert len(trace.times) == len(messages)
+    assert any("positions must be in metres" in finding for finding in trace.findings)
+
+
 def test_commands_that_are_not_finite_are_dropped(tmp_path: Path) -> None:
     messages = [*good_messages(), float_message(VOLTAGE, EPOCH + 10**8, np.nan)]
     trace = read_trace(make_mcap(tmp_path / "a.mcap", messages))

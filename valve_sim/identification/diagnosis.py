@@ -620,16 +620,17 @@ class _Investigation:
     def nameless_rivals(
         self, best: Hypothesis, nameless: Sequence[tuple[ForceMap, Fit]]
     ) -> list[tuple[tuple[ForceMap, Fit], float]]:
-        """Forces without a name that come near the best in S, and by how much they predict worse than it."""
-        timing, limit = self.needs_timing(self.search.fit(best)), self.search.score(best) + 2.0 * DECISIVE
-        least = self.predictive_score(self.search.fit(best), timing=timing)
-        near = [pair for pair in nameless if pair[1].score < limit]
-        return [(pair, self.predictive_score(pair[1], timing=timing) - least) for pair in near]
+        """Forces without a name that come near the best in S, and by how much they are worse.
+
+        Held-out data are not asked: a force without a name need not predict better to make a name doubtful.
+        """
+        least = self.search.score(best)
+        return [(pair, pair[1].score - least) for pair in nameless if pair[1].score < least + 2.0 * DECISIVE]
 
     def evidence(self, best: Hypothesis, nameless: Sequence[float]) -> float:
         """Share of the best set in all evidence but that for sets that merely extend it.
 
-        Forces without a name have a share, too; `nameless` is by how much each predicts worse than the best
+        Forces without a name have a share, too; `nameless` is by how much each is worse than the best
         set. A weak effect without a name is easily taken for a weak one with a name (measured on the campaign:
         at a tenth of a strong one, damping that varies with x passes for spring hardening), so weak evidence is
         never certain.

@@ -54,7 +54,8 @@ class BagRecorder:
         self.path = Path(path)
         self._bare = self.path.suffix == ".mcap"
         name = self.path.stem if self._bare else self.path.name
-        if self.path.is_dir() or (self.path.exists() and not self._bare):
+        # os.path says False of names that cannot be, where Path raises; writing then says what is wrong with them.
+        if os.path.isdir(self.path) or (os.path.exists(self.path) and not self._bare):  # noqa: PTH110, PTH112
             raise TraceError(f"{self.path}: exists already; choose another name or remove it")
         self._workshop = self.path.with_name(f".{self.path.name}.{os.getpid()}.partial")
         plugin = StoragePlugin.MCAP if self._bare or storage == "mcap" else StoragePlugin.SQLITE3

@@ -1,0 +1,40 @@
+"""A file is written whole or stays as it was."""
+
+from pathlib import Path
+
+import pytest
+
+from valve_sim.model.errors import ValveError
+from valve_sim.traces import TraceError
+from valve_sim.whole_files import replacing, write_whole
+
+
+def test_a_file_replaces_the_old_one_and_its_folder_is_made(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "results.txt"
+    write_whole(path, "µ")
+    write_whole(path, "other")
+    assert path.read_text(encoding="utf-8") == "other"
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_what_fails_half_way_leaves_the_old_file(tmp_path: Path) -> None:
+    path = tmp_path / "results.txt"
+    write_whole(path, "old")
+    with pytest.raises(ZeroDivisionError), replacing(path) as partial:
+        partial.write_text("half")
+        1 / 0  # noqa: B018
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("name", [".", "..", "", "a" * 300, "file/below", "folder"])
+def test_a_place_that_takes_no_file_is_refused_in_one_line(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").touch()
+    (tmp_path / "folder").mkdir()
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(TraceError, match=r"cannot be written \(.+\)"):
+        write_whole(Path(name), "text", TraceError)
+    assert {path.name for path in tmp_path.iterdir()} == {"file", "folder"}
+    assert issubclass(TraceError, ValveError)
