@@ -29,7 +29,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from valve_sim.identification.monitoring import Monitor, StrokeReport
+from valve_sim.identification.judging import StrokeReport
+from valve_sim.identification.monitoring import Monitor
 from valve_sim.identification.tracing import trace_cause
 from valve_sim.parameter_files import default_valve
 

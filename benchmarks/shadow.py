@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.monitoring import ALARM_FORCE, COMMISSIONING, GROWING, STAYING, STROKE_SECONDS, valve_of
-from valve_sim.identification.monitoring import MonitorSettings
+from valve_sim.identification.watching import MonitorSettings
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "test"))
 from identification.live_strokes import LiveValve

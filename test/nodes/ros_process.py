@@ -64,6 +64,20 @@ def running(
                 node.process.wait()
 
 
+@contextlib.contextmanager
+def piped(folder: Path, program: Sequence[str], **parameters: object) -> Iterator[subprocess.Popen[str]]:
+    """Python with a program that takes ROS parameters, while inside; its stderr is a pipe, read when it has ended."""
+    pairs = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
+    command = [sys.executable, *program, "--ros-args", *pairs]
+    environment = {**os.environ, "ROS_LOG_DIR": str(folder)}
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment) as process:
+        try:
+            yield process
+        finally:
+            if process.poll() is None:
+                process.kill()
+
+
 class Probe:
     """A node in the test's own process: hears, commands, calls."""
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -19,7 +18,7 @@ import pytest
 from valve_sim.parameter_files import load_valve
 from valve_sim.traces import read_trace
 
-from .ros_process import PATIENCE, Probe, running
+from .ros_process import PATIENCE, Probe, piped, running
 
 pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
@@ -54,19 +53,10 @@ def probe(ros: None) -> Iterator[Probe]:
     probe.close()
 
 
-@contextlib.contextmanager
-def identifying(folder: Path, **parameters: object) -> Iterator[subprocess.Popen[str]]:
+def identifying(folder: Path, **parameters: object) -> contextlib.AbstractContextManager[subprocess.Popen[str]]:
     """identification_node while inside; it writes into the folder."""
-    given = {"output": folder, **parameters}
-    pairs = [word for name, value in given.items() for word in ("-p", f"{name}:={value}")]
-    command = [sys.executable, "-m", "valve_sim.nodes.identification_node", "--ros-args", *pairs]
-    environment = {**os.environ, "ROS_LOG_DIR": str(folder)}
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment) as process:
-        try:
-            yield process
-        finally:
-            if process.poll() is None:
-                process.kill()
+    given: dict[str, object] = {"output": folder, **parameters}
+    return piped(folder, ("-m", "valve_sim.nodes.identification_node"), **given)
 
 
 def maker() -> Any:

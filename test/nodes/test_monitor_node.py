@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,7 +16,7 @@ import pytest
 from identification.live_strokes import LiveValve
 
 from .plant_on_topics import PlantOnTopics
-from .ros_process import PATIENCE, Probe, running
+from .ros_process import PATIENCE, Probe, piped, running
 
 pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
@@ -46,19 +44,10 @@ def probe(ros: None) -> Iterator[Probe]:
     probe.close()
 
 
-@contextlib.contextmanager
-def monitoring(folder: Path, **parameters: object) -> Iterator[subprocess.Popen[str]]:
+def monitoring(folder: Path, **parameters: object) -> contextlib.AbstractContextManager[subprocess.Popen[str]]:
     """monitor_node while inside."""
     given: dict[str, object] = {"commissioning_strokes": FEW, "measured": "joint_states", **parameters}
-    pairs = [word for name, value in given.items() for word in ("-p", f"{name}:={value}")]
-    command = [sys.executable, "-m", "valve_sim.nodes.monitor_node", "--ros-args", *pairs]
-    environment = {**os.environ, "ROS_LOG_DIR": str(folder)}
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment) as process:
-        try:
-            yield process
-        finally:
-            if process.poll() is None:
-                process.kill()
+    return piped(folder, ("-m", "valve_sim.nodes.monitor_node"), **given)
 
 
 class Ears:

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import signal
 import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from .ros_process import PATIENCE, Probe, running
+from .ros_process import PATIENCE, Probe, piped, running
 
 pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
@@ -67,18 +65,9 @@ def station(own_domain: None, tmp_path_factory: pytest.TempPathFactory) -> Itera
     rclpy.try_shutdown()
 
 
-@contextlib.contextmanager
-def sequencing(folder: Path, **parameters: object) -> Iterator[subprocess.Popen[str]]:
+def sequencing(folder: Path, **parameters: object) -> contextlib.AbstractContextManager[subprocess.Popen[str]]:
     """The sequencer while inside."""
-    words = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
-    command = [sys.executable, str(SEQUENCER), "--ros-args", *words]
-    environment = {**os.environ, "ROS_LOG_DIR": str(folder)}
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment) as process:
-        try:
-            yield process
-        finally:
-            if process.poll() is None:
-                process.kill()
+    return piped(folder, (str(SEQUENCER),), **parameters)
 
 
 def run(folder: Path, **parameters: object) -> tuple[int, str]:

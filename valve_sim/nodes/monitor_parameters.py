@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final, NamedTuple
 
-from valve_sim.identification.monitoring import MonitorSettings
+from valve_sim.identification.watching import MonitorSettings
 from valve_sim.model import Parameter, ParameterError, Valve
 from valve_sim.model.parameters import closest
 from valve_sim.nodes.parameters import NodeParameter, Value, table, valve_of

@@ -25,9 +25,10 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, String
 
-from valve_sim.identification.monitoring import Judge, Prediction, StrokeReport, Watch
+from valve_sim.identification.judging import Judge, StrokeReport
 from valve_sim.identification.stroke_scores import Healthy
 from valve_sim.identification.tracing import Finding
+from valve_sim.identification.watching import Prediction, Watch
 from valve_sim.model import Stepper
 from valve_sim.nodes.messages import JOINT_NAMES, ReadingMessages, diagnostic_array
 from valve_sim.nodes.monitor_parameters import Given, check_given, descriptions

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Final, NamedTuple
 
-from valve_sim.identification.monitoring import Judge, StrokeReport
+from valve_sim.identification.judging import Judge, StrokeReport
 from valve_sim.nodes.diagnostics import Level, Status
 from valve_sim.nodes.monitor_tasks import Tracing
 

@@ -7,9 +7,10 @@ import threading
 from collections.abc import Callable
 from typing import Final
 
-from valve_sim.identification.monitoring import Judge, StrokeRecord, StrokeReport
+from valve_sim.identification.judging import Judge, StrokeReport
 from valve_sim.identification.stroke_scores import Healthy
 from valve_sim.identification.tracing import Finding, trace_cause
+from valve_sim.identification.watching import StrokeRecord
 from valve_sim.model.errors import ValveError
 from valve_sim.traces import Trace
 

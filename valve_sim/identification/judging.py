@@ -1,0 +1,322 @@
+"""Each stroke held against the model: an alarm of a stated false-alarm rate. No clock, no ROS.
+
+The first strokes commission the valve: its dampings, the clocks' offset, the scatter of the commands' stamps and the
+sensor's noise are fitted to them all together, and held from then on. `stroke_scores` says how a stroke is held against
+that, `alarm` how many deviations in a row are too many. Scores are standard normal by theory where the commissioning
+strokes do not contradict it; where they do, because the declared form is not the valve's, they are counted from the
+mean and spread of those strokes (as Student's t): what is watched is then whether the valve changes, and `Judge` says
+so. An effect with a memory beyond one stroke, such as coil heating, begins anew with each stroke here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from scipy.special import ndtri, stdtr
+
+from valve_sim.identification.alarm import Alarm, Sums
+from valve_sim.identification.fitting import Interval
+from valve_sim.identification.stroke_scores import (
+    SIZE,
+    Healthy,
+    Scored,
+    commission,
+    crossing,
+    refitted,
+    score_stroke,
+)
+from valve_sim.identification.watching import FEWEST_SAMPLES, MonitorSettings, StrokeRecord
+from valve_sim.model import Drive, EventKind, SimulationError, Valve, simulate
+from valve_sim.traces import Trace, events_from_sensors
+
+CONTRADICTS: Final = 4.0
+"""Standard errors by which the mean of commissioning scores is not 0."""
+TOO_SPREAD: Final = 1.7
+"""Standard deviation of twenty standard normal scores, beyond what one set in 10,000 has."""
+TRACED_FROM: Final = 6
+"""Strokes of an alarm with which its cause is first looked for."""
+SCORED_MOST: Final = 8.0
+"""Standard deviations: the most that a score says."""
+FEWEST_TO_LEARN: Final = 8
+"""Commissioning strokes that show a direction, from which its mean and spread are learned."""
+FORGETS: Final = 20
+"""Judged strokes without a further alarm, after which one is over."""
+
+
+class StrokeReport(NamedTuple):
+    """What is said of one stroke; times in s after their command, nan where not seen.
+
+    Attributes:
+        record: the stroke. name: for people.
+        opening_delay: until the pilot plunger leaves its seat. t1: until it reaches the main plunger. t2: until the
+            stop. closing_time: from the closing command until the pilot plunger is back.
+        rms: m, of what the model leaves; nan where it was not held against it.
+        noise: m, of the sensor; nan before commissioning. damping: refitted to this stroke alone, or empty.
+        scores: standard normal while healthy, by direction; empty where the stroke was not judged.
+        state: "commissioning", "watching" or "not judged". remark: why, where it was not.
+        alarm: raised by this stroke. cause, sum: of the highest sum; threshold: at which the alarm is raised.
+    """
+
+    record: StrokeRecord
+    name: str
+    opening_delay: float
+    t1: float
+    t2: float
+    closing_time: float
+    rms: float
+    noise: float
+    damping: Mapping[str, Interval]
+    scores: Mapping[str, float]
+    state: str
+    remark: str
+    alarm: Alarm | None
+    cause: str
+    sum: float
+    threshold: float
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain numbers in SI units; null for what is not known."""
+        loudest = sorted(self.scores.items(), key=lambda item: -abs(item[1]))[:3]
+        return {
+            "schema": "valve_sim/stroke/1",
+            "stroke": self.record.number,
+            "name": self.name,
+            "time": self.record.time,
+            "state": self.state,
+            "remark": self.remark or None,
+            "opened": self.record.opened,
+            "closed": self.record.closed,
+            "fault": self.record.fault or None,
+            "opening_delay": _number(self.opening_delay),
+            "t1": _number(self.t1),
+            "t2": _number(self.t2),
+            "closing_time": _number(self.closing_time),
+            "residual_rms_um": _number(1e6 * self.rms),
+            "noise_um": _number(1e6 * self.noise),
+            "damping": {name: interval.to_json() for name, interval in self.damping.items()},
+            "scores": dict(loudest),
+            "alarm": {
+                "raised": self.alarm is not None,
+                "cause": (self.alarm.cause if self.alarm else self.cause) or None,
+                "sum": _number(self.sum),
+                "threshold": _number(self.threshold),
+            },
+        }
+
+
+class Judge:
+    """The other half: strokes in, reports out. Some milliseconds a stroke; a second at the end of commissioning.
+
+    Args:
+        valve: the declared valve.
+        settings: how it is watched.
+    """
+
+    def __init__(self, valve: Valve, settings: MonitorSettings) -> None:
+        self._declared = valve
+        self._settings = settings
+        self._first: list[Trace] = []
+        self._baseline: dict[str, _Baseline] = {}
+        self._sums: Sums | None = None
+        self._recent: deque[tuple[int, Trace]] = deque(maxlen=settings.diagnosis_strokes)
+        self._loudest, self._sum, self._threshold = "", math.nan, math.nan
+        self._last_raised = -math.inf
+        self._judged = 0
+        self._trace_at = 0
+        self.healthy: Healthy | None = None
+        """The valve as commissioned; None before."""
+        self.alarm: Alarm | None = None
+        """The last alarm, while it is not over."""
+        self.alarms = 0
+
+    @property
+    def commissioned(self) -> int:
+        """How many strokes commissioning has had."""
+        return len(self._first)
+
+    @property
+    def contradictions(self) -> tuple[str, ...]:
+        """Directions in which the healthy valve differs from the declared form: empty if that explains it."""
+        return tuple(name for name, baseline in self._baseline.items() if baseline.is_learned and name != SIZE)
+
+    def evidence(self) -> list[Trace]:
+        """The last strokes since the alarm began to rise, at most `diagnosis_strokes`."""
+        began = self.alarm.began if self.alarm is not None else 0
+        found = [trace for index, trace in self._recent if index >= began]
+        # The sum may have begun to rise, by chance, one stroke early.
+        return found[1:] if len(found) > TRACED_FROM else found
+
+    def take_evidence(self) -> list[Trace]:
+        """The evidence, when it is time to trace the cause (again); else none.
+
+        That is once there are `TRACED_FROM` strokes of the alarm, at twice as many, and at each full ring of new ones.
+        """
+        evidence = self.evidence() if self.alarm is not None else []
+        if len(evidence) < TRACED_FROM or self._judged < self._trace_at:
+            return []
+        most = self._settings.diagnosis_strokes
+        # A full ring gives one less, because `evidence` leaves the first out.
+        missing = most - 1 - len(evidence)
+        self._trace_at = self._judged + (min(len(evidence), missing) if missing > 0 else most)
+        return evidence
+
+    def judge(self, record: StrokeRecord, *, refit: bool = True) -> StrokeReport:
+        """Hold a stroke against the commissioned valve, or commission with it.
+
+        Args:
+            record: from a `Watch`.
+            refit: whether to refit the dampings to it, for the report.
+        """
+        scored, scores, alarm, state, remark = None, {}, None, "not judged", record.remark
+        if not remark:
+            try:
+                if self.healthy is None:
+                    state = "commissioning"
+                    self._commission(record.trace)
+                else:
+                    state = "watching"
+                    scored = score_stroke(record.trace, self.healthy)
+                    scores = self._standard(scored.scores)
+                    alarm = self._add(record, scores)
+            except (SimulationError, np.linalg.LinAlgError) as error:
+                state, remark = "not judged", f"the model could not be held against it: {error}"
+        damping = self._refitted(record.trace) if refit and scored is not None else {}
+        return self._report(record, scored, scores, alarm, state, remark, damping)
+
+    def _commission(self, trace: Trace) -> None:
+        self._first.append(trace)
+        if len(self._first) < self._settings.commissioning_strokes:
+            return
+        try:
+            healthy = commission(self._first, self._declared, self._settings.noise)
+            table = [score_stroke(stroke, healthy).scores for stroke in self._first]
+        finally:
+            # What could not be commissioned with is not tried again with each stroke that follows.
+            strokes, self._first = len(self._first), []
+        names = tuple(dict.fromkeys(name for scores in table for name in scores))
+        self._baseline = {name: _Baseline.of(name, [s[name] for s in table if name in s]) for name in names}
+        self._sums = Sums(self._settings.strokes_between_false_alarms, names, strokes, one_sided=(SIZE,))
+        self._threshold = self._sums.threshold
+        self.healthy = healthy
+
+    def _standard(self, scores: Mapping[str, float]) -> dict[str, float]:
+        return {name: self._baseline[name].standard(score) for name, score in scores.items() if name in self._baseline}
+
+    def _add(self, record: StrokeRecord, scores: Mapping[str, float]) -> Alarm | None:
+        assert self._sums is not None
+        self._judged += 1
+        self._recent.append((record.number, record.trace))
+        alarm = self._sums.add(record.number, scores)
+        if alarm is not None:
+            self._loudest, self._sum = alarm.cause, self._sums.threshold
+            # The tracing wants all strokes since the first of a row of alarms began.
+            began = alarm.began if self.alarm is None else self.alarm.began
+            self.alarm = alarm._replace(began=began)
+            self.alarms += 1
+            self._last_raised = self._judged
+        else:
+            self._loudest, self._sum = self._sums.largest
+            if self._judged - self._last_raised > FORGETS:
+                self.alarm, self._trace_at = None, 0
+        return alarm
+
+    def _refitted(self, trace: Trace) -> Mapping[str, Interval]:
+        assert self.healthy is not None
+        try:
+            return refitted(trace, self.healthy)
+        except SimulationError:
+            return {}
+
+    def _report(
+        self,
+        record: StrokeRecord,
+        scored: Scored | None,
+        scores: Mapping[str, float],
+        alarm: Alarm | None,
+        state: str,
+        remark: str,
+        damping: Mapping[str, Interval],
+    ) -> StrokeReport:
+        healthy, trace = self.healthy, record.trace
+        seen = _arrivals(trace, self._declared) if len(trace.times) >= FEWEST_SAMPLES else {}
+        lateness = healthy.lateness if healthy is not None else 0.0
+        volts = trace.drive.volts
+        return StrokeReport(
+            record,
+            f"stroke {record.number}, {volts[np.argmax(np.abs(volts))]:.1f} V",
+            _opening_delay(trace, healthy.valve if healthy is not None else self._declared, lateness),
+            seen.get("pilot_reaches_main", math.nan) - lateness,
+            seen.get("reaches_stop", math.nan) - lateness,
+            seen.get("reaches_seat", math.nan) - lateness,
+            scored.rms if scored is not None else math.nan,
+            healthy.noise.sigma if healthy is not None else math.nan,
+            damping,
+            scores,
+            state,
+            remark,
+            alarm,
+            self._loudest,
+            self._sum,
+            self._threshold,
+        )
+
+
+@dataclass(frozen=True)
+class _Baseline:
+    """What a score was while the valve was commissioned; learned where that contradicts a standard normal one."""
+
+    mean: float
+    spread: float
+    strokes: int
+    is_learned: bool
+
+    @classmethod
+    def of(cls, name: str, scores: Sequence[float]) -> _Baseline:
+        count = len(scores)
+        if count < FEWEST_TO_LEARN:
+            return cls(0.0, 1.0, count, False)
+        mean, spread = float(np.mean(scores)), float(np.std(scores, ddof=1))
+        # The size hangs on the noise's variance, which is itself an estimate.
+        is_learned = name == SIZE or abs(mean) * math.sqrt(count) > CONTRADICTS or spread > TOO_SPREAD
+        return cls(mean, spread, count, is_learned)
+
+    def standard(self, score: float) -> float:
+        if self.is_learned:
+            quotient = (score - self.mean) / (max(self.spread, 1e-9) * math.sqrt(1.0 + 1.0 / self.strokes))
+            tail = float(stdtr(self.strokes - 1, -abs(quotient)))
+            score = math.copysign(float(ndtri(max(tail, 1e-16))), quotient)
+        return min(max(score, -SCORED_MOST), SCORED_MOST)
+
+
+def _arrivals(trace: Trace, valve: Valve) -> dict[str, float]:
+    """By kind of arrival: s after its command, by the position sensor."""
+    strokes = events_from_sensors(trace, valve.parameters.pilot_gap)
+    return {event.kind: event.after_command for stroke in strokes for event in stroke.events}
+
+
+def _opening_delay(trace: Trace, valve: Valve, lateness: float) -> float:
+    """When the pilot plunger left its seat, s after the command: the model's time, and how late a low level is passed.
+
+    The first micrometres hide in the noise, and grow with the third power of time; the level is a quarter of the gap.
+    """
+    drive = Drive(trace.drive.times[:1], trace.drive.volts[:1])
+    before_next = trace.times < (trace.drive.times[1] if len(trace.drive.times) > 1 else math.inf)
+    times, position = trace.times[before_next], trace.pilot_position[before_next]
+    try:
+        shown = simulate(
+            valve, drive, times - lateness, start_time=float(min([drive.times[0], *(times[:1] - lateness)]))
+        )
+    except SimulationError:
+        return math.nan
+    level = 0.25 * valve.parameters.pilot_gap
+    late = crossing(times, position, level, rises=True) - crossing(times, shown.pilot_position, level, rises=True)
+    return shown.first(EventKind.UNSEATED) - float(drive.times[0]) + late
+
+
+def _number(value: float) -> float | None:
+    return value if math.isfinite(value) else None
