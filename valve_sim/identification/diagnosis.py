@@ -24,6 +24,7 @@ from valve_sim.identification.false_alarm import FalseAlarm, false_alarm
 from valve_sim.identification.fitting import Fit, Interval, Mask, Problem, covariance_interval, fit, profile_interval
 from valve_sim.identification.next_recording import Recommendation, recommend
 from valve_sim.identification.plant import Array, ForceMap, Nuisance, Plant, to_search
+from valve_sim.identification.predictive import surprise
 from valve_sim.identification.search import DECISIVE, MOST_EFFECTS, Hypothesis, Progress, Search
 from valve_sim.identification.valve_plant import ValvePlant
 from valve_sim.model import SimulationError, Valve
@@ -45,6 +46,8 @@ MOSTLY: Final = 0.5
 """Held-out error with named effects over that without, below which they are named beside an unexplained remainder."""
 MOST_FALSE_ALARMS: Final = 0.01
 """Probability that the search finds as much in noise alone, beyond which nothing is claimed."""
+NEARLY: Final = 40.0
+"""Difference of S within which a better start may turn the tables."""
 WORTH_A_LOOK: Final = 20
 """How many of the best hypotheses are tried on held-out data where none leaves only noise."""
 EXCLUDES_OFF: Final = 1.96
@@ -178,6 +181,7 @@ class _Investigation:
         elif holdout_mask is not None:
             self.holdout = problem.restricted(holdout_mask)
         self._held: dict[tuple[int, bool], Fit | None] = {}
+        self._predictive: dict[tuple[int, bool, bool], float] = {}
         self._reported_timing = False
 
     # -- the search ------------------------------------------------------------------------------------------------
@@ -303,7 +307,7 @@ class _Investigation:
         that only acts there (on the plant of other form: 2.8 µm in training, 11 µm held out, where nothing has 10 µm).
         """
         result = self.search.fit(hypothesis)
-        return self.predictive_score(result, timing=self.needs_timing(result))
+        return self.predictive_score(result, timing=self.needs_timing(result), is_form_right=adequacy(result).is_white)
 
     def _tried(self) -> list[Hypothesis]:
         return list(self.search.fits)
@@ -403,15 +407,21 @@ class _Investigation:
         # The gain of the truth is `apart` on average, with standard error 2 √apart.
         return gain > 4.0 * math.sqrt(apart)
 
-    def predictive_score(self, result: Fit, *, timing: bool) -> float:
-        """S of the training data, and that of predicting held-out data with what was fitted.
+    def predictive_score(self, result: Fit, *, timing: bool, is_form_right: bool) -> float:
+        """S of the training data, and how surprising held-out data are to what was fitted.
 
-        Dawid, J. R. Stat. Soc. A 147, 1984, p. 278: a model is worth what it predicts.
+        Where the form is wrong, no covariance says how far off it is, and plain χ² has to do.
         """
         if self.holdout is None:
             return result.score
-        held = self.hold_out(result, timing=timing)
-        return math.inf if held is None else result.score + held.score
+        key = (id(result), timing, is_form_right)
+        if key not in self._predictive:
+            held = self.hold_out(result, timing=timing)
+            if held is None:
+                self._predictive[key] = math.inf
+            else:
+                self._predictive[key] = result.score + (surprise(result, held) if is_form_right else held.score)
+        return self._predictive[key]
 
     def standings(self, best: Hypothesis) -> dict[Hypothesis, float]:
         """By how much each hypothesis of as many effects that comes near the best predicts worse, in S."""
@@ -419,8 +429,19 @@ class _Investigation:
         limit = self.search.score(best) + 2.0 * DECISIVE
         count = max(1, len(best.effects))
         near = [h for h in self._tried() if len(h.effects) == count and self.search.score(h) < limit]
-        least = self.predictive_score(self.search.fit(best), timing=timing)
-        return {h: self.predictive_score(self.search.fit(h), timing=timing) - least for h in near}
+        is_form_right = self.is_adequate(best)
+        scores = {
+            h: self.predictive_score(self.search.fit(h), timing=timing, is_form_right=is_form_right)
+            for h in {best, *near}
+        }
+        return {h: scores[h] - scores[best] for h in near}
+
+    def _polish_near(self, best: Hypothesis) -> None:
+        """Give what may do as well as the best, and itself, the same chance: a fit from around each."""
+        limit = self.search.score(best) + NEARLY
+        near = [h for h in self._tried() if len(h.effects) == len(best.effects) and self.search.score(h) < limit]
+        for hypothesis in {best, *sorted(near, key=self.search.score)[:LARGEST_CLASS]}:
+            self.search.polish(hypothesis)
 
     def rivals(self, best: Hypothesis) -> list[Hypothesis]:
         """What does about as well as the best, itself included where it has effects; best first."""
@@ -485,8 +506,8 @@ class _Investigation:
         if not self.is_adequate(best):
             best = self.eliminate(self.best_on_hold_out(best))
         if best.effects:
+            self._polish_near(best)
             best = next(filter(self.is_claimable, self.rivals(best)), best)
-            search.polish(best)
         base = Hypothesis((), best.timing)
         base_fit, best_fit = search.fit(base), search.fit(best)
         earned = best.effects and self.earns_hold_out(base_fit, best_fit)
