@@ -33,9 +33,10 @@ def surprise(training: Fit, held_out: Fit) -> float:
     """
     excess = held_out.problem.excess
     jacobian = np.hstack([_sensitivities(training, held_out), held_out.jacobian])
-    # At the best fit of the nuisances, their priors counted, χ² does not change with them.
     gradient = jacobian.T @ held_out.residuals
-    gradient[len(training.free) :] = 0.0
+    gradient[len(training.free) :] += [
+        held_out.values[nuisance.name] / nuisance.sigma**2 for nuisance in held_out.nuisances
+    ]
     information = jacobian.T @ jacobian
     spread = _spread(training, held_out)
     within = np.eye(len(spread)) + spread.T @ information @ spread / excess
