@@ -182,6 +182,8 @@ class _Investigation:
             self.holdout = problem.restricted(holdout_mask)
         self._held: dict[tuple[int, bool], Fit | None] = {}
         self._predictive: dict[tuple[int, bool, bool], float] = {}
+        # Both remember by identity, which is a fit's own only while the fit is there.
+        self._remembered: list[Fit] = []
         self._reported_timing = False
 
     # -- the search ------------------------------------------------------------------------------------------------
@@ -377,6 +379,7 @@ class _Investigation:
             return None
         key = (id(result), timing)
         if key not in self._held:
+            self._remembered.append(result)
             plant = self.holdout.plant
             nuisances: tuple[Nuisance, ...] = (*plant.nuisances, *(plant.timing_errors if timing else ()))
             own = {nuisance.name for nuisance in (*self.plant.nuisances, *self.plant.timing_errors)}
