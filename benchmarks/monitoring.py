@@ -123,9 +123,9 @@ def report_healthy(strokes: int, seeds: int, pool: Executor) -> bool:
     worst = max(abs(row.ratio - 1.0) for row in rows)
     seconds = sum(row.monitor_seconds for row in rows) / total
     are_few, is_noise, is_fast = warnings <= max(1.0, 1e-3 * total), worst < 0.1, seconds < STROKE_SECONDS
-    _say(are_few, f"{warnings} warnings in {total} healthy strokes (at most {max(1.0, 1e-3 * total):g})")
-    _say(is_noise, f"residual over noise: within {worst:.1%} of 1 in each seed (10 %)")
-    _say(is_fast, f"{1e3 * seconds:.1f} ms of computing a stroke of {1e3 * STROKE_SECONDS:g} ms")
+    say(are_few, f"{warnings} warnings in {total} healthy strokes (at most {max(1.0, 1e-3 * total):g})")
+    say(is_noise, f"residual over noise: within {worst:.1%} of 1 in each seed (10 %)")
+    say(is_fast, f"{1e3 * seconds:.1f} ms of computing a stroke of {1e3 * STROKE_SECONDS:g} ms")
     return are_few and is_noise and is_fast
 
 
@@ -141,8 +141,8 @@ def report_growth(seeds: int, jitter: float, pool: Executor) -> bool:
     right = sum(row.names == ("coulomb_friction",) for row in named)
     wanted = 0.9 * seeds
     after = [row.alarmed_after for row in alarms]
-    _say(soon >= wanted, f"{words}, to {1e3 * ALARM_FORCE:g} mN: alarm within 5 strokes in {soon} of {seeds}: {after}")
-    _say(right >= wanted, f"{words}, to {1e3 * force:g} mN: the right name within 20 strokes in {right} of {seeds}")
+    say(soon >= wanted, f"{words}, to {1e3 * ALARM_FORCE:g} mN: alarm within 5 strokes in {soon} of {seeds}: {after}")
+    say(right >= wanted, f"{words}, to {1e3 * force:g} mN: the right name within 20 strokes in {right} of {seeds}")
     for row in named:
         if row.names != ("coulomb_friction",):
             print(f"      named {' and '.join(row.names) or 'nothing'}")
@@ -150,7 +150,8 @@ def report_growth(seeds: int, jitter: float, pool: Executor) -> bool:
     return soon >= wanted and right >= wanted
 
 
-def _say(is_good: bool, words: str) -> None:
+def say(is_good: bool, words: str) -> None:
+    """A line that says whether a figure is as wanted."""
     print(f"{'ok   ' if is_good else 'SHORT'} {words}", flush=True)
 
 

@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.monitoring import ALARM_FORCE, COMMISSIONING, GROWING, STAYING, STROKE_SECONDS, valve_of
+from benchmarks.monitoring import ALARM_FORCE, COMMISSIONING, GROWING, STAYING, STROKE_SECONDS, say, valve_of
 from valve_sim.identification.watching import MonitorSettings
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "test"))
@@ -148,8 +148,8 @@ def report_healthy(strokes: int, seeds: int, folder: Path) -> bool:
     total, alarms = sum(row.strokes for row in rows), sum(row.alarms for row in rows)
     simulated = total * STROKE_SECONDS
     are_few, is_fast = alarms <= max(1.0, 1e-3 * total), took < simulated
-    _say(are_few, f"{alarms} warnings in {total} healthy strokes (at most {max(1.0, 1e-3 * total):g})")
-    _say(is_fast, f"{took:.0f} s by the wall for {simulated:.0f} s of strokes")
+    say(are_few, f"{alarms} warnings in {total} healthy strokes (at most {max(1.0, 1e-3 * total):g})")
+    say(is_fast, f"{took:.0f} s by the wall for {simulated:.0f} s of strokes")
     return are_few and is_fast
 
 
@@ -161,17 +161,13 @@ def report_growth(seeds: int, folder: Path) -> bool:
     right = sum(row.named == ("coulomb_friction",) for row in rows)
     worst = max(abs(row.ratio - 1.0) for row in rows)
     wanted = 0.9 * seeds
-    _say(
+    say(
         soon >= wanted,
         f"friction to {1e3 * ALARM_FORCE:g} mN: alarm within {SOON} strokes in {soon} of {seeds}: {after}",
     )
-    _say(right >= wanted, f"the right name within {NAMED_WITHIN} strokes in {right} of {seeds}")
-    _say(worst < 0.1, f"residual over noise: within {worst:.1%} of 1 in each seed (10 %)")
+    say(right >= wanted, f"the right name within {NAMED_WITHIN} strokes in {right} of {seeds}")
+    say(worst < 0.1, f"residual over noise: within {worst:.1%} of 1 in each seed (10 %)")
     return soon >= wanted and right >= wanted and worst < 0.1
-
-
-def _say(is_good: bool, words: str) -> None:
-    print(f"{'ok   ' if is_good else 'SHORT'} {words}", flush=True)
 
 
 def main() -> int:

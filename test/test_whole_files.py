@@ -27,7 +27,7 @@ def test_what_fails_half_way_leaves_the_old_file(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
-@pytest.mark.parametrize("name", [".", "..", "", "a" * 300, "file/below", "folder"])
+@pytest.mark.parametrize("name", [".", "..", "", "/", "a" * 300, "file/below", "folder"])
 def test_a_place_that_takes_no_file_is_refused_in_one_line(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

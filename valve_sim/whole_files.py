@@ -21,7 +21,9 @@ def replacing(path: Path, refusal: type[ValveError] = ValveError) -> Iterator[Pa
     Raises:
         ValveError: it cannot be written; of the type `refusal`.
     """
-    # Neither "." nor ".." is a name that another could stand beside; what else is a folder cannot be replaced.
+    if not path.absolute().name:
+        raise refusal(f"{path}: cannot be written (is a folder); choose the name of a file")
+    # A path such as "." has a name only when it is absolute; that a folder cannot be replaced is found out at the end.
     partial = path.absolute().with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -20,7 +20,7 @@ from valve_sim.model import SimulationError
 
 UNEXPLAINED: Final = 1.5
 """Standard deviations, root mean square, by which effects miss a current whose form is another: on the campaign's
-plant of the declared form they miss it by at most 1.01, on the one of another form by 2.6 to 11."""
+plant of the declared form they miss it by at most 1.04, on the one of another form by 2.6 to 11."""
 MOVES_NOTHING: Final = 1e-3
 """Standard deviations: an effect that moves no sample of the current by more is none of the coil's."""
 

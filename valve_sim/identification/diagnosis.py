@@ -180,10 +180,8 @@ class _Investigation:
             self.holdout = Problem(holdout).doubting("current", doubt)
         elif holdout_mask is not None:
             self.holdout = problem.restricted(holdout_mask)
-        self._held: dict[tuple[int, bool], Fit | None] = {}
-        self._predictive: dict[tuple[int, bool, bool], float] = {}
-        # Both remember by identity, which is a fit's own only while the fit is there.
-        self._remembered: list[Fit] = []
+        self._held: dict[tuple[Fit, bool], Fit | None] = {}
+        self._predictive: dict[tuple[Fit, bool, bool], float] = {}
         self._reported_timing = False
 
     # -- the search ------------------------------------------------------------------------------------------------
@@ -377,9 +375,8 @@ class _Investigation:
         """The same machine on held-out data: only the nuisances are estimated. None if it cannot be simulated there."""
         if self.holdout is None:
             return None
-        key = (id(result), timing)
+        key = (result, timing)
         if key not in self._held:
-            self._remembered.append(result)
             plant = self.holdout.plant
             nuisances: tuple[Nuisance, ...] = (*plant.nuisances, *(plant.timing_errors if timing else ()))
             own = {nuisance.name for nuisance in (*self.plant.nuisances, *self.plant.timing_errors)}
@@ -417,7 +414,7 @@ class _Investigation:
         """
         if self.holdout is None:
             return result.score
-        key = (id(result), timing, is_form_right)
+        key = (result, timing, is_form_right)
         if key not in self._predictive:
             held = self.hold_out(result, timing=timing)
             if held is None:
@@ -452,11 +449,7 @@ class _Investigation:
         return sorted((h for h, worse in standings.items() if worse < DECISIVE), key=standings.__getitem__)
 
     def best_on_hold_out(self, best: Hypothesis) -> Hypothesis:
-        """Of the best few on training data, the one that predicts held-out data best.
-
-        Where no form is right, the score rewards what bends to the training data most, such as a pressure force that
-        only acts there (seen on the plant of other form: 1.4 µm in training, 9 µm held out).
-        """
+        """Of the few that are worth most, the one of the smallest plain error on held-out data."""
         few = sorted(filter(self.is_claimable, self._tried()), key=self.merit)[:WORTH_A_LOOK]
         if self.holdout is None or not few:
             return best

@@ -130,9 +130,9 @@ class Problem:
         return weight
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Fit:
-    """The outcome of one fit.
+    """The outcome of one fit; equal to itself only, so that what is worked out of it can be remembered by it.
 
     Attributes:
         problem: what was fitted.
