@@ -42,7 +42,7 @@ ROS_KILTED = [
     "ros-diagnostic-msgs==5.5.1",
     "ros-std-srvs==5.5.1",
 ]
-CHECKS = ["hypothesis", "import-linter", "mypy", "pytest", "ruff", "scipy-stubs", "types-PyYAML"]
+CHECKS = ["hypothesis", "import-linter", "mypy", "pytest", "pytest-xdist", "ruff", "scipy-stubs", "types-PyYAML"]
 
 
 def shared_files(*folders: str) -> list[tuple[str, list[str]]]:
