@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from jinja2 import Environment, PackageLoader
-from scipy.interpolate import CubicHermiteSpline
 
 from valve_sim import __version__
 from valve_sim.identification.diagnosis import Candidate, Diagnosis, State, Unexplained
@@ -262,6 +261,9 @@ def _stroke_plot(stroke: StrokeCurves) -> dict[str, Any]:
 
 def _map_plot(entry: Unexplained) -> dict[str, Any]:
     """The curve through the knots, as the model takes it (Catmull–Rom), and which of its points are knots."""
+    # Loaded here because it takes a third of a second, and few diagnoses end in a curve.
+    from scipy.interpolate import CubicHermiteSpline
+
     name, scale, unit = _AXES.get(entry.variable[0], (entry.variable, 1.0, ""))
     at, force = np.array(entry.at), np.array(entry.force)
     padded = np.concatenate([force[:1], force, force[-1:]])

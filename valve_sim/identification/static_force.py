@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy.special import stdtrit
 
 from valve_sim.identification.fitting import Interval
 from valve_sim.identification.plant import Array
@@ -126,7 +126,7 @@ def fit_static_force(
     at_reference = (reference / volts) ** 2
     values, errors, rmse = _least_squares(displacement, force, powers)
     # Between the 2.5 % quantiles of Student's t, because the noise is estimated from the same residuals.
-    quantile = float(stats.t.ppf(0.975, len(force) - len(powers)))
+    quantile = float(stdtrit(len(force) - len(powers), 0.975))
     intervals = {
         POLYNOMIAL_NAMES[power]: Interval(value, error, value - quantile * error, value + quantile * error)
         for power, value, error in zip(powers, at_reference * values, at_reference * errors, strict=True)
