@@ -26,6 +26,7 @@ from valve_sim.identification.next_recording import Recommendation, recommend
 from valve_sim.identification.plant import Array, ForceMap, Nuisance, Plant, to_search
 from valve_sim.identification.predictive import surprise
 from valve_sim.identification.search import DECISIVE, MOST_EFFECTS, Hypothesis, Progress, Search
+from valve_sim.identification.side_by_side import side_by_side
 from valve_sim.identification.valve_plant import ValvePlant
 from valve_sim.model import SimulationError, Valve
 from valve_sim.traces import Trace
@@ -190,7 +191,7 @@ class _Investigation:
         """Singles, then pairs and triples while something is left; returns the best claimable hypothesis."""
         search, names = self.search, list(self.plant.effects)
         search.fit(Hypothesis(()))
-        self._try_singles(names, timing=False, share=(0.0, 0.3))
+        search.fit_each([Hypothesis((name,)) for name in names], (0.0, 0.3))
         if self.deserves_another_look(self.best_claimable()):
             self._explore_timing(names)
         for count in range(2, MOST_EFFECTS + 1):
@@ -223,11 +224,11 @@ class _Investigation:
         search = self.search
         best = sorted(filter(self.is_claimable, self._tried()), key=search.score)[:BEAM]
         timed = [Hypothesis((), True), *(hypothesis._replace(timing=True) for hypothesis in best)]
-        for hypothesis in timed:
-            search.fit(hypothesis)
+        search.fit(timed[0])
+        search.fit_each(timed[1:], (0.3, 0.3))
         explain_more = search.score(search.best(timed)) < search.score(best[0]) - DECISIVE
         if explain_more or any(self.is_adequate(hypothesis) for hypothesis in timed):
-            self._try_singles(names, timing=True, share=(0.3, 0.5))
+            search.fit_each([Hypothesis((name,), timing=True) for name in names], (0.3, 0.5))
 
     def _extend_timing(self, names: Sequence[str]) -> None:
         """Pairs with errors of the stamps, where these explain more than a second effect does."""
@@ -237,18 +238,7 @@ class _Investigation:
         start = self.search.best(timed)
         if self.search.score(start) > self.search.score(self.best_claimable()):
             return
-        for index, name in enumerate(names):
-            if name not in start.effects:
-                self.search.say(
-                    f"{start.effects[0]} + {name}, with errors of the stamps", 0.8 + 0.1 * index / len(names)
-                )
-                self.search.fit(start.adding(name))
-
-    def _try_singles(self, names: Sequence[str], *, timing: bool, share: tuple[float, float]) -> None:
-        for index, name in enumerate(names):
-            words = f"{name}, with errors of the commands' stamps" if timing else name
-            self.search.say(words, share[0] + (share[1] - share[0]) * index / len(names))
-            self.search.fit(Hypothesis((name,), timing))
+        self.search.fit_each([start.adding(name) for name in names if name not in start.effects], (0.8, 0.9))
 
     def _extend(self, count: int, names: Sequence[str]) -> bool:
         """Add one more effect to the best few, swap members; whether that was decisive."""
@@ -256,13 +246,9 @@ class _Investigation:
         smaller = [hypothesis for hypothesis in self._tried() if len(hypothesis.effects) == count - 1]
         smaller = sorted((h for h in smaller if not h.timing), key=self.merit)
         before = self.merit(self.best_claimable())
-        for rank, start in enumerate(smaller[:BEAM]):
-            for index, name in enumerate(names):
-                if name in start.effects:
-                    continue
-                fraction = 0.5 + 0.2 * (count - 2) + 0.2 * (rank + index / len(names)) / BEAM
-                search.say(" + ".join((*start.effects, name)), fraction)
-                search.fit(start.adding(name))
+        larger = [start.adding(name) for start in smaller[:BEAM] for name in names if name not in start.effects]
+        done = 0.5 + 0.1 * (count - 2)
+        search.fit_each(larger, (done, done + 0.1))
         best = self.best_claimable()
         if len(best.effects) == count:
             best = self._swap(best, names)
@@ -275,12 +261,11 @@ class _Investigation:
 
     def _swap(self, best: Hypothesis, names: Sequence[str]) -> Hypothesis:
         """Swap each member through the catalogue (METHOD: cured most wrong pairs)."""
-        for member in best.effects:
-            rest = best.without(member)
-            for name in names:
-                if name not in rest.effects:
-                    self.search.say(f"{' + '.join(rest.effects)} with {name}", 0.75)
-                    self.search.fit(rest.adding(name))
+        rests = [best.without(member) for member in best.effects]
+        swapped = [rest.adding(name) for rest in rests for name in names if name not in rest.effects]
+        done = 0.5 + 0.1 * (len(best.effects) - 1)
+        self.search.fit_each(rests, (done, done))
+        self.search.fit_each(swapped, (done, done))
         return self.best_claimable()
 
     def eliminate(self, best: Hypothesis) -> Hypothesis:
@@ -440,8 +425,8 @@ class _Investigation:
         """Give what may do as well as the best, and itself, the same chance: a fit from around each."""
         limit = self.search.score(best) + NEARLY
         near = [h for h in self._tried() if len(h.effects) == len(best.effects) and self.search.score(h) < limit]
-        for hypothesis in {best, *sorted(near, key=self.search.score)[:LARGEST_CLASS]}:
-            self.search.polish(hypothesis)
+        nearest = {best, *sorted(near, key=self.search.score)[:LARGEST_CLASS]}
+        side_by_side(self.search.polish, list(nearest))
 
     def rivals(self, best: Hypothesis) -> list[Hypothesis]:
         """What does about as well as the best, itself included where it has effects; best first."""
@@ -459,16 +444,18 @@ class _Investigation:
 
     def fit_maps(self, base: Fit) -> list[tuple[ForceMap, Fit]]:
         """Force maps on top of a fit, best score first."""
-        fitted = []
-        names = set(base.free)
-        for index, choice in enumerate(self.plant.force_maps):
-            self.search.say(f"a force over {choice.variable}", 0.9 + 0.08 * index / 6)
-            others = {name: value for name, value in base.values.items() if name not in names}
-            nuisance_names = {nuisance.name for nuisance in base.nuisances}
-            fixed = {**{n: v for n, v in others.items() if n not in nuisance_names}, **choice.held}
-            free = (*base.free, *choice.free)
-            fitted.append((choice, fit(base.problem, free, base.values, nuisances=base.nuisances, fixed=fixed)))
-        return sorted(fitted, key=lambda pair: pair[1].score)
+        nuisance_names = {nuisance.name for nuisance in base.nuisances}
+        own = {*base.free, *nuisance_names}
+        others = {name: value for name, value in base.values.items() if name not in own}
+
+        def fitted(choice: ForceMap) -> tuple[ForceMap, Fit]:
+            free, fixed = (*base.free, *choice.free), {**others, **choice.held}
+            return choice, fit(base.problem, free, base.values, nuisances=base.nuisances, fixed=fixed)
+
+        maps = side_by_side(
+            fitted, self.plant.force_maps, lambda choice: self.search.say(f"a force over {choice.variable}", 0.9)
+        )
+        return sorted(maps, key=lambda pair: pair[1].score)
 
     def fit_local_forces(self, best: Hypothesis) -> list[tuple[ForceMap, Fit]]:
         """A force at one place alone instead of each member of a hypothesis, best score first.
@@ -477,18 +464,19 @@ class _Investigation:
         place only, and the name of the rest of the stroke by hope (on the campaign: a ripple or a vibration of half a
         millinewton that lifts the pilot plunger off its seat, as a constant force would).
         """
-        fitted = []
         places = [one for choice in self.plant.force_maps if choice.variable == "x" for one in choice.at_one_knot()]
-        for member, choice in itertools.product(best.effects, places):
+
+        def fitted(instead: tuple[str, ForceMap]) -> list[tuple[ForceMap, Fit]]:
+            member, choice = instead
             rest = self.search.fit(best.without(member))
+            free = (*rest.free, *choice.free)
             try:
-                result = fit(
-                    rest.problem, (*rest.free, *choice.free), rest.values, nuisances=rest.nuisances, fixed=choice.held
-                )
+                return [(choice, fit(rest.problem, free, rest.values, nuisances=rest.nuisances, fixed=choice.held))]
             except SimulationError:
-                continue
-            fitted.append((choice, result))
-        return sorted(fitted, key=lambda pair: pair[1].score)
+                return []
+
+        found = side_by_side(fitted, list(itertools.product(best.effects, places)))
+        return sorted(itertools.chain(*found), key=lambda pair: pair[1].score)
 
     def on_top(self, choice: ForceMap, base: Fit) -> Fit:
         """A force map with all else held, so that it shows what is left and trades nothing with friction or mass."""

@@ -150,7 +150,7 @@ class Plant(Protocol):
         """The declared value of a parameter, or the value at which an effect's parameter changes nothing."""
 
     def predict(self, values: Mapping[str, float]) -> list[Array]:
-        """What each channel would show.
+        """What each channel would show. Called from several threads at once, so it keeps nothing between calls.
 
         Args:
             values: freed parameters and nuisances by name; the rest is as declared. Effects that appear are on.

@@ -15,6 +15,7 @@ import numpy as np
 
 from valve_sim.identification.fitting import Fit, Problem, fit
 from valve_sim.identification.plant import EffectChoice, from_search, search_bounds, search_scale, to_search
+from valve_sim.identification.side_by_side import side_by_side
 from valve_sim.model import SimulationError
 from valve_sim.model.parameters import Parameter
 
@@ -41,6 +42,9 @@ class Hypothesis(NamedTuple):
 
     effects: tuple[str, ...]
     timing: bool = False
+
+    def __str__(self) -> str:
+        return " + ".join(self.effects) + (", with errors of the commands' stamps" if self.timing else "")
 
     def adding(self, effect: str) -> Hypothesis:
         """The same and one effect more."""
@@ -80,6 +84,21 @@ class Search:
             fits.extend(self._attempt(hypothesis, dict(fits[0].values), ANNEALING))
         self.fits[hypothesis] = min(fits, key=lambda result: result.chi2)
         return self.fits[hypothesis]
+
+    def fit_each(self, hypotheses: Sequence[Hypothesis], fractions: tuple[float, float]) -> None:
+        """Fit hypotheses of as many effects side by side: they start from smaller ones, not from each other.
+
+        Args:
+            hypotheses: what to fit.
+            fractions: of the diagnosis that are done before and after.
+        """
+        before, after = fractions
+        new = [hypothesis for hypothesis in dict.fromkeys(hypotheses) if hypothesis not in self.fits]
+        done = {hypothesis: index / len(new) for index, hypothesis in enumerate(new)}
+        side_by_side(self.fit, new, lambda h: self.say(str(h), before + (after - before) * done[h]))
+        for hypothesis in new:
+            # Ties go to what was fitted first, which must not depend on what was ready first.
+            self.fits[hypothesis] = self.fits.pop(hypothesis)
 
     def polish(self, hypothesis: Hypothesis) -> Fit:
         """Fit again from around the best fit: contacts that come and go make shallow wrong basins beside the right one.
