@@ -334,8 +334,8 @@ def diagnose(
         _diagnose_events(events, output, as_json)
         return
     from valve_sim.identification.diagnosis import diagnose as trace_residual
-    from valve_sim.identification.diagnosis import to_json
     from valve_sim.identification.outputs import write_diagnosis
+    from valve_sim.identification.report_json import to_json
 
     valve = _load(params)
     traces, held_out = _read(bags, name), _read(holdout, name)

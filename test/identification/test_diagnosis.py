@@ -8,7 +8,8 @@ from plants.declared import DeclaredPlant
 from plants.recording import Profile, Recorder, holdout_profile, record, single_opening, train_profile
 
 from valve_sim.identification.calibration import calibrated
-from valve_sim.identification.diagnosis import Diagnosis, diagnose, to_json
+from valve_sim.identification.diagnosis import Diagnosis, diagnose
+from valve_sim.identification.report_json import to_json
 from valve_sim.model import Drive, Valve
 from valve_sim.traces import Signal, Trace
 

@@ -11,7 +11,8 @@ from plants.declared import DeclaredPlant
 from plants.recording import Profile, Recorder, holdout_profile, record, train_profile
 
 from valve_sim.identification import side_by_side as module
-from valve_sim.identification.diagnosis import diagnose, to_json
+from valve_sim.identification.diagnosis import diagnose
+from valve_sim.identification.report_json import to_json
 from valve_sim.identification.side_by_side import side_by_side
 from valve_sim.model import Drive, Valve
 from valve_sim.traces import Trace

@@ -243,6 +243,19 @@ def fit(
     )  # fmt: skip
 
 
+def rmse(result: Fit) -> float:
+    """Root mean square of measured less predicted position (or force) over the samples that take part."""
+    plant, problem = result.problem.plant, result.problem
+    squares, count = 0.0, 0
+    for index, (channel, shown) in enumerate(zip(plant.channels, plant.predict(result.values), strict=True)):
+        if channel.kind == "current":
+            continue
+        takes_part = problem.weight(index) > 0.0
+        squares += float(np.sum(np.square((channel.data - shown)[takes_part])))
+        count += int(np.count_nonzero(takes_part))
+    return math.sqrt(squares / max(1, count))
+
+
 class _Search:
     """One minimisation: coordinates in natural sizes, bounds, difference quotients."""
 

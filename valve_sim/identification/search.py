@@ -34,6 +34,9 @@ SCATTER: Final = (1.0, 3.0, 3.0, 10.0, 10.0, 30.0)
 MOST_EFFECTS: Final = 4
 """One more than METHOD has: on the plant of other form three leave the added effect out in 4 of 10 cases, four in 2."""
 
+LARGEST_CLASS: Final = 4
+"""More names than this are no answer (MODEL section 6)."""
+
 Progress = Callable[[str, float], None]
 
 

@@ -74,7 +74,8 @@ def _identified(result: Identification, settings: Settings, folder: Path) -> Out
 
 def _diagnosed(trace: Trace, declared: Valve, settings: Settings, folder: Path, progress: Progress) -> Outcome:
     # Only where it is asked for: it brings half a second of imports.
-    from valve_sim.identification.diagnosis import diagnose, to_json
+    from valve_sim.identification.diagnosis import diagnose
+    from valve_sim.identification.report_json import to_json
 
     result = diagnose([trace], [], declared, progress)
     file = folder / CORRECTED_FILE

@@ -1,0 +1,82 @@
+"""The content of report.json, MODEL section 6."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from valve_sim.identification.diagnosis import Diagnosis, State
+from valve_sim.identification.nameless import Unexplained
+
+
+def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
+    """The content of report.json, MODEL section 6."""
+    noise = next(noise for kind, noise in diagnosis.before.fit.problem.noises.items() if kind != "current")
+    return {
+        "schema": "valve_sim/diagnosis/1",
+        "sources": list(diagnosis.sources),
+        "noise_um": 1e6 * noise.sigma,
+        "before": _state_json(diagnosis.before),
+        "verdict": {
+            "kind": diagnosis.verdict.kind,
+            "effects": list(diagnosis.verdict.effects),
+            "confusable_with": {name: list(others) for name, others in diagnosis.verdict.confusable_with.items()},
+            "probability": diagnosis.verdict.probability,
+            "evidence": diagnosis.verdict.evidence,
+            "summary": diagnosis.verdict.summary,
+        },
+        "after": {**_state_json(diagnosis.after), "effects": _effects_json(diagnosis.after)},
+        "candidates": [
+            {
+                "effect": " + ".join(candidate.effects),
+                "effects": list(candidate.effects),
+                "command_errors": candidate.timing,
+                "delta_bic": candidate.delta_score,
+                "rmse_um": {"train": 1e6 * candidate.train_rmse, "holdout": _number(1e6 * candidate.holdout_rmse)},
+                "parameters": {name: interval.to_json() for name, interval in candidate.intervals.items()},
+            }
+            for candidate in diagnosis.candidates
+        ],
+        "unexplained": None if diagnosis.unexplained is None else _unexplained_json(diagnosis.unexplained),
+        "force_maps": [_unexplained_json(entry) for entry in diagnosis.maps],
+        "record_next": diagnosis.record_next or None,
+        "false_alarm": diagnosis.false_alarm._asdict(),
+    }
+
+
+def _state_json(state: State) -> dict[str, Any]:
+    return {
+        "parameters": {name: i.to_json() for name, i in state.intervals.items() if "." not in name},
+        "rmse_um": {"train": 1e6 * state.train_rmse, "holdout": _number(1e6 * state.holdout_rmse)},
+        "white": state.adequacy.is_white,
+        "chi2_per_sample": state.fit.chi2 / state.fit.problem.effective_samples,
+        "test": {"p_value": state.adequacy.p_value, "worst": state.adequacy.worst},
+    }
+
+
+def _effects_json(state: State) -> dict[str, dict[str, Any]]:
+    effects: dict[str, dict[str, Any]] = {}
+    for name, interval in state.intervals.items():
+        effect, dot, parameter = name.partition(".")
+        if dot:
+            effects.setdefault(effect, {})[parameter] = interval.to_json()
+    for name, value in state.fit.values.items():
+        effect, dot, parameter = name.partition(".")
+        if dot and effect in effects and parameter not in effects[effect]:
+            effects[effect][parameter] = {"value": value, "stderr": 0.0, "ci95": [value, value]}
+    return effects
+
+
+def _unexplained_json(entry: Unexplained) -> dict[str, Any]:
+    return {
+        "force_rms_n": entry.force_rms,
+        "where": entry.where,
+        "variable": entry.variable,
+        "at": list(entry.at),
+        "force": list(entry.force),
+        "delta_bic": -entry.gain,
+    }
+
+
+def _number(value: float) -> float | None:
+    return value if math.isfinite(value) else None
