@@ -165,6 +165,11 @@ def test_every_parameter_of_every_effect_does_something(name: str) -> None:
         assert np.abs(moved - base).max() > 1e-9, key
 
 
+def test_what_is_confused_with_another_is_so_both_ways() -> None:
+    pairs = {(name, other) for name in CATALOGUE for other in CATALOGUE[name].confused_with}
+    assert pairs == {(other, name) for name, other in pairs}
+
+
 def test_a_registered_effect_acts_as_the_built_in_one() -> None:
     def pull_up(x: float, v: float, u: float, t: float, newtons: float) -> float:
         return newtons

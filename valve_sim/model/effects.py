@@ -48,7 +48,8 @@ class Effect:
         term: plain Python function f(x, v, u, t, *parameters, *also_reads) in SI units, compiled when first used.
         also_reads: declared parameters that the term is handed after its own.
         phase_2_only: the term acts only while the main plunger moves along.
-        confused_with: names of effects that data often cannot tell from this one.
+        confused_with: names of effects that data often cannot tell from this one, the nearest first; listed beside it
+            where no form is right and scores mislead.
         named: whether a diagnosis may claim it; False for shapes without a physical name.
     """
 
@@ -250,7 +251,7 @@ _ENTRIES: Final = (
         ),
         _TRIBOLOGY,
         rewrite=_stiction,
-        confused_with=("coulomb_friction", "asymmetric_friction"),
+        confused_with=("coulomb_friction", "asymmetric_friction", "squeeze_film"),
     ),
     Effect(
         "asymmetric_friction",
@@ -263,7 +264,7 @@ _ENTRIES: Final = (
         ),
         "Janot, Gautier, Brunot 2019 (EMPS: friction by direction)",
         rewrite=_asymmetric_friction,
-        confused_with=("coulomb_friction", "stiction"),
+        confused_with=("coulomb_friction", "stiction", "squeeze_film"),
     ),
     Effect(
         "constant_force",
@@ -287,7 +288,7 @@ _ENTRIES: Final = (
         (Parameter("gain", "–", "u over declared u", 0.05, 20, 0.01, 1.0),),
         "Ohm's law",
         rewrite=_drive_gain,
-        confused_with=("rest_attraction", "magnetic_saturation"),
+        confused_with=("rest_attraction", "magnetic_saturation", "coil_heating"),
     ),
     Effect(
         "coil_lag",
@@ -295,7 +296,7 @@ _ENTRIES: Final = (
         (Parameter("time_constant", "s", "added to coil_time_constant", 0, 1.0, 1e-4, 0.0),),
         "τ = L/R of a solenoid coil",
         rewrite=_add_to("coil_time_constant", "time_constant"),
-        confused_with=("eddy_lag",),
+        confused_with=("eddy_lag", "residual_magnetism"),
     ),
     Effect(
         "eddy_lag",
@@ -303,7 +304,7 @@ _ENTRIES: Final = (
         (Parameter("time_constant", "s", "of the second pole", 0, 1.0, 1e-4, 0.0),),
         "1–10 ms are documented for solid cores; grows as the gap closes",
         rewrite=_set_fields(eddy_time_constant="time_constant"),
-        confused_with=("coil_lag",),
+        confused_with=("coil_lag", "residual_magnetism"),
     ),
     Effect(
         "coil_heating",
@@ -330,6 +331,7 @@ _ENTRIES: Final = (
         (Parameter("current", "–", "the u that stays", 0, 1, 0.05, 0.0),),
         "0.1–1 N after switch-off are documented for such valves",
         rewrite=_set_fields(residual_current="current"),
+        confused_with=("eddy_lag", "coil_lag"),
     ),
     Effect(
         "pressure_force",
@@ -359,7 +361,7 @@ _ENTRIES: Final = (
         "Reynolds: 3π η R⁴ v / (2 h³) for a disc",
         term=_squeeze_film,
         also_reads=("stroke",),
-        confused_with=("quadratic_drag", "coulomb_friction"),
+        confused_with=("coulomb_friction", "asymmetric_friction", "quadratic_drag", "stiction"),
     ),
     Effect(
         "stop_bounce",
