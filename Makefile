@@ -22,8 +22,8 @@ KILTED_ENVIRONMENT := .venv-kilted
 
 PYTHON := $(ENVIRONMENT)/bin/python
 KILTED_PYTHON := $(KILTED_ENVIRONMENT)/bin/python
-# What has no live node in it shares the cores; live nodes want the machine to themselves.
-SIDE_BY_SIDE := $(addprefix test/,model traces identification plants)
+# Live nodes want the machine to themselves, and so does killing processes as they write; all else shares the cores.
+ALONE := test/nodes $(foreach name,demo documents faults,test/test_$(name).py)
 # What hangs on the ROS distribution; faults, fuzz and examples are tested once, on Jazzy.
 KILTED_TESTS := $(foreach name,messages valve_node identification_node monitor_node station supervision,test/nodes/test_$(name).py)
 DECLARED := setup.py setup.cfg package.xml tools/environment
@@ -54,8 +54,8 @@ check: $(ENVIRONMENT)/.ready-to-test
 	$(PYTHON) -m ruff format --check .
 	$(PYTHON) -m mypy
 	$(ENVIRONMENT)/bin/lint-imports
-	$(PYTHON) -m pytest --numprocesses auto --maxprocesses 4 --dist worksteal $(SIDE_BY_SIDE)
-	$(PYTHON) -m pytest $(addprefix --ignore=,$(SIDE_BY_SIDE))
+	$(PYTHON) -m pytest --numprocesses auto --maxprocesses 4 --dist worksteal $(addprefix --ignore=,$(ALONE))
+	$(PYTHON) -m pytest $(ALONE)
 	OPENBLAS_NUM_THREADS=1 $(PYTHON) -m benchmarks.campaign --slice
 
 kilted-nodes: $(KILTED_ENVIRONMENT)/.ready-to-test
