@@ -1,6 +1,7 @@
 """Diagnoses of data with an undeclared effect in them, from plants that share no code with the package."""
 
 import json
+import os
 from collections.abc import Mapping
 
 import pytest
@@ -80,6 +81,14 @@ def test_two_missing_effects_are_both_named() -> None:
     diagnosis = diagnosed(effects, 11)
     assert diagnosis.verdict.effects == ("coulomb_friction", "gap_offset")
     assert diagnosis.after.holdout_rmse < 1.1e-6
+
+
+def test_the_outcome_does_not_depend_on_the_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    film = {"squeeze_film": {"coefficient": 5.0, "film_thickness": 3e-5}}
+    monkeypatch.setattr(os, "cpu_count", lambda: 4)
+    with_four = to_json(diagnosed(film, 12))
+    monkeypatch.setattr(os, "cpu_count", lambda: 1)
+    assert to_json(diagnosed(film, 12)) == with_four
 
 
 def test_what_has_no_name_gets_none() -> None:

@@ -19,14 +19,14 @@ from numpy.typing import NDArray
 from valve_sim.identification.adequacy import Adequacy, adequacy
 from valve_sim.identification.calibration import calibrated
 from valve_sim.identification.current_form import doubt_of_current
-from valve_sim.identification.exploration import Exploration
+from valve_sim.identification.exploration import LARGEST_CLASS, Exploration
 from valve_sim.identification.false_alarm import FalseAlarm, false_alarm
 from valve_sim.identification.fitting import Fit, Interval, Mask, Problem, covariance_interval, profile_interval, rmse
 from valve_sim.identification.held_out import HeldOut
 from valve_sim.identification.nameless import Unexplained, describe, fit_local_forces, fit_maps, on_top, where
 from valve_sim.identification.next_recording import Recommendation, recommend
 from valve_sim.identification.plant import ForceMap, Plant
-from valve_sim.identification.search import DECISIVE, LARGEST_CLASS, Hypothesis, Progress, Search
+from valve_sim.identification.search import DECISIVE, Hypothesis, Progress, Search
 from valve_sim.identification.valve_plant import ValvePlant
 from valve_sim.model import Valve
 from valve_sim.traces import Trace

@@ -52,9 +52,11 @@ def fit_local_forces(search: Search, best: Hypothesis) -> list[tuple[ForceMap, F
     maps = search.problem.plant.force_maps
     places = [one for choice in maps if choice.variable == "x" for one in choice.at_one_knot()]
 
+    rests = {member: search.fit(best.without(member)) for member in best.effects}
+
     def fitted(instead: tuple[str, ForceMap]) -> list[tuple[ForceMap, Fit]]:
         member, choice = instead
-        rest = search.fit(best.without(member))
+        rest = rests[member]
         free = (*rest.free, *choice.free)
         try:
             return [(choice, fit(rest.problem, free, rest.values, nuisances=rest.nuisances, fixed=choice.held))]

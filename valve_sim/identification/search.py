@@ -31,11 +31,6 @@ ROBUST: Final = 20.0
 """σ: scale of the cost by which starts are ranked, so that one impact at another time does not decide."""
 SCATTER: Final = (1.0, 3.0, 3.0, 10.0, 10.0, 30.0)
 """Standard errors by which the starts of a polish are scattered."""
-MOST_EFFECTS: Final = 4
-"""One more than METHOD has: on the plant of other form three leave the added effect out in 4 of 10 cases, four in 2."""
-
-LARGEST_CLASS: Final = 4
-"""More names than this are no answer (MODEL section 6)."""
 
 Progress = Callable[[str, float], None]
 
