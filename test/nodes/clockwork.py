@@ -111,5 +111,4 @@ class Clockwork:
     def _command(self, volts: float) -> None:
         for voltage in self._voltages:
             voltage.publish(self._float(data=volts))
-        answers = [client.call_async(self._question) for client in self._askable]
-        assert self._probe.until(lambda: all(answer.done() for answer in answers)), "a node does not answer"
+        self._probe.answers(self._askable, self._question)

@@ -16,6 +16,10 @@ PATIENCE = 30.0
 """Seconds after which something that should happen counts as not happening: a busy machine compiles for long."""
 
 
+ASK_AGAIN = 5.0
+"""Seconds after which a question counts as lost."""
+
+
 class NodeProcess:
     """valve_node or another program, started as a user does; its stderr goes to a file."""
 
@@ -127,10 +131,25 @@ class Probe:
     def call(self, service: str, kind: Any, request: Any = None) -> Any:
         """The answer of a service of the node."""
         client = self.node.create_client(kind, f"{self.target}/{service}")
-        assert self.until(client.service_is_ready), f"{service} did not appear"
-        future = client.call_async(kind.Request() if request is None else request)
-        assert self.until(future.done), f"{service} did not answer"
-        return future.result()
+        assert self.until(client.service_is_ready), f"{self.target}/{service} did not appear"
+        return self.answers([client], kind.Request() if request is None else request)[0]
+
+    def answers(self, clients: Sequence[Any], request: Any) -> list[Any]:
+        """What each of these services says; who does not answer is asked again, as DDS may lose a first reply.
+
+        A server that has a question before it has found the reader of replies waits for it for 100 ms, then drops the
+        reply (https://github.com/ros2/ros2/issues/1253).
+        """
+        replies: dict[Any, Any] = {}
+        for _ in range(round(PATIENCE / ASK_AGAIN)):
+            for client in clients:
+                if client not in replies:
+                    future = client.call_async(request)
+                    future.add_done_callback(lambda future, client=client: replies.update({client: future.result()}))
+            if self.until(lambda: len(replies) == len(clients), ASK_AGAIN):
+                return [replies[client] for client in clients]
+        silent = [client.srv_name for client in clients if client not in replies]
+        raise AssertionError(f"no answer within {PATIENCE:g} s from {silent}")
 
     def set_parameters(self, **values: Any) -> list[Any]:
         """Set parameters, `__` for a dot; the results."""

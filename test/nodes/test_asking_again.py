@@ -1,0 +1,100 @@
+"""A reply that is lost on the way is asked for again."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from .ros_process import Probe, piped
+
+pytestmark = pytest.mark.ros
+pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
+
+import rclpy  # noqa: E402
+from rcl_interfaces.srv import (  # noqa: E402
+    DescribeParameters,
+    GetParameters,
+    GetParameterTypes,
+    ListParameters,
+    SetParameters,
+    SetParametersAtomically,
+)
+from std_msgs.msg import String  # noqa: E402
+
+BAG = Path(__file__).parents[2] / "bags" / "one_opening.mcap"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def ros(own_domain: None) -> Iterator[None]:
+    rclpy.init()
+    yield
+    rclpy.try_shutdown()
+
+
+class Forgetful:
+    """The parameter services of a node; what it says to the first questions never leaves it."""
+
+    def __init__(self, name: str, lost: int) -> None:
+        self._node: Any = rclpy.create_node(name, start_parameter_services=False)
+        self._lost = lost
+        self._setting = self._serve(SetParametersAtomically, "set_parameters_atomically")
+        # An AsyncParameterClient waits for all six.
+        for kind, service in (
+            (GetParameters, "get_parameters"),
+            (GetParameterTypes, "get_parameter_types"),
+            (SetParameters, "set_parameters"),
+            (DescribeParameters, "describe_parameters"),
+            (ListParameters, "list_parameters"),
+        ):
+            self._serve(kind, service)
+        self.asked = 0
+
+    def _serve(self, kind: Any, service: str) -> Any:
+        # Never spun: requests are taken by hand.
+        return self._node.create_service(kind, f"~/{service}", lambda _, reply: reply)
+
+    def answer(self) -> None:
+        """Take a question that waits, if any; answer it if enough of them were lost."""
+        with self._setting.handle:
+            question = self._setting.handle.service_take_request(SetParametersAtomically.Request)
+        if question is None or question == (None, None):
+            return
+        self.asked += 1
+        if self.asked > self._lost:
+            reply = SetParametersAtomically.Response()
+            reply.result.successful = True
+            self._setting.send_response(reply, question[1])
+
+    def close(self) -> None:
+        """Release the node."""
+        self._node.destroy_node()
+
+
+@pytest.mark.parametrize(("lost", "is_set"), [(0, True), (1, True), (100, False)])
+def test_a_result_is_handed_on_past_lost_replies(lost: int, is_set: bool, tmp_path: Path) -> None:
+    forgetful, probe = Forgetful(f"forgetful_{lost}", lost), Probe("/identification")
+    results = probe.hear("result", String, latched=True)
+
+    def has_ended() -> bool:
+        forgetful.answer()
+        return bool(results)
+
+    with piped(
+        tmp_path,
+        ("-m", "valve_sim.nodes.identification_node"),
+        bag=BAG,
+        output=tmp_path,
+        apply_to=f"/forgetful_{lost}",
+        rate=0,
+    ):
+        assert probe.until(has_ended), "no result"
+    applied = json.loads(results[0].data)["applied"]
+    assert applied["is_set"] is is_set
+    assert ("did not answer" in applied["reason"]) is not is_set
+    assert forgetful.asked >= min(lost + 1, 2)
+    probe.close()
+    forgetful.close()
