@@ -44,6 +44,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name in ("seeds", "jobs"):
         if getattr(options, name) < 1:
             parser.error(f"--{name} {getattr(options, name)}: expected at least 1")
+    if options.first < 0:
+        parser.error(f"--first {options.first}: expected at least 0")
     if options.json is not None and not options.json.parent.is_dir():
         parser.error(f"--json {options.json}: expected a file in a folder that exists")
     started = time.perf_counter()
@@ -69,6 +71,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     rounds = ", ".join(f"{family.per_round} {name}" for name, family in FAMILIES.items())
     parser.add_argument("--seeds", type=int, default=10, help=f"rounds (default: 10); in each {rounds}")
+    parser.add_argument(
+        "--first", type=int, default=0, help="the first round (default: 0); others than were run before"
+    )
     everything = ",".join((*FAMILIES, "time"))
     parser.add_argument("--only", default=everything, help=f"families, with commas (default: {everything})")
     parser.add_argument("--jobs", type=int, default=2, help="processes (default: 2)")
@@ -80,7 +85,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def _measure(options: argparse.Namespace, families: tuple[str, ...]) -> tuple[list[Outcome], list[Timing]]:
     """Run the pool, then the cold processes; outcomes in the order of the plan."""
-    plan = planned(options.seeds, families, is_slice=options.slice)
+    plan = planned(range(options.first, options.first + options.seeds), families, is_slice=options.slice)
     timed = TIMED if "time" in families and not options.slice else []
     outcomes: list[Outcome] = []
     timings: list[Timing] = []

@@ -214,11 +214,13 @@ FAMILIES: Final[Mapping[str, Family]] = {
 """In the order in which they are run and reported."""
 
 
-def planned(seeds: int, families: tuple[str, ...], *, is_slice: bool) -> list[tuple[str, int]]:
+def planned(rounds: range, families: tuple[str, ...], *, is_slice: bool) -> list[tuple[str, int]]:
     """Family and seed of every case."""
     return [
         (name, seed)
         for name, family in FAMILIES.items()
         if name in families
-        for seed in (family.in_slice if is_slice else range(seeds * family.per_round))
+        for seed in (
+            family.in_slice if is_slice else range(rounds.start * family.per_round, rounds.stop * family.per_round)
+        )
     ]

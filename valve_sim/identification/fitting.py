@@ -32,6 +32,7 @@ from valve_sim.identification.plant import (
     search_slope,
     to_search,
 )
+from valve_sim.identification.separate import gathered, stay_apart
 from valve_sim.model import SimulationError
 
 Mask = Callable[[int, NDArray[np.int64]], NDArray[np.bool_]]
@@ -100,6 +101,17 @@ class Problem:
     def weight(self, index: int) -> Array:
         """(n,) how much each sample of a channel counts; 0 where it takes no part."""
         return self._weights[index]
+
+    def reach(self, nuisance: Nuisance) -> NDArray[np.bool_]:
+        """(n,) which of the residuals a nuisance acts on."""
+        low, high = nuisance.during
+        acts_on = nuisance.channels or range(len(self.plant.channels))
+        return np.concatenate(
+            [
+                (low <= channel.times) & (channel.times < high) & (index in acts_on)
+                for index, channel in enumerate(self.plant.channels)
+            ]
+        )
 
     def residuals(self, values: Mapping[str, float]) -> Array:
         """Whitened, weighted residuals of all channels in a row (measured − predicted)."""
@@ -270,6 +282,8 @@ class _Search:
         scales = [search_scale(parameter) for parameter in self.parameters]
         self.steps = np.array([DIFFERENCE * s for s in scales] + [NUISANCE_DIFFERENCE] * len(nuisances))
         self.prior = np.array([0.0] * len(free) + [1.0 / n.sigma**2 for n in nuisances])
+        self._reach = [problem.reach(nuisance) for nuisance in nuisances]
+        self._groups = gathered(self._reach)
         self._nuisance_columns: Array | None = None
 
     def start(self, values: Mapping[str, float]) -> Array:
@@ -299,16 +313,28 @@ class _Search:
 
     def jacobian(self, at: Array, residuals: Array) -> Array:
         """Forward differences, away from the bound ahead; the columns of many nuisances are kept while they do."""
-        columns = np.zeros((len(residuals), len(at)))
-        for index in range(len(at)):
-            is_nuisance = index >= len(self.free)
-            if is_nuisance and self._nuisance_columns is not None:
-                break
-            columns[:, index] = self._column(at, index, residuals)
+        columns = [self._column(at, index, residuals) for index in range(len(self.free))]
         if self._nuisance_columns is None:
-            self._nuisance_columns = columns[:, len(self.free) :]
-        columns[:, len(self.free) :] = self._nuisance_columns
+            self._nuisance_columns = self._columns_of_nuisances(at, residuals)
+        return np.column_stack([*columns, self._nuisance_columns])
+
+    def _columns_of_nuisances(self, at: Array, residuals: Array) -> Array:
+        columns = np.zeros((len(residuals), len(self.nuisances)))
+        for group in self._groups:
+            indices = [len(self.free) + index for index in group]
+            columns[:, group] = self._columns_at_once(at, indices, residuals)
         return columns
+
+    def _columns_at_once(self, at: Array, indices: list[int], residuals: Array) -> Array:
+        """Of nuisances that have samples of their own, by one run; by one for each where they reach beyond them."""
+        if len(indices) > 1:
+            moved, steps = at.copy(), self.steps[indices]
+            moved[indices] += np.where(at[indices] + steps > self.upper[indices], -steps, steps)
+            there = self.residuals(moved)
+            masks = [self._reach[index - len(self.free)] for index in indices]
+            if there is not None and stay_apart(there - residuals, masks):
+                return np.where(np.column_stack(masks), (there - residuals)[:, None] / (moved - at)[indices], 0.0)
+        return np.column_stack([self._column(at, index, residuals) for index in indices])
 
     def _column(self, at: Array, index: int, residuals: Array) -> Array:
         step = self.steps[index]

@@ -23,11 +23,19 @@ SMALL_MOVE: Final = 0.05
 
 
 class Nuisance(NamedTuple):
-    """Something that is not the machine's but must be estimated along: a name, a prior N(0, sigma) and a unit."""
+    """Something that is not the machine's but must be estimated along.
+
+    Attributes:
+        name, unit: what it is. sigma: of its prior N(0, sigma).
+        channels: indices of the channels that it acts on; empty: on all.
+        during: s, from when to when it acts on them, by their times.
+    """
 
     name: str
     sigma: float
     unit: str
+    channels: tuple[int, ...] = ()
+    during: tuple[float, float] = (-math.inf, math.inf)
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final
@@ -24,6 +25,8 @@ FIT_TOLERANCE: Final = 1e-8
 """Of one step while fitting: a thousandth of the noise at most."""
 SETTLING: Final = 0.3
 """The part of each interval between commands that is never taken for quiet, at its beginning."""
+BEFORE_STROKE: Final = 0.25
+"""The part of a rest, at its end, that is counted to the stroke after it, whose command may be earlier than stamped."""
 JITTERED: Final = 0.01
 """Scatter of a current's sampling interval, over the interval, beyond which its times are those of arrival."""
 STILL: Final = 6.0
@@ -73,15 +76,18 @@ class ValvePlant:
     @property
     def nuisances(self) -> Sequence[Nuisance]:
         """A clock offset for each trace: samples are stamped late by it."""
-        return tuple(Nuisance(f"clock_offset[{index}]", CLOCK_SIGMA, "s") for index in range(len(self.traces)))
+        return tuple(
+            Nuisance(f"clock_offset[{index}]", CLOCK_SIGMA, "s", self._channels_of(index))
+            for index in range(len(self.traces))
+        )
 
     @property
     def timing_errors(self) -> Sequence[Nuisance]:
         """An error for each command: the voltage changes later than its stamp says."""
         return tuple(
-            Nuisance(f"command_error[{index},{command}]", CLOCK_SIGMA, "s")
+            Nuisance(f"command_error[{index},{command}]", CLOCK_SIGMA, "s", self._channels_of(index), during)
             for index, trace in enumerate(self.traces)
-            for command in range(len(trace.drive.times))
+            for command, during in enumerate(_stroke_of_each_command(trace.drive))
         )
 
     @property
@@ -126,6 +132,9 @@ class ValvePlant:
         trace = Trace("an experiment", drive, times, np.zeros_like(times))
         (position,) = ValvePlant([trace], self.valve).predict(values)
         return ValvePlant([replace(trace, pilot_position=position)], self.valve)
+
+    def _channels_of(self, trace: int) -> tuple[int, ...]:
+        return tuple(channel for channel, (index, _) in enumerate(self._sources) if index == trace)
 
     def parameter(self, name: str) -> Parameter:
         """Unit and range of a declared parameter or of `<effect>.<parameter>`.
@@ -226,9 +235,23 @@ def still_mask(trace: Trace) -> NDArray[np.bool_]:
 
 def stroke_groups(trace: Trace, times: Array) -> NDArray[np.int64]:
     """(n,) which stroke each time belongs to: a stroke begins when the voltage leaves zero."""
-    volts = np.concatenate([[0.0], trace.drive.volts])
-    begins = trace.drive.times[(volts[:-1] == 0.0) & (volts[1:] != 0.0)]
+    begins = trace.drive.times[_beginnings(trace.drive)]
     return np.maximum(np.searchsorted(begins, times, side="right") - 1, 0).astype(np.int64)
+
+
+def _beginnings(drive: Drive) -> NDArray[np.int64]:
+    """Indices of the commands at which the voltage leaves zero."""
+    volts = np.concatenate([[0.0], drive.volts])
+    return np.flatnonzero((volts[:-1] == 0.0) & (volts[1:] != 0.0))
+
+
+def _stroke_of_each_command(drive: Drive) -> list[tuple[float, float]]:
+    """From when to when, s, each command's stroke lasts: from late in the rest before it to late in the one after."""
+    later = _beginnings(drive)[1:]
+    rests = drive.times[later] - drive.times[later - 1]
+    edges = [-math.inf, *(drive.times[later] - BEFORE_STROKE * rests).tolist(), math.inf]
+    strokes = np.searchsorted(later, np.arange(len(drive.times)), side="right").tolist()
+    return [(edges[stroke], edges[stroke + 1]) for stroke in strokes]
 
 
 def _fastest(trace: Trace) -> float:
