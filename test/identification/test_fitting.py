@@ -131,6 +131,16 @@ def test_what_cannot_be_simulated_is_an_error(problem: Problem, monkeypatch: pyt
         fit(problem, BOTH, {})
 
 
+def test_a_parameter_that_the_data_hardly_hold_costs_no_evidence(problem: Problem) -> None:
+    """The current is not measured, so its scale moves nothing, and S charges for it all the same."""
+    plain = fit(problem, BOTH, {}, nuisances=problem.plant.nuisances)
+    idle = fit(problem, (*BOTH, "coil_resistance"), plain.values, nuisances=problem.plant.nuisances)
+    assert idle.evidence == pytest.approx(plain.evidence, abs=0.1)
+    assert idle.score == pytest.approx(plain.score + math.log(problem.effective_samples), abs=0.1)
+    fixed = fit(problem, BOTH[:1], {}, nuisances=problem.plant.nuisances, fixed={"main_damping": TRUTH["main_damping"]})
+    assert plain.evidence > fixed.evidence + 5.0
+
+
 def test_infinities_become_null_in_json() -> None:
     entry = Interval(1.0, math.inf, 0.0, math.inf, "flat").to_json()
     assert entry == {"value": 1.0, "stderr": None, "ci95": [0.0, None], "remark": "flat"}

@@ -11,6 +11,7 @@ from scipy.special import fdtrc
 
 from valve_sim.identification.fitting import Fit, Problem
 from valve_sim.identification.plant import Array
+from valve_sim.identification.tall import power
 
 BLOCKS: Final = (4, 16)
 """Samples in the blocks whose means would show a slow remainder."""
@@ -51,7 +52,7 @@ def adequacy(result: Fit) -> Adequacy:
         means = moving[:whole].reshape(-1, block).mean(axis=1) * math.sqrt(block)
         tests[f"the residual drifts over {block} samples"] = _size_test(means, problem.excess, quiet, len(result.free))
     worst = min(tests, key=lambda name: tests[name])
-    lag_one = float(moving[1:] @ moving[:-1] / max(float(moving @ moving), 1e-300))
+    lag_one = float(np.sum(moving[1:] * moving[:-1])) / max(power(moving), 1e-300)
     return Adequacy(min(1.0, len(tests) * tests[worst]), worst, lag_one)
 
 
@@ -69,5 +70,5 @@ def moving_residuals(problem: Problem, residuals: Array) -> Array:
 def _size_test(values: Array, excess: float, quiet: int, free: int) -> float:
     """P-value of Σ values² being noise, whose own variance is known from `quiet` samples only (an F test)."""
     freedom = max(1, len(values) - free)
-    ratio = float(values @ values) / freedom / excess
+    ratio = power(values) / freedom / excess
     return float(fdtrc(freedom, quiet, ratio))

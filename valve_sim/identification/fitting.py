@@ -33,6 +33,7 @@ from valve_sim.identification.plant import (
     to_search,
 )
 from valve_sim.identification.separate import gathered, stay_apart
+from valve_sim.identification.tall import cross, power
 from valve_sim.model import SimulationError
 
 Mask = Callable[[int, NDArray[np.int64]], NDArray[np.bool_]]
@@ -191,6 +192,19 @@ class Fit:
             occam += math.log(max(1.0, nuisance.sigma**2 * float(self.information[index, index])))
         excess = self.problem.excess
         return self.chi2 / excess + len(self.free) * math.log(self.problem.effective_samples) + occam
+
+    @property
+    def evidence(self) -> float:
+        """−2 ln of the evidence, but for a constant: χ²/f + ln det(1 + D I D / f) (Laplace).
+
+        D has the natural sizes of the freed parameters, and σ of the nuisances: how large each may be before the data
+        are seen. A parameter that the data hardly hold costs hardly anything here, and ln N in the score.
+        """
+        plant, excess = self.problem.plant, self.problem.excess
+        sizes = [search_scale(plant.parameter(name)) for name in self.free]
+        spread = np.array([*sizes, *(nuisance.sigma for nuisance in self.nuisances)])
+        _, volume = np.linalg.slogdet(np.eye(len(spread)) + self.information * np.outer(spread, spread) / excess)
+        return self.chi2 / excess + float(volume)
 
     def stderr(self, name: str) -> float:
         """Standard error of a freed parameter in its own unit; inf where the data do not hold it."""
@@ -395,12 +409,12 @@ class _Search:
             weighted = jacobian / (1.0 + np.square(residuals / cauchy))[:, None]
         else:
             weighted = jacobian
-        return weighted.T @ jacobian + np.diag(self.prior), weighted.T @ residuals + self.prior * at
+        return cross(weighted, jacobian) + np.diag(self.prior), cross(weighted, residuals) + self.prior * at
 
     def _cost(self, at: Array, residuals: Array, cauchy: float) -> float:
         prior = float(self.prior @ np.square(at))
         if not math.isfinite(cauchy):
-            return float(residuals @ residuals) + prior
+            return power(residuals) + prior
         return float(cauchy**2 * np.sum(np.log1p(np.square(residuals / cauchy)))) + prior
 
     def _step(self, at: Array, information: Array, gradient: Array, damping: float) -> tuple[Array, float]:

@@ -18,6 +18,7 @@ import numpy as np
 
 from valve_sim.identification.fitting import DIFFERENCE, Fit
 from valve_sim.identification.plant import Array, from_search, search_bounds, search_scale
+from valve_sim.identification.tall import cross
 from valve_sim.model import SimulationError
 
 FARTHEST: Final = 10.0
@@ -33,11 +34,11 @@ def surprise(training: Fit, held_out: Fit) -> float:
     """
     excess = held_out.problem.excess
     jacobian = np.hstack([_sensitivities(training, held_out), held_out.jacobian])
-    gradient = jacobian.T @ held_out.residuals
+    gradient = cross(jacobian, held_out.residuals)
     gradient[len(training.free) :] += [
         held_out.values[nuisance.name] / nuisance.sigma**2 for nuisance in held_out.nuisances
     ]
-    information = jacobian.T @ jacobian
+    information = cross(jacobian, jacobian)
     spread = _spread(training, held_out)
     within = np.eye(len(spread)) + spread.T @ information @ spread / excess
     gained = spread.T @ gradient / excess

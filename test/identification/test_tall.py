@@ -1,0 +1,18 @@
+"""Products of tall matrices, made in blocks."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from valve_sim.identification.tall import ROWS, cross, power
+
+
+@pytest.mark.parametrize("rows", [0, 1, ROWS - 1, ROWS, 5 * ROWS, 5 * ROWS + 7])
+@pytest.mark.parametrize("columns", [0, 1, 19])
+def test_it_is_the_product(rows: int, columns: int) -> None:
+    random = np.random.default_rng(rows)
+    left, right = random.standard_normal((rows, columns)), random.standard_normal((rows, 4))
+    np.testing.assert_allclose(cross(left, right), left.T @ right, atol=1e-12)
+    np.testing.assert_allclose(cross(left, right[:, 0]), left.T @ right[:, 0], atol=1e-12)
+    assert power(right[:, 0]) == pytest.approx(float(right[:, 0] @ right[:, 0]), abs=1e-12)
