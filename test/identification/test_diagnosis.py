@@ -11,7 +11,7 @@ from plants.recording import Profile, Recorder, holdout_profile, record, single_
 from valve_sim.identification.calibration import calibrated
 from valve_sim.identification.diagnosis import Diagnosis, diagnose
 from valve_sim.identification.report_json import to_json
-from valve_sim.model import Drive, Valve
+from valve_sim.model import CATALOGUE, Drive, Valve
 from valve_sim.traces import Signal, Trace
 
 DECLARED = Valve().with_values(a0=3.0336, coil_time_constant=0.9934e-3, coil_resistance=10.0)
@@ -74,6 +74,20 @@ def test_the_missing_effect_is_named_and_removes_the_residual(name: str, paramet
     assert dict(diagnosis.valve.effects) == {
         name: {key: diagnosis.after.fit.values[f"{name}.{key}"] for key in parameters}
     }
+
+
+def test_a_coil_that_cools_too_slowly_to_be_seen_is_named() -> None:
+    diagnosis = diagnosed({"coil_heating": {"temperature_rate": 4.0, "cooling_time_constant": 60.0}}, 42)
+    assert (diagnosis.verdict.kind, diagnosis.verdict.effects) == ("effects", ("coil_heating",))
+    cooling = diagnosis.after.intervals["coil_heating.cooling_time_constant"]
+    assert cooling.low < 60.0 < cooling.high == CATALOGUE["coil_heating"].parameter("cooling_time_constant").upper
+
+
+def test_stiction_too_small_to_be_told_from_friction_is_no_sure_friction() -> None:
+    verdict = diagnosed({"stiction": {"force": 0.0042, "breakaway": 0.0056, "stribeck_velocity": 0.03}}, 62).verdict
+    assert verdict.effects == ("coulomb_friction",)
+    assert verdict.confusable_with["coulomb_friction"] == ("stiction",)
+    assert verdict.probability < 0.9
 
 
 def test_two_missing_effects_are_both_named() -> None:

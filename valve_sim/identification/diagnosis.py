@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from valve_sim.identification.adequacy import Adequacy, adequacy
 from valve_sim.identification.calibration import calibrated
 from valve_sim.identification.current_form import doubt_of_current
-from valve_sim.identification.exploration import LARGEST_CLASS, Exploration
+from valve_sim.identification.exploration import LARGEST_CLASS, LIKELY, Exploration
 from valve_sim.identification.false_alarm import FalseAlarm, false_alarm
 from valve_sim.identification.fitting import Fit, Interval, Mask, Problem, covariance_interval, profile_interval, rmse
 from valve_sim.identification.held_out import HeldOut
@@ -281,15 +281,17 @@ class _Conclusion:
         return 1.0 - (rmse(self.search.fit(best)) / rmse(self.search.fit(Hypothesis((), best.timing)))) ** 2
 
     def alternatives(self, best: Hypothesis, member: str) -> tuple[str, ...]:
-        """Effects that would do in place of a member."""
+        """Effects that would do in place of a member: rivals, and its look-alikes with more parameters."""
         rest = best.without(member)
-        found = [
-            name
-            for hypothesis in self.exploration.rivals(best)
-            for name in hypothesis.effects
-            if name != member and hypothesis.effects == rest.adding(name).effects
-        ]
-        return tuple(dict.fromkeys(found))
+
+        def in_its_place(hypotheses: Sequence[Hypothesis]) -> list[str]:
+            names = [name for hypothesis in hypotheses for name in hypothesis.effects]
+            sets = {hypothesis.effects for hypothesis in hypotheses}
+            return [name for name in names if name != member and rest.adding(name).effects in sets]
+
+        rivals = in_its_place(self.exploration.rivals(best))
+        likely = [hypothesis for hypothesis, worse in self.exploration.richer(best).items() if worse < LIKELY]
+        return tuple(dict.fromkeys([*rivals, *in_its_place(likely)]))
 
     def relatives(self, name: str, found: Sequence[str]) -> tuple[str, ...]:
         """Names beside the best: where the form is wrong, scores mislead, and known confusions count too."""
@@ -313,7 +315,8 @@ class _Conclusion:
         at a tenth of a strong one, damping that varies with x passes for spring hardening), so weak evidence is
         never certain.
         """
-        least, standings = self.search.score(best), self.exploration.standings(best)
+        least = self.search.score(best)
+        standings = {**self.exploration.standings(best), **self.exploration.richer(best)}
         weight: dict[tuple[str, ...], float] = {}
         for hypothesis in self.exploration.tried():
             if set(hypothesis.effects) > set(best.effects) and best.effects:

@@ -28,6 +28,9 @@ NEARLY: Final = 40.0
 """Difference of S within which a better start may turn the tables."""
 WORTH_A_LOOK: Final = 20
 """How many of the best hypotheses are tried on held-out data where none leaves only noise."""
+LIKELY: Final = 4.0
+"""Difference of evidence within which a richer look-alike is named, too: odds of 7 to 1. Measured: where friction is
+Coulomb's, stiction is worse by 5 to 8; where it is a stiction too small to be told, by -8 to 3.4."""
 EXCLUDES_OFF: Final = 1.96
 """Standard errors that an effect must be away from 'off'."""
 
@@ -192,7 +195,8 @@ class Exploration:
             index = result.free.index(name)
             at = float(result.coordinates[index])
             if parameter.off is None:
-                if result.on_bound(name) is not None:
+                bound = result.on_bound(name)
+                if bound is not None and not (parameter.may_be_endless and bound == "lower"):
                     return False
                 continue
             off = to_search(parameter, parameter.off)
@@ -230,6 +234,30 @@ class Exploration:
         """What does about as well as the best, itself included where it has effects; best first."""
         standings = self.standings(best)
         return sorted((h for h, worse in standings.items() if worse < DECISIVE), key=standings.__getitem__)
+
+    def richer(self, best: Hypothesis) -> dict[Hypothesis, float]:
+        """Look-alikes with more parameters, in place of a member each: by how much their evidence is worse.
+
+        S charges ln N for a parameter, however little of the effect it can be. That makes a name, and is no reason to
+        say that stiction cannot be where Coulomb friction is named: of these the evidence is asked (`Fit.evidence`).
+        """
+        if not self.is_adequate(best):
+            return {}
+        size, mine = len(self.search.free_names(best)), self._evidence(best)
+        alike = [
+            best.without(member).adding(name)
+            for member in best.effects
+            for name in self.plant.effects[member].confused_with
+            if name not in best.effects
+        ]
+        more = [h for h in alike if h in self.search.fits and len(self.search.free_names(h)) > size]
+        return {hypothesis: self._evidence(hypothesis) - mine for hypothesis in more}
+
+    def _evidence(self, hypothesis: Hypothesis) -> float:
+        """−2 ln of the evidence of training data, and how surprising held-out data are."""
+        result = self.search.fit(hypothesis)
+        timing = self.held_out.needs_timing(result)
+        return result.evidence + self.held_out.score(result, timing=timing, is_form_right=True) - result.score
 
     def best_on_hold_out(self, best: Hypothesis) -> Hypothesis:
         """Of the few that are worth most, the one of the smallest plain error on held-out data."""

@@ -167,16 +167,16 @@ class Plant(Protocol):
 
 def _is_logarithmic(parameter: Parameter) -> bool:
     """Whether a parameter is a scale (a time constant, a film) that is searched by its logarithm."""
-    return parameter.off is None and parameter.lower > 0.0
+    return parameter.off is None and parameter.lower > 0.0 and not parameter.may_be_endless
 
 
 def _is_reciprocal(parameter: Parameter) -> bool:
-    """Whether a parameter is off at infinity and therefore searched by its reciprocal."""
-    return parameter.off is not None and math.isinf(parameter.off)
+    """Whether a parameter is off, or not to be seen, at infinity and therefore searched by its reciprocal."""
+    return parameter.may_be_endless or (parameter.off is not None and math.isinf(parameter.off))
 
 
 def to_search(parameter: Parameter, value: float) -> float:
-    """The coordinate in which a parameter is searched: its value, 1/value where 'off' is at infinity, or ln(value)."""
+    """The coordinate in which a parameter is searched: its value, 1/value where infinity is in reach, or ln(value)."""
     if _is_reciprocal(parameter):
         return 0.0 if math.isinf(value) else 1.0 / value
     return math.log(value) if _is_logarithmic(parameter) else value
@@ -185,7 +185,8 @@ def to_search(parameter: Parameter, value: float) -> float:
 def from_search(parameter: Parameter, coordinate: float) -> float:
     """The inverse of `to_search`."""
     if _is_reciprocal(parameter):
-        return math.inf if coordinate <= 0.0 else 1.0 / coordinate
+        most = parameter.upper if parameter.may_be_endless else math.inf
+        return most if coordinate <= 0.0 else min(1.0 / coordinate, most)
     return math.exp(coordinate) if _is_logarithmic(parameter) else coordinate
 
 
@@ -199,7 +200,7 @@ def search_slope(parameter: Parameter, coordinate: float) -> float:
 def search_bounds(parameter: Parameter) -> tuple[float, float]:
     """The bounds of the search coordinate."""
     if _is_reciprocal(parameter):
-        return 0.0, 1.0 / parameter.lower
+        return (1.0 / parameter.upper if parameter.may_be_endless else 0.0), 1.0 / parameter.lower
     if _is_logarithmic(parameter):
         return math.log(parameter.lower), math.log(parameter.upper)
     return parameter.lower, parameter.upper

@@ -160,8 +160,15 @@ class Search:
         known = [name for name in hypothesis.effects if hypothesis.without(name) in self.fits]
         added = min(known, key=lambda name: self.score(hypothesis.without(name))) if known else hypothesis.effects[-1]
         warm = self.fit(hypothesis.without(added)).values
-        for start in effect_starts(self.problem, self.problem.plant.effects[added], warm):
-            yield from self._attempt(hypothesis, {**warm, **start})
+        effect = self.problem.plant.effects[added]
+        fits: list[Fit] = []
+        for start in effect_starts(self.problem, effect, warm):
+            fits.extend(self._attempt(hypothesis, {**warm, **start}))
+        if fits and _has_lost_its_shape(min(fits, key=lambda result: result.chi2), effect):
+            for shape in SHAPES:
+                start = _start(effect, [SMALL] * len(effect.parameters), shape)
+                fits.extend(self._attempt(hypothesis, {**warm, **start}))
+        yield from fits
 
     def _attempt(
         self, hypothesis: Hypothesis, start: Mapping[str, float], robust: Sequence[float] = ()
@@ -196,6 +203,19 @@ def effect_starts(problem: Problem, effect: EffectChoice, warm: Mapping[str, flo
         return float(np.sum(np.log1p(np.square(residuals / ROBUST))))
 
     return near + sorted(far, key=cost)[: 1 if near and sum(amplitudes) == 1 else 2]
+
+
+def _has_lost_its_shape(result: Fit, effect: EffectChoice) -> bool:
+    """Whether a parameter that shapes an effect has run to a bound, from where no gradient leads back.
+
+    A Stribeck velocity does, which then makes plain friction of stiction.
+    """
+    return any(
+        parameter.off is None
+        and not parameter.may_be_endless
+        and result.on_bound(f"{effect.name}.{parameter.name}") is not None
+        for parameter in effect.parameters
+    )
 
 
 def _is_saddle(effect: EffectChoice) -> bool:

@@ -311,7 +311,7 @@ _ENTRIES: Final = (
         "the coil warms up and its resistance rises",
         (
             Parameter("temperature_rate", "K/s", "heating at u = 1", 0, 1e6, 10.0, 0.0),
-            Parameter("cooling_time_constant", "s", "of the coil's temperature", 1e-3, 1e6, 10.0),
+            Parameter("cooling_time_constant", "s", "of the coil's temperature", 1e-3, 1e6, 1.0, may_be_endless=True),
         ),
         "IEC 60028: copper, 0.00393 1/K",
         rewrite=_set_fields(temperature_rate="temperature_rate", cooling_time_constant="cooling_time_constant"),
@@ -338,7 +338,9 @@ _ENTRIES: Final = (
         "pressure across the main plunger until the pilot orifice has equalised it",
         (
             Parameter("force", "N", "ΔP · A, holds the main plunger closed", -1e5, 1e5, 0.3, 0.0),
-            Parameter("equalisation_time", "s", "time constant of the equalisation", 1e-5, 1e3, 5e-3),
+            Parameter(
+                "equalisation_time", "s", "time constant of the equalisation", 1e-5, 1e3, 5e-3, may_be_endless=True
+            ),
         ),
         "70 MPa on a 0.3 mm orifice: 4.9 N",
         rewrite=_set_fields(pressure_force="force", equalisation_time="equalisation_time"),

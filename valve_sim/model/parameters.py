@@ -18,7 +18,8 @@ class Parameter(NamedTuple):
     """One scalar parameter: what it is called and which values make sense.
 
     `typical` is the size that a search starts from, in the parameter's unit; `off` the value at which an effect's
-    parameter changes nothing (None: the parameter shapes an effect but does not switch it).
+    parameter changes nothing (None: the parameter shapes an effect but does not switch it). `may_be_endless`: a
+    time constant that may be too long to be seen; its upper bound then stands for "never".
     """
 
     name: str
@@ -29,6 +30,7 @@ class Parameter(NamedTuple):
     typical: float = 1.0
     off: float | None = None
     lower_is_allowed: bool = True
+    may_be_endless: bool = False
 
     def check(self, value: object, where: str) -> float:
         """Return the value as a float.
