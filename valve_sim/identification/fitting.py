@@ -510,6 +510,8 @@ def profile_interval(result: Fit, name: str, *, points: int = 12) -> tuple[Inter
         else:
             ends.append(end)
     values = sorted(from_search(parameter, end) for end in ends)
+    if parameter.may_be_endless and values[1] >= parameter.upper:
+        remark = "it may be too long to be seen in these data"
     pairs = sorted((from_search(parameter, where), rise) for where, rise in curve)
     return Interval(result.values[name], result.stderr(name), values[0], values[1], remark), pairs
 
