@@ -114,6 +114,16 @@ def test_what_has_no_name_gets_none() -> None:
     assert to_json(diagnosis)["unexplained"]["force_rms_n"] > 0.0
 
 
+def test_what_shows_in_held_out_data_alone_is_not_nothing() -> None:
+    train = measured({}, train_profile(), Recorder(), 80)
+    held_out = measured({"coulomb_friction": {"force": 0.1}}, holdout_profile(), Recorder(), 81)
+    diagnosis = diagnose([train], [held_out], DECLARED)
+    assert diagnosis.verdict.kind == "unknown"
+    assert diagnosis.unexplained is not None
+    opening = measured({}, single_opening(), Recorder(), 82)
+    assert diagnose([opening], [held_out], DECLARED).verdict.kind == "insufficient"
+
+
 def test_a_force_that_shows_at_the_seat_alone_gets_no_sure_name() -> None:
     # Half a millinewton lifts the pilot plunger off its seat, as a constant force would; elsewhere it does not show.
     ripple = {"force_ripple": {"amplitude": 0.457e-3, "wavelength": 0.2376e-3, "phase": 1.3617}}

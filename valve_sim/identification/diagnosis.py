@@ -168,12 +168,13 @@ class _Conclusion:
         best, alarm = self.claimed(explored)
         base = Hypothesis((), best.timing)
         base_fit, best_fit = search.fit(base), search.fit(best)
-        maps = [] if is_adequate(base) else fit_maps(search, base_fit)
+        is_explained = is_adequate(base) and not self.is_refuted(base)
+        maps = [] if is_explained else fit_maps(search, base_fit)
         can_tell = is_adequate(best) and _stroke_count(self.plant) > 1
         local_forces = fit_local_forces(search, best) if can_tell else []
         nameless = sorted([*maps, *local_forces], key=lambda pair: pair[1].score)
         map_wins = bool(nameless) and nameless[0][1].score < best_fit.score - DECISIVE
-        is_unknown = map_wins or not is_adequate(best) or self.exploration.fails_hold_out(best)
+        is_unknown = map_wins or not is_adequate(best) or self.is_refuted(best)
         self._reported_timing = self.held_out.needs_timing(best_fit)
         after_fit, unexplained = best_fit, None
         if is_unknown:
@@ -211,6 +212,11 @@ class _Conclusion:
         if best.effects and exploration.is_adequate(best) and alarm.probability > MOST_FALSE_ALARMS:
             best = base
         return best, alarm
+
+    def is_refuted(self, hypothesis: Hypothesis) -> bool:
+        """Whether it leaves more than noise of held-out data; dampings of a single stroke are too uncertain to say."""
+        is_founded = bool(hypothesis.effects) or _stroke_count(self.plant) > 1
+        return is_founded and self.exploration.fails_hold_out(hypothesis)
 
     def explains_most(self, base: Fit, best: Fit) -> bool:
         """Whether named effects more than halve the held-out error, so that what is left is a remainder of theirs."""

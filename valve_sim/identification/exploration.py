@@ -167,8 +167,8 @@ class Exploration:
         return adequacy(self.search.fit(hypothesis)).is_white
 
     def fails_hold_out(self, hypothesis: Hypothesis) -> bool:
-        """Whether a claimed effect leaves more than noise of held-out data: then the name is wrong or not all."""
-        return bool(hypothesis.effects) and self.held_out.fails(self.search.fit(hypothesis))
+        """Whether a hypothesis leaves more than noise of held-out data: then it is wrong or not all."""
+        return self.held_out.fails(self.search.fit(hypothesis))
 
     def deserves_another_look(self, hypothesis: Hypothesis) -> bool:
         """Whether training or held-out data give any hint that something is left of it."""
