@@ -14,8 +14,6 @@ from typing import Any
 
 PATIENCE = 30.0
 """Seconds after which something that should happen counts as not happening: a busy machine compiles for long."""
-
-
 ASK_AGAIN = 5.0
 """Seconds after which a question counts as lost."""
 

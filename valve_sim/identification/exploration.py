@@ -195,8 +195,7 @@ class Exploration:
             index = result.free.index(name)
             at = float(result.coordinates[index])
             if parameter.off is None:
-                bound = result.on_bound(name)
-                if bound is not None and not (parameter.may_be_endless and bound == "lower"):
+                if result.on_bound(name) is not None:
                     return False
                 continue
             off = to_search(parameter, parameter.off)

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from valve_sim.identification.noise import Noise, estimate_noise, still_runs
+from valve_sim.identification.noise import Noise, estimate_noise, still_runs, stretches
 from valve_sim.identification.plant import (
     Array,
     Nuisance,
@@ -136,7 +136,7 @@ class Problem:
             # noise and 5 µm steps puts the dampings 0.16 standard errors off.
             runs = still_runs(np.round(self.plant.predict({})[index] / noise.step))
             weight = np.where(runs > LONGEST_RUN, 1.0 / np.sqrt(runs), weight)
-            for start, stop in _stretches(channel.quiet):
+            for start, stop in stretches(channel.quiet):
                 weight[start:stop] = np.minimum(weight[start:stop], 1.0 / math.sqrt(stop - start))
         if takes_part is not None:
             weight = np.where(takes_part(index, channel.group), weight, 0.0)
@@ -232,10 +232,13 @@ class Fit:
         return correlation
 
     def on_bound(self, name: str) -> str | None:
-        """'lower' or 'upper' if a parameter sits on that bound, by its search coordinate."""
-        lower, upper = search_bounds(self.problem.plant.parameter(name))
+        """'lower' or 'upper' if a parameter sits on that bound, by its search coordinate; being endless is no bound."""
+        parameter = self.problem.plant.parameter(name)
+        lower, upper = search_bounds(parameter)
         at = float(self.coordinates[self.free.index(name)])
-        scale = 1e-9 * max(abs(at), search_scale(self.problem.plant.parameter(name)))
+        scale = 1e-9 * max(abs(at), search_scale(parameter))
+        if parameter.may_be_endless and at - lower <= scale:
+            return None
         return "lower" if at - lower <= scale else "upper" if upper - at <= scale else None
 
 
@@ -553,8 +556,3 @@ def _profile_side(
         if outside is not None and (abs(rise - level) < 0.02 * level or abs(outside[0] - inside[0]) < 1e-3 * spread):
             return where, curve
     return (None if outside is None else outside[0]), curve
-
-
-def _stretches(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
-    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

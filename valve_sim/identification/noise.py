@@ -102,12 +102,13 @@ def estimate_noise(channels: Sequence[Channel]) -> Noise:
 
 def quiet_windows(channel: Channel, shortest: int = SHORTEST_WINDOW) -> list[Array]:
     """The stretches of a channel in which the machine is still, each of at least `shortest` samples."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], channel.quiet.astype(np.int8), [0]])))
-    return [
-        channel.data[start:stop]
-        for start, stop in zip(edges[::2], edges[1::2], strict=True)
-        if stop - start >= shortest
-    ]
+    return [channel.data[start:stop] for start, stop in stretches(channel.quiet) if stop - start >= shortest]
+
+
+def stretches(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """(start, stop) of each run of True in (n,) mask."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
 def _at_the_quieter_rest(windows: list[Array]) -> list[Array]:

@@ -211,9 +211,7 @@ def _has_lost_its_shape(result: Fit, effect: EffectChoice) -> bool:
     A Stribeck velocity does, which then makes plain friction of stiction.
     """
     return any(
-        parameter.off is None
-        and not parameter.may_be_endless
-        and result.on_bound(f"{effect.name}.{parameter.name}") is not None
+        parameter.off is None and result.on_bound(f"{effect.name}.{parameter.name}") is not None
         for parameter in effect.parameters
     )
 

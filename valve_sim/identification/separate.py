@@ -12,6 +12,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from valve_sim.identification.noise import stretches
+
 LAST: Final = 3
 """Samples at the end of each stretch in which nothing must be left of what moved it."""
 LEFT: Final = 1e-3
@@ -45,8 +47,7 @@ def stay_apart(differences: NDArray[np.float64], reach: Sequence[NDArray[np.bool
         reach: for each nuisance, (n,) which samples it acts on.
     """
     for mask in reach:
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
-        for start, stop in edges.reshape(-1, 2).tolist():
+        for start, stop in stretches(mask):
             if stop < len(differences):
                 sizes = np.abs(differences[start:stop])
                 if np.max(sizes[-LAST:]) > LEFT * np.max(sizes):

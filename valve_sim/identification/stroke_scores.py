@@ -27,6 +27,7 @@ from valve_sim.identification.identify import DEFAULT_FREE
 from valve_sim.identification.noise import Noise
 from valve_sim.identification.plant import Array, Nuisance, moved
 from valve_sim.identification.search import ANNEALING
+from valve_sim.identification.tall import cross
 from valve_sim.identification.valve_plant import CLOCK_SIGMA, ValvePlant
 from valve_sim.model import SimulationError, Valve, simulate
 from valve_sim.model.parameters import Parameter
@@ -105,8 +106,10 @@ def score_stroke(trace: Trace, healthy: Healthy) -> Scored:
     jacobian, prior = result.jacobian, np.array([1.0 / nuisance.sigma**2 for nuisance in result.nuisances])
     # One step more, in the linear model that the scores are reckoned with: they must not see where the fit stopped.
     scale = np.sqrt(np.sum(np.square(jacobian), axis=0) + prior)
-    inverse = np.linalg.inv((jacobian.T @ jacobian + np.diag(prior)) / np.outer(scale, scale)) / np.outer(scale, scale)
-    left = result.residuals - jacobian @ (inverse @ (jacobian.T @ result.residuals + prior * shifts))
+    inverse = np.linalg.inv((cross(jacobian, jacobian) + np.diag(prior)) / np.outer(scale, scale)) / np.outer(
+        scale, scale
+    )
+    left = result.residuals - jacobian @ (inverse @ (cross(jacobian, result.residuals) + prior * shifts))
     slow = math.sqrt(healthy.noise.excess)
     scores = {SIZE: _size(stroke.problem, left)}
     for name, change in stroke.directions(result):
