@@ -1,4 +1,4 @@
-"""Every command of README.md and docs/tutorial.md works as printed, from top to bottom, in one terminal."""
+"""Every command of README.md and of the first tutorial works as printed, from top to bottom, in one terminal."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def terminal(tmp_path: Path) -> tuple[Path, dict[str, str]]:
 
 
 @needs_ros
-@pytest.mark.parametrize("name", ["README.md", "docs/tutorial.md"])
+@pytest.mark.parametrize("name", ["README.md", "docs/tutorials/first_correction.md"])
 def test_the_commands_work_as_printed(name: str, terminal: tuple[Path, dict[str, str]]) -> None:
     folder, environment = terminal
     text = script((ROOT / name).read_text(encoding="utf-8"))
@@ -110,7 +110,7 @@ def test_the_commands_work_as_printed(name: str, terminal: tuple[Path, dict[str,
     told = f"{ran.stdout}\n{ran.stderr}"
     assert ran.returncode == 0, told
     assert "Traceback" not in told, told
-    if name == "docs/tutorial.md":
+    if name == "docs/tutorials/first_correction.md":
         report = json.loads((folder / "results" / "report.json").read_text(encoding="utf-8"))
         assert report["verdict"]["effects"] == ["coulomb_friction"]
         assert "pressure_force" in (folder / "worn" / "corrected.yaml").read_text(encoding="utf-8")
@@ -119,7 +119,7 @@ def test_the_commands_work_as_printed(name: str, terminal: tuple[Path, dict[str,
 def test_nothing_is_left_out_that_the_documents_do_not_have() -> None:
     every = [
         command
-        for name in ("README.md", "docs/tutorial.md")
+        for name in ("README.md", "docs/tutorials/first_correction.md")
         for block in console_blocks((ROOT / name).read_text(encoding="utf-8"))
         for command in commands(block)
     ]

@@ -201,7 +201,7 @@ def test_the_browser_would_have_told_of_errors_and_requests(tmp_path: Path) -> N
 
 @needs_chromium
 def test_the_screenshot_of_the_readme(page: Path, tmp_path: Path) -> None:
-    """With VALVE_SIM_SCREENSHOT set to a path, the picture is kept there: `docs/report.png` is made so."""
+    """With VALVE_SIM_SCREENSHOT set to a path, the picture is kept there: `docs/images/report.png` is made so."""
     picture = tmp_path / "report.png"
     browse(page, tmp_path, "--window-size=1150,1480", f"--screenshot={picture}")
     content = picture.read_bytes()

@@ -1,9 +1,9 @@
-"""The example of docs/your_own_plant.md runs as it stands, and says what the page says."""
+"""The example of docs/how_to/your_own_plant.md runs as it stands, and says what the page says."""
 
 import re
 from pathlib import Path
 
-PAGE = Path(__file__).parents[2] / "docs" / "your_own_plant.md"
+PAGE = Path(__file__).parents[2] / "docs" / "how_to" / "your_own_plant.md"
 
 
 def test_the_example_on_the_page_runs(capsys):

@@ -1,4 +1,6 @@
-"""docs/command_safety.md, cell by cell: which voltage is on the coil after what; without ROS, by a clock moved by hand.
+"""docs/reference/command_safety.md, cell by cell: which voltage is on the coil after what.
+
+Without ROS, by a clock that is moved by hand.
 
 The page's table is what is tested: a cell that is changed there is another test, and one without a test fails.
 """
@@ -18,7 +20,7 @@ from valve_sim.nodes.live_valve import LiveValve, Step
 from valve_sim.nodes.realtime import NANOSECONDS, ClockReading, Restart, Worker
 from valve_sim.parameter_files import default_valve
 
-PAGE = Path(__file__).parents[2] / "docs" / "command_safety.md"
+PAGE = Path(__file__).parents[2] / "docs" / "reference" / "command_safety.md"
 TIMEOUT = 0.2
 LARGEST = 30.0
 COMMANDED = 9.0

@@ -49,7 +49,7 @@ def test_every_argument_sets_the_parameter_of_its_name(plan: LaunchPlan) -> None
 
 
 def test_the_page_names_every_argument_with_its_default(plan: LaunchPlan) -> None:
-    page = (LAUNCH_FILE.parents[1] / "docs" / "station.md").read_text(encoding="utf-8")
+    page = (LAUNCH_FILE.parents[1] / "docs" / "how_to" / "station.md").read_text(encoding="utf-8")
     for name, default in plan.arguments.items():
         assert f"| `{name}` | `{default}` |" in page
 

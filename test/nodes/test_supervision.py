@@ -1,4 +1,4 @@
-"""What a supervisor builds on, since the nodes are plain ones; docs/station.md says why. Exit codes: other tests."""
+"""What a supervisor builds on, since the nodes are plain; docs/how_to/station.md says why. Exit codes: other tests."""
 
 from __future__ import annotations
 

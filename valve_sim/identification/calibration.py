@@ -5,7 +5,7 @@ no probability yet. How often claims with such shares were right on blind record
 Advances in Large Margin Classifiers, 1999): p = 1 / (1 + exp(−(a + b ln(share / (1 − share))))).
 
 `python -m benchmarks.campaign.calibrate results.jsonl` works a and b out from what
-`python -m benchmarks.campaign --seeds 10 --json results.jsonl` wrote; docs/diagnosis.md has how well they do.
+`python -m benchmarks.campaign --seeds 10 --json results.jsonl` wrote; docs/how_to/diagnosis.md has how well they do.
 """
 
 from __future__ import annotations

@@ -315,7 +315,7 @@ def _header(result: EventDiagnosis) -> str:
             f"(added to a0 and to the coil's lag), which gives, at {table.voltage:g} V from rest,",
             f"    {times}.",
             "Two event times leave no freedom to check the damping: it is the paper's, and not confirmed.",
-            "docs/paper.md says what else would fit.",
+            "docs/theory/paper.md says what else would fit.",
         )
     )
 

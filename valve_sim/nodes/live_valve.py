@@ -72,7 +72,7 @@ class Step(NamedTuple):
 
 
 class LiveValve:
-    """A stepper with its clock, its command and its watchdog; docs/command_safety.md says which command holds when.
+    """A stepper with its clock, its command and its watchdog; which command holds: docs/reference/command_safety.md.
 
     `command`, `limit`, `set_valve`, `set_scale`, `reset` may be called in any thread: they store, the next `step`
     consumes, each at its own time. `restart` and `step` belong to one stepping thread.
