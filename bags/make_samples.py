@@ -20,8 +20,8 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from valve_sim.files.parameter_files import default_valve, save_valve
 from valve_sim.model import Drive, Valve, simulate
-from valve_sim.parameter_files import default_valve, save_valve
 from valve_sim.traces import BagRecorder, Signal, Trace, write_bag
 
 HERE = Path(__file__).resolve().parent

@@ -19,9 +19,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
+from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.identify import DEFAULT_FREE, identify
 from valve_sim.model import Drive, Valve
-from valve_sim.parameter_files import default_valve
 from valve_sim.traces import Trace
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "test"))

@@ -24,9 +24,9 @@ from typing import Final
 import numpy as np
 
 from benchmarks.command_lines import try_command_line
+from valve_sim.files.parameter_files import load_valve
 from valve_sim.model import CATALOGUE, DECLARED, Drive, Parameter, ParameterError, SimulationError, Valve, simulate
 from valve_sim.model.errors import ValveError
-from valve_sim.parameter_files import load_valve
 from valve_sim.traces import list_valves, read_trace
 
 ROOT: Final = Path(__file__).parents[1]

@@ -29,10 +29,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.judging import StrokeReport
 from valve_sim.identification.monitoring import Monitor
 from valve_sim.identification.tracing import trace_cause
-from valve_sim.parameter_files import default_valve
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "test"))
 from identification.live_strokes import CLOSED_SECONDS, LEAD, OPEN_SECONDS, LiveValve, feed

@@ -17,7 +17,7 @@ from click.testing import CliRunner, Result
 
 from valve_sim import __version__
 from valve_sim.cli import main
-from valve_sim.parameter_files import default_valve, load_valve, save_valve
+from valve_sim.files.parameter_files import default_valve, load_valve, save_valve
 from valve_sim.traces import CSV_COLUMNS, read_trace
 
 STROKES = "time,volts\n0.010,9.0\n0.040,0.0\n0.070,12.0\n0.100,0.0\n"

@@ -278,9 +278,9 @@ def identify(
       valve-sim identify day_1 day_2 --free pilot_damping,main_damping,a0 --params my_valve.yaml --output results
       valve-sim validate tomorrow.mcap --params results/identified.yaml
     """
+    from valve_sim.files.parameter_files import save_valve
+    from valve_sim.files.whole_files import write_whole
     from valve_sim.identification.identify import identify as refit
-    from valve_sim.parameter_files import save_valve
-    from valve_sim.whole_files import write_whole
 
     valve = _load(params)
     names = tuple(dict.fromkeys(part.strip() for part in free.split(",") if part.strip()))
@@ -394,8 +394,8 @@ def validate(
     """
     if plot is not None and len(bags) > 1:
         raise click.UsageError("--plot draws one recording; give one BAG", click.get_current_context())
+    from valve_sim.files.whole_files import write_whole
     from valve_sim.identification.validation import validate as replay
-    from valve_sim.whole_files import write_whole
 
     valve = _load(params)
     traces = _read(bags, name)
@@ -439,10 +439,10 @@ def fit_force(
       valve-sim fit-force force_9V.csv --output results
       valve-sim fit-force force_12V.csv --voltage 12 --params my_valve.yaml --output results
     """
+    from valve_sim.files.parameter_files import save_valve
+    from valve_sim.files.whole_files import write_whole
     from valve_sim.identification.plots import plot_static_force
     from valve_sim.identification.static_force import fit_static_force
-    from valve_sim.parameter_files import save_valve
-    from valve_sim.whole_files import write_whole
 
     result = fit_static_force(file, _load(params), degree=degree, voltage=voltage, constant=not no_constant)
     report, picture, parameters = (output / f for f in ("fit-force.json", "fit-force.png", "attraction.yaml"))
@@ -456,7 +456,7 @@ def fit_force(
 
 
 def _load(params: Path | None) -> Valve:
-    from valve_sim.parameter_files import default_valve, load_valve
+    from valve_sim.files.parameter_files import default_valve, load_valve
 
     return default_valve() if params is None else load_valve(params)
 

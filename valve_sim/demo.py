@@ -30,8 +30,8 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
+from valve_sim.files.parameter_files import default_valve
 from valve_sim.model import Drive, Phase, Response, ValveError
-from valve_sim.parameter_files import default_valve
 from valve_sim.traces import BagRecorder, StrokeEvents, events_from_sensors, read_trace
 
 if TYPE_CHECKING:

@@ -12,12 +12,12 @@ from importlib import resources
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from valve_sim.files.parameter_files import default_valve
 from valve_sim.model import CATALOGUE
 from valve_sim.model.parameters import Parameter
 from valve_sim.nodes import monitor_parameters
 from valve_sim.nodes.identification_parameters import DESCRIPTIONS, Settings
 from valve_sim.nodes.parameters import NodeParameter, table
-from valve_sim.parameter_files import default_valve
 from valve_sim.traces.reading import CHANNELS, MEASURED
 
 _NODES: Final = {

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from plants.recording import Recorder
 
+from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.calibration import CALIBRATION, calibrated
 from valve_sim.identification.false_alarm import FalseAlarm, false_alarm
 from valve_sim.identification.fitting import Problem
 from valve_sim.identification.search import DECISIVE, Hypothesis, Search
 from valve_sim.identification.valve_plant import ValvePlant
-from valve_sim.parameter_files import default_valve
 
 from .recordings import recorded
 

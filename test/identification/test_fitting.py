@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.fitting import Interval, Problem, covariance_interval, fit, profile_interval
 from valve_sim.identification.plant import from_search, search_bounds, to_search
 from valve_sim.identification.valve_plant import ValvePlant
 from valve_sim.model import CATALOGUE, DECLARED, SimulationError
-from valve_sim.parameter_files import default_valve
 
 from .recordings import TRUTH, one_opening, recorded
 

@@ -8,9 +8,9 @@ import pytest
 from plants.recording import Recorder
 
 from benchmarks.coverage import measure
+from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.identify import check_free, identify
 from valve_sim.model import ParameterError, Valve
-from valve_sim.parameter_files import default_valve
 
 from .recordings import TRUTH, one_opening, recorded, shortened
 

@@ -8,12 +8,12 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
+from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.alarm import Sums, mean_run, threshold_for
 from valve_sim.identification.judging import StrokeReport
 from valve_sim.identification.monitoring import Monitor
 from valve_sim.identification.tracing import trace_cause
 from valve_sim.identification.watching import LEAD, MonitorSettings, Watch
-from valve_sim.parameter_files import default_valve
 
 from .live_strokes import LiveValve, feed
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from plants.recording import Recorder
 
+from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.noise import Noise, estimate_noise, quantisation_step, quiet_windows, still_runs
 from valve_sim.identification.valve_plant import ValvePlant
-from valve_sim.parameter_files import default_valve
 
 from .recordings import FINE, recorded, still
 

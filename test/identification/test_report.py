@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 
 from identification.recordings import recorded
+from valve_sim.files.parameter_files import default_valve, load_valve
 from valve_sim.identification import report
 from valve_sim.identification.diagnosis import Diagnosis, diagnose
 from valve_sim.identification.outputs import write_diagnosis
 from valve_sim.identification.stroke_curves import DRAWN_POINTS, StrokeCurves, keep_extremes, strokes_of
 from valve_sim.model import ValveError
-from valve_sim.parameter_files import default_valve, load_valve
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 SETTINGS = (

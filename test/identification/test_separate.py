@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from plants.recording import Profile, Recorder, train_profile
 
+from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.fitting import Fit, Problem, fit
 from valve_sim.identification.plant import Array
 from valve_sim.identification.separate import gathered, stay_apart
 from valve_sim.identification.valve_plant import ValvePlant
-from valve_sim.parameter_files import default_valve
 
 from .recordings import recorded
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from valve_sim.parameter_files import load_valve
+from valve_sim.files.parameter_files import load_valve
 from valve_sim.traces import read_trace
 
 from .ros_process import PATIENCE, Probe, piped, running

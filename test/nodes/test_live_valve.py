@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from valve_sim.files.parameter_files import default_valve
 from valve_sim.model import Drive, Phase, SimulationError, Stepper, simulate
 from valve_sim.nodes.live_valve import LiveValve, Step, Timeline, self_test
 from valve_sim.nodes.realtime import NANOSECONDS
-from valve_sim.parameter_files import default_valve
 
 START = 1_700_000_000 * NANOSECONDS
 MILLISECOND = 1_000_000

@@ -6,10 +6,10 @@ import math
 
 import pytest
 
+from valve_sim.files.parameter_files import default_valve
 from valve_sim.model import Phase, Reading
 from valve_sim.nodes.diagnostics import Level, Status
 from valve_sim.nodes.parameters import table
-from valve_sim.parameter_files import default_valve
 
 std_msgs = pytest.importorskip("std_msgs.msg", reason="there is no ROS 2 here: its messages cannot be imported")
 

@@ -6,6 +6,7 @@ import math
 
 import pytest
 
+from valve_sim.files.parameter_files import Section, default_valve
 from valve_sim.model import CATALOGUE, ParameterError, ValveParameters
 from valve_sim.nodes.parameters import (
     as_declared,
@@ -16,7 +17,6 @@ from valve_sim.nodes.parameters import (
     table,
     valve_of,
 )
-from valve_sim.parameter_files import Section, default_valve
 
 ENTRIES = table(default_valve())
 DEFAULTS = {name: entry.default for name, entry in ENTRIES.items()}

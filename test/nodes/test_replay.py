@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from valve_sim.files.parameter_files import default_valve
 from valve_sim.model import Drive, ParameterError
 from valve_sim.nodes.diagnostics import Level
 from valve_sim.nodes.identification_parameters import Settings, check_settings
 from valve_sim.nodes.identification_task import Task
 from valve_sim.nodes.realtime import ClockReading
 from valve_sim.nodes.replay import Replay, measured_reading, predict, replay_status, score
-from valve_sim.parameter_files import default_valve
 from valve_sim.traces import Trace
 
 TIMES = np.arange(40) / 1e3

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 import yaml
 
-from valve_sim.resources import config_path
+from valve_sim.files.resources import config_path
 
 from .ros_process import NodeProcess, Probe, running
 

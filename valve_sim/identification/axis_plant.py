@@ -23,12 +23,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage, signal
 
+from valve_sim.files.parameter_files import off_value
 from valve_sim.identification.plant import Array, Channel, EffectChoice, Experiment, ForceMap, Nuisance
 from valve_sim.model import CATALOGUE, DECLARED, Parameter, Phase
 from valve_sim.model.compiling import compiled
 from valve_sim.model.effects import FORCE_MAP_KNOTS, FORCE_MAP_VARIABLES, new_record
 from valve_sim.model.equations import dry_friction, force_without_dry_friction
-from valve_sim.parameter_files import off_value
 
 LOW_PASS: Final = 100.0
 """Hz, of the fourth-order Butterworth filter that position passes forwards and backwards."""

@@ -21,13 +21,13 @@ import numpy as np
 from scipy import stats
 from scipy.optimize import least_squares
 
+from valve_sim.files.whole_files import write_whole
 from valve_sim.identification.event_plots import plot_event_diagnosis
 from valve_sim.identification.event_table import EventPlant, EventTable, reached
 from valve_sim.identification.fitting import fit
 from valve_sim.identification.plant import Array
 from valve_sim.identification.search import Hypothesis, Search
 from valve_sim.model import Drive, EventKind, ParameterError, Response, Valve, simulate
-from valve_sim.whole_files import write_whole
 
 Progress = Callable[[str, float], None]
 

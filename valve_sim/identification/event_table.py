@@ -22,12 +22,12 @@ from typing import Any, Final
 import numpy as np
 import yaml
 
+from valve_sim.files.parameter_files import load_valve
 from valve_sim.identification.fitting import Problem
 from valve_sim.identification.noise import Noise
 from valve_sim.identification.plant import Array, Channel, ForceMap
 from valve_sim.identification.valve_plant import ValvePlant
 from valve_sim.model import CATALOGUE, Drive, ParameterError, Response, SimulationError, Valve, simulate
-from valve_sim.parameter_files import load_valve
 
 GRID: Final = 5e-5
 """s between the samples in which a crossing is looked for; contacts are found by their events."""

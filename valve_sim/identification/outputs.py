@@ -8,12 +8,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from valve_sim.files.parameter_files import save_valve
+from valve_sim.files.whole_files import write_whole
 from valve_sim.identification.diagnosis import Diagnosis
 from valve_sim.identification.report import plot_diagnosis, write_report
 from valve_sim.identification.report_json import to_json
 from valve_sim.identification.valve_plant import ValvePlant
-from valve_sim.parameter_files import save_valve
-from valve_sim.whole_files import write_whole
 
 
 def write_diagnosis(diagnosis: Diagnosis, directory: Path | str, provenance: str) -> tuple[Path, ...]:

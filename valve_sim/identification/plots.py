@@ -13,11 +13,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from valve_sim.files.whole_files import replacing
 from valve_sim.identification.plant import Array
 from valve_sim.identification.static_force import StaticForce
 from valve_sim.identification.validation import Replay
 from valve_sim.model import Drive, Phase, Response, ValveError
-from valve_sim.whole_files import replacing
 
 PILOT, MAIN, SECOND, QUIET = "#0b6fa4", "#d9730d", "#7b3fa0", "#8a8f98"
 """Colours that stay apart for colour-blind readers and in grey print."""

@@ -14,11 +14,11 @@ import numpy as np
 from jinja2 import Environment, PackageLoader
 
 from valve_sim import __version__
+from valve_sim.files.whole_files import write_whole
 from valve_sim.identification.diagnosis import Candidate, Diagnosis, State
 from valve_sim.identification.fitting import Interval
 from valve_sim.identification.nameless import Unexplained
 from valve_sim.identification.stroke_curves import StrokeCurves, readable_unit, strokes_of
-from valve_sim.whole_files import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
+from valve_sim.files.tables import TableError, read_table
 from valve_sim.identification.fitting import Interval
 from valve_sim.identification.plant import Array
-from valve_sim.identification.tables import TableError, read_table
 from valve_sim.model import DECLARED, Drive, Valve, ValveError, published_times, simulate
 from valve_sim.model.parameters import POLYNOMIAL_NAMES
 

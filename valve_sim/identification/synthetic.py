@@ -11,8 +11,8 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from valve_sim.files.tables import TableError, read_table
 from valve_sim.identification.plant import Array
-from valve_sim.identification.tables import TableError, read_table
 from valve_sim.model import Drive, Response, Valve, ValveError, simulate
 from valve_sim.traces import CSV_COLUMNS, Signal, Trace
 

@@ -23,6 +23,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, String
 
+from valve_sim.files.parameter_files import Section, default_valve, load_valve
 from valve_sim.model import ParameterError, Valve
 from valve_sim.nodes.identification_parameters import DESCRIPTIONS, Settings, check_settings, output_folder
 from valve_sim.nodes.identification_task import Applied, Outcome, Progress, Task, find_out, report_text
@@ -32,7 +33,6 @@ from valve_sim.nodes.replay import Prediction, Replay, measured_reading, predict
 from valve_sim.nodes.shell_parts import LATCHED, declare_read_only, full_name, given_parameters
 from valve_sim.nodes.spinning import spin
 from valve_sim.nodes.valve_shell import NodeClock
-from valve_sim.parameter_files import Section, default_valve, load_valve
 from valve_sim.traces import read_trace
 
 _DEEP: Final = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)

@@ -8,12 +8,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+from valve_sim.files.parameter_files import save_valve
 from valve_sim.identification.identify import Identification, identify
 from valve_sim.model import Valve
 from valve_sim.model.errors import ValveError
 from valve_sim.nodes.diagnostics import Level, Status
 from valve_sim.nodes.identification_parameters import Settings
-from valve_sim.parameter_files import save_valve
 from valve_sim.traces import Trace
 
 IDENTIFIED_FILE: Final = "identified.yaml"

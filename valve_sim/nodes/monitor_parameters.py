@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final, NamedTuple
 
+from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.watching import MonitorSettings
 from valve_sim.model import Parameter, ParameterError, Valve
 from valve_sim.model.parameters import closest
 from valve_sim.nodes.parameters import NodeParameter, Value, table, valve_of
 from valve_sim.nodes.parameters import Settings as ValveNodeSettings
-from valve_sim.parameter_files import default_valve
 
 _MICRO: Final = 1e-6
 _VALVE_KEYS: Final = ("valve.", "effects.")

@@ -25,6 +25,7 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, String
 
+from valve_sim.files.parameter_files import Section
 from valve_sim.identification.judging import Judge, StrokeReport
 from valve_sim.identification.stroke_scores import Healthy
 from valve_sim.identification.tracing import Finding
@@ -39,7 +40,6 @@ from valve_sim.nodes.realtime import LONGEST_LEAP_SECONDS, NANOSECONDS
 from valve_sim.nodes.shell_parts import LATCHED, RELIABLE, declare_read_only, full_name, given_parameters
 from valve_sim.nodes.spinning import say_left_out, spin
 from valve_sim.nodes.valve_shell import NodeClock
-from valve_sim.parameter_files import Section
 from valve_sim.traces import Trace
 
 _MEASURED: Final = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)

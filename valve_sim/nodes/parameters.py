@@ -9,9 +9,9 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from typing import Final, NamedTuple
 
+from valve_sim.files.parameter_files import Section, check_with_off, off_value, valve_from_flat
 from valve_sim.model import CATALOGUE, DECLARED, Parameter, ParameterError, Valve, ValveParameters
 from valve_sim.model.parameters import closest
-from valve_sim.parameter_files import Section, check_with_off, off_value, valve_from_flat
 
 Value = float | str | list[float]
 

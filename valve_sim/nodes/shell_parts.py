@@ -10,9 +10,9 @@ from rclpy.expand_topic_name import expand_topic_name
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
+from valve_sim.files.parameter_files import Section
 from valve_sim.model import ParameterError
 from valve_sim.nodes.parameters import files_for_others
-from valve_sim.parameter_files import Section
 
 RELIABLE: Final = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 LATCHED: Final = QoSProfile(

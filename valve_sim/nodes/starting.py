@@ -13,8 +13,8 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Final, NamedTuple, NoReturn, Protocol
 
+from valve_sim.files.parameter_files import Section, read_sections, valve_from_flat, write_sections
 from valve_sim.model.errors import ParameterError, ValveError
-from valve_sim.parameter_files import Section, read_sections, valve_from_flat, write_sections
 
 UNUSABLE_INPUT: Final = 2
 """Exit code after one line on stderr."""

@@ -27,6 +27,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64, UInt8
 from std_srvs.srv import Trigger
 
+from valve_sim.files.parameter_files import Section, default_valve
 from valve_sim.model import ParameterError, Stepper, Valve
 from valve_sim.nodes.diagnostics import CommandCount, ValveFacts, command_status, timing_status, valve_status
 from valve_sim.nodes.live_valve import LiveValve, Step, self_test
@@ -52,7 +53,6 @@ from valve_sim.nodes.parameters import (
 from valve_sim.nodes.realtime import NANOSECONDS, ClockReading, Restart, Worker
 from valve_sim.nodes.shell_parts import LATCHED, RELIABLE
 from valve_sim.nodes.spinning import spin
-from valve_sim.parameter_files import Section, default_valve
 
 _LONGEST_SLEEP: Final = 0.05
 _STOP_SECONDS: Final = 0.4

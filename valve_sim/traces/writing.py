@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any, Literal, NoReturn
 import numpy as np
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
+from valve_sim.files.whole_files import replacing
 from valve_sim.traces.cdr import encode_messages, typestore
 from valve_sim.traces.clocks import SECOND
 from valve_sim.traces.errors import TraceError
 from valve_sim.traces.reading import CHANNELS, COMMAND, FLOAT, JOINT_STATE, MAIN, MEASURED, PILOT
-from valve_sim.whole_files import replacing
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

@@ -6,10 +6,10 @@ from xml.etree import ElementTree
 import pytest
 
 import valve_sim
-from valve_sim import resources
+from valve_sim.files import resources
 from valve_sim.model.errors import ValveError
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 INSTALLED_CODE = {
     "colcon or pip": "lib/python3.12/site-packages/valve_sim",
     "Debian's pip": "local/lib/python3.12/dist-packages/valve_sim",
@@ -31,14 +31,14 @@ def code_at(monkeypatch: pytest.MonkeyPatch):
 
 @pytest.mark.parametrize("folder", INSTALLED_CODE.values(), ids=INSTALLED_CODE.keys())
 def test_an_installation_reads_its_own_share(tmp_path, code_at, folder):
-    code_at(place(tmp_path / "prefix" / folder / "resources.py"))
+    code_at(place(tmp_path / "prefix" / folder / "files/resources.py"))
     shipped = place(tmp_path / "prefix/share/valve_sim/config/valve.yaml")
     place(tmp_path / "share/valve_sim/config/valve.yaml")
     assert resources.config_path("valve.yaml") == shipped
 
 
 def test_a_checkout_reads_its_own_config_not_an_installation_around_it(tmp_path, code_at):
-    code_at(place(tmp_path / "checkout/valve_sim/resources.py"))
+    code_at(place(tmp_path / "checkout/valve_sim/files/resources.py"))
     place(tmp_path / "checkout/package.xml")
     shipped = place(tmp_path / "checkout/config/valve.yaml")
     place(tmp_path / "share/valve_sim/config/valve.yaml")
@@ -46,14 +46,14 @@ def test_a_checkout_reads_its_own_config_not_an_installation_around_it(tmp_path,
 
 
 def test_an_unknown_name_is_answered_with_those_that_ship(tmp_path, code_at):
-    code_at(place(tmp_path / "valve_sim/resources.py"))
+    code_at(place(tmp_path / "valve_sim/files/resources.py"))
     place(tmp_path / "share/valve_sim/config/valve.yaml")
     with pytest.raises(ValveError, match=r"^vavle\.yaml: no such file.* valve\.yaml"):
         resources.config_path("vavle.yaml")
 
 
 def test_an_installation_without_its_share_folder_is_named(tmp_path, code_at):
-    code = place(tmp_path / "valve_sim/resources.py")
+    code = place(tmp_path / "valve_sim/files/resources.py")
     code_at(code)
     with pytest.raises(ValveError, match=f"{code}; install"):
         resources.config_path("valve.yaml")

@@ -29,10 +29,10 @@ from typing import Any, Final, NamedTuple
 
 import yaml
 
+from valve_sim.files.resources import config_path
+from valve_sim.files.whole_files import write_whole
 from valve_sim.model import CATALOGUE, Effect, Parameter, ParameterError, Valve, ValveParameters
 from valve_sim.model.parameters import closest
-from valve_sim.resources import config_path
-from valve_sim.whole_files import write_whole
 
 DEFAULT_FILE: Final = "valve.yaml"
 """The shipped parameter file whose values hold where a file gives none."""

@@ -8,9 +8,16 @@ from pathlib import Path
 
 import pytest
 
+from valve_sim.files.parameter_files import (
+    Section,
+    default_valve,
+    load_valve,
+    read_sections,
+    save_valve,
+    write_sections,
+)
+from valve_sim.files.resources import config_path
 from valve_sim.model import Drive, ParameterError, Valve, published_times, simulate
-from valve_sim.parameter_files import Section, default_valve, load_valve, read_sections, save_valve, write_sections
-from valve_sim.resources import config_path
 
 
 def written(folder: Path, text: str) -> Path:

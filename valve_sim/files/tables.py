@@ -8,9 +8,11 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from valve_sim.identification.plant import Array
 from valve_sim.model import ValveError
+
+Array = NDArray[np.float64]
 
 _DELIMITERS: Final = (";", "\t", ",")
 

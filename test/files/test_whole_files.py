@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
+from valve_sim.files.whole_files import replacing, write_whole
 from valve_sim.model.errors import ValveError
 from valve_sim.traces import TraceError
-from valve_sim.whole_files import replacing, write_whole
 
 
 def test_a_file_replaces_the_old_one_and_its_folder_is_made(tmp_path: Path) -> None:

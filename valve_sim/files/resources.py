@@ -27,7 +27,7 @@ def _config_folder(code: Path) -> Path:
     A checkout has package.xml beside the package. An installation has share/valve_sim under its prefix, some folders
     above site-packages: how many differs between colcon, pip, pip --target and Debian, so the nearest one is taken.
     """
-    checkout = code.parents[1]
+    checkout = code.parents[2]
     if (checkout / "package.xml").is_file():
         candidates = [checkout / "config"]
     else:
