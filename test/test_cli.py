@@ -186,7 +186,7 @@ def test_info_names_strokes_rates_and_arrivals(strokes: Path):
 
 def test_info_as_json(strokes: Path):
     (valve,) = json.loads(run_well("info", strokes, "--json").stdout)["valves"]
-    assert valve["signals"]["position"] == {"samples": 2800, "rate": pytest.approx(20000)}
+    assert valve["signals"]["position"] == {"samples": 2800, "rate": pytest.approx(20000), "in_bursts": False}
     assert [stroke["kind"] for stroke in valve["strokes"]] == ["opening", "closing", "opening", "closing"]
     first = {event["kind"]: event["after_command"] for event in valve["arrivals"][0]["events"]}
     assert first["pilot_reaches_main"] == pytest.approx(5.3e-3, abs=3e-5)

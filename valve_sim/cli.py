@@ -531,7 +531,9 @@ def _print_summary(summary: TraceSummary, arrivals: Sequence[StrokeEvents]) -> N
     low, high = (1e6 * position for position in summary.position_range)
     click.echo(_shown(summary.source) + f": {summary.duration:.6g} s, timed by {summary.clock} stamps")
     for signal, rate in summary.signals.items():
-        click.echo(f"  {signal:<18}{rate.samples:>9} samples{rate.rate:>12.6g} Hz")
+        click.echo(
+            f"  {signal:<18}{rate.samples:>9} samples{rate.rate:>12.6g} Hz{', in bursts' if rate.in_bursts else ''}"
+        )
     click.echo(f"  {'commands':<18}{summary.commands:>9} at {', '.join(f'{volts:g}' for volts in summary.voltages)} V")
     click.echo(
         f"  pilot plunger from {low:.2f} to {high:.2f} µm, noise {1e6 * summary.noise:.3g} µm; "

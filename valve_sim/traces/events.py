@@ -76,29 +76,39 @@ def events_from_sensors(trace: Trace, pilot_gap: float) -> tuple[StrokeEvents, .
         trace: A measured trace.
         pilot_gap: Where the pilot plunger meets the main plunger, m above its closed rest.
     """
+    strokes = [stroke for stroke in find_strokes(trace) if stroke.moved and stroke.kind != "hold"]
+    if not strokes:
+        return ()
+    levels = _rest_levels(trace.pilot_position, pilot_gap)
     found = []
-    for stroke in find_strokes(trace):
-        if stroke.moved and stroke.kind != "hold":
-            seen = tuple(_by_position(trace, stroke, pilot_gap))
-            events = [*seen, *_by_acceleration(trace.acceleration, stroke, seen)]
-            found.append(StrokeEvents(stroke, tuple(sorted(events, key=lambda event: event.time))))
+    for stroke in strokes:
+        seen = tuple(_by_position(trace, stroke, levels))
+        events = [*seen, *_by_acceleration(trace.acceleration, stroke, seen)]
+        found.append(StrokeEvents(stroke, tuple(sorted(events, key=lambda event: event.time))))
     return tuple(found)
 
 
-def _by_position(trace: Trace, stroke: Stroke, pilot_gap: float) -> Iterator[SensorEvent]:
+class _Levels(NamedTuple):
+    """Where a trace's pilot plunger rests and meets the main plunger, and the noise of its position, m."""
+
+    seat: float
+    gap: float
+    stop: float
+    noise: float
+
+
+def _by_position(trace: Trace, stroke: Stroke, levels: _Levels) -> Iterator[SensorEvent]:
     window = slice(*np.searchsorted(trace.times, [stroke.start, stroke.stop]))
     times, position = trace.times[window], trace.pilot_position[window]
-    noise = sample_noise(trace.pilot_position)
-    seat, stop = _rest_levels(trace)
-    gap = seat + pilot_gap
+    seat, gap, stop, noise = levels
     if stroke.kind == "closing":
         ways = [
             ("main_seats", gap, gap + STOP_APPROACH_SHARE * (stop - gap)),
-            ("reaches_seat", seat, seat + APPROACH_SHARE * pilot_gap),
+            ("reaches_seat", seat, seat + APPROACH_SHARE * (gap - seat)),
         ]
     else:
         ways = [
-            ("pilot_reaches_main", gap, gap - APPROACH_SHARE * pilot_gap),
+            ("pilot_reaches_main", gap, gap - APPROACH_SHARE * (gap - seat)),
             ("reaches_stop", stop, stop - STOP_APPROACH_SHARE * (stop - gap)),
         ]
     for kind, level, begin in ways:
@@ -109,15 +119,18 @@ def _by_position(trace: Trace, stroke: Stroke, pilot_gap: float) -> Iterator[Sen
             yield SensorEvent(kind, arrival[0], arrival[0] - stroke.start, arrival[1], "position")
 
 
-def _rest_levels(trace: Trace) -> tuple[float, float]:
-    """Return the positions of seat and stop, m: the median of the samples near the trace's lowest and highest.
+def _rest_levels(position: Array, pilot_gap: float) -> _Levels:
+    """Find seat and stop: the median of the samples near the trace's lowest and highest.
 
-    A valve rests there for most of its time, so that these samples are many and mostly still.
+    A valve rests there for most of its time, so that these samples are many and mostly still. The whole trace is
+    looked at, so this is done once for all strokes.
     """
-    position = trace.pilot_position
+    noise = sample_noise(position)
     low, high = np.quantile(position, [0.001, 0.999])
-    margin = max(0.02 * (high - low), 6 * sample_noise(position))
-    return float(np.median(position[position < low + margin])), float(np.median(position[position > high - margin]))
+    margin = max(0.02 * (high - low), 6 * noise)
+    seat = float(np.median(position[position < low + margin]))
+    stop = float(np.median(position[position > high - margin]))
+    return _Levels(seat, seat + pilot_gap, stop, noise)
 
 
 def _arrival(times: Array, position: Array, begin: float, level: float, noise: float) -> tuple[float, float] | None:
@@ -175,7 +188,7 @@ def _by_acceleration(signal: Signal | None, stroke: Stroke, seen: tuple[SensorEv
     """Yield the largest spike near each arrival that the position shows."""
     if signal is None:
         return
-    inside = (signal.times >= stroke.start) & (signal.times < stroke.stop)
+    inside = slice(*np.searchsorted(signal.times, [stroke.start, stroke.stop]))
     times, values = signal.times[inside], signal.values[inside]
     if len(times) < FEWEST_SAMPLES:
         return

@@ -11,6 +11,8 @@ from valve_sim.traces.clocks import find_gaps
 from valve_sim.traces.strokes import find_strokes, sample_noise
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from valve_sim.traces.strokes import Stroke
     from valve_sim.traces.trace import Trace
 
@@ -22,11 +24,25 @@ class Gap(NamedTuple):
     length: float
 
 
+RATE_BLOCKS = 20
+"""A rate is the median over so many stretches of equally many samples: gaps and bursts fill only some of them."""
+
+BURST_FACTOR = 1.5
+"""Where most intervals are shorter than the rate says by this factor, the samples came in bursts."""
+
+
 class Rate(NamedTuple):
-    """How many samples a signal has, and how many a second it has as a rule (Hz)."""
+    """How densely a signal was sampled.
+
+    Attributes:
+        samples: How many there are.
+        rate: How many a second, Hz: samples over time in a typical stretch of the recording.
+        in_bursts: Whether they came in bursts, as messages do that are timed by their arrival.
+    """
 
     samples: int
     rate: float
+    in_bursts: bool = False
 
 
 @dataclass(frozen=True)
@@ -38,7 +54,7 @@ class TraceSummary:
         duration: From the first to the last sample, s.
         epoch_ns: The first stamp, ns.
         clock: "header" or "bag".
-        signals: Samples and usual rate by name: position, main_position, coil_current ... as far as recorded.
+        signals: Number and rate of the samples by name: position, main_position, coil_current ... as far as recorded.
         jitter: 99 % quantile of the deviation of the sample interval from its median, s.
         gaps: Intervals over three times the usual one.
         commands: How many commands there are.
@@ -93,8 +109,17 @@ def _rates(trace: Trace) -> dict[str, Rate]:
         signal = getattr(trace, name)
         if signal is not None:
             times[name] = signal.times
-    return {name: Rate(len(stamps), _usual_rate(stamps)) for name, stamps in times.items()}
+    return {name: _rate(stamps) for name, stamps in times.items()}
 
 
-def _usual_rate(times: np.typing.NDArray[np.float64]) -> float:
-    return float(1.0 / np.median(np.diff(times))) if len(times) > 1 else 0.0
+def _rate(times: NDArray[np.float64]) -> Rate:
+    """The rate of a signal, whose times (s, ascending, shape (n,)) may have gaps and come in bursts.
+
+    The median interval alone would be that within a burst.
+    """
+    if len(times) < 2:
+        return Rate(len(times), 0.0)
+    edges = np.unique(np.linspace(0, len(times) - 1, RATE_BLOCKS + 1).astype(np.intp))
+    rate = float(np.median(np.diff(edges) / np.diff(times[edges])))
+    usual = float(np.median(np.diff(times)))
+    return Rate(len(times), rate, in_bursts=usual * rate * BURST_FACTOR < 1.0)
