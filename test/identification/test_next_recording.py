@@ -1,14 +1,25 @@
 """Advice on what to record next: it must separate what the data could not, on a plant that is not the package's."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from plants.declared import DeclaredPlant
 from plants.recording import Profile, Recorder, record, single_opening
 
 from valve_sim.identification.fitting import Fit, Problem, fit
-from valve_sim.identification.next_recording import Recommendation, recommend
+from valve_sim.identification.next_recording import (
+    FEWEST_REPEATS,
+    MOST_REPEATS,
+    TELLS_APART,
+    Recommendation,
+    recommend,
+)
+from valve_sim.identification.plant import Experiment
+from valve_sim.identification.recording_profile import STROKE_VOLTS, duration_of, write_profile
+from valve_sim.identification.synthetic import read_profile
 from valve_sim.identification.valve_plant import ValvePlant
-from valve_sim.model import Drive, Valve
+from valve_sim.model import Drive, EventKind, Valve, simulate
 from valve_sim.traces import Trace
 
 DECLARED = Valve().with_values(a0=3.0336, coil_time_constant=0.9934e-3, coil_resistance=10.0)
@@ -51,6 +62,37 @@ def test_the_advised_pulse_is_worth_what_it_promises(recommendation: Recommendat
     decided = fitted(both, "drive_gain").chi2 - fitted(both, "coulomb_friction").chi2
     assert abs(undecided) < 10.0
     assert 0.5 * recommendation.separation**2 < decided < 10.0 * recommendation.separation**2
+
+
+def test_the_file_to_record_next_is_worth_what_it_promises(recommendation: Recommendation, tmp_path: Path) -> None:
+    """Recorded for real as the file says it, pulses and strokes reject the wrong one by what was promised, or more."""
+    write_profile(tmp_path / "record_next.yaml", recommendation, "by a test")
+    drive = read_profile(tmp_path / "record_next.yaml")
+    assert len(drive.times) == 2 * (recommendation.repeats + len(STROKE_VOLTS))
+    promised = recommendation.to_json()["separates"][0]["standard_deviations"]
+    trace = measured(Profile(drive.times, drive.volts, duration_of(drive)), 5)
+    plant = ValvePlant([measured(single_opening(), 3), trace], DECLARED)
+    assert fitted(plant, "drive_gain").chi2 - fitted(plant, "coulomb_friction").chi2 > 0.5 * promised**2
+
+
+def test_a_weak_pulse_is_repeated_until_it_tells_and_a_hopeless_one_is_not_advised() -> None:
+    def separating(by: float) -> Recommendation:
+        return Recommendation(Experiment("a pulse", lambda values: pytest.fail()), {("one", "other"): by})
+
+    assert separating(20.0).repeats == FEWEST_REPEATS
+    assert separating(1.25).repeats == 16
+    assert separating(1.25).to_json()["separates"][0]["standard_deviations"] == pytest.approx(TELLS_APART)
+    assert separating(0.9).repeats > MOST_REPEATS
+    assert separating(0.0).repeats > MOST_REPEATS
+
+
+def test_without_a_telling_pulse_the_file_has_full_strokes_that_can_be_simulated(tmp_path: Path) -> None:
+    write_profile(tmp_path / "record_next.yaml", None, "by a test")
+    drive = read_profile(tmp_path / "record_next.yaml")
+    assert tuple(drive.volts[::2]) == STROKE_VOLTS
+    response = simulate(DECLARED, drive, np.linspace(0.0, duration_of(drive), 2000))
+    assert [event.kind for event in response.events].count(EventKind.REACHED_STOP) == len(STROKE_VOLTS)
+    assert response.pilot_position[-1] < 1e-9
 
 
 def test_there_is_no_advice_without_rivals() -> None:

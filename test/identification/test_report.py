@@ -19,7 +19,9 @@ from valve_sim.files.parameter_files import default_valve, load_valve
 from valve_sim.identification import report
 from valve_sim.identification.diagnosis import Diagnosis, diagnose
 from valve_sim.identification.outputs import write_diagnosis
+from valve_sim.identification.recording_profile import STROKE_VOLTS
 from valve_sim.identification.stroke_curves import DRAWN_POINTS, StrokeCurves, keep_extremes, strokes_of
+from valve_sim.identification.synthetic import read_profile
 from valve_sim.model import ValveError
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -149,6 +151,17 @@ def test_all_files_of_a_diagnosis_are_written_and_nothing_else(diagnosis: Diagno
     assert json.loads(written[0].read_text())["verdict"]["effects"] == ["coulomb_friction"]
     assert load_valve(tmp_path / "results" / "corrected.yaml") == diagnosis.valve
     assert (tmp_path / "results" / "report.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_next_recording_is_a_profile_in_the_folder_while_there_is_something_to_tell_apart(
+    diagnosis: Diagnosis, tmp_path: Path
+) -> None:
+    doubtful = write_diagnosis(replace(diagnosis, record_next="Record next: more."), tmp_path, "by a test")
+    assert doubtful[-1].name == "record_next.yaml"
+    assert len(read_profile(doubtful[-1]).times) == 2 * len(STROKE_VOLTS)
+    assert json.loads(doubtful[0].read_text())["record_next_gain"] is None
+    write_diagnosis(diagnosis, tmp_path, "by a test")
+    assert not doubtful[-1].exists()
 
 
 class OtherMachine:

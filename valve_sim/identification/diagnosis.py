@@ -89,7 +89,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The outcome of `diagnose_plant`."""
+    """The outcome of `diagnose_plant`; `telling` is the experiment that `record_next` advises, where one is known."""
 
     plant: Plant
     before: State
@@ -101,6 +101,7 @@ class Diagnosis:
     record_next: str
     false_alarm: FalseAlarm
     sources: tuple[str, ...] = ()
+    telling: Recommendation | None = None
 
     @property
     def valve(self) -> Valve:
@@ -161,6 +162,7 @@ class _Conclusion:
         self.exploration, self.search, self.held_out = exploration, exploration.search, exploration.held_out
         self.plant = exploration.plant
         self._reported_timing = False
+        self._telling: Recommendation | None = None
 
     def conclude(self, explored: Hypothesis) -> Diagnosis:
         """Judge the best that was explored, and word it."""
@@ -193,7 +195,7 @@ class _Conclusion:
         return Diagnosis(
             self.plant, self.state(base_fit, profile=False), after, verdict, tuple(self.candidates(base)),
             unexplained, tuple(describe(choice, result, base_fit) for choice, result in maps), record_next,
-            alarm, tuple(channel.name for channel in self.plant.channels),
+            alarm, tuple(channel.name for channel in self.plant.channels), self._telling,
         )  # fmt: skip
 
     def claimed(self, best: Hypothesis) -> tuple[Hypothesis, FalseAlarm]:
@@ -272,7 +274,8 @@ class _Conclusion:
 
     def advice(self, best: Hypothesis) -> str:
         """What to record next."""
-        return advise(_stroke_count(self.plant), self.telling_experiment(best))
+        self._telling = self.telling_experiment(best)
+        return advise(_stroke_count(self.plant), self._telling)
 
     def telling_experiment(self, best: Hypothesis) -> Recommendation | None:
         """The recording that would tell the best hypothesis best from those of its size that do about as well."""
@@ -379,8 +382,8 @@ def advise(strokes: int, telling: Recommendation | None) -> str:
         return f"{advice}."
     one, other = telling.pair
     return (
-        f"{advice}; of single pulses {telling.experiment.words} tells most: it sets {one} and {other} apart by "
-        f"{telling.separation:.0f} standard deviations, and others by more."
+        f"{advice}; of single pulses {telling.experiment.words} tells most: {telling.repeats} of them set {one} and "
+        f"{other} apart by {math.sqrt(telling.repeats) * telling.separation:.0f} standard deviations, others by more."
     )
 
 

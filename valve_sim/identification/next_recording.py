@@ -12,23 +12,52 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 from valve_sim.identification.fitting import Fit, Problem, fit
 from valve_sim.identification.plant import Experiment
 from valve_sim.model import SimulationError
 
 TELLS_APART: Final = 5.0
-"""Standard deviations: what separates a pair by less is not worth recommending."""
+"""Standard deviations: what separates a pair by less decides nothing."""
+FEWEST_REPEATS, MOST_REPEATS = 4, 25
+"""How often an experiment is made: every fourth stroke is held out; what 25 of them cannot tell is not advised."""
 
 
 @dataclass(frozen=True)
 class Recommendation:
-    """An experiment, and by how many standard deviations it separates the least separated pair of candidates."""
+    """An experiment, and by how many standard deviations it separates each pair of candidates."""
 
     experiment: Experiment
-    separation: float
-    pair: tuple[str, str]
+    separations: Mapping[tuple[str, str], float]
+
+    @property
+    def pair(self) -> tuple[str, str]:
+        """The least separated pair."""
+        return min(self.separations, key=self.separations.__getitem__)
+
+    @property
+    def separation(self) -> float:
+        """Of the least separated pair by one such experiment, standard deviations."""
+        return self.separations[self.pair]
+
+    @property
+    def repeats(self) -> int:
+        """How many such experiments separate every pair by `TELLS_APART`: their χ² add up."""
+        if self.separation <= TELLS_APART / math.sqrt(MOST_REPEATS + 1):
+            return MOST_REPEATS + 1
+        return max(FEWEST_REPEATS, math.ceil((TELLS_APART / self.separation) ** 2))
+
+    def to_json(self) -> dict[str, Any]:
+        """What the experiments together are expected to tell apart, the least separated pair first."""
+        return {
+            "experiment": self.experiment.words,
+            "repeats": self.repeats,
+            "separates": [
+                {"candidates": list(pair), "standard_deviations": separation * math.sqrt(self.repeats)}
+                for pair, separation in sorted(self.separations.items(), key=lambda item: item[1])
+            ],
+        }
 
 
 def recommend(candidates: Mapping[str, Fit], experiments: Sequence[Experiment]) -> Recommendation | None:
@@ -43,7 +72,7 @@ def recommend(candidates: Mapping[str, Fit], experiments: Sequence[Experiment]) 
     """
     judged = [judgement for experiment in experiments if (judgement := _judge(candidates, experiment)) is not None]
     best = max(judged, key=lambda recommendation: recommendation.separation, default=None)
-    return best if best is not None and best.separation >= TELLS_APART else None
+    return best if best is not None and best.repeats <= MOST_REPEATS else None
 
 
 def _judge(candidates: Mapping[str, Fit], experiment: Experiment) -> Recommendation | None:
@@ -58,10 +87,7 @@ def _judge(candidates: Mapping[str, Fit], experiment: Experiment) -> Recommendat
         }
     except SimulationError:
         return None
-    if not apart:
-        return None
-    pair = min(apart, key=lambda names: apart[names])
-    return Recommendation(experiment, apart[pair], pair)
+    return Recommendation(experiment, apart) if apart else None
 
 
 def _left_of(experiment: Experiment, truth: Fit, rival: Fit) -> float:

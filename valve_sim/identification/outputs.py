@@ -1,4 +1,7 @@
-"""The files that a diagnosis leaves behind: report.json, report.html, report.png and, of a valve, corrected.yaml."""
+"""The files that a diagnosis leaves behind: report.json, report.html, report.png.
+
+Of a valve also corrected.yaml, and record_next.yaml where there is something to tell apart.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,7 @@ from typing import Any
 from valve_sim.files.parameter_files import save_valve
 from valve_sim.files.whole_files import write_whole
 from valve_sim.identification.diagnosis import Diagnosis
+from valve_sim.identification.recording_profile import write_profile
 from valve_sim.identification.report import plot_diagnosis, write_report
 from valve_sim.identification.report_json import to_json
 from valve_sim.identification.valve_plant import ValvePlant
@@ -20,7 +24,7 @@ def write_diagnosis(diagnosis: Diagnosis, directory: Path | str, provenance: str
     """Write what a diagnosis found, each file whole or not at all.
 
     Args:
-        diagnosis: of any plant; only a valve has a corrected.yaml.
+        diagnosis: of any plant; only a valve has a corrected.yaml and a record_next.yaml.
         directory: made where it is missing.
         provenance: how the diagnosis was made; goes into report.html and corrected.yaml.
 
@@ -41,7 +45,13 @@ def write_diagnosis(diagnosis: Diagnosis, directory: Path | str, provenance: str
     if not isinstance(diagnosis.plant, ValvePlant):
         return data, page, picture
     save_valve(corrected, diagnosis.valve, provenance)
-    return data, page, picture, corrected
+    profile = folder / "record_next.yaml"
+    if not diagnosis.record_next:
+        # One from an earlier run into this folder would advise what this diagnosis does not.
+        profile.unlink(missing_ok=True)
+        return data, page, picture, corrected
+    write_profile(profile, diagnosis.telling, provenance)
+    return data, page, picture, corrected, profile
 
 
 def _without_infinities(value: Any) -> Any:

@@ -114,10 +114,12 @@ class Experiment:
     Attributes:
         words: for people, e.g. "11 V for 4 ms".
         simulated: the recording, without noise, as if the machine had the given values.
+        commands: (s, input) from 0 on, each held until the next: what drives the machine; empty where it is not said.
     """
 
     words: str
     simulated: Callable[[Mapping[str, float]], Plant]
+    commands: tuple[tuple[float, float], ...] = ()
 
 
 class Plant(Protocol):

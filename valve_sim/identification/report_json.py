@@ -40,6 +40,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "unexplained": None if diagnosis.unexplained is None else _unexplained_json(diagnosis.unexplained),
         "force_maps": [_unexplained_json(entry) for entry in diagnosis.maps],
         "record_next": diagnosis.record_next or None,
+        "record_next_gain": None if diagnosis.telling is None else diagnosis.telling.to_json(),
         "false_alarm": diagnosis.false_alarm._asdict(),
     }
 

@@ -121,7 +121,9 @@ class ValvePlant:
         times = np.arange(0.0, PULSE_RECORDING, interval)
         return [
             Experiment(
-                f"{volts:g} V for {1e3 * duration:g} ms", functools.partial(self._recorded, volts, duration, times)
+                f"{volts:g} V for {1e3 * duration:g} ms",
+                functools.partial(self._recorded, volts, duration, times),
+                ((0.0, volts), (duration, 0.0)),
             )
             for volts, duration in itertools.product(PULSE_VOLTS, PULSE_DURATIONS)
         ]
