@@ -113,7 +113,9 @@ class ReferenceValve:
         return rate
 
     def lift(self, t: float, y: Any) -> float:
-        return self.net(self.mode >= GAP_HOLD, 1, t, y, 0.0) - self.friction(1, 0.0)
+        held = self.friction(1, 0.0)
+        # Nor does less than 1 nN lift the pilot off its seat.
+        return self.net(self.mode >= GAP_HOLD, 1, t, y, 0.0) - (max(held, 1e-9) if self.mode == CLOSED else held)
 
     def fall(self, t: float, y: Any) -> float:
         return -self.net(self.mode >= MAIN, -1, t, y, 0.0) - self.friction(-1, 0.0)
@@ -188,7 +190,12 @@ class ReferenceValve:
                 self.unseated = self.t
             return
         self.rest(OPEN if up else CLOSED)
-        self.log("REACHED_STOP" if up else "SEATED")
+        if not up and self.lift(self.t, self.y) > 0:
+            # It touches and is pulled off again at the same time.
+            self.mode, self.moving, self.direction, self.unseated = PILOT, True, 1, self.t
+            self.log("BOUNCED_AT_SEAT")
+        else:
+            self.log("REACHED_STOP" if up else "SEATED")
 
     def handle(self, name: str) -> None:
         if name == "magnet":

@@ -144,6 +144,7 @@ NO_EVENT = -1
 PARAMETER_COUNT = 52
 
 COPPER = 0.00393  # 1/K, MODEL.md 3
+SEAT_HOLDS = 1e-9  # N: no smaller net force lifts the pilot off its seat
 SLOW_CONTACT = 1e-3  # m/s, MODEL.md 2
 SLOWEST_REBOUND = 5e-3  # m/s, MODEL.md 3
 BISECTIONS = 30  # of a 2 µs step: 2 fs
@@ -296,7 +297,8 @@ def _freed(moment: Moment, state: State, condition: Condition, p: FloatArray) ->
     mode = condition[0]
     if mode != OPEN:
         upward = _net(1 if mode in (CLOSED, PILOT) else 2, moment, state, 0.0, p)
-        if upward > _holding(1, p):
+        held = _holding(1, p)
+        if upward > (max(held, SEAT_HOLDS) if mode == CLOSED else held):
             return 1
     if mode != CLOSED:
         downward = _net(1 if mode in (PILOT, GAP_HOLD) else 2, moment, state, 0.0, p)

@@ -62,18 +62,34 @@ FIRST_STEP: Final = 1e-5
 """s, tried when motion begins; error control takes over from there."""
 LONGEST_STEP: Final = 1e-3
 """s, in motion: a stroke takes milliseconds, so that no turn and return hides inside a step."""
-SOONEST: Final = 1e-9
-"""Of a step: what moves off sooner moves off at once, as a valve does that nothing holds when its coil is powered."""
+SEAT_HOLDS: Final = 1e-9
+"""N: a smaller net force does not lift the pilot plunger off its seat. Without a seat load it would float on the tail
+of a current that has gone; event times move by nanoseconds."""
+SOONEST: Final = 2e-12
+"""s: what moves off sooner moves off at once, as a valve does that nothing holds when its coil is powered."""
 LONGEST_REST: Final = 2e-3
-"""s: how far ahead a valve at rest is looked at in one step."""
+"""s: how far ahead a valve at rest is looked at in one step, at least."""
+LONGEST_REST_SHARE: Final = 0.25
+"""Of the time since the last command or lift-off, at least. What still changes the forces at rest are exponentials
+that began there, so those that decay quickly have gone, and an hour of rest takes a hundred steps."""
 LOOKS_AT_REST: Final = 8
 """How often in such a step it is asked whether the forces move it."""
+DECAYED: Final = 40.0
+"""Time constants after which a current is less than rounding."""
+LONGEST_MOTION: Final = 0.1
+"""s without voltage, after which what still moves creeps."""
+NO_CURRENT: Final = 1e-12
+"""Of the reference current: what is left without voltage is none, so that a coil that heats may rest in long steps."""
 SHORTEST_STEP: Final = 1e-16
 """s: error control that wants less has failed."""
 LARGEST_GROWTH: Final = 8.0
 """Of one step over the one before."""
 BISECTIONS: Final = 28
 """Halvings of a step that locate an event to 4e-9 of it, 4e-12 s of the longest; contacts and turns are polished."""
+BISECTED: Final = 5e-12
+"""s, to which the end of a rest is located, however long the step."""
+MOST_BISECTIONS: Final = 60
+"""Halvings that do so."""
 LOCATED: Final = 1e-9
 """Fraction of a step to which a contact or turn is located on the dense output, before it is polished."""
 POLISHED: Final = 1e-15
@@ -125,6 +141,8 @@ def _net_at_rest(p, s, mode, direction, t, u, w):
 def _push_at_rest(p, s, t, u, w):
     """Which way the forces move plungers at rest at time t: +1, −1, or 0 for not at all."""
     hold_up = p.friction_opening + p.breakaway
+    if s.mode == CLOSED:
+        hold_up = max(hold_up, SEAT_HOLDS)
     hold_down = p.friction_closing + p.breakaway
     lifting = PILOT if s.mode <= PILOT else MAIN
     if s.mode != OPEN and _net_at_rest(p, s, lifting, OPENING, t, u, w) > hold_up:
@@ -154,14 +172,23 @@ def _come_to_rest(s, mode):
 
 
 @inner
+def _lift_off(s):
+    """The pilot plunger leaves its seat from rest."""
+    s.unseated_time = s.time
+    s.mode = PILOT
+    s.moving = 1
+    s.direction = OPENING
+    s.step = FIRST_STEP
+
+
+@inner
 def _move_off(p, s, push, events, count):
     """From rest into motion: the right-hand column of MODEL section 2's table."""
     kind = BROKE_AWAY
     if s.mode == CLOSED:
-        kind = UNSEATED
-        s.unseated_time = s.time
-        s.mode = PILOT
-    elif s.mode == OPEN:
+        _lift_off(s)
+        return _log(events, count, s.time, UNSEATED, s.x, 0.0)
+    if s.mode == OPEN:
         kind = RELEASED
         s.mode = MAIN
     elif s.mode == GAP_HOLD:
@@ -191,6 +218,11 @@ def _touch(p, s, events, count):
             s.unseated_time = s.time
             return _log(events, count, s.time, BOUNCED_AT_SEAT, s.x, v)
         _come_to_rest(s, CLOSED)
+        u, w = _coil_now(p, s)
+        if _push_at_rest(p, s, s.time, u, w) != 0:
+            # What pulls lifts it again at once: one event, not a seating and an unseating at one time.
+            _lift_off(s)
+            return _log(events, count, s.time, BOUNCED_AT_SEAT, s.x, v)
         return _log(events, count, s.time, SEATED, s.x, v)
     return _touch_gap(p, s, events, count)
 
@@ -323,7 +355,7 @@ def _integrated_step(p, s, work, tolerance):
     """
     if not work.start_is_known:
         rates(p, s, work, s.time, work.y, FIRST)
-    h = min(s.step, LONGEST_STEP)
+    h = min(s.step, _rest(p, s) if _has_settled(p, s, work) else LONGEST_STEP)
     while True:
         try_step(p, s, work, h)
         error = error_norm(work, h, tolerance)
@@ -377,10 +409,12 @@ def _moved_off(p, s, work, h):
     for look in range(1, LOOKS_AT_REST + 1):
         high = look / LOOKS_AT_REST
         if _push_after(p, s, work, h, high) != 0:
-            soonest = low + SOONEST * high
-            if _push_after(p, s, work, h, soonest) != 0:
-                return soonest
-            for _ in range(BISECTIONS):
+            soonest = low + SOONEST / h
+            if soonest >= high or _push_after(p, s, work, h, soonest) != 0:
+                return min(soonest, high)
+            for _ in range(MOST_BISECTIONS):
+                if (high - low) * h < BISECTED:
+                    break
                 middle = 0.5 * (low + high)
                 if _push_after(p, s, work, h, middle) != 0:
                     high = middle
@@ -399,9 +433,31 @@ def _push_after(p, s, work, h, theta):
 
 
 @inner
+def _rest(p, s):
+    """How far ahead plungers at rest are looked at in one step, s."""
+    if p.terms_read_time:
+        return LONGEST_REST
+    return max(LONGEST_REST, LONGEST_REST_SHARE * (s.time - max(s.segment_time, s.unseated_time)))
+
+
+@inner
+def _has_settled(p, s, work):
+    """Whether error control alone may choose the step: no current is left, and all that moves creeps.
+
+    A pilot plunger that nothing returns may float for hours.
+    """
+    if s.volts != 0.0:
+        return False
+    if work.states > MECHANICAL_STATES:
+        return not s.moving and s.u == 0.0 and s.w == 0.0
+    decay = DECAYED * (p.coil_time_constant + p.eddy_time_constant)
+    return s.time - s.segment_time > max(decay, LONGEST_MOTION)
+
+
+@inner
 def _next_step(p, s, work, tolerance):
     """Find the next committed step from the state. Arguments and result as for `_integrated_step`."""
-    h, ends, following, outcome = LONGEST_REST, NO_EVENT, s.step, FINISHED
+    h, ends, following, outcome = _rest(p, s), NO_EVENT, s.step, FINISHED
     if s.moving or work.states > MECHANICAL_STATES:
         h, ends, following, outcome = _integrated_step(p, s, work, tolerance)
     else:
@@ -493,6 +549,18 @@ def _commit(p, s, work, h, time):
 
 
 @inner
+def _settle_coil(p, s, work):
+    """Let what is left of an integrated current, at rest without voltage, be none."""
+    if work.states == MECHANICAL_STATES or s.moving or s.volts != 0.0 or (s.u == 0.0 and s.w == 0.0):
+        return
+    u, w = _coil_now(p, s)
+    if max(abs(u), abs(w)) < NO_CURRENT:
+        s.u = 0.0
+        s.w = 0.0
+        work.start_is_known = 0
+
+
+@inner
 def _start_from(s, work):
     """Put the state where the integrator starts."""
     work.y[0] = s.x
@@ -542,6 +610,7 @@ def run(  # noqa: PLR0912 - the steps of a run in the order in which they happen
     at, at_current, chatter = 0, 0, 0
     work.start_is_known = 0
     for _ in range(most_steps):
+        _settle_coil(p, s, work)
         _start_from(s, work)
         if not s.moving:
             u, w = _coil_now(p, s)

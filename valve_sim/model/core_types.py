@@ -61,6 +61,7 @@ VALVE_RECORD: Final = np.dtype(
         ("sensor_gain", "f8"),
         # Compiled force terms: addresses, whether they act in Phase 2 only, and the numbers they read.
         ("term_count", "i8"),
+        ("terms_read_time", "i8"),  # 1 where one of them may change while nothing else does
         ("term_address", "i8", (MAXIMUM_TERMS,)),
         ("term_in_phase_2_only", "i8", (MAXIMUM_TERMS,)),
         ("term_parameters", "f8", (MAXIMUM_TERMS, MAXIMUM_TERM_PARAMETERS)),
@@ -133,7 +134,7 @@ class EventKind(enum.IntEnum):
     SEATED = 9
     """The pilot plunger came to rest on its seat."""
     BOUNCED_AT_SEAT = 10
-    """The pilot plunger rebounded from its seat."""
+    """The pilot plunger rebounded from its seat, or was pulled off it again at once."""
     STUCK = 11
     """Dry friction stopped the plungers between the contacts."""
     BROKE_AWAY = 12

@@ -12,6 +12,7 @@ A package of your own can `register` an entry; it then takes part everywhere lik
 
 from __future__ import annotations
 
+import dis
 import math
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -94,6 +95,7 @@ class Effect:
         record["term_in_phase_2_only"][slot] = int(self.phase_2_only)
         record["term_parameters"][slot, : len(numbers)] = numbers
         record["term_count"] = slot + 1
+        record["terms_read_time"] |= int(reads_time(self.term))
 
     def address(self, count: int) -> int:
         """Address of the compiled term that reads `count` numbers; compiled once a process and cached on disk."""
@@ -101,6 +103,12 @@ class Effect:
             assert self.term is not None
             self._compiled.append(compile_term(self.term, count))
         return int(self._compiled[0].address)
+
+
+def reads_time(term: Term) -> bool:
+    """Whether a term f(x, v, u, t, *parameters) makes use of t: a valve at rest is then watched more closely."""
+    code = getattr(term, "__code__", None)
+    return code is None or any(step.argval == code.co_varnames[3] for step in dis.get_instructions(code))
 
 
 def compile_term(term: Term, count: int) -> Any:
