@@ -11,9 +11,11 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from valve_sim.demo import NANOSECONDS, DemoError, ModelClock, Story, ValveProcess, comparison
+from valve_sim.demo.model_time import NANOSECONDS, ModelTime
+from valve_sim.demo.process import DemoError, ValveProcess
+from valve_sim.demo.story import Story, comparison
 from valve_sim.model import Phase
-from valve_sim.traces import SensorEvent, Stroke, StrokeEvents, events_from_sensors, read_trace
+from valve_sim.traces import SensorEvent, Stroke, StrokeEvents, describe, events_from_sensors, read_trace
 
 needs_ros = pytest.mark.skipif(
     importlib.util.find_spec("rclpy") is None, reason="there is no ROS 2 here: rclpy cannot be imported"
@@ -31,8 +33,8 @@ def plain(renderable: object) -> str:
 # --- the clock ---
 
 
-def test_model_clock_goes_by_the_least_delayed_stamp():
-    clock = ModelClock(0.02)
+def test_model_time_goes_by_the_least_delayed_stamp():
+    clock = ModelTime(0.02)
     delays = [900_000, 150_000, 700_000, 2_000_000]  # ns on the wall's clock
     for step, delay in enumerate(delays):
         clock.observe(5 * NANOSECONDS + step * 20_000, step * 1_000_000 + delay)
@@ -41,11 +43,22 @@ def test_model_clock_goes_by_the_least_delayed_stamp():
     assert clock.latest == 5 * NANOSECONDS + 60_000
 
 
-def test_model_clock_says_when_it_knows_nothing():
-    clock = ModelClock(1.0)
+def test_model_time_says_when_it_knows_nothing():
+    clock = ModelTime(1.0)
     assert not clock.is_set
+    assert clock.stamp_of(0) is None
     with pytest.raises(RuntimeError):
         clock.at(0)
+
+
+def test_what_has_no_stamp_has_that_of_its_step():
+    clock = ModelTime(0.02)
+    for step in range(3):
+        clock.observe(step * 20_000, 1_000_000 * step)
+    assert clock.stamp_of(1_000_050) == 20_000  # 50 µs after the joint states of its step
+    assert clock.stamp_of(1_999_999) == 20_000
+    assert clock.stamp_of(-5) == 0  # latched, from before the first step that was heard
+    assert clock.stamp_of(2_000_050) is None  # the next step could still be published before it
 
 
 # --- the story ---
@@ -89,7 +102,7 @@ def test_story_is_silent_about_what_is_no_news():
 def test_live_table_shows_where_the_plungers_are():
     story = opened()
     story.phase(1.001, Phase.PILOT)
-    story.current(0.9)
+    story.current(1.001, 0.9)
     story.joint_states(1.002, (0.615e-3, 0.355e-3), 0.2, 7.0)
     text = plain(story.table(1.23e-3))
     assert text.splitlines()[0].count("█") == 20  # half of 41, rounded to even
@@ -106,6 +119,27 @@ def test_first_stroke_begins_with_its_command():
     assert drive.times.tolist() == pytest.approx([0.0, 0.03])
     assert response.time[0] == pytest.approx(-5e-3, abs=1.1e-3)
     assert response.time[-1] == pytest.approx(0.06, abs=1.1e-3)
+
+
+def test_the_picture_has_phase_and_current_where_they_belong():
+    story = opened()
+    # Heard in this order: on a busy machine the joint states come last.
+    story.phase(1.0053, Phase.MAIN)
+    story.current(1.002, 0.25)
+    story.current(1.004, 0.5)
+    story.command(1.03, 0.0)
+    for step in range(10):
+        story.joint_states(1.0 + 1e-3 * step, (0.0, 0.0), 0.0, 0.0)
+    response, _ = story.first_stroke()
+    assert response.phase.tolist() == [Phase.CLOSED] * 6 + [Phase.MAIN] * 4
+    assert response.coil_current.tolist() == [0.0] * 2 + [0.25] * 2 + [0.5] * 6
+
+
+def test_a_line_counts_from_the_command_before_it_even_if_it_is_heard_after_the_next():
+    story = opened()
+    story.command(1.03, 0.0)
+    line = story.phase(1.0001, Phase.PILOT)
+    assert line is not None and line.split("ms")[0].strip() == "0.10"
 
 
 # --- beside the paper ---
@@ -142,7 +176,7 @@ def test_a_node_that_dies_is_quoted(tmp_path: Path):
 
 
 def test_a_node_that_ignores_being_asked_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("valve_sim.demo.STOP_LIMIT", 0.2)
+    monkeypatch.setattr("valve_sim.demo.process.STOP_LIMIT", 0.2)
     script = (
         "import signal, time; signal.signal(signal.SIGINT, signal.SIG_IGN); print('up', flush=True); time.sleep(600)"
     )
@@ -191,6 +225,17 @@ def test_demonstration_shows_records_and_compares(tmp_path: Path):
         assert times["reaches_stop"] - times["pilot_reaches_main"] == pytest.approx(4.6e-3, abs=1e-5)
         assert 5.2e-3 < times["pilot_reaches_main"] < 7e-3
     assert f"{1e3 * openings[0].events[0].after_command:.3f}" in output
+    told = [float(line.split("ms")[0]) for line in output.splitlines() if "takes the main" in line or ": open" in line]
+    recorded = [1e3 * event.after_command for found in openings for event in found.events]
+    # A phase is told at the first of its samples, which are 0.02 ms apart.
+    assert told == pytest.approx(recorded, abs=0.03)
+    assert trace.coil_current is not None
+    rate = describe(trace).signals["coil_current"]
+    assert (rate.rate, rate.in_bursts) == (pytest.approx(50_000, rel=0.05), False)
+    (following,) = (line.removeprefix("next: ") for line in output.splitlines() if line.startswith("next: "))
+    shown = subprocess.run(["bash", "-c", following], capture_output=True, text=True, timeout=PATIENCE, check=False)
+    assert (shown.returncode, shown.stderr) == (0, "")
+    assert "50000 Hz" in shown.stdout
 
 
 @needs_ros
