@@ -18,6 +18,7 @@ from click.testing import CliRunner, Result
 from valve_sim import __version__
 from valve_sim.cli import main
 from valve_sim.files.parameter_files import default_valve, load_valve, save_valve
+from valve_sim.invocation import invocation
 from valve_sim.traces import CSV_COLUMNS, read_trace
 
 STROKES = "time,volts\n0.010,9.0\n0.040,0.0\n0.070,12.0\n0.100,0.0\n"
@@ -66,13 +67,14 @@ def more_damped(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_help_of_every_command_teaches_by_example(command: str):
-    assert f"\n    valve-sim {command} " in run_well(command, "--help").output
+    assert f"\n    {invocation()} {command} " in run_well(command, "--help").output
 
 
 def test_help_lists_every_command_and_keeps_examples_as_they_stand():
     output = run_well("--help").output
     assert all(f"\n  {command} " in output for command in COMMANDS)
-    assert "\n    valve-sim info strokes.mcap\n    valve-sim identify strokes.mcap" in output
+    program = invocation()
+    assert f"\n    {program} info strokes.mcap\n    {program} identify strokes.mcap" in output
     assert "recordings." in output.splitlines()[-1]  # a summary that fits is not cut off
 
 

@@ -11,6 +11,7 @@ import inspect
 import json
 import math
 import os
+import re
 import shlex
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -21,6 +22,7 @@ from typing import TYPE_CHECKING, Any, Final, NoReturn
 import click
 
 from valve_sim import __version__
+from valve_sim.invocation import invocation
 
 if TYPE_CHECKING:
     from valve_sim.model import Valve
@@ -34,6 +36,8 @@ Progress = Callable[[str, float], None]
 OUTSIDE: Final = 1
 UNUSABLE: Final = 2
 STOPPED: Final = 130
+COMPLETE_VAR: Final = "_VALVE_SIM_COMPLETE"
+"""What a shell sets to ask for completions; however the program is called, it is the same for the scripts that ship."""
 _FILE: Final = click.Path(path_type=Path)
 
 
@@ -42,6 +46,10 @@ class Command(click.Command):
 
     def __init__(self, *arguments: Any, **settings: Any) -> None:
         super().__init__(*arguments, **{**settings, "help": _with_examples(settings.get("help"))})
+
+    def get_help(self, ctx: click.Context) -> str:
+        """The help, with examples that work in this terminal as they stand."""
+        return _as_typed(super().get_help(ctx))
 
 
 class CommandLine(click.Group):
@@ -52,9 +60,13 @@ class CommandLine(click.Group):
     def __init__(self, *arguments: Any, **settings: Any) -> None:
         super().__init__(*arguments, **{**settings, "help": _with_examples(settings.get("help"))})
 
+    def get_help(self, ctx: click.Context) -> str:
+        """The help, with examples that work in this terminal as they stand."""
+        return _as_typed(super().get_help(ctx))
+
     def main(self, *arguments: Any, **settings: Any) -> Any:
         """Run the command line and exit."""
-        settings["standalone_mode"] = False
+        settings = {"prog_name": invocation(), "complete_var": COMPLETE_VAR, **settings, "standalone_mode": False}
         try:
             code = super().main(*arguments, **settings)
             sys.stdout.flush()
@@ -83,6 +95,11 @@ def _with_examples(text: str | None) -> str | None:
         return None
     paragraphs = inspect.cleandoc(text).split("\n\n")
     return "\n\n".join(f"\b\n{words}" if "\n  " in f"\n{words}" else words for words in paragraphs)
+
+
+def _as_typed(text: str) -> str:
+    """Help in which the program of the examples is typed as it must be here, .venv/bin/valve-sim say."""
+    return re.sub(r"^( +)valve-sim(?= )", lambda found: f"{found[1]}{invocation()}", text, flags=re.MULTILINE)
 
 
 def _number(lowest: float = -math.inf, *, is_open: bool = False) -> Callable[[str], float]:
@@ -329,7 +346,7 @@ def diagnose(
       valve-sim diagnose --events config/paper_events.yaml --output results
     """
     if (events is None) == (not bags):
-        _refuse("diagnose takes either BAG... or --events FILE; see valve-sim diagnose --help")
+        raise click.UsageError("diagnose takes either BAG... or --events FILE", click.get_current_context())
     if events is not None:
         _diagnose_events(events, output, as_json)
         return
