@@ -72,6 +72,7 @@ setup(
     extras_require={"ros": ROS_JAZZY, "ros-kilted": ROS_KILTED, "test": CHECKS},
     entry_points={
         "console_scripts": [
+            "command_profile = valve_sim.nodes.command_profile:main",
             "identification_node = valve_sim.nodes.identification_node:main",
             "monitor_node = valve_sim.nodes.monitor_node:main",
             "valve_node = valve_sim.nodes.valve_node:main",

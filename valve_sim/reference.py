@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.model import CATALOGUE
 from valve_sim.model.parameters import Parameter
-from valve_sim.nodes import monitor_parameters
+from valve_sim.nodes import monitor_parameters, profile_parameters
 from valve_sim.nodes.identification_parameters import DESCRIPTIONS, Settings
 from valve_sim.nodes.parameters import NodeParameter, table
 from valve_sim.traces.reading import CHANNELS, MEASURED
@@ -24,6 +24,7 @@ _NODES: Final = {
     "valve_node": "valve_shell.py",
     "identification_node": "identification_shell.py",
     "monitor_node": "monitor_shell.py",
+    "command_profile": "command_profile_shell.py",
 }
 _CALLS: Final = {"create_publisher": "out", "create_subscription": "in", "create_service": "service"}
 
@@ -112,6 +113,9 @@ def _node_parameters() -> Iterator[str]:
     yield "## monitor_node"
     yield "Beside these: `valve.` and `effects.` as for valve_node, for the valve that it declares."
     own, words = monitor_parameters.Settings()._asdict(), monitor_parameters.descriptions()
+    yield _table(("name", "default", "meaning"), [(f"`{name}`", _default(own[name]), words[name]) for name in own])
+    yield "## command_profile"
+    own, words = profile_parameters.Settings()._asdict(), profile_parameters.DESCRIPTIONS
     yield _table(("name", "default", "meaning"), [(f"`{name}`", _default(own[name]), words[name]) for name in own])
 
 

@@ -58,6 +58,7 @@ def write_profile(path: Path, telling: Recommendation | None, provenance: str) -
         "Rows are [time in s, volts]; each voltage holds until the next row. Highest: "
         f"{max(abs(drive.volts)):g} V; leave out what your coil or its driver must not get.",
         f"Simulate: valve-sim simulate --profile {path.name} --duration {duration_of(drive):.2f} --output next.mcap",
+        f"Command:  ros2 run valve_sim command_profile --ros-args -p profile:={path.name} -p valve:=/valve",
         "Then diagnose the new recording together with the old one: valve-sim diagnose OLD NEW --output results",
     ]
     rows = [

@@ -1,0 +1,144 @@
+"""command_profile before a real valve_node: all is commanded and written down; whatever happens, the coil ends off."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from .ros_process import PATIENCE, Probe, piped, running
+
+pytestmark = pytest.mark.ros
+pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
+
+import rclpy  # noqa: E402
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from sensor_msgs.msg import BatteryState  # noqa: E402
+from std_msgs.msg import Bool, Float64  # noqa: E402
+
+STROKES = "[[0.1, 9.0], [0.4, 0.0], [0.7, 12.0], [1.0, 0.0]]"
+ENDLESS = "[[0.1, 9.0], [900.0, 0.0]]"
+LATE = 0.1
+"""s: a busy machine's worst; on a quiet one it is 0.1 ms."""
+
+
+@pytest.fixture(scope="module")
+def valve(own_domain: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Probe]:
+    """A valve that runs."""
+    rclpy.init()
+    with running(tmp_path_factory.mktemp("valve"), ["--ros-args", "-p", "publish_rate:=100.0"]):
+        probe = Probe()
+        is_open = probe.hear("is_open", Bool, latched=True)
+        assert probe.until(lambda: is_open), "no valve"
+        yield probe
+        probe.close()
+    rclpy.try_shutdown()
+
+
+def commanding(
+    folder: Path, rows: str, **parameters: object
+) -> contextlib.AbstractContextManager[subprocess.Popen[str]]:
+    """command_profile while inside."""
+    (folder / "profile.yaml").write_text(rows)
+    given = {"profile": folder / "profile.yaml", "output": folder / "commanded.csv", **parameters}
+    return piped(folder, ("-m", "valve_sim.nodes.command_profile"), **given)
+
+
+def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
+    _, said = process.communicate(timeout=PATIENCE)
+    return process.returncode, said
+
+
+def stamps_of(heard: list[Any]) -> list[int]:
+    return [message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec for message in heard]
+
+
+def test_all_is_commanded_in_time_and_written_down(valve: Probe, tmp_path: Path) -> None:
+    volts, log = (
+        valve.hear("coil_voltage", Float64),
+        valve.hear("/command_profile/commanded", BatteryState, latched=True),
+    )
+    is_open = valve.hear("is_open", Bool)
+    with commanding(tmp_path, STROKES) as process:
+        assert valve.until(lambda: len(log) == 4 and len(volts) == 4), "not all was commanded"
+        code, said = ended(process)
+    assert code == 0, said
+    assert "ready: /valve/coil_voltage gets 4 commands in 1 s, 12 V at most" in said
+    assert "done: 4 commands" in said
+    assert [message.data for message in volts] == [9.0, 0.0, 12.0, 0.0]
+    assert [message.voltage for message in log] == [9.0, 0.0, 12.0, 0.0]
+    table = np.genfromtxt(tmp_path / "commanded.csv", delimiter=",", names=True, dtype=None)
+    assert table["stamp_ns"].tolist() == stamps_of(log)
+    assert table["time"] == pytest.approx([0.0, 0.3, 0.6, 0.9], abs=LATE)
+    # It is said anew with each phase, so False comes more than once in a row.
+    assert valve.until(lambda: sum(message.data for message in is_open) == 2 and not is_open[-1].data)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_switches_the_coil_off(valve: Probe, tmp_path: Path, number: signal.Signals) -> None:
+    volts = valve.hear("coil_voltage", Float64)
+    with commanding(tmp_path, ENDLESS) as process:
+        assert valve.until(lambda: volts), "nothing was commanded"
+        process.send_signal(number)
+        code, said = ended(process)
+        assert valve.until(lambda: len(volts) == 2)
+    assert code == 1
+    assert [message.data for message in volts] == [9.0, 0.0]
+    assert f"broken off after 1 of 2 commands: a signal came ({number.name})" in said
+    assert len((tmp_path / "commanded.csv").read_text().splitlines()) == 3
+
+
+def test_a_valve_that_goes_away_breaks_it_off_with_the_coil_off(valve: Probe, tmp_path: Path) -> None:
+    with running(tmp_path, ["--ros-args", "-r", "__node:=another", "-p", "publish_rate:=100.0"]) as node:
+        another = Probe("/another")
+        log = another.hear("/command_profile/commanded", BatteryState, latched=True)
+        with commanding(tmp_path, ENDLESS, valve="/another", patience=PATIENCE) as process:
+            assert another.until(lambda: log), "nothing was commanded"
+            node.process.send_signal(signal.SIGTERM)
+            code, said = ended(process)
+        assert another.until(lambda: len(log) == 2)
+        another.close()
+    assert code == 1
+    assert [message.voltage for message in log] == [9.0, 0.0]
+    assert "/another does not hear /another/coil_voltage any more" in said
+
+
+def test_who_only_listens_is_no_valve_nothing_is_commanded_and_no_file_left(valve: Probe, tmp_path: Path) -> None:
+    volts = valve.hear("/nobody/coil_voltage", Float64)
+    with commanding(tmp_path, STROKES, valve="/nobody", patience=2.0) as process:
+        assert not valve.until(lambda: process.poll() is None and volts, 4.0)
+        code, said = ended(process)
+    assert code == 1
+    assert "/nobody does not hear /nobody/coil_voltage after 2 s (/probe does); start it" in said
+    assert not volts
+    assert not (tmp_path / "commanded.csv").exists()
+
+
+def test_a_voltage_beyond_the_guard_commands_nothing(valve: Probe, tmp_path: Path) -> None:
+    volts = valve.hear("coil_voltage", Float64)
+    with commanding(tmp_path, STROKES, max_voltage=10.0) as process:
+        code, said = ended(process)
+    assert code == 2
+    lines = [line for line in said.splitlines() if line]
+    assert lines == [
+        f"command_profile: {tmp_path}/profile.yaml: found 12 V at 0.7 s, expected at most 10 V of either sign; lower "
+        "it, or raise max_voltage if coil and driver bear it"
+    ]
+    assert not volts
+
+
+def test_the_valve_holds_no_voltage_after_all_of_this(valve: Probe) -> None:
+    heard = valve.hear("/diagnostics", DiagnosticArray)
+
+    def voltages() -> list[str]:
+        statuses = [status for message in heard for status in message.status if status.name == "valve: command"]
+        return [pair.value for status in statuses for pair in status.values if pair.key == "voltage (V)"]
+
+    assert valve.until(voltages), "no diagnostics"
+    assert voltages()[0] == "0"

@@ -1,0 +1,211 @@
+"""The ROS side of command_profile: a profile of voltages wired to a valve's topic. The coil is off at every end of it.
+
+Threads: the main thread commands; another one answers ROS (parameters, /clock). SIGINT and SIGTERM only set a flag:
+a ROS context that they had shut down could not send 0 V any more.
+"""
+
+from __future__ import annotations
+
+import math
+import signal
+import threading
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from types import FrameType
+from typing import Final
+
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.duration import Duration
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.signals import uninstall_signal_handlers
+from sensor_msgs.msg import BatteryState
+from std_msgs.msg import Float64
+
+from valve_sim.files.parameter_files import Section
+from valve_sim.files.whole_files import write_whole
+from valve_sim.model import ValveError
+from valve_sim.nodes.parameters import sources_of
+from valve_sim.nodes.profile_parameters import DESCRIPTIONS, Settings, check_settings, checked_profile
+from valve_sim.nodes.profile_playing import Commanded, ProfileBrokenOffError, as_csv, play
+from valve_sim.nodes.realtime import NANOSECONDS
+from valve_sim.nodes.replay import LISTENERS_SECONDS
+from valve_sim.nodes.shell_parts import RELIABLE, declare_read_only, full_name, given_parameters
+from valve_sim.nodes.spinning import spin
+from valve_sim.nodes.valve_shell import NodeClock
+
+_LOOK_SECONDS: Final = 0.05
+_PROGRESS_SECONDS: Final = 5.0
+_HEARD_SECONDS: Final = 1
+"""How long the end waits for the valve to acknowledge 0 V."""
+
+
+class CommandProfileShell:
+    """The node `command_profile`.
+
+    Topics: out <valve>/coil_voltage; ~/commanded, what was commanded and when (header.stamp, voltage; all else NaN).
+    Parameters: `Settings`; they are read once, at the start.
+
+    Args:
+        sections: (file, section) of the parameter files on the command line.
+
+    Raises:
+        ValveError: a parameter or the profile cannot be used; nothing has been commanded then.
+    """
+
+    def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
+        self._node = Node("command_profile")
+        try:
+            self._settings = self._declare(sections)
+            self._drive = checked_profile(self._settings)
+            self._valve = full_name(self._node, self._settings.valve, "valve")
+            self._clock = NodeClock(self._node)
+            self._voltage = self._node.create_publisher(Float64, f"{self._valve}/coil_voltage", RELIABLE)
+            # A recorder that finds the topic late still hears the log from its beginning.
+            whole = QoSProfile(depth=len(self._drive.times) + 1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+            self._log = self._node.create_publisher(BatteryState, "~/commanded", whole)
+            self._is_watching = False
+            self._node.create_timer(_LOOK_SECONDS, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        except BaseException:
+            self._node.destroy_node()
+            raise
+        self._commanded: list[Commanded] = []
+        self._stop = ""
+        self._exit_code = 1
+        self._next_progress = math.inf
+        self._answering = threading.Thread(target=self._answer, name="answering", daemon=True)
+
+    @property
+    def exit_code(self) -> int:
+        """0 when the whole profile was commanded, 1 when not."""
+        return self._exit_code
+
+    def spin(self) -> None:
+        """Command the profile; whatever happens, 0 V is the last command."""
+        uninstall_signal_handlers()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._take_signal)
+        self._answering.start()
+        logger = self._node.get_logger()
+        try:
+            self._wait_for_valve()
+            rows, end = len(self._drive.times), self._drive.times[-1]
+            most = max(abs(self._drive.volts))
+            logger.info(
+                f"ready: {self._voltage.topic_name} gets {rows} commands in {end:g} s, {most:g} V at most, "
+                f"from {self._settings.profile}"
+            )
+            self._next_progress = time.monotonic() + _PROGRESS_SECONDS
+            play(self._drive, self._clock, self._command, lambda: self._stop, self._note)
+            self._exit_code = 0
+        except ProfileBrokenOffError as reason:
+            logger.error(f"broken off after {len(self._commanded)} of {len(self._drive.times)} commands: {reason}")
+        finally:
+            self._switch_off()
+            self._write()
+
+    def close(self) -> bool:
+        """Release everything; whether no thread is left behind."""
+        self._node.context.try_shutdown()
+        self._answering.join(_HEARD_SECONDS)
+        has_ended = not self._answering.is_alive()
+        if has_ended:
+            self._node.destroy_node()
+        return has_ended
+
+    def _declare(self, sections: Sequence[tuple[str, Section]]) -> Settings:
+        node, name = self._node, self._node.get_fully_qualified_name()
+        settings = check_settings(given_parameters(node, sections), sources_of(sections, name))
+        declare_read_only(node, settings._asdict(), DESCRIPTIONS)
+        return settings
+
+    def _take_signal(self, number: int, frame: FrameType | None) -> None:
+        self._stop = f"a signal came ({signal.Signals(number).name})"
+
+    def _answer(self) -> None:
+        try:
+            spin(self._node)
+        except ExternalShutdownException:
+            pass
+        except Exception as error:
+            self._stop = f"the node cannot go on: {error!r}"
+            raise
+
+    def _listeners(self) -> list[str]:
+        """Full names of the nodes that hear the commands: the valve, and whoever records them."""
+        found = self._node.get_subscriptions_info_by_topic(self._voltage.topic_name)
+        return [f"{entry.node_namespace.rstrip('/')}/{entry.node_name}" for entry in found]
+
+    def _wait_for_valve(self) -> None:
+        """Until the valve and all others that are known to listen are connected."""
+        end = time.monotonic() + self._settings.patience
+        while True:
+            listeners = self._listeners()
+            if self._valve in listeners and self._voltage.get_subscription_count() >= len(listeners):
+                break
+            if time.monotonic() > end:
+                others = f" ({', '.join(listeners)} does)" if listeners else ""
+                raise ProfileBrokenOffError(
+                    f"{self._valve} does not hear {self._voltage.topic_name} after {self._settings.patience:g} s"
+                    f"{others}; start it, or name the valve by -p valve:=/its/name"
+                )
+            self._pause(_LOOK_SECONDS)
+        # They must have found this node, too, which nothing here can tell.
+        self._pause(LISTENERS_SECONDS)
+        self._is_watching = True
+
+    def _pause(self, seconds: float) -> None:
+        end = time.monotonic() + seconds
+        while (remaining := end - time.monotonic()) > 0.0:
+            if self._stop:
+                raise ProfileBrokenOffError(self._stop)
+            time.sleep(min(remaining, _LOOK_SECONDS))
+
+    def _look(self) -> None:
+        """Whether the valve is still there; in the answering thread, because to ask takes a while."""
+        if self._is_watching and not self._stop and self._valve not in self._listeners():
+            self._stop = f"{self._valve} does not hear {self._voltage.topic_name} any more"
+
+    def _command(self, volts: float) -> int:
+        stamp = self._clock.stamp()
+        self._voltage.publish(Float64(data=volts))
+        unknown = {name: math.nan for name in ("current", "temperature", "charge", "capacity", "percentage")}
+        message = BatteryState(voltage=volts, design_capacity=math.nan, **unknown)
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, NANOSECONDS)
+        self._log.publish(message)
+        return stamp
+
+    def _note(self, commanded: Commanded) -> None:
+        self._commanded.append(commanded)
+        if time.monotonic() > self._next_progress:
+            self._next_progress = time.monotonic() + _PROGRESS_SECONDS
+            left = self._drive.times[-1] - self._drive.times[len(self._commanded) - 1]
+            self._node.get_logger().info(
+                f"{len(self._commanded)} of {len(self._drive.times)} commands, {left:.1f} s left"
+            )
+
+    def _switch_off(self) -> None:
+        """0 V, and wait until it is heard: a process that ends at once takes its unsent messages along."""
+        if not self._commanded:
+            return
+        if self._commanded[-1].volts != 0.0:
+            self._commanded.append(Commanded(self._command(0.0), 0.0, 0.0))
+        self._voltage.wait_for_all_acked(Duration(seconds=_HEARD_SECONDS))
+
+    def _write(self) -> None:
+        if not self._commanded:
+            return
+        path = Path(self._settings.output).expanduser()
+        logger = self._node.get_logger()
+        try:
+            write_whole(path, as_csv(self._commanded))
+        except ValveError as error:
+            self._exit_code = 1
+            logger.error(str(error))
+            return
+        latest = max(entry.lateness for entry in self._commanded)
+        words = "done" if self._exit_code == 0 else "the coil is off"
+        logger.info(f"{words}: {len(self._commanded)} commands, the latest {1e3 * latest:.2f} ms late; wrote {path}")
