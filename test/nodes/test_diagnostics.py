@@ -17,7 +17,7 @@ from valve_sim.nodes.diagnostics import (
 )
 from valve_sim.nodes.realtime import Timing
 
-GOOD = Timing(999.0, 1e-4, 2, 0, 0)
+GOOD = Timing(999.0, 1e-4, 2, 0, 0, 999, 2)
 
 
 @pytest.mark.parametrize(
@@ -29,6 +29,7 @@ GOOD = Timing(999.0, 1e-4, 2, 0, 0)
         (GOOD._replace(lost=9, lost_now=3), "", Level.WARN, "3 samples were not published, for lack of time"),
         (GOOD._replace(lost=9), "", Level.OK, "keeps pace"),
         (GOOD, "/clock", Level.WARN, "waiting for /clock"),
+        (GOOD._replace(overruns_now=99), "", Level.OK, "keeps pace"),
     ],
 )
 def test_timing(timing: Timing, waiting_for: str, level: Level, message: str) -> None:
@@ -39,7 +40,15 @@ def test_timing(timing: Timing, waiting_for: str, level: Level, message: str) ->
     assert status.values["lost steps"] == str(timing.lost)
 
 
-def test_rejected_commands_are_a_warning_once_and_counted_for_ever() -> None:
+@pytest.mark.parametrize("late", [GOOD._replace(overruns=9280, overruns_now=300), GOOD._replace(lateness=0.0204)])
+def test_late_samples_are_a_warning_that_says_how_late(late: Timing) -> None:
+    status = timing_status(late, 1000.0, "")
+    assert status.level is Level.WARN
+    assert f"{late.overruns_now} of 999 samples came more than a period late" in status.message
+    assert f"{late.lateness * 1e3:.1f} ms" in status.message
+
+
+def test_rejected_commands_are_a_warning_until_a_good_one_comes_and_counted_for_ever() -> None:
     count = CommandCount()
     assert command_status(count.look(0, None, 0.0, False)).message == "none yet"
     count.reject(math.nan)
@@ -50,6 +59,12 @@ def test_rejected_commands_are_a_warning_once_and_counted_for_ever() -> None:
     assert status.values["rejected"] == "2"
     assert status.values["age (s)"] == "2.000"
     status = command_status(count.look(4_000_000_000, 1_000_000_000, 9.0, False))
+    assert (status.level, status.message) == (
+        Level.WARN,
+        "the last, of 99 V, was rejected; the last good one stays",
+    )
+    count.accept()
+    status = command_status(count.look(5_000_000_000, 5_000_000_000, 9.0, False))
     assert (status.level, status.message, status.values["rejected"]) == (Level.OK, "accepted", "2")
 
 

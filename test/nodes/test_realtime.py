@@ -80,7 +80,8 @@ def test_timing_counts_rate_lateness_overruns_and_losses() -> None:
     assert timing.rate == 1000.0
     assert timing.lateness == 2e-3
     assert (timing.overruns, timing.lost, timing.lost_now) == (10, 7, 7)
-    assert record.look(2 * SECOND)[2:] == (10, 7, 0)
+    assert (timing.steps_now, timing.overruns_now) == (1000, 10)
+    assert record.look(2 * SECOND)[2:] == (10, 7, 0, 0, 0)
 
 
 def test_letters_are_delivered_in_order_when_their_time_has_come() -> None:

@@ -110,7 +110,15 @@ def test_who_comes_late_still_learns_phase_and_is_open(rested: Probe) -> None:
     assert (phases[0].data, is_open[0].data) == (0, False)
 
 
-def test_bad_commands_are_ignored_counted_and_reported(rested: Probe) -> None:
+def test_it_says_in_one_line_that_it_is_ready_and_under_which_names(valve: NodeProcess, rested: Probe) -> None:
+    assert rested.until(lambda: "ready: " in valve.output)
+    (line,) = (line for line in valve.output.splitlines() if "ready: " in line)
+    for words in ("/valve/coil_voltage (V, ±30 at most)", "/valve/joint_states", "/valve/coil_current at 1000 Hz"):
+        assert words in line
+    assert "/valve/phase and /valve/is_open on change" in line
+
+
+def test_bad_commands_are_ignored_counted_and_reported(valve: NodeProcess, rested: Probe) -> None:
     heard, phases = rested.hear("/diagnostics", DiagnosticArray), rested.hear("phase", UInt8, latched=True)
     command = commander(rested)
     assert rested.until(lambda: diagnostics(heard, "command"))
@@ -122,6 +130,16 @@ def test_bad_commands_are_ignored_counted_and_reported(rested: Probe) -> None:
     assert rested.until(lambda: int(diagnostics(heard, "command")["rejected"]) == before + 3)
     assert diagnostics(heard, "command")["voltage (V)"] == "9"
     assert phases[-1].data == 4
+    lines = [line for line in valve.output.splitlines() if "/valve/coil_voltage: " in line and "is ignored" in line]
+    assert len(lines) == 1, "one line for what comes at once"
+    assert "expected a number within ±30 V (parameter max_voltage)" in lines[0]
+    command.publish(Float64(data=100.0))
+    assert rested.until(lambda: int(diagnostics(heard, "command")["rejected"]) == before + 4)
+    seen = len(heard)
+    assert rested.until(lambda: len(heard) >= seen + 2)
+    assert diagnostics(heard, "command")["level"] == b"\x01", "a warning as long as no good command has come"
+    command.publish(Float64(data=9.0))
+    assert rested.until(lambda: diagnostics(heard, "command")["level"] == b"\x00")
 
 
 def test_diagnostics_come_each_second_and_say_all(rested: Probe) -> None:

@@ -11,6 +11,10 @@ from valve_sim.nodes.realtime import NANOSECONDS, Timing
 
 SLOWEST_ACCEPTED: Final = 0.95
 """Rate reached over rate wanted below which timing is a warning."""
+MOST_OVERRUNS: Final = 0.1
+"""Share of a second's steps that may begin more than a period late before timing is a warning."""
+LONGEST_LATENESS: Final = 0.01
+"""s by which 99 of 100 steps may be late before timing is a warning, however slow the rate."""
 
 
 class Level(enum.IntEnum):
@@ -39,6 +43,7 @@ class CommandFacts(NamedTuple):
         volts: in force.
         rejected: how many, in all, were not finite or beyond max_voltage.
         rejected_now: those of them since the last look.
+        is_last_rejected: whether no good one has come since the last rejected one.
         last_rejected: the last of them, V.
         timed_out: whether the coil was de-energised for lack of commands.
         deaf_to: how many publishers cannot be heard for their QoS.
@@ -48,6 +53,7 @@ class CommandFacts(NamedTuple):
     volts: float
     rejected: int
     rejected_now: int
+    is_last_rejected: bool
     last_rejected: float
     timed_out: bool
     deaf_to: int
@@ -75,6 +81,7 @@ def timing_status(timing: Timing, rate_wanted: float, waiting_for: str) -> Statu
         "rate reached (Hz)": _number(timing.rate, ".1f"),
         "lateness p99 (ms)": _number(timing.lateness * 1e3, ".3f"),
         "overruns": str(timing.overruns),
+        "overruns in the last second": str(timing.overruns_now),
         "lost steps": str(timing.lost),
     }
     if waiting_for:
@@ -83,6 +90,12 @@ def timing_status(timing: Timing, rate_wanted: float, waiting_for: str) -> Statu
         return Status("timing", Level.WARN, f"{timing.lost_now} samples were not published, for lack of time", values)
     if timing.rate < SLOWEST_ACCEPTED * rate_wanted:
         return Status("timing", Level.WARN, "slower than publish_rate", values)
+    if timing.overruns_now > MOST_OVERRUNS * timing.steps_now or timing.lateness > LONGEST_LATENESS:
+        message = (
+            f"{timing.overruns_now} of {timing.steps_now} samples came more than a period late, 1 in 100 by more than "
+            f"{timing.lateness * 1e3:.1f} ms: this machine is too busy for publish_rate"
+        )
+        return Status("timing", Level.WARN, message, values)
     return Status("timing", Level.OK, "keeps pace", values)
 
 
@@ -97,6 +110,9 @@ def command_status(facts: CommandFacts) -> Status:
     }
     if facts.rejected_now:
         message = f"{facts.rejected_now} rejected, the last of {facts.last_rejected:g} V; the last good one stays"
+        return Status("command", Level.WARN, message, values)
+    if facts.is_last_rejected:
+        message = f"the last, of {facts.last_rejected:g} V, was rejected; the last good one stays"
         return Status("command", Level.WARN, message, values)
     if facts.timed_out:
         return Status("command", Level.WARN, "none for longer than command_timeout: coil de-energised", values)
@@ -128,17 +144,32 @@ class CommandCount:
         self.last_rejected = math.nan
         self.deaf_to = 0
         self._before = 0
+        self._is_last_rejected = False
+
+    def accept(self) -> None:
+        """One that is obeyed."""
+        self._is_last_rejected = False
 
     def reject(self, volts: float) -> None:
         """One more that is ignored."""
         self.rejected += 1
         self.last_rejected = volts
+        self._is_last_rejected = True
 
     def look(self, now: int, last_command: int | None, volts: float, timed_out: bool) -> CommandFacts:
         """What is known now; `now` and `last_command` in ns of the node's clock."""
         since, self._before = self.rejected - self._before, self.rejected
         age = math.nan if last_command is None else (now - last_command) / NANOSECONDS
-        return CommandFacts(age, volts, self.rejected, since, self.last_rejected, timed_out, self.deaf_to)
+        return CommandFacts(
+            age,
+            volts,
+            self.rejected,
+            since,
+            self._is_last_rejected,
+            self.last_rejected,
+            timed_out,
+            self.deaf_to,
+        )
 
 
 def _number(value: float, form: str) -> str:

@@ -73,6 +73,7 @@ class Timing(NamedTuple):
         overruns: steps, in all, that began more than a period late.
         lost: steps, in all, that were given up.
         lost_now: those of them since the last look.
+        steps_now, overruns_now: steps since the last look, and those of them that began more than a period late.
     """
 
     rate: float
@@ -80,6 +81,8 @@ class Timing(NamedTuple):
     overruns: int
     lost: int
     lost_now: int
+    steps_now: int = 0
+    overruns_now: int = 0
 
 
 class TimingRecord:
@@ -89,6 +92,7 @@ class TimingRecord:
         self._late: list[int] = []
         self._looked_at: int | None = None
         self._overruns = 0
+        self._overruns_before = 0
         self._lost = 0
         self._lost_before = 0
 
@@ -108,9 +112,11 @@ class TimingRecord:
         elapsed = 0 if self._looked_at is None else now - self._looked_at
         self._looked_at = now
         lost_now, self._lost_before = self._lost - self._lost_before, self._lost
+        overruns = self._overruns
+        overruns_now, self._overruns_before = overruns - self._overruns_before, overruns
         rate = len(late) * NANOSECONDS / elapsed if elapsed > 0 else math.nan
         lateness = late[min(len(late) - 1, int(0.99 * len(late)))] / NANOSECONDS if late else math.nan
-        return Timing(rate, lateness, self._overruns, self._lost, lost_now)
+        return Timing(rate, lateness, overruns, self._lost, lost_now, len(late), overruns_now)
 
 
 class ClockReading(NamedTuple):

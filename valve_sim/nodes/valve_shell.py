@@ -29,7 +29,7 @@ from std_srvs.srv import Trigger
 
 from valve_sim.files.parameter_files import Section, default_valve
 from valve_sim.model import ParameterError, Stepper, Valve
-from valve_sim.nodes.diagnostics import CommandCount, ValveFacts, command_status, timing_status, valve_status
+from valve_sim.nodes.diagnostics import CommandCount, Level, ValveFacts, command_status, timing_status, valve_status
 from valve_sim.nodes.live_valve import LiveValve, Step, self_test
 from valve_sim.nodes.messages import (
     ReadingMessages,
@@ -57,6 +57,8 @@ from valve_sim.nodes.spinning import spin
 _LONGEST_SLEEP: Final = 0.05
 _STOP_SECONDS: Final = 0.4
 _PATIENCE_SECONDS: Final = 1.5
+_BETWEEN_WARNINGS: Final = 5.0
+"""s between lines of the log about the same trouble: it may come a thousand times a second."""
 _SWITCH_INTERVAL: Final = 2e-5
 """How long a callback in Python may keep the stepper waiting for the interpreter, s; Python's own is 5 ms.
 
@@ -190,7 +192,9 @@ class ValveShell:
         self._is_open = node.create_publisher(Bool, "~/is_open", LATCHED)
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
         events = SubscriptionEventCallbacks(incompatible_qos=self._cannot_hear)
-        node.create_subscription(Float64, "~/coil_voltage", self._take_command, RELIABLE, event_callbacks=events)
+        self._voltage = node.create_subscription(
+            Float64, "~/coil_voltage", self._take_command, RELIABLE, event_callbacks=events
+        )
         node.create_service(Trigger, "~/reset", self._reset)
         node.create_service(Trigger, "~/self_test", self._self_test)
         # By the wall: diagnostics must tell, too, that /clock is silent.
@@ -211,6 +215,17 @@ class ValveShell:
         # What is loaded now stays: searching it for garbage would hold the stepper up for tens of milliseconds.
         gc.freeze()
         self._is_ready = True
+        self._say_ready()
+
+    def _say_ready(self) -> None:
+        """One line that says what can be used from now on, and under which names."""
+        waits = "; waits for /clock, as use_sim_time is true" if self._clock.read() is None else ""
+        limit, rate = self._settings.max_voltage, self._settings.publish_rate
+        self._node.get_logger().info(
+            f"ready: obeys {self._voltage.topic_name} (V, ±{limit:g} at most), publishes "
+            f"{self._joint_states.topic_name} and {self._coil_current.topic_name} at {rate:g} Hz, "
+            f"{self._phase.topic_name} and {self._is_open.topic_name} on change{waits}"
+        )
 
     def _restart(self, restart: Restart) -> None:
         stamp = self._clock.stamp()
@@ -249,19 +264,28 @@ class ValveShell:
         return 0 if reading is None else reading.nanoseconds
 
     def _take_command(self, message: Float64) -> None:
-        if not self._live.command(self._now(), message.data):
-            self._commands.reject(message.data)
+        if self._live.command(self._now(), message.data):
+            self._commands.accept()
+            return
+        self._commands.reject(message.data)
+        limit = self._settings.max_voltage
+        self._node.get_logger().warning(
+            f"{self._voltage.topic_name}: {message.data:g} V is ignored, expected a number within ±{limit:g} V "
+            "(parameter max_voltage); the last good command stays",
+            throttle_duration_sec=_BETWEEN_WARNINGS,
+        )
 
     def _cannot_hear(self, event: QoSRequestedIncompatibleQoSInfo) -> None:
         self._commands.deaf_to = event.total_count
         policy = qos_policy_name_from_kind(event.last_policy_kind)
         self._node.get_logger().warning(
-            f"{self._node.get_fully_qualified_name()}/coil_voltage: a publisher offers an incompatible QoS ({policy}) "
+            f"{self._voltage.topic_name}: a publisher offers an incompatible QoS ({policy}) "
             "and cannot be heard; publish reliable, as this topic asks"
         )
 
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._live.reset(self._now())
+        self._commands.accept()
         self._failure = ""
         response.success = True
         response.message = "the valve rests closed, without current; the last command no longer holds"
@@ -280,8 +304,11 @@ class ValveShell:
         if self._is_ready and self._clock.read() is None:
             waiting_for = "/clock (use_sim_time is true)"
         live = self._live
+        timing = timing_status(self._worker.timing.look(now), self._settings.publish_rate, waiting_for)
+        if self._is_ready and timing.level is Level.WARN:
+            self._node.get_logger().warning(timing.message, throttle_duration_sec=_BETWEEN_WARNINGS)
         statuses = (
-            timing_status(self._worker.timing.look(now), self._settings.publish_rate, waiting_for),
+            timing,
             command_status(self._commands.look(now, live.last_command, live.volts, live.timed_out)),
             valve_status(ValveFacts(live.phase, live.strokes, live.failures, self._failure, self._namesakes.look())),
         )
