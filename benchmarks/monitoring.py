@@ -105,7 +105,7 @@ def growth(seed: int, jitter: float, force: float, *, trace: bool) -> Growth:
         evidence = monitor.judge.take_evidence() if trace else []
         if evidence and monitor.judge.healthy is not None:
             begin = time.perf_counter()
-            found = trace_cause(evidence, monitor.judge.healthy)
+            found = trace_cause(evidence, monitor.judge.timed())
             longest = max(longest, time.perf_counter() - begin)
             names, named = found.effects, report.record.number - reached
     return Growth(alarmed, names, named, longest)

@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.monitoring import ALARM_FORCE, COMMISSIONING, GROWING, STAYING, STROKE_SECONDS, say, valve_of
-from valve_sim.identification.watching import MonitorSettings
+from valve_sim.identification.monitor_settings import MonitorSettings
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "test"))
 from identification.live_strokes import LiveValve

@@ -71,6 +71,10 @@ class Sums:
         self._sums.update({f"{name} −": _Sum() for name in names if name not in one_sided})
         self.threshold = max(MOST, threshold_for(run * len(self._sums), 0.5 * CHANGE))
 
+    def __contains__(self, name: str) -> bool:
+        """Whether a score of this name is watched."""
+        return name in self._sums
+
     @property
     def largest(self) -> tuple[str, float]:
         """The highest sum, and its name; of several, the one that would be highest if no score were cut."""

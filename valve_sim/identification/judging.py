@@ -5,7 +5,9 @@ sensor's noise are fitted to them all together, and held from then on. `stroke_s
 that, `alarm` how many deviations in a row are too many. Scores are standard normal by theory where the commissioning
 strokes do not contradict it; where they do, because the declared form is not the valve's, they are counted from the
 mean and spread of those strokes (as Student's t): what is watched is then whether the valve changes, and `Judge` says
-so. An effect with a memory beyond one stroke, such as coil heating, begins anew with each stroke here.
+so. Where commands' times scatter more than while commissioning, strokes are scored with as much allowed, and beyond a
+tenth of the opening time nothing is said of delays at all. An effect with a memory beyond one stroke, such as coil
+heating, begins anew with each stroke here.
 """
 
 from __future__ import annotations
@@ -13,24 +15,36 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from scipy.special import ndtri, stdtr
 
 from valve_sim.identification.alarm import Alarm, Sums
+from valve_sim.identification.command_timing import (
+    PLAINLY_WIDER,
+    UNTIMED,
+    CommandScatter,
+    TimedStroke,
+    allowed_for,
+    allowed_scatters,
+)
 from valve_sim.identification.fitting import Interval
+from valve_sim.identification.monitor_settings import MonitorSettings
+from valve_sim.identification.plant import Array
 from valve_sim.identification.stroke_scores import (
+    DELAYS,
     SIZE,
     Healthy,
     Scored,
     commission,
     crossing,
+    late_by,
     refitted,
     score_stroke,
 )
-from valve_sim.identification.watching import FEWEST_SAMPLES, MonitorSettings, StrokeRecord
+from valve_sim.identification.watching import FEWEST_SAMPLES, StrokeRecord
 from valve_sim.model import Drive, EventKind, SimulationError, Valve, simulate
 from valve_sim.traces import Trace, events_from_sensors
 
@@ -40,12 +54,20 @@ TOO_SPREAD: Final = 1.7
 """Standard deviation of twenty standard normal scores, beyond what one set in 10,000 has."""
 TRACED_FROM: Final = 6
 """Strokes of an alarm with which its cause is first looked for."""
+LEAST_SPREAD: Final = 1.0
+"""Standard deviation of a score under noise alone. Where the sensor is less noisy than declared, scores spread by less,
+and by nothing but rounding where it is simulated; what they then differ by is no change of the valve."""
+LONGEST_OPENING: Final = 0.1
+"""s: a valve that takes longer is taken to open in this time."""
 SCORED_MOST: Final = 8.0
 """Standard deviations: the most that a score says."""
 FEWEST_TO_LEARN: Final = 8
 """Commissioning strokes that show a direction, from which its mean and spread are learned."""
 FORGETS: Final = 20
 """Judged strokes without a further alarm, after which one is over."""
+WATCHING: Final = "watching"
+UNCERTAIN: Final = "timing too uncertain to judge"
+"""State of a stroke of which its shape alone was held against the model: samples carry stamps, commands do not."""
 
 
 class StrokeReport(NamedTuple):
@@ -58,7 +80,8 @@ class StrokeReport(NamedTuple):
         rms: m, of what the model leaves; nan where it was not held against it.
         noise: m, of the sensor; nan before commissioning. damping: refitted to this stroke alone, or empty.
         scores: standard normal while healthy, by direction; empty where the stroke was not judged.
-        state: "commissioning", "watching" or "not judged". remark: why, where it was not.
+        state: "commissioning", "watching", "timing too uncertain to judge" or "not judged". remark: why it was not.
+        command_scatter: s, standard deviation that its commands' times were allowed; nan before commissioning.
         alarm: raised by this stroke. cause, sum: of the highest sum; threshold: at which the alarm is raised.
     """
 
@@ -74,6 +97,7 @@ class StrokeReport(NamedTuple):
     scores: Mapping[str, float]
     state: str
     remark: str
+    command_scatter: float
     alarm: Alarm | None
     cause: str
     sum: float
@@ -98,6 +122,7 @@ class StrokeReport(NamedTuple):
             "closing_time": _number(self.closing_time),
             "residual_rms_um": _number(1e6 * self.rms),
             "noise_um": _number(1e6 * self.noise),
+            "command_scatter": _number(self.command_scatter),
             "damping": {name: interval.to_json() for name, interval in self.damping.items()},
             "scores": dict(loudest),
             "alarm": {
@@ -120,10 +145,12 @@ class Judge:
     def __init__(self, valve: Valve, settings: MonitorSettings) -> None:
         self._declared = valve
         self._settings = settings
-        self._first: list[Trace] = []
-        self._baseline: dict[str, _Baseline] = {}
+        self._first: list[StrokeRecord] = []
+        self._levels: tuple[float, ...] = ()
+        self._baselines: dict[float, dict[str, _Baseline]] = {}
+        self._scatter: CommandScatter | None = None
         self._sums: Sums | None = None
-        self._recent: deque[tuple[int, Trace]] = deque(maxlen=settings.diagnosis_strokes)
+        self._recent: deque[_Judged] = deque(maxlen=settings.diagnosis_strokes)
         self._loudest, self._sum, self._threshold = "", math.nan, math.nan
         self._last_raised = -math.inf
         self._judged = 0
@@ -142,12 +169,43 @@ class Judge:
     @property
     def contradictions(self) -> tuple[str, ...]:
         """Directions in which the healthy valve differs from the declared form: empty if that explains it."""
-        return tuple(name for name, baseline in self._baseline.items() if baseline.is_learned and name != SIZE)
+        if not self._levels:
+            return ()
+        baselines = self._baselines[self._levels[0]]
+        return tuple(name for name, baseline in baselines.items() if baseline.is_learned and name != SIZE)
+
+    @property
+    def command_scatter(self) -> float:
+        """s, standard deviation that commands' times are allowed now; nan before commissioning."""
+        return math.nan if self._scatter is None else self._scatter.sigma
+
+    @property
+    def is_timing_uncertain(self) -> bool:
+        """Whether commands' times scatter too much to say anything of delays."""
+        return self._scatter is not None and allowed_for(self._scatter.sigma, self._levels) >= UNTIMED
+
+    def timed(self) -> Healthy:
+        """The valve as commissioned, with the scatter that commands have now, as a tracing wants it."""
+        assert self.healthy is not None
+        scatter = self._lasting
+        return self.healthy if scatter <= self.healthy.jitter else replace(self.healthy, scatter=scatter)
+
+    @property
+    def _lasting(self) -> float:
+        return math.nan if self._scatter is None else self._scatter.lasting
 
     def evidence(self) -> list[Trace]:
-        """The last strokes since the alarm began to rise, at most `diagnosis_strokes`."""
+        """The last strokes since the alarm began to rise, at most `diagnosis_strokes`.
+
+        Where commands scatter more than at commissioning, each is put where its stroke shows that it was obeyed.
+        """
         began = self.alarm.began if self.alarm is not None else 0
-        found = [trace for index, trace in self._recent if index >= began]
+        is_wider = self.healthy is not None and self._lasting > PLAINLY_WIDER * self.healthy.jitter
+        found = [
+            _as_obeyed(stroke.trace, stroke.shifts) if is_wider else stroke.trace
+            for stroke in self._recent
+            if stroke.number >= began
+        ]
         # The sum may have begun to rise, by chance, one stroke early.
         return found[1:] if len(found) > TRACED_FROM else found
 
@@ -177,41 +235,53 @@ class Judge:
             try:
                 if self.healthy is None:
                     state = "commissioning"
-                    self._commission(record.trace)
+                    self._commission(record)
                 else:
-                    state = "watching"
-                    scored = score_stroke(record.trace, self.healthy)
-                    scores = self._standard(scored.scores)
-                    alarm = self._add(record, scores)
+                    level = self._allowed(record)
+                    state = UNCERTAIN if level >= UNTIMED else WATCHING
+                    scored = score_stroke(record.trace, self.healthy, level)
+                    scores = self._standard(scored.scores, level)
+                    alarm = self._add(record, scored, scores)
             except (SimulationError, np.linalg.LinAlgError) as error:
                 state, remark = "not judged", f"the model could not be held against it: {error}"
         damping = self._refitted(record.trace) if refit and scored is not None else {}
         return self._report(record, scored, scores, alarm, state, remark, damping)
 
-    def _commission(self, trace: Trace) -> None:
-        self._first.append(trace)
+    def _commission(self, record: StrokeRecord) -> None:
+        self._first.append(record)
         if len(self._first) < self._settings.commissioning_strokes:
             return
-        try:
-            healthy = commission(self._first, self._declared, self._settings.noise)
-            table = [score_stroke(stroke, healthy).scores for stroke in self._first]
-        finally:
-            # What could not be commissioned with is not tried again with each stroke that follows.
-            strokes, self._first = len(self._first), []
-        names = tuple(dict.fromkeys(name for scores in table for name in scores))
-        self._baseline = {name: _Baseline.of(name, [s[name] for s in table if name in s]) for name in names}
-        self._sums = Sums(self._settings.strokes_between_false_alarms, names, strokes, one_sided=(SIZE,))
+        # What could not be commissioned with is not tried again with each stroke that follows.
+        records, self._first = self._first, []
+        traces = [stroke.trace for stroke in records]
+        healthy = commission(traces, self._declared, self._settings.noise)
+        levels = allowed_scatters(healthy.jitter, _opening_seconds(healthy.valve))
+        tables = {level: [score_stroke(trace, healthy, level).scores for trace in traces] for level in levels}
+        self._baselines = {level: _baselines(table) for level, table in tables.items()}
+        self._levels = levels
+        names = tuple(dict.fromkeys(name for baselines in self._baselines.values() for name in baselines))
+        self._sums = Sums(self._settings.strokes_between_false_alarms, names, len(records), one_sided=(SIZE,))
         self._threshold = self._sums.threshold
+        self._scatter = CommandScatter(healthy.jitter, [_timed(stroke, healthy) for stroke in records])
         self.healthy = healthy
 
-    def _standard(self, scores: Mapping[str, float]) -> dict[str, float]:
-        return {name: self._baseline[name].standard(score) for name, score in scores.items() if name in self._baseline}
+    def _allowed(self, record: StrokeRecord) -> float:
+        """The standard deviation that this stroke's commands are allowed, s."""
+        assert self.healthy is not None
+        assert self._scatter is not None
+        return allowed_for(self._scatter.add(_timed(record, self.healthy)), self._levels)
 
-    def _add(self, record: StrokeRecord, scores: Mapping[str, float]) -> Alarm | None:
+    def _standard(self, scores: Mapping[str, float], level: float) -> dict[str, float]:
+        baselines = self._baselines[level]
+        return {name: baselines[name].standard(score) for name, score in scores.items() if name in baselines}
+
+    def _add(self, record: StrokeRecord, scored: Scored, scores: Mapping[str, float]) -> Alarm | None:
         assert self._sums is not None
         self._judged += 1
-        self._recent.append((record.number, record.trace))
-        alarm = self._sums.add(record.number, scores)
+        self._recent.append(_Judged(record.number, record.trace, scored.shifts))
+        # Of what nothing can be said, nothing that was said before is held against the valve for long.
+        unknown = {name: 0.0 for name in DELAYS if self.is_timing_uncertain and name in self._sums}
+        alarm = self._sums.add(record.number, {**unknown, **scores})
         if alarm is not None:
             self._loudest, self._sum = alarm.cause, self._sums.threshold
             # The tracing wants all strokes since the first of a row of alarms began.
@@ -228,7 +298,7 @@ class Judge:
     def _refitted(self, trace: Trace) -> Mapping[str, Interval]:
         assert self.healthy is not None
         try:
-            return refitted(trace, self.healthy)
+            return refitted(trace, self.healthy, allowed_for(self.command_scatter, self._levels))
         except SimulationError:
             return {}
 
@@ -259,11 +329,20 @@ class Judge:
             scores,
             state,
             remark,
+            self.command_scatter,
             alarm,
             self._loudest,
             self._sum,
             self._threshold,
         )
+
+
+class _Judged(NamedTuple):
+    """A stroke that was held against the model, and by how much its commands were obeyed late, s."""
+
+    number: int
+    trace: Trace
+    shifts: Array
 
 
 @dataclass(frozen=True)
@@ -287,10 +366,42 @@ class _Baseline:
 
     def standard(self, score: float) -> float:
         if self.is_learned:
-            quotient = (score - self.mean) / (max(self.spread, 1e-9) * math.sqrt(1.0 + 1.0 / self.strokes))
+            quotient = (score - self.mean) / (max(self.spread, LEAST_SPREAD) * math.sqrt(1.0 + 1.0 / self.strokes))
             tail = float(stdtr(self.strokes - 1, -abs(quotient)))
             score = math.copysign(float(ndtri(max(tail, 1e-16))), quotient)
         return min(max(score, -SCORED_MOST), SCORED_MOST)
+
+
+def _baselines(table: Sequence[Mapping[str, float]]) -> dict[str, _Baseline]:
+    names = dict.fromkeys(name for scores in table for name in scores)
+    return {name: _Baseline.of(name, [scores[name] for scores in table if name in scores]) for name in names}
+
+
+def _timed(record: StrokeRecord, healthy: Healthy) -> TimedStroke:
+    volts = record.trace.drive.volts
+    shifts = late_by(record.trace, healthy.valve, healthy.lateness)
+    return TimedStroke(float(volts[np.argmax(np.abs(volts))]), shifts, record.arrival_spread)
+
+
+def _as_obeyed(trace: Trace, shifts: Array) -> Trace:
+    """The stroke with its commands where it shows that they were obeyed; those between move with the first.
+
+    Without its current, whose stamps are those of its arrival.
+    """
+    late = np.full(len(trace.drive.times), shifts[0])
+    late[-1] = shifts[-1]
+    if len(shifts) == len(late):
+        late = shifts
+    times = np.maximum.accumulate(trace.drive.times + late)
+    return replace(trace, drive=Drive(times, trace.drive.volts), coil_current=None)
+
+
+def _opening_seconds(valve: Valve) -> float:
+    """Seconds from a command at the reference voltage until the valve is open."""
+    parameters = valve.parameters
+    drive = Drive(np.zeros(1), np.array([parameters.reference_voltage]))
+    opened = simulate(valve, drive, np.linspace(0.0, LONGEST_OPENING, 2)).first(EventKind.REACHED_STOP)
+    return opened if math.isfinite(opened) else LONGEST_OPENING
 
 
 def _arrivals(trace: Trace, valve: Valve) -> dict[str, float]:

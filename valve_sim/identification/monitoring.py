@@ -7,9 +7,12 @@ some milliseconds each, whenever there is time. A `Monitor` is both in a row.
 
 from __future__ import annotations
 
+import math
+
 from valve_sim.identification.judging import Judge, StrokeReport
+from valve_sim.identification.monitor_settings import MonitorSettings
 from valve_sim.identification.plant import Array
-from valve_sim.identification.watching import MonitorSettings, Watch
+from valve_sim.identification.watching import Watch
 from valve_sim.model import Valve
 
 
@@ -34,9 +37,9 @@ class Monitor:
         self.watch.command(time, volts)
         return self._reports()
 
-    def measure(self, time: float, position: float) -> list[StrokeReport]:
+    def measure(self, time: float, position: float, arrival: float = math.nan) -> list[StrokeReport]:
         """As `Watch.measure`."""
-        self.watch.measure(time, position)
+        self.watch.measure(time, position, arrival)
         return self._reports()
 
     def measure_many(self, times: Array, positions: Array) -> list[StrokeReport]:
@@ -46,6 +49,8 @@ class Monitor:
 
     def _reports(self) -> list[StrokeReport]:
         reports = [self.judge.judge(record, refit=self._refit) for record in self.watch.take_finished()]
+        if reports and math.isfinite(self.judge.command_scatter):
+            self.watch.scatter = self.judge.command_scatter
         healthy = self.judge.healthy
         if healthy is not None and not self._is_handed_over:
             self.watch.use(healthy.valve, healthy.lateness)

@@ -21,6 +21,7 @@ from typing import Final
 import numpy as np
 
 from valve_sim.identification.adequacy import moving_residuals
+from valve_sim.identification.command_timing import UNTIMED
 from valve_sim.identification.commissioned_current import CommissionedCurrent, commission_current
 from valve_sim.identification.fitting import Fit, Interval, Problem, covariance_interval, fit
 from valve_sim.identification.identify import DEFAULT_FREE
@@ -35,6 +36,8 @@ from valve_sim.traces import Trace
 
 SIZE: Final = "size"
 """Name of the score of the residual's size."""
+DELAYS: Final = ("opening delay", "closing delay")
+"""Names of the scores of the stamps' errors."""
 FINEST: Final = 0.05e-6
 """m: noise is taken to be no smaller, the repeatability of the paper's laser; a simulated valve has none at all."""
 MOST_SHIFTS: Final = 6
@@ -90,17 +93,19 @@ class Scored:
     rms: float
 
 
-def score_stroke(trace: Trace, healthy: Healthy) -> Scored:
+def score_stroke(trace: Trace, healthy: Healthy, jitter: float | None = None) -> Scored:
     """Hold one stroke against the commissioned valve.
 
     Args:
         trace: one stroke, from rest.
         healthy: what it is held against.
+        jitter: s, standard deviation that its commands' times are allowed; None: the commissioned one. With `UNTIMED`
+            nothing is said of delays.
 
     Raises:
         SimulationError: the commissioned valve cannot be simulated.
     """
-    stroke = _Stroke(trace, healthy)
+    stroke = _Stroke(trace, healthy, jitter)
     result = stroke.fit(())
     shifts = np.array([result.values[nuisance.name] for nuisance in result.nuisances])
     jacobian, prior = result.jacobian, np.array([1.0 / nuisance.sigma**2 for nuisance in result.nuisances])
@@ -121,13 +126,13 @@ def score_stroke(trace: Trace, healthy: Healthy) -> Scored:
     return Scored(scores, shifts, stroke.rms(result))
 
 
-def refitted(trace: Trace, healthy: Healthy) -> dict[str, Interval]:
-    """The dampings by this stroke alone, with 95 % intervals.
+def refitted(trace: Trace, healthy: Healthy, jitter: float | None = None) -> dict[str, Interval]:
+    """The dampings by this stroke alone, with 95 % intervals; arguments as of `score_stroke`.
 
     Raises:
         SimulationError: the valve cannot be simulated.
     """
-    result = _Stroke(trace, healthy).fit(DEFAULT_FREE)
+    result = _Stroke(trace, healthy, jitter).fit(DEFAULT_FREE)
     return {name: covariance_interval(result, name) for name in DEFAULT_FREE}
 
 
@@ -221,9 +226,10 @@ def _at_least_finest(noise: Noise) -> Noise:
 class _Stroke:
     """One stroke as a problem to fit, its clock held, its stamps free."""
 
-    def __init__(self, trace: Trace, healthy: Healthy) -> None:
+    def __init__(self, trace: Trace, healthy: Healthy, jitter: float | None) -> None:
         self._trace = trace
         self._healthy = healthy
+        self._jitter = healthy.jitter if jitter is None else jitter
         self._plant = ValvePlant([_position_only(trace)], healthy.valve)
         self.problem = Problem(self._plant, noises={"position": healthy.noise})
         self._fixed = {"clock_offset[0]": healthy.lateness}
@@ -231,7 +237,7 @@ class _Stroke:
     def fit(self, free: Sequence[str]) -> Fit:
         """The stamps' errors, and what is freed beside them."""
         rough = _rough_shifts(self._trace, self._healthy.valve, self._healthy.lateness)
-        furthest = FURTHEST * self._healthy.jitter
+        furthest = FURTHEST * self._jitter
         start = {
             f"command_error[0,{index}]": float(np.clip(shift, -furthest, furthest)) for index, shift in enumerate(rough)
         }
@@ -258,10 +264,12 @@ class _Stroke:
                     yield from self._direction(
                         result, effect.name if single else f"{effect.name}.{switch.name}", values
                     )
+        if self._jitter >= UNTIMED:
+            return
         for nuisance, column in zip(result.nuisances, result.jacobian.T, strict=True):
-            which = "opening" if nuisance is result.nuisances[0] else "closing"
+            which = 0 if nuisance is result.nuisances[0] else 1
             if nuisance in (result.nuisances[0], result.nuisances[-1]):
-                yield f"{which} delay", column * nuisance.sigma
+                yield DELAYS[which], column * nuisance.sigma
 
     def rms(self, result: Fit) -> float:
         """Root mean square of measured less predicted position, m."""
@@ -278,7 +286,7 @@ class _Stroke:
     def _shifts(self) -> list[Nuisance]:
         errors = list(self._plant.timing_errors)
         chosen = errors if len(errors) <= MOST_SHIFTS else [errors[0], errors[-1]]
-        return [nuisance._replace(sigma=self._healthy.jitter) for nuisance in chosen]
+        return [nuisance._replace(sigma=self._jitter) for nuisance in chosen]
 
 
 def _with_switch(parameter: Parameter, switch: Parameter) -> float:
@@ -299,19 +307,26 @@ def _size(problem: Problem, left: Array) -> float:
     return float(np.cbrt(ratio) - 1.0 + narrow) / math.sqrt(narrow)
 
 
-def _rough_shifts(trace: Trace, valve: Valve, lateness: float) -> list[float]:
-    """(commands,) s: how late the measured stroke passes its middle after the first and the last command, else 0."""
-    commands = len(trace.drive.times)
+def late_by(trace: Trace, valve: Valve, lateness: float) -> tuple[float, float]:
+    """How late the measured stroke passes its middle after the first and the last command, s; nan where it does not."""
     shown = simulate(valve, trace.drive, trace.times - lateness, start_time=_before(trace, lateness)).pilot_position
     middle = 0.5 * valve.parameters.stroke
-    shifts = [0.0] * commands
-    last = float(trace.drive.times[-1])
-    for index, rises in ((0, True), (commands - 1, False)):
-        chosen = trace.times < last if rises and commands > 1 else trace.times >= last
-        measured = crossing(trace.times[chosen], trace.pilot_position[chosen], middle, rises=rises)
-        modelled = crossing(trace.times[chosen], shown[chosen], middle, rises=rises)
-        if math.isfinite(measured - modelled) and (commands > 1 or rises):
-            shifts[index] = measured - modelled
+    opening, closing = (
+        crossing(trace.times, trace.pilot_position, middle, rises=rises)
+        - crossing(trace.times, shown, middle, rises=rises)
+        for rises in (True, False)
+    )
+    return opening, closing
+
+
+def _rough_shifts(trace: Trace, valve: Valve, lateness: float) -> list[float]:
+    """(commands,) s: as `late_by`, 0 for what is not seen and for the commands between."""
+    shifts = [0.0] * len(trace.drive.times)
+    opening, closing = late_by(trace, valve, lateness)
+    if math.isfinite(closing) and len(shifts) > 1:
+        shifts[-1] = closing
+    if math.isfinite(opening):
+        shifts[0] = opening
     return shifts
 
 
@@ -325,11 +340,11 @@ def _before(trace: Trace, lateness: float) -> float:
 
 
 def crossing(times: Array, position: Array, level: float, *, rises: bool) -> float:
-    """When a position first passes a level, by a straight line between samples; nan if it does not."""
+    """When a position first rises past a level, or last falls past it, by a straight line between samples; or nan."""
     beyond = position >= level if rises else position < level
     passed = np.flatnonzero(beyond[1:] & ~beyond[:-1])
     if len(passed) == 0:
         return math.nan
-    at = int(passed[0])
+    at = int(passed[0 if rises else -1])
     share = (level - position[at]) / (position[at + 1] - position[at])
     return float(times[at] + share * (times[at + 1] - times[at]))

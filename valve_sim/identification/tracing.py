@@ -19,7 +19,7 @@ from valve_sim.identification.commissioned_current import CommissionedCurrent
 from valve_sim.identification.diagnosis import Diagnosis, diagnose_plant
 from valve_sim.identification.fitting import Interval
 from valve_sim.identification.identify import DEFAULT_FREE
-from valve_sim.identification.plant import Array, EffectChoice, Experiment, Nuisance
+from valve_sim.identification.plant import Array, EffectChoice, Experiment, Nuisance, Plant
 from valve_sim.identification.stroke_scores import Healthy
 from valve_sim.identification.valve_plant import CLOCK_SIGMA, ValvePlant
 from valve_sim.model import CATALOGUE, DECLARED, Drive, Parameter, Valve
@@ -29,6 +29,10 @@ FEWEST: Final = 6
 """Strokes that a tracing begins with: four to fit, two held out."""
 HELD_OUT: Final = 3
 """Every so manieth stroke is held out."""
+
+NATURAL: Final = 100.0
+"""Typical amounts of an effect beyond which none is believed: 5 N of friction, 30 N of pressure."""
+NOT_TOLD: Final = "the strokes are not those of the commissioned valve, and no effect is known well enough to be named"
 
 _VALUE: Final = "value"
 _COMMISSIONING: Final = tuple(f"commissioning_error[{index}]" for index in range(len(DEFAULT_FREE)))
@@ -89,6 +93,8 @@ def trace_cause(strokes: Sequence[Trace], healthy: Healthy, progress: Progress |
     result = diagnose_plant(plants[0], plants[1], progress)
     verdict, intervals = result.verdict, result.after.intervals
     parameters = {name: interval for name, interval in intervals.items() if name.split(".")[0] in verdict.effects}
+    if not all(is_credible(effect, plants[0], parameters) for effect in verdict.effects):
+        return Finding("unknown", (), NOT_TOLD, {}, {}, 0.0, len(strokes))
     return Finding(
         verdict.kind,
         verdict.effects,
@@ -98,6 +104,34 @@ def trace_cause(strokes: Sequence[Trace], healthy: Healthy, progress: Progress |
         verdict.probability,
         len(strokes),
     )
+
+
+def is_credible(effect: str, plant: Plant, intervals: Mapping[str, Interval]) -> bool:
+    """Whether an effect is worth a name: some amount of it is not zero, and all amounts are possible.
+
+    Args:
+        effect: its name. plant: whose effect it is.
+        intervals: by `<effect>.<parameter>`, 95 %.
+    """
+    switches = [switch for switch in plant.effects[effect].parameters if switch.off is not None]
+    known = [
+        (switch, intervals[f"{effect}.{switch.name}"]) for switch in switches if f"{effect}.{switch.name}" in intervals
+    ]
+    return all(_is_natural(switch, interval) for switch, interval in known) and any(
+        not _holds(interval, switch.off) for switch, interval in known if switch.off is not None
+    )
+
+
+def _holds(interval: Interval, neutral: float) -> bool:
+    return not interval.low > neutral and not interval.high < neutral
+
+
+def _is_natural(parameter: Parameter, interval: Interval) -> bool:
+    """Whether a value, and what its interval leaves open, is within a hundred times what such an effect amounts to."""
+    if parameter.off is None or not math.isfinite(parameter.off):
+        return True
+    most = NATURAL * parameter.typical
+    return max(abs(bound - parameter.off) for bound in (interval.value, interval.low, interval.high)) <= most
 
 
 class CommissionedPlant(ValvePlant):

@@ -14,6 +14,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from valve_sim.identification.command_timing import FAR, ArrivalSpread
+from valve_sim.identification.monitor_settings import MonitorSettings
 from valve_sim.identification.plant import Array
 from valve_sim.model import Drive, Phase, Reading, SimulationError, Stepper, Valve
 from valve_sim.traces import Signal, Trace
@@ -28,6 +30,12 @@ OPENED: Final = 0.9
 """Share of the stroke that counts as open."""
 CLOSED: Final = 0.1
 """Share of the stroke that counts as closed."""
+RESTING: Final = 0.01
+"""Share of the stroke below which a valve has not left its seat for long."""
+EARLIEST: Final = 0.05
+"""s by which a command may come in here after the valve has begun to move by it."""
+LIFTING: Final = 5e-3
+"""s before a valve is seen to have left its seat, in which it does."""
 STILL: Final = 1e-5
 """m/s: below it the model rests."""
 NO_CURRENT: Final = 1e-3
@@ -38,29 +46,10 @@ MOST_VOLTS: Final = 1e4
 """V: no coil has more, and stepping the forces of more takes minutes a second."""
 LONGEST_GAP: Final = 60.0
 """s without samples, after which the model is not stepped on but begins at rest."""
-
-
-class MonitorSettings(NamedTuple):
-    """How a valve is watched.
-
-    Attributes:
-        commissioning_strokes: so many first strokes, taken for healthy.
-        strokes_between_false_alarms: mean number, of a healthy valve.
-        diagnosis_strokes: so many last strokes are kept for the tracing.
-        stroke_timeout: s after which a stroke that has not ended is.
-        settle: s of rest after which a stroke has ended.
-        noise: standard deviation of the position sensor, m; 0 to estimate it.
-        patience: s that a valve may be later than the model before it is said to be stuck; as long as the model took,
-            if that is longer.
-    """
-
-    commissioning_strokes: int = 20
-    strokes_between_false_alarms: float = 10_000.0
-    diagnosis_strokes: int = 20
-    stroke_timeout: float = 600.0
-    settle: float = 0.05
-    noise: float = 0.0
-    patience: float = 0.1
+STILL_AFTER: Final = 0.01
+"""s after it was last seen open: what then remains of a stroke is less than noise."""
+CONFIRMED: Final = 3
+"""Strokes in a row that fail, where the times of commands are too uncertain for one to be believed."""
 
 
 class Prediction(NamedTuple):
@@ -76,7 +65,9 @@ class StrokeRecord(NamedTuple):
     Attributes:
         number: from 0 on. time: of the opening command, s. trace: times since `trace.epoch_ns`.
         remark: why it cannot be held against the model; empty if it can.
-        opened, closed: whether the valve was seen to; None where the model did not. fault: empty, or what went wrong.
+        opened, closed: whether the valve was seen to; None where the model did not, or where timing was too uncertain.
+        fault: empty, or what went wrong.
+        arrival_spread: s by which its samples came in later than the soonest of late; nan where arrivals are not known.
     """
 
     number: int
@@ -86,6 +77,7 @@ class StrokeRecord(NamedTuple):
     opened: bool | None
     closed: bool | None
     fault: str
+    arrival_spread: float = math.nan
 
 
 class Watch:
@@ -105,6 +97,8 @@ class Watch:
         self._next: tuple[Valve, float] | None = None
         self.strokes = 0
         self.rejected = 0
+        self.scatter = 0.0
+        """s, standard deviation of the commands' times, as the judgement of strokes has last found it."""
         self.reset()
 
     @property
@@ -117,15 +111,23 @@ class Watch:
         """How many samples are in memory."""
         return len(self._times)
 
+    @property
+    def uncertainty(self) -> float:
+        """Seconds by which a healthy valve may be later than the model, since nobody knows when it got its command."""
+        return FAR * self.scatter + self._arrivals.spread
+
     def reset(self) -> None:
         """Begin anew, as after a jump of the clock: a valve at rest, of which nothing is known."""
         self.fault = ""
         """What the valve does not do, in words; empty where it does. Stays until a stroke goes well."""
+        self._arrivals = ArrivalSpread()
+        self._missed = 0
         self._stepper: Stepper | None = None
         self._stepped = -math.inf
         self._volts = math.nan
         self._last = self._last_command = -math.inf
         self._position = math.nan
+        self._last_open = -math.inf
         self._pending: deque[tuple[float, float]] = deque()
         self._times: list[float] = []
         self._positions: list[float] = []
@@ -178,14 +180,25 @@ class Watch:
             if self._stroke is not None:
                 self._stroke.is_at_rest = False
 
-    def measure(self, time: float, position: float) -> Prediction | None:
-        """One sample of the pilot plunger's position, m; the model beside it, None where the sample was rejected."""
+    def measure(self, time: float, position: float, arrival: float = math.nan) -> Prediction | None:
+        """One sample of the pilot plunger's position.
+
+        Args:
+            time: its stamp, s. position: m.
+            arrival: when it came in, s by the clock that times commands; nan where that is not known.
+
+        Returns:
+            the model beside it; None where the sample was rejected.
+        """
         if not (math.isfinite(time) and math.isfinite(position)) or time <= self._last:
             self.rejected += 1
             return None
         self._obey(time)
         reading = self._step(time)
         self._keep(time, [time], [position])
+        self._arrivals.add(time, arrival - time)
+        if self._stroke is not None and arrival - time > self._stroke.latest:
+            self._stroke.latest = arrival - time
         self._look(time, position, position, reading)
         return Prediction(reading, position - reading.pilot_position)
 
@@ -239,10 +252,17 @@ class Watch:
             self._positions.extend(positions)
 
     def _is_kept(self, time: float) -> bool:
-        return self._stroke is None or time - self._rest_since <= self._settings.settle
+        return self._stroke is None or time - self._rest_since <= self._settle
+
+    @property
+    def _settle(self) -> float:
+        """Seconds of the model's rest after which the valve rests too, although it may have got its command later."""
+        return self._settings.settle + self.uncertainty
 
     def _look(self, time: float, position: float, highest: float, reading: Reading) -> None:
         self._last, self._position = time, position
+        if not self._is_closed(highest):
+            self._last_open = time
         is_still = abs(reading.pilot_velocity) <= STILL
         phase = Phase.CLOSED if is_still and self._is_closed(reading.pilot_position) else reading.phase
         if phase is not self._phase:
@@ -251,7 +271,8 @@ class Watch:
         stroke = self._stroke
         if stroke is not None:
             stroke.highest = max(stroke.highest, highest)
-            stroke.model_opened = stroke.model_opened or reading.phase is Phase.OPEN
+            if reading.phase is Phase.OPEN and not stroke.model_opened:
+                stroke.model_opened, stroke.model_opened_at = True, time
         self._judge_position(time, position)
         if stroke is not None:
             self._end_if_over(stroke, time)
@@ -263,7 +284,8 @@ class Watch:
         if math.isnan(self._volts):
             return
         took, patience = self._phase_since - self._last_command, self._settings.patience
-        if time - max(self._phase_since, self._last_command) <= max(patience, took if math.isfinite(took) else 0.0):
+        patience = max(patience, took if math.isfinite(took) else 0.0) + self.uncertainty
+        if time - max(self._phase_since, self._last_command) <= patience:
             return
         stroke = self._stroke
         if self._phase is Phase.OPEN and self._volts != 0.0 and stroke is not None and stroke.opened is None:
@@ -283,6 +305,7 @@ class Watch:
         parameters = self._valve.parameters
         stroke.opened = stroke.highest >= OPENED * parameters.stroke
         if stroke.opened:
+            self._missed = 0
             return
         if stroke.highest < parameters.pilot_gap:
             moved = 1e3 * max(stroke.highest, 0.0)
@@ -291,46 +314,78 @@ class Watch:
             self.fault = f"the valve opened to {1e3 * stroke.highest:.3f} mm only, of {1e3 * parameters.stroke:.3f} mm"
         stroke.fault = self.fault
 
+    def _judge_late(self, stroke: _Stroke) -> str:
+        """Of a stroke that is over before patience was; why it cannot be judged, empty if it can.
+
+        A valve that may have got its opening command when the closing one was there already need not have opened. What
+        timing alone may have done is believed when it happens `CONFIRMED` times in a row.
+        """
+        remark = ""
+        if stroke.opened is None and stroke.model_opened:
+            is_open = stroke.highest >= OPENED * self._valve.parameters.stroke
+            self._missed = 0 if is_open else self._missed + 1
+            held = self._last_command - stroke.model_opened_at
+            if is_open or held > self.uncertainty or self._missed >= CONFIRMED:
+                self._judge_opening(stroke)
+            else:
+                remark = f"timing too uncertain to judge: held open for {1e3 * max(held, 0.0):.0f} ms only"
+        if stroke.closed is None and self._phase is Phase.CLOSED and self._is_closed(self._position):
+            stroke.closed = True
+        return remark
+
     def _begin(self, time: float) -> None:
         """An opening command: what ran before ends, and a stroke begins."""
+        left_seat = self._left_seat()
+        begins_early = math.isfinite(left_seat)
         if self._stroke is not None:
-            self._finish(self._stroke, "")
+            self._finish(self._stroke, "", left_seat - LIFTING if begins_early else math.inf)
         at = max(time, self._last - self._lateness)
         reading = self._model(time).advance(at)
         parameters = self._valve.parameters
         has_current = abs(reading.coil_current) * parameters.coil_resistance > NO_CURRENT * parameters.reference_voltage
-        is_closed = self._phase is Phase.CLOSED and (math.isnan(self._position) or self._is_closed(self._position))
-        is_at_rest = is_closed and not has_current
+        is_closed = math.isnan(self._position) or self._is_closed(self._position) or begins_early
+        is_at_rest = is_closed and self._phase is Phase.CLOSED and not has_current
         self._stroke = _Stroke(is_at_rest)
+        if begins_early:
+            self._stroke.highest = max(self._positions[bisect.bisect_left(self._times, left_seat) :], default=0.0)
         if self._next is not None and is_at_rest:
             (self._valve, self._lateness), self._next = self._next, None
             self._stepper = Stepper(self._valve, min(time, at))
+
+    def _left_seat(self) -> float:
+        """When the valve was last at rest, s, if it has moved before its command came in; nan if it has not."""
+        limit = RESTING * self._valve.parameters.stroke
+        index = len(self._positions) - 1
+        while index >= 0 and self._positions[index] > limit and self._last - self._times[index] <= EARLIEST:
+            index -= 1
+        closing = self._stroke.drive[-1][0] if self._stroke is not None else -math.inf
+        if index < 0 or self._positions[index] > limit or self._times[index] < closing:
+            return math.nan
+        return self._times[index] if index < len(self._positions) - 1 else math.nan
 
     def _end_if_over(self, stroke: _Stroke, time: float) -> None:
         if time - stroke.drive[0][0] > self._settings.stroke_timeout:
             self._finish(stroke, "it did not end before stroke_timeout")
         elif len(self._times) > MOST_SAMPLES or len(stroke.drive) >= MOST_COMMANDS:
             self._finish(stroke, "it is too long to be kept")
-        elif self._volts == 0.0 and time - self._rest_since > self._settings.settle and (
+        elif self._volts == 0.0 and time - self._rest_since > self._settle and (
             stroke.closed is not None or self._phase is not Phase.CLOSED
         ):  # fmt: skip
             self._finish(stroke, "")
 
-    def _finish(self, stroke: _Stroke, remark: str) -> None:
+    def _finish(self, stroke: _Stroke, remark: str, until: float = math.inf) -> None:
         """Hand the stroke out; its last moments at rest are the next one's first."""
-        if stroke.opened is None and stroke.model_opened:
-            self._judge_opening(stroke)
-        if stroke.closed is None and self._phase is Phase.CLOSED and self._is_closed(self._position):
-            stroke.closed = True
+        remark = remark or self._judge_late(stroke)
         if not stroke.fault:
             self.fault = ""
         start = self._times[0] if self._times else stroke.drive[0][0]
         times, volts = np.array(stroke.drive, dtype=np.float64).T
+        stop = bisect.bisect_right(self._times, until)
         trace = Trace(
             f"stroke {self.strokes}",
             Drive(times - start, volts.copy()),
-            np.array(self._times) - start,
-            np.array(self._positions),
+            np.array(self._times[:stop]) - start,
+            np.array(self._positions[:stop]),
             coil_current=self._current_since(start),
             epoch_ns=round(start * 1e9),
         )
@@ -341,13 +396,18 @@ class Watch:
             remark = remark or "it has too few samples"
         self._finished.append(
             StrokeRecord(
-                self.strokes, stroke.drive[0][0], trace, remark, stroke.opened, stroke.closed, stroke.fault
+                self.strokes, stroke.drive[0][0], trace, remark, stroke.opened, stroke.closed, stroke.fault,
+                max(0.0, stroke.latest - self._arrivals.soonest) if math.isfinite(stroke.latest) else math.nan,
             )
         )  # fmt: skip
         self.strokes += 1
         self._stroke = None
+        if math.isfinite(until):
+            self._keep_from(until)
+            return
         is_closed = self._phase is Phase.CLOSED and math.isfinite(self._rest_since)
-        self._keep_from(max(self._rest_since, self._last - LEAD) if is_closed else math.inf)
+        still = max(self._rest_since + self.uncertainty, self._last_open + STILL_AFTER, self._last - LEAD)
+        self._keep_from(still if is_closed else math.inf)
 
     def _current_since(self, start: float) -> Signal | None:
         """Until the last sample: what came in later belongs to the next stroke."""
@@ -370,6 +430,8 @@ class _Stroke:
     drive: list[tuple[float, float]] = field(default_factory=list)
     highest: float = 0.0
     model_opened: bool = False
+    model_opened_at: float = math.nan
+    latest: float = -math.inf
     opened: bool | None = None
     closed: bool | None = None
     fault: str = ""

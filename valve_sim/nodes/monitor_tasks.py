@@ -84,9 +84,8 @@ class Judging(threading.Thread):
 
     def _work(self, record: StrokeRecord) -> None:
         self._report(self._judge.judge(record))
-        healthy, evidence = self._judge.healthy, self._judge.take_evidence()
-        if evidence and healthy is not None:
-            self._trace(evidence, healthy)
+        if evidence := self._judge.take_evidence():
+            self._trace(evidence, self._judge.timed())
 
 
 class Tracing:

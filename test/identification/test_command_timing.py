@@ -1,0 +1,192 @@
+"""A monitor on a busy machine: commands come in when they can, and no healthy valve is accused of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+
+from valve_sim.files.parameter_files import default_valve
+from valve_sim.identification.command_timing import (
+    UNTIMED,
+    ArrivalSpread,
+    CommandScatter,
+    TimedStroke,
+    allowed_for,
+    allowed_scatters,
+)
+from valve_sim.identification.fitting import Interval
+from valve_sim.identification.judging import UNCERTAIN, WATCHING, StrokeReport
+from valve_sim.identification.monitor_settings import MonitorSettings
+from valve_sim.identification.monitoring import Monitor
+from valve_sim.identification.tracing import is_credible, trace_cause
+from valve_sim.identification.valve_plant import ValvePlant
+from valve_sim.identification.watching import CONFIRMED, StrokeRecord, Watch
+from valve_sim.model import Drive
+from valve_sim.traces import Trace
+
+from .live_strokes import LiveValve, feed
+
+HEALTHY = {"pilot_damping": 1.3, "main_damping": 3.5}
+QUIET, BUSY = 0.05e-3, 5e-3
+"""s: by how much commands come in here sooner or later than the valve obeys them."""
+STICTION = {"stiction": {"force": 0.5, "breakaway": 0.0, "stribeck_velocity": 0.02}}
+
+
+def watched(
+    scatter: float, count: int, effects: Mapping[str, Mapping[str, float]] | None = None, commissioned: float = QUIET
+) -> tuple[Monitor, list[StrokeReport]]:
+    """A monitor commissioned with one scatter of commands, and its reports of `count` strokes with another."""
+    monitor = Monitor(default_valve(), refit=False)
+    valve = LiveValve(11, HEALTHY, rate=2e3, levels=(9.0, 12.0), jitter=commissioned)
+    for _ in range(21):
+        list(feed(monitor, valve.stroke()))
+    valve.jitter = scatter
+    return monitor, [report for _ in range(count) for report in feed(monitor, valve.stroke(effects))]
+
+
+@pytest.mark.parametrize("commissioned", [QUIET, BUSY])
+def test_a_healthy_valve_on_a_busy_machine_is_not_accused(commissioned: float) -> None:
+    monitor, reports = watched(BUSY, 60, commissioned=commissioned)
+    assert len(reports) == 60
+    assert monitor.judge.alarms == 0
+    assert not [report.record.fault for report in reports if report.record.fault]
+    assert {report.state for report in reports[1:]} == {UNCERTAIN}
+    assert monitor.judge.is_timing_uncertain
+    assert reports[-1].command_scatter == pytest.approx(BUSY, rel=0.5)
+
+
+def test_on_a_quiet_machine_delays_are_judged_and_a_fault_is_found_as_before() -> None:
+    monitor, reports = watched(QUIET, 20)
+    assert {report.state for report in reports} == {WATCHING}
+    assert {"opening delay", "closing delay"} <= reports[-1].scores.keys()
+    assert monitor.judge.alarms == 0
+    monitor, reports = watched(QUIET, 6, STICTION)
+    assert next(report for report in reports if report.alarm).record.number < 25
+
+
+def test_what_changes_the_shape_of_a_stroke_is_found_on_a_busy_machine_too() -> None:
+    monitor, reports = watched(BUSY, 12, STICTION)
+    assert next(report for report in reports if report.alarm).record.number < 26
+    finding = trace_cause(monitor.judge.evidence(), monitor.judge.timed())
+    assert {"coulomb_friction", "stiction", "asymmetric_friction"} & set(finding.effects), finding.summary
+    assert "0.5" in finding.summary or "0.49" in finding.summary
+
+
+def timed(*shifts: float, volts: float = 9.0, arrival: float = math.nan) -> list[TimedStroke]:
+    return [TimedStroke(volts, (shift, shift), arrival) for shift in shifts]
+
+
+def test_a_lasting_delay_is_no_scatter_and_one_that_comes_and_goes_is() -> None:
+    healthy = timed(*np.random.default_rng(1).normal(0.0, QUIET, 20).tolist())
+    lasting, coming = CommandScatter(QUIET, healthy), CommandScatter(QUIET, healthy)
+    for shift in [2e-3] * 10:
+        lasting.add(timed(shift)[0])
+    assert lasting.sigma == pytest.approx(QUIET, rel=0.5)
+    # The first one after the change may have been chance.
+    assert CommandScatter(QUIET, healthy).add(timed(2e-3)[0]) > 5 * QUIET
+    for shift in [2e-3, 0.0] * 5:
+        coming.add(timed(shift)[0])
+    assert 0.4e-3 < coming.sigma < 3e-3
+
+
+def test_samples_that_come_in_unevenly_widen_at_once() -> None:
+    scatter = CommandScatter(QUIET, timed(*[0.0] * 20, arrival=1e-3))
+    assert scatter.add(timed(0.0, arrival=1e-3)[0]) == QUIET
+    assert scatter.add(timed(0.0, arrival=20e-3)[0]) == pytest.approx(20 * QUIET)
+    for _ in range(20):
+        scatter.add(timed(0.0, arrival=1e-3)[0])
+    assert scatter.sigma == QUIET
+
+
+def test_arrivals_know_no_offset_of_clocks_and_forget() -> None:
+    arrivals = ArrivalSpread()
+    assert arrivals.spread == 0.0
+    for time in np.arange(0.0, 5.0, 0.01).tolist():
+        arrivals.add(time, 1e6 + (0.03 if math.isclose(time, 1.0) else 0.001))
+    arrivals.add(5.0, math.nan)
+    assert arrivals.spread == pytest.approx(0.029, abs=1e-6)
+    for time in np.arange(5.0, 17.0, 0.01).tolist():
+        arrivals.add(time, 1e6 + 0.001)
+    assert arrivals.spread == 0.0
+
+
+def test_the_next_wider_level_is_allowed_and_nothing_is_said_beyond_the_last() -> None:
+    levels = allowed_scatters(QUIET, 10e-3)
+    assert levels == pytest.approx((0.05e-3, 0.1e-3, 0.2e-3, 0.4e-3, 0.8e-3, UNTIMED))
+    assert allowed_for(QUIET, levels) == QUIET
+    assert allowed_for(0.11e-3, levels) == pytest.approx(0.2e-3)
+    assert allowed_for(0.9e-3, levels) == UNTIMED
+    assert allowed_scatters(2e-3, 10e-3) == (UNTIMED,)
+
+
+def stuck(watch: Watch, begin: float, hold: float, position: float, late: float) -> StrokeRecord:
+    """One stroke of a valve that stays where it is, each second sample late; its record."""
+    commands = [(begin + 0.02, 9.0), (begin + 0.02 + hold, 0.0)]
+    for index, time in enumerate(np.arange(begin, begin + 1.0, 1e-3).tolist()):
+        while commands and commands[0][0] <= time:
+            watch.command(*commands.pop(0))
+        watch.measure(time, position, time + late * (index % 2))
+    (record,) = watch.take_finished()
+    return record
+
+
+@pytest.mark.parametrize("late", [0.0, 0.1])
+def test_a_short_stroke_is_believed_on_a_quiet_machine_and_on_a_busy_one_when_it_comes_again(late: float) -> None:
+    watch = Watch(default_valve(), MonitorSettings())
+    records = [stuck(watch, float(number), 0.05, 0.0, late) for number in range(CONFIRMED)]
+    said = [bool(record.fault) for record in records]
+    assert said == ([True] * CONFIRMED if late == 0.0 else [False] * (CONFIRMED - 1) + [True])
+    assert late == 0.0 or all("timing too uncertain" in record.remark for record in records[:-1])
+    assert "did not open" in watch.fault
+
+
+@pytest.mark.parametrize(("late", "is_said"), [(0.0, True), (0.3, False)])
+def test_a_valve_that_closes_late_is_in_time_where_samples_are_as_late(late: float, is_said: bool) -> None:
+    watch = Watch(default_valve(), MonitorSettings())
+    watch.command(0.1, 9.0)
+    for index, time in enumerate(np.arange(0.0, 1.0, 1e-3).tolist()):
+        if index == 500:
+            watch.command(time, 0.0)
+        watch.measure(time, 1.23e-3 if 0.11 < time < 0.75 else 0.0, time + late * (index % 2))
+        if watch.fault:
+            break
+    assert bool(watch.fault) == is_said
+
+
+def test_a_valve_that_obeys_before_its_command_comes_in_is_judged_from_its_rest_on() -> None:
+    valve = LiveValve(3, HEALTHY, rate=2e3, levels=(9.0,), jitter=0.0)
+    monitor = Monitor(default_valve(), refit=False)
+    for _ in range(3):
+        made = valve.stroke()
+        reports = list(feed(monitor, made._replace(command_times=made.command_times + 0.008)))
+    (report,) = reports
+    assert not report.remark
+    trace = report.record.trace
+    assert trace.pilot_position[0] < 10e-6
+    assert trace.drive.times[0] - trace.times[0] > 0.008
+    assert trace.pilot_position[-1] < 10e-6
+
+
+@pytest.mark.parametrize(
+    ("effect", "name", "value", "low", "high", "is_one"),
+    [
+        ("pressure_force", "force", -34_000.0, -134_000.0, 66_000.0, False),
+        ("pressure_force", "force", -34_000.0, -44_000.0, -24_000.0, False),
+        ("coulomb_friction", "force", 0.05, 0.0, 0.1, False),
+        ("coulomb_friction", "force", 0.31, 0.27, 0.35, True),
+        ("coulomb_friction", "force", 0.31, 0.27, math.inf, False),
+        ("drive_gain", "gain", 1.001, 0.999, 1.003, False),
+        ("drive_gain", "gain", 0.97, 0.969, 0.971, True),
+        ("magnetic_saturation", "current", 9.0, 4.0, math.inf, False),
+        ("magnetic_saturation", "current", 9.0, 8.0, 10.0, True),
+    ],
+)
+def test_what_holds_zero_or_is_beyond_nature_is_no_finding(
+    effect: str, name: str, value: float, low: float, high: float, is_one: bool
+) -> None:
+    trace = Trace("", Drive.of([0.0], [9.0]), np.linspace(0.0, 0.01, 50), np.zeros(50))
+    plant = ValvePlant([trace], default_valve())
+    assert is_credible(effect, plant, {f"{effect}.{name}": Interval(value, 1.0, low, high)}) == is_one
