@@ -124,6 +124,8 @@ def _effects() -> Iterator[str]:
     for effect in CATALOGUE.values():
         yield f"## {effect.name}"
         words = effect.summary[0].upper() + effect.summary[1:] + f". Source: {effect.source}."
+        if effect.named:
+            words = f"**{effect.title}**: {effect.on_a_real_valve} {effect.what_to_do}\n\n{words}"
         if effect.confused_with:
             words += f" Often confused with: {', '.join(effect.confused_with)}."
         if not effect.named:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
 from plants.recording import Recorder
 
 from benchmarks.coverage import measure
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.identify import check_free, identify
-from valve_sim.model import ParameterError, Valve
+from valve_sim.identification.valve_plant import ValvePlant
+from valve_sim.model import CATALOGUE, ParameterError, Valve
 
 from .recordings import TRUTH, one_opening, recorded, shortened
 
@@ -153,3 +155,23 @@ def test_stamps_of_commands_that_scatter_are_estimated_along() -> None:
 def test_a_remainder_that_is_more_than_noise_is_said() -> None:
     result = identify([recorded(effects={"coulomb_friction": {"force": 0.2}})], default_valve())
     assert any("more than noise" in remark for remark in result.remarks)
+
+
+@pytest.mark.parametrize("name", [effect.name for effect in CATALOGUE.values() if effect.named])
+def test_any_parameter_of_an_effect_can_be_freed_alone(name: str) -> None:
+    plant = ValvePlant([one_opening()], default_valve())
+    declared = plant.predict({})
+    for parameter in CATALOGUE[name].parameters:
+        alone = f"{name}.{parameter.name}"
+        for shown, expected in zip(plant.predict({alone: parameter.neutral}), declared, strict=True):
+            np.testing.assert_array_equal(shown, expected)
+        effects = plant.with_values({alone: parameter.typical}).effects
+        assert set(effects[name]) == {own.name for own in CATALOGUE[name].parameters}
+
+
+def test_a_bandwidth_freed_on_positions_without_a_filter_is_out_of_reach() -> None:
+    interval = identify([recorded()], default_valve(), ["sensor_bandwidth.cutoff_frequency"]).intervals[
+        "sensor_bandwidth.cutoff_frequency"
+    ]
+    assert interval.low > 1e4
+    assert interval.high == np.inf

@@ -150,7 +150,7 @@ def is_on(effect: Effect, values: Mapping[str, float]) -> bool:
 
 def off_value(parameter: Parameter) -> float:
     """What an effect's parameter is while it is not given: its off-value, or a typical one if it has none."""
-    return parameter.typical if parameter.off is None else parameter.off
+    return parameter.neutral
 
 
 def check_with_off(parameter: Parameter, value: object, where: str) -> float:

@@ -25,7 +25,7 @@ from scipy import ndimage, signal
 
 from valve_sim.files.parameter_files import off_value
 from valve_sim.identification.plant import Array, Channel, EffectChoice, Experiment, ForceMap, Nuisance
-from valve_sim.model import CATALOGUE, DECLARED, Parameter, Phase
+from valve_sim.model import CATALOGUE, DECLARED, Parameter, Phase, Tag
 from valve_sim.model.compiling import compiled
 from valve_sim.model.effects import FORCE_MAP_KNOTS, FORCE_MAP_VARIABLES, new_record
 from valve_sim.model.equations import dry_friction, force_without_dry_friction
@@ -44,9 +44,6 @@ WINDOW_STEP: Final = 0.1
 """s from the start of one freely simulated window to the next."""
 SUBSTEPS: Final = 5
 """Steps of the free simulation between two samples."""
-
-EFFECTS: Final = ("coulomb_friction", "stiction", "asymmetric_friction", "constant_force", "quadratic_drag")
-"""What an axis can lack; a coil's or a seat's effects are none of its. A gain of the drive would be mass."""
 
 BASE: Final = {
     "mass": Parameter("mass", "kg", "all that moves, as seen by the drive", 0.0, 1e6, 100.0, lower_is_allowed=False),
@@ -139,9 +136,11 @@ class AxisPlant:
 
     @property
     def effects(self) -> Mapping[str, EffectChoice]:
-        """Those of the catalogue that an axis can have."""
-        entries = {name: CATALOGUE[name] for name in EFFECTS}
-        return {name: EffectChoice(name, entry.parameters, entry.confused_with) for name, entry in entries.items()}
+        """Those of the catalogue that any axis can have; a gain of the drive would be mass."""
+        return {
+            entry.name: EffectChoice(entry.name, entry.parameters, entry.confused_with)
+            for entry in CATALOGUE.tagged(Tag.ANY_AXIS)
+        }
 
     @property
     def force_maps(self) -> Sequence[ForceMap]:

@@ -27,7 +27,7 @@ from valve_sim.identification.event_table import EventPlant, EventTable, reached
 from valve_sim.identification.fitting import fit
 from valve_sim.identification.plant import Array
 from valve_sim.identification.search import Hypothesis, Search
-from valve_sim.model import Drive, EventKind, ParameterError, Response, Valve, simulate
+from valve_sim.model import CATALOGUE, Drive, EventKind, ParameterError, Response, Valve, simulate
 
 Progress = Callable[[str, float], None]
 
@@ -47,11 +47,14 @@ MEMBERS: Final = 40
 FORCE_ERROR, TIME_ERROR, POSITION_ERROR = 0.05, 0.05, 1.0
 """N (the paper's load cell, ±0.25 % of 19.1 N), ms (the table's own) and µm (a laser sensor's noise): assumed."""
 
-_FOLDED: Final = {
-    "rest_attraction.force": ("attraction_polynomial", "a0"),
-    "coil_lag.time_constant": ("coil_time_constant", "coil_time_constant"),
-}
-"""Effects that are no more than another declared value: file key and declared scalar that they are added to."""
+
+def _folded() -> dict[str, tuple[str, str]]:
+    """Effects that are no more than another declared value: file key and declared scalar that they are added to."""
+    return {
+        f"{effect.name}.{parameter}": ("attraction_polynomial" if declared == "a0" else declared, declared)
+        for effect in CATALOGUE.values()
+        for parameter, declared in effect.adds_to.items()
+    }
 
 
 class Candidate(NamedTuple):
@@ -273,8 +276,9 @@ def write_valve(path: Path, result: EventDiagnosis) -> None:
     text = result.table.valve_file.read_text(encoding="utf-8")
     body = text[text.index("/**:") :]
     values = result.valve.declared()
+    folded = _folded()
     for name in result.shipped.values:
-        key, scalar = _FOLDED[name]
+        key, scalar = folded[name]
         value = f"{values[scalar]:.{ROUNDED}g}"
         body = _replaced(body, key, value, result.table.source, str(result.table.valve_file))
     write_whole(path, _header(result) + body)
@@ -354,12 +358,14 @@ def _shipped(plant: EventPlant, candidate: Candidate) -> tuple[Candidate, Valve]
     source, words = plant.table.source, " + ".join(candidate.effects)
     if not candidate.closes:
         raise ParameterError(f"{source}: ship: {words} does not close the table; expected effects that do")
-    strange = [name for name in candidate.values if name not in _FOLDED]
+    folded = _folded()
+    strange = [name for name in candidate.values if name not in folded]
     if strange:
-        raise ParameterError(f"{source}: ship: {strange[0]} is no declared value; expected rest_attraction or coil_lag")
+        known = " or ".join(name.partition(".")[0] for name in folded)
+        raise ParameterError(f"{source}: ship: {strange[0]} is no declared value; expected {known}")
     rounded = {name: float(f"{value:.{ROUNDED}g}") for name, value in _refined(plant, candidate.values).items()}
     declared = plant.table.valve.declared()
-    values = {_FOLDED[name][1]: declared[_FOLDED[name][1]] + value for name, value in rounded.items()}
+    values = {folded[name][1]: declared[folded[name][1]] + value for name, value in rounded.items()}
     return _as_candidate(plant, candidate.effects, rounded), plant.table.valve.with_values(**values)
 
 

@@ -22,7 +22,7 @@ from valve_sim.identification.identify import DEFAULT_FREE
 from valve_sim.identification.plant import Array, EffectChoice, Experiment, Nuisance, Plant
 from valve_sim.identification.stroke_scores import Healthy
 from valve_sim.identification.valve_plant import CLOCK_SIGMA, ValvePlant
-from valve_sim.model import CATALOGUE, DECLARED, Drive, Parameter, Valve
+from valve_sim.model import CATALOGUE, DECLARED, Drive, Parameter, Tag, Valve
 from valve_sim.traces import Signal, Trace
 
 FEWEST: Final = 6
@@ -38,8 +38,6 @@ _VALUE: Final = "value"
 _COMMISSIONING: Final = tuple(f"commissioning_error[{index}]" for index in range(len(DEFAULT_FREE)))
 FINEST_SCATTER: Final = 1e-6
 """s: stamps are not believed any further."""
-_ALIKE: Final = ("coulomb_friction", "quadratic_drag", "squeeze_film")
-"""What slows a valve as a damping does."""
 
 Progress = Callable[[str, float], None]
 
@@ -147,8 +145,9 @@ class CommissionedPlant(ValvePlant):
         self._scatter = max(healthy.scatter, FINEST_SCATTER)
         self._spread = np.linalg.cholesky(healthy.damping_covariance) / CLOCK_SIGMA
         self._dampings = {name: self._damping(name) for name in DEFAULT_FREE}
+        alike = tuple(entry.name for entry in CATALOGUE.tagged(Tag.LIKE_DAMPING))
         self._effects = {
-            **{name: EffectChoice(name, (parameter,), _ALIKE) for name, parameter in self._dampings.items()},
+            **{name: EffectChoice(name, (parameter,), alike) for name, parameter in self._dampings.items()},
             **self._effects,
         }
 

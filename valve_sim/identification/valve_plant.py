@@ -154,8 +154,7 @@ class ValvePlant:
             return self._declared[name]
         if effect in self.valve.effects:
             return self.valve.effects[effect][parameter]
-        entry = CATALOGUE[effect].parameter(parameter)
-        return entry.typical if entry.off is None else entry.off
+        return CATALOGUE[effect].parameter(parameter).neutral
 
     def with_values(self, values: Mapping[str, float]) -> Valve:
         """The valve that freed values describe; nuisances are left out."""
@@ -164,7 +163,7 @@ class ValvePlant:
         for name, value in values.items():
             effect, dot, parameter = name.partition(".")
             if dot:
-                effects.setdefault(effect, {})[parameter] = float(value)
+                effects.setdefault(effect, CATALOGUE[effect].neutral_values())[parameter] = float(value)
             elif name in self._declared:
                 declared[name] = float(value)
         return Valve(self.valve.with_values(**declared).parameters, effects)

@@ -1,7 +1,7 @@
 """The physics of the valve: parameters, equations, effects, event-accurate simulation. Knows no ROS, file or clock."""
 
 from valve_sim.model.core_types import EventKind, Phase
-from valve_sim.model.effects import CATALOGUE, Effect
+from valve_sim.model.effects import CATALOGUE, Effect, Severity, Tag
 from valve_sim.model.errors import ParameterError, SimulationError, ValveError
 from valve_sim.model.parameters import DECLARED, Parameter, ValveParameters
 from valve_sim.model.simulation import (
@@ -30,8 +30,10 @@ __all__ = [
     "Phase",
     "Reading",
     "Response",
+    "Severity",
     "SimulationError",
     "Stepper",
+    "Tag",
     "Valve",
     "ValveError",
     "ValveParameters",

@@ -103,6 +103,9 @@ SHORTEST_PROGRESS: Final = 1e-12
 LONGEST_CHATTER: Final = 1000
 """Events without progress in time after which a run is given up."""
 
+ROW: Final = 6
+"""Columns of a whole row of output: pilot and main plunger as shown, velocity, attraction, phase, the pilot itself."""
+
 NO_EVENT, CONTACT, TURN, PULL_SWITCH, MOVED_OFF = 0, 1, 2, 3, 4
 
 
@@ -504,11 +507,11 @@ def _show(p, s, work, h, theta):
     """What position sensors show at the fraction theta of a step: pilot and main plunger, m, without gain."""
     x = interpolate(work, h, POSITION, theta)
     above = s.mode >= MAIN
-    if p.sensor_cutoff_frequency == 0.0:
+    if p.sensor_time_constant == 0.0:
         return x, x - p.pilot_gap if above else 0.0
     for order in range(4):
         work.slopes[order] = h * work.dense[0, order]
-    a = 2.0 * math.pi * p.sensor_cutoff_frequency * h
+    a = h / p.sensor_time_constant
     pilot = _lagged(s.shown_pilot, a, work.y[0], work, theta)
     if above:
         return pilot, _lagged(s.shown_main, a, work.y[0] - p.pilot_gap, work, theta)
@@ -519,7 +522,7 @@ def _show(p, s, work, h, theta):
 
 @inner
 def _sample(p, s, work, h, theta, rows, i):
-    """Fill row i of the output: pilot and, where there is room, main position, velocity, attraction, phase."""
+    """Fill row i of the output: the pilot as shown and, where there is room, the other `ROW` columns."""
     pilot, main = _show(p, s, work, h, theta)
     rows[i, 0] = p.sensor_gain * pilot
     if rows.shape[1] == 1:
@@ -530,12 +533,13 @@ def _sample(p, s, work, h, theta, rows, i):
     rows[i, 2] = interpolate(work, h, VELOCITY, theta)
     rows[i, 3] = attraction(p, x, pull_squared(p, w, max(s.peak_current, abs(u))))
     rows[i, 4] = s.mode
+    rows[i, 5] = x
 
 
 @inner
 def _commit(p, s, work, h, time):
     """Make the end of a step of size h the state, at `time`."""
-    if p.sensor_cutoff_frequency > 0.0:
+    if p.sensor_time_constant > 0.0:
         s.shown_pilot, s.shown_main = _show(p, s, work, h, 1.0)
     s.time = time
     s.x = work.y_new[0]
@@ -596,7 +600,7 @@ def run(  # noqa: PLR0912 - the steps of a run in the order in which they happen
         valve: (1,) valve record. state: (1,) state record, advanced. t_end: s. (Arrays of one, because Numba takes
             them from Python ten times faster than bare records.)
         commit_end: whether the state shall stop exactly at t_end (before a command), or at the last whole step.
-        times: (i,) ascending times of position samples, s. rows: (i, 1) or (i, 5) their output, see `_sample`.
+        times: (i,) ascending times of position samples, s. rows: (i, 1) or (i, ROW) their output, see `_sample`.
         current_times: (j,) ascending times of current samples, s. currents: (j,) u there, written.
         events: (e,) event log. count: events noted so far. tolerance: relative error of a step.
         most_steps: the steps after which a run is given up.

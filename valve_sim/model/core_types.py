@@ -1,6 +1,6 @@
-"""The two records that the compiled core reads and writes: what a valve is, and where it is.
+"""Where a valve is, to the compiled core, and what happens to it; what it is, the catalogue's entries say.
 
-Both are plain NumPy records, so that equations can say `p.pilot_mass`, a batch is an array of them, and
+All are plain NumPy records, so that equations can say `p.pilot_mass`, a batch is an array of them, and
 nothing is allocated while the valve is being stepped.
 """
 
@@ -15,60 +15,6 @@ MAXIMUM_TERMS: Final = 8
 """How many compiled force terms can be on at once."""
 MAXIMUM_TERM_PARAMETERS: Final = 16
 """How many numbers one compiled force term can read."""
-
-VALVE_RECORD: Final = np.dtype(
-    [
-        # The declared valve, MODEL section 2, after the effects that rewrite it.
-        ("pilot_mass", "f8"),
-        ("moving_mass", "f8"),
-        ("pilot_damping", "f8"),
-        ("main_damping", "f8"),
-        ("spring_rate", "f8"),
-        ("spring_preload", "f8"),
-        ("a0", "f8"),
-        ("a1", "f8"),
-        ("a2", "f8"),
-        ("a3", "f8"),
-        ("pilot_gap", "f8"),
-        ("stroke", "f8"),
-        ("reference_voltage", "f8"),
-        ("coil_time_constant", "f8"),
-        ("coil_resistance", "f8"),
-        ("seat_load", "f8"),
-        ("pickup_velocity_ratio", "f8"),
-        # Dry friction: a level by direction, and a breakaway peak that fades with speed.
-        ("friction_opening", "f8"),
-        ("friction_closing", "f8"),
-        ("breakaway", "f8"),
-        ("stribeck_velocity", "f8"),
-        ("damping_opening", "f8"),
-        ("damping_closing", "f8"),
-        # Pressure across the main plunger.
-        ("pressure_force", "f8"),
-        ("equalisation_time", "f8"),
-        # From commanded voltage to the current that pulls.
-        ("eddy_time_constant", "f8"),
-        ("temperature_rate", "f8"),
-        ("cooling_time_constant", "f8"),
-        ("saturation_current", "f8"),
-        ("residual_current", "f8"),
-        # Contacts.
-        ("restitution_stop", "f8"),
-        ("restitution_seat", "f8"),
-        # What a position sensor shows.
-        ("sensor_delay", "f8"),
-        ("sensor_cutoff_frequency", "f8"),
-        ("sensor_gain", "f8"),
-        # Compiled force terms: addresses, whether they act in Phase 2 only, and the numbers they read.
-        ("term_count", "i8"),
-        ("terms_read_time", "i8"),  # 1 where one of them may change while nothing else does
-        ("term_address", "i8", (MAXIMUM_TERMS,)),
-        ("term_in_phase_2_only", "i8", (MAXIMUM_TERMS,)),
-        ("term_parameters", "f8", (MAXIMUM_TERMS, MAXIMUM_TERM_PARAMETERS)),
-    ],
-    align=True,
-)
-"""What a valve is, to the compiled core. One record a parameter set."""
 
 STATE_RECORD: Final = np.dtype(
     [

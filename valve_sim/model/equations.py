@@ -12,7 +12,7 @@ compiled terms f(x, v, u, t) that (5) adds up, wherever they were registered.
 
     (5)  Σ effects = Σ_j f_j(x, v, u, t) − c_± v − F_p exp(−(t − t_o)/τ_p) [Phase 2]
     (6)  dry friction: F_± + F_b exp(−(v/v_s)²) against the motion; at rest it holds up to F_± + F_b
-    (7)  saturation: u² → u² (1 + 1/u_s²) / (1 + (u/u_s)²)
+    (7)  saturation: u² → u² (1 + k) / (1 + k u²), k = 1/u_s²
     (8)  residual magnetism: the u that pulls never falls below u_r min(1, max |u| so far)
     (9)  eddy currents: τ_e w' = u − w; w pulls, u is measured
     (10) heating: T' = q u² − T/τ_c; R/R_0 = 1 + α T divides u's target and τ in (1)
@@ -77,9 +77,8 @@ def pull_squared(p, w, peak_current):
     """The u² of equation (2), through residual magnetism (8) and saturation (7)."""
     pull = max(abs(w), residual_floor(p, peak_current))
     squared = pull * pull
-    if p.saturation_current > 0.0:
-        knee = 1.0 / (p.saturation_current * p.saturation_current)
-        squared = squared * (1.0 + knee) / (1.0 + squared * knee)
+    if p.saturation != 0.0:
+        squared = squared * (1.0 + p.saturation) / (1.0 + squared * p.saturation)
     return squared
 
 

@@ -32,6 +32,11 @@ class Parameter(NamedTuple):
     lower_is_allowed: bool = True
     may_be_endless: bool = False
 
+    @property
+    def neutral(self) -> float:
+        """The value at which it changes nothing, or its typical size where it only shapes."""
+        return self.typical if self.off is None else self.off
+
     def check(self, value: object, where: str) -> float:
         """Return the value as a float.
 

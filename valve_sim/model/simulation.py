@@ -129,7 +129,7 @@ class Valve:
         state = new_states(record, 0.0)
         automaton.set_voltage(record, state, float(record[0]["reference_voltage"]))
         settled = 50.0 * float(record[0]["coil_time_constant"] + record[0]["eddy_time_constant"]) + 1e-3
-        _check(_run(record, state, settled, _NO_TIMES, np.empty((0, 5)), _events(), TOLERANCE)[1])
+        _check(_run(record, state, settled, _NO_TIMES, np.empty((0, automaton.ROW)), _events(), TOLERANCE)[1])
         return bool(state[0]["mode"] != Phase.CLOSED)
 
 
@@ -191,7 +191,7 @@ def simulate(
     if start_time is None:
         start_time = float(min(np.min(drive.times, initial=math.inf), np.min(times, initial=math.inf)))
         start_time = start_time if math.isfinite(start_time) else 0.0
-    rows, currents = np.empty((len(times), 5)), np.empty(len(times))
+    rows, currents = np.empty((len(times), automaton.ROW)), np.empty(len(times))
     room = _EVENT_ROOM
     while True:
         state, events = new_states(record, start_time), _events(room)
@@ -228,8 +228,8 @@ def run_record(
 
     Args:
         record: (1,) VALVE_RECORD. state: (1,) STATE_RECORD, advanced. drive: the commanded voltage.
-        times: (n,) s, of the positions. rows: (n, 5) written: pilot and main position as shown (m), velocity (m/s),
-            attraction (N), phase.
+        times: (n,) s, of the positions. rows: (n, 1) or (n, 6) written: pilot and main position as shown
+            (m), velocity (m/s), attraction (N), phase, position of the pilot itself (m).
         current_times: (m,) s. currents: (m,) written: normalised current u.
         events: (e,) EVENT_RECORD array, written as far as it goes.
         tolerance: relative error of one step.
@@ -323,7 +323,7 @@ class Stepper:
         self._tolerance = tolerance
         self._events = _events()
         self._pending: list[Event] = []
-        self._row = np.empty((1, 5))
+        self._row = np.empty((1, automaton.ROW))
         self._current = np.empty(1)
         self._valve = valve
         self._record = valve.record()
@@ -363,11 +363,10 @@ class Stepper:
         """
         self._go(self._state, time, commit=False, collect=True)
         row = self._row[0]
-        pilot, main, velocity, attraction, phase_number = (float(value) for value in row)
+        pilot, main, velocity, attraction, phase_number, x = (float(value) for value in row)
         current = float(self._current[0])
         phase = Phase(int(phase_number))
         moves_main = phase is Phase.MAIN
-        x = float(pilot)
         if self._delay:
             pilot, main = self._delayed(time - self._delay)
         record = self._record[0]

@@ -1,0 +1,140 @@
+"""The catalogue's entries: what is neutral changes nothing, look-alikes are mutual, tags and words are there."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import numpy as np
+import pytest
+
+from valve_sim.model import CATALOGUE, DECLARED, Drive, Effect, Parameter, ParameterError, Stepper, Tag, Valve, simulate
+from valve_sim.model.effects import VALVE_RECORD
+from valve_sim.model.effects.catalogue import Catalogue
+
+from .random_valves import RANGES
+
+CALIBRATED = Valve().with_values(a0=3.0336, coil_time_constant=0.9934e-3)
+PULSE = Drive.of([1e-3, 21e-3], [9.0, 0.0])
+TIMES = np.arange(1, 400) * 1e-4
+NAMED = [name for name, effect in CATALOGUE.items() if effect.named]
+
+
+def shaped(effect: Effect, share: float) -> dict[str, float]:
+    """What switches it at its neutral value; what only shapes it anywhere in its range."""
+    values = effect.neutral_values()
+    for parameter in effect.parameters:
+        if parameter.off is None and effect.named:
+            low, high = RANGES[effect.name][parameter.name]
+            values[parameter.name] = low + share * (high - low)
+    return values
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0])
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_an_effect_at_its_neutral_values_is_exactly_no_effect(name: str, share: float) -> None:
+    neutral = Valve(CALIBRATED.parameters, {name: shaped(CATALOGUE[name], share)})
+    with_it, without = (simulate(valve, PULSE, TIMES) for valve in (neutral, CALIBRATED))
+    for field in ("pilot_position", "main_position", "pilot_velocity", "coil_current", "attraction", "phase"):
+        np.testing.assert_array_equal(getattr(with_it, field), getattr(without, field))
+    assert with_it.events == without.events
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_a_parameter_that_is_not_given_is_neutral(name: str) -> None:
+    for parameter in CATALOGUE[name].parameters:
+        alone = Valve(CALIBRATED.parameters, {name: {parameter.name: parameter.typical}})
+        whole = Valve(
+            CALIBRATED.parameters, {name: {**CATALOGUE[name].neutral_values(), parameter.name: parameter.typical}}
+        )
+        assert alone.record().tobytes() == whole.record().tobytes()
+
+
+@pytest.mark.parametrize(
+    "sensor",
+    [
+        {"sensor_gain": {"gain": 1.02}},
+        {"sensor_bandwidth": {"cutoff_frequency": 20.0}},
+        {"sensor_delay": {"delay": 5e-3}},
+    ],
+    ids=lambda sensor: next(iter(sensor)),
+)
+def test_what_a_sensor_shows_does_not_change_the_spring(sensor: dict[str, dict[str, float]]) -> None:
+    efforts = []
+    for effects in ({}, sensor):
+        stepper = Stepper(Valve(CALIBRATED.parameters, effects))
+        stepper.command(0.0, 9.0)
+        efforts.append([stepper.advance(time).main_effort for time in np.arange(1, 40) * 0.5e-3])
+    assert efforts[0] == efforts[1]
+    d = CALIBRATED.parameters
+    assert efforts[0][-1] == pytest.approx(-(d.spring_preload + d.spring_rate * d.stroke))
+
+
+def test_the_record_has_what_is_declared_and_what_the_entries_need() -> None:
+    assert VALVE_RECORD.names is not None
+    assert VALVE_RECORD.names[: len(DECLARED)] == tuple(DECLARED)
+    needed = {field for effect in CATALOGUE.values() for field in effect.fields}
+    assert needed < set(VALVE_RECORD.names)
+
+
+def test_look_alikes_are_declared_once_and_mutual() -> None:
+    alike = {name: CATALOGUE[name].confused_with for name in CATALOGUE}
+    assert all(name in alike[other] for name, others in alike.items() for other in others)
+    assert alike["stiction"] == ("coulomb_friction", "asymmetric_friction", "squeeze_film")
+    mine = Effect("mine", "mine", (), "test", term=math.hypot, confused_with=("yours", "not_installed"))
+    yours = Effect("yours", "yours", (), "test", term=math.hypot)
+    both = Catalogue((mine, yours))
+    assert both["yours"].confused_with == ("mine",)
+    assert both["mine"].confused_with == ("yours",)
+
+
+def test_tags_find_what_others_ask_for() -> None:
+    assert {effect.name for effect in CATALOGUE.tagged(Tag.SENSOR)} == {
+        "sensor_delay", "sensor_bandwidth", "sensor_gain",
+    }  # fmt: skip
+    assert {effect.name for effect in CATALOGUE.tagged(Tag.LIKE_DAMPING)} == {
+        "coulomb_friction", "quadratic_drag", "squeeze_film",
+    }  # fmt: skip
+    assert "force_map" not in {effect.name for tag in Tag for effect in CATALOGUE.tagged(tag)}
+
+
+@pytest.mark.parametrize("name", NAMED)
+def test_an_entry_speaks_to_people(name: str) -> None:
+    effect = CATALOGUE[name]
+    assert effect.tags
+    assert "_" not in effect.title
+    for sentence in (effect.on_a_real_valve, effect.what_to_do):
+        assert re.fullmatch(r"[A-Z][^_\n]{20,240}\.", sentence), sentence
+    values = {parameter.name: parameter.typical for parameter in effect.parameters}
+    severity = effect.severity_of(values, CALIBRATED.declared())
+    assert severity is None or 0.0 <= severity.share < 10.0
+    off = effect.severity_of(effect.neutral_values(), CALIBRATED.declared())
+    assert off is None or off.share == 0.0
+
+
+def test_severity_is_a_share_that_a_person_knows() -> None:
+    friction = CATALOGUE["coulomb_friction"].severity_of({"force": 0.15}, CALIBRATED.declared())
+    assert str(friction) == "5.9 % of the spring preload"
+    nothing = CATALOGUE["coil_lag"].severity_of({"time_constant": 1e-4}, Valve().declared())
+    assert nothing is None
+
+
+def test_a_users_effect_needs_no_words_for_people() -> None:
+    force = Parameter("force", "N", "largest drag")
+    effect = Effect("eddy_drag", "drag of a conducting guide", (force,), "a book", term=math.hypot)
+    assert effect.title == "Eddy drag"
+    assert effect.on_a_real_valve == "Drag of a conducting guide."
+
+
+@pytest.mark.parametrize(
+    ("effect", "words"),
+    [
+        (Effect("coil_lag", "s", (), "t", term=math.hypot), ("coil_lag", "registered already")),
+        (Effect("idle", "s", (), "t"), ("idle", "neither a term nor a rewrite")),
+        (Effect("new", "s", (), "t", rewrite=print, fields={"inertia": 0.0}), ("new", "no mechanism", "inertia")),
+    ],
+)
+def test_an_effect_that_cannot_take_part_is_refused(effect: Effect, words: tuple[str, ...]) -> None:
+    with pytest.raises(ParameterError) as caught:
+        CATALOGUE.register(effect)
+    assert all(word in str(caught.value) for word in words)

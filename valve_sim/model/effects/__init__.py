@@ -1,0 +1,33 @@
+"""Effects that the reference model lacks: one file each, which says everything about its effect.
+
+The fit, parameter files, reports and the reference page follow from the entry. An effect enters the model by
+
+* `term`, a compiled force f(x, v, u, t, *parameters) in newtons, + opens,
+* `adds_to`, a declared parameter that is larger by one of its own, or
+* `rewrite`, which changes the record of the compiled core: a declared parameter, or `fields` of a mechanism that the
+  core has for it.
+
+The `EFFECT` of every module here takes part. So does every effect that an installed package names in the entry-point
+group `valve_sim.effects`, and what a program registers.
+"""
+
+from valve_sim.model.effects.catalogue import CATALOGUE, ENTRY_POINTS, Catalogue, check_effects
+from valve_sim.model.effects.entry import Effect, Severity, Tag, Term, compile_term
+from valve_sim.model.effects.force_map import FORCE_MAP_KNOTS, FORCE_MAP_VARIABLES
+from valve_sim.model.effects.record import VALVE_RECORD, new_record
+
+__all__ = [
+    "CATALOGUE",
+    "ENTRY_POINTS",
+    "FORCE_MAP_KNOTS",
+    "FORCE_MAP_VARIABLES",
+    "VALVE_RECORD",
+    "Catalogue",
+    "Effect",
+    "Severity",
+    "Tag",
+    "Term",
+    "check_effects",
+    "compile_term",
+    "new_record",
+]

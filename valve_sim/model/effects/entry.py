@@ -1,0 +1,237 @@
+"""What an entry of the catalogue says about its effect, and how its force term is compiled."""
+
+from __future__ import annotations
+
+import dis
+import enum
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final, NamedTuple
+
+from numba import carray, types  # type: ignore[attr-defined]
+from numba.np.unsafe.ndarray import to_fixed_tuple
+
+from valve_sim.model.compiling import compiled, compiled_callback, compiled_once
+from valve_sim.model.core_types import MAXIMUM_TERM_PARAMETERS, MAXIMUM_TERMS
+from valve_sim.model.errors import ParameterError
+from valve_sim.model.parameters import Parameter
+
+Values = Mapping[str, float]
+Rewrite = Callable[[Any, Values], None]
+Term = Callable[..., float]
+
+_TERM_SIGNATURE = types.float64(
+    types.float64, types.float64, types.float64, types.float64, types.CPointer(types.float64)
+)
+
+
+class Tag(enum.Enum):
+    """What kind of effect it is; whoever lists effects asks by tag. The catalogue is in this order."""
+
+    DISSIPATIVE = "dissipative"
+    """Takes energy out of the motion."""
+    FORCE = "force"
+    """Any other force on the plungers."""
+    COIL = "coil"
+    """Between the commanded voltage and the pull."""
+    CONTACT = "contact"
+    """Where the plungers touch, and what happens there."""
+    SENSOR = "sensor"
+    """What is measured, not what happens."""
+    LIKE_DAMPING = "like damping"
+    """Slows the plungers as a viscous damping does, and is easily taken for one."""
+    ANY_AXIS = "any axis"
+    """Needs no coil, seat or stop: any driven axis can have it."""
+
+
+class Severity(NamedTuple):
+    """How much of an effect there is: a share (0.06 for 6 %) of something that a person knows."""
+
+    share: float
+    of: str
+
+    def __str__(self) -> str:
+        """As a report says it, "6 % of the spring preload"."""
+        return f"{100.0 * self.share:.2g} % of {self.of}"
+
+
+SeverityOf = Callable[[Values, Values], Severity | None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Words:
+    """What an entry says to people.
+
+    Attributes:
+        title: plain name, "Coulomb friction"; default: the name, without underscores.
+        on_a_real_valve: one sentence: what it is on a real valve; default: the summary.
+        what_to_do: one sentence: what to check or do.
+        severity: (the effect's values, the declared values) → how much of it that is; None where that means nothing.
+    """
+
+    title: str = ""
+    on_a_real_valve: str = ""
+    what_to_do: str = ""
+    severity: SeverityOf | None = None
+
+
+@dataclass(frozen=True)
+class Effect(_Words):
+    """One named effect.
+
+    Attributes:
+        name: as in YAML, reports and `effects.<name>`.
+        summary: one sentence for a person.
+        parameters: what it needs; all of them are given when it is on.
+        source: where the form, and the size, are documented.
+        rewrite: changes the core's record, given the record and the effect's values.
+        term: plain Python function f(x, v, u, t, *parameters, *also_reads) in SI units, compiled when first used.
+        also_reads: declared parameters that the term is handed after its own.
+        phase_2_only: the term acts only while the main plunger moves along.
+        confused_with: names of effects that data often cannot tell from this one, the nearest first; listed beside it
+            where no form is right and scores mislead. One of two says so: the catalogue adds it to the other.
+        named: whether a diagnosis may claim it; False for shapes without a physical name.
+        tags: what kind of effect it is; the first is the main one.
+        fields: of the core's record, that a mechanism of the core reads for this effect, with their neutral values.
+        adds_to: parameter of the effect → declared parameter that it is added to.
+    """
+
+    name: str
+    summary: str
+    parameters: tuple[Parameter, ...]
+    source: str
+    rewrite: Rewrite | None = None
+    term: Term | None = None
+    also_reads: tuple[str, ...] = ()
+    phase_2_only: bool = False
+    confused_with: tuple[str, ...] = ()
+    named: bool = True
+    tags: tuple[Tag, ...] = (Tag.FORCE,)
+    fields: Values = field(default_factory=dict, hash=False)
+    adds_to: Mapping[str, str] = field(default_factory=dict, hash=False)
+    _compiled: list[Any] = field(default_factory=list, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        plain = self.name.replace("_", " ")
+        defaults = {
+            "title": plain[:1].upper() + plain[1:],
+            "on_a_real_valve": f"{self.summary[:1].upper()}{self.summary[1:].rstrip('.')}.",
+            "what_to_do": f"See {self.source.rstrip('.')}.",
+        }
+        for attribute, default in defaults.items():
+            if not getattr(self, attribute):
+                object.__setattr__(self, attribute, default)
+
+    @property
+    def changes_nothing(self) -> bool:
+        """Whether it has no way into the model."""
+        return self.rewrite is None and self.term is None and not self.adds_to
+
+    def parameter(self, name: str) -> Parameter:
+        """The parameter of that name.
+
+        Raises:
+            KeyError: there is none.
+        """
+        for parameter in self.parameters:
+            if parameter.name == name:
+                return parameter
+        raise KeyError(name)
+
+    def neutral_values(self) -> dict[str, float]:
+        """Values at which it changes nothing; what only shapes it is at its typical size."""
+        return {parameter.name: parameter.neutral for parameter in self.parameters}
+
+    def severity_of(self, values: Values, declared: Values) -> Severity | None:
+        """How much of the effect there is in a valve.
+
+        Args:
+            values: the effect's, by name. declared: the declared scalars (a0 … a3 among them), SI.
+
+        Returns:
+            a share of something known, or None where there is no such measure.
+        """
+        return None if self.severity is None else self.severity(values, declared)
+
+    def apply_rewrite(self, record: Any, values: Values) -> None:
+        """Change the core's record, if this effect does so."""
+        for parameter, declared in self.adds_to.items():
+            record[declared] += values[parameter]
+        if self.rewrite is not None:
+            self.rewrite(record, values)
+
+    def apply_term(self, record: Any, values: Values) -> None:
+        """Add the compiled force term to the core's record, if this effect has one."""
+        if self.term is None:
+            return
+        numbers = [values[parameter.name] for parameter in self.parameters]
+        numbers += [float(record[name]) for name in self.also_reads]
+        slot = int(record["term_count"])
+        if slot == MAXIMUM_TERMS:
+            raise ParameterError(f"effects.{self.name}: at most {MAXIMUM_TERMS} compiled force terms can be on at once")
+        record["term_address"][slot] = self.address(len(numbers))
+        record["term_in_phase_2_only"][slot] = int(self.phase_2_only)
+        record["term_parameters"][slot, : len(numbers)] = numbers
+        record["term_count"] = slot + 1
+        record["terms_read_time"] |= int(reads_time(self.term))
+
+    def address(self, count: int) -> int:
+        """Address of the compiled term that reads `count` numbers; compiled once a process and cached on disk."""
+        if not self._compiled:
+            assert self.term is not None
+            self._compiled.append(compile_term(self.term, count))
+        return int(self._compiled[0].address)
+
+
+def set_fields(**parameter_of: str) -> Rewrite:
+    """A rewrite that writes parameters of the effect into fields of the core's record."""
+
+    def rewrite(record: Any, values: Values) -> None:
+        for field_name, parameter in parameter_of.items():
+            record[field_name] = values[parameter]
+
+    return rewrite
+
+
+def share_of_preload(parameter: str) -> SeverityOf:
+    """The size of a force over the spring's preload."""
+
+    def severity(values: Values, declared: Values) -> Severity | None:
+        return share(values[parameter], declared["spring_preload"], "the spring preload")
+
+    return severity
+
+
+def share(part: float, whole: float, of: str) -> Severity | None:
+    """The size of a part of a whole; None of a whole that is 0."""
+    return Severity(abs(part / whole), of) if whole else None
+
+
+def reads_time(term: Term) -> bool:
+    """Whether a term f(x, v, u, t, *parameters) makes use of t: a valve at rest is then watched more closely."""
+    code = getattr(term, "__code__", None)
+    return code is None or any(step.argval == code.co_varnames[3] for step in dis.get_instructions(code))
+
+
+def compile_term(term: Term, count: int) -> Any:
+    """Compile f(x, v, u, t, *numbers) to a C callback that reads its `count` numbers from memory.
+
+    Raises:
+        ParameterError: too many numbers.
+    """
+    if count > MAXIMUM_TERM_PARAMETERS:
+        raise ParameterError(f"{term.__name__}: a force term reads at most {MAXIMUM_TERM_PARAMETERS} numbers")
+    # Code of a script or a notebook cannot be found again by its module's name, so it is compiled anew each time.
+    home = sys.modules.get(term.__module__)
+    is_importable = term.__module__ != "__main__" and getattr(home, term.__name__, None) is term
+    force = compiled(term) if is_importable else compiled_once(term)
+
+    def callback(x: float, v: float, u: float, t: float, numbers: Any) -> float:
+        return force(x, v, u, t, *to_fixed_tuple(carray(numbers, (count,)), count))  # type: ignore[no-any-return, call-arg]
+
+    return compiled_callback(_TERM_SIGNATURE, callback, is_kept=is_importable)
+
+
+FASTEST: Final = 0.2
+"""m/s: about the speed at which such a valve arrives at its stop, for severities."""

@@ -1,0 +1,76 @@
+"""What a valve is, to the compiled core: one record a parameter set, made of the entries of the catalogue."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+
+from valve_sim.model.core_types import MAXIMUM_TERM_PARAMETERS, MAXIMUM_TERMS
+from valve_sim.model.effects.catalogue import CATALOGUE, shipped
+from valve_sim.model.parameters import DECLARED
+
+
+def _neutral_fields() -> dict[str, float]:
+    """Every field that the core has for an effect, with the value at which it changes nothing."""
+    fields: dict[str, float] = {}
+    for effect in shipped():
+        for name, neutral in effect.fields.items():
+            assert fields.setdefault(name, neutral) == neutral, f"{name} has one neutral value"
+    return fields
+
+
+_FIELDS: Final = _neutral_fields()
+
+VALVE_RECORD: Final = np.dtype(
+    [
+        # The declared valve, after the effects that add to it or rewrite it.
+        *((name, "f8") for name in DECLARED),
+        # What the core's mechanisms read for the effects that need one.
+        *((name, "f8") for name in _FIELDS),
+        # Compiled force terms: addresses, whether they act in Phase 2 only, and the numbers they read.
+        ("term_count", "i8"),
+        ("terms_read_time", "i8"),  # 1 where one of them may change while nothing else does
+        ("term_address", "i8", (MAXIMUM_TERMS,)),
+        ("term_in_phase_2_only", "i8", (MAXIMUM_TERMS,)),
+        ("term_parameters", "f8", (MAXIMUM_TERMS, MAXIMUM_TERM_PARAMETERS)),
+    ],
+    align=True,
+)
+"""What a valve is, to the compiled core."""
+
+
+def _blank_record() -> Any:
+    records = np.zeros(1, VALVE_RECORD)
+    for name, neutral in _FIELDS.items():
+        records[name] = neutral
+    return records
+
+
+_BLANK: Final = _blank_record()
+
+
+def new_record(declared: Mapping[str, float], effects: Mapping[str, Mapping[str, float]]) -> Any:
+    """A valve as the compiled core reads it.
+
+    Args:
+        declared: every name of `DECLARED` to its value, SI.
+        effects: the effects that are on; a parameter that is not given has its neutral value.
+
+    Returns:
+        (1,) VALVE_RECORD array.
+    """
+    records = _BLANK.copy()
+    # Written at once, as the numbers that they are: by name it takes longer than a simulation.
+    records.view(np.float64)[: len(DECLARED)] = [declared[name] for name in DECLARED]
+    entries = [(CATALOGUE[name], values) for name, values in effects.items()]
+    whole = [
+        (effect, values if len(values) == len(effect.parameters) else {**effect.neutral_values(), **values})
+        for effect, values in entries
+    ]
+    for effect, values in whole:
+        effect.apply_rewrite(records[0], values)
+    for effect, values in whole:
+        effect.apply_term(records[0], values)
+    return records

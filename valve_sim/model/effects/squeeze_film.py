@@ -1,0 +1,39 @@
+"""Gas squeezed out of the closing gaps at seat and stop."""
+
+from __future__ import annotations
+
+from valve_sim.model.effects.entry import Effect, Severity, Tag, Values, share
+from valve_sim.model.parameters import Parameter
+
+
+def squeeze_film(
+    x: float, v: float, u: float, t: float, coefficient: float, film_thickness: float, stroke: float
+) -> float:
+    """−B v [(h/(x + h))³ + (h/(stroke − x + h))³], N."""
+    at_seat = film_thickness / (x + film_thickness)
+    at_stop = film_thickness / (stroke - x + film_thickness)
+    return -coefficient * v * (at_seat**3 + at_stop**3)
+
+
+def _severity(values: Values, declared: Values) -> Severity | None:
+    return share(values["coefficient"], declared["main_damping"], "the declared main damping, at contact")
+
+
+EFFECT = Effect(
+    "squeeze_film",
+    "gas squeezed out of the closing gaps at seat and stop",
+    (
+        Parameter("coefficient", "N·s/m", "B, damping at contact", 0, 1e6, 2.0, 0.0),
+        Parameter("film_thickness", "m", "h, film left at contact", 1e-6, 1e-1, 1e-4),
+    ),
+    "Reynolds: 3π η R⁴ v / (2 h³) for a disc",
+    title="Squeeze film",
+    on_a_real_valve="Fluid between flat faces must get out of the way as they meet and in again as they part, which "
+    "brakes the plungers close to seat and stop.",
+    what_to_do="Look for oil or condensate between plunger and core, and check that faces and their grooves are as "
+    "designed.",
+    severity=_severity,
+    term=squeeze_film,
+    also_reads=("stroke",),
+    tags=(Tag.DISSIPATIVE, Tag.LIKE_DAMPING),
+)

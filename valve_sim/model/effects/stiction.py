@@ -1,0 +1,40 @@
+"""Dry friction with a breakaway peak: a mechanism of the core, because it makes plungers stick."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from valve_sim.model.effects.entry import Effect, Severity, Tag, Values, share
+from valve_sim.model.parameters import Parameter
+
+
+def _severity(values: Values, declared: Values) -> Severity | None:
+    return share(values["force"] + values["breakaway"], declared["spring_preload"], "the spring preload")
+
+
+def _rewrite(record: Any, values: Values) -> None:
+    record["friction_opening"] += values["force"]
+    record["friction_closing"] += values["force"]
+    record["breakaway"] = values["breakaway"]
+    record["stribeck_velocity"] = values["stribeck_velocity"]
+
+
+EFFECT = Effect(
+    "stiction",
+    "dry friction that must first be broken away and falls with speed",
+    (
+        Parameter("force", "N", "friction force", 0, 1e5, 0.05, 0.0),
+        Parameter("breakaway", "N", "extra force at rest", 0, 1e5, 0.05, 0.0),
+        Parameter("stribeck_velocity", "m/s", "speed at which it has faded", 1e-5, 1e3, 0.02),
+    ),
+    "Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30 (1994) 1083",
+    title="Stiction",
+    on_a_real_valve="The plungers stick where they rest and then slide more easily: gummed lubricant, a sticky seal, "
+    "or surfaces that cling.",
+    what_to_do="Clean seat and guide, replace sticky seals, and compare strokes after a long and after a short rest.",
+    severity=_severity,
+    rewrite=_rewrite,
+    fields={"friction_opening": 0.0, "friction_closing": 0.0, "breakaway": 0.0, "stribeck_velocity": 1.0},
+    confused_with=("asymmetric_friction", "squeeze_film"),
+    tags=(Tag.DISSIPATIVE, Tag.ANY_AXIS),
+)
