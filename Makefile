@@ -1,4 +1,5 @@
 # make run    sets up what is missing and shows a valve at work on ROS 2 topics
+# make shell  opens a shell in which valve-sim and the nodes are found
 # make test   runs all checks and tests
 #
 # Where a ROS 2 is sourced it is used as it is; elsewhere the wheels of Jazzy are installed into .venv.
@@ -33,11 +34,14 @@ SETS_UP := $(MAKE) --no-print-directory --jobs 2
 # A tested environment can run too, so that whoever ran the tests first waits no second time.
 RUN_READY := $(firstword $(wildcard $(ENVIRONMENT)/.ready-to-test) $(ENVIRONMENT)/.ready-to-run)
 
-.PHONY: run test check kilted-nodes
+.PHONY: run shell test check kilted-nodes
 .DELETE_ON_ERROR:
 
 run: $(RUN_READY)
 	$(PYTHON) -m valve_sim.demo
+
+shell: $(RUN_READY)
+	@tools/environment shell $(ENVIRONMENT)
 
 ifeq ($(SOURCED_ROS),)
 test:
@@ -50,6 +54,7 @@ test: check
 endif
 
 check: $(ENVIRONMENT)/.ready-to-test
+	$(PYTHON) -m valve_sim.warm
 	$(PYTHON) -m ruff check .
 	$(PYTHON) -m ruff format --check .
 	$(PYTHON) -m mypy
@@ -59,6 +64,7 @@ check: $(ENVIRONMENT)/.ready-to-test
 	OPENBLAS_NUM_THREADS=1 $(PYTHON) -m benchmarks.campaign --slice
 
 kilted-nodes: $(KILTED_ENVIRONMENT)/.ready-to-test
+	$(KILTED_PYTHON) -m valve_sim.warm
 	$(KILTED_PYTHON) -m pytest $(KILTED_TESTS)
 
 $(ENVIRONMENT)/.ready-to-run: $(DECLARED)

@@ -18,7 +18,6 @@ RUNS_WITHOUT_ROS = [
     "mcap>=1.2",
     "numba>=0.58",
     "numpy>=1.24",
-    "plotly>=5.15",
     "pyyaml>=6.0",
     "rich>=13.0",
     "rosbags>=0.11",
@@ -65,6 +64,9 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (str(SHARE), ["package.xml"]),
+        ("share/bash-completion/completions", ["completions/valve-sim"]),
+        ("share/zsh/site-functions", ["completions/_valve-sim"]),
+        ("share/fish/vendor_completions.d", ["completions/valve-sim.fish"]),
         *shared_files("config", "launch", "bags"),
     ],
     zip_safe=False,

@@ -368,6 +368,7 @@ def _diagnose_events(events: Path, output: Path, as_json: bool) -> None:
     from valve_sim.identification.event_table import read_event_table
 
     table = read_event_table(events)
+    _say_when_compiling()
     with _progress() as progress:
         found = diagnose_events(table, progress)
     written = write_event_report(found, output)
@@ -475,6 +476,7 @@ def fit_force(
 def _load(params: Path | None) -> Valve:
     from valve_sim.files.parameter_files import default_valve, load_valve
 
+    _say_when_compiling()
     return default_valve() if params is None else load_valve(params)
 
 
@@ -492,6 +494,14 @@ def _read(bags: Sequence[Path], name: str | None) -> list[Trace]:
 
 
 # --- out ---
+
+
+def _say_when_compiling() -> None:
+    """The first use after an installation is slow: say why, on a terminal and in a log alike."""
+    from valve_sim.model.compiling import announce_compiling
+
+    words = "valve-sim: compiling the model for this machine (ten seconds or so, once)"
+    announce_compiling(lambda: click.echo(words, err=True))
 
 
 @contextmanager

@@ -108,6 +108,7 @@ def compiled(function: Callable[..., Any]) -> Any:
         dispatcher = numba.njit(cache=has_folder, nogil=True, error_model="numpy")(function)
     if has_folder:
         _keep_where_possible(dispatcher)
+        _announce_where_missing(dispatcher)
     return dispatcher
 
 
@@ -121,6 +122,27 @@ def _keep_where_possible(dispatcher: Any) -> None:
             keep(signature, result)
 
     cache.save_overload = keep_if_possible
+
+
+_announcements: list[Callable[[], None]] = []
+
+
+def announce_compiling(tell: Callable[[], None]) -> None:
+    """Call `tell` once before the first function is compiled that is not on disk yet; not at all where all are."""
+    _announcements.append(tell)
+
+
+def _announce_where_missing(dispatcher: Any) -> None:
+    cache = dispatcher._cache
+    load = cache.load_overload
+
+    def load_or_announce(signature: Any, context: Any) -> Any:
+        found = load(signature, context)
+        while found is None and _announcements:
+            _announcements.pop()()
+        return found
+
+    cache.load_overload = load_or_announce
 
 
 def compiled_callback(signature: Any, function: Callable[..., Any], *, is_kept: bool) -> Any:

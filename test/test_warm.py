@@ -1,0 +1,45 @@
+"""The model is compiled once: by `python -m valve_sim.warm`, or by the first use, which says so."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+SIMULATE = ("-m", "valve_sim", "simulate", "--voltage", "9", "--duration", "0.02", "--output")
+USE_ALL = """
+from valve_sim.model import CATALOGUE, Drive, Stepper, Valve, simulate_many
+drag = Valve(effects={"quadratic_drag": {"coefficient": 1.0}})
+simulate_many([Valve(), drag], Drive.of([0.0], [9.0]), [0.0, 1e-3])
+stepper = Stepper(drag)
+stepper.command(1e-3, 9.0)
+stepper.set_valve(Valve(), 2e-3)
+stepper.advance(3e-3)
+"""
+
+
+def compiled_code(folder: Path) -> dict[str, int]:
+    """Files of compiled code, but for the thin callbacks around force terms, which every process makes anew."""
+    files = (file for file in folder.rglob("*.nb?") if "callback" not in file.name)
+    return {str(file): file.stat().st_mtime_ns for file in files}
+
+
+def test_what_is_warm_compiles_nothing_and_what_is_not_says_so(tmp_path: Path) -> None:
+    cache = tmp_path / "cache"
+
+    def python(*words: str) -> subprocess.CompletedProcess[str]:
+        environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache)}
+        return subprocess.run(
+            [sys.executable, *words], env=environment, capture_output=True, text=True, timeout=300, check=True
+        )
+
+    first = python(*SIMULATE, str(tmp_path / "first.csv"))
+    assert first.stderr == "valve-sim: compiling the model for this machine (ten seconds or so, once)\n"
+    assert python("-m", "valve_sim.warm").stdout.count("\n") == 1
+    warmed = compiled_code(cache)
+    assert python("-m", "valve_sim.warm").stdout == ""
+    assert python(*SIMULATE, str(tmp_path / "second.csv")).stderr == ""
+    python("-c", USE_ALL)
+    assert compiled_code(cache) == warmed
+    assert len(warmed) > 10

@@ -1,0 +1,43 @@
+"""Compile the model now, so that no first command or node has to: `python -m valve_sim.warm`.
+
+What is compiled is kept in the user's cache folder and found there from then on. `make` runs this; after pip or colcon,
+which run no code of a package, it can be run by hand, or the first use takes the time and says so.
+"""
+
+from __future__ import annotations
+
+import sys
+
+from valve_sim.files.parameter_files import default_valve
+from valve_sim.model import CATALOGUE, Drive, Stepper, ValveError, simulate, simulate_many
+from valve_sim.model.compiling import announce_compiling
+
+
+def warm() -> None:
+    """Have every compiled function of the model at hand: whole runs, many at once, a live valve, terms of effects."""
+    valve = default_valve()
+    drive = Drive.of([0.0], [valve.parameters.reference_voltage])
+    simulate(valve, drive, [0.0, 1e-3])
+    simulate_many([valve], drive, [0.0, 1e-3], threads=1)
+    stepper = Stepper(valve)
+    stepper.command(1e-3, valve.parameters.reference_voltage)
+    stepper.set_valve(valve, 2e-3)
+    stepper.advance(3e-3)
+    for effect in CATALOGUE.values():
+        if effect.term is not None and effect.named:
+            effect.address(len(effect.parameters) + len(effect.also_reads))
+
+
+def main() -> int:
+    """Compile what is missing; 0, or 2 after one line on stderr."""
+    announce_compiling(lambda: print("compiling the model for this machine (ten seconds or so, once)", flush=True))
+    try:
+        warm()
+    except ValveError as error:
+        print(f"warm: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
