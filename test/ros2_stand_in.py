@@ -21,7 +21,8 @@ PATIENCE = 60.0
 def run(words: list[str]) -> int:
     """ros2 run PACKAGE NODE arguments."""
     package, node, *rest = words
-    os.execv(sys.executable, [sys.executable, "-m", f"{package}.nodes.{node}", *rest])
+    module = package if node == "valve-sim" else f"{package}.nodes.{node}"
+    os.execv(sys.executable, [sys.executable, "-m", module, *rest])
 
 
 def message_class(name: str) -> Any:

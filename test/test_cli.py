@@ -374,7 +374,7 @@ def readme_blocks(language: str) -> list[str]:
 
 def test_the_commands_of_the_readme_work_as_they_stand(tmp_path: Path):
     (block,) = (block for block in readme_blocks("console") if "$ valve-sim" in block)
-    commands = [line.removeprefix("$ ") for line in block.splitlines()]
+    commands = [line.removeprefix("$ ") for line in block.splitlines() if line != "$ make shell"]
     script = "\n".join(['set -e; valve-sim() { "$PYTHON" -m valve_sim "$@"; }', *commands])
     done = subprocess.run(
         ["bash", "-c", script],

@@ -90,3 +90,19 @@ def test_without_any_script_the_module_is_run(nothing_installed: Path, monkeypat
     shutil.copy("with space/python", "tools/python")
     monkeypatch.setattr(sys, "executable", str(nothing_installed / "tools" / "python"))
     assert invocation() == "python -m valve_sim"
+
+
+@needs_script
+def test_make_shell_finds_every_program_of_its_environment() -> None:
+    tool = Path(__file__).parents[1] / "tools" / "environment"
+    programs = ("valve-sim", "valve_node", "identification_node", "monitor_node", "command_profile")
+    asked = subprocess.run(
+        [str(tool), "shell", str(SCRIPT.parents[1])],
+        input=f"command -v {' '.join(programs)}; echo makelevel=$MAKELEVEL",
+        env={**os.environ, "PATH": PLAIN_PATH, "SHELL": "/bin/bash", "MAKELEVEL": "1"},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+    )
+    assert asked.stdout.splitlines() == [*(str(SCRIPT.with_name(name)) for name in programs), "makelevel="]

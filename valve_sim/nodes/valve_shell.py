@@ -107,9 +107,9 @@ class NodeClock:
 class ValveShell:
     """The node `valve`.
 
-    Topics (MODEL section 4): in ~/coil_voltage; out ~/joint_states and ~/coil_current at publish_rate, ~/phase and
-    ~/is_open on change (latched), /diagnostics at 1 Hz. Services: ~/reset (rests closed, no current, no command),
-    ~/self_test (one stroke of a copy of the valve, off line). Parameters: the table of
+    Topics (docs/reference/topics.md): in ~/coil_voltage; out ~/joint_states and ~/coil_current at publish_rate,
+    ~/phase and ~/is_open on change (latched), /diagnostics at 1 Hz. Services: ~/reset (rests closed, no current, no
+    command), ~/self_test (one stroke of a copy of the valve, off line). Parameters: the table of
     `valve_sim.nodes.parameters`; all can be set at run time.
 
     Args:
