@@ -9,6 +9,9 @@ from typing import Any
 
 import pytest
 
+from valve_sim.files.parameter_files import default_valve
+from valve_sim.nodes.parameters import table
+
 from .ros_process import Probe, piped
 
 pytestmark = pytest.mark.ros
@@ -23,9 +26,13 @@ from rcl_interfaces.srv import (  # noqa: E402
     SetParameters,
     SetParametersAtomically,
 )
+from rclpy.parameter import Parameter  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
 
 BAG = Path(__file__).parents[2] / "bags" / "one_opening.mcap"
+
+
+ENTRIES = table(default_valve())
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -42,9 +49,9 @@ class Forgetful:
         self._node: Any = rclpy.create_node(name, start_parameter_services=False)
         self._lost = lost
         self._setting = self._serve(SetParametersAtomically, "set_parameters_atomically")
+        self._getting = self._serve(GetParameters, "get_parameters")
         # An AsyncParameterClient waits for all six.
         for kind, service in (
-            (GetParameters, "get_parameters"),
             (GetParameterTypes, "get_parameter_types"),
             (SetParameters, "set_parameters"),
             (DescribeParameters, "describe_parameters"),
@@ -59,6 +66,7 @@ class Forgetful:
 
     def answer(self) -> None:
         """Take a question that waits, if any; answer it if enough of them were lost."""
+        self._tell_values()
         with self._setting.handle:
             question = self._setting.handle.service_take_request(SetParametersAtomically.Request)
         if question is None or question == (None, None):
@@ -68,6 +76,14 @@ class Forgetful:
             reply = SetParametersAtomically.Response()
             reply.result.successful = True
             self._setting.send_response(reply, question[1])
+
+    def _tell_values(self) -> None:
+        with self._getting.handle:
+            question = self._getting.handle.service_take_request(GetParameters.Request)
+        if question is None or question == (None, None):
+            return
+        values = [Parameter(name, value=ENTRIES[name].default).get_parameter_value() for name in question[0].names]
+        self._getting.send_response(GetParameters.Response(values=values), question[1])
 
     def close(self) -> None:
         """Release the node."""
@@ -90,6 +106,7 @@ def test_a_result_is_handed_on_past_lost_replies(lost: int, is_set: bool, tmp_pa
         output=tmp_path,
         apply_to=f"/forgetful_{lost}",
         rate=0,
+        linger="true",
     ):
         assert probe.until(has_ended), "no result"
     applied = json.loads(results[0].data)["applied"]

@@ -27,6 +27,7 @@ import rclpy  # noqa: E402
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 from std_msgs.msg import Float64, String  # noqa: E402
+from std_srvs.srv import Trigger  # noqa: E402
 
 MAKER = Path(__file__).resolve().parents[2] / "bags" / "make_samples.py"
 
@@ -74,18 +75,26 @@ def test_a_recorded_live_valve_is_identified_and_another_one_given_its_parameter
     bag = Path(__file__).parents[2] / "bags" / "live.mcap"
     results = probe.hear("result", String, latched=True)
     live = Probe("/valve")
-    with running(tmp_path) as _, identifying(tmp_path, bag=bag, apply_to="valve", rate=0) as process:
+    given: dict[str, object] = {"apply_to": "valve", "linger": "true", "rate": 0}
+    with running(tmp_path), identifying(tmp_path, bag=bag, **given) as process:
         assert probe.until(lambda: results), "no result"
         report = json.loads(results[0].data)
         applied = live.parameters()
         process.send_signal(signal.SIGINT)
         assert process.wait(PATIENCE) == 0
+        assert process.stderr is not None
+        said = process.stderr.read()
     for name, truth in maker().LIVE_DAMPINGS.items():
         found = report["parameters"][name]
         assert found["ci95"][0] <= truth <= found["ci95"][1]
         assert found["ci95"][1] - found["ci95"][0] < 0.05 * truth
         assert applied[f"valve.{name}"] == found["value"]
-    assert report["applied"] == {"node": "/valve", "is_set": True, "reason": ""}
+    assert (report["applied"]["node"], report["applied"]["is_set"], report["applied"]["reason"]) == ("/valve", True, "")
+    for line in report["applied"]["changes"]:
+        assert f"/valve: {line}" in said
+    assert "valve.pilot_damping: 1 → 1.3" in said
+    assert "95 % interval 1.2" in said
+    assert f"ready: replays {bag} on /identification/measured/joint_states beside the model" in said
     file = tmp_path / "identified.yaml"
     assert report["file"] == str(file)
     assert load_valve(file).parameters.pilot_damping == pytest.approx(applied["valve.pilot_damping"], rel=1e-12)
@@ -94,16 +103,75 @@ def test_a_recorded_live_valve_is_identified_and_another_one_given_its_parameter
     live.close()
 
 
+def test_it_ends_when_the_recording_is_played_and_the_result_is_known(samples: Path, ros: None, tmp_path: Path) -> None:
+    with identifying(tmp_path, bag=samples / "one_opening.mcap", rate=0) as process:
+        assert process.wait(PATIENCE) == 0
+        assert process.stderr is not None
+        said = process.stderr.read()
+    assert f"; see {tmp_path / 'identified.yaml'}" in said
+    assert "Traceback" not in said
+
+
 def test_a_node_that_is_not_there_is_said_not_to_have_taken_the_result(
     samples: Path, probe: Probe, tmp_path: Path
 ) -> None:
     results, heard = probe.hear("result", String, latched=True), probe.hear("/diagnostics", DiagnosticArray)
-    with identifying(tmp_path, bag=samples / "one_opening.mcap", apply_to="/nobody", rate=0):
+    bag = samples / "one_opening.mcap"
+    with identifying(tmp_path, bag=bag, apply_to="/nobody", rate=0, linger="true") as process:
         assert probe.until(lambda: results), "no result"
         applied = json.loads(results[0].data)["applied"]
         assert not applied["is_set"]
         assert applied["node"] == "/nobody"
         assert probe.until(lambda: b"\x02" in levels(heard, "identification"))
+        process.send_signal(signal.SIGINT)
+        assert process.wait(PATIENCE) == 1
+
+
+FRICTION = Path(__file__).parents[2] / "bags" / "friction"
+"""A recording of a valve with Coulomb friction, which the declared one lacks."""
+
+
+def test_a_fit_that_leaves_more_than_noise_is_not_handed_on(probe: Probe, tmp_path: Path) -> None:
+    results = probe.hear("result", String, latched=True)
+    live = Probe("/valve")
+    given: dict[str, object] = {"apply_to": "valve", "linger": "true", "rate": 0}
+    with running(tmp_path), identifying(tmp_path, bag=FRICTION, **given) as process:
+        assert probe.until(lambda: results), "no result"
+        process.send_signal(signal.SIGINT)
+        assert process.wait(PATIENCE) == 1
+        assert process.stderr is not None
+        said = process.stderr.read()
+        assert (live.parameters()["valve.pilot_damping"], live.parameters()["valve.main_damping"]) == (1.0, 4.0)
+    live.close()
+    applied = json.loads(results[0].data)["applied"]
+    assert not applied["is_set"]
+    assert "what is left is more than noise, so the model lacks something" in applied["reason"]
+    assert "/valve is as it was" in said
+    assert not (tmp_path / "before.yaml").exists()
+
+
+def test_what_was_set_all_the_same_can_be_undone(probe: Probe, tmp_path: Path) -> None:
+    results = probe.hear("result", String, latched=True)
+    live = Probe("/valve")
+    given: dict[str, object] = {"apply_to": "valve", "apply_always": "true", "linger": "true", "rate": 0}
+    with running(tmp_path), identifying(tmp_path, bag=FRICTION, **given) as process:
+        before = live.parameters()
+        assert probe.until(lambda: results), "no result"
+        assert json.loads(results[0].data)["applied"]["is_set"]
+        wrong = live.parameters()
+        assert wrong["valve.main_damping"] != 4.0
+        assert live.set_parameters(frame_id="tank")[0].successful
+        answer = probe.call("undo", Trigger)
+        assert answer.success, answer.message
+        assert live.parameters() == {**before, "frame_id": "tank"}, "what others set meanwhile stays"
+        assert not probe.call("undo", Trigger).success, "there is nothing left to undo"
+        process.send_signal(signal.SIGINT)
+        assert process.wait(PATIENCE) == 0
+        assert process.stderr is not None
+        assert "is given the result although what is left is more than noise" in process.stderr.read()
+    with running(tmp_path, ["--ros-args", "--params-file", str(tmp_path / "before.yaml")]):
+        assert Probe("/valve").parameters() == before
+    live.close()
 
 
 def levels(heard: list[Any], task: str) -> list[bytes]:
@@ -140,7 +208,7 @@ def by_stamp(heard: list[Any]) -> dict[int, Any]:
 
 def test_a_diagnosis_is_published_too(samples: Path, probe: Probe, tmp_path: Path) -> None:
     results = probe.hear("result", String, latched=True)
-    with identifying(tmp_path, bag=samples / "one_opening.mcap", mode="diagnose", rate=0):
+    with identifying(tmp_path, bag=samples / "one_opening.mcap", mode="diagnose", rate=0, linger="true"):
         assert probe.until(lambda: results, 3 * PATIENCE), "no result"
     report = json.loads(results[0].data)
     assert report["schema"] == "valve_sim/diagnosis/1"

@@ -54,11 +54,19 @@ class Notes:
 
 
 def play(clock: FakeClock, rate: float) -> tuple[Replay, Notes]:
-    notes, failures = Notes(clock), list[Exception]()
+    notes, failures, ends = Notes(clock), list[Exception](), list[bool]()
     replay = Replay(
-        clock, TRACE, rate=rate, loop=False, player=notes, prepare=lambda: None, fail=failures.append
-    )  # fmt: skip
+        clock,
+        TRACE,
+        rate=rate,
+        loop=False,
+        player=notes,
+        prepare=lambda: None,
+        end=lambda: ends.append(replay.is_done),
+        fail=failures.append,
+    )
     replay.run()
+    assert ends == [True]
     assert failures == []
     assert replay.is_done
     return replay, notes

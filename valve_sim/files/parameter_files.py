@@ -217,9 +217,12 @@ def save_valve(path: Path | str, valve: Valve, provenance: str) -> None:
 
 
 def write_sections(path: Path, sections: Sequence[Section]) -> None:
-    """Write parameters in the plainest form: flat names, and lists of one type.
+    """Write parameters in the plainest form, whole or not at all: flat names, and lists of one type.
 
     ROS 2's own parser refuses a file where one list holds 0 and 0.5, or where a mapping is empty.
+
+    Raises:
+        ParameterError: the file cannot be written.
     """
     document: dict[str, Any] = {}
     for section in sections:
@@ -227,7 +230,8 @@ def write_sections(path: Path, sections: Sequence[Section]) -> None:
             {name: _one_type(value) for name, value in section.values.items()}
         )
     filled = {node: content for node, content in document.items() if content["ros__parameters"]}
-    path.write_text(yaml.dump(filled, Dumper=_Dumper, sort_keys=False, allow_unicode=True) if filled else "{}\n")
+    text = yaml.dump(filled, Dumper=_Dumper, sort_keys=False, allow_unicode=True) if filled else "{}\n"
+    write_whole(path, text, ParameterError)
 
 
 # --- YAML as ROS 2 reads and writes it ----------------------------------------------------------------------------

@@ -23,7 +23,8 @@ class Settings(NamedTuple):
         params: parameter file of the declared valve; empty for the shipped one.
         free: what is refitted.
         rate: seconds of the bag a second of the clock; 0 for as fast as possible. loop: replay it again and again.
-        apply_to: the node that gets the result; empty for none. output: folder of the files.
+        apply_to: the node that gets the result; empty for none. apply_always: where more than noise is left, too.
+        output: folder of the files. linger: stay after the last sample and the result, for ~/undo and late subscribers.
         mode: of MODES.
     """
 
@@ -34,7 +35,9 @@ class Settings(NamedTuple):
     rate: float = 1.0
     loop: bool = False
     apply_to: str = ""
+    apply_always: bool = False
     output: str = "."
+    linger: bool = False
     mode: str = MODES[0]
 
 
@@ -45,8 +48,10 @@ DESCRIPTIONS: Final = {
     "free": "parameters to refit (mode identify), such as pilot_damping or coulomb_friction.force",
     "rate": "[–] replay: 1 as recorded, 2 twice as fast, 0 as fast as possible",
     "loop": "whether the replay begins anew at its end",
-    "apply_to": "running valve node whose parameters are set to the result; empty: none",
-    "output": "folder where identified.yaml (mode diagnose: corrected.yaml) is written",
+    "apply_to": "running valve node that is given the result, if that leaves nothing but noise; empty: none",
+    "apply_always": "whether apply_to is given a result that leaves more than noise, too",
+    "output": "folder of identified.yaml (mode diagnose: corrected.yaml) and before.yaml, what apply_to had",
+    "linger": "whether the node stays when all is done, for ~/undo and late subscribers",
     "mode": "identify: refit `free`; diagnose: find the effect that the declared valve lacks",
 }
 
@@ -99,7 +104,7 @@ def _checked(name: str, value: object, where: str) -> object:
         if isinstance(value, bool) or not isinstance(value, int | float) or not (0.0 <= value < math.inf):
             raise ParameterError(f"{where}: found {value!r}, expected a number from 0 on")
         return float(value)
-    if name == "loop":
+    if name in ("loop", "apply_always", "linger"):
         if not isinstance(value, bool):
             raise ParameterError(f"{where}: found {value!r}, expected true or false")
         return value

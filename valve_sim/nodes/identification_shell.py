@@ -6,27 +6,29 @@ the result and hands it on.
 
 from __future__ import annotations
 
-import contextlib
-import queue
 import sys
+import threading
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.duration import Duration
 from rclpy.node import Node
-from rclpy.parameter import Parameter
-from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, String
+from std_srvs.srv import Trigger
 
-from valve_sim.files.parameter_files import Section, default_valve, load_valve
+from valve_sim.files.parameter_files import Section, default_valve, load_valve, write_sections
 from valve_sim.model import ParameterError, Valve
+from valve_sim.nodes.handing_on import Recipient, Values, changes_between
 from valve_sim.nodes.identification_parameters import DESCRIPTIONS, Settings, check_settings, output_folder
-from valve_sim.nodes.identification_task import Applied, Outcome, Progress, Task, find_out, report_text
+from valve_sim.nodes.identification_task import BEFORE_FILE, Applied, Outcome, Progress, Task, find_out, report_text
 from valve_sim.nodes.messages import ReadingMessages, diagnostic_array
 from valve_sim.nodes.parameters import sources_of, table
 from valve_sim.nodes.replay import Prediction, Replay, measured_reading, predict, replay_status
@@ -38,9 +40,8 @@ from valve_sim.traces import read_trace
 _DEEP: Final = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
 """A recording has more samples a second than a live valve."""
 _STOP_SECONDS: Final = 0.4
-_ANSWER_SECONDS: Final = 5.0
-_QUESTIONS: Final = 4
-"""How often a node that does not answer is asked: a reply sent before DDS has matched its reader is lost."""
+_DELIVERY: Final = Duration(seconds=2)
+"""How long a node that is done waits until who listens has the result."""
 _SWITCH_INTERVAL: Final = 5e-4
 
 
@@ -49,8 +50,10 @@ class IdentificationShell:
 
     Topics: ~/coil_voltage and ~/measured/joint_states as recorded, header stamps too; ~/predicted/joint_states with the
     same stamps, by the declared valve until the refitted one is known; ~/residual, m, measured less predicted position
-    of the pilot plunger; ~/result (JSON, latched) when it is known; /diagnostics at 1 Hz. Parameters: `Settings`; they
-    are read once, at the start.
+    of the pilot plunger; ~/result (JSON, latched) when it is known; /diagnostics at 1 Hz. Service: ~/undo, which gives
+    the valve of `apply_to` its own values back. Parameters: `Settings`; they are read once, at the start.
+
+    It ends when the recording has been played and the result is known, but for `loop` and `linger`.
 
     Args:
         sections: (file, section) of the parameter files on the command line.
@@ -69,6 +72,8 @@ class IdentificationShell:
             bag = Path(self._settings.bag).expanduser()
             self._trace = read_trace(bag, self._settings.valve_name or None)
             self._clock = NodeClock(self._node)
+            self._recipient = Recipient(self._node, self._target) if self._target else None
+            self._before: Values = {}
             self._wire()
         except BaseException:
             self._node.destroy_node()
@@ -83,12 +88,13 @@ class IdentificationShell:
             loop=self._settings.loop,
             player=self,
             prepare=self._prepare,
+            end=self._end_if_done,
             fail=self._fail,
         )
 
     @property
     def exit_code(self) -> int:
-        """0, or 1 if the replay failed."""
+        """0; 1 if the replay or the task failed, or the valve of `apply_to` was not given the result."""
         return self._exit_code
 
     def spin(self) -> None:
@@ -131,13 +137,24 @@ class IdentificationShell:
         self._messages = ReadingMessages("")
         # By the wall: diagnostics must tell, too, that /clock is silent.
         node.create_timer(1.0, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self._client = AsyncParameterClient(node, self._target) if self._target else None
+        # A group of its own: while it waits, the valve's answer must find the others free.
+        node.create_service(Trigger, "~/undo", self._undo, callback_group=MutuallyExclusiveCallbackGroup())
 
     # --- the replay's thread ---
 
     def _prepare(self) -> None:
         self._prediction = predict(self._trace, self._declared, 0.0, "declared")
+        self._say_ready()
         self._task.start()
+
+    def _say_ready(self) -> None:
+        settings = self._settings
+        what = f"refits {', '.join(settings.free)}" if settings.mode == "identify" else "diagnoses it"
+        topic = self._measured.topic_name
+        self._node.get_logger().info(
+            f"ready: replays {settings.bag} on {topic} beside the model, {what}; the result comes on "
+            f"{self._result.topic_name} and in {self._folder.resolve()}"
+        )
 
     def command(self, index: int) -> None:
         """Publish one command of the recording."""
@@ -163,35 +180,78 @@ class IdentificationShell:
     def _work(self, progress: Progress) -> str:
         outcome = find_out(self._trace, self._declared, self._settings, self._folder, progress)
         self._prediction = predict(self._trace, outcome.valve, outcome.clock_offset, self._settings.mode)
-        applied = self._apply(outcome) if self._target else None
+        applied = None if self._recipient is None else self._apply(outcome, self._recipient)
         self._result.publish(String(data=report_text(outcome, applied)))
         if applied is not None and not applied.is_set:
-            raise ParameterError(f"{outcome.summary}; but apply_to: {applied.node} did not take it: {applied.reason}")
-        return outcome.summary
+            raise ParameterError(f"{outcome.summary}; but apply_to: {applied.node} is as it was: {applied.reason}")
+        return f"{outcome.summary}; see {outcome.file}"
 
     def _report(self, words: str, is_good: bool) -> None:
         if self._node.context.ok():
             logger = self._node.get_logger()
             (logger.info if is_good else logger.error)(words)
+            if not is_good:
+                self._exit_code = 1
+            self._end_if_done()
 
-    def _apply(self, outcome: Outcome) -> Applied:
-        """Set the whole valve, effects that are off too, at once or not at all."""
-        assert self._client is not None
-        if not outcome.is_applicable:
-            return Applied(self._target, False, "the result is not certain enough to be used")
-        if not self._client.wait_for_services(timeout_sec=_ANSWER_SECONDS):
-            return Applied(self._target, False, f"no such node answered within {_ANSWER_SECONDS:g} s")
-        parameters = valve_parameters(outcome.valve)
-        answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        for _ in range(_QUESTIONS):
-            # The same values again change nothing; whichever question is answered first counts.
-            self._client.set_parameters_atomically(parameters, answers.put)
-            with contextlib.suppress(queue.Empty):
-                result = answers.get(timeout=_ANSWER_SECONDS / _QUESTIONS).result().result
-                return Applied(self._target, bool(result.successful), str(result.reason))
-        return Applied(self._target, False, f"it did not answer within {_ANSWER_SECONDS:g} s")
+    def _end_if_done(self) -> None:
+        """Called at the end of the replay and of the task; the later of the two ends the node."""
+        is_done = self._replay.is_done and self._task.is_done
+        if is_done and not self._settings.linger and self._node.context.ok():
+            self._result.wait_for_all_acked(_DELIVERY)
+            self._node.context.try_shutdown()
+
+    def _apply(self, outcome: Outcome, recipient: Recipient) -> Applied:
+        """Set the whole valve, effects that are off too, at once or not at all; what it had before is kept."""
+        logger = self._node.get_logger()
+        if outcome.doubt and not self._settings.apply_always:
+            return Applied(recipient.name, False, f"{outcome.doubt}; apply_always:=true sets it all the same")
+        new = valve_parameters(outcome.valve)
+        try:
+            old = recipient.values(list(new))
+            write_sections(self._folder / BEFORE_FILE, [Section(recipient.name, old)])
+            recipient.set(new)
+        except ParameterError as error:
+            return Applied(recipient.name, False, str(error))
+        changes = changes_between(old, new, outcome.intervals)
+        self._before = {change.name: change.old for change in changes}
+        if outcome.doubt:
+            logger.warning(f"{recipient.name} is given the result although {outcome.doubt} (apply_always)")
+        lines = tuple(change.text() for change in changes)
+        for line in lines:
+            logger.info(f"{recipient.name}: {line}")
+        logger.info(
+            f"undo: `ros2 param load {recipient.name} {(self._folder / BEFORE_FILE).resolve()}`, or, while this node "
+            f"runs (linger:=true), its service ~/undo"
+        )
+        return Applied(recipient.name, True, changes=lines)
 
     # --- callbacks, in the main thread ---
+
+    async def _undo(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """The valve's own values back; a thread waits for its answer, which this thread must be free to take."""
+        taken_back: Future = Future()
+
+        def take_back() -> None:
+            taken_back.set_result(self._take_back())
+            if self._node.executor is not None:
+                self._node.executor.wake()
+
+        threading.Thread(target=take_back, name="undo", daemon=True).start()
+        response.success, response.message = await taken_back
+        return response
+
+    def _take_back(self) -> tuple[bool, str]:
+        if self._recipient is None or not self._before:
+            return False, "nothing was set that could be taken back"
+        try:
+            self._recipient.set(self._before)
+        except ParameterError as error:
+            return False, str(error)
+        words = f"{self._recipient.name} has its own values again: {', '.join(self._before)}"
+        self._node.get_logger().info(words)
+        self._before = {}
+        return True, words
 
     def _diagnose(self) -> None:
         reading = self._clock.read()
@@ -201,10 +261,8 @@ class IdentificationShell:
         self._diagnostics.publish(diagnostic_array(statuses, name, self._clock.stamp()))
 
 
-def valve_parameters(valve: Valve) -> list[Parameter]:
+def valve_parameters(valve: Valve) -> Values:
     """Every parameter of valve_node that describes its valve, with the values of this one."""
-    return [
-        Parameter(entry.name, value=entry.default)
-        for entry in table(valve).values()
-        if entry.name.startswith(("valve.", "effects."))
-    ]
+    return {
+        entry.name: entry.default for entry in table(valve).values() if entry.name.startswith(("valve.", "effects."))
+    }

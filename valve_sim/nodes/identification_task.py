@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from valve_sim.files.parameter_files import save_valve
-from valve_sim.identification.identify import Identification, identify
+from valve_sim.identification.fitting import Interval
+from valve_sim.identification.identify import Identification, identify, leaves_more_than_noise
 from valve_sim.model import Valve
 from valve_sim.model.errors import ValveError
 from valve_sim.nodes.diagnostics import Level, Status
@@ -18,7 +19,8 @@ from valve_sim.traces import Trace
 
 IDENTIFIED_FILE: Final = "identified.yaml"
 CORRECTED_FILE: Final = "corrected.yaml"
-_APPLICABLE: Final = ("none", "effects")
+BEFORE_FILE: Final = "before.yaml"
+_NAMED: Final = ("none", "effects")
 
 Progress = Callable[[str, float], None]
 
@@ -29,7 +31,8 @@ class Outcome(NamedTuple):
     Attributes:
         valve: the identified or corrected one. clock_offset: s by which the samples are stamped late.
         report: content of identify.json or report.json. file: where the valve was written.
-        summary: one sentence for a person. is_applicable: whether the valve may be handed on.
+        summary: one sentence for a person. intervals: by name of each fitted parameter.
+        doubt: why the valve should not be handed on; empty where nothing but noise is left.
     """
 
     valve: Valve
@@ -37,15 +40,22 @@ class Outcome(NamedTuple):
     report: dict[str, Any]
     file: Path
     summary: str
-    is_applicable: bool
+    intervals: Mapping[str, Interval]
+    doubt: str
 
 
 class Applied(NamedTuple):
-    """Whether a running node took the result over: its name, and why not."""
+    """What became of handing the result on.
+
+    Attributes:
+        node: the valve's name. is_set: whether it took the result over. reason: why not.
+        changes: one line for each parameter that has another value now.
+    """
 
     node: str
     is_set: bool
-    reason: str
+    reason: str = ""
+    changes: tuple[str, ...] = ()
 
 
 class Cancelled(Exception):  # noqa: N818 -- not an error: the node ends
@@ -69,7 +79,16 @@ def _identified(result: Identification, settings: Settings, folder: Path) -> Out
     file = folder / IDENTIFIED_FILE
     save_valve(file, result.valve, _provenance(settings, summary))
     offset = result.fit.values["clock_offset[0]"]
-    return Outcome(result.valve, offset, result.to_json(), file, summary, result.fit.converged)
+    return Outcome(result.valve, offset, result.to_json(), file, summary, result.intervals, _doubt(result))
+
+
+def _doubt(result: Identification) -> str:
+    if not result.fit.converged:
+        return "the fit did not settle"
+    if leaves_more_than_noise(result.fit):
+        return "what is left is more than noise, so the model lacks something (mode:=diagnose may name it)"
+    bound = next((name for name in result.fit.free if result.fit.on_bound(name) is not None), "")
+    return f"{bound} sits on the bound of its range" if bound else ""
 
 
 def _diagnosed(trace: Trace, declared: Valve, settings: Settings, folder: Path, progress: Progress) -> Outcome:
@@ -81,8 +100,11 @@ def _diagnosed(trace: Trace, declared: Valve, settings: Settings, folder: Path, 
     file = folder / CORRECTED_FILE
     save_valve(file, result.valve, _provenance(settings, result.verdict.summary))
     offset = result.after.fit.values.get("clock_offset[0]", 0.0)
-    is_applicable = result.verdict.kind in _APPLICABLE
-    return Outcome(result.valve, offset, to_json(result), file, result.verdict.summary, is_applicable)
+    after, kind = result.after, result.verdict.kind
+    doubt = "" if kind in _NAMED else f"the verdict is {kind!r}"
+    if not doubt and not after.adequacy.is_white:
+        doubt = "what is left is more than noise"
+    return Outcome(result.valve, offset, to_json(result), file, result.verdict.summary, after.intervals, doubt)
 
 
 def _provenance(settings: Settings, summary: str) -> str:
@@ -109,7 +131,13 @@ class Task(threading.Thread):
         self._work = work
         self._end = end
         self._stopping = threading.Event()
+        self._is_done = False
         self._state = Status("identification", Level.OK, "about to begin", _values("", 0.0))
+
+    @property
+    def is_done(self) -> bool:
+        """Whether there is a result, or a reason why there is none."""
+        return self._is_done
 
     @property
     def status(self) -> Status:
@@ -144,6 +172,7 @@ class Task(threading.Thread):
 
     def _finish(self, words: str, level: Level) -> None:
         self._state = Status("identification", level, words, _values("done", 1.0))
+        self._is_done = True
         self._end(words, level is Level.OK)
 
 

@@ -125,6 +125,7 @@ class Replay(threading.Thread):
         loop: whether to begin anew at the end.
         player: is told what is due.
         prepare: called first, in the thread.
+        end: called when all has been played.
         fail: called with what went wrong, if anything did; the thread then ends.
     """
 
@@ -137,6 +138,7 @@ class Replay(threading.Thread):
         loop: bool,
         player: Player,
         prepare: Callable[[], None],
+        end: Callable[[], None],
         fail: Callable[[Exception], None],
     ) -> None:
         super().__init__(name="replay", daemon=True)
@@ -150,6 +152,7 @@ class Replay(threading.Thread):
         self._loop = loop
         self._player = player
         self._prepare = prepare
+        self._end = end
         self._fail = fail
         self._stopping = threading.Event()
         span = float(trace.times[-1] - trace.times[0])
@@ -180,6 +183,8 @@ class Replay(threading.Thread):
                 if is_whole and not self._loop:
                     break
             self.is_done = not self._stopping.is_set()
+            if self.is_done:
+                self._end()
         except Exception as error:
             if not self._stopping.is_set():
                 self._fail(error)

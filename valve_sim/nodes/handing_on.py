@@ -1,0 +1,135 @@
+"""Handing parameters on to a running valve node: asked again where a reply is lost, said line by line, undone."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import queue
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final, NamedTuple
+
+from rclpy.node import Node
+from rclpy.parameter import Parameter, parameter_value_to_python
+from rclpy.parameter_client import AsyncParameterClient
+
+from valve_sim.identification.fitting import Interval
+from valve_sim.model import CATALOGUE, DECLARED, ParameterError
+
+ANSWER_SECONDS: Final = 5.0
+_QUESTIONS: Final = 4
+"""How often a node that does not answer is asked: a reply sent before DDS has matched its reader is lost."""
+_DIGITS: Final = 5
+
+Values = dict[str, Any]
+"""Flat parameter name to value."""
+
+
+class Change(NamedTuple):
+    """One parameter that is set to another value.
+
+    Attributes:
+        name: flat, as the valve node has it. old, new: in `unit`.
+        interval: 95 %, of the new value; None where it was not fitted.
+    """
+
+    name: str
+    old: Any
+    new: Any
+    interval: tuple[float, float] | None
+    unit: str
+
+    def text(self) -> str:
+        """One line for the log."""
+        if self.interval is None:
+            return f"{self.name}: {_short(self.old)} → {_short(self.new)} {self.unit}".rstrip()
+        low, high = self.interval
+        digits = _digits(self.new, high - low)
+        return (
+            f"{self.name}: {_short(self.old)} → {_short(self.new, digits)} {self.unit}, 95 % interval "
+            f"{_short(low, digits)} to {_short(high, digits)}"
+        )
+
+
+class Recipient:
+    """A running valve node whose parameters are read and set. Its methods wait: not for a thread that spins.
+
+    Args:
+        node: asks; spun elsewhere.
+        name: full name of the valve node.
+    """
+
+    def __init__(self, node: Node, name: str) -> None:
+        self.name = name
+        self._client = AsyncParameterClient(node, name)
+
+    def values(self, names: Sequence[str]) -> Values:
+        """What these parameters are now.
+
+        Raises:
+            ParameterError: no such node, no answer, or it lacks one of them.
+        """
+        answer = self._ask(lambda callback: self._client.get_parameters(list(names), callback))
+        found = dict(zip(names, map(parameter_value_to_python, answer.values), strict=False))
+        missing = [name for name in names if found.get(name) is None]
+        if missing:
+            raise ParameterError(f"{self.name} has no parameter {missing[0]}; expected a valve_node of this release")
+        return {name: value if isinstance(value, float | str) else list(value) for name, value in found.items()}
+
+    def set(self, values: Mapping[str, Any]) -> None:
+        """Set all of these, or none.
+
+        Raises:
+            ParameterError: no such node, no answer, or it refuses them; the message has its reason.
+        """
+        parameters = [Parameter(name, value=value) for name, value in values.items()]
+        # The same values again change nothing; whichever question is answered first counts.
+        answer = self._ask(lambda callback: self._client.set_parameters_atomically(parameters, callback))
+        if not answer.result.successful:
+            raise ParameterError(f"{self.name} refuses them: {answer.result.reason}")
+
+    def _ask(self, question: Callable[[Callable[[Any], None]], object]) -> Any:
+        if not self._client.wait_for_services(timeout_sec=ANSWER_SECONDS):
+            raise ParameterError(f"{self.name}: no such node answered within {ANSWER_SECONDS:g} s")
+        answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        for _ in range(_QUESTIONS):
+            question(answers.put)
+            with contextlib.suppress(queue.Empty):
+                return answers.get(timeout=ANSWER_SECONDS / _QUESTIONS).result()
+        raise ParameterError(f"{self.name}: did not answer within {ANSWER_SECONDS:g} s")
+
+
+def changes_between(old: Mapping[str, Any], new: Mapping[str, Any], intervals: Mapping[str, Interval]) -> list[Change]:
+    """What setting `new` changes; `intervals` by the names of a fit, such as pilot_damping or stiction.force."""
+    return [
+        Change(name, old[name], value, _interval_of(name, intervals), _unit(name))
+        for name, value in new.items()
+        if old[name] != value
+    ]
+
+
+def _interval_of(name: str, intervals: Mapping[str, Interval]) -> tuple[float, float] | None:
+    found = intervals.get(name.partition(".")[2])
+    return None if found is None else (found.low, found.high)
+
+
+def _unit(name: str) -> str:
+    root, _, rest = name.partition(".")
+    if root == "valve":
+        return DECLARED[rest].unit if rest in DECLARED else ""
+    effect, _, parameter = rest.partition(".")
+    return next((rule.unit for rule in CATALOGUE[effect].parameters if rule.name == parameter), "")
+
+
+def _digits(value: float, width: float) -> int:
+    """Digits that show an interval of this width, two of it."""
+    if not 0.0 < width < math.inf or value == 0.0:
+        return _DIGITS
+    return max(_DIGITS, math.ceil(math.log10(abs(value) / width)) + 2)
+
+
+def _short(value: object, digits: int = _DIGITS) -> str:
+    if isinstance(value, list):
+        return f"[{', '.join(map(_short, value))}]"
+    if isinstance(value, float) and math.isinf(value):
+        return "infinity" if value > 0.0 else "-infinity"
+    return f"{value:.{digits}g}" if isinstance(value, float) else str(value)
