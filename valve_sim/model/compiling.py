@@ -145,13 +145,13 @@ def _announce_where_missing(dispatcher: Any) -> None:
     cache.load_overload = load_or_announce
 
 
-def compiled_callback(signature: Any, function: Callable[..., Any], *, is_kept: bool) -> Any:
-    """Compile to a C callback now, and keep it on disk where that is wanted and possible."""
-    with cached() as has_folder:
-        try:
-            return numba.cfunc(signature, cache=has_folder and is_kept)(function)
-        except OSError:
-            return numba.cfunc(signature)(function)
+def compiled_callback(signature: Any, function: Callable[..., Any]) -> Any:
+    """Compile to a C callback, for this process only.
+
+    Numba would take one on disk for its own only if what the function closes over were equal, and a compiled function
+    is equal to none of another process: each would add a file, and find none.
+    """
+    return numba.cfunc(signature)(function)
 
 
 def compiled_once(function: Callable[..., Any]) -> Any:

@@ -230,7 +230,7 @@ def compile_term(term: Term, count: int) -> Any:
     def callback(x: float, v: float, u: float, t: float, numbers: Any) -> float:
         return force(x, v, u, t, *to_fixed_tuple(carray(numbers, (count,)), count))  # type: ignore[no-any-return, call-arg]
 
-    return compiled_callback(_TERM_SIGNATURE, callback, is_kept=is_importable)
+    return compiled_callback(_TERM_SIGNATURE, callback)
 
 
 FASTEST: Final = 0.2
