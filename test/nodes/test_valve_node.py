@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 import yaml
+from installed_effect import MAGNET_DRAG, Installed
 
 from valve_sim.files.resources import config_path
 
@@ -224,6 +225,28 @@ def test_dumped_parameters_can_be_loaded_again(rested: Probe, tmp_path: Path) ->
             assert {name: plain(value) for name, value in other.parameters().items()} == dumped
     finally:
         other.close()
+
+
+def test_an_installed_effect_is_set_on_the_running_node(ros: None, tmp_path: Path) -> None:
+    site = Installed(tmp_path / "site", MAGNET_DRAG)
+    plugged = Probe("/plugged")
+    try:
+        with running(tmp_path, ["--ros-args", "-r", "__node:=plugged"], PYTHONPATH=site.environment["PYTHONPATH"]):
+            assert plugged.set_parameters(effects__magnet_drag__force=0.4)[0].successful
+            assert plugged.parameters()["effects.magnet_drag.force"] == 0.4
+            assert not plugged.set_parameters(effects__magnet_drag__force=-1.0)[0].successful
+            joints = plugged.hear("joint_states", JointState)
+            assert plugged.until(lambda: joints)
+    finally:
+        plugged.close()
+
+
+def test_a_broken_installed_effect_ends_the_node_with_one_line(ros: None, tmp_path: Path) -> None:
+    site = Installed(tmp_path / "site", "EFFECT = 3\n")
+    node = NodeProcess(tmp_path, ["--ros-args"], PYTHONPATH=site.environment["PYTHONPATH"])
+    assert node.exit_code() == 2
+    assert "entry point magnet_drag" in node.output
+    assert "Traceback" not in node.output
 
 
 def test_a_tank_of_the_station_has_its_own_names_and_file(ros: None, tmp_path: Path) -> None:

@@ -52,7 +52,7 @@ def installed() -> Iterator[tuple[str, Effect]]:
                 raise ParameterError(
                     f"{where}: found {type(effect).__name__}, expected an Effect; mend or uninstall it"
                 )
-            yield where, effect
+            yield where, replace(effect, origin=where)
 
 
 class Catalogue(Mapping[str, Effect]):

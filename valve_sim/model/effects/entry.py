@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
 
 from numba import carray, types  # type: ignore[attr-defined]
+from numba.core.errors import NumbaError
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
 from valve_sim.model.compiling import compiled, compiled_callback, compiled_once
@@ -95,6 +96,7 @@ class Effect(_Words):
         tags: what kind of effect it is; the first is the main one.
         fields: of the core's record, that a mechanism of the core reads for this effect, with their neutral values.
         adds_to: parameter of the effect → declared parameter that it is added to.
+        origin: where an installed package names it, for messages.
     """
 
     name: str
@@ -110,6 +112,7 @@ class Effect(_Words):
     tags: tuple[Tag, ...] = (Tag.FORCE,)
     fields: Values = field(default_factory=dict, hash=False)
     adds_to: Mapping[str, str] = field(default_factory=dict, hash=False)
+    origin: str = field(default="", compare=False)
     _compiled: list[Any] = field(default_factory=list, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -177,10 +180,19 @@ class Effect(_Words):
         record["terms_read_time"] |= int(reads_time(self.term))
 
     def address(self, count: int) -> int:
-        """Address of the compiled term that reads `count` numbers; compiled once a process and cached on disk."""
+        """Address of the compiled term that reads `count` numbers; compiled once a process and cached on disk.
+
+        Raises:
+            ParameterError: it cannot be compiled.
+        """
         if not self._compiled:
             assert self.term is not None
-            self._compiled.append(compile_term(self.term, count))
+            try:
+                self._compiled.append(compile_term(self.term, count))
+            except (NumbaError, TypeError) as error:
+                where = f"effects.{self.name}" + (f" ({self.origin})" if self.origin else "")
+                why = " ".join(str(error).split())[:200]
+                raise ParameterError(f"{where}: its term cannot be compiled: {why}") from error
         return int(self._compiled[0].address)
 
 
