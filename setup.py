@@ -41,6 +41,7 @@ ROS_KILTED = [
     "ros-diagnostic-msgs==5.5.1",
     "ros-std-srvs==5.5.1",
 ]
+PARQUET = ["pyarrow>=14.0"]
 CHECKS = ["hypothesis", "import-linter", "mypy", "pytest", "pytest-xdist", "ruff", "scipy-stubs", "types-PyYAML"]
 
 
@@ -71,7 +72,7 @@ setup(
     ],
     zip_safe=False,
     install_requires=RUNS_WITHOUT_ROS,
-    extras_require={"ros": ROS_JAZZY, "ros-kilted": ROS_KILTED, "test": CHECKS},
+    extras_require={"ros": ROS_JAZZY, "ros-kilted": ROS_KILTED, "parquet": PARQUET, "test": [*CHECKS, *PARQUET]},
     entry_points={
         "console_scripts": [
             "command_profile = valve_sim.nodes.command_profile:main",

@@ -17,7 +17,7 @@ from click.testing import CliRunner
 from identification.recordings import one_opening
 
 from valve_sim.cli import main
-from valve_sim.files import parameter_files
+from valve_sim.files import yaml_files
 from valve_sim.files.parameter_files import load_valve
 from valve_sim.identification.event_table import read_event_table
 from valve_sim.identification.synthetic import read_profile
@@ -76,7 +76,7 @@ def test_the_search_finds_what_it_looks_for(source: str) -> None:
 
 
 def test_the_one_loader_of_our_own_is_a_safe_one() -> None:
-    assert issubclass(parameter_files._Loader, yaml.SafeLoader)
+    assert issubclass(yaml_files._Loader, yaml.SafeLoader)
 
 
 @pytest.mark.parametrize("read", [load_valve, read_profile, read_event_table])

@@ -18,7 +18,7 @@ from valve_sim.model.parameters import Parameter
 from valve_sim.nodes import monitor_parameters, profile_parameters
 from valve_sim.nodes.identification_parameters import DESCRIPTIONS, Settings
 from valve_sim.nodes.parameters import NodeParameter, table
-from valve_sim.traces.reading import CHANNELS, MEASURED
+from valve_sim.traces.layout import CHANNELS, MEASURED
 
 _NODES: Final = {
     "valve_node": "valve_shell.py",

@@ -99,6 +99,15 @@ def headless_sqlite(path: Path) -> Path:
     return folder
 
 
+def folder_of_recordings(path: Path) -> Path:
+    for name in ("monday.mcap", "tuesday.mcap"):
+        make_mcap(path / name, good_messages())
+    make_folder(path / "wednesday", good_messages())
+    for left in path.glob("*.folder"):
+        shutil.rmtree(left)
+    return path
+
+
 REFUSED: dict[str, tuple[Callable[[Path], Path], str]] = {
     "missing file": (lambda tmp: tmp / "none.mcap", "does not exist"),
     "empty file": (lambda tmp: write_bytes(tmp / "a.mcap", b""), "is empty"),
@@ -109,9 +118,16 @@ REFUSED: dict[str, tuple[Callable[[Path], Path], str]] = {
         lambda tmp: write_bytes(tmp / "a.mcap", b"\x89MCAP0\r\n" + bytes(range(256)) * 9),
         "no message could be saved",
     ),
-    "another kind of file": (lambda tmp: write_bytes(tmp / "a.csv", b"time,volts\n"), "is not a recording"),
+    "another kind of file": (
+        lambda tmp: write_bytes(tmp / "a.csv", b"time,volts\n0,1\n1,2\n"),
+        "is not a recording.*--map",
+    ),
     "ROS 1 bag": (lambda tmp: write_bytes(tmp / "a.bag", b"#ROSBAG V2.0\n"), "ROS 1 bag"),
     "empty folder": (lambda tmp: folder_with(tmp / "bag"), "holds no .mcap or .db3"),
+    "folder of several recordings": (
+        folder_of_recordings,
+        "holds 3 recordings: monday.mcap, tuesday.mcap, wednesday; name one",
+    ),
     "folder with metadata alone": (lambda tmp: folder_with(tmp / "bag", metadata_yaml=b"{}"), "holds no .mcap or .db3"),
     "folder with a zero-length file": (lambda tmp: folder_with(tmp / "bag", a_mcap=b""), "no message could be saved"),
     "no message at all": (

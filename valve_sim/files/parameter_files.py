@@ -31,6 +31,7 @@ import yaml
 
 from valve_sim.files.resources import config_path
 from valve_sim.files.whole_files import write_whole
+from valve_sim.files.yaml_files import read_yaml
 from valve_sim.model import CATALOGUE, Effect, Parameter, ParameterError, Valve, ValveParameters
 from valve_sim.model.parameters import closest
 
@@ -182,17 +183,10 @@ def read_sections(path: Path | str) -> tuple[Section, ...]:
     Raises:
         ParameterError: the file cannot be read, is no YAML, or has not the form of a parameter file.
     """
+    document = read_yaml(path, "expected a ROS 2 parameter file", ParameterError)
     try:
-        document = yaml.load(Path(path).read_text(encoding="utf-8"), Loader=_Loader)
         sections = tuple(_find_sections(document, "", str(path)))
-    except OSError as error:
-        raise ParameterError(f"{path}: cannot be read ({error.strerror}); expected a ROS 2 parameter file") from error
-    except UnicodeDecodeError as error:
-        raise ParameterError(f"{path}: is not UTF-8 text; {_FORM}") from error
-    except yaml.MarkedYAMLError as error:
-        line = "" if error.problem_mark is None else f"line {error.problem_mark.line + 1}: "
-        raise ParameterError(f"{path}: {line}{error.problem or error.context}, expected valid YAML") from error
-    except (yaml.YAMLError, RecursionError) as error:
+    except RecursionError as error:
         raise ParameterError(f"{path}: {' '.join(str(error).split())}, expected valid YAML") from error
     if not sections:
         raise ParameterError(f"{path}: holds no ros__parameters; {_FORM}")
@@ -235,26 +229,6 @@ def write_sections(path: Path, sections: Sequence[Section]) -> None:
 
 
 # --- YAML as ROS 2 reads and writes it ----------------------------------------------------------------------------
-
-
-class _Loader(yaml.SafeLoader):
-    """YAML 1.1 with two mends: 1e-3 is a number, and a key given twice is an error."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        seen: set[str] = set()
-        for key, _ in node.value:
-            if key.value in seen and key.tag != "tag:yaml.org,2002:merge":
-                raise yaml.constructor.ConstructorError(
-                    None, None, f"found {key.value!r} a second time", key.start_mark
-                )
-            if isinstance(key.value, str):
-                seen.add(key.value)
-        return super().construct_mapping(node, deep)
-
-
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float", re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
-)
 
 
 class _Dumper(yaml.SafeDumper):

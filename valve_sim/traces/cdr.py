@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from rosbags.typesys.store import Typestore
 
+    Definitions = Mapping[str, tuple[Any, Any]]
+
 ENCAPSULATION_SIZE = 4
 """Bytes before the message: representation (big or little endian CDR) and options."""
 
@@ -106,10 +108,11 @@ class Decoded(NamedTuple):
 class _Walker:
     """Walks one message along its type's definition and notes where everything is."""
 
-    def __init__(self, payload: bytes) -> None:
+    def __init__(self, payload: bytes, definitions: Definitions) -> None:
         if len(payload) < ENCAPSULATION_SIZE or payload[0] != 0 or payload[1] not in {0, 1}:
             raise MalformedMessage
         self.payload = payload
+        self.definitions = definitions
         self.order = "<" if payload[1] else ">"
         self.position = ENCAPSULATION_SIZE
         self.fields: dict[str, Field] = {}
@@ -119,16 +122,28 @@ class _Walker:
     def walk(self, message_type: str, prefix: str = "") -> None:
         """Take all fields of a message or of a message in it."""
         detail: Any  # its shape depends on the kind, which the library types as a union
-        for name, (kind, detail) in typestore().fielddefs[message_type][1]:
+        if message_type not in self.definitions:
+            raise MalformedMessage
+        for name, (kind, detail) in self.definitions[message_type][1]:
             path = prefix + name
             if kind == Nodetype.NAME:
                 self.walk(detail, path + ".")
             elif kind == Nodetype.BASE:
                 self.take(path, detail[0], count=1, listed=False)
             else:
-                (_, (base, _)), length = detail
+                (inner, what), length = detail
                 count = self.length() if kind == Nodetype.SEQUENCE else length
-                self.take(path, base, count, listed=True)
+                if inner == Nodetype.BASE:
+                    self.take(path, what[0], count, listed=True)
+                    continue
+                self.check_count(count)
+                for number in range(count):
+                    self.walk(what, f"{path}[{number}].")
+
+    def check_count(self, count: int) -> None:
+        """Each message in a list has at least a byte: rubbish may claim billions of them."""
+        if count > len(self.payload) - self.position:
+            raise MalformedMessage
 
     def take(self, path: str, base: str, count: int, *, listed: bool) -> None:
         """Take `count` values of a base type; strings in a list are names and so part of the layout."""
@@ -175,19 +190,25 @@ class _Walker:
         return Layout(self.fields, self.texts, tuple(self.fixed), self.position)
 
 
-def find_layout(payload: bytes, message_type: str) -> Layout:
+def find_layout(payload: bytes, message_type: str, definitions: Definitions | None = None) -> Layout:
     """Walk one message.
 
     Raises:
         MalformedMessage: The bytes end too early, or are no plain CDR.
     """
-    walker = _Walker(payload)
+    walker = _Walker(payload, typestore().fielddefs if definitions is None else definitions)
     walker.walk(message_type)
     return walker.layout()
 
 
-def decode_messages(payloads: Sequence[bytes], message_type: str) -> Decoded:
-    """Read all messages of one topic, layout by layout."""
+def decode_messages(payloads: Sequence[bytes], message_type: str, definitions: Definitions | None = None) -> Decoded:
+    """Read all messages of one topic, layout by layout.
+
+    Args:
+        payloads: The serialized messages.
+        message_type: Their type.
+        definitions: Of that type and those in it; None: those of `typestore`.
+    """
     lengths = np.fromiter(map(len, payloads), dtype=np.int64, count=len(payloads))
     batches: list[Batch] = []
     malformed = trimmed = 0
@@ -195,7 +216,7 @@ def decode_messages(payloads: Sequence[bytes], message_type: str) -> Decoded:
         index = np.flatnonzero(lengths == length)
         same_length = payloads if len(index) == len(payloads) else [payloads[place] for place in index.tolist()]
         matrix = np.frombuffer(b"".join(same_length), np.uint8).reshape(len(index), int(length))
-        for batch in _split_by_layout(matrix, index, message_type):
+        for batch in _split_by_layout(matrix, index, message_type, definitions):
             if batch is None:
                 malformed += 1
                 continue
@@ -205,12 +226,14 @@ def decode_messages(payloads: Sequence[bytes], message_type: str) -> Decoded:
     return Decoded(tuple(batches), malformed, trimmed)
 
 
-def _split_by_layout(matrix: NDArray[np.uint8], index: NDArray[np.intp], message_type: str) -> Iterator[Batch | None]:
+def _split_by_layout(
+    matrix: NDArray[np.uint8], index: NDArray[np.intp], message_type: str, definitions: Definitions | None
+) -> Iterator[Batch | None]:
     """Yield batches that share a layout; None for each message that cannot be read."""
     layouts = 0
     while len(index):
         try:
-            layout = find_layout(matrix[0].tobytes(), message_type)
+            layout = find_layout(matrix[0].tobytes(), message_type, definitions)
         except MalformedMessage:
             yield None
             matrix, index = matrix[1:], index[1:]

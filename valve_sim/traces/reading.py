@@ -8,13 +8,32 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from valve_sim.files.data_tables import TABLE_SUFFIXES
+from valve_sim.files.recording_map import QUANTITIES
 from valve_sim.model import Drive
-from valve_sim.traces.cdr import Decoded, decode_messages
-from valve_sim.traces.clocks import SECOND, clock_offset, find_gaps, order_samples
+from valve_sim.traces.cdr import Batch, Decoded, decode_messages
+from valve_sim.traces.clocks import SECOND, clock_offset, order_samples
 from valve_sim.traces.errors import TraceError
+from valve_sim.traces.layout import (
+    INPUTS,
+    MAIN,
+    MEASURED,
+    PILOT,
+    POSITIONS,
+    SIGNALS,
+    Plan,
+    mapped_plan,
+    standard_plan,
+    topic_of,
+    valves_among,
+)
+from valve_sim.traces.message_fields import definitions_of, field_values, has_stamp, missing_field
+from valve_sim.traces.message_fields import stamps as header_stamps
 from valve_sim.traces.storage import RawTopic, Recording, read_recording
-from valve_sim.traces.strokes import largest_travel, motion_threshold
+from valve_sim.traces.table_reading import read_table_trace, standard_map
 from valve_sim.traces.trace import Signal, Trace
+from valve_sim.traces.trouble import LARGEST_POSITION, trouble_in
+from valve_sim.traces.voltage_steps import find_steps
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -22,40 +41,15 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-FLOAT = "std_msgs/msg/Float64"
-JOINT_STATE = "sensor_msgs/msg/JointState"
-COMMAND = "coil_voltage"
-MEASURED = "measured/joint_states"
-LIVE = "joint_states"
-PILOT = "pilot_plunger"
-MAIN = "main_plunger"
+    from valve_sim.files.recording_map import RecordingMap, Source
 
 MOST_REPEATED = 0.05
 """Share of samples that may have another sample's stamp; beyond it nobody can say which is right."""
 
-LARGEST_POSITION = 0.1
-"""m; a solenoid valve's plunger moves millimetres: beyond this the unit is most likely not metres."""
 BROKEN_READING = 1.0
 """m; what is beyond this among metres is no position, and what is a million times beyond it is none in any unit."""
 MICROMETRES = 1e6
 """In a metre."""
-
-
-class Channel(NamedTuple):
-    """An optional quantity: where it is recorded, as what, and under which field."""
-
-    topic: str
-    message_type: str
-    path: str
-
-
-CHANNELS = {
-    "coil_current": Channel("measured/coil_current", FLOAT, "data"),
-    "acceleration": Channel("measured/acceleration", "sensor_msgs/msg/Imu", "linear_acceleration.x"),
-    "inlet_pressure": Channel("measured/inlet_pressure", "sensor_msgs/msg/FluidPressure", "fluid_pressure"),
-    "coil_temperature": Channel("measured/coil_temperature", "sensor_msgs/msg/Temperature", "temperature"),
-}
-LIVE_CURRENT = Channel("coil_current", FLOAT, "data")
 
 
 class Samples(NamedTuple):
@@ -70,90 +64,77 @@ class Samples(NamedTuple):
         return Samples(self.stamps[chosen], self.bag_times[chosen], self.values[chosen])
 
 
-def list_valves(path: str | PathLike[str]) -> tuple[str, ...]:
-    """Return the valves of a recording, "/valve" for topics under /valve/, in alphabetical order.
+def list_valves(path: str | PathLike[str], recording_map: RecordingMap | None = None) -> tuple[str, ...]:
+    """Return the valves of a recording, "/valve" for topics under /valve/, in alphabetical order; or those of a map.
 
     Raises:
         TraceError: The recording cannot be read.
     """
-    return _valves_among(read_recording(Path(path), lambda _: ()).types)
+    if recording_map is not None:
+        return tuple(sorted(recording_map.valves))
+    if _is_table(Path(path)):
+        return tuple(standard_map(Path(path)).valves)
+    return valves_among(read_recording(Path(path), lambda _: ()).types)
 
 
-def _valves_among(types: Mapping[str, str]) -> tuple[str, ...]:
-    """A valve is known by its command or its measured positions; joint states alone may be anybody's."""
-    names = {topic[: -len(end) - 1] for topic in types for end in (COMMAND, MEASURED) if topic.endswith("/" + end)}
-    return tuple(sorted(name or "/" for name in names))
-
-
-def read_trace(path: str | PathLike[str], valve: str | None = None) -> Trace:
+def read_trace(path: str | PathLike[str], valve: str | None = None, recording_map: RecordingMap | None = None) -> Trace:
     """Read one valve's commands and measured samples.
 
     Args:
-        path: A rosbag2 folder (MCAP or SQLite3, zstd too) or a bare .mcap or .db3 file, whole or damaged.
+        path: A rosbag2 folder (MCAP or SQLite3, zstd too) or a bare .mcap or .db3 file, whole or damaged; or a table.
         valve: Its name ("/tank_1/valve"); None takes the only one.
+        recording_map: What is where; None: the topics of this package, or the columns of a CSV that `simulate` wrote.
 
     Raises:
-        TraceError: The recording cannot be used; one line says why and what to do.
+        ValveError: The recording or the map cannot be used; one line says why and what to do.
     """
     path = Path(path)
-    chosen: list[str] = []
+    if _is_table(path):
+        return read_table_trace(path, valve, standard_map(path) if recording_map is None else recording_map)
+    plans: list[Plan] = []
 
     def select(types: Mapping[str, str]) -> list[str]:
-        chosen[:] = [_choose_valve(path, valve, types)]
-        return _check_topics(path, chosen[0], types)
+        if recording_map is None:
+            plans[:] = [standard_plan(path, valve, types)]
+        else:
+            plans[:] = [mapped_plan(path, valve, recording_map, types)]
+        return plans[0].topics
 
-    recording = read_recording(path, select)
-    return _Assembly(path, chosen[0], recording).trace()
-
-
-def _choose_valve(path: Path, valve: str | None, types: Mapping[str, str]) -> str:
-    valves = _valves_among(types)
-    if not valves:
-        found = ", ".join(sorted(types)[:8]) or "none"
-        raise TraceError(
-            f"{path}: no valve in it: no topic ends with /{COMMAND} or /{MEASURED}; topics: {found}; record those two"
-        )
-    if valve is None:
-        if len(valves) > 1:
-            raise TraceError(f"{path}: holds several valves ({', '.join(valves)}); choose one with --valve")
-        return valves[0]
-    name = "/" + valve.strip("/")
-    if name not in valves:
-        raise TraceError(f"{path}: holds no valve {name}; it holds {', '.join(valves)}; choose one with --valve")
-    return name
+    named = {} if recording_map is None else recording_map.choose(valve)[1]
+    recording = read_recording(path, select, frozenset(source.topic for source in named.values()))
+    return _Assembly(path, plans[0], recording).trace()
 
 
-def _topic(valve: str, name: str) -> str:
-    return f"{valve.rstrip('/')}/{name}"
+def _is_table(path: Path) -> bool:
+    return path.suffix.lower() in TABLE_SUFFIXES and path.is_file()
 
 
-def _check_topics(path: Path, valve: str, types: Mapping[str, str]) -> list[str]:
-    """Return the topics to read, after a look at the types of those that must be there."""
-    command, measured, live = (_topic(valve, name) for name in (COMMAND, MEASURED, LIVE))
-    if command not in types:
-        raise TraceError(
-            f"{path}: topic {command} is missing: without the commanded voltage nothing can be fitted; record it"
-        )
-    positions = measured if measured in types else live
-    if positions not in types:
-        raise TraceError(f"{path}: neither {measured} nor {live} is in it; record the measured positions")
-    for topic, expected in ((command, FLOAT), (positions, JOINT_STATE)):
-        if types[topic] != expected:
-            raise TraceError(f"{path}: topic {topic} is {types[topic]}, expected {expected}; publish it as that")
-    channels = [*CHANNELS.values(), LIVE_CURRENT]
-    return [command, positions, *(topic for entry in channels if (topic := _topic(valve, entry.topic)) in types)]
+class Readings(NamedTuple):
+    """What one source recorded.
+
+    Attributes:
+        bag_times: When each message was recorded, ns, shape (n,).
+        stamps: When it was taken by its header, ns; the bag time where `is_stamped` is False.
+        is_stamped: Whether the header holds a time, and is to be used.
+        values: SI (°C for temperatures), NaN where a message has none.
+    """
+
+    bag_times: NDArray[np.int64]
+    stamps: NDArray[np.int64]
+    is_stamped: NDArray[np.bool_]
+    values: NDArray[np.float64]
 
 
 class _Assembly:
     """One reading of one valve: collects findings on the way from raw topics to a trace."""
 
-    def __init__(self, path: Path, valve: str, recording: Recording) -> None:
+    def __init__(self, path: Path, plan: Plan, recording: Recording) -> None:
         self.path = path
-        self.valve = valve
+        self.plan = plan
         self.recording = recording
         self.findings = list(recording.findings)
-        self.live = _topic(valve, MEASURED) not in recording.types
-        self.positions_topic = _topic(valve, LIVE if self.live else MEASURED)
+        self.decoded: dict[str, Decoded] = {}
+        self.positions_topic = plan.sources["position"].topic
 
     def trace(self) -> Trace:
         """Put the trace together."""
@@ -161,14 +142,14 @@ class _Assembly:
         samples, shift = self.in_order(samples)
         offset, findings = clock_offset(samples.stamps, samples.bag_times + shift, self.positions_topic)
         self.findings += findings
-        command_times, volts = self.commands()
-        command_times = command_times - offset + shift
+        samples = self.with_main_from_elsewhere(samples, offset - shift)
+        command_times, volts = self.commands(offset - shift)
         epoch = int(min(command_times[0], samples.stamps[0]))
         times = (samples.stamps - epoch) / SECOND
         signals = self.signals(epoch, offset - shift)
         pilot, main = samples.values.T
         trace = Trace(
-            source=f"{self.path} ({self.valve})",
+            source=f"{self.path} ({self.plan.valve})",
             drive=Drive((command_times - epoch) / SECOND, volts),
             times=times,
             pilot_position=np.ascontiguousarray(pilot),
@@ -180,8 +161,8 @@ class _Assembly:
             inlet_pressure=signals["inlet_pressure"],
             coil_temperature=signals["coil_temperature"],
         )
-        self.look_at(trace)
-        return replace(trace, findings=tuple(self.findings))
+        trouble = trouble_in(trace, self.positions_topic, self.input.topic)
+        return replace(trace, findings=(*self.findings, *trouble))
 
     def raw(self, topic: str) -> RawTopic:
         """Return a topic's messages, of which there must be some."""
@@ -190,10 +171,20 @@ class _Assembly:
             raise TraceError(f"{self.path}: topic {topic} holds no message; record it while the valve works")
         return raw
 
-    def decode(self, topic: str, message_type: str) -> tuple[RawTopic, Decoded]:
-        """Read a topic's messages, at least one of which must be readable."""
+    def decode(self, source: Source) -> tuple[RawTopic, Decoded]:
+        """Read a topic's messages, once; at least one of them must be readable."""
+        topic = source.topic
+        if topic in self.decoded:
+            return self.raw(topic), self.decoded[topic]
+        message_type = source.type or self.recording.types[topic]
         raw = self.raw(topic)
-        decoded = decode_messages(raw.payloads, message_type)
+        definitions = definitions_of(self.path, message_type)
+        if definitions is None:
+            raise TraceError(
+                f"{self.path}: topic {topic} is {message_type}, whose definition the recording does not hold; "
+                "record it as MCAP, or publish a standard type"
+            )
+        decoded = decode_messages(raw.payloads, message_type, definitions)
         if not decoded.batches:
             raise TraceError(
                 f"{self.path}: topic {topic}: none of {len(raw.times)} messages can be read as {message_type}; "
@@ -205,50 +196,108 @@ class _Assembly:
             )
         if decoded.trimmed:
             self.findings.append(f"{topic}: trimmed surplus bytes after {decoded.trimmed} of {len(raw.times)} messages")
+        self.decoded[topic] = decoded
         return raw, decoded
+
+    def readings(self, quantity: str) -> Readings:
+        """Return what one source recorded, in SI."""
+        source = self.plan.sources[quantity]
+        raw, decoded = self.decode(source)
+        values = np.full(len(raw.times), np.nan)
+        stamps, is_stamped = raw.times.copy(), np.zeros(len(raw.times), dtype=bool)
+        without: Batch | None = None
+        for batch in decoded.batches:
+            found = field_values(batch, source)
+            if found is None:
+                without = batch
+            else:
+                values[batch.places] = found
+            if source.clock != "bag" and has_stamp(batch):
+                taken = header_stamps(batch)
+                # Model time begins at 0, where a sample may be; of other messages, 0 means that nobody stamped them.
+                usable = np.full(len(taken), True) if quantity in POSITIONS else taken != 0
+                is_stamped[batch.places] = usable
+                stamps[batch.places] = np.where(usable, taken, stamps[batch.places])
+        if without is not None and np.isnan(values).all():
+            raise TraceError(self._no_field(source, without))
+        if self.plan.map_path and source.clock == "header" and not is_stamped.any():
+            raise TraceError(
+                f"{self.plan.map_path}: {quantity}: clock: header, but the messages of {source.topic} "
+                f"({self.recording.types[source.topic]}) have no stamp; use clock: bag"
+            )
+        return Readings(raw.times, stamps, is_stamped, source.to_si(values, QUANTITIES[quantity].dimension))
+
+    def _no_field(self, source: Source, batch: Batch) -> str:
+        found = missing_field(batch, source)
+        if self.plan.map_path:
+            return f"{self.plan.map_path}: topic {source.topic} of {self.path} {found}"
+        if "names" not in found or source.joint in batch.layout.texts.get("name", ()):
+            return f"{self.path}: topic {source.topic}: no finite {source.joint} position; fill the position array"
+        return f"{self.path}: topic {source.topic} {found} (and {MAIN}); name the joints so"
 
     def samples(self) -> tuple[Samples, str]:
         """Return the positions of pilot and main plunger (NaN where the main one is not recorded) and their clock."""
         topic = self.positions_topic
-        if self.live:
+        if self.plan.is_live:
             self.findings.append(
-                f"{_topic(self.valve, MEASURED)} is not in the bag: {topic} (a node's output) was taken instead"
+                f"{topic_of(self.plan.valve, MEASURED)} is not in the bag: {topic} (a node's output) was taken instead"
             )
-        raw, decoded = self.decode(topic, JOINT_STATE)
-        values = np.full((len(raw.times), 2), np.nan)
-        stamps = np.zeros(len(raw.times), dtype=np.int64)
-        unnamed: tuple[str, ...] | None = None
-        for batch in decoded.batches:
-            names = batch.layout.texts["name"]
-            positions = batch.column("position")
-            stamps[batch.places] = _stamps(batch.column("header.stamp.sec"), batch.column("header.stamp.nanosec"))
-            if PILOT not in names:
-                unnamed = names
-            for column, name in enumerate((PILOT, MAIN)):
-                if name in names and names.index(name) < positions.shape[1]:
-                    values[batch.places, column] = positions[:, names.index(name)]
+        pilot = self.readings("position")
+        values = np.full((len(pilot.values), 2), np.nan)
+        values[:, 0] = pilot.values
+        main = self.plan.sources.get("main_position")
+        if main is not None and main.topic == topic:
+            values[:, 1] = self.main_beside_pilot()
         broken = self._broken(values)
         if broken.any():
             self.findings.append(f"{topic}: {broken.sum()} positions are none, such as {values[broken][0]:.3g} m")
             values = np.where(broken, np.nan, values)
         finite = np.isfinite(values[:, 0])
         if not finite.any():
-            raise TraceError(self._no_positions(topic, len(values), unnamed))
+            raise TraceError(
+                f"{self.path}: topic {topic}: no finite {PILOT} position in {len(values)} samples; "
+                "fill the position array"
+            )
         if not finite.all():
             self.findings.append(
                 f"{topic}: dropped {(~finite).sum()} of {len(values)} samples without a finite {PILOT} position"
             )
-        values = self._main_positions(topic, values)
+        values = self._main_positions(topic, values, is_recorded=main is not None and main.topic == topic)
         finite &= np.isfinite(values[:, 1]) | np.isnan(values[:, 1]).all()
         if not finite.any():
             raise TraceError(
                 f"{self.path}: topic {topic}: no sample has finite positions of {PILOT} and {MAIN}; record both"
             )
-        samples = Samples(stamps[finite], raw.times[finite], values[finite])
+        samples = Samples(pilot.stamps[finite], pilot.bag_times[finite], values[finite])
+        if not pilot.is_stamped.any() and self.plan.map_path:
+            return samples, "bag"
         if len(samples.stamps) > 1 and (samples.stamps == samples.stamps[0]).all():
             self.findings.append(f"{topic}: all header stamps are the same: samples are timed by bag time")
             return samples._replace(stamps=samples.bag_times), "bag"
         return samples, "header"
+
+    def main_beside_pilot(self) -> NDArray[np.float64]:
+        """Return the main plunger's positions in the messages that hold the pilot's; NaN where they do not."""
+        try:
+            return self.readings("main_position").values
+        except TraceError:
+            if self.plan.map_path:
+                raise
+            return np.full(len(self.raw(self.positions_topic).times), np.nan)
+
+    def with_main_from_elsewhere(self, samples: Samples, offset: int) -> Samples:
+        """Return samples with a main plunger that another topic has, by straight lines between its samples."""
+        main = self.plan.sources.get("main_position")
+        if main is None or main.topic == self.positions_topic:
+            return samples
+        signal = self.signal("main_position", int(samples.stamps[0]), offset)
+        if signal is None:
+            return samples
+        times = (samples.stamps - samples.stamps[0]) / SECOND
+        values = samples.values.copy()
+        values[:, 1] = np.interp(times, signal.times, signal.values)
+        self.findings.append(f"{main.topic}: {MAIN} was interpolated at the samples of {self.positions_topic}")
+        return samples._replace(values=values)
 
     def _broken(self, values: NDArray[np.float64]) -> NDArray[np.bool_]:
         """(n, 2) readings that no plunger can have, as broken messages hold; other units than metres are no break."""
@@ -256,16 +305,10 @@ class _Assembly:
         is_metres = float(np.median(sizes[:, 0])) <= LARGEST_POSITION
         return np.asarray(sizes > (BROKEN_READING if is_metres else BROKEN_READING * MICROMETRES))
 
-    def _no_positions(self, topic: str, count: int, names: tuple[str, ...] | None) -> str:
-        if names is not None:
-            listed = ", ".join(names) or "no joint"
-            return f"{self.path}: topic {topic} names {listed}, expected {PILOT} (and {MAIN}); name the joints so"
-        return f"{self.path}: topic {topic}: no finite {PILOT} position in {count} samples; fill the position array"
-
-    def _main_positions(self, topic: str, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _main_positions(self, topic: str, values: NDArray[np.float64], *, is_recorded: bool) -> NDArray[np.float64]:
         """Drop the main plunger where too little of it is there; a few bad samples of it go with the sample."""
         finite = np.isfinite(values[:, 1])
-        if finite.all():
+        if finite.all() or not is_recorded:
             return values
         missing = int((~finite).sum())
         if missing > len(values) / 2:
@@ -300,83 +343,71 @@ class _Assembly:
             )
         return samples.take(fresh), ordered.shift
 
-    def commands(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Return command times, ns, bag clock, strictly ascending, and volts."""
-        topic = _topic(self.valve, COMMAND)
-        raw, decoded = self.decode(topic, FLOAT)
-        volts = np.full(len(raw.times), np.nan)
-        for batch in decoded.batches:
-            volts[batch.places] = batch.column("data")[:, 0]
+    def commands(self, offset: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Return when the voltage changed, ns, samples' clock, strictly ascending, and volts.
+
+        Args:
+            offset: What to take from bag times to get the samples' clock, ns.
+        """
+        topic = self.input.topic
+        is_command = "command" in self.plan.sources
+        found = self.readings("command" if is_command else "voltage")
+        times, volts = np.where(found.is_stamped, found.stamps, found.bag_times - offset), found.values
+        what = "commands" if is_command else "samples"
         finite = np.isfinite(volts)
         if not finite.any():
             raise TraceError(
-                f"{self.path}: topic {topic}: none of {len(volts)} commands is a finite voltage; record it again"
+                f"{self.path}: topic {topic}: none of {len(volts)} {what} is a finite voltage; record it again"
             )
         if not finite.all():
-            self.findings.append(f"{topic}: dropped {(~finite).sum()} of {len(volts)} commands that are not finite")
-        times, volts = raw.times[finite], volts[finite]
+            self.findings.append(f"{topic}: dropped {(~finite).sum()} of {len(volts)} {what} that are not finite")
+        order = np.argsort(times[finite], kind="stable")
+        times, volts = times[finite][order], volts[finite][order]
         last = np.concatenate([np.diff(times) > 0, [True]])
         if not last.all():
-            self.findings.append(f"{topic}: {(~last).sum()} commands were replaced by another at the same time")
-        return times[last], volts[last]
+            self.findings.append(f"{topic}: {(~last).sum()} {what} were replaced by another at the same time")
+        times, volts = times[last], volts[last]
+        if is_command:
+            return times, volts
+        steps, levels = find_steps((times - times[0]) / SECOND, volts, f"{self.path}: topic {topic}")
+        self.findings.append(f"{topic}: {len(steps) - 1} steps of the measured voltage were taken for the commands")
+        return times[0] + np.rint(SECOND * steps).astype(np.int64), levels
+
+    @property
+    def input(self) -> Source:
+        """Where the voltage is recorded."""
+        return next(self.plan.sources[key] for key in INPUTS if key in self.plan.sources)
 
     def signals(self, epoch: int, offset: int) -> dict[str, Signal | None]:
-        """Return the optional quantities; what is wrong with one is a finding, never the end of the reading."""
-        channels = dict(CHANNELS)
-        if self.live and _topic(self.valve, channels["coil_current"].topic) not in self.recording.types:
-            channels["coil_current"] = LIVE_CURRENT
-        return {name: self.signal(channel, epoch, offset) for name, channel in channels.items()}
+        """Return the optional quantities by their names in a trace."""
+        return {name: self.signal(key, epoch, offset) for key, name in SIGNALS.items()}
 
-    def signal(self, channel: Channel, epoch: int, offset: int) -> Signal | None:
-        """Return one optional quantity, None where it is not recorded or cannot be used."""
-        topic = _topic(self.valve, channel.topic)
-        found = self.recording.types.get(topic)
-        if found is None:
+    def signal(self, quantity: str, epoch: int, offset: int) -> Signal | None:
+        """Return one optional quantity, None where it is not recorded or cannot be used.
+
+        What is wrong with one of this package's own topics is a finding; what a map names must be there.
+        """
+        source = self.plan.sources.get(quantity)
+        if source is None:
             return None
-        if found != channel.message_type:
-            self.findings.append(f"{topic} is {found}, expected {channel.message_type}: it was left out")
+        topic, found = source.topic, self.recording.types[source.topic]
+        if source.type and found != source.type:
+            self.findings.append(f"{topic} is {found}, expected {source.type}: it was left out")
             return None
         try:
-            raw, decoded = self.decode(topic, channel.message_type)
+            readings = self.readings(quantity)
         except TraceError:
+            if self.plan.map_path:
+                raise
             self.findings.append(f"{topic} holds no message that can be read: it was left out")
             return None
-        times = raw.times - offset
-        values = np.full(len(times), np.nan)
-        for batch in decoded.batches:
-            values[batch.places] = batch.column(channel.path)[:, 0]
-            if "header.stamp.sec" in batch.layout.fields:
-                stamps = _stamps(batch.column("header.stamp.sec"), batch.column("header.stamp.nanosec"))
-                times[batch.places] = np.where(stamps == 0, times[batch.places], stamps)
+        times = np.where(readings.is_stamped, readings.stamps, readings.bag_times - offset)
         times, first = np.unique(times, return_index=True)
-        values = values[first]
+        values = readings.values[first]
         finite = np.isfinite(values)
-        dropped = len(raw.times) - int(finite.sum())
+        dropped = len(readings.values) - int(finite.sum())
         if dropped:
             self.findings.append(
-                f"{topic}: dropped {dropped} of {len(raw.times)} messages (not finite, or twice there)"
+                f"{topic}: dropped {dropped} of {len(readings.values)} messages (not finite, or twice there)"
             )
         return Signal((times[finite] - epoch) / SECOND, values[finite]) if finite.any() else None
-
-    def look_at(self, trace: Trace) -> None:
-        """Note what makes a sound trace hard to use: gaps, no command, no motion, doubtful units."""
-        gaps = find_gaps(trace.times)
-        if len(gaps):
-            longest = float(np.diff(trace.times).max())
-            self.findings.append(
-                f"{self.positions_topic}: {len(gaps)} gaps in the samples, the longest {longest:.6f} s"
-            )
-        if not trace.drive.volts.any():
-            self.findings.append(f"{_topic(self.valve, COMMAND)} never leaves 0 V")
-        reach = float(np.abs(trace.pilot_position).max())
-        if reach > LARGEST_POSITION:
-            self.findings.append(f"{self.positions_topic}: {PILOT} reaches {reach:.6g} m: positions must be in metres")
-        travel = largest_travel(trace.pilot_position)
-        if travel <= motion_threshold(trace.pilot_position):
-            self.findings.append(f"{self.positions_topic}: no motion: {PILOT} stays within {travel * 1e6:.3g} µm")
-        elif trace.drive.times[0] > trace.times[-1] or trace.drive.times[-1] < 2 * trace.times[0] - trace.times[-1]:
-            self.findings.append(f"{_topic(self.valve, COMMAND)}: no command falls into the time of the samples")
-
-
-def _stamps(seconds: NDArray[np.int32], nanoseconds: NDArray[np.uint32]) -> NDArray[np.int64]:
-    return seconds[:, 0].astype(np.int64) * SECOND + nanoseconds[:, 0].astype(np.int64)

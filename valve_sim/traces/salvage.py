@@ -51,6 +51,7 @@ class Salvaged:
         damaged_chunks: Chunks that were cut, or could not be unpacked whole.
         encodings: Message encodings other than CDR that were met and left out.
         others: Messages of other types, counted but not kept.
+        wanted: Topics that are kept whatever their type.
     """
 
     types: dict[str, str] = field(default_factory=dict)
@@ -60,6 +61,7 @@ class Salvaged:
     damaged_chunks: int = 0
     encodings: set[str] = field(default_factory=set)
     others: int = 0
+    wanted: frozenset[str] = frozenset()
 
     @property
     def count(self) -> int:
@@ -68,7 +70,7 @@ class Salvaged:
 
     def add(self, topic: str, time: int, payload: bytes) -> None:
         """Keep one message, unpacking it where the recorder packed each message."""
-        if self.types[topic] not in KEPT_TYPES:
+        if self.types[topic] not in KEPT_TYPES and topic not in self.wanted:
             self.others += 1
             return
         packed = payload.startswith(ZSTD_MAGIC)
@@ -103,9 +105,9 @@ def _unpack_pieces(unpack: object, data: bytes) -> bytes:
     return b"".join(pieces)
 
 
-def salvage_mcap(path: Path) -> Salvaged:
+def salvage_mcap(path: Path, wanted: frozenset[str] = frozenset()) -> Salvaged:
     """Read an MCAP file from its start for as long as it makes sense; order within a topic is by bag time."""
-    salvaged = Salvaged()
+    salvaged = Salvaged(wanted=wanted)
     channels: dict[int, str] = {}
     with path.open("rb") as stream:
         schemas: dict[int, str] = {}
@@ -195,9 +197,9 @@ def chunk_is_sound(chunk: Chunk, data: bytes) -> bool:
     return not chunk.uncompressed_crc or crc32(data) == chunk.uncompressed_crc
 
 
-def salvage_sqlite(path: Path) -> Salvaged:
+def salvage_sqlite(path: Path, wanted: frozenset[str] = frozenset()) -> Salvaged:
     """Read the rows of a damaged rosbag2 database from both ends, without its index."""
-    salvaged = Salvaged()
+    salvaged = Salvaged(wanted=wanted)
     names: dict[int, str] = {}
     connection = sqlite3.connect(f"{path.absolute().as_uri()}?immutable=1", uri=True)
     try:

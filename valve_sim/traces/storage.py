@@ -57,25 +57,27 @@ class Recording(NamedTuple):
     findings: tuple[str, ...]
 
 
-def read_recording(path: Path, select: Select) -> Recording:
+def read_recording(path: Path, select: Select, wanted: frozenset[str] = frozenset()) -> Recording:
     """Read the messages of some topics.
 
     Args:
         path: A rosbag2 folder, or a bare .mcap or .db3 file.
         select: Called with all topics and their types; returns those to read.
+        wanted: Topics that a damaged file is searched for beside those of `KEPT_TYPES`.
 
     Raises:
         TraceError: Nothing can be read from it.
     """
     _refuse_what_is_no_recording(path)
     if path.is_dir() and not (path / "metadata.yaml").exists():
-        return _read_storages(path, select, "metadata.yaml is missing (the recorder writes it when it ends)")
+        reason = "metadata.yaml is missing (the recorder writes it when it ends)"
+        return _read_storages(path, select, reason, wanted)
     try:
         return _read_whole(path, select)
     except TraceError:
         raise
     except Exception as error:  # a damaged bag makes the readers raise whatever they stumble over
-        return _read_storages(path, select, _one_line(error))
+        return _read_storages(path, select, _one_line(error), wanted)
 
 
 def _refuse_what_is_no_recording(path: Path) -> None:
@@ -85,6 +87,10 @@ def _refuse_what_is_no_recording(path: Path) -> None:
     if path.suffix == ".bag":
         raise TraceError(f"{path}: is a ROS 1 bag, a rosbag2 folder or .mcap file is needed; rosbags-convert makes one")
     if path.is_dir():
+        inside = _recordings_in(path)
+        if inside:
+            number, names = f"{len(inside)} recording{'s' if len(inside) > 1 else ''}", ", ".join(inside)
+            raise TraceError(f"{path}: is a folder that holds {number}: {names}; name one, such as {path / inside[0]}")
         if not _storage_files(path):
             raise TraceError(f"{path}: the folder holds no .mcap or .db3 file; give a rosbag2 folder or a .mcap file")
         return
@@ -101,6 +107,24 @@ def _refuse_what_is_no_recording(path: Path) -> None:
         raise TraceError(
             f"{path}: is not a {path.suffix} file, it starts with {head[:8]!r}; give a rosbag2 folder or a .mcap file"
         )
+
+
+def _recordings_in(path: Path) -> list[str]:
+    """Return the recordings in a folder that is none itself; none where its files are the parts of one."""
+    if (path / "metadata.yaml").exists():
+        return []
+    files = [file.name for file in _storage_files(path)]
+    folders = [entry.name for entry in path.iterdir() if entry.is_dir() and _holds_storage(entry)]
+    # The recorder numbers the parts of one recording: bag_0.mcap, bag_1.mcap.
+    stems = {re.sub(r"(_\d+)?(\.(mcap|db3|zstd))+$", "", name) for name in files}
+    return sorted([*files, *folders]) if folders or len(stems) > 1 else []
+
+
+def _holds_storage(folder: Path) -> bool:
+    try:
+        return bool(_storage_files(folder))
+    except OSError:  # not ours to look into
+        return False
 
 
 def _magic_of(path: Path) -> bytes | None:
@@ -173,10 +197,10 @@ def _storage_files(path: Path) -> list[Path]:
     )
 
 
-def _read_storages(path: Path, select: Select, reason: str) -> Recording:
+def _read_storages(path: Path, select: Select, reason: str, also: frozenset[str]) -> Recording:
     """Read storage files one by one, each whole or what is left of it."""
     files = _storage_files(path) if path.is_dir() else [path]
-    kept = [_read_storage(file, alone=not path.is_dir()) for file in files]
+    kept = [_read_storage(file, also, alone=not path.is_dir()) for file in files]
     types = {topic: message_type for part in kept for topic, message_type in part.types.items()}
     count = sum(part.count for part in kept)
     if not count:
@@ -214,7 +238,7 @@ def _declared_count(path: Path) -> int | None:
     return int(found[1]) if found else None
 
 
-def _read_storage(file: Path, *, alone: bool) -> Salvaged:
+def _read_storage(file: Path, also: frozenset[str], *, alone: bool) -> Salvaged:
     """Read one file: by rosbags where it is whole and has not been tried, otherwise by salvage."""
     with ExitStack() as stack:
         if file.suffix == ".zstd":
@@ -223,23 +247,23 @@ def _read_storage(file: Path, *, alone: bool) -> Salvaged:
             unpacked.write_bytes(unpack_zstd(file.read_bytes()))
             file = unpacked
         elif alone:
-            return _salvage(file)
+            return _salvage(file, also)
         try:
-            whole = _read_whole(file, _kept_topics)
+            whole = _read_whole(file, lambda types: [topic for topic in types if _is_kept(types[topic], topic, also)])
         except Exception:  # damaged: see read_recording
-            return _salvage(file)
-    salvaged = Salvaged(types=dict(whole.types), complete=True)
+            return _salvage(file, also)
+    salvaged = Salvaged(types=dict(whole.types), complete=True, wanted=also)
     for topic, raw in whole.topics.items():
         for time, payload in zip(raw.times.tolist(), raw.payloads, strict=True):
             salvaged.add(topic, time, payload)
     return salvaged
 
 
-def _kept_topics(types: Mapping[str, str]) -> list[str]:
-    return [topic for topic, message_type in types.items() if message_type in KEPT_TYPES]
+def _is_kept(message_type: str, topic: str, also: frozenset[str]) -> bool:
+    return message_type in KEPT_TYPES or topic in also
 
 
-def _salvage(file: Path) -> Salvaged:
+def _salvage(file: Path, also: frozenset[str]) -> Salvaged:
     if file.suffix == ".mcap":
-        return salvage_mcap(file)
-    return salvage_sqlite(file)
+        return salvage_mcap(file, also)
+    return salvage_sqlite(file, also)

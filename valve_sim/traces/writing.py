@@ -17,7 +17,7 @@ from valve_sim.files.whole_files import replacing
 from valve_sim.traces.cdr import encode_messages, typestore
 from valve_sim.traces.clocks import SECOND
 from valve_sim.traces.errors import TraceError
-from valve_sim.traces.reading import CHANNELS, COMMAND, FLOAT, JOINT_STATE, MAIN, MEASURED, PILOT
+from valve_sim.traces.layout import CHANNELS, COMMAND, FLOAT, JOINT_STATE, MAIN, MEASURED, PILOT
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
     from rosbags.interfaces import Connection
 
-    from valve_sim.traces.reading import Channel
+    from valve_sim.traces.layout import Channel
     from valve_sim.traces.trace import Signal, Trace
 
     Storage = Literal["mcap", "sqlite3"]

@@ -1,0 +1,338 @@
+"""Maps of foreign recordings: which topic, field or column is which quantity, in which unit, by which clock.
+
+    clock: header
+    position: {topic: /lvdt, unit: mm, sign: -1, offset: 12.5}
+    voltage: {topic: /daq, field: "channels[2].value", scale: 10}
+
+A reading becomes SI as unit × (sign × scale × reading + offset). A map is read and checked once, here; what it names is
+looked for by who reads the recording.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+from valve_sim.files.yaml_files import read_yaml
+from valve_sim.model.errors import ValveError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+
+class MapError(ValveError):
+    """A map cannot be used: one line that names the file and the key, what was found and what is expected."""
+
+
+class Unit(NamedTuple):
+    """What a number in this unit is in SI: factor × number + zero."""
+
+    factor: float
+    zero: float = 0.0
+
+
+UNITS: Final[Mapping[str, Mapping[str, Unit]]] = {
+    "voltage": {"V": Unit(1.0), "mV": Unit(1e-3), "kV": Unit(1e3)},
+    "length": {
+        "m": Unit(1.0),
+        "cm": Unit(1e-2),
+        "mm": Unit(1e-3),
+        "um": Unit(1e-6),
+        "µm": Unit(1e-6),
+        "nm": Unit(1e-9),
+        "in": Unit(0.0254),
+    },
+    "current": {"A": Unit(1.0), "mA": Unit(1e-3), "uA": Unit(1e-6), "µA": Unit(1e-6)},
+    "acceleration": {"m/s2": Unit(1.0), "m/s²": Unit(1.0), "mm/s2": Unit(1e-3), "g": Unit(9.80665)},
+    "pressure": {
+        "Pa": Unit(1.0),
+        "hPa": Unit(1e2),
+        "mbar": Unit(1e2),
+        "kPa": Unit(1e3),
+        "bar": Unit(1e5),
+        "MPa": Unit(1e6),
+        "psi": Unit(6894.757293168),
+    },
+    "temperature": {"degC": Unit(1.0), "°C": Unit(1.0), "K": Unit(1.0, -273.15)},
+    "time": {
+        "s": Unit(1.0),
+        "ms": Unit(1e-3),
+        "us": Unit(1e-6),
+        "µs": Unit(1e-6),
+        "ns": Unit(1e-9),
+        "min": Unit(60.0),
+    },
+}
+"""Units by what they measure; the first of each is the one that holds where none is given."""
+
+
+class Quantity(NamedTuple):
+    """Something that a recording can hold: what it measures, and what it is for people."""
+
+    dimension: str
+    meaning: str
+
+
+QUANTITIES: Final[Mapping[str, Quantity]] = {
+    "command": Quantity("voltage", "commanded voltage, held until the next message or row"),
+    "voltage": Quantity("voltage", "measured voltage of the coil, where no command was recorded: its steps are found"),
+    "position": Quantity("length", "pilot plunger, 0 where the valve is closed, positive towards the core"),
+    "main_position": Quantity("length", "main plunger"),
+    "current": Quantity("current", "coil current"),
+    "acceleration": Quantity("acceleration", "along the axis"),
+    "pressure": Quantity("pressure", "inlet pressure, absolute"),
+    "temperature": Quantity("temperature", "of the coil"),
+}
+CLOCKS: Final = ("header", "bag")
+DEFAULT_VALVE: Final = "/valve"
+_TEXTS: Final = ("topic", "field", "joint", "column", "type", "unit", "clock")
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where one quantity is recorded, and what its numbers mean.
+
+    Attributes:
+        topic: of a bag.
+        field: dotted path in the message, "point.z" or "position[2]"; empty: the only number there is.
+        joint: of a JointState, in place of an index into `field` (default position).
+        column: name or number (from 1) of a table's column.
+        type: of the message, needed by live nodes only where it cannot be told from `joint`.
+        unit: one of `UNITS` of the quantity's dimension.
+        scale: of a divider or probe. sign: 1 or −1. offset: in `unit`, added last.
+        clock: "header", "bag", or empty: the stamp of the message where it has one.
+    """
+
+    topic: str = ""
+    field: str = ""
+    joint: str = ""
+    column: str = ""
+    type: str = ""
+    unit: str = ""
+    scale: float = 1.0
+    sign: float = 1.0
+    offset: float = 0.0
+    clock: str = ""
+
+    @property
+    def name(self) -> str:
+        """For messages: where it is."""
+        if self.column:
+            return f"column {self.column}"
+        what = self.joint or self.field
+        return f"topic {self.topic}" + (f" ({what})" if what else "")
+
+    def to_si(self, readings: NDArray[np.float64], dimension: str) -> NDArray[np.float64]:
+        """Readings in SI (°C for temperatures), same shape."""
+        units = UNITS[dimension]
+        factor, zero = units[self.unit] if self.unit else next(iter(units.values()))
+        if (factor, zero, self.scale, self.sign, self.offset) == (1.0, 0.0, 1.0, 1.0, 0.0):
+            return readings
+        return factor * (self.sign * self.scale * readings + self.offset) + zero
+
+
+@dataclass(frozen=True)
+class TimeAxis:
+    """When a table's rows were taken: by a column, or at a rate (Hz) that is known."""
+
+    column: str = ""
+    unit: str = "s"
+    rate: float = 0.0
+
+
+@dataclass(frozen=True)
+class RecordingMap:
+    """What a recording holds about each valve.
+
+    Attributes:
+        path: the file that it was read from, for messages.
+        valves: valve's name ("/tank_1/valve") to quantity (of `QUANTITIES`) to where it is.
+        time: of a table; None for bags.
+    """
+
+    path: str
+    valves: Mapping[str, Mapping[str, Source]]
+    time: TimeAxis | None = None
+
+    def choose(self, valve: str | None) -> tuple[str, Mapping[str, Source]]:
+        """The valve of this name, or the only one: its name and what is recorded of it.
+
+        Raises:
+            MapError: there is none of this name, or several and no name is given.
+        """
+        listed = ", ".join(self.valves)
+        if valve is None:
+            if len(self.valves) > 1:
+                raise MapError(f"{self.path}: describes several valves ({listed}); choose one with --valve")
+            return next(iter(self.valves.items()))
+        name = "/" + valve.strip("/")
+        if name not in self.valves:
+            raise MapError(f"{self.path}: describes no valve {name}; it has {listed}; choose one with --valve")
+        return name, self.valves[name]
+
+
+def load_map(path: Path | str) -> RecordingMap:
+    """Read and check a map.
+
+    Raises:
+        MapError: it cannot be read, or a key, unit or value in it is none; one line that names file, key and mend.
+    """
+    found = read_yaml(path, "expected a map of a recording; valve-sim map RECORDING writes a first one", MapError)
+    return map_from(found, str(path))
+
+
+def map_from(found: object, path: str) -> RecordingMap:
+    """Check what a map's YAML holds; errors as `load_map`."""
+    if not isinstance(found, Mapping) or not found:
+        raise MapError(
+            f"{path}: found {_short(found)}; expected keys such as position: {{topic: ..., unit: mm}}; "
+            "valve-sim map RECORDING writes a first one"
+        )
+    _check_keys(found, [*QUANTITIES, "clock", "time", "valve", "valves"], path, "")
+    clock = _clock(found.get("clock", ""), f"{path}: clock")
+    time = _time_axis(found["time"], f"{path}: time") if "time" in found else None
+    if "valves" in found:
+        alone = [key for key in found if key in QUANTITIES or key == "valve"]
+        if alone:
+            raise MapError(f"{path}: {alone[0]}: found beside valves:; expected it below one of them")
+        valves = _named_valves(found["valves"], clock, path)
+    else:
+        name = found.get("valve", DEFAULT_VALVE)
+        if not isinstance(name, str) or not name.strip("/"):
+            raise MapError(f"{path}: valve: found {_short(name)}, expected a name such as {DEFAULT_VALVE}")
+        entries = {key: value for key, value in found.items() if key in QUANTITIES}
+        valves = {"/" + name.strip("/"): _sources(entries, clock, path, "")}
+    _check_kind(valves, time, path)
+    return RecordingMap(path, valves, time)
+
+
+def _named_valves(found: object, clock: str, path: str) -> dict[str, Mapping[str, Source]]:
+    if not isinstance(found, Mapping) or not found:
+        raise MapError(f"{path}: valves: found {_short(found)}, expected names and what is recorded of each")
+    valves: dict[str, Mapping[str, Source]] = {}
+    for name, entries in found.items():
+        if not isinstance(entries, Mapping):
+            raise MapError(f"{path}: valves.{name}: found {_short(entries)}, expected keys such as position:")
+        _check_keys(entries, list(QUANTITIES), path, f"valves.{name}.")
+        valves["/" + str(name).strip("/")] = _sources(entries, clock, path, f"valves.{name}.")
+    return valves
+
+
+def _sources(entries: Mapping[Any, Any], clock: str, path: str, prefix: str) -> Mapping[str, Source]:
+    sources = {key: _source(key, value, clock, f"{path}: {prefix}{key}") for key, value in entries.items()}
+    where = f"{path}: {prefix.rstrip('.')}: " if prefix else f"{path}: "
+    if "position" not in sources:
+        raise MapError(f"{where}names no position; say where it is: position: {{topic: ..., unit: mm}}")
+    inputs = [key for key in ("command", "voltage") if key in sources]
+    if not inputs:
+        raise MapError(
+            f"{where}names neither command nor voltage: without the coil's voltage nothing can be fitted; "
+            "add one of them"
+        )
+    if len(inputs) > 1:
+        raise MapError(f"{where}names both command and voltage; keep the one that is to be the input")
+    return sources
+
+
+def _source(key: str, found: object, clock: str, where: str) -> Source:
+    if isinstance(found, str):
+        found = {"topic": found} if found.startswith("/") else {"column": found}
+    elif isinstance(found, int) and not isinstance(found, bool):
+        found = {"column": found}
+    if not isinstance(found, Mapping):
+        raise MapError(
+            f"{where}: found {_short(found)}, expected {{topic: ..., unit: ...}} or {{column: ..., unit: ...}}"
+        )
+    names = [entry.name for entry in fields(Source)]
+    _check_keys(found, names, where, "")
+    values: dict[str, Any] = {}
+    for name, value in found.items():
+        values[name] = (
+            _text(name, value, f"{where}.{name}") if name in _TEXTS else _number(name, value, f"{where}.{name}")
+        )
+    source = Source(**values)
+    dimension = QUANTITIES[key].dimension
+    if source.unit and source.unit not in UNITS[dimension]:
+        raise MapError(f"{where}.unit: found {source.unit!r}, expected one of {', '.join(UNITS[dimension])}")
+    if bool(source.topic) == bool(source.column):
+        raise MapError(
+            f"{where}: found {_short(dict(found))}, expected either topic: (of a bag) or column: (of a table)"
+        )
+    if source.topic and not source.topic.startswith("/"):
+        raise MapError(f"{where}.topic: found {source.topic!r}, expected a name that begins with /")
+    if source.joint and "[" in source.field:
+        raise MapError(f"{where}: has joint {source.joint} and field {source.field}; give the joint or the index")
+    return source if source.clock else replace(source, clock=clock)
+
+
+def _check_kind(valves: Mapping[str, Mapping[str, Source]], time: TimeAxis | None, path: str) -> None:
+    """A map is of a bag (topics) or of a table (columns and time)."""
+    entries = [(key, source) for sources in valves.values() for key, source in sources.items()]
+    columns = [key for key, source in entries if source.column]
+    if columns and len(columns) < len(entries):
+        topic = next(key for key, source in entries if source.topic)
+        raise MapError(f"{path}: {columns[0]} is a column and {topic} a topic; expected all of one file")
+    if columns and time is None:
+        raise MapError(f"{path}: names no time; add time: {{column: ..., unit: s}} or time: {{rate: ...}} (Hz)")
+    if time is not None and not columns:
+        raise MapError(f"{path}: time: is for tables; messages of a bag have their own: clock: header or clock: bag")
+
+
+def _time_axis(found: object, where: str) -> TimeAxis:
+    if isinstance(found, str | int) and not isinstance(found, bool):
+        found = {"column": found}
+    if not isinstance(found, Mapping):
+        raise MapError(f"{where}: found {_short(found)}, expected {{column: ..., unit: s}} or {{rate: ...}}")
+    _check_keys(found, ["column", "unit", "rate"], where, "")
+    column = _text("column", found.get("column", ""), f"{where}.column")
+    unit = found.get("unit", "s")
+    if unit not in UNITS["time"]:
+        raise MapError(f"{where}.unit: found {unit!r}, expected one of {', '.join(UNITS['time'])}")
+    rate = _number("rate", found.get("rate", 0.0), f"{where}.rate") if "rate" in found else 0.0
+    if bool(column) == ("rate" in found):
+        raise MapError(f"{where}: found {_short(dict(found))}, expected either column: or rate:")
+    if rate < 0.0 or ("rate" in found and rate == 0.0):
+        raise MapError(f"{where}.rate: found {rate:g}, expected a number of rows a second above 0")
+    return TimeAxis(column, str(unit), rate)
+
+
+def _text(name: str, value: object, where: str) -> str:
+    if name == "column" and isinstance(value, int) and not isinstance(value, bool):
+        value = str(value)
+    if not isinstance(value, str):
+        raise MapError(f"{where}: found {_short(value)}, expected text")
+    return _clock(value, where) if name == "clock" else value.strip()
+
+
+def _clock(value: object, where: str) -> str:
+    if value != "" and value not in CLOCKS:
+        raise MapError(f"{where}: found {_short(value)}, expected {' or '.join(CLOCKS)}")
+    return str(value)
+
+
+def _number(name: str, value: object, where: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise MapError(f"{where}: found {_short(value)}, expected a finite number")
+    if name == "sign" and value not in (1, -1):
+        raise MapError(f"{where}: found {value:g}, expected 1 or -1; a factor is scale:")
+    if name == "scale" and value <= 0:
+        raise MapError(f"{where}: found {value:g}, expected a number above 0; sign: -1 turns the direction round")
+    return float(value)
+
+
+def _check_keys(found: Mapping[Any, Any], known: Sequence[str], where: str, prefix: str) -> None:
+    for key in found:
+        if key not in known:
+            alike = difflib.get_close_matches(str(key), known, n=1, cutoff=0.6)
+            mend = f"did you mean {alike[0]}? " if alike else ""
+            raise MapError(f"{where}: {prefix}{key}: unknown key; {mend}expected one of {', '.join(known)}")
+
+
+def _short(value: object) -> str:
+    text = "nothing" if value is None else repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."

@@ -1,0 +1,55 @@
+"""YAML in: numbers as people write them, keys given twice refused, every fault one line with its place."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from valve_sim.model.errors import ValveError
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML 1.1 with two mends: 1e-3 is a number, and a key given twice is an error."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        seen: set[str] = set()
+        for key, _ in node.value:
+            if key.value in seen and key.tag != "tag:yaml.org,2002:merge":
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"found {key.value!r} a second time", key.start_mark
+                )
+            if isinstance(key.value, str):
+                seen.add(key.value)
+        return super().construct_mapping(node, deep)
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
+)
+
+
+def read_yaml(path: Path | str, expected: str, refusal: type[ValveError]) -> object:
+    """What a YAML file holds.
+
+    Args:
+        path: the file.
+        expected: ends the message where the file cannot be read: "expected a ROS 2 parameter file".
+        refusal: the error that is raised.
+
+    Raises:
+        ValveError: it cannot be read, or is no YAML; of the type `refusal`; one line that names file and line.
+    """
+    try:
+        return yaml.load(Path(path).read_text(encoding="utf-8"), Loader=_Loader)
+    except OSError as error:
+        raise refusal(f"{path}: cannot be read ({error.strerror}); {expected}") from error
+    except UnicodeDecodeError as error:
+        raise refusal(f"{path}: is not UTF-8 text; {expected}") from error
+    except yaml.MarkedYAMLError as error:
+        line = "" if error.problem_mark is None else f"line {error.problem_mark.line + 1}: "
+        raise refusal(f"{path}: {line}{error.problem or error.context}, expected valid YAML") from error
+    except (yaml.YAMLError, RecursionError) as error:
+        raise refusal(f"{path}: {' '.join(str(error).split())}, expected valid YAML") from error

@@ -1,0 +1,196 @@
+"""Tables of a data logger to traces: one clock for all columns, the rows' own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from valve_sim.files.data_tables import DataTable, open_table
+from valve_sim.files.recording_map import QUANTITIES, UNITS, RecordingMap, Source, TimeAxis
+from valve_sim.model import Drive
+from valve_sim.traces.clocks import SECOND
+from valve_sim.traces.errors import TraceError
+from valve_sim.traces.layout import SIGNALS
+from valve_sim.traces.trace import Signal, Trace
+from valve_sim.traces.trouble import trouble_in
+from valve_sim.traces.voltage_steps import find_steps
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+
+OWN_COLUMNS = {
+    "command": "coil_voltage",
+    "position": "pilot_position",
+    "main_position": "main_position",
+    "current": "coil_current",
+}
+"""Of the CSV that `valve-sim simulate` writes."""
+
+
+def standard_map(path: Path) -> RecordingMap:
+    """The map of a table with the columns of `valve-sim simulate`.
+
+    Raises:
+        ValveError: It is a table of other columns: nobody knows which is what.
+    """
+    names = open_table(path).names
+    if not {"time", *OWN_COLUMNS.values()} <= set(names):
+        listed = ", ".join(names[:12])
+        raise TraceError(
+            f"{path}: is not a recording of ROS topics but a table ({listed}); say with --map which column is what, "
+            f"valve-sim map {path} writes a first map"
+        )
+    sources = {key: Source(column=column) for key, column in OWN_COLUMNS.items()}
+    return RecordingMap(str(path), {"/valve": sources}, TimeAxis("time"))
+
+
+def read_table_trace(path: Path, valve: str | None, recording_map: RecordingMap) -> Trace:
+    """Read one valve out of a table.
+
+    Args:
+        path: One of `TABLE_SUFFIXES`.
+        valve: Which one of the map's; None takes the only one.
+        recording_map: Which column is what.
+
+    Raises:
+        ValveError: The table or the map cannot be used; one line that names file, column and mend.
+    """
+    name, sources = recording_map.choose(valve)
+    if recording_map.time is None:
+        topic = next(iter(sources.values())).topic
+        raise TraceError(
+            f"{recording_map.path}: names the topic {topic}, but {path} is a table; give column: in its place"
+        )
+    table = open_table(path)
+    return _TableAssembly(path, table, sources, recording_map).trace(name)
+
+
+class _TableAssembly:
+    """One reading of one table: collects findings on the way to a trace."""
+
+    def __init__(
+        self, path: Path, table: DataTable, sources: Mapping[str, Source], recording_map: RecordingMap
+    ) -> None:
+        self.path = path
+        self.table = table
+        self.sources = sources
+        self.map = recording_map
+        self.findings: list[str] = []
+
+    def trace(self, valve: str) -> Trace:
+        """Put the trace together."""
+        pilot = self.column("position")
+        times, kept = self.times(len(pilot))
+        finite = np.isfinite(pilot)
+        if not (finite & kept).any():
+            raise TraceError(f"{self.path}: {self.sources['position'].name}: no finite position; name another column")
+        if not finite.all():
+            dropped = int((~finite).sum())
+            self.findings.append(f"{self.sources['position'].name}: dropped {dropped} of {len(pilot)} rows without it")
+        use = finite & kept
+        start = float(times[kept][0])
+        epoch = max(0, round(start * SECOND))
+        times = times - start
+        main = self.column("main_position")[use] if "main_position" in self.sources else None
+        if main is not None and not np.isfinite(main).all():
+            self.findings.append(f"{self.sources['main_position'].name}: has empty cells and was left out")
+            main = None
+        signals = {attribute: self.signal(key, times, kept) for key, attribute in SIGNALS.items()}
+        trace = Trace(
+            source=f"{self.path} ({valve})",
+            drive=self.drive(times, kept),
+            times=times[use],
+            pilot_position=pilot[use],
+            main_position=main,
+            epoch_ns=epoch,
+            clock="time column" if self.axis.column else "rate",
+            coil_current=signals["coil_current"],
+            acceleration=signals["acceleration"],
+            inlet_pressure=signals["inlet_pressure"],
+            coil_temperature=signals["coil_temperature"],
+        )
+        trouble = trouble_in(trace, self.sources["position"].name, self.sources[self.input].name)
+        return replace(trace, findings=(*self.findings, *trouble))
+
+    @property
+    def input(self) -> str:
+        return "command" if "command" in self.sources else "voltage"
+
+    @property
+    def axis(self) -> TimeAxis:
+        assert self.map.time is not None
+        return self.map.time
+
+    def column(self, quantity: str) -> Array:
+        """A quantity in SI, NaN where a cell is empty."""
+        source = self.sources[quantity]
+        return source.to_si(self.table.column(source.column), QUANTITIES[quantity].dimension)
+
+    def times(self, rows: int) -> tuple[Array, NDArray[np.bool_]]:
+        """When each row was taken, s, and which rows to keep: a row with the time of the one before goes."""
+        axis = self.axis
+        if axis.rate:
+            return np.arange(rows) / axis.rate, np.ones(rows, dtype=bool)
+        times = UNITS["time"][axis.unit].factor * self.table.column(axis.column)
+        finite = np.isfinite(times)
+        if not finite.all():
+            place = self.table.place(int(np.argmin(finite)))
+            raise TraceError(f"{self.path}: {place}: column {axis.column} holds no time; take the row out")
+        steps = np.diff(times)
+        if (steps < 0).any():
+            row = int(np.argmax(steps < 0)) + 1
+            raise TraceError(
+                f"{self.path}: {self.table.place(row)}: time column {axis.column} runs backwards, {times[row]:.9g} s "
+                f"after {times[row - 1]:.9g} s; sort the rows, cut the file where the logger began anew, or name "
+                "another column"
+            )
+        kept = np.concatenate([[True], steps > 0])
+        repeated = int((~kept).sum())
+        if repeated > len(times) // 20:
+            raise TraceError(
+                f"{self.path}: column {axis.column}: {repeated} of {len(times)} rows have the time of the row before; "
+                "write the time with more digits, or give time: {rate: ...} (rows a second)"
+            )
+        if repeated:
+            self.findings.append(f"column {axis.column}: dropped {repeated} rows with the time of the row before")
+        return times, kept
+
+    def drive(self, times: Array, kept: NDArray[np.bool_]) -> Drive:
+        """The voltage as commands."""
+        name = self.sources[self.input].name
+        volts = self.column(self.input)
+        use = kept & np.isfinite(volts)
+        if not use.any():
+            raise TraceError(f"{self.path}: {name}: holds no finite voltage; name another column")
+        times, volts = times[use], volts[use]
+        if self.input == "voltage":
+            steps, levels = find_steps(times, volts, f"{self.path}: {name}")
+            self.findings.append(f"{name}: {len(steps) - 1} steps of the measured voltage were taken for the commands")
+            return Drive(steps, levels)
+        if not np.ptp(volts) and not volts[0]:
+            raise TraceError(f"{self.path}: {name}: is 0 V in all rows: there is no command; name another column")
+        changes = np.diff(volts, prepend=np.nan) != 0.0
+        if changes.mean() > 0.5 and changes.sum() > 100:
+            raise TraceError(
+                f"{self.path}: {name}: changes in {changes.sum()} of {len(volts)} rows, as a measured voltage does; "
+                "name it voltage: in place of command:"
+            )
+        return Drive(times[changes], volts[changes])
+
+    def signal(self, quantity: str, times: Array, kept: NDArray[np.bool_]) -> Signal | None:
+        """An optional quantity where its cells are filled."""
+        if quantity not in self.sources:
+            return None
+        values = self.column(quantity)
+        use = kept & np.isfinite(values)
+        if not use.any():
+            self.findings.append(f"{self.sources[quantity].name}: holds no finite number and was left out")
+            return None
+        return Signal(times[use], values[use])
