@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -19,7 +20,7 @@ from valve_sim import __version__
 from valve_sim.cli import main
 from valve_sim.files.parameter_files import default_valve, load_valve, save_valve
 from valve_sim.invocation import invocation
-from valve_sim.traces import CSV_COLUMNS, read_trace
+from valve_sim.traces import CSV_COLUMNS, read_trace, write_bag
 
 STROKES = "time,volts\n0.010,9.0\n0.040,0.0\n0.070,12.0\n0.100,0.0\n"
 COMMANDS = ("simulate", "info", "identify", "diagnose", "validate", "fit-force")
@@ -411,3 +412,41 @@ def test_diagnose_wants_either_bags_or_events(tmp_path: Path) -> None:
     result = run("diagnose", "--output", tmp_path)
     assert result.exit_code == 2
     assert "either BAG... or --events" in result.output
+
+
+# --- recordings of others ---
+
+
+@pytest.mark.parametrize("command", ["identify", "diagnose", "validate"])
+def test_positions_in_millimetres_are_refused_before_anything_is_written(
+    command: str, strokes: Path, more_damped: Path, tmp_path: Path
+) -> None:
+    trace = read_trace(strokes)
+    write_bag(tmp_path / "mm.mcap", replace(trace, pilot_position=1e3 * trace.pilot_position, main_position=None))
+    output = ("--params", more_damped) if command == "validate" else ("--output", tmp_path / "results")
+    result = run(command, tmp_path / "mm.mcap", *output)
+    assert result.exit_code == 2
+    assert re.search(r"/valve/measured/joint_states .*travels 1\.23\d m, expected about 0\.00123 m", result.stderr)
+    assert result.stderr.endswith("--map and unit: mm\n")
+    assert result.stderr.count("\n") == 1
+    assert not (tmp_path / "results").exists()
+    said = run_well("info", tmp_path / "mm.mcap").stdout
+    assert "note: topic /valve/measured/joint_states (pilot_plunger): pilot_plunger travels" in said
+
+
+def test_a_map_reads_what_would_be_refused(strokes: Path, tmp_path: Path) -> None:
+    trace = read_trace(strokes)
+    write_bag(tmp_path / "mm.mcap", replace(trace, pilot_position=1e3 * trace.pilot_position, main_position=None))
+    (tmp_path / "lab.yaml").write_text(
+        "command: {topic: /valve/coil_voltage}\n"
+        "position: {topic: /valve/measured/joint_states, joint: pilot_plunger, unit: mm}\n"
+        "current: {topic: /valve/measured/coil_current}\n"
+    )
+    settings = ("--map", tmp_path / "lab.yaml", "--output", tmp_path / "mapped")
+    run_well("identify", tmp_path / "mm.mcap", *settings)
+    write_bag(tmp_path / "m.mcap", replace(trace, main_position=None))
+    run_well("identify", tmp_path / "m.mcap", "--output", tmp_path / "plain")
+    mapped, plain = (json.loads((tmp_path / name / "identify.json").read_text()) for name in ("mapped", "plain"))
+    assert mapped["parameters"]["main_damping"]["value"] == pytest.approx(
+        plain["parameters"]["main_damping"]["value"], rel=1e-6
+    )

@@ -25,6 +25,7 @@ from valve_sim import __version__
 from valve_sim.invocation import invocation
 
 if TYPE_CHECKING:
+    from valve_sim.files.recording_map import RecordingMap
     from valve_sim.model import Valve
     from valve_sim.traces import StrokeEvents, Trace, TraceSummary
 
@@ -39,6 +40,8 @@ STOPPED: Final = 130
 COMPLETE_VAR: Final = "_VALVE_SIM_COMPLETE"
 """What a shell sets to ask for completions; however the program is called, it is the same for the scripts that ship."""
 _FILE: Final = click.Path(path_type=Path)
+_MAP_KEY: Final = "valve_sim.map"
+"""Where click's context keeps the file given as --map."""
 
 
 class Command(click.Command):
@@ -144,6 +147,14 @@ def main() -> None:
 _bags = click.argument("bags", metavar="BAG...", type=_FILE, nargs=-1, required=True)
 _params = click.option("--params", metavar="FILE", type=_FILE, help="Parameter file. Default: the shipped valve.yaml.")
 _valve = click.option("--valve", "name", metavar="NAME", help="Which valve of a bag that holds several, /tank_1/valve.")
+_map = click.option(
+    "--map",
+    metavar="FILE",
+    type=_FILE,
+    expose_value=False,
+    callback=lambda context, _, path: context.meta.__setitem__(_MAP_KEY, path),
+    help="Which topic or column of a recording is what; valve-sim map writes a first one.",
+)
 _json = click.option("--json", "as_json", is_flag=True, help="Print JSON in place of text.")
 _folder = click.option("--output", metavar="DIR", type=_FILE, required=True, help="Folder for the results.")
 
@@ -246,6 +257,7 @@ def simulate(
 @main.command()
 @click.argument("bag", type=_FILE)
 @_valve
+@_map
 @_params
 @_json
 def info(*, bag: Path, name: str | None, params: Path | None, as_json: bool) -> None:
@@ -257,13 +269,14 @@ def info(*, bag: Path, name: str | None, params: Path | None, as_json: bool) -> 
       valve-sim info strokes.mcap
       valve-sim info station_bag --valve /tank_1/valve --json | jq '.valves[0].strokes'
     """
-    from valve_sim.traces import describe, events_from_sensors, list_valves, read_trace
+    from valve_sim.traces import describe, doubtful_units, events_from_sensors, list_valves, read_trace
 
-    gap = _load(params).parameters.pilot_gap
+    parameters, recording_map = _load(params).parameters, _recording_map()
     valves = []
-    for valve in (name,) if name else list_valves(bag) or (None,):
-        trace = read_trace(bag, valve)
-        valves.append((describe(trace), events_from_sensors(trace, gap)))
+    for valve in (name,) if name else list_valves(bag, recording_map) or (None,):
+        trace = read_trace(bag, valve, recording_map)
+        trace = dataclasses.replace(trace, findings=(*trace.findings, *doubtful_units(trace, parameters)))
+        valves.append((describe(trace), events_from_sensors(trace, parameters.pilot_gap)))
     if as_json:
         _print_json({"valves": [{**_plain(summary), "arrivals": _plain(arrivals)} for summary, arrivals in valves]})
         return
@@ -281,6 +294,7 @@ def info(*, bag: Path, name: str | None, params: Path | None, as_json: bool) -> 
     help="What to refit: declared parameters (a0 ... a3 of the polynomial) and effects, coulomb_friction.force.",
 )
 @_valve
+@_map
 @_folder
 @_json
 def identify(
@@ -303,7 +317,7 @@ def identify(
     names = tuple(dict.fromkeys(part.strip() for part in free.split(",") if part.strip()))
     if not names:
         _refuse(f"--free {free!r}: names nothing; expected names, parted by commas")
-    traces = _read(bags, name)
+    traces = _read(bags, name, valve)
     with _progress() as progress:
         result = refit(traces, valve, names, progress)
     report = result.to_json()
@@ -321,6 +335,7 @@ def identify(
 )
 @_params
 @_valve
+@_map
 @_folder
 @_json
 def diagnose(
@@ -355,7 +370,7 @@ def diagnose(
     from valve_sim.identification.report_json import to_json
 
     valve = _load(params)
-    traces, held_out = _read(bags, name), _read(holdout, name)
+    traces, held_out = _read(bags, name, valve), _read(holdout, name, valve)
     with _progress() as progress:
         result = trace_residual(traces, held_out, valve, progress)
     report = to_json(result)
@@ -389,6 +404,7 @@ def _diagnose_events(events: Path, output: Path, as_json: bool) -> None:
 @click.option("--junit", metavar="XML", type=_FILE, help="Write a JUnit report, a test case for each stroke.")
 @click.option("--plot", metavar="PNG", type=_FILE, help="Draw measured, predicted and what lies between (one BAG).")
 @_valve
+@_map
 @_json
 def validate(
     *,
@@ -416,7 +432,7 @@ def validate(
     from valve_sim.identification.validation import validate as replay
 
     valve = _load(params)
-    traces = _read(bags, name)
+    traces = _read(bags, name, valve)
     tolerance = None if tolerance_um is None else 1e-6 * tolerance_um
     with _progress() as progress:
         result = replay(traces, valve, tolerance, command_jitter=command_jitter, progress=progress)
@@ -480,13 +496,21 @@ def _load(params: Path | None) -> Valve:
     return default_valve() if params is None else load_valve(params)
 
 
-def _read(bags: Sequence[Path], name: str | None) -> list[Trace]:
-    """Read recordings; what was dropped or repaired is said on stderr."""
-    from valve_sim.traces import read_trace
+def _recording_map() -> RecordingMap | None:
+    from valve_sim.files.recording_map import load_map
 
-    traces = []
+    path: Path | None = click.get_current_context().meta.get(_MAP_KEY)
+    return None if path is None else load_map(path)
+
+
+def _read(bags: Sequence[Path], name: str | None, valve: Valve) -> list[Trace]:
+    """Read recordings; what was dropped or repaired is said on stderr, numbers of another unit are refused."""
+    from valve_sim.traces import read_trace, refuse_doubtful_units
+
+    traces, recording_map = [], _recording_map()
     for bag in bags:
-        trace = read_trace(bag, name)
+        trace = read_trace(bag, name, recording_map)
+        refuse_doubtful_units(trace, valve.parameters)
         for finding in trace.findings:
             click.echo(_shown(f"valve-sim: {bag}: {finding}"), err=True)
         traces.append(trace)

@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from valve_sim.files.recording_map import UNITS
 from valve_sim.files.tables import TableError
 
 Array = NDArray[np.float64]
@@ -23,6 +24,10 @@ _DELIMITERS: Final = (";", "\t", ",", None)
 _COMMENTS: Final = ("#", "%", "//", "!")
 _LONGEST_PREAMBLE: Final = 500
 """Lines before the numbers that are looked through."""
+_UNIT_WORDS: Final = frozenset(
+    {unit for units in UNITS.values() for unit in units}
+    | {"volt", "volts", "second", "seconds", "sec", "ampere", "amp", "amps", "ohm", "Ω", "N", "Hz", "%", "-", ""}
+)
 _WHOLE: Final = 3
 """So many lines of numbers in a row are the beginning of the data."""
 
@@ -91,7 +96,10 @@ class TextTable(DataTable):
         self._delimiter, self._first, width = _find_data(path, lines)
         self._lines = lines
         names, units = _find_names(lines[: self._first], self._delimiter, width)
-        super().__init__(path, names or [str(number + 1) for number in range(width)], units)
+        names = names or [str(number + 1) for number in range(width)]
+        if all(line.rstrip().endswith(self._delimiter or "\n") for line in lines[self._first : self._first + _WHOLE]):
+            names.pop()  # each line ends with a separator
+        super().__init__(path, names, units)
 
     def place(self, row: int) -> str:
         """The file's own line number."""
@@ -141,8 +149,6 @@ def _decoded(data: bytes) -> str:
 
 def _cells(line: str, delimiter: str | None) -> list[str]:
     cells = [cell.strip().strip('"').strip() for cell in line.strip().split(delimiter)]
-    if delimiter is not None and len(cells) > 1 and not cells[-1]:
-        cells = cells[:-1]  # a separator at the end of each line
     return cells if delimiter == "," else [cell.replace(",", ".") for cell in cells]
 
 
@@ -200,8 +206,6 @@ def _find_names(lines: Sequence[str], delimiter: str | None, width: int) -> tupl
         for mark in _COMMENTS:
             text = text.removeprefix(mark)
         cells = [cell.strip().strip('"').strip() for cell in text.strip().split(delimiter)]
-        if delimiter is not None and len(cells) > width and not cells[-1]:
-            cells = cells[:-1]
         if len(cells) != width:
             if text.strip() and rows:
                 break
@@ -211,7 +215,7 @@ def _find_names(lines: Sequence[str], delimiter: str | None, width: int) -> tupl
             break
     if not rows:
         return [], {}
-    is_units = len(rows) == 2 and all(_is_unit(cell) for cell in rows[0]) and not all(_is_unit(c) for c in rows[1])
+    is_units = len(rows) == 2 and any(rows[0]) and all(_is_unit(cell) for cell in rows[0])
     names = _unique(rows[1] if is_units else rows[0])
     units = {name: _bare(cell) for name, cell in zip(names, rows[0], strict=True)} if is_units else {}
     for name in names:
@@ -222,7 +226,7 @@ def _find_names(lines: Sequence[str], delimiter: str | None, width: int) -> tupl
 
 
 def _is_unit(cell: str) -> bool:
-    return bool(re.fullmatch(r"[a-zA-Zµ°Ω%]{0,3}([/·][a-z]+[²2]?)?|[Vv]olts?|[Ss]econds?|[Aa]mp(ere)?s?", _bare(cell)))
+    return _bare(cell) in _UNIT_WORDS or _bare(cell).lower() in _UNIT_WORDS
 
 
 def _bare(cell: str) -> str:

@@ -6,6 +6,7 @@ from valve_sim.traces.reading import list_valves, read_trace
 from valve_sim.traces.strokes import Stroke, find_strokes
 from valve_sim.traces.summary import Gap, Rate, TraceSummary, describe
 from valve_sim.traces.trace import Signal, Trace
+from valve_sim.traces.trouble import doubtful_units, refuse_doubtful_units
 from valve_sim.traces.writing import CSV_COLUMNS, BagRecorder, commanded_voltage, write_bag, write_bags, write_csv
 
 __all__ = [
@@ -22,10 +23,12 @@ __all__ = [
     "TraceSummary",
     "commanded_voltage",
     "describe",
+    "doubtful_units",
     "events_from_sensors",
     "find_strokes",
     "list_valves",
     "read_trace",
+    "refuse_doubtful_units",
     "write_bag",
     "write_bags",
     "write_csv",

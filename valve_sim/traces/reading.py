@@ -156,6 +156,7 @@ class _Assembly:
             main_position=None if np.isnan(main).any() else np.ascontiguousarray(main),
             epoch_ns=epoch,
             clock=clock,
+            origins={key: source.name for key, source in self.plan.sources.items()},
             coil_current=signals["coil_current"],
             acceleration=signals["acceleration"],
             inlet_pressure=signals["inlet_pressure"],

@@ -110,6 +110,7 @@ class _TableAssembly:
             pilot_position=pilot[use],
             main_position=main,
             epoch_ns=epoch,
+            origins={key: source.name for key, source in self.sources.items()},
             clock="time column" if self.axis.column else "rate",
             coil_current=signals["coil_current"],
             acceleration=signals["acceleration"],

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     import numpy as np
     from numpy.typing import NDArray
 
@@ -41,6 +43,7 @@ class Trace:
         epoch_ns: The first stamp of commands or samples, ns, on the samples' clock.
         clock: "header" when samples are timed by their stamps, "bag" when by the time they were recorded.
         findings: One sentence each: what was dropped, repaired or salvaged, with counts.
+        origins: Quantity as a map calls it ("position") to the topic or column that it was read from, for messages.
     """
 
     source: str
@@ -55,3 +58,4 @@ class Trace:
     epoch_ns: int = 0
     clock: str = "header"
     findings: tuple[str, ...] = ()
+    origins: Mapping[str, str] = field(default_factory=dict)

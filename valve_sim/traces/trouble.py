@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from valve_sim.traces.clocks import find_gaps
 from valve_sim.traces.errors import TraceError
-from valve_sim.traces.strokes import largest_travel, motion_threshold
+from valve_sim.traces.strokes import SMALLEST_MOTION, largest_travel, motion_threshold
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -21,19 +21,16 @@ LARGEST_POSITION = 0.1
 """m; a solenoid valve's plunger moves millimetres: beyond this the unit is most likely not metres."""
 MOST_STROKES = 10.0
 """No position lies so many strokes from the closed one, or it is no metre."""
+TOO_SMALL = {1e3: "m were taken for mm, or mm for um", 1e6: "m were taken for um"}
+"""A travel so many times smaller than the stroke is another unit; what lies between may be a valve that sticks."""
+ALIKE = 3.0
+"""Declared and true stroke differ by less than this factor."""
 MOST_VOLTS = 30.0
 """No voltage is so many reference voltages: a peak-and-hold driver reaches seven."""
 MOST_AMPERES = 30.0
 """No current is so many times what the voltage and the declared resistance allow: that may be off by a few."""
 LEAST_AMPERES = 0.01
 """Of a valve that moved, no current is below this share of it."""
-
-
-class Doubt(NamedTuple):
-    """A number that the declared valve cannot have: what is wrong, and the mend in a map."""
-
-    quantity: str
-    words: str
 
 
 def trouble_in(trace: Trace, positions: str, voltage: str) -> list[str]:
@@ -56,90 +53,101 @@ def trouble_in(trace: Trace, positions: str, voltage: str) -> list[str]:
     return findings
 
 
-def doubtful_units(trace: Trace, parameters: ValveParameters) -> tuple[Doubt, ...]:
-    """What in a trace is off by such a factor that it is in another unit, or is not what it is said to be."""
-    checks = (_position, _voltage, _current)
-    return tuple(doubt for check in checks if (doubt := check(trace, parameters)) is not None)
-
-
-def refuse_doubtful_units(trace: Trace, parameters: ValveParameters, names: Mapping[str, str] | None = None) -> None:
-    """Stop before anything is fitted to numbers of another unit.
+def doubtful_units(trace: Trace, parameters: ValveParameters) -> tuple[str, ...]:
+    """What in a trace is off by such a factor that it is in another unit, or is not what it is said to be.
 
     Args:
         trace: What was read.
         parameters: The declared valve.
-        names: Quantity to where it is recorded, for the message.
+
+    Returns:
+        One line each: where, what was found, what is expected, and the mend.
+    """
+    found = (_position(trace, parameters), _voltage(trace, parameters), _current(trace, parameters))
+    return tuple(line for line in found if line)
+
+
+def refuse_doubtful_units(trace: Trace, parameters: ValveParameters) -> None:
+    """Stop before anything is fitted to numbers of another unit; see `doubtful_units`.
 
     Raises:
-        TraceError: One line with the quantity, what was found, what is expected, and the mend.
+        TraceError: One line with the recording, the topic or column, what was found and is expected, and the mend.
     """
-    doubts = doubtful_units(trace, parameters)
-    if doubts:
-        where = (names or {}).get(doubts[0].quantity, doubts[0].quantity)
-        raise TraceError(f"{trace.source}: {where}: {doubts[0].words}")
+    for doubt in doubtful_units(trace, parameters):
+        raise TraceError(f"{trace.source}: {doubt}")
 
 
-def _position(trace: Trace, parameters: ValveParameters) -> Doubt | None:
+def _position(trace: Trace, parameters: ValveParameters) -> str:
     stroke, travel = parameters.stroke, largest_travel(trace.pilot_position)
+    where = _where(trace, "position")
     if travel > MOST_STROKES * stroke:
-        unit = _unit_of(travel / stroke, {"mm": 1e3, "um": 1e6, "nm": 1e9})
-        return Doubt(
-            "position",
-            f"{PILOT} travels {travel:.4g} m, expected about {stroke:.4g} m (valve.stroke) and at most "
-            f"{MOST_STROKES * stroke:.4g} m; publish metres, or read it with --map and unit: {unit}",
+        unit, factor = _unit_of(travel / stroke, {"mm": 1e3, "um": 1e6, "nm": 1e9})
+        return (
+            f"{where}: {PILOT} travels {travel:.4g} m, expected about {stroke:.4g} m (valve.stroke), at most "
+            f"{MOST_STROKES * stroke:.4g} m: about {factor:g} times too large, as if {unit} were taken for m; "
+            f"publish metres, or correct it with --map and unit: {unit}"
         )
+    for factor, words in TOO_SMALL.items():
+        alike = 1.0 / ALIKE < factor * travel / stroke < ALIKE
+        if alike and travel > motion_threshold(trace.pilot_position) - SMALLEST_MOTION:
+            return (
+                f"{where}: {PILOT} travels {travel:.4g} m, expected about {stroke:.4g} m (valve.stroke): about "
+                f"{factor:g} times too small, as if {words}; correct unit: or scale: with --map"
+            )
     usual = float(np.median(trace.pilot_position))
     if abs(usual) > MOST_STROKES * stroke:
         rest = float(np.median(trace.pilot_position[: max(1, len(trace.pilot_position) // 100)]))
-        return Doubt(
-            "position",
-            f"{PILOT} lies at {usual:.4g} m, expected 0 where the valve is closed and {stroke:.4g} m where it is open; "
-            f"take the zero out with --map and an offset: (here {-rest:.6g} m)",
+        return (
+            f"{where}: {PILOT} lies at {usual:.4g} m, expected 0 m where the valve is closed and {stroke:.4g} m where "
+            f"it is open (valve.stroke); take the sensor's zero out with --map and offset: (here {-rest:.6g} m)"
         )
-    return None
+    return ""
 
 
-def _voltage(trace: Trace, parameters: ValveParameters) -> Doubt | None:
+def _voltage(trace: Trace, parameters: ValveParameters) -> str:
     reference, highest = parameters.reference_voltage, float(np.abs(trace.drive.volts).max(initial=0.0))
+    where = _where(trace, "command" if "command" in trace.origins else "voltage")
     expected = f"expected about {reference:g} V (valve.reference_voltage)"
     if highest > MOST_VOLTS * reference:
-        return Doubt(
-            "voltage",
-            f"reaches {highest:.4g} V, {expected} and at most {MOST_VOLTS * reference:g} V; "
-            "publish volts, or read it with --map and unit: mV",
+        return (
+            f"{where}: the voltage reaches {highest:.4g} V, {expected} and at most {MOST_VOLTS * reference:g} V; "
+            "publish volts, or correct it with --map and unit: mV"
         )
     if 0.0 < highest < reference / MOST_VOLTS and _has_moved(trace):
-        return Doubt(
-            "voltage",
-            f"reaches {highest:.4g} V only, though the valve moved; {expected}; give unit: or scale: (of a divider) "
-            "with --map",
+        return (
+            f"{where}: the voltage reaches {highest:.4g} V only, though the valve moved; {expected}; "
+            "correct it with --map and unit: or scale: (of a divider)"
         )
-    return None
+    return ""
 
 
-def _current(trace: Trace, parameters: ValveParameters) -> Doubt | None:
+def _current(trace: Trace, parameters: ValveParameters) -> str:
     signal = trace.coil_current
     if signal is None or not len(signal.values) or not trace.drive.volts.any():
-        return None
+        return ""
     highest = float(np.quantile(np.abs(signal.values), 0.999))
     expected = float(np.abs(trace.drive.volts).max()) / parameters.coil_resistance
+    where = _where(trace, "current")
     words = f"expected about {expected:.3g} A (voltage by valve.coil_resistance {parameters.coil_resistance:g} Ω)"
     if highest > MOST_AMPERES * expected:
-        return Doubt(
-            "current", f"reaches {highest:.4g} A, {words}; publish amperes, or read it with --map and unit: mA"
-        )
+        found = f"the current reaches {highest:.4g} A"
+        return f"{where}: {found}, {words}; publish amperes, or correct it with --map and unit: mA"
     if highest < LEAST_AMPERES * expected and _has_moved(trace):
-        return Doubt(
-            "current",
-            f"reaches {highest:.3g} A only, {words}; correct its unit: or scale: with --map, or leave the current out",
+        return (
+            f"{where}: the current reaches {highest:.3g} A only, {words}; "
+            "correct it with --map and unit: or scale:, or leave the current out of the map"
         )
-    return None
+    return ""
+
+
+def _where(trace: Trace, quantity: str) -> str:
+    return trace.origins.get(quantity, quantity)
 
 
 def _has_moved(trace: Trace) -> bool:
     return largest_travel(trace.pilot_position) > motion_threshold(trace.pilot_position)
 
 
-def _unit_of(ratio: float, factors: Mapping[str, float]) -> str:
-    """The unit whose numbers are so many times too large, most nearly."""
-    return min(factors, key=lambda unit: abs(np.log(ratio / factors[unit])))
+def _unit_of(ratio: float, factors: Mapping[str, float]) -> tuple[str, float]:
+    """The unit whose numbers are so many times too large, most nearly, and its factor."""
+    return min(factors.items(), key=lambda item: abs(np.log(ratio / item[1])))

@@ -55,16 +55,19 @@ def find_steps(times: Array, volts: Array, source: str) -> tuple[Array, Array]:
             f"{source}: the voltage stays between {volts.min(initial=np.inf):.4g} and {volts.max(initial=-np.inf):.4g} "
             "V: no step in it, so no command; name the coil's voltage, and check unit: and scale:"
         )
-    rest = max(REST_SIGMAS * sigma, REST_SHARE * span)
-    levels = _levels(volts, rest, max(LEVEL_SIGMAS * sigma, LEVEL_SHARE * span))
-    middles = 0.5 * (levels[1:] + levels[:-1])
-    numbers = _without_short(np.searchsorted(middles, volts))
-    starts = np.flatnonzero(np.diff(numbers)) + 1
-    steps = [float(times[0]), *(_crossing(times, volts, levels, numbers, start) for start in starts.tolist())]
-    found = levels[numbers[np.concatenate([[0], starts])]]
+    level_of, levels = _levels(
+        volts, max(REST_SIGMAS * sigma, REST_SHARE * span), max(LEVEL_SIGMAS * sigma, LEVEL_SHARE * span)
+    )
+    at = np.flatnonzero(level_of >= 0)
+    places = np.flatnonzero(np.diff(level_of[at])) + 1
+    found = levels[level_of[at[np.concatenate([[0], places])]]]
+    edges = [
+        _crossing(times[last : first + 1], volts[last : first + 1], 0.5 * (before + after))
+        for last, first, before, after in zip(at[places - 1], at[places], found[:-1], found[1:], strict=True)
+    ]
     highest = float(np.abs(levels).max())
     found = np.where(np.abs(found) < ZERO_SHARE * highest, 0.0, found)
-    return np.maximum.accumulate(np.array(steps)), found
+    return np.array([float(times[0]), *edges]), found
 
 
 def _noise(values: Array) -> float:
@@ -74,45 +77,35 @@ def _noise(values: Array) -> float:
     return float(MAD_TO_SIGMA * np.median(np.abs(np.diff(values, 2))) / np.sqrt(6.0))
 
 
-def _levels(volts: Array, rest: float, distance: float) -> Array:
-    """Values at which the voltage rests (stays within `rest`), ascending, at least half of `distance` apart."""
-    if len(volts) < SHORTEST_LEVEL:
-        return np.unique(volts)
+def _levels(volts: Array, rest: float, distance: float) -> tuple[NDArray[np.intp], Array]:
+    """Return each sample's level (-1 on the way from one to the next) and the levels, V, ascending.
+
+    Args:
+        volts: Shape (n,).
+        rest: V; `SHORTEST_LEVEL` samples within it rest.
+        distance: V; two levels are at least half of it apart.
+    """
+    count = len(volts)
+    if count < SHORTEST_LEVEL:
+        return np.zeros(count, dtype=np.intp), volts[:1]
     windows = np.lib.stride_tricks.sliding_window_view(volts, SHORTEST_LEVEL)
-    resting = np.sort(np.median(windows, axis=1)[np.ptp(windows, axis=1) <= rest])
-    if not len(resting):
-        return np.unique(volts[[0, -1]])
+    middle, is_still = np.median(windows, axis=1), np.ptp(windows, axis=1) <= rest
+    if not is_still.any():
+        return np.zeros(count, dtype=np.intp), np.array([float(np.median(volts))])
+    resting = np.sort(middle[is_still])
     groups = np.split(resting, np.flatnonzero(np.diff(resting) > 0.5 * distance) + 1)
-    medians = [float(np.median(group)) for group in groups if len(group) >= SHORTEST_LEVEL] or [float(resting[0])]
-    levels = [medians[0]]
-    for level in medians[1:]:
-        if level - levels[-1] > 0.5 * distance:
-            levels.append(level)
-    return np.array(levels)
+    levels = np.array([float(np.median(group)) for group in groups])
+    borders = 0.5 * (levels[1:] + levels[:-1])
+    level_of = np.full(count, -1, dtype=np.intp)
+    for place in range(SHORTEST_LEVEL):
+        level_of[place : count - SHORTEST_LEVEL + 1 + place][is_still] = np.searchsorted(borders, middle[is_still])
+    return level_of, levels
 
 
-def _without_short(numbers: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Levels sample by sample, where runs of less than `SHORTEST_LEVEL` go to the run that follows them."""
-    starts = np.concatenate([[0], np.flatnonzero(np.diff(numbers)) + 1])
-    lengths = np.diff(np.concatenate([starts, [len(numbers)]]))
-    keep = lengths >= SHORTEST_LEVEL
-    keep[-1] |= not keep.any()
-    result = np.empty_like(numbers)
-    before = 0
-    for end, number in zip((starts + lengths)[keep].tolist(), numbers[starts[keep]].tolist(), strict=True):
-        result[before:end] = number
-        before = end
-    result[before:] = result[before - 1]
-    return result
-
-
-def _crossing(times: Array, volts: Array, levels: Array, numbers: NDArray[np.intp], start: int) -> float:
-    """When the voltage crossed the middle between the levels before and after sample `start`."""
-    before, after = levels[numbers[start - 1]], levels[numbers[start]]
-    middle = 0.5 * (before + after)
-    window = np.arange(max(start - SHORTEST_LEVEL, 1), min(start + 2 * SHORTEST_LEVEL, len(volts)))
-    is_over = (volts[window] - middle) * (after - before) >= 0.0
-    first = int(window[np.argmax(is_over)]) if is_over.any() else start
+def _crossing(times: Array, volts: Array, middle: float) -> float:
+    """When the voltage first crossed the middle, by a straight line, between a resting sample and the next one."""
+    is_over = (volts - middle) * np.sign(volts[-1] - volts[0]) >= 0.0
+    first = max(1, int(np.argmax(is_over)))
     low, high = volts[first - 1], volts[first]
     share = (middle - low) / (high - low) if high != low else 1.0
     return float(times[first - 1] + np.clip(share, 0.0, 1.0) * (times[first] - times[first - 1]))

@@ -1,0 +1,311 @@
+"""Recordings of five foreign layouts, read with the maps that docs/how_to/your_own_recordings.md prints."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
+from plants.recording import Profile, Recorder, Recording, record
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from valve_sim.files.recording_map import MapError, load_map
+from valve_sim.model import ValveError
+from valve_sim.traces import Trace, TraceError, list_valves, read_trace
+
+PAGE = Path(__file__).parents[2] / "docs" / "how_to" / "your_own_recordings.md"
+START = 1_700_000_000_000_000_000
+GRAVITY = 9.81
+STORE = get_typestore(Stores.ROS2_JAZZY)
+STORE.register(get_types_from_msg("uint8 number\nfloat32 level\n", "lab_msgs/msg/Channel"))
+STORE.register(
+    get_types_from_msg("std_msgs/Header header\nstring state\nlab_msgs/Channel[] channels\n", "lab_msgs/msg/DriveLog")
+)
+FLOAT = "std_msgs/msg/Float64"
+
+
+def strokes(seed: int, **parameters: float) -> Recording:
+    """Two full strokes at 10 and 12 V of an independent plant."""
+    profile = Profile(np.array([0.01, 0.04, 0.07, 0.1]), np.array([10.0, 0.0, 12.0, 0.0]), 0.13)
+    plant = DeclaredPlant({}, {**CAMPAIGN_VALVE, **parameters})
+    return record(plant, profile, Recorder(with_current=True), seed)
+
+
+def page_map(name: str, folder: Path) -> Path:
+    """A map as the page prints it, written to a file."""
+    found = re.search(rf"```yaml\n# {re.escape(name)}\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    assert found, f"the page has no {name}"
+    path = folder / name
+    path.write_text(found[1], encoding="utf-8")
+    return path
+
+
+class Bag:
+    """Messages of any type, collected and written in time order."""
+
+    def __init__(self) -> None:
+        self.messages: list[tuple[int, str, str, Any]] = []
+
+    def header(self, time: float) -> Any:
+        stamp = STORE.types["builtin_interfaces/msg/Time"](*divmod(START + round(time * 1e9), 10**9))
+        return STORE.types["std_msgs/msg/Header"](stamp, "lab")
+
+    def add(self, topic: str, kind: str, time: float, *values: Any, late: float = 0.0) -> None:
+        self.messages.append((START + round((time + late) * 1e9), topic, kind, STORE.types[kind](*values)))
+
+    def floats(self, topic: str, times: np.ndarray, values: np.ndarray) -> None:
+        for time, value in zip(times.tolist(), values.tolist(), strict=True):
+            self.add(topic, FLOAT, time, value)
+
+    def write(self, path: Path, storage: StoragePlugin = StoragePlugin.MCAP) -> Path:
+        with Writer(path, version=9, storage_plugin=storage) as writer:
+            topics = {
+                topic: writer.add_connection(topic, kind, typestore=STORE)
+                for topic, kind in dict.fromkeys((topic, kind) for _, topic, kind, _ in self.messages)
+            }
+            for time, topic, kind, message in sorted(self.messages, key=lambda entry: entry[0]):
+                writer.write(topics[topic], time, STORE.serialize_cdr(message, kind))
+        return path
+
+
+def lvdt(path: Path, made: Recording) -> Path:
+    bag = Bag()
+    bag.floats("/lab/supply", made.command_times, made.volts)
+    bag.floats("/lab/lvdt", made.times, 12.5 - 1e3 * made.pilot_position)
+    return bag.write(path / "lvdt")
+
+
+def scope(path: Path, made: Recording) -> Path:
+    """As an oscilloscope of a German laboratory exports it."""
+    volts = np.where(made.times[:, None] >= made.command_times, made.volts, np.nan)
+    level = np.nan_to_num(np.array([row[np.isfinite(row)][-1:].sum() for row in volts]))
+    noise = np.random.default_rng(7).normal(0.0, 2e-3, len(level))
+    assert made.coil_current is not None
+    columns = (made.times - 0.02, 0.1 * level + noise, 1e3 * made.pilot_position, 0.1 * made.coil_current)
+    rows = [";".join(f"{value:.9g}".replace(".", ",") for value in row) for row in zip(*columns, strict=True)]
+    head = ["# Model;MSO44", "# Sample rate;20 kHz;;", "#", "Time;CH1;CH2;CH3", "s;V;V;V"]
+    file = path / "scope.csv"
+    file.write_text("\r\n".join([*head, *rows]) + "\r\n", encoding="latin-1")
+    return file
+
+
+def imu(path: Path, made: Recording) -> Path:
+    bag, types = Bag(), STORE.types
+    bag.floats("/driver/volts", made.command_times, made.volts)
+    acceleration = np.gradient(np.gradient(made.truth.pilot_position, made.times), made.times)
+    none, quaternion = np.zeros(9), types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+    vector = types["geometry_msgs/msg/Vector3"]
+    for time, pilot, rise in zip(made.times.tolist(), made.pilot_position.tolist(), acceleration.tolist(), strict=True):
+        felt = vector(0.0, 0.0, GRAVITY - rise)
+        bag.add(
+            "/imu", "sensor_msgs/msg/Imu", time, bag.header(time), quaternion, none, vector(0, 0, 0), none, felt, none
+        )
+        distance = np.float32(0.05 - pilot)
+        bag.add("/laser", "sensor_msgs/msg/Range", time, bag.header(time), 1, 0.01, 0.02, 0.08, distance, 0.0)
+    return bag.write(path / "imu", StoragePlugin.SQLITE3)
+
+
+def tracker(path: Path, made: Recording) -> Path:
+    """Everything arrives late and unevenly: only the stamps hold the times."""
+    bag, types = Bag(), STORE.types
+    lateness = np.random.default_rng(3).exponential(0.3e-3, len(made.times))
+    for time, volts in zip(made.command_times.tolist(), made.volts.tolist(), strict=True):
+        channels = [types["lab_msgs/msg/Channel"](number, level) for number, level in enumerate((5.0, 1e3 * volts))]
+        bag.add("/driver/log", "lab_msgs/msg/DriveLog", time, bag.header(time), "running", channels, late=0.002)
+    for time, pilot, late in zip(made.times.tolist(), made.pilot_position.tolist(), lateness.tolist(), strict=True):
+        point = types["geometry_msgs/msg/Point"](0.1, 0.2, 0.3 + pilot)
+        bag.add("/tracker", "geometry_msgs/msg/PointStamped", time, bag.header(time), point, late=late)
+    return bag.write(path / "tracker")
+
+
+def plc(path: Path, made: Recording, other: Recording) -> Path:
+    bag = Bag()
+    bag.floats("/plc/volts_1", made.command_times, made.volts)
+    bag.floats("/plc/volts_2", other.command_times, other.volts)
+    assert made.coil_current is not None and other.coil_current is not None
+    for row, time in enumerate(made.times.tolist()):
+        lifts = 1e3 * np.array([made.pilot_position[row], other.pilot_position[row]])
+        currents = np.array([made.coil_current[row], other.coil_current[row]])
+        names = ["tank_1_lift", "tank_2_lift"]
+        bag.add(
+            "/plc/joint_states",
+            "sensor_msgs/msg/JointState",
+            time,
+            bag.header(time),
+            names,
+            lifts,
+            np.zeros(0),
+            currents,
+        )
+    return bag.write(path / "plc")
+
+
+@pytest.fixture(scope="module")
+def made() -> Recording:
+    return strokes(1)
+
+
+def check(trace: Trace, made: Recording, *, atol: float = 1e-12, command_atol: float = 1e-8) -> None:
+    """The trace is the recording, on whatever clock it is; times come out relative to each other."""
+    start = trace.times[0] - made.times[0]
+    np.testing.assert_allclose(trace.times - start, made.times, atol=1e-8)
+    np.testing.assert_allclose(trace.pilot_position, made.pilot_position, atol=atol)
+    at = np.flatnonzero(np.diff(trace.drive.volts, prepend=0.0))
+    np.testing.assert_allclose(trace.drive.times[at] - start, made.command_times, atol=command_atol)
+    np.testing.assert_allclose(trace.drive.volts[at], made.volts, rtol=1e-3)
+
+
+def test_lvdt_in_millimetres(tmp_path: Path, made: Recording) -> None:
+    trace = read_trace(lvdt(tmp_path, made), None, load_map(page_map("lvdt.yaml", tmp_path)))
+    check(trace, made, atol=1e-15)
+    assert trace.clock == "bag"
+    assert trace.findings == ()
+
+
+def test_oscilloscope_table(tmp_path: Path, made: Recording) -> None:
+    trace = read_trace(scope(tmp_path, made), None, load_map(page_map("scope.yaml", tmp_path)))
+    # A step is dated to half a sample, a level to the median of its noise.
+    check(trace, made, command_atol=26e-6)
+    assert trace.coil_current is not None and made.coil_current is not None
+    np.testing.assert_allclose(trace.coil_current.values, made.coil_current, atol=1e-8)
+    assert any("4 steps of the measured voltage" in finding for finding in trace.findings)
+
+
+def test_imu_and_distance(tmp_path: Path, made: Recording) -> None:
+    trace = read_trace(imu(tmp_path, made), None, load_map(page_map("imu.yaml", tmp_path)))
+    check(trace, made, atol=5e-9)  # a float32 of 0.05 m
+    assert trace.acceleration is not None
+    expected = np.gradient(np.gradient(made.truth.pilot_position, made.times), made.times)
+    np.testing.assert_allclose(trace.acceleration.values, expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("clock", ["header", "bag"])
+def test_tracked_point_and_a_type_of_the_lab(clock: str, tmp_path: Path, made: Recording) -> None:
+    path = page_map("tracker.yaml", tmp_path)
+    path.write_text(path.read_text().replace("clock: header", f"clock: {clock}"))
+    trace = read_trace(tracker(tmp_path, made), None, load_map(path))
+    assert trace.clock == clock
+    if clock == "header":
+        check(trace, made, atol=1e-12)
+    else:
+        with pytest.raises(AssertionError):
+            check(trace, made, atol=1e-12)
+
+
+def test_two_valves_in_one_joint_state(tmp_path: Path, made: Recording) -> None:
+    other = strokes(2, main_damping=7.0)
+    bag, lab = plc(tmp_path, made, other), load_map(page_map("plc.yaml", tmp_path))
+    assert list_valves(bag, lab) == ("/tank_1/valve", "/tank_2/valve")
+    with pytest.raises(MapError, match=r"several valves .*--valve"):
+        read_trace(bag, None, lab)
+    for name, recording in (("/tank_1/valve", made), ("/tank_2/valve", other)):
+        trace = read_trace(bag, name, lab)
+        check(trace, recording)
+        assert trace.coil_current is not None
+        np.testing.assert_array_equal(trace.coil_current.values, recording.coil_current)
+
+
+def test_a_cut_recording_keeps_its_foreign_messages(tmp_path: Path, made: Recording) -> None:
+    file = next(tracker(tmp_path, made).glob("*.mcap"))
+    whole = file.read_bytes()
+    file = tmp_path / "cut.mcap"
+    file.write_bytes(whole[:-40])  # the end of the index
+    lab = page_map("lvdt.yaml", tmp_path)
+    lab.write_text(
+        "clock: header\ncommand: {topic: /tracker, field: point.x}\nposition: {topic: /tracker, field: point.z}\n"
+    )
+    assert len(read_trace(file, None, load_map(lab)).times) == len(made.times)
+
+
+# --- what is wrong is said in one line ---
+
+LAB = "command: {topic: /lab/supply}\nposition: {topic: /lab/lvdt, unit: mm, sign: -1, offset: 12.5}\n"
+TABLE = "time: Time\nvoltage: {column: CH1, scale: 10}\nposition: {column: CH2, unit: mm}\n"
+WRONG_MAPS = {
+    "a misspelt quantity": (LAB.replace("position", "positon"), r"positon: unknown key; did you mean position\?"),
+    "a misspelt key": (LAB.replace("unit", "units"), r"position: units: unknown key; did you mean unit\?"),
+    "an unknown unit": (LAB.replace("unit: mm", "unit: millimetres"), "found 'millimetres', expected one of m, cm, mm"),
+    "a unit of something else": (LAB.replace("unit: mm", "unit: bar"), "found 'bar', expected one of m, cm, mm"),
+    "a sign that is a factor": (LAB.replace("sign: -1", "sign: -2"), "expected 1 or -1; a factor is scale:"),
+    "a scale of nothing": (LAB.replace("sign: -1", "scale: 0"), "expected a number above 0"),
+    "an unknown clock": ("clock: wall\n" + LAB, "clock: found 'wall', expected header or bag"),
+    "no voltage": (LAB.splitlines()[1], "neither command nor voltage"),
+    "no position": (LAB.splitlines()[0], "names no position"),
+    "two inputs": (LAB + "voltage: {topic: /daq}\n", "both command and voltage"),
+    "topic and column": (LAB + "current: {column: i}\n", "current is a column and command a topic"),
+    "a table without time": (TABLE.replace("time: Time\n", ""), "names no time"),
+    "a bag with time": (LAB + "time: {rate: 100}\n", "time: is for tables"),
+    "column and rate": (TABLE.replace("time: Time", "time: {column: t, rate: 5}"), "expected either column: or rate:"),
+    "nothing": ("", "found nothing; expected keys"),
+    "no YAML": ("position: {topic", "expected valid YAML"),
+}
+
+
+@pytest.mark.parametrize("kind", WRONG_MAPS)
+def test_a_wrong_map_is_refused(kind: str, tmp_path: Path) -> None:
+    text, expected = WRONG_MAPS[kind]
+    path = tmp_path / "lab.yaml"
+    path.write_text(text)
+    with pytest.raises(MapError, match=expected) as caught:
+        load_map(path)
+    assert str(caught.value).startswith(str(path))
+    assert "\n" not in str(caught.value)
+
+
+UNFIT_MAPS = {
+    "unknown topic": (LAB.replace("/lab/lvdt", "/lab/lvtd"), r"/lab/lvtd is not in .*it has /lab/lvdt, /lab/supply"),
+    "unknown field": (LAB.replace("unit", "field: point.z, unit"), r"has no number point\.z; it has data"),
+    "no such joint": (LAB.replace("unit", "joint: lift, unit"), "has no joint names, expected lift"),
+    "a stamp that is none": ("clock: header\n" + LAB, "clock: header, but .*no stamp; use clock: bag"),
+    "a column of a bag": (TABLE, "names a column, but .* is a bag"),
+}
+
+
+@pytest.mark.parametrize("kind", UNFIT_MAPS)
+def test_a_map_that_does_not_fit_the_bag_is_refused(kind: str, tmp_path: Path, made: Recording) -> None:
+    text, expected = UNFIT_MAPS[kind]
+    (tmp_path / "lab.yaml").write_text(text)
+    with pytest.raises(ValveError, match=expected) as caught:
+        read_trace(lvdt(tmp_path, made), None, load_map(tmp_path / "lab.yaml"))
+    assert "\n" not in str(caught.value)
+
+
+def row(text: str, number: int, cells: str) -> str:
+    """The text with the line of this number (from 1 on) replaced."""
+    lines = text.splitlines()
+    lines[number - 1] = cells
+    return "\n".join(lines)
+
+
+UNFIT_TABLES = {
+    "missing column": (TABLE.replace("CH2", "CH9"), lambda text: text, "has no column CH9; it has Time, CH1, CH2, CH3"),
+    "backwards": (TABLE, lambda text: row(text, 100, "-0,5;0;0;0"), "line 100: time column Time runs backwards"),
+    "text": (TABLE, lambda text: row(text, 77, "1;0;OVERLOAD;0"), "line 77: column CH2: found 'OVERLOAD'"),
+    "a short row": (TABLE, lambda text: row(text, 78, "1;0"), "line 78: column CH2: found nothing"),
+    "a voltage that is no command": (
+        TABLE.replace("voltage", "command"),
+        lambda text: text,
+        "changes in .* rows, as a measured voltage does; name it voltage:",
+    ),
+    "topics of a table": (LAB, lambda text: text, "names the topic /lab/supply, but .* is a table"),
+}
+
+
+@pytest.mark.parametrize("kind", UNFIT_TABLES)
+def test_a_table_that_does_not_fit_is_refused(kind: str, tmp_path: Path, made: Recording) -> None:
+    text, spoil, expected = UNFIT_TABLES[kind]
+    (tmp_path / "lab.yaml").write_text(text)
+    file = scope(tmp_path, made)
+    file.write_text(spoil(file.read_text(encoding="latin-1")), encoding="latin-1")
+    with pytest.raises(ValveError, match=expected) as caught:
+        read_trace(file, None, load_map(tmp_path / "lab.yaml"))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_table_without_a_map_says_what_it_has(tmp_path: Path, made: Recording) -> None:
+    with pytest.raises(TraceError, match=r"a table \(Time, CH1, CH2, CH3\); say with --map"):
+        read_trace(scope(tmp_path, made))

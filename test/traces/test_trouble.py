@@ -1,0 +1,63 @@
+"""Numbers of another unit are refused before anything is fitted to them; what a valve can have is not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from valve_sim.model import Drive, ValveParameters
+from valve_sim.traces import Signal, Trace, TraceError, doubtful_units, refuse_doubtful_units
+
+from .bag_makers import clean_trace
+
+VALVE = ValveParameters()
+
+
+def trace(position: float = 1.0, offset: float = 0.0, volts: float = 1.0, amperes: float = 1.0) -> Trace:
+    """A clean opening at 9 V and 0.9 A, in units that are so many times too small."""
+    made = clean_trace()
+    current = 0.9 * np.interp(made.times, [0.01, 0.02, 0.05, 0.06], [0.0, 1.0, 1.0, 0.0])
+    return replace(
+        made,
+        drive=Drive(made.drive.times, volts * made.drive.volts),
+        pilot_position=position * made.pilot_position + offset,
+        coil_current=Signal(made.times, amperes * current),
+        origins={"position": "topic /lvdt", "command": "topic /supply", "current": "topic /clamp"},
+    )
+
+
+@pytest.mark.parametrize(
+    ("made", "expected"),
+    [
+        (trace(position=1e3), r"topic /lvdt: .* travels 1\.23\d m, expected about 0\.00123 m .* unit: mm$"),
+        (trace(position=1e6), r"topic /lvdt: .* unit: um$"),
+        (trace(position=1e-3), r"topic /lvdt: .* about 1000 times too small"),
+        (trace(offset=0.0125), r"topic /lvdt: .* lies at 0\.01\d+ m, expected 0 m .* offset: \(here -0\.0125"),
+        (trace(volts=1e3), r"topic /supply: .* reaches 9000 V, expected about 9 V .* unit: mV$"),
+        (trace(volts=1e-2), r"topic /supply: .* reaches 0\.09 V only, though the valve moved"),
+        (trace(amperes=1e3), r"topic /clamp: .* reaches 900 A, expected about 0\.9 A .* unit: mA$"),
+        (trace(amperes=1e-3), r"topic /clamp: .* reaches 0\.0009 A only"),
+    ],
+)
+def test_other_units_are_refused_with_the_mend(made: Trace, expected: str) -> None:
+    with pytest.raises(TraceError, match=expected) as caught:
+        refuse_doubtful_units(made, VALVE)
+    assert str(caught.value).startswith("made: ")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "made",
+    [
+        trace(),
+        trace(position=3.0),  # declared for a smaller one
+        trace(position=0.02),  # a valve that sticks after 25 µm
+        trace(offset=2e-3),
+        trace(volts=7.0, amperes=7.0),  # peak and hold
+        trace(amperes=0.2),  # 50 Ω, declared as 10
+    ],
+)
+def test_what_a_valve_can_have_is_read(made: Trace) -> None:
+    assert doubtful_units(made, VALVE) == ()
