@@ -353,8 +353,9 @@ def diagnose(
     Refits the declared model, tests whether what is left is more than noise, searches the effects, and reports errors
     before and after, on the data it was fitted to and on held-out data. Without --holdout, strokes are held out.
 
-    Writes DIR/report.json, report.html and report.png for people, and corrected.yaml, which valve_node, simulate and
-    validate load.
+    Writes DIR/report.json, report.html and report.png for people, corrected.yaml, which valve_node, simulate and
+    validate load, and record_next.yaml, a profile for simulate and command_profile, where there is something to tell
+    apart.
 
       valve-sim diagnose strokes.mcap --output results
       valve-sim diagnose day_1 day_2 --holdout day_3 --params my_valve.yaml --output results
@@ -366,6 +367,7 @@ def diagnose(
         _diagnose_events(events, output, as_json)
         return
     from valve_sim.identification.diagnosis import diagnose as trace_residual
+    from valve_sim.identification.diagnosis_text import diagnosis_text
     from valve_sim.identification.outputs import write_diagnosis
     from valve_sim.identification.report_json import to_json
 
@@ -375,7 +377,7 @@ def diagnose(
         result = trace_residual(traces, held_out, valve, progress)
     report = to_json(result)
     written = write_diagnosis(result, output, _provenance(params, [report["verdict"]["summary"]]))
-    _print_report(report, _diagnosis_text(report), written, as_json)
+    _print_report(report, diagnosis_text(result), written, as_json)
 
 
 def _diagnose_events(events: Path, output: Path, as_json: bool) -> None:
@@ -541,32 +543,6 @@ def _progress() -> Iterator[Progress]:
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("starting", total=1.0)
         yield lambda what, fraction: bar.update(task, description=what, completed=fraction)
-
-
-def _diagnosis_text(report: Mapping[str, Any]) -> str:
-    """What a person wants of report.json."""
-    verdict, before, after = report["verdict"], report["before"], report["after"]
-    lines = [f"{verdict['kind']}: {verdict['summary']} (probability {verdict['probability']:.2g})"]
-    for data in ("train", "holdout"):
-        errors = [state["rmse_um"][data] for state in (before, after)]
-        if None not in errors:
-            lines.append(f"  {data:<10}{errors[0]:10.3g} µm before {errors[1]:10.3g} µm after (rms)")
-    lines.append(f"  {'noise':<10}{report['noise_um']:10.3g} µm")
-    values = {**after["parameters"]}
-    for effect, parameters in after["effects"].items():
-        values |= {f"{effect}.{name}": found for name, found in parameters.items()}
-    lines += [f"  {name:<36}{_value_text(found)}" for name, found in values.items()]
-    for effect, others in verdict["confusable_with"].items():
-        if others:
-            lines.append(f"  {effect} could also be {', '.join(others)}")
-    if report.get("record_next"):
-        lines.append(f"  {report['record_next']}")
-    return "\n".join(lines)
-
-
-def _value_text(found: Mapping[str, Any]) -> str:
-    value, error = (math.nan if found[key] is None else found[key] for key in ("value", "stderr"))
-    return f"{value:.5g} ± {error:.2g}"
 
 
 def _print_report(report: Mapping[str, Any], text: str, written: Sequence[Path], as_json: bool) -> None:

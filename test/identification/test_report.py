@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
+from identification.browser import CHROMIUM, SETTINGS, Browser
 from identification.recordings import recorded
 from valve_sim.files.parameter_files import default_valve, load_valve
 from valve_sim.identification import report
@@ -22,14 +23,9 @@ from valve_sim.identification.outputs import write_diagnosis
 from valve_sim.identification.recording_profile import STROKE_VOLTS
 from valve_sim.identification.stroke_curves import DRAWN_POINTS, StrokeCurves, keep_extremes, strokes_of
 from valve_sim.identification.synthetic import read_profile
-from valve_sim.model import ValveError
+from valve_sim.identification.wording import headline
+from valve_sim.model import CATALOGUE, ValveError
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-SETTINGS = (
-    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--hide-scrollbars",
-    "--disable-background-networking", "--disable-component-update", "--disable-sync",
-    "--host-resolver-rules=MAP * ~NOTFOUND",
-)  # fmt: skip
 HOSTILE = "</script><script>throw 1</script><img src=http://127.0.0.1:9/x>"
 LARGEST_PAGE = 8_000_000
 LARGEST_SCREENSHOT = 300_000
@@ -79,7 +75,10 @@ def page(diagnosis: Diagnosis, tmp_path: Path) -> Path:
 
 def test_the_page_says_what_was_found(diagnosis: Diagnosis, page: Path) -> None:
     text = page.read_text(encoding="utf-8")
-    assert f"<h1>{diagnosis.verdict.summary}</h1>" in text
+    assert f"<h1>{headline(diagnosis)}</h1>" in text
+    assert diagnosis.verdict.summary in text
+    for words in (CATALOGUE["coulomb_friction"].on_a_real_valve, CATALOGUE["coulomb_friction"].what_to_do):
+        assert words in text
     assert "coulomb_friction.force" in text
     assert all(" + ".join(candidate.effects) in text for candidate in diagnosis.candidates)
     assert all(name in text for name in diagnosis.sources)
@@ -222,3 +221,78 @@ def test_the_screenshot_of_the_readme(page: Path, tmp_path: Path) -> None:
     assert 50_000 < len(content) <= LARGEST_SCREENSHOT
     if kept := os.environ.get("VALVE_SIM_SCREENSHOT"):
         Path(kept).write_bytes(content)
+
+
+@pytest.fixture
+def doubtful(diagnosis: Diagnosis) -> Diagnosis:
+    """The same with less certainty, and with more words of every kind."""
+    every = tuple(name for name, entry in CATALOGUE.items() if entry.named and name != "coulomb_friction")
+    verdict = replace(diagnosis.verdict, probability=0.38, confusable_with={"coulomb_friction": every})
+    return replace(diagnosis, verdict=verdict, record_next="Record next: strokes at voltages not used yet.")
+
+
+WIDER_THAN_THE_SCREEN = """
+[...document.querySelectorAll("main *")].filter(element => !element.closest("svg")).filter(element => {
+  const box = element.getBoundingClientRect();
+  const isCut = element.clientWidth > 0 && element.scrollWidth > element.clientWidth + 1;
+  return box.right > innerWidth + 0.5 || box.left < -0.5 || isCut;
+}).map(element => element.outerHTML.slice(0, 120))
+"""
+CUT_LABELS = """
+[...document.querySelectorAll("svg text")].filter(text => {
+  const box = text.getBoundingClientRect(), around = text.closest("svg").getBoundingClientRect();
+  return box.left < around.left - 0.5 || box.right > around.right + 0.5 || box.bottom > around.bottom + 0.5;
+}).map(text => text.textContent)
+"""
+
+
+@needs_chromium
+@pytest.mark.parametrize("width", [390, 1280])
+def test_nothing_is_cut_off_on_a_narrow_screen_or_a_wide_one(doubtful: Diagnosis, tmp_path: Path, width: int) -> None:
+    report.write_report(doubtful, tmp_path / "report.html", "Written by: valve-sim diagnose " + "a_long_name/" * 20)
+    with Browser(tmp_path / "report.html", tmp_path) as browser:
+        browser.show(width)
+        browser.evaluate("document.querySelectorAll('details').forEach(folded => { folded.open = true; })")
+        assert browser.evaluate("document.documentElement.scrollWidth") == width
+        assert browser.evaluate(WIDER_THAN_THE_SCREEN) == []
+        assert browser.evaluate(CUT_LABELS) == []
+        smallest = browser.evaluate(
+            "Math.min(...[...document.querySelectorAll('svg text')].map(text => text.getBoundingClientRect().height))"
+        )
+        assert smallest > 9.0, "letters of the plots are too small to read"
+
+
+@needs_chromium
+@pytest.mark.skipif(shutil.which("pdftotext") is None, reason="no pdftotext is installed to read the pages with")
+def test_a_heading_is_printed_on_the_page_of_its_first_plots(doubtful: Diagnosis, tmp_path: Path) -> None:
+    report.write_report(doubtful, tmp_path / "report.html")
+    with Browser(tmp_path / "report.html", tmp_path) as browser:
+        browser.show(1280)
+        for height in range(0, 1000, 110):
+            browser.evaluate(f"document.querySelector('header').style.paddingTop = '{height}px'")
+            browser.print(tmp_path / "report.pdf")
+            command = ["pdftotext", "-layout", str(tmp_path / "report.pdf"), "-"]
+            pages = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split("\f")
+            for heading, plot in (("Measured against model", "residual, µm"), ("as a force", "strongest at")):
+                (page,) = [page for page in pages if heading in page]
+                assert plot in page.partition(heading)[2], f"{heading} stands alone with {height} px above it"
+
+
+@needs_chromium
+def test_what_is_more_likely_wrong_than_right_is_neither_green_nor_found(
+    diagnosis: Diagnosis, doubtful: Diagnosis, tmp_path: Path
+) -> None:
+    sure = replace(diagnosis, verdict=replace(diagnosis.verdict, probability=0.97))
+    shown = {}
+    for name, said in (("sure", sure), ("doubtful", doubtful)):
+        report.write_report(said, tmp_path / f"{name}.html")
+        with Browser(tmp_path / f"{name}.html", tmp_path / name) as browser:
+            browser.show(1280)
+            shown[name] = browser.evaluate(
+                "[document.querySelector('.kind')].map(kind => [kind.textContent, getComputedStyle(kind).color])[0]"
+            )
+    assert "found" in shown["sure"][0]
+    assert shown["sure"][1] == "rgb(26, 127, 75)"
+    assert "found" not in shown["doubtful"][0]
+    assert "probability 38 %" in shown["doubtful"][0]
+    assert shown["doubtful"][1] == "rgb(160, 100, 0)"

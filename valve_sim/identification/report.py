@@ -16,27 +16,33 @@ from jinja2 import Environment, PackageLoader
 from valve_sim import __version__
 from valve_sim.files.whole_files import write_whole
 from valve_sim.identification.diagnosis import Candidate, Diagnosis, State
-from valve_sim.identification.fitting import Interval
-from valve_sim.identification.nameless import Unexplained
+from valve_sim.identification.force_curves import ForceCurve, force_curve, motion_of
 from valve_sim.identification.stroke_curves import StrokeCurves, readable_unit, strokes_of
+from valve_sim.identification.valve_plant import ValvePlant
+from valve_sim.identification.wording import (
+    headline,
+    kind_words,
+    limits,
+    meanings,
+    measured,
+    named_value,
+    probability_words,
+    quantity,
+    titles_of,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 SHOWN_STROKES: Final = 6
 """So many are drawn at once, those that the declared model misses most; the others unfold."""
+FIRST_STROKES: Final = 2
+"""So many stay with their heading on paper."""
 PICTURED_STROKES: Final = 3
-_POINTS_A_KNOT: Final = 10
+_FACTOR_WORDS: Final = {"·v": ", times velocity", "·u²": ", with the current squared"}
+SHOWN_CANDIDATES: Final = 8
 _SMALLEST_PROBABILITY: Final = 1e-6
 """Below it a p-value says nothing more."""
-_KINDS: Final = {
-    "none": "Nothing is missing",
-    "effects": "Missing effect found",
-    "unknown": "Something unknown acts",
-    "insufficient": "The data cannot tell",
-}
-_AXES: Final = {"x": ("x", 1e3, "mm"), "v": ("v", 1.0, "m/s"), "t": ("t", 1e3, "ms")}
-_FORCES: Final = {"x·v": "N·s/m", "t·v": "N·s/m", "x·u²": "N"}
 
 
 def write_report(diagnosis: Diagnosis, path: Path | str, provenance: str = "") -> None:
@@ -70,7 +76,7 @@ def plot_diagnosis(diagnosis: Diagnosis, path: Path | str) -> None:
 
     strokes = _worst_first(strokes_of(diagnosis))[:PICTURED_STROKES]
     figure = Figure(figsize=(4.6 * len(strokes) + 0.8, 8.6 if diagnosis.maps else 6.4), layout="constrained")
-    figure.suptitle(diagnosis.verdict.summary, wrap=True)
+    figure.suptitle(f"{headline(diagnosis)}\nProbability {probability_words(diagnosis.verdict)}", wrap=True)
     ratios = (5, 3) if diagnosis.maps else (1,)
     rows = list(figure.subfigures(len(ratios), 1, squeeze=False, height_ratios=ratios)[:, 0])
     for above, below, stroke in zip(
@@ -89,19 +95,21 @@ def plot_diagnosis(diagnosis: Diagnosis, path: Path | str) -> None:
     rows[0].axes[0].legend(frameon=False)
     if diagnosis.maps:
         axes = rows[1].subplots(1, len(diagnosis.maps), squeeze=False)[0]
-        for panel, entry in zip(axes, diagnosis.maps, strict=True):
-            _draw_map(panel, entry, PILOT, QUIET)
+        for panel, curve in zip(axes, force_curves(diagnosis), strict=True):
+            _draw_curve(panel, curve, PILOT, QUIET)
     for panel in [axes for row in rows for axes in row.axes]:
         panel.spines[["top", "right"]].set_visible(False)
     save_figure(figure, Path(path))
 
 
-def _draw_map(axes: Axes, entry: Unexplained, colour: str, quiet: str) -> None:
-    drawn = _map_plot(entry)
-    axes.plot(drawn["at"], drawn["force"], "o-", color=colour, markersize=3.5, markevery=drawn["knots"])
+def _draw_curve(axes: Axes, curve: ForceCurve, colour: str, quiet: str) -> None:
+    axes.fill_between(
+        curve.at, curve.force - curve.band, curve.force + curve.band, color=colour, alpha=0.15, linewidth=0
+    )
+    axes.plot(curve.at, curve.force, "o-", color=colour, markersize=3.5, markevery=list(curve.knots))
     axes.axhline(0.0, color=quiet, linewidth=0.8)
-    axes.set_xlabel(drawn["label"])
-    axes.set_ylabel(drawn["force_label"])
+    axes.set_xlabel(curve.label)
+    axes.set_ylabel(curve.force_label)
 
 
 def _wrapped(title: str) -> str:
@@ -122,41 +130,34 @@ def _content(diagnosis: Diagnosis) -> dict[str, Any]:
     ]
     held_out = sum(stroke.is_held_out for stroke in strokes)
     sigma = scale * diagnosis.before.fit.problem.noises[channel.kind].sigma
+    words, is_sure = kind_words(verdict)
+    candidates = [_candidate_row(candidate, diagnosis, scale, unit) for candidate in diagnosis.candidates]
     return {
-        "heading": f"Diagnosis: {verdict.summary}",
         "kind": verdict.kind,
-        "kind_words": _KINDS.get(verdict.kind, verdict.kind),
-        "probability": verdict.probability,
+        "kind_words": words,
+        "is_sure": is_sure,
+        "probability": probability_words(verdict),
+        "headline": headline(diagnosis),
         "summary": verdict.summary,
         "improvement": _improvement(diagnosis, scale, unit, sigma),
+        "meanings": meanings(diagnosis),
         "comparison": _comparison(diagnosis, scale, unit),
-        "first": captions[:SHOWN_STROKES],
+        "first": captions[:FIRST_STROKES],
+        "second": captions[FIRST_STROKES:SHOWN_STROKES],
         "rest": captions[SHOWN_STROKES:],
-        "maps": [
-            {
-                "variable": entry.variable,
-                "gain": f"{-entry.gain:.1f}",
-                "rms": f"{entry.force_rms:.3g} {_force_unit(entry)}",
-                "where": entry.where,
-            }
-            for entry in diagnosis.maps
-        ],
-        "unexplained": _unexplained(diagnosis.unexplained),
-        "candidates": [_candidate_row(candidate, diagnosis, scale, unit) for candidate in diagnosis.candidates],
-        "confusable": "; ".join(
-            f"{name} and {', '.join(others)}" for name, others in verdict.confusable_with.items() if others
-        ),
-        "intervals": [_interval_row(diagnosis, name, found) for name, found in diagnosis.after.intervals.items()],
+        **_forces(diagnosis),
+        "candidates": candidates[:SHOWN_CANDIDATES],
+        "more_candidates": candidates[SHOWN_CANDIDATES:],
+        "intervals": _interval_rows(diagnosis),
+        "has_parameters": isinstance(diagnosis.plant, ValvePlant),
         "record_next": diagnosis.record_next,
+        "gain": _gain_rows(diagnosis),
         "version": __version__,
         "sources": diagnosis.sources,
         "noise": f"{_three_digits(sigma)} {unit} rms of the {channel.kind} sensor, read where the machine is still",
         "strokes": f"{len(strokes) - held_out} fitted, {held_out} held out. Errors are over all samples; drawn are, of "
         "equal bins of each stroke, the samples at which a curve or a residual is lowest or highest.",
-        "plots": {
-            "strokes": [_stroke_plot(stroke.thinned()) for stroke in strokes],
-            "maps": [_map_plot(entry) for entry in diagnosis.maps],
-        },
+        "strokes_data": [_stroke_plot(stroke.thinned()) for stroke in strokes],
     }
 
 
@@ -165,13 +166,11 @@ def _worst_first(strokes: list[StrokeCurves]) -> list[StrokeCurves]:
 
 
 def _improvement(diagnosis: Diagnosis, scale: float, unit: str, sigma: float) -> str:
-    words = (
-        f"On fitted strokes: {_change(scale * diagnosis.before.train_rmse, scale * diagnosis.after.train_rmse, unit)}."
-    )
-    if math.isfinite(diagnosis.before.holdout_rmse):
-        held = _change(scale * diagnosis.before.holdout_rmse, scale * diagnosis.after.holdout_rmse, unit)
-        words += f" On held-out strokes: {held}."
-    return f"{words} The sensor's noise is {_three_digits(sigma)} {unit}."
+    before, after = diagnosis.before, diagnosis.after
+    words = f"On fitted strokes: {_change(scale * before.train_rmse, scale * after.train_rmse, unit)}."
+    if math.isfinite(before.holdout_rmse):
+        words += f" On held-out strokes: {_change(scale * before.holdout_rmse, scale * after.holdout_rmse, unit)}."
+    return f"Root-mean-square error before → after. {words} The sensor's noise is {_three_digits(sigma)} {unit}."
 
 
 def _change(before: float, after: float, unit: str) -> str:
@@ -179,7 +178,7 @@ def _change(before: float, after: float, unit: str) -> str:
 
 
 def _comparison(diagnosis: Diagnosis, scale: float, unit: str) -> list[tuple[str, str, str]]:
-    """Rows of a label, the value before and the value after."""
+    """Rows of a label, the value before and the value after, each with its unit."""
     before, after = diagnosis.before, diagnosis.after
 
     def of_both(label: str, say: Callable[[State], str]) -> tuple[str, str, str]:
@@ -192,7 +191,9 @@ def _comparison(diagnosis: Diagnosis, scale: float, unit: str) -> list[tuple[str
         of_both("χ² per sample", lambda state: f"{state.fit.chi2 / state.fit.problem.effective_samples:.4g}"),
     ]
     for name in dict.fromkeys([*before.intervals, *after.intervals]):
-        rows.append((f"{name}, {diagnosis.plant.parameter(name).unit}", _value(before, name), _value(after, name)))
+        if not _is_knot(name):
+            words, parameter_unit = named_value(diagnosis.plant, name)
+            rows.append((words, _value(before, name, parameter_unit), _value(after, name, parameter_unit)))
     return rows
 
 
@@ -202,9 +203,9 @@ def _whiteness(state: State) -> str:
     return f"{'yes' if state.adequacy.is_white else 'no'} ({words})"
 
 
-def _value(state: State, name: str) -> str:
+def _value(state: State, name: str, unit: str) -> str:
     found = state.intervals.get(name)
-    return "–" if found is None else f"{found.value:.5g} ± {found.stderr:.2g}"
+    return "–" if found is None else measured(found, unit)
 
 
 def _number(value: float, unit: str) -> str:
@@ -217,14 +218,18 @@ def _three_digits(value: float) -> str:
 
 
 def _candidate_row(candidate: Candidate, diagnosis: Diagnosis, scale: float, unit: str) -> dict[str, Any]:
-    name = " + ".join(candidate.effects) + (" with errors of the commands' stamps" if candidate.timing else "")
-    values = [f"{key} = {found.value:.3g}" for key, found in candidate.intervals.items() if "." in key]
+    values = [
+        f"{diagnosis.plant.parameter(name).description} {quantity(found.value, diagnosis.plant.parameter(name).unit)}"
+        for name, found in candidate.intervals.items()
+        if "." in name and not _is_knot(name)
+    ]
     return {
-        "name": name,
+        "title": titles_of(candidate.effects) + (" with errors of the commands' stamps" if candidate.timing else ""),
+        "name": " + ".join(candidate.effects),
         "gain": f"{candidate.delta_score:.1f}",
         "train": _number(scale * candidate.train_rmse, unit),
         "holdout": _number(scale * candidate.holdout_rmse, unit),
-        "text": ", ".join(value.partition(".")[2] for value in values),
+        "text": "; ".join(values),
         "chosen": set(candidate.effects) == set(diagnosis.verdict.effects) and _is_fit(candidate, diagnosis.after),
     }
 
@@ -234,16 +239,62 @@ def _is_fit(candidate: Candidate, state: State) -> bool:
     return candidate.train_rmse == state.train_rmse
 
 
-def _interval_row(diagnosis: Diagnosis, name: str, found: Interval) -> tuple[str, ...]:
-    remark = f" ({found.remark})" if found.remark else ""
-    limits = f"{found.low:.5g} … {found.high:.5g}".replace("inf", "∞")
-    return name + remark, f"{found.value:.5g}", f"{found.stderr:.2g}", limits, diagnosis.plant.parameter(name).unit
+def _interval_rows(diagnosis: Diagnosis) -> list[dict[str, str]]:
+    rows = []
+    for name, found in diagnosis.after.intervals.items():
+        if not _is_knot(name):
+            words, unit = named_value(diagnosis.plant, name)
+            value, remark = measured(found, unit), found.remark
+            rows.append({"words": words, "name": name, "value": value, "limits": limits(found, unit), "remark": remark})
+    return rows
 
 
-def _unexplained(entry: Unexplained | None) -> str:
-    if entry is None:
-        return ""
-    return f"{entry.force_rms:.3g} {_force_unit(entry)} rms over {entry.variable}, strongest at {entry.where}."
+def _is_knot(name: str) -> bool:
+    """Knots of a force map are drawn, not listed."""
+    return name.startswith("force_map.")
+
+
+def _gain_rows(diagnosis: Diagnosis) -> list[str]:
+    """By how much the recording to make next is expected to separate which candidates."""
+    if diagnosis.telling is None:
+        return []
+    return [
+        f"{' and '.join(titles_of(name.split(' + ')) for name in pair['candidates'])}: "
+        f"{pair['standard_deviations']:.0f} standard deviations"
+        for pair in diagnosis.telling.to_json()["separates"]
+    ]
+
+
+# --- what the page draws ------------------------------------------------------------------------------------------
+
+
+def force_curves(diagnosis: Diagnosis) -> list[ForceCurve]:
+    """The force maps as far as the data went."""
+    motion = motion_of(diagnosis) if diagnosis.maps else None
+    return [force_curve(entry, motion) for entry in diagnosis.maps] if motion is not None else []
+
+
+def _forces(diagnosis: Diagnosis) -> dict[str, Any]:
+    curves = force_curves(diagnosis)
+    maps = [
+        {
+            "variable": curve.label.partition(",")[0] + _FACTOR_WORDS.get(curve.variable[1:], ""),
+            "gain": f"{-curve.gain:.1f}",
+            "rms": quantity(curve.rms, "N"),
+            "where": curve.where,
+        }
+        for curve in curves
+    ]
+    unexplained = ""
+    if diagnosis.unexplained is not None:
+        curve = force_curve(diagnosis.unexplained, motion_of(diagnosis))
+        unexplained = f"{quantity(curve.rms, 'N')} rms while it moves, strongest at {curve.where}."
+    return {
+        "maps": maps,
+        "maps_data": [_curve_plot(curve) for curve in curves],
+        "unexplained": unexplained,
+        "is_partial": any(curve.is_partial for curve in curves),
+    }
 
 
 def _stroke_plot(stroke: StrokeCurves) -> dict[str, Any]:
@@ -260,28 +311,16 @@ def _stroke_plot(stroke: StrokeCurves) -> dict[str, Any]:
     }
 
 
-def _map_plot(entry: Unexplained) -> dict[str, Any]:
-    """The curve through the knots, as the model takes it (Catmull–Rom), and which of its points are knots."""
-    # Loaded here because it takes a third of a second, and few diagnoses end in a curve.
-    from scipy.interpolate import CubicHermiteSpline
-
-    name, scale, unit = _AXES.get(entry.variable[0], (entry.variable, 1.0, ""))
-    at, force = np.array(entry.at), np.array(entry.force)
-    padded = np.concatenate([force[:1], force, force[-1:]])
-    slopes = 0.5 * (padded[2:] - padded[:-2]) / (at[1] - at[0])
-    drawn = np.linspace(at[0], at[-1], (len(at) - 1) * _POINTS_A_KNOT + 1)
-    factor = entry.variable[1:].replace("·", "")
+def _curve_plot(curve: ForceCurve) -> dict[str, Any]:
     return {
-        "label": f"{name}, {unit}",
-        "force_label": f"{f'force / {factor}' if factor else 'force'}, {_force_unit(entry)}",
-        "at": _rounded(scale * drawn, 5),
-        "force": _rounded(CubicHermiteSpline(at, force, slopes)(drawn), 5),
-        "knots": list(range(0, len(drawn), _POINTS_A_KNOT)),
+        "label": curve.label,
+        "force_label": curve.force_label,
+        "at": _rounded(curve.at, 5),
+        "force": _rounded(curve.force, 6),
+        "low": _rounded(curve.force - curve.band, 6),
+        "high": _rounded(curve.force + curve.band, 6),
+        "knots": list(curve.knots),
     }
-
-
-def _force_unit(entry: Unexplained) -> str:
-    return _FORCES.get(entry.variable, "N")
 
 
 def _rounded(values: np.typing.NDArray[np.float64], digits: int) -> list[float | None]:

@@ -6,11 +6,14 @@ import math
 from typing import Any
 
 from valve_sim.identification.diagnosis import Diagnosis, State
+from valve_sim.identification.force_curves import Motion, force_curve, motion_of
 from valve_sim.identification.nameless import Unexplained
+from valve_sim.identification.wording import headline, meanings
 
 
 def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
     """The content of report.json, MODEL section 6."""
+    motion = motion_of(diagnosis)
     noise = next(noise for kind, noise in diagnosis.before.fit.problem.noises.items() if kind != "current")
     return {
         "schema": "valve_sim/diagnosis/1",
@@ -24,7 +27,9 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
             "probability": diagnosis.verdict.probability,
             "evidence": diagnosis.verdict.evidence,
             "summary": diagnosis.verdict.summary,
+            "headline": headline(diagnosis),
         },
+        "meaning": {meaning.name: meaning.to_json() for meaning in meanings(diagnosis)},
         "after": {**_state_json(diagnosis.after), "effects": _effects_json(diagnosis.after)},
         "candidates": [
             {
@@ -37,8 +42,8 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
             }
             for candidate in diagnosis.candidates
         ],
-        "unexplained": None if diagnosis.unexplained is None else _unexplained_json(diagnosis.unexplained),
-        "force_maps": [_unexplained_json(entry) for entry in diagnosis.maps],
+        "unexplained": None if diagnosis.unexplained is None else _unexplained_json(diagnosis.unexplained, motion),
+        "force_maps": [_unexplained_json(entry, motion) for entry in diagnosis.maps],
         "record_next": diagnosis.record_next or None,
         "record_next_gain": None if diagnosis.telling is None else diagnosis.telling.to_json(),
         "false_alarm": diagnosis.false_alarm._asdict(),
@@ -68,10 +73,12 @@ def _effects_json(state: State) -> dict[str, dict[str, Any]]:
     return effects
 
 
-def _unexplained_json(entry: Unexplained) -> dict[str, Any]:
+def _unexplained_json(entry: Unexplained, motion: Motion) -> dict[str, Any]:
+    """As far as the data went: knots beyond hold whatever the fit left there."""
+    curve = force_curve(entry, motion)
     return {
-        "force_rms_n": entry.force_rms,
-        "where": entry.where,
+        "force_rms_n": curve.rms,
+        "where": curve.where,
         "variable": entry.variable,
         "at": list(entry.at),
         "force": list(entry.force),

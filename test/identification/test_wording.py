@@ -1,0 +1,103 @@
+"""Verdicts in plain words: values with the unit that people read, and no name of code where a title is due."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from identification.recordings import recorded
+from valve_sim.files.parameter_files import default_valve
+from valve_sim.identification.diagnosis import Diagnosis, diagnose
+from valve_sim.identification.diagnosis_text import diagnosis_text
+from valve_sim.identification.fitting import Interval
+from valve_sim.identification.report_json import to_json
+from valve_sim.identification.wording import headline, kind_words, limits, meanings, measured, quantity, title_of
+from valve_sim.model import CATALOGUE
+
+NAMED = [name for name, entry in CATALOGUE.items() if entry.named]
+UNITS = sorted({parameter.unit for entry in CATALOGUE.values() for parameter in entry.parameters} - {"–"})
+
+
+@pytest.fixture(scope="module")
+def diagnosis() -> Diagnosis:
+    return diagnose([recorded(effects={"coulomb_friction": {"force": 0.1}})], [], default_valve())
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "words"),
+    [
+        (1.04e-6, "m", "1.04 µm"),
+        (1.23e-3, "m", "1.23 mm"),
+        (-5.0e-6, "m", "−5.00 µm"),
+        (6e-3, "s", "6.00 ms"),
+        (50e-6, "s", "50.0 µs"),
+        (3.7, "s", "3.70 s"),
+        (0.0, "m", "0.00 µm"),
+        (math.inf, "–", "not to be seen"),
+        (1.02, "–", "1.02"),
+        (-6.76e7, "N/m³", "−6.76·10⁷ N/m³"),
+        (0.1, "N", "0.100 N"),
+        (math.nan, "N", "–"),
+    ],
+)
+def test_a_value_has_the_unit_that_people_read(value: float, unit: str, words: str) -> None:
+    assert quantity(value, unit).replace("\u00a0", " ") == words
+
+
+@pytest.mark.parametrize("unit", UNITS)
+@pytest.mark.parametrize("value", [0.0, 1.04e-6, 0.3, 7.0, 3e5])
+def test_every_value_of_the_catalogue_has_a_unit(unit: str, value: float) -> None:
+    found = Interval(value, 0.1 * value + 1e-9, 0.8 * value, math.inf)
+    for words in (quantity(value, unit), measured(found, unit), limits(found, unit)):
+        assert words.split("\u00a0")[-1][-1] == unit[-1]
+        assert "e-" not in words
+        assert "inf" not in words
+
+
+def test_a_value_has_as_many_digits_as_its_error() -> None:
+    assert measured(Interval(0.0047292, 0.00064, 0.0035, 0.0060), "N").replace("\u00a0", " ") == "0.00473 ± 0.00064 N"
+    assert measured(Interval(1.04e-6, 0.13e-6, 0.8e-6, 1.3e-6), "m").replace("\u00a0", " ") == "1.04 ± 0.13 µm"
+
+
+@pytest.mark.parametrize("kind", ["effects", "unknown", "insufficient", "none"])
+@pytest.mark.parametrize("probability", [0.33, 0.7, 0.99])
+def test_headlines_have_no_names_of_code(diagnosis: Diagnosis, kind: str, probability: float) -> None:
+    for name in NAMED:
+        verdict = diagnosis.verdict
+        verdict = replace(
+            verdict, kind=kind, effects=(name,), probability=probability, confusable_with={name: tuple(NAMED)}
+        )
+        words = headline(replace(diagnosis, verdict=verdict))
+        assert "_" not in words
+        assert words[0].isupper()
+        assert words.endswith(".")
+        if kind != "none":
+            assert title_of(name).lower() in words.lower()
+
+
+def test_the_terminal_says_title_amount_unit_and_what_to_do(diagnosis: Diagnosis) -> None:
+    text = diagnosis_text(diagnosis).replace("\u00a0", " ")
+    entry = CATALOGUE["coulomb_friction"]
+    assert text.startswith("effects: The model lacks Coulomb friction: 0.100")
+    assert "Coulomb friction (coulomb_friction): friction force 0.100" in text
+    for words in (" N, 4 % of the spring preload", entry.on_a_real_valve, entry.what_to_do):
+        assert words in text
+    values = [line for line in text.splitlines() if " ± " in line and ":" not in line]
+    assert [line.split()[0] for line in values] == ["pilot_damping", "main_damping", "coulomb_friction.force"]
+    assert [line.split()[-1] for line in values] == ["N·s/m", "N·s/m", "N"]
+
+
+def test_a_guess_is_called_a_guess(diagnosis: Diagnosis) -> None:
+    guess = replace(diagnosis, verdict=replace(diagnosis.verdict, probability=0.38))
+    assert kind_words(guess.verdict) == ("A first guess, more likely wrong than right", False)
+    assert headline(guess).startswith("Perhaps the model lacks Coulomb friction")
+
+
+def test_the_report_for_programs_has_the_same_words(diagnosis: Diagnosis) -> None:
+    report = to_json(diagnosis)
+    (meaning,) = meanings(diagnosis)
+    assert report["verdict"]["headline"] == headline(diagnosis)
+    assert report["meaning"]["coulomb_friction"]["severity"] == "4 % of the spring preload"
+    assert report["meaning"]["coulomb_friction"]["what_to_do"] == meaning.what_to_do

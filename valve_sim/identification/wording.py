@@ -1,0 +1,224 @@
+"""A verdict in plain words: what an effect is called, how much of it there is, and in which unit people read it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, NamedTuple
+
+from valve_sim.identification.diagnosis import Diagnosis, Verdict
+from valve_sim.identification.fitting import Interval
+from valve_sim.identification.plant import Plant
+from valve_sim.identification.valve_plant import ValvePlant
+from valve_sim.model import CATALOGUE, Effect
+
+SURE: Final = 0.9
+"""Probability from which on a verdict is called found."""
+EVEN: Final = 0.5
+"""Probability below which a verdict is more likely wrong than right."""
+_PREFIXES: Final[Mapping[str, tuple[tuple[float, str], ...]]] = {
+    "m": ((1e-3, "µm"), (1.0, "mm")),
+    "s": ((1e-3, "µs"), (1.0, "ms"), (math.inf, "s")),
+    "A": ((1.0, "mA"), (math.inf, "A")),
+    "Hz": ((1e3, "Hz"), (math.inf, "kHz")),
+}
+"""SI unit to the units that people read, each for sizes below its bound."""
+_FACTORS: Final = {"µm": 1e6, "mm": 1e3, "µs": 1e6, "ms": 1e3, "mA": 1e3, "kHz": 1e-3}
+_NO_UNIT: Final = ("", "–")
+_MOST_PLACES: Final = 7
+_LARGE: Final = 1e5
+_RAISED: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+NARROW: Final = "\u00a0"
+"""A number and its unit stay on one line."""
+
+
+class Meaning(NamedTuple):
+    """What a named effect is to a person.
+
+    Attributes:
+        name: in code. title: plain.
+        amounts: (what, value with interval and unit) of each parameter.
+        severity: how bad that is, or empty. on_a_real_valve, what_to_do: a sentence each, or empty.
+        others: plain titles of what would explain the data about as well.
+    """
+
+    name: str
+    title: str
+    amounts: tuple[tuple[str, str], ...]
+    severity: str
+    on_a_real_valve: str
+    what_to_do: str
+    others: tuple[str, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """As in report.json."""
+        return {
+            "title": self.title,
+            "amounts": dict(self.amounts),
+            "severity": self.severity or None,
+            "on_a_real_valve": self.on_a_real_valve or None,
+            "what_to_do": self.what_to_do or None,
+        }
+
+
+def title_of(effect: str) -> str:
+    """The plain name of an effect, whether it is in the catalogue or a plant's own."""
+    plain = effect.replace("_", " ")
+    fallback = plain[:1].upper() + plain[1:]
+    entry = CATALOGUE.get(effect)
+    return fallback if entry is None else entry.title
+
+
+def titles_of(effects: Sequence[str]) -> str:
+    """Plain names of several effects at once."""
+    return " + ".join([title_of(effects[0]), *(_inside(title_of(name)) for name in effects[1:])])
+
+
+def readable(unit: str, size: float) -> tuple[float, str]:
+    """The factor from SI, and the name, of the unit in which people read a value of this size."""
+    options = _PREFIXES.get(unit, ())
+    name = next((name for bound, name in options if abs(size) < bound), options[-1][1] if options else unit)
+    return _FACTORS.get(name, 1.0), "" if name in _NO_UNIT else name
+
+
+def quantity(value: float, unit: str, digits: int = 3) -> str:
+    """A number with the unit that suits its size; one that is not finite is said in words."""
+    if math.isnan(value):
+        return "–"
+    if math.isinf(value):
+        return "not to be seen"
+    scale, name = readable(unit, value)
+    return f"{_short(scale * value, digits)}{NARROW if name else ''}{name}"
+
+
+def measured(found: Interval, unit: str) -> str:
+    """A value with its standard error, both in the unit that suits them and to the two digits that the error has."""
+    if not (math.isfinite(found.value) and math.isfinite(found.stderr)):
+        return quantity(found.value, unit)
+    scale, name = readable(unit, found.value or found.stderr)
+    value, error = scale * found.value, scale * found.stderr
+    places = 1 - math.floor(math.log10(error)) if error > 0.0 else _MOST_PLACES
+    if not 0 <= places < _MOST_PLACES or abs(value) >= _LARGE:
+        return f"{_short(value, 5)} ± {_short(error, 2)}{NARROW if name else ''}{name}"
+    return f"{value:.{places}f} ± {error:.{places}f}{NARROW if name else ''}{name}".replace("-", "−")
+
+
+def limits(found: Interval, unit: str) -> str:
+    """The 95 % interval; an open end is said so."""
+    scale, name = readable(unit, found.value if math.isfinite(found.value) else found.low)
+    low, high = (
+        _short(scale * end, 4) if math.isfinite(end) else ("−∞" if end < 0 else "∞") for end in (found.low, found.high)
+    )
+    return f"{low} to {high}{NARROW if name else ''}{name}"
+
+
+def named_value(plant: Plant, name: str) -> tuple[str, str]:
+    """What people call a parameter, and its unit: Coulomb friction, friction force."""
+    effect, dot, _ = name.partition(".")
+    parameter = plant.parameter(name)
+    words = f"{title_of(effect)}: {parameter.description}" if dot else name.replace("_", " ")
+    return words, parameter.unit
+
+
+def kind_words(verdict: Verdict) -> tuple[str, bool]:
+    """The verdict in two words, and whether it is good news about the diagnosis: sure enough to act on."""
+    if verdict.kind == "insufficient":
+        return "The data cannot tell", False
+    if verdict.kind == "unknown":
+        return "Something without a name", False
+    found = "Nothing is missing" if verdict.kind == "none" else "Missing effect found"
+    if verdict.probability >= SURE:
+        return found, True
+    guess = "Perhaps nothing is missing" if verdict.kind == "none" else "A first guess, more likely wrong than right"
+    probable = "Probably nothing is missing" if verdict.kind == "none" else "Missing effect, probably"
+    return (probable, False) if verdict.probability >= EVEN else (guess, False)
+
+
+def probability_words(verdict: Verdict) -> str:
+    """The probability in percent; never 100."""
+    return f"{100 * verdict.probability:.0f} %" if verdict.probability < 0.995 else "> 99 %"
+
+
+def headline(diagnosis: Diagnosis) -> str:
+    """The verdict in a sentence or two without names of code."""
+    verdict = diagnosis.verdict
+    if verdict.kind == "none":
+        return (
+            "Nothing is missing: the declared valve with refitted damping does what was measured, down to the noise."
+            if (isinstance(diagnosis.plant, ValvePlant))
+            else "Nothing is missing: the declared model, refitted, does what was measured, down to the noise."
+        )
+    named = _listed([_inside(title_of(name)) for name in verdict.effects])
+    others = list(dict.fromkeys(other for names in verdict.confusable_with.values() for other in names))
+    alike = _listed([_inside(title_of(other)) for other in others], "or")
+    if verdict.kind == "insufficient":
+        start = "These recordings cannot tell what is missing"
+        return (
+            f"{start}; {named} fits best, {alike} about as well."
+            if named and alike
+            else (f"{start}; {named} fits best." if named else f"{start}.")
+        )
+    if verdict.kind == "unknown":
+        nearest = f" The closest is {named}." if named else ""
+        return f"Something acts that no effect of the catalogue explains.{nearest}"
+    claim = f"The model lacks {named}" if verdict.probability >= EVEN else f"Perhaps the model lacks {named}"
+    amounts = [_largest(meaning) for meaning in meanings(diagnosis)]
+    much = f": {amounts[0]}" if len(amounts) == 1 and amounts[0] else ""
+    doubt = f" {alike[:1].upper()}{alike[1:]} would explain the data about as well." if alike else ""
+    rest = " Something without a name is left beside it." if diagnosis.unexplained is not None else ""
+    return f"{claim}{much}.{doubt}{rest}"
+
+
+def meanings(diagnosis: Diagnosis) -> list[Meaning]:
+    """What each named effect is on a real valve, how much of it there is, and what to do."""
+    verdict, after, plant = diagnosis.verdict, diagnosis.after, diagnosis.plant
+    found = []
+    for effect in verdict.effects:
+        own = {name: one for name, one in after.intervals.items() if name.startswith(f"{effect}.")}
+        amounts = tuple(
+            (plant.parameter(name).description, measured(one, plant.parameter(name).unit)) for name, one in own.items()
+        )
+        values = {name.partition(".")[2]: one.value for name, one in own.items()}
+        others = verdict.confusable_with.get(effect, ())
+        entry = CATALOGUE.get(effect)
+        found.append(
+            Meaning(
+                effect, title_of(effect), amounts, _severity(entry, values, plant),
+                entry.on_a_real_valve if entry else "", entry.what_to_do if entry else "",
+                tuple(title_of(other) for other in others),
+            )
+        )  # fmt: skip
+    return found
+
+
+def _severity(entry: Effect | None, values: Mapping[str, float], plant: Plant) -> str:
+    """How bad this much is; empty where nothing known compares, or not all of the effect's values are free."""
+    if entry is None or not isinstance(plant, ValvePlant) or set(values) != {p.name for p in entry.parameters}:
+        return ""
+    found = entry.severity_of(values, plant.valve.declared())
+    return "" if found is None else str(found)
+
+
+def _largest(meaning: Meaning) -> str:
+    """The amount that a headline shows: of an effect with one parameter only."""
+    return meaning.amounts[0][1] if len(meaning.amounts) == 1 else ""
+
+
+def _listed(names: Sequence[str], last: str = "and") -> str:
+    return f" {last} ".join(part for part in (", ".join(names[:-1]), *names[-1:]) if part)
+
+
+def _inside(title: str) -> str:
+    """A title within a sentence: small, but for a name such as Coulomb."""
+    return title if title.startswith("Coulomb") or title[1:2].isupper() else title[:1].lower() + title[1:]
+
+
+def _short(value: float, digits: int) -> str:
+    """As many digits as 1.00 has, no exponent where it would be short, and with a true minus sign."""
+    text = f"{value:#.{digits}g}".rstrip(".")
+    mantissa, e, exponent = text.partition("e")
+    if e and 1e-4 <= abs(value) < _LARGE:
+        text = f"{value:.0f}" if abs(value) >= 1.0 else f"{value:.{digits + 3}f}"
+    elif e:
+        text = f"{mantissa}·10{str(int(exponent)).translate(_RAISED)}"
+    return text.replace("-", "−")
