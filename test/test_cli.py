@@ -23,7 +23,7 @@ from valve_sim.invocation import invocation
 from valve_sim.traces import CSV_COLUMNS, read_trace, write_bag
 
 STROKES = "time,volts\n0.010,9.0\n0.040,0.0\n0.070,12.0\n0.100,0.0\n"
-COMMANDS = ("simulate", "info", "identify", "diagnose", "validate", "fit-force")
+COMMANDS = ("simulate", "info", "map", "identify", "diagnose", "validate", "fit-force")
 
 
 def run(*arguments: object) -> Result:
@@ -450,3 +450,16 @@ def test_a_map_reads_what_would_be_refused(strokes: Path, tmp_path: Path) -> Non
     assert mapped["parameters"]["main_damping"]["value"] == pytest.approx(
         plain["parameters"]["main_damping"]["value"], rel=1e-6
     )
+
+
+def test_a_table_of_a_logger_from_first_map_to_fit(strokes: Path, tmp_path: Path) -> None:
+    trace, table, lab = read_trace(strokes), tmp_path / "logger.csv", tmp_path / "lab.yaml"
+    places = np.searchsorted(trace.drive.times, trace.times, side="right") - 1
+    volts = np.where(places < 0, 0.0, trace.drive.volts[np.maximum(places, 0)])
+    rows = np.column_stack([1e3 * trace.times, volts, 12.5 - 1e3 * trace.pilot_position])
+    np.savetxt(table, rows, delimiter=";", header="t [ms];U;LVDT [mm]", fmt="%.9g")
+    assert "wrote" in run_well("map", table, "--output", lab).stdout
+    assert run("map", table, "--output", lab).exit_code == 2, "what was corrected by hand must not be lost"
+    run_well("identify", table, "--map", lab, "--output", tmp_path / "results")
+    report = json.loads((tmp_path / "results" / "identify.json").read_text())
+    assert report["parameters"]["main_damping"]["value"] == pytest.approx(4.0, rel=0.01)

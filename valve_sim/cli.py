@@ -284,6 +284,35 @@ def info(*, bag: Path, name: str | None, params: Path | None, as_json: bool) -> 
         _print_summary(summary, arrivals)
 
 
+@main.command("map")
+@click.argument("recording", type=_FILE)
+@_params
+@click.option("--output", metavar="FILE", type=_FILE, show_default="the terminal", help="Where to write the map.")
+def draft(*, recording: Path, params: Path | None, output: Path | None) -> None:
+    """Write a first map of a recording of yours.
+
+    RECORDING is a bag with any topics, or a table of a data logger: CSV, Parquet, or MATLAB. The map says which topic
+    or column is position, voltage and current, in which unit; lines with CHECK need your eye.
+
+      valve-sim map scope.csv --output scope.yaml
+      valve-sim info scope.csv --map scope.yaml
+      valve-sim identify scope.csv --map scope.yaml --output results
+    """
+    from valve_sim.files.whole_files import write_whole
+    from valve_sim.traces.map_draft import draft_map
+
+    if output is not None and output.exists():
+        _refuse(f"--output {output}: exists, and may be corrected by hand; choose another name or take it away")
+    text = _shown(draft_map(recording, _load(params).parameters, f"{invocation()} {shlex.join(sys.argv[1:])}"))
+    if output is None:
+        click.echo(text, nl=False)
+        return
+    write_whole(output, text)
+    checks = text.count("CHECK") - 1  # one is in the heading
+    then = f"{invocation()} {shlex.join(['info', str(recording), '--map', str(output)])}"
+    click.echo(_shown(f"wrote {output}; read it, {checks} guesses are marked CHECK; then: {then}"))
+
+
 @main.command()
 @_bags
 @_params
@@ -556,7 +585,8 @@ def _print_report(report: Mapping[str, Any], text: str, written: Sequence[Path],
 
 def _print_summary(summary: TraceSummary, arrivals: Sequence[StrokeEvents]) -> None:
     low, high = (1e6 * position for position in summary.position_range)
-    click.echo(_shown(summary.source) + f": {summary.duration:.6g} s, timed by {summary.clock} stamps")
+    clock = f"{summary.clock} stamps" if summary.clock in ("header", "bag") else f"its {summary.clock}"
+    click.echo(_shown(summary.source) + f": {summary.duration:.6g} s, timed by {clock}")
     for signal, rate in summary.signals.items():
         click.echo(
             f"  {signal:<18}{rate.samples:>9} samples{rate.rate:>12.6g} Hz{', in bursts' if rate.in_bursts else ''}"

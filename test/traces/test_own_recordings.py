@@ -14,12 +14,16 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from valve_sim.files.recording_map import MapError, load_map
-from valve_sim.model import ValveError
+from valve_sim.model import ValveError, ValveParameters
 from valve_sim.traces import Trace, TraceError, list_valves, read_trace
+from valve_sim.traces.map_draft import draft_map
+
+from .bag_makers import good_messages, make_mcap
 
 PAGE = Path(__file__).parents[2] / "docs" / "how_to" / "your_own_recordings.md"
 START = 1_700_000_000_000_000_000
 GRAVITY = 9.81
+VALVE = ValveParameters()
 STORE = get_typestore(Stores.ROS2_JAZZY)
 STORE.register(get_types_from_msg("uint8 number\nfloat32 level\n", "lab_msgs/msg/Channel"))
 STORE.register(
@@ -309,3 +313,50 @@ def test_a_table_that_does_not_fit_is_refused(kind: str, tmp_path: Path, made: R
 def test_a_table_without_a_map_says_what_it_has(tmp_path: Path, made: Recording) -> None:
     with pytest.raises(TraceError, match=r"a table \(Time, CH1, CH2, CH3\); say with --map"):
         read_trace(scope(tmp_path, made))
+
+
+# --- a first map ---
+
+
+def makers(made: Recording, other: Recording) -> dict[str, Any]:
+    return {
+        "lvdt.yaml": lambda path: lvdt(path, made),
+        "imu.yaml": lambda path: imu(path, made),
+        "tracker.yaml": lambda path: tracker(path, made),
+        "plc.yaml": lambda path: plc(path, made, other),
+        "scope.yaml": lambda path: scope(path, made),
+    }
+
+
+@pytest.mark.parametrize("name", ["lvdt.yaml", "imu.yaml", "tracker.yaml", "plc.yaml", "scope.yaml"])
+def test_a_first_map_finds_the_position_and_marks_its_guesses(name: str, tmp_path: Path, made: Recording) -> None:
+    recording = makers(made, strokes(2, main_damping=7.0))[name](tmp_path)
+    text = draft_map(recording, VALVE, "valve-sim map")
+    assert "# CHECK" in text
+    draft = tmp_path / "draft.yaml"
+    draft.write_text(text, encoding="utf-8")
+    own = load_map(page_map(name, tmp_path))
+    for mine, true in zip(list_valves(recording, load_map(draft)), list_valves(recording, own), strict=True):
+        found, expected = read_trace(recording, mine, load_map(draft)), read_trace(recording, true, own)
+        np.testing.assert_array_equal(found.times, expected.times)
+        # The zero of the sensor is read from the noisy samples at rest.
+        np.testing.assert_allclose(found.pilot_position, expected.pilot_position, atol=2e-6)
+        assert (found.coil_current is None) == (expected.coil_current is None)
+        scale = 0.1 if name == "scope.yaml" else 1.0  # of a probe, which nobody can guess
+        np.testing.assert_allclose(found.drive.volts, scale * expected.drive.volts, rtol=1e-9)
+
+
+def test_a_first_map_tells_pilot_from_main(tmp_path: Path) -> None:
+    path = make_mcap(tmp_path / "a.mcap", good_messages())
+    (tmp_path / "draft.yaml").write_text(draft_map(path, VALVE, "valve-sim map"))
+    trace, expected = read_trace(path, None, load_map(tmp_path / "draft.yaml")), read_trace(path)
+    np.testing.assert_array_equal(trace.pilot_position, expected.pilot_position)
+    np.testing.assert_array_equal(trace.main_position, expected.main_position)
+    np.testing.assert_array_equal(trace.drive.times, expected.drive.times)
+
+
+def test_nothing_that_moves_is_said(tmp_path: Path, made: Recording) -> None:
+    bag = Bag()
+    bag.floats("/lab/lvdt", made.times, np.full(len(made.times), 12.5))
+    with pytest.raises(TraceError, match=r"nothing in it moves \(/lab/lvdt\); record while the valve works"):
+        draft_map(bag.write(tmp_path / "still"), VALVE, "valve-sim map")

@@ -41,7 +41,8 @@ class Trace:
         inlet_pressure: Pa.
         coil_temperature: °C.
         epoch_ns: The first stamp of commands or samples, ns, on the samples' clock.
-        clock: "header" when samples are timed by their stamps, "bag" when by the time they were recorded.
+        clock: "header" when samples are timed by their stamps, "bag" when by the time they were recorded; of a table
+            "time column", or "rate".
         findings: One sentence each: what was dropped, repaired or salvaged, with counts.
         origins: Quantity as a map calls it ("position") to the topic or column that it was read from, for messages.
     """
