@@ -250,3 +250,22 @@ def test_unusable_input_ends_it_with_one_line_and_code_2(
         assert process.returncode == 2
     assert says in words
     assert len(words.strip().splitlines()) == 1
+
+
+def test_a_loggers_table_is_identified_by_its_map(ros: None, tmp_path: Path) -> None:
+    trace = read_trace(Path(__file__).parents[2] / "bags" / "one_opening.mcap")
+    volts = np.where(trace.times < trace.drive.times[0], 0.0, trace.drive.volts[0])
+    rows = np.column_stack([trace.times, volts, 1e3 * trace.pilot_position])
+    np.savetxt(tmp_path / "logger.csv", rows, delimiter=",", header="t,U,lift")
+    lab = tmp_path / "lab.yaml"
+    lab.write_text("time: t\ncommand: U\nposition: {column: lift, unit: mm}\n")
+    with identifying(tmp_path, bag=tmp_path / "logger.csv", map=lab, rate=0) as process:
+        assert process.wait(PATIENCE) == 0
+    assert (tmp_path / "identified.yaml").exists()
+    lab.write_text("time: t\ncommand: U\nposition: {column: lift, unit: m}\n")
+    with identifying(tmp_path / "none", bag=tmp_path / "logger.csv", map=lab, rate=0) as process:
+        assert process.wait(PATIENCE) != 0
+        assert process.stderr is not None
+        said = process.stderr.read()
+    assert "column lift: pilot_plunger travels" in said
+    assert "Traceback" not in said

@@ -19,7 +19,8 @@ class Settings(NamedTuple):
     """What the node does.
 
     Attributes:
-        bag: the recording. valve_name: which valve in it; empty if there is one only.
+        bag: the recording. map: which topic or column of it is what; empty for the topics of this package.
+        valve_name: which valve in it; empty if there is one only.
         params: parameter file of the declared valve; empty for the shipped one.
         free: what is refitted.
         rate: seconds of the bag a second of the clock; 0 for as fast as possible. loop: replay it again and again.
@@ -29,6 +30,7 @@ class Settings(NamedTuple):
     """
 
     bag: str = ""
+    map: str = ""
     valve_name: str = ""
     params: str = ""
     free: tuple[str, ...] = DEFAULT_FREE
@@ -42,7 +44,8 @@ class Settings(NamedTuple):
 
 
 DESCRIPTIONS: Final = {
-    "bag": "the recording: a rosbag2 folder or an .mcap file",
+    "bag": "the recording: a rosbag2 folder, an .mcap file, or with `map` a table",
+    "map": "file that says which topic or column of the recording is what; empty: those of this package",
     "valve_name": "which valve of the recording, such as /tank_1/valve; needed only where it holds several",
     "params": "parameter file of the declared valve; empty: the shipped one",
     "free": "parameters to refit (mode identify), such as pilot_damping or coulomb_friction.force",

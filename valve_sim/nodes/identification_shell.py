@@ -9,7 +9,6 @@ from __future__ import annotations
 import sys
 import threading
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Final
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -28,14 +27,22 @@ from valve_sim.files.parameter_files import Section, default_valve, load_valve, 
 from valve_sim.model import ParameterError, Valve
 from valve_sim.nodes.handing_on import Recipient, Values, changes_between
 from valve_sim.nodes.identification_parameters import DESCRIPTIONS, Settings, check_settings, output_folder
-from valve_sim.nodes.identification_task import BEFORE_FILE, Applied, Outcome, Progress, Task, find_out, report_text
+from valve_sim.nodes.identification_task import (
+    BEFORE_FILE,
+    Applied,
+    Outcome,
+    Progress,
+    Task,
+    find_out,
+    read_recording,
+    report_text,
+)
 from valve_sim.nodes.messages import ReadingMessages, diagnostic_array
 from valve_sim.nodes.parameters import sources_of, table
 from valve_sim.nodes.replay import Prediction, Replay, measured_reading, predict, replay_status
 from valve_sim.nodes.shell_parts import LATCHED, declare_read_only, full_name, given_parameters
 from valve_sim.nodes.spinning import spin
 from valve_sim.nodes.valve_shell import NodeClock
-from valve_sim.traces import read_trace
 
 _DEEP: Final = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
 """A recording has more samples a second than a live valve."""
@@ -69,8 +76,7 @@ class IdentificationShell:
             self._folder = output_folder(self._settings)
             self._target = self._resolved_target()
             self._declared = load_valve(self._settings.params) if self._settings.params else default_valve()
-            bag = Path(self._settings.bag).expanduser()
-            self._trace = read_trace(bag, self._settings.valve_name or None)
+            self._trace = read_recording(self._settings, self._declared)
             self._clock = NodeClock(self._node)
             self._recipient = Recipient(self._node, self._target) if self._target else None
             self._before: Values = {}

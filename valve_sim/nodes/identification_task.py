@@ -9,13 +9,14 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from valve_sim.files.parameter_files import save_valve
+from valve_sim.files.recording_map import load_map
 from valve_sim.identification.fitting import Interval
 from valve_sim.identification.identify import Identification, identify, leaves_more_than_noise
 from valve_sim.model import Valve
 from valve_sim.model.errors import ValveError
 from valve_sim.nodes.diagnostics import Level, Status
 from valve_sim.nodes.identification_parameters import Settings
-from valve_sim.traces import Trace
+from valve_sim.traces import Trace, read_trace, refuse_doubtful_units
 
 IDENTIFIED_FILE: Final = "identified.yaml"
 CORRECTED_FILE: Final = "corrected.yaml"
@@ -60,6 +61,18 @@ class Applied(NamedTuple):
 
 class Cancelled(Exception):  # noqa: N818 -- not an error: the node ends
     """The thread was asked to stop."""
+
+
+def read_recording(settings: Settings, declared: Valve) -> Trace:
+    """The recording that is replayed and fitted.
+
+    Raises:
+        ValveError: it or its map cannot be used, or its numbers are of another unit.
+    """
+    recording_map = load_map(Path(settings.map).expanduser()) if settings.map else None
+    trace = read_trace(Path(settings.bag).expanduser(), settings.valve_name or None, recording_map)
+    refuse_doubtful_units(trace, declared.parameters)
+    return trace
 
 
 def find_out(trace: Trace, declared: Valve, settings: Settings, folder: Path, progress: Progress) -> Outcome:
