@@ -334,7 +334,21 @@ def test_an_interrupted_command_says_so_and_exits_130(monkeypatch: pytest.Monkey
 
     monkeypatch.setattr("valve_sim.traces.describe", stops)
     result = run("info", strokes)
-    assert (result.exit_code, result.stderr) == (130, "valve-sim: stopped\n")
+    assert (result.exit_code, result.stderr) == (130, "valve-sim: stopped; nothing was written\n")
+
+
+def test_a_command_stopped_late_says_what_it_wrote_and_what_not(
+    monkeypatch: pytest.MonkeyPatch, strokes: Path, tmp_path: Path
+):
+    def stops(*arguments: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("valve_sim.files.parameter_files.save_valve", stops)
+    result = run("identify", strokes, "--output", tmp_path)
+    written, missing = tmp_path / "identify.json", tmp_path / "identified.yaml"
+    assert result.exit_code == 130
+    assert result.stderr.endswith(f"valve-sim: stopped; wrote {written}; not written: {missing}\n")
+    assert [path.name for path in tmp_path.iterdir()] == ["identify.json"]
 
 
 # --- as a real process ---

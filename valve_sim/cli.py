@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any, Final, NoReturn
 import click
 
 from valve_sim import __version__
+from valve_sim.files.ledger import keeping_ledger, plan_files
 from valve_sim.invocation import invocation
 
 if TYPE_CHECKING:
@@ -71,14 +72,15 @@ class CommandLine(click.Group):
         """Run the command line and exit."""
         settings = {"prog_name": invocation(), "complete_var": COMPLETE_VAR, **settings, "standalone_mode": False}
         try:
-            code = super().main(*arguments, **settings)
+            with keeping_ledger() as ledger:
+                code = super().main(*arguments, **settings)
             sys.stdout.flush()
         except click.ClickException as error:
             context = getattr(error, "ctx", None)
             hint = f" (see {context.command_path} --help)" if context else ""
             _end(f"{_one_line(error.format_message())}{hint}")
         except click.Abort:
-            _end("stopped", STOPPED)
+            _end(_one_line(f"stopped; {ledger.words()}"), STOPPED)
         except BrokenPipeError:
             # Whoever read the output, such as head, has had enough; Python's own last flush must not complain.
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -342,6 +344,8 @@ def identify(
     from valve_sim.files.whole_files import write_whole
     from valve_sim.identification.identify import identify as refit
 
+    written = (output / "identify.json", output / "identified.yaml")
+    plan_files(*written)
     valve = _load(params)
     names = tuple(dict.fromkeys(part.strip() for part in free.split(",") if part.strip()))
     if not names:
@@ -353,7 +357,7 @@ def identify(
     write_whole(output / "identify.json", _json_text(report))
     values = [f"{key}: {interval.value:.6g} ± {interval.stderr:.2g}" for key, interval in result.intervals.items()]
     save_valve(output / "identified.yaml", result.valve, _provenance(params, [f"identified: {', '.join(values)}"]))
-    _print_report(report, result.text(), (output / "identify.json", output / "identified.yaml"), as_json)
+    _print_report(report, result.text(), written, as_json)
 
 
 @main.command()
@@ -397,10 +401,11 @@ def diagnose(
         return
     from valve_sim.identification.diagnosis import diagnose as trace_residual
     from valve_sim.identification.diagnosis_text import diagnosis_text
-    from valve_sim.identification.outputs import write_diagnosis
+    from valve_sim.identification.outputs import FILES, write_diagnosis
     from valve_sim.identification.report_json import to_json
 
     valve = _load(params)
+    plan_files(*(output / file for file in FILES))
     traces, held_out = _read(bags, name, valve), _read(holdout, name, valve)
     with _progress() as progress:
         result = trace_residual(traces, held_out, valve, progress)
@@ -462,6 +467,7 @@ def validate(
     from valve_sim.files.whole_files import write_whole
     from valve_sim.identification.validation import validate as replay
 
+    plan_files(*(path for path in (junit, plot) if path))
     valve = _load(params)
     traces = _read(bags, name, valve)
     tolerance = None if tolerance_um is None else 1e-6 * tolerance_um
@@ -511,6 +517,7 @@ def fit_force(
 
     result = fit_static_force(file, _load(params), degree=degree, voltage=voltage, constant=not no_constant)
     report, picture, parameters = (output / f for f in ("fit-force.json", "fit-force.png", "attraction.yaml"))
+    plan_files(report, picture, parameters)
     write_whole(report, _json_text(result.to_json()))
     plot_static_force(picture, result)
     save_valve(parameters, result.valve, _provenance(params, ["attraction_polynomial: fitted", *result.remarks]))

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from valve_sim.files.ledger import note_written
 from valve_sim.model.errors import ValveError
 
 
@@ -29,6 +30,7 @@ def replacing(path: Path, refusal: type[ValveError] = ValveError) -> Iterator[Pa
         path.parent.mkdir(parents=True, exist_ok=True)
         yield partial
         partial.replace(path)
+        note_written(path)
     except OSError as error:
         raise refusal(f"{path}: cannot be written ({error.strerror}); choose another place") from error
     finally:

@@ -9,7 +9,7 @@ import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from valve_sim.files.parameter_files import save_valve
 from valve_sim.files.whole_files import write_whole
@@ -18,6 +18,9 @@ from valve_sim.identification.recording_profile import write_profile
 from valve_sim.identification.report import plot_diagnosis, write_report
 from valve_sim.identification.report_json import to_json
 from valve_sim.identification.valve_plant import ValvePlant
+
+FILES: Final = ("report.json", "report.html", "report.png", "corrected.yaml")
+"""Of a valve, in the order in which they are written; record_next.yaml follows where there is something to tell."""
 
 
 def write_diagnosis(diagnosis: Diagnosis, directory: Path | str, provenance: str) -> tuple[Path, ...]:
@@ -35,9 +38,7 @@ def write_diagnosis(diagnosis: Diagnosis, directory: Path | str, provenance: str
         ValveError: a file cannot be written.
     """
     folder = Path(directory)
-    data, page, picture, corrected = (
-        folder / name for name in ("report.json", "report.html", "report.png", "corrected.yaml")
-    )
+    data, page, picture, corrected = (folder / name for name in FILES)
     text = json.dumps(_without_infinities(to_json(diagnosis)), indent=2, ensure_ascii=False, allow_nan=False)
     write_whole(data, text + "\n")
     write_report(diagnosis, page, provenance)

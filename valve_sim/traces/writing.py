@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, NoReturn
 import numpy as np
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
+from valve_sim.files.ledger import note_written
 from valve_sim.files.whole_files import replacing
 from valve_sim.traces.cdr import encode_messages, typestore
 from valve_sim.traces.clocks import SECOND
@@ -117,6 +118,7 @@ class BagRecorder:
                 (self._writer.path / self.path.name).replace(self.path)
             else:
                 self._writer.path.rename(self.path)
+        note_written(self.path)
         shutil.rmtree(self._workshop, ignore_errors=True)
 
     def discard(self) -> None:

@@ -1,0 +1,51 @@
+"""Which files a run is to write and has written, so that one that is stopped can say so. Imports nothing slow."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, field
+from pathlib import Path
+
+
+@dataclass
+class Ledger:
+    """Which files a run is to write, and which it has written, each whole."""
+
+    planned: list[Path] = field(default_factory=list)
+    written: list[Path] = field(default_factory=list)
+
+    def words(self) -> str:
+        """What to say of them when the run is stopped."""
+        missing = [path for path in self.planned if path not in self.written]
+        done = f"wrote {', '.join(map(str, self.written))}" if self.written else "nothing was written"
+        return f"{done}; not written: {', '.join(map(str, missing))}" if self.written and missing else done
+
+
+_LEDGER: ContextVar[Ledger | None] = ContextVar("ledger", default=None)
+
+
+@contextmanager
+def keeping_ledger() -> Iterator[Ledger]:
+    """Note the files that are planned and written inside."""
+    ledger = Ledger()
+    token = _LEDGER.set(ledger)
+    try:
+        yield ledger
+    finally:
+        _LEDGER.reset(token)
+
+
+def plan_files(*paths: Path) -> None:
+    """Say which files are going to be written, for the ledger."""
+    ledger = _LEDGER.get()
+    if ledger is not None:
+        ledger.planned += paths
+
+
+def note_written(path: Path) -> None:
+    """Say that a file was written whole, for the ledger; `replacing` does."""
+    ledger = _LEDGER.get()
+    if ledger is not None and path not in ledger.written:
+        ledger.written.append(path)
