@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 
 from valve_sim.identification.diagnosis import Diagnosis
+from valve_sim.identification.units import measured, quantity
 from valve_sim.identification.wording import (
     headline,
     kind_words,
     meanings,
-    measured,
     named_value,
     probability_words,
-    quantity,
     title_of,
 )
 

@@ -27,6 +27,7 @@ from valve_sim.identification.event_table import EventPlant, EventTable, reached
 from valve_sim.identification.fitting import fit
 from valve_sim.identification.plant import Array
 from valve_sim.identification.search import Hypothesis, Search
+from valve_sim.identification.units import listed_values
 from valve_sim.model import CATALOGUE, Drive, EventKind, ParameterError, Response, Valve, simulate
 
 Progress = Callable[[str, float], None]
@@ -191,7 +192,7 @@ class EventDiagnosis:
         best_of_rest = [entry for entry in self.pairs if not entry.closes][:3]
         for entry in (self.declared, *self.singles, *closing, *best_of_rest):
             errors = "".join(f"{'never':>16}" if math.isnan(e) else f"{1e3 * e:>+16.3f}" for e in self.errors(entry))
-            values = ", ".join(f"{name} {value:.4g}" for name, value in entry.values.items())
+            values = listed_values(EventPlant(self.table), entry.values)
             lines.append(f"{' + '.join(entry.effects) or '(nothing)':<38}{errors}   {values}")
         lines += ["", self.summary()]
         for name in DAMPINGS:
@@ -199,7 +200,7 @@ class EventDiagnosis:
             lines.append(
                 f"{name}, N·s/m: the events allow {free}; with a pull at rest below the largest measured, {capped}"
             )
-        shipped = ", ".join(f"{name} {value:.5g}" for name, value in self.shipped.values.items())
+        shipped = listed_values(EventPlant(self.table), self.shipped.values, 5)
         errors = ", ".join(
             f"{name} off by {1e6 * error:+.2f} µs" for name, error in zip(names, self.errors(self.shipped), strict=True)
         )

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from valve_sim.identification.event_table import EventPlant
 from valve_sim.identification.plant import Array
 from valve_sim.identification.plots import MAIN, PILOT, QUIET, SECOND, save_figure
+from valve_sim.identification.wording import title_of, titles_of
 
 if TYPE_CHECKING:
     from valve_sim.identification.event_diagnosis import EventDiagnosis, Region
@@ -48,9 +49,9 @@ def _opening(result: EventDiagnosis) -> Figure:
     axes = figure.subplots()
     plant = EventPlant(result.table)
     end = 1.25 * result.table.events[-1].time
-    entries = [("declared", result.declared, QUIET), (" + ".join(result.shipped.effects), result.shipped, PILOT)]
+    entries = [("declared", result.declared, QUIET), (titles_of(result.shipped.effects), result.shipped, PILOT)]
     if result.singles:
-        entries.insert(1, (f"best single: {result.singles[0].effects[0]}", result.singles[0], SECOND))
+        entries.insert(1, (f"best single: {title_of(result.singles[0].effects[0])}", result.singles[0], SECOND))
     for name, entry, colour in entries:
         response = plant.response(entry.values)
         inside = response.time <= end

@@ -11,6 +11,7 @@ import numpy as np
 
 from valve_sim.identification.fitting import Fit, Interval, Problem, fit, profile_interval
 from valve_sim.identification.plant import Array, Nuisance, Plant
+from valve_sim.identification.units import limits, measured, quantity
 from valve_sim.identification.valve_plant import ValvePlant
 from valve_sim.model import CATALOGUE, DECLARED, ParameterError, Valve
 from valve_sim.model.parameters import closest
@@ -79,13 +80,11 @@ class Identification:
     def text(self) -> str:
         """A report for the terminal: value, error, start, and what the data do not hold."""
         plant = self.fit.problem.plant
-        lines = [f"{'parameter':<28}{'value':>12} {'± std. error':>14}   95 % interval            declared"]
+        lines = [f"{'parameter':<28}{'value ± standard error':<30}{'95 % interval':<30}declared"]
         for name, interval in self.intervals.items():
-            unit = plant.parameter(name).unit
-            lines.append(
-                f"{name:<28}{interval.value:>12.5g} ± {interval.stderr:<12.2g}   "
-                f"[{interval.low:.5g}, {interval.high:.5g}] {unit}   {plant.declared(name):.5g}"
-            )
+            unit, declared = plant.parameter(name).unit, plant.declared(name)
+            found = f"{measured(interval, unit):<30}{limits(interval, unit):<30}"
+            lines.append(f"{name:<28}{found}{quantity(declared, unit)}")
         noise = self.fit.problem.noises["position"]
         lines.append(
             f"residual {1e6 * self.rmse_before:.3g} µm as declared, {1e6 * self.rmse_after:.3g} µm refitted; "

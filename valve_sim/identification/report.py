@@ -18,16 +18,14 @@ from valve_sim.files.whole_files import write_whole
 from valve_sim.identification.diagnosis import Candidate, Diagnosis, State
 from valve_sim.identification.force_curves import ForceCurve, force_curve, motion_of
 from valve_sim.identification.stroke_curves import StrokeCurves, readable_unit, strokes_of
+from valve_sim.identification.units import limits, measured, quantity
 from valve_sim.identification.valve_plant import ValvePlant
 from valve_sim.identification.wording import (
     headline,
     kind_words,
-    limits,
     meanings,
-    measured,
     named_value,
     probability_words,
-    quantity,
     titles_of,
 )
 

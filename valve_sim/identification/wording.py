@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 from valve_sim.identification.diagnosis import Diagnosis, Verdict
-from valve_sim.identification.fitting import Interval
 from valve_sim.identification.plant import Plant
+from valve_sim.identification.units import measured
 from valve_sim.identification.valve_plant import ValvePlant
 from valve_sim.model import CATALOGUE, Effect
 
@@ -16,20 +15,6 @@ SURE: Final = 0.9
 """Probability from which on a verdict is called found."""
 EVEN: Final = 0.5
 """Probability below which a verdict is more likely wrong than right."""
-_PREFIXES: Final[Mapping[str, tuple[tuple[float, str], ...]]] = {
-    "m": ((1e-3, "µm"), (1.0, "mm")),
-    "s": ((1e-3, "µs"), (1.0, "ms"), (math.inf, "s")),
-    "A": ((1.0, "mA"), (math.inf, "A")),
-    "Hz": ((1e3, "Hz"), (math.inf, "kHz")),
-}
-"""SI unit to the units that people read, each for sizes below its bound."""
-_FACTORS: Final = {"µm": 1e6, "mm": 1e3, "µs": 1e6, "ms": 1e3, "mA": 1e3, "kHz": 1e-3}
-_NO_UNIT: Final = ("", "–")
-_MOST_PLACES: Final = 7
-_LARGE: Final = 1e5
-_RAISED: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-NARROW: Final = "\u00a0"
-"""A number and its unit stay on one line."""
 
 
 class Meaning(NamedTuple):
@@ -72,44 +57,6 @@ def title_of(effect: str) -> str:
 def titles_of(effects: Sequence[str]) -> str:
     """Plain names of several effects at once."""
     return " + ".join([title_of(effects[0]), *(_inside(title_of(name)) for name in effects[1:])])
-
-
-def readable(unit: str, size: float) -> tuple[float, str]:
-    """The factor from SI, and the name, of the unit in which people read a value of this size."""
-    options = _PREFIXES.get(unit, ())
-    name = next((name for bound, name in options if abs(size) < bound), options[-1][1] if options else unit)
-    return _FACTORS.get(name, 1.0), "" if name in _NO_UNIT else name
-
-
-def quantity(value: float, unit: str, digits: int = 3) -> str:
-    """A number with the unit that suits its size; one that is not finite is said in words."""
-    if math.isnan(value):
-        return "–"
-    if math.isinf(value):
-        return "not to be seen"
-    scale, name = readable(unit, value)
-    return f"{_short(scale * value, digits)}{NARROW if name else ''}{name}"
-
-
-def measured(found: Interval, unit: str) -> str:
-    """A value with its standard error, both in the unit that suits them and to the two digits that the error has."""
-    if not (math.isfinite(found.value) and math.isfinite(found.stderr)):
-        return quantity(found.value, unit)
-    scale, name = readable(unit, found.value or found.stderr)
-    value, error = scale * found.value, scale * found.stderr
-    places = 1 - math.floor(math.log10(error)) if error > 0.0 else _MOST_PLACES
-    if not 0 <= places < _MOST_PLACES or abs(value) >= _LARGE:
-        return f"{_short(value, 5)} ± {_short(error, 2)}{NARROW if name else ''}{name}"
-    return f"{value:.{places}f} ± {error:.{places}f}{NARROW if name else ''}{name}".replace("-", "−")
-
-
-def limits(found: Interval, unit: str) -> str:
-    """The 95 % interval; an open end is said so."""
-    scale, name = readable(unit, found.value if math.isfinite(found.value) else found.low)
-    low, high = (
-        _short(scale * end, 4) if math.isfinite(end) else ("−∞" if end < 0 else "∞") for end in (found.low, found.high)
-    )
-    return f"{low} to {high}{NARROW if name else ''}{name}"
 
 
 def named_value(plant: Plant, name: str) -> tuple[str, str]:
@@ -211,14 +158,3 @@ def _listed(names: Sequence[str], last: str = "and") -> str:
 def _inside(title: str) -> str:
     """A title within a sentence: small, but for a name such as Coulomb."""
     return title if title.startswith("Coulomb") or title[1:2].isupper() else title[:1].lower() + title[1:]
-
-
-def _short(value: float, digits: int) -> str:
-    """As many digits as 1.00 has, no exponent where it would be short, and with a true minus sign."""
-    text = f"{value:#.{digits}g}".rstrip(".")
-    mantissa, e, exponent = text.partition("e")
-    if e and 1e-4 <= abs(value) < _LARGE:
-        text = f"{value:.0f}" if abs(value) >= 1.0 else f"{value:.{digits + 3}f}"
-    elif e:
-        text = f"{mantissa}·10{str(int(exponent)).translate(_RAISED)}"
-    return text.replace("-", "−")
