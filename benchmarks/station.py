@@ -82,9 +82,9 @@ class Hand:
             elif task == "input" and int(values["samples"]) > 0:
                 self.arriving.add(tank)
 
-    def wait_for_all(self) -> bool:
-        """Whether every valve and every monitor came to run within PATIENCE."""
-        end = time.monotonic() + PATIENCE
+    def wait_for_all(self, patience: float = PATIENCE) -> bool:
+        """Whether every valve and every monitor came to run within so many seconds."""
+        end = time.monotonic() + patience
         while time.monotonic() < end:
             self.spin_for(0.5)
             if len(self.lost) == len(self.arriving) == len(TANKS):

@@ -25,6 +25,7 @@ import rclpy  # noqa: E402
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 from std_msgs.msg import Float64, String  # noqa: E402
+from std_srvs.srv import Trigger  # noqa: E402
 
 FEW = 8
 """Commissioning strokes, the fewest that are allowed."""
@@ -116,6 +117,30 @@ def test_friction_that_appears_in_a_real_valve_is_warned_of_and_named(probe: Pro
         assert process.wait(PATIENCE) == 0
 
 
+def test_what_commissioning_found_survives_a_restart_until_it_is_asked_for_anew(probe: Probe, tmp_path: Path) -> None:
+    state = tmp_path / "kept" / "tank.json"
+    plant = PlantOnTopics(probe, LiveValve(seed=5, rate=5e3, jitter=0.0))
+    numbers = probe.hear("/monitor/stroke_diagnostics", DiagnosticArray)
+    given = {"measured": "measured/joint_states", "use_sim_time": True, "max_rate": 1e5, "state": str(state)}
+    with monitoring(tmp_path, **given) as process:
+        plant.wait_for_monitor()
+        reports = plant.strokes(FEW + 3)
+        assert probe.until(lambda: state.exists() and len(numbers) >= len(reports))
+        values = {pair.key: pair.value for pair in numbers[len(reports) - 1].status[0].values}
+        assert float(values["t2 (ms)"]) == pytest.approx(1e3 * reports[-1]["t2"], rel=1e-4)
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(PATIENCE) == 0
+    plant.predicted.clear()
+    with monitoring(tmp_path, **given):
+        plant.wait_for_monitor()
+        assert {report["state"] for report in plant.strokes(3)} == {"watching"}
+        client = probe.node.create_client(Trigger, "/monitor/recommission")
+        assert probe.until(client.service_is_ready)
+        assert probe.answers([client], Trigger.Request())[0].success
+        assert probe.until(lambda: not state.exists())
+        assert plant.strokes(3)[-1]["state"] == "commissioning"
+
+
 def test_a_stuck_valve_is_an_error(probe: Probe, tmp_path: Path) -> None:
     ears = Ears(probe)
     with running(tmp_path), monitoring(tmp_path):
@@ -167,6 +192,7 @@ def test_a_signal_ends_it_with_code_0(probe: Probe, tmp_path: Path, number: sign
     ("parameters", "says"),
     [
         ({"noise_mu": 1.0}, "did you mean noise_um"),
+        ({"state": "/dev/null"}, "damaged"),
         ({"commissioning_strokes": 2}, "from 8 to 1000"),
         ({"commissioning_strokes": 20.5}, "a whole number"),
         ({"valve": "no/{such"}, "expected a ROS name"),

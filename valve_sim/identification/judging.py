@@ -14,22 +14,15 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from scipy.special import ndtri, stdtr
 
 from valve_sim.identification.alarm import Alarm, Sums
-from valve_sim.identification.command_timing import (
-    PLAINLY_WIDER,
-    UNTIMED,
-    CommandScatter,
-    TimedStroke,
-    allowed_for,
-    allowed_scatters,
-)
+from valve_sim.identification.command_timing import PLAINLY_WIDER, UNTIMED, CommandScatter, allowed_for
+from valve_sim.identification.commissioning import Commissioning, commission_with, timed_stroke
 from valve_sim.identification.fitting import Interval
 from valve_sim.identification.monitor_settings import MonitorSettings
 from valve_sim.identification.plant import Array
@@ -38,9 +31,7 @@ from valve_sim.identification.stroke_scores import (
     SIZE,
     Healthy,
     Scored,
-    commission,
     crossing,
-    late_by,
     refitted,
     score_stroke,
 )
@@ -48,21 +39,8 @@ from valve_sim.identification.watching import FEWEST_SAMPLES, StrokeRecord
 from valve_sim.model import Drive, EventKind, SimulationError, Valve, simulate
 from valve_sim.traces import Trace, events_from_sensors
 
-CONTRADICTS: Final = 4.0
-"""Standard errors by which the mean of commissioning scores is not 0."""
-TOO_SPREAD: Final = 1.7
-"""Standard deviation of twenty standard normal scores, beyond what one set in 10,000 has."""
 TRACED_FROM: Final = 6
 """Strokes of an alarm with which its cause is first looked for."""
-LEAST_SPREAD: Final = 1.0
-"""Standard deviation of a score under noise alone. Where the sensor is less noisy than declared, scores spread by less,
-and by nothing but rounding where it is simulated; what they then differ by is no change of the valve."""
-LONGEST_OPENING: Final = 0.1
-"""s: a valve that takes longer is taken to open in this time."""
-SCORED_MOST: Final = 8.0
-"""Standard deviations: the most that a score says."""
-FEWEST_TO_LEARN: Final = 8
-"""Commissioning strokes that show a direction, from which its mean and spread are learned."""
 FORGETS: Final = 20
 """Judged strokes without a further alarm, after which one is over."""
 WATCHING: Final = "watching"
@@ -146,8 +124,6 @@ class Judge:
         self._declared = valve
         self._settings = settings
         self._first: list[StrokeRecord] = []
-        self._levels: tuple[float, ...] = ()
-        self._baselines: dict[float, dict[str, _Baseline]] = {}
         self._scatter: CommandScatter | None = None
         self._sums: Sums | None = None
         self._recent: deque[_Judged] = deque(maxlen=settings.diagnosis_strokes)
@@ -155,11 +131,16 @@ class Judge:
         self._last_raised = -math.inf
         self._judged = 0
         self._trace_at = 0
-        self.healthy: Healthy | None = None
-        """The valve as commissioned; None before."""
+        self.commissioning: Commissioning | None = None
+        """What commissioning has found; None before."""
         self.alarm: Alarm | None = None
         """The last alarm, while it is not over."""
         self.alarms = 0
+
+    @property
+    def healthy(self) -> Healthy | None:
+        """The valve as commissioned; None before."""
+        return None if self.commissioning is None else self.commissioning.healthy
 
     @property
     def commissioned(self) -> int:
@@ -169,9 +150,9 @@ class Judge:
     @property
     def contradictions(self) -> tuple[str, ...]:
         """Directions in which the healthy valve differs from the declared form: empty if that explains it."""
-        if not self._levels:
+        if self.commissioning is None:
             return ()
-        baselines = self._baselines[self._levels[0]]
+        baselines = self.commissioning.baselines[self.commissioning.levels[0]]
         return tuple(name for name, baseline in baselines.items() if baseline.is_learned and name != SIZE)
 
     @property
@@ -182,7 +163,12 @@ class Judge:
     @property
     def is_timing_uncertain(self) -> bool:
         """Whether commands' times scatter too much to say anything of delays."""
-        return self._scatter is not None and allowed_for(self._scatter.sigma, self._levels) >= UNTIMED
+        return self._scatter is not None and self._level() >= UNTIMED
+
+    def _level(self) -> float:
+        """The standard deviation that commands' times are allowed in the scores, s."""
+        assert self.commissioning is not None
+        return allowed_for(self.command_scatter, self.commissioning.levels)
 
     def timed(self) -> Healthy:
         """The valve as commissioned, with the scatter that commands have now, as a tracing wants it."""
@@ -233,14 +219,14 @@ class Judge:
         scored, scores, alarm, state, remark = None, {}, None, "not judged", record.remark
         if not remark:
             try:
-                if self.healthy is None:
+                if self.commissioning is None:
                     state = "commissioning"
                     self._commission(record)
                 else:
-                    level = self._allowed(record)
+                    level = self._allowed(record, self.commissioning)
                     state = UNCERTAIN if level >= UNTIMED else WATCHING
-                    scored = score_stroke(record.trace, self.healthy, level)
-                    scores = self._standard(scored.scores, level)
+                    scored = score_stroke(record.trace, self.commissioning.healthy, level)
+                    scores = self.commissioning.standard(scored.scores, level)
                     alarm = self._add(record, scored, scores)
             except (SimulationError, np.linalg.LinAlgError) as error:
                 state, remark = "not judged", f"the model could not be held against it: {error}"
@@ -253,27 +239,32 @@ class Judge:
             return
         # What could not be commissioned with is not tried again with each stroke that follows.
         records, self._first = self._first, []
-        traces = [stroke.trace for stroke in records]
-        healthy = commission(traces, self._declared, self._settings.noise)
-        levels = allowed_scatters(healthy.jitter, _opening_seconds(healthy.valve))
-        tables = {level: [score_stroke(trace, healthy, level).scores for trace in traces] for level in levels}
-        self._baselines = {level: _baselines(table) for level, table in tables.items()}
-        self._levels = levels
-        names = tuple(dict.fromkeys(name for baselines in self._baselines.values() for name in baselines))
-        self._sums = Sums(self._settings.strokes_between_false_alarms, names, len(records), one_sided=(SIZE,))
-        self._threshold = self._sums.threshold
-        self._scatter = CommandScatter(healthy.jitter, [_timed(stroke, healthy) for stroke in records])
-        self.healthy = healthy
+        self.use(commission_with(records, self._declared, self._settings.noise))
 
-    def _allowed(self, record: StrokeRecord) -> float:
+    def use(self, commissioning: Commissioning) -> None:
+        """Watch from now on with what a commissioning has found, this one's or an earlier one's."""
+        healthy, strokes = commissioning.healthy, commissioning.strokes
+        run = self._settings.strokes_between_false_alarms
+        self._sums = Sums(run, commissioning.names, len(strokes), one_sided=(SIZE,))
+        self._loudest, self._sum, self._threshold = "", math.nan, self._sums.threshold
+        self._scatter = CommandScatter(healthy.jitter, strokes)
+        self._recent.clear()
+        self._last_raised, self._judged, self._trace_at = -math.inf, 0, 0
+        self._first, self.alarm = [], None
+        self.commissioning = commissioning
+
+    def recommission(self) -> None:
+        """Forget what healthy was: the next strokes are taken for it."""
+        self.commissioning = self._sums = self._scatter = self.alarm = None
+        self._first = []
+        self._recent.clear()
+        self._loudest, self._sum, self._threshold = "", math.nan, math.nan
+
+    def _allowed(self, record: StrokeRecord, commissioning: Commissioning) -> float:
         """The standard deviation that this stroke's commands are allowed, s."""
-        assert self.healthy is not None
         assert self._scatter is not None
-        return allowed_for(self._scatter.add(_timed(record, self.healthy)), self._levels)
-
-    def _standard(self, scores: Mapping[str, float], level: float) -> dict[str, float]:
-        baselines = self._baselines[level]
-        return {name: baselines[name].standard(score) for name, score in scores.items() if name in baselines}
+        self._scatter.add(timed_stroke(record, commissioning.healthy))
+        return self._level()
 
     def _add(self, record: StrokeRecord, scored: Scored, scores: Mapping[str, float]) -> Alarm | None:
         assert self._sums is not None
@@ -298,7 +289,7 @@ class Judge:
     def _refitted(self, trace: Trace) -> Mapping[str, Interval]:
         assert self.healthy is not None
         try:
-            return refitted(trace, self.healthy, allowed_for(self.command_scatter, self._levels))
+            return refitted(trace, self.healthy, self._level())
         except SimulationError:
             return {}
 
@@ -345,44 +336,6 @@ class _Judged(NamedTuple):
     shifts: Array
 
 
-@dataclass(frozen=True)
-class _Baseline:
-    """What a score was while the valve was commissioned; learned where that contradicts a standard normal one."""
-
-    mean: float
-    spread: float
-    strokes: int
-    is_learned: bool
-
-    @classmethod
-    def of(cls, name: str, scores: Sequence[float]) -> _Baseline:
-        count = len(scores)
-        if count < FEWEST_TO_LEARN:
-            return cls(0.0, 1.0, count, False)
-        mean, spread = float(np.mean(scores)), float(np.std(scores, ddof=1))
-        # The size hangs on the noise's variance, which is itself an estimate.
-        is_learned = name == SIZE or abs(mean) * math.sqrt(count) > CONTRADICTS or spread > TOO_SPREAD
-        return cls(mean, spread, count, is_learned)
-
-    def standard(self, score: float) -> float:
-        if self.is_learned:
-            quotient = (score - self.mean) / (max(self.spread, LEAST_SPREAD) * math.sqrt(1.0 + 1.0 / self.strokes))
-            tail = float(stdtr(self.strokes - 1, -abs(quotient)))
-            score = math.copysign(float(ndtri(max(tail, 1e-16))), quotient)
-        return min(max(score, -SCORED_MOST), SCORED_MOST)
-
-
-def _baselines(table: Sequence[Mapping[str, float]]) -> dict[str, _Baseline]:
-    names = dict.fromkeys(name for scores in table for name in scores)
-    return {name: _Baseline.of(name, [scores[name] for scores in table if name in scores]) for name in names}
-
-
-def _timed(record: StrokeRecord, healthy: Healthy) -> TimedStroke:
-    volts = record.trace.drive.volts
-    shifts = late_by(record.trace, healthy.valve, healthy.lateness)
-    return TimedStroke(float(volts[np.argmax(np.abs(volts))]), shifts, record.arrival_spread)
-
-
 def _as_obeyed(trace: Trace, shifts: Array) -> Trace:
     """The stroke with its commands where it shows that they were obeyed; those between move with the first.
 
@@ -394,14 +347,6 @@ def _as_obeyed(trace: Trace, shifts: Array) -> Trace:
         late = shifts
     times = np.maximum.accumulate(trace.drive.times + late)
     return replace(trace, drive=Drive(times, trace.drive.volts), coil_current=None)
-
-
-def _opening_seconds(valve: Valve) -> float:
-    """Seconds from a command at the reference voltage until the valve is open."""
-    parameters = valve.parameters
-    drive = Drive(np.zeros(1), np.array([parameters.reference_voltage]))
-    opened = simulate(valve, drive, np.linspace(0.0, LONGEST_OPENING, 2)).first(EventKind.REACHED_STOP)
-    return opened if math.isfinite(opened) else LONGEST_OPENING
 
 
 def _arrivals(trace: Trace, valve: Valve) -> dict[str, float]:

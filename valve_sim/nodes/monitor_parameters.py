@@ -25,6 +25,7 @@ _TEXTS: Final = {
         "topic of the measured positions below it; joint_states: a simulated valve's",
     ),
     "frame_id": ("", "header.frame_id of the predicted joint states"),
+    "state": ("", "file that keeps what commissioning found, for the next start; empty: none"),
 }
 _COUNTS: Final = {
     "commissioning_strokes": Parameter(
@@ -54,6 +55,7 @@ class Settings(NamedTuple):
     valve: str = _TEXTS["valve"][0]
     measured: str = _TEXTS["measured"][0]
     frame_id: str = _TEXTS["frame_id"][0]
+    state: str = _TEXTS["state"][0]
     commissioning_strokes: int = _DEFAULTS.commissioning_strokes
     diagnosis_strokes: int = _DEFAULTS.diagnosis_strokes
     strokes_between_false_alarms: float = _DEFAULTS.strokes_between_false_alarms

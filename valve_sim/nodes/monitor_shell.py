@@ -6,13 +6,16 @@ judges strokes, another traces the cause of an alarm; the live path waits for ne
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import itertools
 import json
+import math
 import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import Any, Final
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -24,16 +27,27 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, String
+from std_srvs.srv import Trigger
 
 from valve_sim.files.parameter_files import Section
 from valve_sim.identification.judging import Judge, StrokeReport
+from valve_sim.identification.monitor_memory import load_commissioning, save_commissioning
 from valve_sim.identification.stroke_scores import Healthy
 from valve_sim.identification.tracing import Finding
 from valve_sim.identification.watching import Prediction, Watch
-from valve_sim.model import Stepper
+from valve_sim.model import ParameterError, Stepper
+from valve_sim.nodes.diagnostics import Level
 from valve_sim.nodes.messages import JOINT_NAMES, ReadingMessages, diagnostic_array
 from valve_sim.nodes.monitor_parameters import Given, check_given, descriptions
-from valve_sim.nodes.monitor_status import InputCount, health_status, input_status, model_status, tracing_status
+from valve_sim.nodes.monitor_status import (
+    HealthLog,
+    InputCount,
+    health_status,
+    input_status,
+    model_status,
+    stroke_status,
+    tracing_status,
+)
 from valve_sim.nodes.monitor_tasks import Judging, Tracing
 from valve_sim.nodes.parameters import sources_of
 from valve_sim.nodes.realtime import LONGEST_LEAP_SECONDS, NANOSECONDS
@@ -60,14 +74,15 @@ class MonitorShell:
     Topics of the valve <valve>, in: <valve>/coil_voltage, <valve>/<measured>, and coil_current beside the latter, where
     there is one: with it the tracing tells a change of the coil from one of the magnetic circuit. Out:
     ~/predicted/joint_states and ~/residual (m, measured less predicted position of the pilot plunger) with each sample;
-    ~/stroke_report (JSON) with each stroke; ~/finding (JSON, latched), what has changed, after an alarm; /diagnostics
-    at 1 Hz. Parameters: those of `valve_sim.nodes.monitor_parameters`; they are read once, at the start.
+    ~/stroke_report (JSON) and ~/stroke_diagnostics (its numbers, to be plotted) with each stroke; ~/finding (JSON,
+    latched), what has changed, after an alarm; /diagnostics at 1 Hz. Service: ~/recommission (the next strokes are
+    healthy). Parameters: those of `valve_sim.nodes.monitor_parameters`; they are read once, at the start.
 
     Args:
         sections: (file, section) of the parameter files on the command line.
 
     Raises:
-        ParameterError: a parameter is unknown, of the wrong type or out of range.
+        ParameterError: a parameter is unknown, of the wrong type or out of range, or the state file cannot be used.
     """
 
     def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
@@ -79,6 +94,8 @@ class MonitorShell:
             self._measured = full_name(self._node, f"{self._valve}/{given.settings.measured}", "measured")
             self._sensors = self._measured.rpartition("/")[0]
             self._clock = NodeClock(self._node)
+            self._state = Path(given.settings.state).expanduser() if given.settings.state else None
+            self._kept = None if self._state is None else load_commissioning(self._state, given.valve)
             self._wire()
         except BaseException:
             self._node.destroy_node()
@@ -88,16 +105,22 @@ class MonitorShell:
         self._last_stamp: int | None = None
         self._next_message = 0
         self._input = InputCount()
+        self._declared = given.valve
         self._watch = Watch(given.valve, given.settings.monitor)
         self._judge = Judge(given.valve, given.settings.monitor)
+        if self._kept is not None:
+            self._judge.use(self._kept)
         self._tracing = Tracing(self._tell)
+        self._health = HealthLog()
+        self._told: tuple[str, ...] | None = None
         self._last_report: StrokeReport | None = None
         self._healthy: Healthy | None = None
         self._is_ready = False
         self._waiting: deque[Callable[[], None]] = deque(maxlen=_MOST_WAITING)
         self._judging = Judging(
-            self._judge, prepare=self._prepare, report=self._report, trace=self._trace, fail=self._fail
-        )
+            self._judge, prepare=self._prepare, report=self._report, trace=self._trace, forget=self._forget,
+            fail=self._fail,
+        )  # fmt: skip
 
     @property
     def exit_code(self) -> int:
@@ -129,6 +152,7 @@ class MonitorShell:
         node = self._node
         self._predicted = node.create_publisher(JointState, "~/predicted/joint_states", RELIABLE)
         self._residual = node.create_publisher(Float64, "~/residual", RELIABLE)
+        self._stroke_diagnostics = node.create_publisher(DiagnosticArray, "~/stroke_diagnostics", RELIABLE)
         self._stroke_report = node.create_publisher(String, "~/stroke_report", RELIABLE)
         self._finding = node.create_publisher(String, "~/finding", LATCHED)
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
@@ -138,9 +162,11 @@ class MonitorShell:
         self._commands = node.create_subscription(
             Float64, f"{self._valve}/coil_voltage", hear_command, _COMMANDS, event_callbacks=events
         )
-        self._samples = node.create_subscription(JointState, self._measured, self._hear_samples, _MEASURED)
+        hear_samples: Any = self._hear_samples
+        self._samples = node.create_subscription(JointState, self._measured, hear_samples, _MEASURED)
         hear_current: Any = self._hear_currents
         self._currents = node.create_subscription(Float64, f"{self._sensors}/coil_current", hear_current, _MEASURED)
+        node.create_service(Trigger, "~/recommission", self._recommission)
         # By the wall: diagnostics must tell, too, that /clock is silent.
         node.create_timer(1.0, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
@@ -159,13 +185,12 @@ class MonitorShell:
         stamp = self._arrival(info)
         self._when_ready(lambda: self._watch.measure_current(self._seconds(stamp), message.data))
 
-    def _hear_samples(self, message: JointState) -> None:
+    def _hear_samples(self, message: JointState, info: Any) -> None:
         """Take all samples that wait, each after the commands that have come in before it."""
-        samples = (waiting for waiting, _ in self._waiting_on(self._samples))
-        for sample in itertools.chain([message], samples):
+        for sample in itertools.chain([(message, info)], self._waiting_on(self._samples)):
             for command in self._waiting_on(self._commands):
                 self._hear_command(*command)
-            self._hear_sample(sample)
+            self._hear_sample(*sample)
 
     def _waiting_on(self, subscription: Subscription) -> Iterator[tuple[Any, Any]]:
         """Messages with their times; none in simulated time, where /clock must keep its place between them."""
@@ -184,11 +209,12 @@ class MonitorShell:
 
     def _arrival(self, info: Any) -> int:
         """When a message without a stamp came in, ns; in simulated time, when this thread got to it."""
-        received = info.get("received_timestamp", 0) if isinstance(info, dict) else 0
-        return self._clock.stamp() if self._is_simulated() or not received else int(received)
+        received = _received(info)
+        return self._clock.stamp() if self._is_simulated() or not received else received
 
-    def _hear_sample(self, message: JointState) -> None:
-        self._when_ready(lambda: self._sample(message))
+    def _hear_sample(self, message: JointState, info: Any) -> None:
+        received = 0 if self._is_simulated() else _received(info)
+        self._when_ready(lambda: self._sample(message, received))
 
     def _when_ready(self, action: Callable[[], None]) -> None:
         if not self._is_ready:
@@ -207,7 +233,7 @@ class MonitorShell:
             self._input.commands += 1
         self._hand_over()
 
-    def _sample(self, message: JointState) -> None:
+    def _sample(self, message: JointState, received: int) -> None:
         position = self._position_of(message)
         if position is None:
             return
@@ -219,7 +245,8 @@ class MonitorShell:
             self._node.get_logger().warning(words, throttle_duration_sec=1.0)
             self._watch.reset()
             self._epoch, self._last_stamp, self._next_message = stamp, stamp - 1, 0
-        prediction = self._watch.measure(self._seconds(stamp), position)
+        time_of = self._seconds
+        prediction = self._watch.measure(time_of(stamp), position, time_of(received) if received else math.nan)
         if prediction is None:
             self._input.reject(f"{self._measured}: {position:g} m at {stamp} ns, the last at {self._last_stamp} ns")
             return
@@ -253,6 +280,8 @@ class MonitorShell:
     def _hand_over(self) -> None:
         for record in self._watch.take_finished():
             self._judging.post(record)
+        scatter = self._judge.command_scatter
+        self._watch.scatter = scatter if math.isfinite(scatter) else 0.0
         healthy = self._judge.healthy
         if healthy is not self._healthy and healthy is not None:
             self._watch.use(healthy.valve, healthy.lateness)
@@ -270,6 +299,12 @@ class MonitorShell:
             f"{self._valve}/coil_voltage: a publisher offers an incompatible QoS ({policy}) and cannot be heard; "
             "publish reliable"
         )
+
+    def _recommission(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._judging.recommission()
+        response.success = True
+        response.message = f"the next {self._settings.commissioning_strokes} strokes are taken for healthy"
+        return response
 
     def _diagnose(self) -> None:
         waiting_for = "" if self._is_ready else "the model to be compiled"
@@ -303,23 +338,58 @@ class MonitorShell:
     def _report(self, report: StrokeReport) -> None:
         self._last_report = report
         self._stroke_report.publish(String(data=json.dumps(report.to_json(), ensure_ascii=False)))
-        if report.alarm is not None:
-            self._node.get_logger().warning(
-                f"{report.name}: not as commissioned since stroke {report.alarm.began}, most in the direction of "
-                f"{report.alarm.cause}"
-            )
-        if report.record.fault:
-            self._node.get_logger().error(f"{report.name}: {report.record.fault}")
+        stamp = (self._epoch or 0) + round(report.record.time * NANOSECONDS)
+        name = self._node.get_fully_qualified_name()
+        self._stroke_diagnostics.publish(diagnostic_array([stroke_status(report)], name, stamp))
+        self._keep()
+        if change := self._health.look(report, self._judge):
+            self._log(*change)
+
+    def _keep(self) -> None:
+        """Write what commissioning found, once it has."""
+        commissioning = self._judge.commissioning
+        if commissioning is None or commissioning is self._kept or self._state is None:
+            return
+        self._kept = commissioning
+        try:
+            save_commissioning(self._state, commissioning, self._declared)
+        except ParameterError as error:
+            self._node.get_logger().error(f"commissioned, but not kept: {error}")
+        else:
+            self._node.get_logger().info(f"commissioned; kept in {self._state}")
+
+    def _forget(self) -> None:
+        self._tracing.forget()
+        self._told = self._kept = None
+        if self._state is not None:
+            with contextlib.suppress(OSError):
+                self._state.unlink(missing_ok=True)
+
+    def _log(self, level: Level, words: str) -> None:
+        # rclpy allows one severity for each line of code that logs.
+        if level is Level.ERROR:
+            self._node.get_logger().error(words)
+        elif level is Level.WARN:
+            self._node.get_logger().warning(words)
+        else:
+            self._node.get_logger().info(words)
 
     def _trace(self, strokes: list[Trace], healthy: Healthy) -> None:
         self._tracing.begin(strokes, healthy)
 
     def _tell(self, finding: Finding) -> None:
         self._finding.publish(String(data=json.dumps(finding.to_json(), ensure_ascii=False)))
-        self._node.get_logger().warning(finding.summary)
+        if finding.effects != self._told:
+            self._told = finding.effects
+            self._node.get_logger().warning(finding.summary)
 
     def _fail(self, error: Exception) -> None:
         if self._node.context.ok():
             self._exit_code = 1
             self._node.get_logger().fatal(f"the judging ended: {error!r}")
             self._node.context.try_shutdown()
+
+
+def _received(info: Any) -> int:
+    """When the middleware got a message, ns; 0 where it does not say."""
+    return int(info.get("received_timestamp", 0)) if isinstance(info, dict) else 0

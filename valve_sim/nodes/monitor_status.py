@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Final, NamedTuple
 
-from valve_sim.identification.judging import Judge, StrokeReport
+from valve_sim.identification.judging import UNCERTAIN, WATCHING, Judge, StrokeReport
 from valve_sim.nodes.diagnostics import Level, Status
 from valve_sim.nodes.monitor_tasks import Tracing
 
@@ -39,7 +39,8 @@ def health_status(fault: str, judge: Judge, last: StrokeReport | None, wanted: i
     values = {
         "strokes": "0" if last is None else str(last.record.number + 1),
         "alarms": str(judge.alarms),
-        "state": "commissioning" if judge.healthy is None else "watching",
+        "state": _state(judge),
+        "scatter of commands (ms)": _number(1e3 * judge.command_scatter),
         "highest sum": "none" if last is None or math.isnan(last.sum) else f"{last.sum:.2f} ({last.cause})",
         "threshold": "none" if last is None or math.isnan(last.threshold) else f"{last.threshold:.2f}",
         "residual (µm)": "none" if last is None or math.isnan(last.rms) else f"{1e6 * last.rms:.3f}",
@@ -54,6 +55,11 @@ def health_status(fault: str, judge: Judge, last: StrokeReport | None, wanted: i
         return Status("valve", Level.WARN, f"{cause}: {known}", values)
     if judge.healthy is None:
         return Status("valve", Level.OK, f"commissioning, {judge.commissioned} of {wanted} strokes", values)
+    if judge.is_timing_uncertain:
+        words = (
+            f"{UNCERTAIN}: commands are obeyed {1e3 * judge.command_scatter:.1f} ms sooner or later than they come in"
+        )
+        return Status("valve", Level.OK, f"{words}; the shape of strokes is as commissioned", values)
     return Status("valve", Level.OK, "as commissioned", values)
 
 
@@ -102,6 +108,69 @@ def tracing_status(tracing: Tracing) -> Status:
     if tracing.doing:
         return Status("tracing", Level.OK, "at work", {"doing": tracing.doing})
     return Status("tracing", Level.OK, "idle", {})
+
+
+def stroke_status(report: StrokeReport) -> Status:
+    """One stroke in numbers that can be plotted; nan for what is not known."""
+    damping = {f"{name} (N·s/m)": interval.value for name, interval in report.damping.items()}
+    values = {
+        "stroke": report.record.number,
+        "opening delay (ms)": 1e3 * report.opening_delay,
+        "t1 (ms)": 1e3 * report.t1,
+        "t2 (ms)": 1e3 * report.t2,
+        "closing time (ms)": 1e3 * report.closing_time,
+        "residual (µm)": 1e6 * report.rms,
+        "noise (µm)": 1e6 * report.noise,
+        "scatter of commands (ms)": 1e3 * report.command_scatter,
+        "highest sum": report.sum,
+        "threshold": report.threshold,
+        **damping,
+        **{f"score {name}": score for name, score in report.scores.items()},
+    }
+    level = Level.ERROR if report.record.fault else Level.WARN if report.alarm is not None else Level.OK
+    words = report.record.fault or ("an alarm" if report.alarm is not None else report.remark or report.state)
+    return Status("stroke", level, words, {name: f"{value:.6g}" for name, value in values.items()})
+
+
+def _state(judge: Judge) -> str:
+    if judge.healthy is None:
+        return "commissioning"
+    return UNCERTAIN if judge.is_timing_uncertain else WATCHING
+
+
+def _number(value: float) -> str:
+    return "none" if math.isnan(value) else f"{value:.3f}"
+
+
+class HealthLog:
+    """One line for the log whenever the state of a valve changes, none for a stroke that is as the last one."""
+
+    def __init__(self) -> None:
+        self._state = ""
+
+    def look(self, report: StrokeReport, judge: Judge) -> tuple[Level, str] | None:
+        """Level and words after this stroke; None where nothing has changed."""
+        level, state, words = _health(report, judge)
+        if state == self._state:
+            return None
+        self._state = state
+        return level, f"{report.name}: {words}"
+
+
+def _health(report: StrokeReport, judge: Judge) -> tuple[Level, str, str]:
+    """How bad, under what name, and in words."""
+    if report.record.fault:
+        return Level.ERROR, "fault", report.record.fault
+    alarm = judge.alarm
+    if alarm is not None:
+        words = f"not as commissioned since stroke {alarm.began}, most in the direction of {alarm.cause}"
+        return Level.WARN, "alarm", words
+    if judge.healthy is None:
+        return Level.OK, "commissioning", "commissioning has begun"
+    if judge.is_timing_uncertain:
+        scatter = 1e3 * judge.command_scatter
+        return Level.OK, UNCERTAIN, f"{UNCERTAIN}: commands scatter by {scatter:.1f} ms; shapes are judged"
+    return Level.OK, WATCHING, "as commissioned"
 
 
 class InputCount:

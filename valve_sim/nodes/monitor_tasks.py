@@ -26,6 +26,7 @@ class Judging(threading.Thread):
         prepare: called first, in the thread.
         report: called with each report.
         trace: called with the strokes of an alarm, when it is time to look for its cause.
+        forget: called when what commissioning found has been forgotten, because `recommission` was asked for.
         fail: called with what went wrong, if anything did; the thread then ends.
     """
 
@@ -36,6 +37,7 @@ class Judging(threading.Thread):
         prepare: Callable[[], None],
         report: Callable[[StrokeReport], None],
         trace: Callable[[list[Trace], Healthy], None],
+        forget: Callable[[], None],
         fail: Callable[[Exception], None],
     ) -> None:
         super().__init__(name="judging", daemon=True)
@@ -44,7 +46,9 @@ class Judging(threading.Thread):
         self._prepare = prepare
         self._report = report
         self._trace = trace
+        self._forget = forget
         self._fail = fail
+        self._anew = threading.Event()
         self._waiting: queue.Queue[StrokeRecord | None] = queue.Queue(MOST_WAITING)
         self._stopping = threading.Event()
 
@@ -54,6 +58,11 @@ class Judging(threading.Thread):
             self._waiting.put_nowait(record)
         except queue.Full:
             self.lost += 1
+
+    def recommission(self) -> None:
+        """Take the strokes that follow for healthy; never waits."""
+        self._anew.set()
+        self.post_nothing()
 
     def stop(self, timeout: float) -> bool:
         """End the thread; whether it has ended within `timeout`, s."""
@@ -76,6 +85,10 @@ class Judging(threading.Thread):
             self._prepare()
             while not self._stopping.is_set():
                 record = self._waiting.get()
+                if self._anew.is_set():
+                    self._anew.clear()
+                    self._judge.recommission()
+                    self._forget()
                 if record is not None and not self._stopping.is_set():
                     self._work(record)
         except Exception as error:
@@ -112,6 +125,11 @@ class Tracing:
             if self._thread is None:
                 self._thread = threading.Thread(target=self._run, name="tracing", daemon=True)
                 self._thread.start()
+
+    def forget(self) -> None:
+        """What was found no longer holds."""
+        with self._lock:
+            self._next, self.finding, self.failure = None, None, ""
 
     def stop(self, timeout: float) -> bool:
         """End it at its next word of progress; whether it has ended within `timeout`, s."""

@@ -1,0 +1,115 @@
+"""What a commissioning found, kept in a file: the same again, or one clear line."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from valve_sim.files.parameter_files import default_valve
+from valve_sim.identification.judging import StrokeReport
+from valve_sim.identification.monitor_memory import SCHEMA, load_commissioning, save_commissioning
+from valve_sim.identification.monitor_settings import MonitorSettings
+from valve_sim.identification.monitoring import Monitor
+from valve_sim.model import ParameterError
+
+from .live_strokes import LiveStroke, LiveValve, feed
+
+SETTINGS = MonitorSettings(commissioning_strokes=8)
+
+
+@pytest.fixture(scope="module")
+def monitor() -> Monitor:
+    """Commissioned, with a current."""
+    monitor, valve = Monitor(default_valve(), SETTINGS, refit=False), LiveValve(4, rate=2e3, levels=(9.0, 12.0))
+    for _ in range(9):
+        made = valve.stroke()
+        list(feed(monitor, made, made.current))
+    return monitor
+
+
+def next_strokes(seed: int) -> list[LiveStroke]:
+    valve = LiveValve(seed, rate=2e3, levels=(9.0, 12.0))
+    return [valve.stroke() for _ in range(6)]
+
+
+def reports(monitor: Monitor) -> list[StrokeReport]:
+    monitor.watch.reset()
+    return [report for made in next_strokes(9) for report in feed(monitor, made)]
+
+
+def test_a_monitor_that_is_started_again_says_the_same(monitor: Monitor, tmp_path: Path) -> None:
+    kept = monitor.judge.commissioning
+    assert kept is not None
+    assert kept.healthy.current is not None
+    path = tmp_path / "folder" / "state.json"
+    assert load_commissioning(path, default_valve()) is None
+    save_commissioning(path, kept, default_valve())
+    again = load_commissioning(path, default_valve())
+    assert again is not None
+    assert again.healthy.valve == kept.healthy.valve
+    np.testing.assert_array_equal(again.healthy.damping_covariance, kept.healthy.damping_covariance)
+    assert again.baselines == kept.baselines
+    assert (again.healthy.noise, again.healthy.current) == (kept.healthy.noise, kept.healthy.current)
+    first, second = Monitor(default_valve(), SETTINGS, refit=False), Monitor(default_valve(), SETTINGS, refit=False)
+    first.judge.use(kept)
+    second.judge.use(again)
+    said = [report.scores for report in reports(first)]
+    assert said == [report.scores for report in reports(second)]
+    assert said[0]
+    assert list(tmp_path.rglob("*partial*")) == []
+
+
+def test_what_is_not_known_is_not_made_up(monitor: Monitor, tmp_path: Path) -> None:
+    kept = monitor.judge.commissioning
+    assert kept is not None
+    path = tmp_path / "state.json"
+    save_commissioning(path, kept, default_valve())
+    again = load_commissioning(path, default_valve())
+    assert again is not None
+    assert all(math.isnan(stroke.arrival_spread) for stroke in again.strokes)
+    assert again.strokes[0].shifts == kept.strokes[0].shifts
+
+
+@pytest.mark.parametrize("damage", ["cut", "digit", "schema", "valve", "text", "list"])
+def test_a_file_that_cannot_be_used_is_refused_in_one_line(monitor: Monitor, tmp_path: Path, damage: str) -> None:
+    kept = monitor.judge.commissioning
+    assert kept is not None
+    path, valve = tmp_path / "state.json", default_valve()
+    save_commissioning(path, kept, valve)
+    text = path.read_text()
+    found = json.loads(text)
+    if damage == "digit":
+        found["commissioning"]["lateness"] += 1e-9
+    changed = {
+        "cut": text[: len(text) // 2],
+        "digit": json.dumps(found),
+        "schema": text.replace(SCHEMA, "valve_sim/commissioning/9"),
+        "valve": text,
+        "text": "\x00",
+        "list": "[]",
+    }
+    path.write_text(changed[damage])
+    now = valve.with_values(pilot_gap=1.1 * valve.parameters.pilot_gap) if damage == "valve" else valve
+    with pytest.raises(ParameterError) as caught:
+        load_commissioning(path, now)
+    words = str(caught.value)
+    assert words.startswith(f"{path}: ")
+    assert "\n" not in words
+    says = {"schema": "commissioning/9", "valve": "valve.pilot_gap", "list": "schema None"}
+    assert says.get(damage, "damaged") in words
+    assert "delete this one to commission anew" in words
+
+
+def test_what_is_asked_to_commission_anew_forgets(monitor: Monitor) -> None:
+    fresh = Monitor(default_valve(), SETTINGS, refit=False)
+    assert monitor.judge.commissioning is not None
+    fresh.judge.use(monitor.judge.commissioning)
+    assert {report.state for report in reports(fresh)} == {"watching"}
+    fresh.judge.recommission()
+    assert fresh.judge.healthy is None
+    assert math.isnan(fresh.judge.command_scatter)
+    assert {report.state for report in reports(fresh)} == {"commissioning"}
