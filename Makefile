@@ -1,6 +1,7 @@
 # make run    sets up what is missing and shows a valve at work on ROS 2 topics
 # make shell  opens a shell in which valve-sim and the nodes are found
 # make test   runs all checks and tests
+# make docs   builds the documentation: build/docs/index.html
 #
 # Where a ROS 2 is sourced it is used as it is; elsewhere the wheels of Jazzy are installed into .venv.
 # BASE_PYTHON=/path/to/python3 chooses the interpreter (3.10 to 3.13).
@@ -34,7 +35,7 @@ SETS_UP := $(MAKE) --no-print-directory --jobs 2
 # A tested environment can run too, so that whoever ran the tests first waits no second time.
 RUN_READY := $(firstword $(wildcard $(ENVIRONMENT)/.ready-to-test) $(ENVIRONMENT)/.ready-to-run)
 
-.PHONY: run shell test check kilted-nodes
+.PHONY: run shell test check docs kilted-nodes
 .DELETE_ON_ERROR:
 
 run: $(RUN_READY)
@@ -59,9 +60,16 @@ check: $(ENVIRONMENT)/.ready-to-test
 	$(PYTHON) -m ruff format --check .
 	$(PYTHON) -m mypy
 	$(ENVIRONMENT)/bin/lint-imports
+	@$(MAKE) --no-print-directory docs
 	$(PYTHON) -m pytest --numprocesses auto --maxprocesses 4 --dist worksteal $(addprefix --ignore=,$(ALONE))
 	$(PYTHON) -m pytest $(ALONE)
 	OPENBLAS_NUM_THREADS=1 $(PYTHON) -m benchmarks.campaign --slice
+
+# Stubs of modules that have gone would be warned of; a warning is an error.
+docs: $(ENVIRONMENT)/.ready-to-test
+	@rm -rf docs/reference/api
+	$(PYTHON) -m sphinx -W --keep-going -q -j 2 -d build/docs-doctrees docs build/docs
+	@echo "documentation: build/docs/index.html"
 
 kilted-nodes: $(KILTED_ENVIRONMENT)/.ready-to-test
 	$(KILTED_PYTHON) -m valve_sim.warm
@@ -72,7 +80,7 @@ $(ENVIRONMENT)/.ready-to-run: $(DECLARED)
 	@touch $@
 
 $(ENVIRONMENT)/.ready-to-test: $(DECLARED)
-	@tools/environment make $(ENVIRONMENT) "$(if $(RUN_EXTRAS),$(RUN_EXTRAS)$(COMMA))test"
+	@tools/environment make $(ENVIRONMENT) "$(if $(RUN_EXTRAS),$(RUN_EXTRAS)$(COMMA))test,docs"
 	@touch $@
 
 $(KILTED_ENVIRONMENT)/.ready-to-test: $(DECLARED)

@@ -43,6 +43,7 @@ ROS_KILTED = [
 ]
 PARQUET = ["pyarrow>=14.0"]
 CHECKS = ["hypothesis", "import-linter", "mypy", "pytest", "pytest-xdist", "ruff", "scipy-stubs", "types-PyYAML"]
+DOCUMENTATION = ["furo", "ipykernel", "latex2mathml", "myst-nb", "sphinx>=7.3", "sphinx-click"]
 
 
 def shared_files(*folders: str) -> list[tuple[str, list[str]]]:
@@ -72,7 +73,13 @@ setup(
     ],
     zip_safe=False,
     install_requires=RUNS_WITHOUT_ROS,
-    extras_require={"ros": ROS_JAZZY, "ros-kilted": ROS_KILTED, "parquet": PARQUET, "test": [*CHECKS, *PARQUET]},
+    extras_require={
+        "ros": ROS_JAZZY,
+        "ros-kilted": ROS_KILTED,
+        "parquet": PARQUET,
+        "test": [*CHECKS, *PARQUET],
+        "docs": DOCUMENTATION,
+    },
     entry_points={
         "console_scripts": [
             "command_profile = valve_sim.nodes.command_profile:main",

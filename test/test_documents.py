@@ -12,6 +12,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -25,6 +26,7 @@ NOT_HERE = {
     "make run": "test_demo.py runs what it runs",
     "make shell": "test_invocation.py types into one",
     "make test": "is what runs this test",
+    "make docs": "make test builds them, too",
     "colcon build": "CI has no colcon; test_resources.py compares what would be installed",
     "ros2 launch": "CI has no launch; nodes/test_station.py starts what the launch file says",
 }
@@ -115,7 +117,19 @@ def test_the_commands_work_as_printed(name: str, terminal: tuple[Path, dict[str,
     if name == "docs/tutorials/first_correction.md":
         report = json.loads((folder / "results" / "report.json").read_text(encoding="utf-8"))
         assert report["verdict"]["effects"] == ["coulomb_friction"]
+        assert_described(report, (ROOT / "docs" / "reference" / "report_json.md").read_text(encoding="utf-8"))
         assert "pressure_force" in (folder / "worn" / "corrected.yaml").read_text(encoding="utf-8")
+
+
+def assert_described(report: dict[str, Any], page: str) -> None:
+    """The page of report.json names the keys that a report has, in their order."""
+    tables = [re.findall(r"^\| `(\w+)` \|", part, re.MULTILINE) for part in page.split("\n## ")]
+    top, state, verdict, _ = tables
+    assert sorted(top) == sorted(report)
+    assert sorted(state) == sorted(report["after"])
+    assert sorted(verdict) == sorted(report["verdict"])
+    for candidate in report["candidates"]:
+        assert "| `candidates` | " + ", ".join(f"`{key}`" for key in candidate) + " |" in page
 
 
 def test_nothing_is_left_out_that_the_documents_do_not_have() -> None:

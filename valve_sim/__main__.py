@@ -2,4 +2,5 @@
 
 from valve_sim.cli import main
 
-main()
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,94 @@
+"""The pages hold together: links, anchors, equation numbers, and what they say of files that others read."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+import yaml
+
+ROOT = Path(__file__).parents[1]
+NOTEBOOK = ROOT / "docs" / "closing_the_loop.ipynb"
+PAGES = sorted(
+    path
+    for path in (*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "bags").glob("*.md"), NOTEBOOK)
+    if "api" not in path.parts
+)
+ELSEWHERE = re.compile(r"^(https?|mailto):")
+
+
+def text_of(page: Path) -> str:
+    """What a person reads of a page, or of the words of a notebook; without its code."""
+    text = page.read_text(encoding="utf-8")
+    if page.suffix == ".ipynb":
+        cells = json.loads(text)["cells"]
+        text = "\n\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "markdown")
+    return re.sub(r"^(```+).*?^\1$", "", text, flags=re.DOTALL | re.MULTILINE)
+
+
+def anchors(page: Path) -> set[str]:
+    """What can be linked to in a page: its headings, as GitHub and MyST call them."""
+    headings = re.findall(r"^#+ (.*)$", text_of(page), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def broken_links(page: Path, text: str) -> Iterator[str]:
+    """Links of a page to files or headings that are not there; links to elsewhere are not followed."""
+    for target in re.findall(r"\]\(([^)\s]+)\)", re.sub(r"`[^`]*`", "", text)):
+        if ELSEWHERE.match(target):
+            continue
+        path, _, anchor = target.partition("#")
+        file = (page.parent / path).resolve() if path else page
+        if not file.exists() or (anchor and anchor not in anchors(file)):
+            yield target
+
+
+def equations() -> list[int]:
+    """The numbers of the theory's equations, page after page."""
+    pages = sorted((ROOT / "docs" / "theory").glob("*.md"))
+    return [int(n) for page in pages for n in re.findall(r"^\$\$ \(eq-(\d+)\)$", page.read_text("utf-8"), re.MULTILINE)]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_links_lead_somewhere(page: Path) -> None:
+    assert list(broken_links(page, text_of(page))) == []
+
+
+def test_a_link_that_leads_nowhere_is_found() -> None:
+    text = (
+        "[a](index.md) [b](gone.md) [c](glossary.md#model) [d](glossary.md#gone) [e](https://nowhere.invalid) `[f](x)`"
+    )
+    assert list(broken_links(ROOT / "docs" / "architecture.md", text)) == ["gone.md", "glossary.md#gone"]
+
+
+def test_every_equation_that_is_cited_exists_once() -> None:
+    numbers = equations()
+    assert len(numbers) == len(set(numbers)) > 50
+    sources = [*(ROOT / "valve_sim").rglob("*.py"), *PAGES]
+    cited = [
+        (str(source.relative_to(ROOT)), int(number))
+        for source in sources
+        for words in re.findall(r"\beqs?\. \((.*?)\)", source.read_text(encoding="utf-8"))
+        for number in re.findall(r"^\d+$", words)
+    ]
+    assert cited, "nothing cites the theory"
+    assert [(where, number) for where, number in cited if number not in numbers] == []
+
+
+def test_the_notebook_is_kept_without_what_it_printed() -> None:
+    cells = [cell for cell in json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"] if cell["cell_type"] == "code"]
+    assert len(cells) >= 5
+    assert all(cell["outputs"] == [] and cell["execution_count"] is None for cell in cells)
+
+
+def test_the_citation_is_of_this_version() -> None:
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    manifest = ElementTree.parse(ROOT / "package.xml").getroot()
+    assert citation["title"] == manifest.findtext("name")
+    assert citation["version"] == manifest.findtext("version")
+    assert citation["license"] == manifest.findtext("license")
+    assert {"cff-version", "message", "authors"} <= citation.keys()
