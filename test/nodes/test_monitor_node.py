@@ -91,6 +91,47 @@ class Ears:
         return [json.loads(report.data) for report in self.reports[before:]]
 
 
+LAB = """
+command: {topic: /plc/volts, unit: mV}
+position: {topic: /plc/joints, joint: lift_2, unit: mm, sign: -1, offset: 2.0}
+"""
+
+
+class Relayed:
+    """A talker that says the same on another topic, in a layout of the lab's own."""
+
+    def __init__(self, talker: Any, said: Any) -> None:
+        self._talker, self._said = talker, said
+        self.get_subscription_count = talker.get_subscription_count
+
+    def publish(self, message: Any) -> None:
+        self._talker.publish(self._said(message))
+
+
+def lab_joints(message: Any) -> Any:
+    return JointState(header=message.header, name=["lift_1", "lift_2"], position=[0.0, 2.0 - 1e3 * message.position[0]])
+
+
+def test_a_valve_with_topics_and_units_of_its_own_is_watched_by_a_map(probe: Probe, tmp_path: Path) -> None:
+    (tmp_path / "lab.yaml").write_text(LAB)
+    plant = PlantOnTopics(probe, LiveValve(seed=5, rate=5e3, jitter=0.0))
+    plant._samples = Relayed(probe.talker("/plc/joints", JointState, 1000), lab_joints)
+    plant._voltage = Relayed(probe.talker("/plc/volts", Float64), lambda message: Float64(data=1e3 * message.data))
+    ears = Ears(probe)
+    with monitoring(tmp_path, map=tmp_path / "lab.yaml", use_sim_time=True, max_rate=1e5) as process:
+        plant.wait_for_monitor()
+        before = len(plant.residuals)
+        reports = plant.strokes(3)
+        # The last one is reported once the valve has rested for a while.
+        assert [report["opened"] and report["closed"] for report in reports[:2]] == [True, True]
+        residual = np.array([message.data for message in plant.residuals[before:]])
+        assert np.sqrt(np.mean(residual**2)) == pytest.approx(1e-6, rel=0.2)
+        plant._samples.publish(JointState(position=[-1.0]))
+        assert probe.until(lambda: ears.is_said("input", 1, "/plc/joints: -1 m, expected metres"))
+        process.send_signal(signal.SIGINT)
+        assert process.wait(PATIENCE) == 0
+
+
 def test_friction_that_appears_in_a_real_valve_is_warned_of_and_named(probe: Probe, tmp_path: Path) -> None:
     plant = PlantOnTopics(probe, LiveValve(seed=5, rate=5e3, jitter=0.0))
     findings = probe.hear("/monitor/finding", String, latched=True)

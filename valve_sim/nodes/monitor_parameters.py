@@ -24,6 +24,7 @@ _TEXTS: Final = {
         "measured/joint_states",
         "topic of the measured positions below it; joint_states: a simulated valve's",
     ),
+    "map": ("", "file that says which topics, fields and units those of the valve are; empty: those of this package"),
     "frame_id": ("", "header.frame_id of the predicted joint states"),
     "state": ("", "file that keeps what commissioning found, for the next start; empty: none"),
 }
@@ -54,6 +55,7 @@ class Settings(NamedTuple):
 
     valve: str = _TEXTS["valve"][0]
     measured: str = _TEXTS["measured"][0]
+    map: str = _TEXTS["map"][0]
     frame_id: str = _TEXTS["frame_id"][0]
     state: str = _TEXTS["state"][0]
     commissioning_strokes: int = _DEFAULTS.commissioning_strokes

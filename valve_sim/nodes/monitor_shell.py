@@ -37,6 +37,7 @@ from valve_sim.identification.tracing import Finding
 from valve_sim.identification.watching import Prediction, Watch
 from valve_sim.model import ParameterError, Stepper
 from valve_sim.nodes.diagnostics import Level
+from valve_sim.nodes.live_map import LiveInput, live_inputs
 from valve_sim.nodes.messages import JOINT_NAMES, ReadingMessages, diagnostic_array
 from valve_sim.nodes.monitor_parameters import Given, check_given, descriptions
 from valve_sim.nodes.monitor_status import (
@@ -55,6 +56,7 @@ from valve_sim.nodes.shell_parts import LATCHED, RELIABLE, declare_read_only, fu
 from valve_sim.nodes.spinning import say_left_out, spin
 from valve_sim.nodes.valve_shell import NodeClock
 from valve_sim.traces import Trace
+from valve_sim.traces.trouble import MOST_STROKES
 
 _MEASURED: Final = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Hears sensors of either reliability; deep, because the model may still be compiling when they begin."""
@@ -93,6 +95,9 @@ class MonitorShell:
             self._valve = full_name(self._node, given.settings.valve, "valve")
             self._measured = full_name(self._node, f"{self._valve}/{given.settings.measured}", "measured")
             self._sensors = self._measured.rpartition("/")[0]
+            self._voltage = f"{self._valve}/coil_voltage"
+            self._inputs = live_inputs(given.settings.map, self._valve) if given.settings.map else {}
+            self._entries: dict[Subscription, LiveInput] = {}
             self._clock = NodeClock(self._node)
             self._state = Path(given.settings.state).expanduser() if given.settings.state else None
             self._kept = None if self._state is None else load_commissioning(self._state, given.valve)
@@ -158,6 +163,16 @@ class MonitorShell:
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
         self._messages = ReadingMessages(self._settings.frame_id)
         events = SubscriptionEventCallbacks(incompatible_qos=self._cannot_hear)
+        if self._inputs:
+            self._hear_by_map(events)
+        else:
+            self._hear_own_topics(events)
+        node.create_service(Trigger, "~/recommission", self._recommission)
+        # By the wall: diagnostics must tell, too, that /clock is silent.
+        node.create_timer(1.0, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def _hear_own_topics(self, events: SubscriptionEventCallbacks) -> None:
+        node = self._node
         hear_command: Any = self._hear_command  # with the message's times, which rclpy's types do not know of
         self._commands = node.create_subscription(
             Float64, f"{self._valve}/coil_voltage", hear_command, _COMMANDS, event_callbacks=events
@@ -166,9 +181,40 @@ class MonitorShell:
         self._samples = node.create_subscription(JointState, self._measured, hear_samples, _MEASURED)
         hear_current: Any = self._hear_currents
         self._currents = node.create_subscription(Float64, f"{self._sensors}/coil_current", hear_current, _MEASURED)
-        node.create_service(Trigger, "~/recommission", self._recommission)
-        # By the wall: diagnostics must tell, too, that /clock is silent.
-        node.create_timer(1.0, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def _hear_by_map(self, events: SubscriptionEventCallbacks) -> None:
+        """Hear the topics that the map names, each message turned into the one of this package."""
+
+        def heard(quantity: str, hear: Callable[[Any, Any], None], qos: QoSProfile, **settings: Any) -> Any:
+            entry = self._inputs[quantity]
+            subscription = subscribe(
+                entry.message_class,
+                entry.source.topic,
+                lambda message, info: hear(*self._usual(entry, message, info)),
+                qos,
+                **settings,
+            )
+            self._entries[subscription] = entry
+            return subscription
+
+        subscribe: Any = self._node.create_subscription
+        self._measured, self._voltage = (self._inputs[key].source.topic for key in ("position", "command"))
+        self._commands = heard("command", self._hear_command, _COMMANDS, event_callbacks=events)
+        self._samples = heard("position", self._hear_samples, _MEASURED)
+        if "current" in self._inputs:
+            self._currents = heard("current", self._hear_currents, _MEASURED)
+
+    def _usual(self, entry: LiveInput | None, message: Any, info: Any) -> tuple[Any, Any]:
+        """A message and its times as this package has them; `entry` is None where they are so already."""
+        if entry is None:
+            return message, info
+        value, stamp = entry.value(message), entry.stamp(message)
+        if entry.quantity != "position":
+            return Float64(data=value), {"stamp": stamp} if stamp else info
+        seconds, nanoseconds = divmod(stamp or self._arrival(info), NANOSECONDS)
+        joints = JointState(name=[JOINT_NAMES[0]], position=[value])
+        joints.header.stamp.sec, joints.header.stamp.nanosec = seconds, nanoseconds
+        return joints, info
 
     # --- callbacks, in the main thread ---
 
@@ -199,7 +245,7 @@ class MonitorShell:
         handle: Any = subscription.handle
         try:
             while (waiting := handle.take_message(subscription.msg_type, subscription.raw)) is not None:
-                yield waiting
+                yield self._usual(self._entries.get(subscription), *waiting)
         except Exception as error:  # rclpy's own: what is done with a message is not in here
             say_left_out(self._node, error)
 
@@ -208,7 +254,12 @@ class MonitorShell:
         return reading is None or reading.is_simulated
 
     def _arrival(self, info: Any) -> int:
-        """When a message without a stamp came in, ns; in simulated time, when this thread got to it."""
+        """When a message without a stamp came in, ns; in simulated time, when this thread got to it.
+
+        A message that a map names may have one.
+        """
+        if isinstance(info, dict) and "stamp" in info:
+            return int(info["stamp"])
         received = _received(info)
         return self._clock.stamp() if self._is_simulated() or not received else received
 
@@ -228,7 +279,7 @@ class MonitorShell:
         rejected = self._watch.rejected
         self._watch.command(self._seconds(stamp), volts)
         if self._watch.rejected > rejected:
-            self._input.reject(f"{self._valve}/coil_voltage: {volts:g} V")
+            self._input.reject(f"{self._voltage}: {volts:g} V")
         else:
             self._input.commands += 1
         self._hand_over()
@@ -236,6 +287,11 @@ class MonitorShell:
     def _sample(self, message: JointState, received: int) -> None:
         position = self._position_of(message)
         if position is None:
+            return
+        largest = MOST_STROKES * self._declared.parameters.stroke
+        if abs(position) > largest:
+            words = f"{self._measured}: {position:g} m, expected metres, at most {largest:g} m; the map's unit:"
+            self._input.reject(words)
             return
         header = message.header.stamp
         stamp = header.sec * NANOSECONDS + header.nanosec
@@ -296,8 +352,7 @@ class MonitorShell:
     def _cannot_hear(self, event: QoSRequestedIncompatibleQoSInfo) -> None:
         policy = qos_policy_name_from_kind(event.last_policy_kind)
         self._node.get_logger().warning(
-            f"{self._valve}/coil_voltage: a publisher offers an incompatible QoS ({policy}) and cannot be heard; "
-            "publish reliable"
+            f"{self._voltage}: a publisher offers an incompatible QoS ({policy}) and cannot be heard; publish reliable"
         )
 
     def _recommission(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -313,7 +368,7 @@ class MonitorShell:
         elif self._is_ready and not self._input.samples:
             waiting_for = f"samples on {self._measured}"
         elif self._is_ready and not self._input.commands:
-            waiting_for = f"a command on {self._valve}/coil_voltage"
+            waiting_for = f"a command on {self._voltage}"
         facts = self._input.look(time.monotonic(), self._judging.lost, waiting_for)
         wanted = self._settings.commissioning_strokes
         statuses = (
