@@ -255,7 +255,7 @@ def _repetitions(motion: Motion) -> NDArray[np.int64]:
 @compiled
 def _other_force(p, x, v, direction, t):  # type: ignore[no-untyped-def]
     """All forces but the drive's and dry friction, N."""
-    return force_without_dry_friction(p, _FREE_PHASE, x, v, direction, 0.0, 0.0, t, 0.0)
+    return force_without_dry_friction(p, t, (x, v), (0.0, 0.0), (_FREE_PHASE, direction, 0.0))
 
 
 @compiled

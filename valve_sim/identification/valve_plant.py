@@ -16,7 +16,7 @@ from valve_sim.identification.plant import Array, Channel, EffectChoice, Experim
 from valve_sim.model import CATALOGUE, DECLARED, Drive, Parameter, Valve
 from valve_sim.model.core_types import EVENT_RECORD
 from valve_sim.model.effects import FORCE_MAP_KNOTS, FORCE_MAP_VARIABLES, new_record
-from valve_sim.model.simulation import new_states, run_record
+from valve_sim.model.simulation import Samples, new_states, run_record
 from valve_sim.traces import Trace
 
 CLOCK_SIGMA: Final = 50e-6
@@ -201,7 +201,7 @@ class ValvePlant:
         currents = np.empty(len(current_times))
         start = min(float(drive.times[0]), float(times[0]))
         state = new_states(np.empty(1), start)
-        run_record(record, state, drive, times, rows, current_times, currents, _NO_EVENTS, FIT_TOLERANCE)
+        run_record(record, state, drive, Samples(times, rows, current_times, currents), _NO_EVENTS, FIT_TOLERANCE)
         shown = [rows[:, 0]]
         if trace.coil_current is not None:
             shown.append(currents * self._amperes)

@@ -8,14 +8,13 @@ from valve_sim.model.simulation import (
     TOLERANCE,
     Drive,
     Event,
-    Reading,
     Response,
-    Stepper,
     Valve,
     published_times,
     simulate,
     simulate_many,
 )
+from valve_sim.model.stepper import Reading, Stepper
 
 __all__ = [
     "CATALOGUE",

@@ -47,13 +47,17 @@ EVENT_RECORD: Final = np.dtype([("time", "f8"), ("kind", "i8"), ("x", "f8"), ("v
 
 
 class Phase(enum.IntEnum):
-    """The mode of the valve, as published on ~/phase (MODEL section 4)."""
+    """The mode of the valve, as published on ~/phase."""
 
     CLOSED = 0
     PILOT = 1
     GAP_HOLD = 2
     MAIN = 3
     OPEN = 4
+
+
+# NumPy's numbers: Numba compiles a function once for all of them, but anew for each of Python's literals.
+CLOSED, PILOT, GAP_HOLD, MAIN, OPEN = np.array(list(Phase))
 
 
 class EventKind(enum.IntEnum):

@@ -44,14 +44,46 @@ WORK_RECORD: Final = np.dtype(
 )
 """The scratch paper of one run; a record, because arrays that are passed around cost reference counts."""
 
+# The tableau, row by row: when a stage looks (the sixth and the last at the end), and where, from y and the slopes k.
 C2, C3, C4, C5 = 1 / 5, 3 / 10, 4 / 5, 8 / 9
-A21 = 1 / 5
-A31, A32 = 3 / 40, 9 / 40
-A41, A42, A43 = 44 / 45, -56 / 15, 32 / 9
-A51, A52, A53, A54 = 19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729
-A61, A62, A63, A64, A65 = 9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656
-B1, B3, B4, B5, B6 = 35 / 384, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84
-E1, E3, E4, E5, E6, E7 = -71 / 57600, 71 / 16695, -71 / 1920, 17253 / 339200, -22 / 525, 1 / 40
+
+
+@inlined
+def _at_second(y, h, k1):
+    return y + h * (1 / 5 * k1)
+
+
+@inlined
+def _at_third(y, h, k1, k2):
+    return y + h * (3 / 40 * k1 + 9 / 40 * k2)
+
+
+@inlined
+def _at_fourth(y, h, k1, k2, k3):
+    return y + h * (44 / 45 * k1 + -56 / 15 * k2 + 32 / 9 * k3)
+
+
+@inlined
+def _at_fifth(y, h, k1, k2, k3, k4):
+    return y + h * (19372 / 6561 * k1 + -25360 / 2187 * k2 + 64448 / 6561 * k3 + -212 / 729 * k4)
+
+
+@inlined
+def _at_sixth(y, h, k1, k2, k3, k4, k5):
+    return y + h * (9017 / 3168 * k1 + -355 / 33 * k2 + 46732 / 5247 * k3 + 49 / 176 * k4 + -5103 / 18656 * k5)
+
+
+@inlined
+def _at_end(y, h, k1, k3, k4, k5, k6):
+    return y + h * (35 / 384 * k1 + 500 / 1113 * k3 + 125 / 192 * k4 + -2187 / 6784 * k5 + 11 / 84 * k6)
+
+
+@inlined
+def _error(h, k1, k3, k4, k5, k6, k7):
+    """The fifth-order end of a step less the fourth-order one."""
+    parts = -71 / 57600 * k1 + 71 / 16695 * k3 + -71 / 1920 * k4 + 17253 / 339200 * k5 + -22 / 525 * k6 + 1 / 40 * k7
+    return h * parts
+
 
 _DENSE = np.array(
     [
@@ -94,23 +126,19 @@ def _try_mechanical_step(p, s, work, h):
     x, v = work.y[0], work.y[1]
     x1, v1 = k[0, 0], k[0, 1]
     u, w = coil_current_between_commands(p, s, t + C2 * h)
-    x2, v2 = mechanical_rates(p, s, t + C2 * h, x + h * (A21 * x1), v + h * (A21 * v1), u, w)
+    x2, v2 = mechanical_rates(p, s, t + C2 * h, _at_second(x, h, x1), _at_second(v, h, v1), u, w)
     u, w = coil_current_between_commands(p, s, t + C3 * h)
-    x3, v3 = mechanical_rates(p, s, t + C3 * h, x + h * (A31 * x1 + A32 * x2), v + h * (A31 * v1 + A32 * v2), u, w)
+    x3, v3 = mechanical_rates(p, s, t + C3 * h, _at_third(x, h, x1, x2), _at_third(v, h, v1, v2), u, w)
     u, w = coil_current_between_commands(p, s, t + C4 * h)
-    stage_x = x + h * (A41 * x1 + A42 * x2 + A43 * x3)
-    stage_v = v + h * (A41 * v1 + A42 * v2 + A43 * v3)
-    x4, v4 = mechanical_rates(p, s, t + C4 * h, stage_x, stage_v, u, w)
+    x_stage, v_stage = _at_fourth(x, h, x1, x2, x3), _at_fourth(v, h, v1, v2, v3)
+    x4, v4 = mechanical_rates(p, s, t + C4 * h, x_stage, v_stage, u, w)
     u, w = coil_current_between_commands(p, s, t + C5 * h)
-    stage_x = x + h * (A51 * x1 + A52 * x2 + A53 * x3 + A54 * x4)
-    stage_v = v + h * (A51 * v1 + A52 * v2 + A53 * v3 + A54 * v4)
-    x5, v5 = mechanical_rates(p, s, t + C5 * h, stage_x, stage_v, u, w)
+    x_stage, v_stage = _at_fifth(x, h, x1, x2, x3, x4), _at_fifth(v, h, v1, v2, v3, v4)
+    x5, v5 = mechanical_rates(p, s, t + C5 * h, x_stage, v_stage, u, w)
     u, w = coil_current_between_commands(p, s, t + h)
-    stage_x = x + h * (A61 * x1 + A62 * x2 + A63 * x3 + A64 * x4 + A65 * x5)
-    stage_v = v + h * (A61 * v1 + A62 * v2 + A63 * v3 + A64 * v4 + A65 * v5)
-    x6, v6 = mechanical_rates(p, s, t + h, stage_x, stage_v, u, w)
-    x_new = x + h * (B1 * x1 + B3 * x3 + B4 * x4 + B5 * x5 + B6 * x6)
-    v_new = v + h * (B1 * v1 + B3 * v3 + B4 * v4 + B5 * v5 + B6 * v6)
+    x_stage, v_stage = _at_sixth(x, h, x1, x2, x3, x4, x5), _at_sixth(v, h, v1, v2, v3, v4, v5)
+    x6, v6 = mechanical_rates(p, s, t + h, x_stage, v_stage, u, w)
+    x_new, v_new = _at_end(x, h, x1, x3, x4, x5, x6), _at_end(v, h, v1, v3, v4, v5, v6)
     k[6, 0], k[6, 1] = mechanical_rates(p, s, t + h, x_new, v_new, u, w)
     k[1, 0], k[2, 0], k[3, 0], k[4, 0], k[5, 0] = x2, x3, x4, x5, x6
     k[1, 1], k[2, 1], k[3, 1], k[4, 1], k[5, 1] = v2, v3, v4, v5, v6
@@ -124,22 +152,22 @@ def _try_heated_step(p, s, work, h):
     t = s.time
     k, y, y_stage, y_new = work.k, work.y, work.y_stage, work.y_new
     for j in range(work.states):
-        y_stage[j] = y[j] + h * (A21 * k[0, j])
+        y_stage[j] = _at_second(y[j], h, k[0, j])
     rates(p, s, work, t + C2 * h, y_stage, SECOND)
     for j in range(work.states):
-        y_stage[j] = y[j] + h * (A31 * k[0, j] + A32 * k[1, j])
+        y_stage[j] = _at_third(y[j], h, k[0, j], k[1, j])
     rates(p, s, work, t + C3 * h, y_stage, THIRD)
     for j in range(work.states):
-        y_stage[j] = y[j] + h * (A41 * k[0, j] + A42 * k[1, j] + A43 * k[2, j])
+        y_stage[j] = _at_fourth(y[j], h, k[0, j], k[1, j], k[2, j])
     rates(p, s, work, t + C4 * h, y_stage, FOURTH)
     for j in range(work.states):
-        y_stage[j] = y[j] + h * (A51 * k[0, j] + A52 * k[1, j] + A53 * k[2, j] + A54 * k[3, j])
+        y_stage[j] = _at_fifth(y[j], h, k[0, j], k[1, j], k[2, j], k[3, j])
     rates(p, s, work, t + C5 * h, y_stage, FIFTH)
     for j in range(work.states):
-        y_stage[j] = y[j] + h * (A61 * k[0, j] + A62 * k[1, j] + A63 * k[2, j] + A64 * k[3, j] + A65 * k[4, j])
+        y_stage[j] = _at_sixth(y[j], h, k[0, j], k[1, j], k[2, j], k[3, j], k[4, j])
     rates(p, s, work, t + h, y_stage, SIXTH)
     for j in range(work.states):
-        y_new[j] = y[j] + h * (B1 * k[0, j] + B3 * k[2, j] + B4 * k[3, j] + B5 * k[4, j] + B6 * k[5, j])
+        y_new[j] = _at_end(y[j], h, k[0, j], k[2, j], k[3, j], k[4, j], k[5, j])
     rates(p, s, work, t + h, y_new, LAST)
 
 
@@ -149,7 +177,7 @@ def error_norm(work, h, tolerance):
     total = 0.0
     k = work.k
     for j in range(work.states):
-        error = h * (E1 * k[0, j] + E3 * k[2, j] + E4 * k[3, j] + E5 * k[4, j] + E6 * k[5, j] + E7 * k[6, j])
+        error = _error(h, k[0, j], k[2, j], k[3, j], k[4, j], k[5, j], k[6, j])
         ratio = error / (tolerance * max(abs(work.y[j]), abs(work.y_new[j]), SMALLEST_SCALE[j]))
         total += ratio * ratio
     return math.sqrt(total / work.states)
@@ -188,3 +216,24 @@ def dense_slope(work, j, theta):
     """Derivative of state j with respect to time at the fraction theta of a step, from its dense output."""
     slopes = 2.0 * work.dense[j, 1] + theta * (3.0 * work.dense[j, 2] + theta * 4.0 * work.dense[j, 3])
     return work.dense[j, 0] + theta * slopes
+
+
+@inner
+def coil_within(p, s, work, h, theta):
+    """Give u and w at the fraction theta of a step."""
+    t = s.time + theta * h
+    if work.states == MECHANICAL_STATES:
+        return coil_state(p, s, t, 0.0, 0.0, 0.0)
+    u, w = interpolate(work, h, CURRENT, theta), interpolate(work, h, PULLING_CURRENT, theta)
+    return coil_state(p, s, t, u, w, interpolate(work, h, TEMPERATURE, theta))
+
+
+@inner
+def shorten(work, h, fraction):
+    """End a step at a fraction of it: its dense output is a polynomial in the fraction of the step."""
+    for j in range(work.states):
+        work.y_new[j] = interpolate(work, h, j, fraction)
+        stretch = 1.0
+        for power in range(4):
+            work.dense[j, power] *= stretch
+            stretch *= fraction

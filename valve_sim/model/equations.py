@@ -23,15 +23,13 @@ Here τ_c is the cooling time constant, F_p the pressure force and t_o the time 
 from __future__ import annotations
 
 import math
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from llvmlite import ir
-from numba import types
-from numba.extending import intrinsic
 
+from valve_sim.model.calls import call_term
 from valve_sim.model.compiling import inlined, inner
-from valve_sim.model.core_types import Phase
+from valve_sim.model.core_types import MAIN
 
 COPPER_TEMPERATURE_COEFFICIENT: Final = 0.00393
 """α, 1/K: the resistance of copper at 20 °C (IEC 60028)."""
@@ -39,25 +37,6 @@ COPPER_TEMPERATURE_COEFFICIENT: Final = 0.00393
 SHORTEST_INTEGRATED: Final = 2e-8
 """s: while the coil heats, (1) and (9) are integrated; a current that settles faster than this follows at once instead.
 It would take tens of millions of steps a second, and moves events by no more than its time constant."""
-
-MAIN: Final = np.int64(Phase.MAIN)
-
-
-@intrinsic
-def _call_term(
-    typingctx: Any, address: Any, x: Any, v: Any, u: Any, t: Any, numbers: Any
-) -> tuple[Any, Any]:  # pragma: no cover - runs in the compiler
-    """Call a compiled term f(x, v, u, t, numbers) by its address; `numbers` is a contiguous array."""
-    signature = types.float64(types.int64, types.float64, types.float64, types.float64, types.float64, numbers)
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        array = context.make_array(signature.args[5])(context, builder, arguments[5])
-        double = ir.DoubleType()
-        kind = ir.FunctionType(double, [double] * 4 + [array.data.type])
-        function = builder.inttoptr(arguments[0], kind.as_pointer())
-        return builder.call(function, [*arguments[1:5], array.data], attrs=("nounwind", "readonly"))
-
-    return signature, generate
 
 
 @inlined
@@ -88,13 +67,21 @@ def compiled_terms(p, mode, x, v, u, t):
     force = 0.0
     for j in range(p.term_count):
         if mode >= MAIN or p.term_in_phase_2_only[j] == 0:
-            force += _call_term(p.term_address[j], x, v, u, t, p.term_parameters[j])  # type: ignore[call-arg]
+            force += call_term(p.term_address[j], x, v, u, t, p.term_parameters[j])  # type: ignore[call-arg]
     return force
 
 
 @inlined
-def force_without_dry_friction(p, mode, x, v, direction, u, pull2, t, unseated_time):
-    """Right-hand sides of (3) and (4), N, with (5); the dry friction of (6) is the caller's."""
+def force_without_dry_friction(p, t, motion, coil, condition):
+    """Right-hand sides of (3) and (4), N, with (5); the dry friction of (6) is the caller's.
+
+    Args:
+        p: valve record. t: s. motion: (x, v), m and m/s. coil: (u, u²), the current and, through (7) and (8), the
+            square that pulls. condition: (mode, direction, when the pilot last left its seat).
+    """
+    x, v = motion
+    u, pull2 = coil
+    mode, direction, unseated_time = condition
     if mode >= MAIN:
         force = attraction(p, x, pull2) - p.spring_preload - p.spring_rate * x - p.main_damping * v
         if p.pressure_force != 0.0:
@@ -118,10 +105,11 @@ def dry_friction(p, v, direction):
 
 
 @inlined
-def acceleration(p, mode, x, v, direction, u, pull2, t, unseated_time):
-    """Acceleration v' of equation (3) or (4) in motion, m/s²."""
-    force = force_without_dry_friction(p, mode, x, v, direction, u, pull2, t, unseated_time)
-    force -= direction * dry_friction(p, v, direction)
+def acceleration(p, t, motion, coil, condition):
+    """Acceleration v' of equation (3) or (4) in motion, m/s²; arguments as for `force_without_dry_friction`."""
+    mode, direction, _ = condition
+    force = force_without_dry_friction(p, t, motion, coil, condition)
+    force -= direction * dry_friction(p, motion[1], direction)
     return force / (p.moving_mass if mode >= MAIN else p.pilot_mass)
 
 
@@ -160,13 +148,19 @@ def coil_state(p, s, t, u, w, temperature):
     return u, w if p.eddy_time_constant >= SHORTEST_INTEGRATED else u
 
 
+@inner
+def coil_now(p, s):
+    """Give u and w at the state's time."""
+    return coil_state(p, s, s.time, s.u, s.w, s.temperature)
+
+
 @inlined
 def mechanical_rates(p, s, t, x, v, u, w):
     """Rates x' and v' of (3) and (4); plungers at rest stay there."""
     if not s.moving:
         return 0.0, 0.0
     pull2 = pull_squared(p, w, max(s.peak_current, abs(u)))
-    return v, acceleration(p, s.mode, x, v, s.direction, u, pull2, t, s.unseated_time)
+    return v, acceleration(p, t, (x, v), (u, pull2), (s.mode, s.direction, s.unseated_time))
 
 
 @inner

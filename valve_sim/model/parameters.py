@@ -1,4 +1,4 @@
-"""The declared valve: names, units, ranges and sources of its parameters (MODEL section 2).
+"""The declared valve: names, units, ranges and sources of its parameters.
 
 Source of every published number: Choi, Ahn and Kim, "Modeling the Dynamic Behavior of a Pilot-Operated Solenoid
 Valve for an Ultra-High Pressure Vessel", Appl. Sci. 2021, 11, 2329 ("the paper"), converted once to SI.
@@ -120,7 +120,7 @@ def check_declared(values: dict[str, object], source: str) -> ValveParameters:
     Missing names take the paper's value.
 
     Args:
-        values: name to value, as in MODEL section 2; `attraction_polynomial` is a list of four numbers.
+        values: name to value; `attraction_polynomial` is a list of four numbers.
         source: the file (or node) that they come from, for messages.
 
     Raises:

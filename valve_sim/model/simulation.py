@@ -1,4 +1,4 @@
-"""One simulation core for everyone: a whole trace, many parameter sets at once, one step after another."""
+"""One simulation core for everyone: a whole trace, or many parameter sets at once."""
 
 from __future__ import annotations
 
@@ -12,11 +12,13 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from valve_sim.model import automaton
+from valve_sim.model import driver
 from valve_sim.model.core_types import EVENT_RECORD, STATE_RECORD, EventKind, Outcome, Phase
 from valve_sim.model.effects import check_effects, new_record
 from valve_sim.model.errors import ParameterError, SimulationError
 from valve_sim.model.parameters import POLYNOMIAL_NAMES, ValveParameters, check_declared, check_geometry
+from valve_sim.model.sampling import ROW
+from valve_sim.model.transitions import FIRST_STEP, set_voltage
 
 Array = NDArray[np.float64]
 
@@ -50,6 +52,23 @@ class Drive(NamedTuple):
         """The voltage in force at each time (a command acts from its own time on), V."""
         index = np.searchsorted(self.times, np.asarray(times, dtype=np.float64), side="right")
         return np.concatenate([[0.0], self.volts])[index]
+
+
+class Samples(NamedTuple):
+    """What a run shall write down, and where: ready-made arrays.
+
+    Attributes:
+        times: (n,) s, of the positions.
+        rows: (n, 1) or (n, 6), written: pilot and main position as shown (m), velocity (m/s), attraction (N), phase,
+            position of the pilot itself (m).
+        current_times: (m,) s.
+        currents: (m,), written: normalised current u.
+    """
+
+    times: Array
+    rows: Array
+    current_times: Array
+    currents: Array
 
 
 class Event(NamedTuple):
@@ -127,9 +146,11 @@ class Valve:
         """Whether the reference voltage, held for ever, would lift the pilot plunger off its seat."""
         record = self.record()
         state = new_states(record, 0.0)
-        automaton.set_voltage(record, state, float(record[0]["reference_voltage"]))
+        set_voltage(record, state, float(record[0]["reference_voltage"]))
         settled = 50.0 * float(record[0]["coil_time_constant"] + record[0]["eddy_time_constant"]) + 1e-3
-        _check(_run(record, state, settled, _NO_TIMES, np.empty((0, automaton.ROW)), _events(), TOLERANCE)[1])
+        nothing = (_NO_TIMES, np.empty((0, ROW)), _NO_TIMES, np.empty(0))
+        control = (TOLERANCE, most_steps(settled))
+        check_outcome(driver.run(record, state, (settled, True), nothing, event_log(), 0, control)[2])
         return bool(state[0]["mode"] != Phase.CLOSED)
 
 
@@ -162,7 +183,7 @@ def new_states(records: Any, start_time: float) -> Any:
     states = np.zeros(len(records), STATE_RECORD)
     states["time"] = states["segment_time"] = states["unseated_time"] = start_time
     states["direction"] = 1
-    states["step"] = automaton.FIRST_STEP
+    states["step"] = FIRST_STEP
     return states
 
 
@@ -191,11 +212,11 @@ def simulate(
     if start_time is None:
         start_time = float(min(np.min(drive.times, initial=math.inf), np.min(times, initial=math.inf)))
         start_time = start_time if math.isfinite(start_time) else 0.0
-    rows, currents = np.empty((len(times), automaton.ROW)), np.empty(len(times))
+    rows, currents = np.empty((len(times), ROW)), np.empty(len(times))
     room = _EVENT_ROOM
     while True:
-        state, events = new_states(record, start_time), _events(room)
-        count = run_record(record, state, drive, times, rows, times, currents, events, tolerance)
+        state, events = new_states(record, start_time), event_log(room)
+        count = run_record(record, state, drive, Samples(times, rows, times, currents), events, tolerance)
         if count <= room:
             break
         room = count
@@ -204,33 +225,23 @@ def simulate(
         shown = rows[:, :2].copy()
         record[0]["sensor_delay"] = 0.0
         state = new_states(record, start_time)
-        run_record(record, state, drive, times, rows, times, currents, events, tolerance)
+        run_record(record, state, drive, Samples(times, rows, times, currents), events, tolerance)
         rows[:, :2] = shown
     amperes = float(record[0]["reference_voltage"] / record[0]["coil_resistance"])
     return Response(
         times, rows[:, 0], rows[:, 1], rows[:, 2], currents * amperes, rows[:, 3],
-        rows[:, 4].astype(np.uint8), _event_tuple(events, count),
+        rows[:, 4].astype(np.uint8), event_tuple(events, count),
     )  # fmt: skip
 
 
 def run_record(
-    record: Any,
-    state: Any,
-    drive: Drive,
-    times: Array,
-    rows: Array,
-    current_times: Array,
-    currents: Array,
-    events: Any,
-    tolerance: float = TOLERANCE,
+    record: Any, state: Any, drive: Drive, samples: Samples, events: Any, tolerance: float = TOLERANCE
 ) -> int:
     """The compiled core on ready-made arrays, for callers that run it ten thousand times.
 
     Args:
         record: (1,) VALVE_RECORD. state: (1,) STATE_RECORD, advanced. drive: the commanded voltage.
-        times: (n,) s, of the positions. rows: (n, 1) or (n, 6) written: pilot and main position as shown
-            (m), velocity (m/s), attraction (N), phase, position of the pilot itself (m).
-        current_times: (m,) s. currents: (m,) written: normalised current u.
+        samples: what is written down.
         events: (e,) EVENT_RECORD array, written as far as it goes.
         tolerance: relative error of one step.
 
@@ -240,15 +251,17 @@ def run_record(
     Raises:
         SimulationError: the run could not be carried to its end.
     """
+    times, rows, current_times, currents = samples
     gap, stroke, delay = record["pilot_gap"].item(), record["stroke"].item(), record["sensor_delay"].item()
     if not 0.0 < gap < stroke:
         raise SimulationError(f"the simulation cannot start: pilot_gap {gap:g} m is not inside stroke {stroke:g} m")
     end = max(times[-1] if len(times) else -math.inf, current_times[-1] if len(current_times) else -math.inf)
-    count, outcome = automaton.run_drive(
-        record, state, drive.times, drive.volts, end, times - delay if delay else times, rows,
-        current_times, currents, events, tolerance, _most_steps(end - state["time"].item()),
+    count, outcome = driver.run_drive(
+        record, state, (drive.times, drive.volts), end,
+        (times - delay if delay else times, rows, current_times, currents),
+        events, (tolerance, most_steps(end - state["time"].item())),
     )  # fmt: skip
-    _check(outcome)
+    check_outcome(outcome)
     return int(count)
 
 
@@ -284,141 +297,15 @@ def simulate_many(
 
     def work(chunk: NDArray[np.int64]) -> tuple[int, int]:
         first, last = int(chunk[0]), int(chunk[-1]) + 1
-        return automaton.run_batch(  # type: ignore[no-any-return]
-            records[first:last], states[first:last], drive.times, drive.volts, times, positions[first:last],
-            tolerance, _most_steps(float(np.ptp(times))),
+        return driver.run_batch(  # type: ignore[no-any-return]
+            records[first:last], states[first:last], (drive.times, drive.volts), times, positions[first:last],
+            (tolerance, most_steps(float(np.ptp(times)))),
         )  # fmt: skip
 
     with ThreadPoolExecutor(workers) as pool:
         for chunk, (failed, outcome) in zip(chunks, pool.map(work, chunks), strict=True):
-            _check(outcome, f"parameter set {int(chunk[0]) + failed}: ")
+            check_outcome(outcome, f"parameter set {int(chunk[0]) + failed}: ")
     return positions
-
-
-class Reading(NamedTuple):
-    """A valve at one time: m, m/s, A, N; `main_effort` is the spring's force on the main plunger (− closes)."""
-
-    time: float
-    pilot_position: float
-    main_position: float
-    pilot_velocity: float
-    main_velocity: float
-    coil_current: float
-    attraction: float
-    main_effort: float
-    phase: Phase
-    events: tuple[Event, ...]
-
-
-class Stepper:
-    """A valve stepped in real time, by the same compiled core; its state never depends on how time is cut.
-
-    Args:
-        valve: what is stepped.
-        start_time: s; the valve rests closed and without current until then.
-        tolerance: relative error of one step.
-    """
-
-    def __init__(self, valve: Valve, start_time: float = 0.0, *, tolerance: float = TOLERANCE) -> None:
-        self._tolerance = tolerance
-        self._events = _events()
-        self._pending: list[Event] = []
-        self._row = np.empty((1, automaton.ROW))
-        self._current = np.empty(1)
-        self._valve = valve
-        self._record = valve.record()
-        self._commands: list[tuple[float, float]] = []
-        self.reset(start_time)
-
-    @property
-    def valve(self) -> Valve:
-        """What is stepped."""
-        return self._valve
-
-    @property
-    def volts(self) -> float:
-        """The voltage in force, V."""
-        return float(self._state[0]["volts"])
-
-    def reset(self, time: float) -> None:
-        """Rest closed and without current at `time`, s."""
-        self._state = new_states(self._record, time)
-        self._shown = self._state.copy()
-        self._commands = []
-        self._pending = []
-
-    def command(self, time: float, volts: float) -> None:
-        """A voltage in force from `time` on; a time that is past takes effect at the latest time stepped to."""
-        time = max(time, float(self._state[0]["time"]))
-        self._go(self._state, time, commit=True, collect=True)
-        automaton.set_voltage(self._record, self._state, volts)
-        if self._delay:
-            self._commands.append((time, volts))
-
-    def advance(self, time: float) -> Reading:
-        """Step to `time`, s (not before the last command), and read the valve there.
-
-        Raises:
-            SimulationError: the step could not be carried to its end.
-        """
-        self._go(self._state, time, commit=False, collect=True)
-        row = self._row[0]
-        pilot, main, velocity, attraction, phase_number, x = (float(value) for value in row)
-        current = float(self._current[0])
-        phase = Phase(int(phase_number))
-        moves_main = phase is Phase.MAIN
-        if self._delay:
-            pilot, main = self._delayed(time - self._delay)
-        record = self._record[0]
-        lifted = phase in (Phase.MAIN, Phase.OPEN)
-        effort = -float(record["spring_preload"] + record["spring_rate"] * x) if lifted else 0.0
-        amperes = float(record["reference_voltage"] / record["coil_resistance"])
-        events, self._pending = tuple(self._pending), []
-        return Reading(
-            time, pilot, main, velocity, velocity if moves_main else 0.0, current * amperes,
-            attraction, effort, phase, events,
-        )  # fmt: skip
-
-    def set_valve(self, valve: Valve, time: float) -> None:
-        """Go on as another valve from `time` on, without a jump in position, velocity or current.
-
-        The one thing that must give way is geometry: plungers beyond a stop that moved inwards are at the new stop.
-        """
-        time = max(time, float(self._state[0]["time"]))
-        self._go(self._state, time, commit=True, collect=True)
-        state = self._state[0]
-        volts = float(state["volts"])
-        automaton.set_voltage(self._record, self._state, volts)  # the current so far belongs to the old coil
-        self._valve = valve
-        self._record = valve.record()
-        automaton.settle_geometry(self._record, self._state)
-        self._shown = self._state.copy()
-        self._commands = []
-
-    @property
-    def _delay(self) -> float:
-        return float(self._record[0]["sensor_delay"])
-
-    def _go(self, states: Any, time: float, *, commit: bool, collect: bool) -> None:
-        self._times = np.array([time])
-        _, _, count, outcome = automaton.run(
-            self._record, states, time, commit, self._times, self._row, self._times, self._current,
-            self._events, 0, self._tolerance, _most_steps(time - float(states[0]["time"])),
-        )  # fmt: skip
-        _check(outcome)
-        if collect:
-            self._pending.extend(_event_tuple(self._events, min(count, len(self._events))))
-
-    def _delayed(self, time: float) -> tuple[float, float]:
-        """What a late sensor shows: a second state follows the first by the delay."""
-        shown = self._shown
-        time = max(time, float(shown[0]["time"]))
-        while self._commands and self._commands[0][0] <= time:
-            command_time, volts = self._commands.pop(0)
-            self._go(shown, max(command_time, float(shown[0]["time"])), commit=True, collect=False)
-            automaton.set_voltage(self._record, shown, volts)
-        self._go(shown, time, commit=False, collect=False)
-        return float(self._row[0, 0]), float(self._row[0, 1])
 
 
 def published_times(response: Response) -> tuple[float, float]:
@@ -428,26 +315,27 @@ def published_times(response: Response) -> tuple[float, float]:
     return t1, t2
 
 
-def _events(room: int = _EVENT_ROOM) -> Any:
+def event_log(room: int = _EVENT_ROOM) -> Any:
+    """An empty (room,) EVENT_RECORD array."""
     return np.zeros(room, EVENT_RECORD)
 
 
-def _most_steps(duration: float) -> int:
+def most_steps(duration: float) -> int:
+    """The steps after which a run of some seconds is given up."""
     return int(MOST_STEPS_PER_SECOND * (1.0 + max(0.0, duration)))
 
 
-def _event_tuple(events: Any, count: int) -> tuple[Event, ...]:
+def event_tuple(events: Any, count: int) -> tuple[Event, ...]:
+    """The first events of a log."""
     return tuple(Event(time, EventKind(kind), x, v) for time, kind, x, v in events[:count].tolist())
 
 
-def _run(record: Any, state: Any, end: float, times: Array, rows: Array, events: Any, tolerance: float) -> Any:
-    result = automaton.run(
-        record, state, end, True, times, rows, _NO_TIMES, np.empty(0), events, 0, tolerance, _most_steps(end)
-    )
-    return result[2:]
+def check_outcome(outcome: int, what: str = "") -> None:
+    """Nothing, if a run was carried to its end.
 
-
-def _check(outcome: int, what: str = "") -> None:
+    Raises:
+        SimulationError: it was not; the message says why.
+    """
     if outcome == Outcome.FINISHED:
         return
     why = {

@@ -21,14 +21,7 @@ def force_map(
     variable: float,
     low: float,
     high: float,
-    f1: float,
-    f2: float,
-    f3: float,
-    f4: float,
-    f5: float,
-    f6: float,
-    f7: float,
-    f8: float,
+    *knots: float,
 ) -> float:
     """The curve at the place that `variable` names, times the factor that it names, N."""
     at = x
@@ -41,7 +34,6 @@ def force_map(
         factor = v
     elif variable == 4.0:
         factor = u * u
-    knots = (f1, f2, f3, f4, f5, f6, f7, f8)
     place = min(max((at - low) / (high - low), 0.0), 1.0) * 7.0
     left = min(int(place), 6)
     s = place - left

@@ -1,0 +1,300 @@
+"""The driver of the hybrid automaton, compiled: steps from event to event, under one voltage or a whole drive.
+
+A run is a chain of committed steps. A step ends where error control wants it to, or at an event, and never at the
+time that a caller asks for: asking in between reads the step's dense output and commits nothing. So the state
+does not depend on how time was cut. Only a command cuts a step (`commit_end`).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from valve_sim.model.compiling import compiled, inner
+from valve_sim.model.core_types import EVENT_RECORD, Outcome
+from valve_sim.model.dormand_prince import (
+    ALL_STATES,
+    FIRST,
+    LAST,
+    MECHANICAL_STATES,
+    WORK_RECORD,
+    error_norm,
+    fill_dense,
+    rates,
+    shorten,
+    step_factor,
+    try_step,
+)
+from valve_sim.model.equations import coil_now
+from valve_sim.model.location import (
+    CONTACT,
+    MOVED_OFF,
+    NO_EVENT,
+    PULL_SWITCH,
+    TURN,
+    first_event,
+    moved_off,
+    polish,
+)
+from valve_sim.model.sampling import fill_until, is_filled, show
+from valve_sim.model.transitions import move_off, push_at_rest, set_voltage, touch, turn
+
+FINISHED, STEP_TOO_SMALL, TOO_MANY_STEPS, CHATTERING = (int(outcome) for outcome in Outcome)
+
+LONGEST_STEP: Final = 1e-3
+"""s, in motion: a stroke takes milliseconds, so that no turn and return hides inside a step."""
+LONGEST_REST: Final = 2e-3
+"""s: how far ahead a valve at rest is looked at in one step, at least."""
+LONGEST_REST_SHARE: Final = 0.25
+"""Of the time since the last command or lift-off, at least. What still changes the forces at rest are exponentials
+that began there, so those that decay quickly have gone, and an hour of rest takes a hundred steps."""
+DECAYED: Final = 40.0
+"""Time constants after which a current is less than rounding."""
+LONGEST_MOTION: Final = 0.1
+"""s without voltage, after which what still moves creeps."""
+NO_CURRENT: Final = 1e-12
+"""Of the reference current: what is left without voltage is none, so that a coil that heats may rest in long steps."""
+SHORTEST_STEP: Final = 1e-16
+"""s: error control that wants less has failed."""
+LARGEST_GROWTH: Final = 8.0
+"""Of one step over the one before."""
+SHORTEST_PROGRESS: Final = 1e-12
+"""s: a step that ends sooner made no progress."""
+LONGEST_CHATTER: Final = 1000
+"""Events without progress in time after which a run is given up."""
+
+
+@inner
+def _integrated_step(p, s, work, tolerance):
+    """The next step as far as error control or the first event of plungers in motion or of the coil.
+
+    Returns:
+        its size in s, what ends it, the size for the step after it, and an Outcome.
+    """
+    if not work.start_is_known:
+        rates(p, s, work, s.time, work.y, FIRST)
+    h = min(s.step, _rest(p, s) if _has_settled(p, s, work) else LONGEST_STEP)
+    while True:
+        try_step(p, s, work, h)
+        error = error_norm(work, h, tolerance)
+        if error <= 1.0:
+            break
+        h *= max(0.1, step_factor(error)) if math.isfinite(error) else 0.1
+        if h < SHORTEST_STEP:
+            return h, NO_EVENT, h, STEP_TOO_SMALL
+    following = h * min(LARGEST_GROWTH, step_factor(error))
+    fill_dense(work)
+    fraction, ends = first_event(p, s, work, h, tolerance)
+    if ends != NO_EVENT:
+        h = polish(p, s, work, h * fraction, ends)
+        fill_dense(work)
+    return h, ends, following, FINISHED
+
+
+@inner
+def _next_step(p, s, work, tolerance):
+    """Find the next committed step from the state. Arguments and result as for `_integrated_step`."""
+    h, ends, following, outcome = _rest(p, s), NO_EVENT, s.step, FINISHED
+    if s.moving or work.states > MECHANICAL_STATES:
+        h, ends, following, outcome = _integrated_step(p, s, work, tolerance)
+    else:
+        for j in range(work.states):
+            work.y_new[j] = work.y[j]
+            for power in range(4):
+                work.dense[j, power] = 0.0
+    if not s.moving and outcome == FINISHED:
+        fraction = moved_off(p, s, work, h)
+        if fraction <= 1.0:
+            shorten(work, h, fraction)
+            h *= fraction
+            ends = MOVED_OFF
+    return h, ends, following, outcome
+
+
+@inner
+def _rest(p, s):
+    """How far ahead plungers at rest are looked at in one step, s."""
+    if p.terms_read_time:
+        return LONGEST_REST
+    return max(LONGEST_REST, LONGEST_REST_SHARE * (s.time - max(s.segment_time, s.unseated_time)))
+
+
+@inner
+def _has_settled(p, s, work):
+    """Whether error control alone may choose the step: no current is left, and all that moves creeps.
+
+    A pilot plunger that nothing returns may float for hours.
+    """
+    if s.volts != 0.0:
+        return False
+    if work.states > MECHANICAL_STATES:
+        return not s.moving and s.u == 0.0 and s.w == 0.0
+    decay = DECAYED * (p.coil_time_constant + p.eddy_time_constant)
+    return s.time - s.segment_time > max(decay, LONGEST_MOTION)
+
+
+@inner
+def _settle_coil(p, s, work):
+    """Let what is left of an integrated current, at rest without voltage, be none."""
+    if work.states == MECHANICAL_STATES or s.moving or s.volts != 0.0 or (s.u == 0.0 and s.w == 0.0):
+        return
+    u, w = coil_now(p, s)
+    if max(abs(u), abs(w)) < NO_CURRENT:
+        s.u = 0.0
+        s.w = 0.0
+        work.start_is_known = 0
+
+
+@inner
+def _start_from(s, work):
+    """Put the state where the integrator starts."""
+    work.y[0] = s.x
+    work.y[1] = s.v
+    work.y[2] = s.u
+    work.y[3] = s.w
+    work.y[4] = s.temperature
+
+
+@inner
+def _commit(p, s, work, h, time):
+    """Make the end of a step of size h the state, at `time`."""
+    if p.sensor_time_constant > 0.0:
+        s.shown_pilot, s.shown_main = show(p, s, work, h, 1.0)
+    s.time = time
+    s.x = work.y_new[0]
+    s.v = work.y_new[1]
+    if work.states > MECHANICAL_STATES:
+        s.u = work.y_new[2]
+        s.w = work.y_new[3]
+        s.temperature = work.y_new[4]
+        # A coil that does not heat moves u one way between commands: there the largest is at an end.
+        s.peak_current = max(s.peak_current, abs(coil_now(p, s)[0]))
+
+
+@inner
+def _end_step(p, s, work, ends, events, count):
+    """What follows from what ended a step; returns the events counted."""
+    work.start_is_known = 1 if ends == NO_EVENT else 0
+    if ends == NO_EVENT:
+        for j in range(work.states):
+            work.k[0, j] = work.k[LAST, j]
+    elif ends == CONTACT:
+        count = touch(p, s, events, count)
+    elif ends == TURN:
+        count = turn(p, s, events, count)
+    elif ends == PULL_SWITCH:
+        s.held_by_residual = 1 - s.held_by_residual
+    return count
+
+
+@inner
+def _cut_step(p, s, work, t_end):
+    """End a step at t_end, before a command."""
+    h = t_end - s.time
+    if h <= 0.0:
+        return
+    if s.moving or work.states > MECHANICAL_STATES:
+        try_step(p, s, work, h)
+        fill_dense(work)
+    _commit(p, s, work, h, t_end)
+
+
+@compiled
+def run(valve, state, until, samples, events, count, control):
+    """Step the valve from its state to a time under one voltage.
+
+    Args:
+        valve: (1,) valve record. state: (1,) state record, advanced. (Arrays of one and plain tuples, because Numba
+            takes them from Python ten times faster than bare records and named tuples.)
+        until: (t_end, commit_end): s; whether the state shall stop exactly there (before a command), or at the last
+            whole step.
+        samples: (times, rows, current_times, currents): (i,) ascending times of position samples, s; (i, 1) or
+            (i, ROW) their output, see `sample`; (j,) ascending times of current samples, s; (j,) u there, written.
+        events: (e,) event log. count: events noted so far.
+        control: (tolerance, most_steps): relative error of a step; the steps after which a run is given up.
+
+    Returns:
+        (position samples, current samples) written, events counted, Outcome.
+    """
+    p, s = valve[0], state[0]
+    t_end, commit_end = until
+    tolerance, most_steps = control
+    work = np.zeros(1, WORK_RECORD)[0]
+    work.states = ALL_STATES if p.temperature_rate != 0.0 else MECHANICAL_STATES
+    done, chatter = (0, 0), 0
+    for _ in range(most_steps):
+        _settle_coil(p, s, work)
+        _start_from(s, work)
+        if not s.moving:
+            u, w = coil_now(p, s)
+            push = push_at_rest(p, s, s.time, u, w)
+            if push != 0:
+                count = move_off(p, s, push, events, count)
+                work.start_is_known = 0
+        if s.time >= t_end and is_filled(s.time, samples, done):
+            return done, count, FINISHED
+        h, ends, following, outcome = _next_step(p, s, work, tolerance)
+        if outcome != FINISHED:
+            return done, count, outcome
+        t_new = s.time + h
+        done = fill_until(p, s, work, h, min(t_new, t_end), samples, done)
+        if t_new > t_end:
+            if commit_end:
+                _cut_step(p, s, work, t_end)
+            return done, count, FINISHED
+        chatter = chatter + 1 if h < SHORTEST_PROGRESS else 0
+        if chatter > LONGEST_CHATTER:
+            return done, count, CHATTERING
+        _commit(p, s, work, h, t_new)
+        if ends in (NO_EVENT, MOVED_OFF):
+            s.step = following
+        count = _end_step(p, s, work, ends, events, count)
+    return done, count, TOO_MANY_STEPS
+
+
+@compiled
+def run_drive(valve, state, drive, t_end, samples, events, control):
+    """Step the valve through a whole drive; arguments as for `run`.
+
+    Args:
+        drive: (times, volts): (c,) ascending, s; (c,) V.
+
+    Returns:
+        events counted, Outcome.
+    """
+    command_times, volts = drive
+    times, rows, current_times, currents = samples
+    at, at_current, count = 0, 0, 0
+    for command in range(len(command_times) + 1):
+        is_last = command == len(command_times)
+        end = t_end if is_last else min(command_times[command], t_end)
+        left = (times[at:], rows[at:], current_times[at_current:], currents[at_current:])
+        done, count, outcome = run(valve, state, (end, not is_last), left, events, count, control)
+        at += done[0]
+        at_current += done[1]
+        if outcome != FINISHED or is_last or command_times[command] > t_end:
+            return count, outcome
+        set_voltage(valve, state, volts[command])
+    return count, FINISHED
+
+
+@compiled
+def run_batch(records, states, drive, times, positions, control):
+    """`run_drive` for many valves; positions (k, n) receives the pilot plunger as shown, m.
+
+    Returns:
+        the first set that failed (or the number of sets), and its Outcome.
+    """
+    rows = np.empty((len(times), 1))
+    nothing = np.empty(0)
+    events = np.empty(0, EVENT_RECORD)
+    for i in range(len(records)):
+        shifted = times - records[i].sensor_delay
+        samples = (shifted, rows, nothing, nothing)
+        _, outcome = run_drive(records[i : i + 1], states[i : i + 1], drive, shifted[-1], samples, events, control)
+        if outcome != FINISHED:
+            return i, outcome
+        positions[i] = rows[:, 0]
+    return len(records), FINISHED

@@ -1,0 +1,184 @@
+"""Where in a step something happens, compiled: contacts, turns, the end of a rest, a switch of the pull.
+
+An event is searched as a person would: the velocity keeps its sign until the plungers turn, so between two turns x
+is monotone and can cross only the contact ahead of it; whichever comes first ends the step. It is located on the
+dense output and then polished by retaking the step, so that its time has the accuracy of the step itself.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from valve_sim.model.compiling import inner
+from valve_sim.model.core_types import MAIN
+from valve_sim.model.dormand_prince import (
+    LAST,
+    POSITION,
+    SMALLEST_SCALE,
+    VELOCITY,
+    coil_within,
+    dense_slope,
+    interpolate,
+    try_step,
+)
+from valve_sim.model.equations import residual_floor
+from valve_sim.model.transitions import push_at_rest
+
+NO_EVENT, CONTACT, TURN, PULL_SWITCH, MOVED_OFF = 0, 1, 2, 3, 4
+"""What ends a step."""
+
+SOONEST: Final = 2e-12
+"""s: what moves off sooner moves off at once, as a valve does that nothing holds when its coil is powered."""
+LOOKS_AT_REST: Final = 8
+"""How often in such a step it is asked whether the forces move it."""
+BISECTIONS: Final = 28
+"""Halvings of a step that locate an event to 4e-9 of it, 4e-12 s of the longest; contacts and turns are polished."""
+BISECTED: Final = 5e-12
+"""s, to which the end of a rest is located, however long the step."""
+MOST_BISECTIONS: Final = 60
+"""Halvings that do so."""
+LOCATED: Final = 1e-9
+"""Fraction of a step to which a contact or turn is located on the dense output, before it is polished."""
+POLISHED: Final = 1e-15
+"""s, to which it is polished."""
+MOST_POLISHING: Final = 5
+"""Newton steps that do so; two are common."""
+DENSE_OUTPUT_EXCESS: Final = 1e3
+"""How far dense output may be off inside a step, in units of the error at its end, after a sudden change of force."""
+
+
+@inner
+def guard_ahead(p, s):
+    """The contact that the plungers move towards, as a position of x."""
+    if s.mode == MAIN:
+        return p.stroke if s.direction > 0 else p.pilot_gap
+    return p.pilot_gap if s.direction > 0 else 0.0
+
+
+@inner
+def first_event(p, s, work, h, tolerance):
+    """What ends a step first, and at which fraction of it."""
+    fraction = _pull_switch(p, s, work, h)
+    ends = PULL_SWITCH if fraction <= 1.0 else NO_EVENT
+    if not s.moving:
+        return fraction, ends
+    turn = _first_turn(work, h, s.direction, tolerance)
+    if turn < fraction:
+        fraction, ends = turn, TURN
+    latest = min(fraction, 1.0)
+    guard = guard_ahead(p, s)
+    x_latest = work.y_new[0] if latest == 1.0 else interpolate(work, h, POSITION, latest)
+    if (x_latest - guard) * s.direction >= 0.0:
+        return _crossing(work, h, POSITION, s.direction, guard, 0.0, latest), CONTACT
+    return fraction, ends
+
+
+@inner
+def _first_turn(work, h, direction, tolerance):
+    """The fraction of the step at which v first changes sign against `direction`, or 2 for never.
+
+    A velocity within the integrator's own error has no sign: a crawl would turn for ever.
+    """
+    before = 0.0
+    for quarter in range(1, 5):
+        theta = 0.25 * quarter
+        v = work.y_new[1] if quarter == 4 else interpolate(work, h, VELOCITY, theta)
+        unsure = tolerance * SMALLEST_SCALE[1] * (1.0 if quarter == 4 else DENSE_OUTPUT_EXCESS)
+        if v * direction < -unsure:
+            return _crossing(work, h, VELOCITY, -direction, 0.0, before, theta)
+        before = theta
+    return 2.0
+
+
+@inner
+def _crossing(work, h, state, direction, target, low, high):
+    """The fraction, between `low` and `high`, at which a state, monotone there, reaches its target.
+
+    Newton's method on the dense output, kept inside a bracket that halves where Newton leaves it.
+    """
+    theta = high
+    for _ in range(BISECTIONS):
+        ahead = (interpolate(work, h, state, theta) - target) * direction
+        if ahead >= 0.0:
+            high = theta
+        else:
+            low = theta
+        slope = h * dense_slope(work, state, theta) * direction
+        better = theta - ahead / slope if slope > 0.0 else low
+        if abs(better - theta) < LOCATED:
+            return min(max(better, low), high)
+        theta = better if low < better < high else 0.5 * (low + high)
+    return theta
+
+
+@inner
+def polish(p, s, work, h, ends):
+    """Retake a step so that it ends exactly at what ends it: x at the contact, or v at 0. Returns its size, s."""
+    state = VELOCITY if ends == TURN else POSITION
+    target = 0.0 if ends == TURN else guard_ahead(p, s)
+    longest = h * 1.001
+    for _ in range(MOST_POLISHING):
+        try_step(p, s, work, h)
+        slope = work.k[LAST, state]
+        better = h - (work.y_new[state] - target) / slope
+        # A slope of 0 makes it infinite or no number.
+        if ends == PULL_SWITCH or not 0.0 < better <= longest:
+            break
+        if abs(better - h) <= POLISHED:
+            break
+        h = better
+    if ends != PULL_SWITCH:
+        work.y_new[state] = target
+    return h
+
+
+@inner
+def _pull_switch(p, s, work, h):
+    """The fraction of the step at which residual magnetism takes over or lets go, or 2 for not in this step."""
+    if p.residual_current == 0.0 or _is_held(p, s, work, h, 1.0) == s.held_by_residual:
+        return 2.0
+    low, high = 0.0, 1.0
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (low + high)
+        if _is_held(p, s, work, h, middle) == s.held_by_residual:
+            low = middle
+        else:
+            high = middle
+    return high
+
+
+@inner
+def _is_held(p, s, work, h, theta):
+    """Whether the pull is at the residual floor at the fraction theta of a step."""
+    u, w = coil_within(p, s, work, h, theta)
+    return 1 if abs(w) < residual_floor(p, max(s.peak_current, abs(u))) else 0
+
+
+@inner
+def moved_off(p, s, work, h):
+    """The fraction of a rest at which the forces start to move the plungers, or 2 for not in it."""
+    low = 0.0
+    for look in range(1, LOOKS_AT_REST + 1):
+        high = look / LOOKS_AT_REST
+        if _push_after(p, s, work, h, high) != 0:
+            soonest = low + SOONEST / h
+            if soonest >= high or _push_after(p, s, work, h, soonest) != 0:
+                return min(soonest, high)
+            for _ in range(MOST_BISECTIONS):
+                if (high - low) * h < BISECTED:
+                    break
+                middle = 0.5 * (low + high)
+                if _push_after(p, s, work, h, middle) != 0:
+                    high = middle
+                else:
+                    low = middle
+            return high
+        low = high
+    return 2.0
+
+
+@inner
+def _push_after(p, s, work, h, theta):
+    """Which way the forces push plungers that have rested for the fraction theta of a step."""
+    u, w = coil_within(p, s, work, h, theta)
+    return push_at_rest(p, s, s.time + theta * h, u, w)

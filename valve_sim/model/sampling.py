@@ -1,0 +1,106 @@
+"""What position sensors show within a step, compiled: their bandwidth and gain; and a row of output."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from valve_sim.model.compiling import inlined, inner
+from valve_sim.model.core_types import MAIN
+from valve_sim.model.dormand_prince import POSITION, VELOCITY, coil_within, interpolate
+from valve_sim.model.equations import attraction, pull_squared
+
+ROW: Final = 6
+"""Columns of a whole row of output: pilot and main plunger as shown, velocity, attraction, phase, the pilot itself."""
+
+
+@inner
+def _lagged(shown, a, value, work, theta):
+    """A first-order sensor after a piece of a step: exact for the dense output's polynomial.
+
+    Solves z' = (x − z) a/h over the fraction theta, x = value + Σ slopes_k θ^k, by the moments
+    M_k = ∫ e^{−b(1−φ)} φ^k b dφ, b = a θ, which obey M_k = 1 − (k/b) M_{k−1}; a power series where b is small.
+    """
+    b = a * theta
+    result = shown * math.exp(-b) - value * np.expm1(-b)
+    power = 1.0
+    moment = -np.expm1(-b)
+    for order in range(1, 5):
+        if b > 1.0:
+            moment = 1.0 - order / b * moment
+        else:
+            term = b / (order + 1.0)
+            moment = term
+            for j in range(1, 20):
+                term *= -b / (order + 1.0 + j)
+                moment += term
+        power *= theta
+        result += work.slopes[order - 1] * power * moment
+    return result
+
+
+@inner
+def show(p, s, work, h, theta):
+    """What position sensors show at the fraction theta of a step: pilot and main plunger, m, without gain."""
+    x = interpolate(work, h, POSITION, theta)
+    above = s.mode >= MAIN
+    if p.sensor_time_constant == 0.0:
+        return x, x - p.pilot_gap if above else 0.0
+    for order in range(4):
+        work.slopes[order] = h * work.dense[0, order]
+    a = h / p.sensor_time_constant
+    pilot = _lagged(s.shown_pilot, a, work.y[0], work, theta)
+    if above:
+        return pilot, _lagged(s.shown_main, a, work.y[0] - p.pilot_gap, work, theta)
+    for order in range(4):
+        work.slopes[order] = 0.0
+    return pilot, _lagged(s.shown_main, a, 0.0, work, theta)
+
+
+@inner
+def sample(p, s, work, h, theta, rows, i):
+    """Fill row i of the output: the pilot as shown and, where there is room, the other `ROW` columns."""
+    pilot, main = show(p, s, work, h, theta)
+    rows[i, 0] = p.sensor_gain * pilot
+    if rows.shape[1] == 1:
+        return
+    u, w = coil_within(p, s, work, h, theta)
+    x = interpolate(work, h, POSITION, theta)
+    rows[i, 1] = p.sensor_gain * main
+    rows[i, 2] = interpolate(work, h, VELOCITY, theta)
+    rows[i, 3] = attraction(p, x, pull_squared(p, w, max(s.peak_current, abs(u))))
+    rows[i, 4] = s.mode
+    rows[i, 5] = x
+
+
+@inlined
+def fill_until(p, s, work, h, last, samples, done):
+    """Write the samples of a step of size h that lie before `last`.
+
+    Args:
+        samples: see `run`. done: how many positions and currents have been written.
+
+    Returns:
+        how many have been written now.
+    """
+    times, rows, current_times, currents = samples
+    at, at_current = done
+    while at < len(times) and times[at] <= last:
+        sample(p, s, work, h, max(0.0, (times[at] - s.time) / h), rows, at)
+        at += 1
+    while at_current < len(current_times) and current_times[at_current] <= last:
+        theta = max(0.0, (current_times[at_current] - s.time) / h)
+        currents[at_current], _ = coil_within(p, s, work, h, theta)
+        at_current += 1
+    return at, at_current
+
+
+@inlined
+def is_filled(time, samples, done):
+    """Whether every sample up to now has been written."""
+    times, _, current_times, _ = samples
+    at, at_current = done
+    is_done = at == len(times) or times[at] > time
+    return is_done and (at_current == len(current_times) or current_times[at_current] > time)

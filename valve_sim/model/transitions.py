@@ -1,0 +1,194 @@
+"""What happens to the plungers at an event, compiled: contacts, turns, moving off, a new voltage, other geometry."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from valve_sim.model.compiling import compiled, inner
+from valve_sim.model.core_types import CLOSED, GAP_HOLD, MAIN, OPEN, PILOT, EventKind
+from valve_sim.model.equations import coil_now, force_without_dry_friction, pull_squared, residual_floor
+
+# NumPy's numbers: Numba compiles a function once for all of them, but anew for each of Python's literals.
+OPENING, CLOSING = np.array([1, -1])
+UNSEATED, PICKED_UP, HELD_AT_GAP, LIFTED, DROPPED, REACHED_STOP, BOUNCED_AT_STOP = np.array(list(EventKind)[:7])
+RELEASED, MAIN_SEATED, SEATED, BOUNCED_AT_SEAT, STUCK, BROKE_AWAY = np.array(list(EventKind)[7:])
+
+SLOW_AT_GAP: Final = 1e-3
+"""m/s: a slower contact at the gap may be held there."""
+SLOWEST_REBOUND: Final = 5e-3
+"""m/s: a slower contact does not rebound."""
+SEAT_HOLDS: Final = 1e-9
+"""N: a smaller net force does not lift the pilot plunger off its seat. Without a seat load it would float on the tail
+of a current that has gone; event times move by nanoseconds."""
+FIRST_STEP: Final = 1e-5
+"""s, tried when motion begins; error control takes over from there."""
+
+
+@inner
+def _net_at_rest(p, s, mode, direction, t, u, w):
+    """Net force without dry friction on plungers at rest, N."""
+    pull2 = pull_squared(p, w, max(s.peak_current, abs(u)))
+    return force_without_dry_friction(p, t, (s.x, 0.0), (u, pull2), (mode, direction, s.unseated_time))
+
+
+@inner
+def push_at_rest(p, s, t, u, w):
+    """Which way the forces move plungers at rest at time t: +1, −1, or 0 for not at all."""
+    hold_up = p.friction_opening + p.breakaway
+    if s.mode == CLOSED:
+        hold_up = max(hold_up, SEAT_HOLDS)
+    hold_down = p.friction_closing + p.breakaway
+    lifting = PILOT if s.mode <= PILOT else MAIN
+    if s.mode != OPEN and _net_at_rest(p, s, lifting, OPENING, t, u, w) > hold_up:
+        return 1
+    falling = MAIN if s.mode >= MAIN else PILOT
+    if s.mode != CLOSED and _net_at_rest(p, s, falling, CLOSING, t, u, w) < -hold_down:
+        return -1
+    return 0
+
+
+@inner
+def _log(events, count, time, kind, x, v):
+    """Note an event, if there is room; return how many happened."""
+    if count < len(events):
+        events[count].time = time
+        events[count].kind = kind
+        events[count].x = x
+        events[count].v = v
+    return count + 1
+
+
+@inner
+def _come_to_rest(s, mode):
+    s.mode = mode
+    s.moving = 0
+    s.v = 0.0
+
+
+@inner
+def _lift_off(s):
+    """The pilot plunger leaves its seat from rest."""
+    s.unseated_time = s.time
+    s.mode = PILOT
+    s.moving = 1
+    s.direction = OPENING
+    s.step = FIRST_STEP
+
+
+@inner
+def move_off(p, s, push, events, count):
+    """From rest into motion: what the mode becomes."""
+    kind = BROKE_AWAY
+    if s.mode == CLOSED:
+        _lift_off(s)
+        return _log(events, count, s.time, UNSEATED, s.x, 0.0)
+    if s.mode == OPEN:
+        kind = RELEASED
+        s.mode = MAIN
+    elif s.mode == GAP_HOLD:
+        kind = LIFTED if push > 0 else DROPPED
+        s.mode = MAIN if push > 0 else PILOT
+    s.moving = 1
+    s.direction = push
+    s.step = FIRST_STEP
+    return _log(events, count, s.time, kind, s.x, 0.0)
+
+
+@inner
+def touch(p, s, events, count):
+    """A contact: pick-up, hold, stop, seat; the state is at the guard with the velocity before it."""
+    v = s.v
+    if s.mode == MAIN and s.direction > 0:
+        if p.restitution_stop > 0.0 and abs(v) >= SLOWEST_REBOUND:
+            s.v = -p.restitution_stop * v
+            s.direction = -1
+            return _log(events, count, s.time, BOUNCED_AT_STOP, s.x, v)
+        _come_to_rest(s, OPEN)
+        return _log(events, count, s.time, REACHED_STOP, s.x, v)
+    if s.mode == PILOT and s.direction < 0:
+        if p.restitution_seat > 0.0 and abs(v) >= SLOWEST_REBOUND:
+            s.v = -p.restitution_seat * v
+            s.direction = 1
+            s.unseated_time = s.time
+            return _log(events, count, s.time, BOUNCED_AT_SEAT, s.x, v)
+        _come_to_rest(s, CLOSED)
+        u, w = coil_now(p, s)
+        if push_at_rest(p, s, s.time, u, w) != 0:
+            # What pulls lifts it again at once: one event, not a seating and an unseating at one time.
+            _lift_off(s)
+            return _log(events, count, s.time, BOUNCED_AT_SEAT, s.x, v)
+        return _log(events, count, s.time, SEATED, s.x, v)
+    return _touch_gap(p, s, events, count)
+
+
+@inner
+def _touch_gap(p, s, events, count):
+    """The contact between pilot and main plunger, from below (pick-up) or above (the main plunger seats)."""
+    v = s.v
+    if abs(v) < SLOW_AT_GAP:
+        # Friction takes no part in this decision.
+        u, w = coil_now(p, s)
+        phase_1 = _net_at_rest(p, s, PILOT, s.direction, s.time, u, w)
+        phase_2 = _net_at_rest(p, s, MAIN, s.direction, s.time, u, w)
+        if phase_1 > 0.0 and phase_2 <= 0.0:
+            _come_to_rest(s, GAP_HOLD)
+            return _log(events, count, s.time, HELD_AT_GAP, s.x, v)
+    if s.direction < 0:
+        s.mode = PILOT
+        return _log(events, count, s.time, MAIN_SEATED, s.x, v)
+    s.v = p.pickup_velocity_ratio * v
+    if s.v == 0.0:
+        # A full stop against the main plunger: what happens next is decided from rest.
+        _come_to_rest(s, GAP_HOLD)
+    else:
+        s.mode = MAIN
+    return _log(events, count, s.time, PICKED_UP, s.x, v)
+
+
+@inner
+def turn(p, s, events, count):
+    """The velocity reached zero: go on, turn round, or stay where dry friction holds."""
+    s.v = 0.0
+    s.moving = 0
+    u, w = coil_now(p, s)
+    push = push_at_rest(p, s, s.time, u, w)
+    if push != 0:
+        s.moving = 1
+        s.direction = push
+        return count
+    return _log(events, count, s.time, STUCK, s.x, 0.0)
+
+
+@compiled
+def set_voltage(valve, state, volts):
+    """A command takes effect now, at the state's time."""
+    p, s = valve[0], state[0]
+    u, w = coil_now(p, s)
+    s.segment_time = s.time
+    s.segment_u = u
+    s.segment_w = w
+    s.u = u
+    s.w = w
+    s.volts = volts
+    u, w = coil_now(p, s)
+    s.peak_current = max(s.peak_current, abs(u))
+    s.held_by_residual = 1 if abs(w) < residual_floor(p, s.peak_current) else 0
+
+
+@compiled
+def settle_geometry(valve, state):
+    """Make mode and position agree after the contacts moved: nothing jumps but what a contact must push."""
+    p, s = valve[0], state[0]
+    s.x = min(s.x, p.stroke)
+    at_rest_in_contact = not s.moving and s.mode in (GAP_HOLD, OPEN)
+    if at_rest_in_contact and s.x != (p.stroke if s.mode == OPEN else p.pilot_gap):
+        # The contact has gone: at rest between contacts, free to move off.
+        s.mode = MAIN if s.x >= p.pilot_gap else PILOT
+    elif s.mode == PILOT and s.x >= p.pilot_gap:
+        s.mode = MAIN
+    elif s.mode == MAIN and s.x < p.pilot_gap:
+        s.mode = PILOT
+    if s.mode == MAIN and s.x >= p.stroke and s.v >= 0.0:
+        _come_to_rest(s, OPEN)
