@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dis
 import enum
+import functools
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -220,6 +221,7 @@ def share(part: float, whole: float, of: str) -> Severity | None:
     return Severity(abs(part / whole), of) if whole else None
 
 
+@functools.cache
 def reads_time(term: Term) -> bool:
     """Whether a term f(x, v, u, t, *parameters) makes use of t: a valve at rest is then watched more closely."""
     code = getattr(term, "__code__", None)
