@@ -286,7 +286,11 @@ def row(text: str, number: int, cells: str) -> str:
 
 
 UNFIT_TABLES = {
-    "missing column": (TABLE.replace("CH2", "CH9"), lambda text: text, "has no column CH9; it has Time, CH1, CH2, CH3"),
+    "missing column": (
+        TABLE.replace("CH2", "CH9"),
+        lambda text: text,
+        r"lab.yaml: position: column CH9 is not in .*scope.csv; it has Time, CH1, CH2, CH3",
+    ),
     "backwards": (TABLE, lambda text: row(text, 100, "-0,5;0;0;0"), "line 100: time column Time runs backwards"),
     "text": (TABLE, lambda text: row(text, 77, "1;0;OVERLOAD;0"), "line 77: column CH2: found 'OVERLOAD'"),
     "a short row": (TABLE, lambda text: row(text, 78, "1;0"), "line 78: column CH2: found nothing"),

@@ -15,6 +15,13 @@ from .bag_makers import clean_trace
 VALVE = ValveParameters()
 
 
+def table(seconds: float) -> Trace:
+    """The clean opening as a table whose unit of time is so many seconds too large."""
+    made = trace()
+    drive = Drive(seconds * made.drive.times, made.drive.volts)
+    return replace(made, clock="time column", times=seconds * made.times, drive=drive)
+
+
 def trace(position: float = 1.0, offset: float = 0.0, volts: float = 1.0, amperes: float = 1.0) -> Trace:
     """A clean opening at 9 V and 0.9 A, in units that are so many times too small."""
     made = clean_trace()
@@ -35,6 +42,8 @@ def trace(position: float = 1.0, offset: float = 0.0, volts: float = 1.0, ampere
         (trace(position=1e6), r"topic /lvdt: .* unit: um$"),
         (trace(position=1e-3), r"topic /lvdt: .* about 1000 times too small"),
         (trace(offset=0.0125), r"topic /lvdt: .* lies at 0\.01\d+ m, expected 0 m .* offset: \(here -0\.0125"),
+        (table(1e3), r"time: .* takes \d[.\d]* s from the gap to the stop .* another unit of time"),
+        (table(1e-3), r"time: .* takes \de-06 s|time: .* takes \d\.\d+e-06 s"),
         (trace(volts=1e3), r"topic /supply: .* reaches 9000 V, expected about 9 V .* unit: mV$"),
         (trace(volts=1e-2), r"topic /supply: .* reaches 0\.09 V only, though the valve moved"),
         (trace(amperes=1e3), r"topic /clamp: .* reaches 900 A, expected about 0\.9 A .* unit: mA$"),
@@ -52,6 +61,8 @@ def test_other_units_are_refused_with_the_mend(made: Trace, expected: str) -> No
     "made",
     [
         trace(),
+        table(1.0),
+        table(20.0),
         trace(position=3.0),  # declared for a smaller one
         trace(position=0.02),  # a valve that sticks after 25 µm
         trace(offset=2e-3),

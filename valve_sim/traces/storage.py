@@ -102,7 +102,9 @@ def _refuse_what_is_no_recording(path: Path) -> None:
     if not head:
         raise TraceError(f"{path}: is empty (0 bytes), nothing was recorded; record it again")
     if _magic_of(path) is None:
-        raise TraceError(f"{path}: is not a recording; give a rosbag2 folder or a .mcap file")
+        raise TraceError(
+            f"{path}: is not a recording; give a rosbag2 folder, a .mcap file, or a table (.csv, .parquet, .mat)"
+        )
     if not head.startswith((_magic_of(path) or b"", ZSTD_MAGIC)):
         raise TraceError(
             f"{path}: is not a {path.suffix} file, it starts with {head[:8]!r}; give a rosbag2 folder or a .mcap file"

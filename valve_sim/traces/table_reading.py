@@ -132,13 +132,24 @@ class _TableAssembly:
     def column(self, quantity: str) -> Array:
         """A quantity in SI, NaN where a cell is empty."""
         source = self.sources[quantity]
+        self.check_column(quantity, source.column)
         return source.to_si(self.table.column(source.column), QUANTITIES[quantity].dimension)
+
+    def check_column(self, key: str, column: str) -> None:
+        """Refuse a column that the table does not have, with the map's key."""
+        names = self.table.names
+        if column not in names and not (column.isdigit() and 1 <= int(column) <= len(names)):
+            raise TraceError(
+                f"{self.map.path}: {key}: column {column} is not in {self.path}; it has {', '.join(names)}; "
+                "name one of these"
+            )
 
     def times(self, rows: int) -> tuple[Array, NDArray[np.bool_]]:
         """When each row was taken, s, and which rows to keep: a row with the time of the one before goes."""
         axis = self.axis
         if axis.rate:
             return np.arange(rows) / axis.rate, np.ones(rows, dtype=bool)
+        self.check_column("time", axis.column)
         times = UNITS["time"][axis.unit].factor * self.table.column(axis.column)
         finite = np.isfinite(times)
         if not finite.all():

@@ -25,6 +25,10 @@ TOO_SMALL = {1e3: "m were taken for mm, or mm for um", 1e6: "m were taken for um
 """A travel so many times smaller than the stroke is another unit; what lies between may be a valve that sticks."""
 ALIKE = 3.0
 """Declared and true stroke differ by less than this factor."""
+OPEN_SHARE = 0.9
+"""Of the travel: from here on it has arrived."""
+SHORTEST_LIFT, LONGEST_LIFT = 20e-6, 0.5
+"""s from the gap to the stop or back: it takes milliseconds."""
 MOST_VOLTS = 30.0
 """No voltage is so many reference voltages: a peak-and-hold driver reaches seven."""
 MOST_AMPERES = 30.0
@@ -63,7 +67,12 @@ def doubtful_units(trace: Trace, parameters: ValveParameters) -> tuple[str, ...]
     Returns:
         One line each: where, what was found, what is expected, and the mend.
     """
-    found = (_position(trace, parameters), _voltage(trace, parameters), _current(trace, parameters))
+    found = (
+        _position(trace, parameters),
+        _time(trace, parameters),
+        _voltage(trace, parameters),
+        _current(trace, parameters),
+    )
     return tuple(line for line in found if line)
 
 
@@ -102,6 +111,29 @@ def _position(trace: Trace, parameters: ValveParameters) -> str:
             f"it is open (valve.stroke); take the sensor's zero out with --map and offset: (here {-rest:.6g} m)"
         )
     return ""
+
+
+def _time(trace: Trace, parameters: ValveParameters) -> str:
+    """Of tables only: stamps of messages have one unit."""
+    if trace.clock in ("header", "bag"):
+        return ""
+    closed, travel = float(trace.pilot_position.min()), largest_travel(trace.pilot_position)
+    share = (trace.pilot_position - closed) / travel if travel > 0.0 else np.zeros(len(trace.times))
+    # Below the gap, a pilot may wait until the pressure lets it lift the main plunger.
+    level = np.full(len(share), 0)
+    level[share < parameters.pilot_gap / parameters.stroke + 0.1] = -1
+    level[share > OPEN_SHARE] = 1
+    ends = np.flatnonzero(level)
+    changes = np.flatnonzero(np.diff(level[ends]))
+    if not len(changes):
+        return ""
+    fastest = float((trace.times[ends[changes + 1]] - trace.times[ends[changes]]).min())
+    if SHORTEST_LIFT < fastest < LONGEST_LIFT:
+        return ""
+    return (
+        f"time: {PILOT} takes {fastest:.3g} s from the gap to the stop at its fastest, expected some milliseconds: "
+        "another unit of time; correct it in the map with time: {column: ..., unit: ms}, us or s"
+    )
 
 
 def _voltage(trace: Trace, parameters: ValveParameters) -> str:
