@@ -52,5 +52,5 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
 
 
 def _unit_and_noise(diagnosis: Diagnosis) -> tuple[str, float]:
-    channel = next(channel for channel in diagnosis.plant.channels if channel.kind != "current")
+    channel = diagnosis.plant.channels[judged_channels(diagnosis.plant)[0]]
     return channel.unit, diagnosis.before.fit.problem.noises[channel.kind].sigma

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from valve_sim.identification.adequacy import adequacy
+from valve_sim.identification.budget import OutOfTimeError
 from valve_sim.identification.held_out import HeldOut
 from valve_sim.identification.plant import to_search
 from valve_sim.identification.search import DECISIVE, Hypothesis, Search
@@ -40,16 +41,41 @@ class Exploration:
 
     Args:
         search: on the training data. held_out: what is asked for predictions.
+
+    Attributes:
+        is_cut_short: whether the time was used up before all was tried.
     """
 
     def __init__(self, search: Search, held_out: HeldOut) -> None:
         self.search, self.held_out = search, held_out
         self.plant = search.problem.plant
+        self.is_cut_short = False
 
     def explore(self) -> Hypothesis:
+        """The best claimable hypothesis of all that the time allows to try.
+
+        Raises:
+            OutOfTimeError: not even the declared model could be fitted.
+        """
+        self.search.fit(Hypothesis(()))
+        try:
+            return self._explore()
+        except OutOfTimeError:
+            self.is_cut_short = True
+            return Hypothesis(())
+
+    @property
+    def untried(self) -> list[str]:
+        """What was left to try."""
+        return [*self.search.untried, "sets of more effects"] if self.is_cut_short else list(self.search.untried)
+
+    def singles_untried(self) -> bool:
+        """Whether not even every single effect was tried."""
+        return any(Hypothesis((name,)) not in self.search.fits for name in self.plant.effects)
+
+    def _explore(self) -> Hypothesis:
         """Singles, then pairs and triples while something is left; returns the best claimable hypothesis."""
         search, names = self.search, list(self.plant.effects)
-        search.fit(Hypothesis(()))
         search.fit_each([Hypothesis((name,)) for name in names], (0.0, 0.3))
         if self.deserves_another_look(self.best_claimable()):
             self._explore_timing(names)

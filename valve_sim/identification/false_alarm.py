@@ -45,6 +45,10 @@ class FalseAlarm(NamedTuple):
     resamples: int
 
 
+NOT_ASKED: Final = FalseAlarm(1.0, 0.0, 0.0, 0)
+"""Where the time was too short to ask."""
+
+
 def false_alarm(base: Fit, best: Fit, seed: int = 0) -> FalseAlarm:
     """Bootstrap the search.
 

@@ -21,12 +21,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from valve_sim.identification.budget import Budget
 from valve_sim.identification.noise import Noise, estimate_noise, still_runs, stretches
 from valve_sim.identification.plant import (
     Array,
     Nuisance,
     Plant,
     from_search,
+    judged_channels,
     search_bounds,
     search_scale,
     search_slope,
@@ -68,10 +70,18 @@ class Problem:
         plant: the machine and its data.
         takes_part: (channel index, (n,) groups) → (n,) mask of samples that are fitted; default all.
         noises: noise by kind of channel; default estimated from the channels.
+        budget: of the fits to it; default no limit.
     """
 
-    def __init__(self, plant: Plant, takes_part: Mask | None = None, noises: Mapping[str, Noise] | None = None) -> None:
+    def __init__(
+        self,
+        plant: Plant,
+        takes_part: Mask | None = None,
+        noises: Mapping[str, Noise] | None = None,
+        budget: Budget | None = None,
+    ) -> None:
         self.plant = plant
+        self.budget = budget or Budget.unlimited()
         kinds = {channel.kind for channel in plant.channels}
         self.noises = dict(noises) if noises is not None else {
             kind: estimate_noise([channel for channel in plant.channels if channel.kind == kind])
@@ -84,7 +94,7 @@ class Problem:
 
     def restricted(self, takes_part: Mask) -> Problem:
         """The same data and noise with other samples taking part."""
-        return Problem(self.plant, takes_part, self.noises)
+        return Problem(self.plant, takes_part, self.noises, self.budget)
 
     def doubting(self, kind: str, factor: float) -> Problem:
         """The same with the noise of a kind of channel taken to be so many times as large."""
@@ -94,6 +104,11 @@ class Problem:
             for name, noise in self.noises.items()
         }
         return doubtful
+
+    @property
+    def noise(self) -> Noise:
+        """That of the response in which errors are reported."""
+        return self.noise_of(judged_channels(self.plant)[0])
 
     def noise_of(self, index: int) -> Noise:
         """The noise of a channel."""
@@ -115,7 +130,13 @@ class Problem:
         )
 
     def residuals(self, values: Mapping[str, float]) -> Array:
-        """Whitened, weighted residuals of all channels in a row (measured − predicted)."""
+        """Whitened, weighted residuals of all channels in a row (measured − predicted).
+
+        Raises:
+            OutOfTimeError: the time for fits is used up.
+            SimulationError: the machine cannot be simulated with these values.
+        """
+        self.budget.check()
         shown = self.plant.predict(values)
         return np.concatenate(
             [
@@ -202,8 +223,11 @@ class Fit:
         """
         plant, excess = self.problem.plant, self.problem.excess
         sizes = [search_scale(plant.parameter(name)) for name in self.free]
-        spread = np.array([*sizes, *(nuisance.sigma for nuisance in self.nuisances)])
-        _, volume = np.linalg.slogdet(np.eye(len(spread)) + self.information * np.outer(spread, spread) / excess)
+        sigmas = [nuisance.sigma for nuisance in self.nuisances]
+        spread = np.array([*sizes, *sigmas])
+        # The priors of the nuisances are the ones of 1 + D I D: I is what the data alone say.
+        of_data = self.information - np.diag([0.0] * len(sizes) + [1.0 / sigma**2 for sigma in sigmas])
+        _, volume = np.linalg.slogdet(np.eye(len(spread)) + of_data * np.outer(spread, spread) / excess)
         return self.chi2 / excess + float(volume)
 
     def stderr(self, name: str) -> float:
@@ -273,14 +297,13 @@ def fit(
 
 
 def rmse(result: Fit) -> float:
-    """Root mean square of measured less predicted position (or force) over the samples that take part."""
+    """Root mean square of measured less predicted response over the samples that take part, in its unit."""
     plant, problem = result.problem.plant, result.problem
     squares, count = 0.0, 0
-    for index, (channel, shown) in enumerate(zip(plant.channels, plant.predict(result.values), strict=True)):
-        if channel.kind == "current":
-            continue
+    predictions = plant.predict(result.values)
+    for index in judged_channels(plant):
         takes_part = problem.weight(index) > 0.0
-        squares += float(np.sum(np.square((channel.data - shown)[takes_part])))
+        squares += float(np.sum(np.square((plant.channels[index].data - predictions[index])[takes_part])))
         count += int(np.count_nonzero(takes_part))
     return math.sqrt(squares / max(1, count))
 

@@ -72,8 +72,7 @@ class HeldOut:
         if held is None:
             return self.problem is not None
         # Plainly too: where noise is coloured, whitening takes most of what is slow out of a residual, wrong or right.
-        sigma = max(noise.sigma for kind, noise in held.problem.noises.items() if kind != "current")
-        is_large = rmse(held) > FAILS_HELD_OUT * sigma
+        is_large = rmse(held) > FAILS_HELD_OUT * held.problem.noise.sigma
         return is_large or held.chi2 > FAILS_HELD_OUT**2 * held.problem.effective_samples
 
     def hints_at_more(self, result: Fit) -> bool:

@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from valve_sim.identification.fitting import Fit, Interval, Problem, fit, profile_interval
-from valve_sim.identification.plant import Array, Nuisance, Plant
+from valve_sim.identification.plant import Array, Nuisance, Plant, judged_channels
 from valve_sim.identification.units import limits, measured, quantity
 from valve_sim.identification.valve_plant import ValvePlant
 from valve_sim.model import CATALOGUE, DECLARED, ParameterError, Valve
@@ -181,8 +181,8 @@ def _best_of_starts(
 
 def position_rmse(plant: Plant, values: Mapping[str, float]) -> float:
     """Root mean square of measured less predicted position over all samples, m."""
-    pairs = zip(plant.channels, plant.predict(values), strict=True)
-    squares = [np.square(channel.data - shown) for channel, shown in pairs if channel.kind != "current"]
+    shown = plant.predict(values)
+    squares = [np.square(plant.channels[index].data - shown[index]) for index in judged_channels(plant)]
     residual: Array = np.concatenate(squares)
     return float(np.sqrt(np.mean(residual)))
 

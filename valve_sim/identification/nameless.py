@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
+from valve_sim.identification.budget import OutOfTimeError
 from valve_sim.identification.fitting import Fit, fit
 from valve_sim.identification.plant import Array, ForceMap
 from valve_sim.identification.search import Hypothesis, Search
@@ -26,45 +28,61 @@ class Unexplained:
     gain: float
 
 
-def fit_maps(search: Search, base: Fit) -> list[tuple[ForceMap, Fit]]:
-    """Force maps on top of a fit, best score first."""
+class Nameless(NamedTuple):
+    """A force without a name, and the fit with it."""
+
+    choice: ForceMap
+    fit: Fit
+
+
+def fit_maps(search: Search, base: Fit) -> list[Nameless]:
+    """Force maps on top of a fit, best score first; those for which the time was too short are left out."""
     nuisance_names = {nuisance.name for nuisance in base.nuisances}
     own = {*base.free, *nuisance_names}
     others = {name: value for name, value in base.values.items() if name not in own}
 
-    def fitted(choice: ForceMap) -> tuple[ForceMap, Fit]:
+    def fitted(choice: ForceMap) -> list[Nameless]:
         free, fixed = (*base.free, *choice.free), {**others, **choice.held}
-        return choice, fit(base.problem, free, base.values, nuisances=base.nuisances, fixed=fixed)
+        try:
+            return [Nameless(choice, fit(base.problem, free, base.values, nuisances=base.nuisances, fixed=fixed))]
+        except OutOfTimeError:
+            return []
 
-    maps = side_by_side(
-        fitted, base.problem.plant.force_maps, lambda choice: search.say(f"a force over {choice.variable}", 0.9)
+    maps = base.problem.plant.force_maps
+    found = side_by_side(fitted, maps, lambda choice: search.say(f"a force over {choice.variable}", 0.9))
+    search.untried.extend(
+        f"a force over {choice.variable}" for choice, fits in zip(maps, found, strict=True) if not fits
     )
-    return sorted(maps, key=lambda pair: pair[1].score)
+    return sorted(itertools.chain(*found), key=lambda entry: entry.fit.score)
 
 
-def fit_local_forces(search: Search, best: Hypothesis) -> list[tuple[ForceMap, Fit]]:
+def fit_local_forces(search: Search, best: Hypothesis) -> list[Nameless]:
     """A force at one place alone instead of each member of a hypothesis, best score first.
 
     It has as many parameters as the simplest effects. Where it does as well as a name, the data speak of one
     place only, and the name of the rest of the stroke by hope (on the campaign: a ripple or a vibration of half a
     millinewton that lifts the pilot plunger off its seat, as a constant force would).
+
+    Raises:
+        OutOfTimeError: the time is used up.
     """
     maps = search.problem.plant.force_maps
     places = [one for choice in maps if choice.variable == "x" for one in choice.at_one_knot()]
 
     rests = {member: search.fit(best.without(member)) for member in best.effects}
 
-    def fitted(instead: tuple[str, ForceMap]) -> list[tuple[ForceMap, Fit]]:
+    def fitted(instead: tuple[str, ForceMap]) -> list[Nameless]:
         member, choice = instead
         rest = rests[member]
         free = (*rest.free, *choice.free)
         try:
-            return [(choice, fit(rest.problem, free, rest.values, nuisances=rest.nuisances, fixed=choice.held))]
+            held = fit(rest.problem, free, rest.values, nuisances=rest.nuisances, fixed=choice.held)
         except SimulationError:
             return []
+        return [Nameless(choice, held)]
 
     found = side_by_side(fitted, list(itertools.product(best.effects, places)))
-    return sorted(itertools.chain(*found), key=lambda pair: pair[1].score)
+    return sorted(itertools.chain(*found), key=lambda entry: entry.fit.score)
 
 
 def on_top(choice: ForceMap, base: Fit) -> Fit:

@@ -93,7 +93,7 @@ def _judge(candidates: Mapping[str, Fit], experiment: Experiment) -> Recommendat
 def _left_of(experiment: Experiment, truth: Fit, rival: Fit) -> float:
     """Standard deviations that are left of a recording of `truth` when `rival` is refitted to it."""
     plant = experiment.simulated(_machine(truth))
-    problem = Problem(plant, noises=truth.problem.noises)
+    problem = Problem(plant, noises=truth.problem.noises, budget=truth.problem.budget)
     fixed = {name: value for name, value in _machine(rival).items() if name not in rival.free}
     refit = fit(problem, rival.free, rival.values, nuisances=plant.nuisances, fixed=fixed)
     return math.sqrt(refit.chi2 / problem.excess)

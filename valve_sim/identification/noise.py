@@ -26,6 +26,8 @@ ENOUGH_AT_REST: Final = 500
 """Samples at seat and at stop from which their noise can be compared."""
 PLAINLY_NOISIER: Final = 1.2
 """Standard deviation at one rest over that at the other, beyond chance for so many samples, coloured ones too."""
+DIGITS: Final = 1e-6
+"""Of a signal's range: data that are printed to six digits, the least that anybody writes."""
 COARSE: Final = 2.0
 """A quantisation step above this many standard deviations hides the noise: readings at rest then repeat."""
 
@@ -79,14 +81,14 @@ def estimate_noise(channels: Sequence[Channel]) -> Noise:
     if not windows:
         # Never still: the second difference of a smooth motion is nearly all noise.
         bends = np.concatenate([np.diff(channel.data, 2) for channel in channels])
-        sigma = max(1.4826 * float(np.median(np.abs(bends))) / math.sqrt(6.0), step / math.sqrt(12.0), _tiny(channels))
+        sigma = max(1.4826 * float(np.median(np.abs(bends))) / math.sqrt(6.0), step / math.sqrt(12.0), _floor(channels))
         return Noise(sigma, sigma, (), step, 1.0, 0)
     # A position at rest stays; a current drifts while the coil heats, and that is no noise.
-    drifts = channels[0].kind == "current"
+    drifts = channels[0].drifts
     centred = [_without_drift(window) if drifts else window - window.mean() for window in windows]
     samples = sum(len(window) for window in centred)
     spread = math.sqrt(sum(float(window @ window) for window in centred) / max(1, samples - len(centred)))
-    floor = max(step / math.sqrt(12.0), _tiny(channels))
+    floor = max(step / math.sqrt(12.0), _floor(channels))
     if step > COARSE * spread:
         sigma = max(_spread_in_motion(channels, step), floor)
         return Noise(sigma, sigma, (), step, 1.0, samples)
@@ -175,9 +177,14 @@ def _spread_in_motion(channels: Sequence[Channel], step: float) -> float:
     return float(np.std(kept)) / math.sqrt(6.0) if len(kept) > 30 else 0.0
 
 
-def _tiny(channels: Sequence[Channel]) -> float:
-    """A floor for noise-free (simulated) data: a millionth of the signal's range."""
-    return 1e-6 * max(float(np.ptp(channel.data)) for channel in channels) + 1e-15
+def _floor(channels: Sequence[Channel]) -> float:
+    """What no noise is smaller than: what rounding makes of noise-free data, and a millionth of the signal's range.
+
+    The millionth stands for what a plant does not say of itself: how accurately it predicts, and with how many digits
+    its data were written.
+    """
+    known = max(channel.resolution for channel in channels)
+    return max(known, DIGITS * max(float(np.ptp(channel.data)) for channel in channels)) + 1e-15
 
 
 def _autoregression(windows: Sequence[Array], samples: int) -> tuple[tuple[float, ...], float]:

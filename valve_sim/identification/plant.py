@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final, NamedTuple, Protocol
+from typing import Final, Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,17 +85,32 @@ class ForceMap:
         return [replace(self, one_knot=index) for index in range(len(self.all_knots))]
 
 
+READABLE_UNITS: Final = {"m": (1e6, "µm")}
+"""SI unit to the factor and name of the unit in which people read a sensor's signal."""
+
+Role = Literal["response", "actuation"]
+"""What a channel shows: the machine's response, by which models are judged, or the actuator that drives it.
+
+An actuator's form may be one that no effect explains, so it is believed only as far as effects explain it.
+"""
+
+
 @dataclass(frozen=True)
 class Channel:
     """One measured signal: what a fit compares with the prediction.
 
     Attributes:
         name: for people, e.g. "train.mcap: pilot_position".
-        kind: "position", "current" or "force": signals of one kind share their noise.
+        kind: of sensor, e.g. "position", "current" or "force": signals of one kind share their noise.
         times: (n,) s. data: (n,) in `unit`.
         quiet: (n,) True where the machine is known to be still, so that what is seen is the sensor's noise.
         group: (n,) the stroke (or window) that each sample belongs to, from 0 on; hold-out takes whole groups.
         unit: SI.
+        role: what the channel shows.
+        recording: which recording it is of; groups of one number in one recording are one stroke.
+        drifts: whether the signal drifts while the machine is still, as a current does while its coil heats.
+        resolution: by how much data and prediction differ for numerical reasons alone: rounded stamps, rounded values,
+            the tolerance of an integrator. No noise is taken to be smaller.
     """
 
     name: str
@@ -105,6 +120,15 @@ class Channel:
     quiet: NDArray[np.bool_]
     group: NDArray[np.int64]
     unit: str = "m"
+    role: Role = "response"
+    recording: int = 0
+    drifts: bool = False
+    resolution: float = 0.0
+
+    @property
+    def readable(self) -> tuple[float, str]:
+        """The factor from SI, and the name, of the unit in which people read the signal."""
+        return READABLE_UNITS.get(self.unit, (1.0, self.unit))
 
 
 @dataclass(frozen=True)
@@ -120,6 +144,46 @@ class Experiment:
     words: str
     simulated: Callable[[Mapping[str, float]], Plant]
     commands: tuple[tuple[float, float], ...] = ()
+
+
+class Advice(NamedTuple):
+    """What a plant's owner should record next, in whole sentences without the full stop.
+
+    Attributes:
+        ambiguous: why one stroke cannot tell effects apart. first: after a single stroke. more: after several.
+    """
+
+    ambiguous: str
+    first: str
+    more: str
+
+
+GENERIC_ADVICE: Final = Advice(
+    "one stroke cannot tell an effect from what is refitted anyway",
+    "Record next: at least eight strokes under different conditions, in one recording",
+    "Record next: strokes under conditions not used yet",
+)
+
+
+def advice_of(plant: Plant) -> Advice:
+    """The plant's own `advice`, an optional member, or words that hold for any machine."""
+    found = getattr(plant, "advice", GENERIC_ADVICE)
+    return found if isinstance(found, Advice) else GENERIC_ADVICE
+
+
+def judged_channels(plant: Plant) -> list[int]:
+    """Indices of the channels in which errors are reported: responses, of the first one's kind and so of one unit."""
+    responses = [index for index, channel in enumerate(plant.channels) if channel.role == "response"]
+    indices = responses or list(range(len(plant.channels)))
+    kind = plant.channels[indices[0]].kind
+    return [index for index in indices if plant.channels[index].kind == kind]
+
+
+def strokes_of_plant(plant: Plant) -> list[tuple[int, int]]:
+    """(recording, group) of every stroke that a response shows, in order."""
+    channels = plant.channels
+    responses = [channel for channel in channels if channel.role == "response"] or channels
+    return sorted({(channel.recording, int(group)) for channel in responses for group in np.unique(channel.group)})
 
 
 class Plant(Protocol):

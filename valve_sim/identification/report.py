@@ -17,7 +17,8 @@ from valve_sim import __version__
 from valve_sim.files.whole_files import write_whole
 from valve_sim.identification.diagnosis import Candidate, Diagnosis, State
 from valve_sim.identification.force_curves import ForceCurve, force_curve, motion_of
-from valve_sim.identification.stroke_curves import StrokeCurves, readable_unit, strokes_of
+from valve_sim.identification.plant import judged_channels
+from valve_sim.identification.stroke_curves import StrokeCurves, strokes_of
 from valve_sim.identification.units import limits, measured, quantity
 from valve_sim.identification.valve_plant import ValvePlant
 from valve_sim.identification.wording import (
@@ -120,8 +121,8 @@ def _wrapped(title: str) -> str:
 def _content(diagnosis: Diagnosis) -> dict[str, Any]:
     """Everything that the template names."""
     verdict, strokes = diagnosis.verdict, _worst_first(strokes_of(diagnosis))
-    channel = next(channel for channel in diagnosis.plant.channels if channel.kind != "current")
-    scale, unit = readable_unit(channel.unit)
+    channel = diagnosis.plant.channels[judged_channels(diagnosis.plant)[0]]
+    scale, unit = channel.readable
     captions = [
         {"index": index, "title": stroke.title, "rms": _change(*stroke.root_mean_squares, unit)}
         for index, stroke in enumerate(strokes)

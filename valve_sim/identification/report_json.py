@@ -46,6 +46,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "force_maps": [_unexplained_json(entry, motion) for entry in diagnosis.maps],
         "record_next": diagnosis.record_next or None,
         "record_next_gain": None if diagnosis.telling is None else diagnosis.telling.to_json(),
+        "untried": list(diagnosis.untried),
         "false_alarm": diagnosis.false_alarm._asdict(),
     }
 

@@ -13,6 +13,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from valve_sim.identification.budget import OutOfTimeError
 from valve_sim.identification.fitting import Fit, Problem, fit
 from valve_sim.identification.plant import EffectChoice, from_search, search_bounds, search_scale, to_search
 from valve_sim.identification.side_by_side import side_by_side
@@ -57,14 +58,19 @@ class Search:
     """Fits hypotheses to one problem, and remembers.
 
     Args:
-        problem: training data.
+        problem: training data, with the budget of fits to them.
         progress: told what is being tried, and the fraction done.
+
+    Attributes:
+        fits: the best fit of every hypothesis that was tried.
+        untried: what was to be tried when the time was used up, in words.
     """
 
     def __init__(self, problem: Problem, progress: Progress | None = None) -> None:
         self.problem = problem
         self.fits: dict[Hypothesis, Fit] = {}
         self._progress = progress or (lambda what, fraction: None)
+        self.untried: list[str] = []
         self._annealed: set[Hypothesis] = set()
         self._polished: set[Hypothesis] = set()
 
@@ -73,14 +79,23 @@ class Search:
         self._progress(what, fraction)
 
     def fit(self, hypothesis: Hypothesis, *, anneal: bool = False) -> Fit:
-        """The best fit of a hypothesis, from several starts."""
+        """The best fit of a hypothesis, from several starts.
+
+        Raises:
+            OutOfTimeError: the time is used up; what was fitted by then is kept.
+        """
         if hypothesis in self.fits and (not anneal or hypothesis in self._annealed):
             return self.fits[hypothesis]
-        fits = [self.fits[hypothesis]] if hypothesis in self.fits else list(self._fits(hypothesis))
-        if anneal:
-            self._annealed.add(hypothesis)
-            fits.extend(self._attempt(hypothesis, dict(fits[0].values), ANNEALING))
-        self.fits[hypothesis] = min(fits, key=lambda result: result.chi2)
+        fits = [self.fits[hypothesis]] if hypothesis in self.fits else []
+        try:
+            if not fits:
+                fits.extend(self._fits(hypothesis))
+            if anneal:
+                self._annealed.add(hypothesis)
+                fits.extend(self._attempt(hypothesis, dict(fits[0].values), ANNEALING))
+        finally:
+            if fits:
+                self.fits[hypothesis] = min(fits, key=lambda result: result.chi2)
         return self.fits[hypothesis]
 
     def fit_each(self, hypotheses: Sequence[Hypothesis], fractions: tuple[float, float]) -> None:
@@ -93,10 +108,16 @@ class Search:
         before, after = fractions
         new = [hypothesis for hypothesis in dict.fromkeys(hypotheses) if hypothesis not in self.fits]
         done = {hypothesis: index / len(new) for index, hypothesis in enumerate(new)}
-        side_by_side(self.fit, new, lambda h: self.say(str(h), before + (after - before) * done[h]))
-        for hypothesis in new:
-            # Ties go to what was fitted first, which must not depend on what was ready first.
-            self.fits[hypothesis] = self.fits.pop(hypothesis)
+        try:
+            side_by_side(self.fit, new, lambda h: self.say(str(h), before + (after - before) * done[h]))
+        except OutOfTimeError:
+            self.untried.extend(str(hypothesis) for hypothesis in new if hypothesis not in self.fits)
+            raise
+        finally:
+            for hypothesis in new:
+                # Ties go to what was fitted first, which must not depend on what was ready first.
+                if hypothesis in self.fits:
+                    self.fits[hypothesis] = self.fits.pop(hypothesis)
 
     def polish(self, hypothesis: Hypothesis) -> Fit:
         """Fit again from around the best fit: contacts that come and go make shallow wrong basins beside the right one.

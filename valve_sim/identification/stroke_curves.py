@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 
 from valve_sim.identification.diagnosis import Diagnosis
 from valve_sim.identification.fitting import Fit
-from valve_sim.identification.plant import Array, Channel
+from valve_sim.identification.plant import Array, Channel, judged_channels
 
 DRAWN_POINTS: Final = 450
 """At most so many points for each stroke: 100 strokes then make a report of some 2 MB."""
-_UNITS: Final = {"m": (1e6, "µm")}
 
 
 @dataclass(frozen=True)
@@ -70,7 +69,7 @@ def keep_extremes(curves: tuple[Array, ...], most: int) -> NDArray[np.int64]:
 
 
 def strokes_of(diagnosis: Diagnosis) -> list[StrokeCurves]:
-    """Every stroke of every position (or force) channel: those that were fitted, then those held out."""
+    """Every stroke of every channel in which errors are reported: those that were fitted, then those held out."""
     before, after = diagnosis.before, diagnosis.after
     found = list(_strokes(before.fit, after.fit, is_held_out=False))
     if before.holdout is not None and after.holdout is not None:
@@ -78,19 +77,11 @@ def strokes_of(diagnosis: Diagnosis) -> list[StrokeCurves]:
     return found
 
 
-def readable_unit(unit: str) -> tuple[float, str]:
-    """The factor from SI, and the name, of the unit in which people read a signal."""
-    return _UNITS.get(unit, (1.0, unit))
-
-
 def _strokes(before: Fit, after: Fit, *, is_held_out: bool) -> Iterator[StrokeCurves]:
     problem = before.problem
-    shown = zip(
-        problem.plant.channels, problem.plant.predict(before.values), problem.plant.predict(after.values), strict=True
-    )
-    for index, (channel, first, second) in enumerate(shown):
-        if channel.kind == "current":
-            continue
+    shown_before, shown_after = (problem.plant.predict(fitted.values) for fitted in (before, after))
+    for index in judged_channels(problem.plant):
+        channel, first, second = problem.plant.channels[index], shown_before[index], shown_after[index]
         takes_part = problem.weight(index) > 0.0
         sigma = problem.noise_of(index).sigma
         for group in np.unique(channel.group[takes_part]):
@@ -101,7 +92,7 @@ def _strokes(before: Fit, after: Fit, *, is_held_out: bool) -> Iterator[StrokeCu
 def _stroke(
     channel: Channel, chosen: NDArray[np.bool_], shown: tuple[Array, Array], sigma: float, *, is_held_out: bool
 ) -> StrokeCurves:
-    scale, unit = readable_unit(channel.unit)
+    scale, unit = channel.readable
     measured = scale * channel.data[chosen]
     before, after = (scale * curve for curve in shown)
     number = int(channel.group[chosen][0]) + 1

@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.identification.plant import Array, Channel, EffectChoice, Experiment, ForceMap, Nuisance
+from valve_sim.identification.plant import Advice, Array, Channel, EffectChoice, Experiment, ForceMap, Nuisance
 from valve_sim.model import CATALOGUE, DECLARED, Drive, Parameter, Valve
 from valve_sim.model.core_types import EVENT_RECORD
 from valve_sim.model.effects import FORCE_MAP_KNOTS, FORCE_MAP_VARIABLES, new_record
@@ -23,6 +23,8 @@ CLOCK_SIGMA: Final = 50e-6
 """s, MODEL section 3: the prior of a bag's clock offset and of each command's stamp."""
 FIT_TOLERANCE: Final = 1e-8
 """Of one step while fitting: a thousandth of the noise at most."""
+STAMPS: Final = math.sqrt(2.0) * 1e-9
+"""s: a sample and the command before it are stamped in whole nanoseconds each."""
 SETTLING: Final = 0.3
 """The part of each interval between commands that is never taken for quiet, at its beginning."""
 BEFORE_STROKE: Final = 0.25
@@ -35,6 +37,11 @@ PULSE_VOLTS: Final = (7.5, 9.0, 11.0, 14.0)
 """V: the range in which such a valve is driven."""
 PULSE_DURATIONS: Final = (3e-3, 4e-3, 5e-3, 8e-3, 30e-3)
 """s: pulses of 3 to 5 ms lift the valve partly, longer ones fully."""
+ADVICE: Final = Advice(
+    "one stroke at one voltage cannot tell an effect from damping",
+    "Record next: eight strokes with their releases at 7.5 to 14 V, about 30 ms on and 30 ms off, in one bag at 20 kHz",
+    "Record next: strokes at voltages not used yet, a peak-and-hold stroke, and pulses of 3 to 5 ms",
+)
 PULSE_START, PULSE_RECORDING = 5e-3, 70e-3
 """s: when a pulse begins, and when its recording ends."""
 
@@ -56,7 +63,7 @@ class ValvePlant:
         self._declared = valve.declared()
         self._amperes = valve.parameters.reference_voltage / valve.parameters.coil_resistance
         self._sources = [(index, kind) for index, trace in enumerate(self.traces) for kind in _kinds(trace)]
-        self._channels = [_channel(self.traces[index], kind) for index, kind in self._sources]
+        self._channels = [_channel(index, self.traces[index], kind) for index, kind in self._sources]
         self._effects = {
             name: EffectChoice(name, entry.parameters, entry.confused_with)
             for name, entry in CATALOGUE.items()
@@ -127,6 +134,11 @@ class ValvePlant:
             )
             for volts, duration in itertools.product(PULSE_VOLTS, PULSE_DURATIONS)
         ]
+
+    @property
+    def advice(self) -> Advice:
+        """Releases, several voltages and short pulses tell effects apart (measured on surrogate data)."""
+        return ADVICE
 
     def _recorded(self, volts: float, duration: float, times: Array, values: Mapping[str, float]) -> ValvePlant:
         """A pulse recorded from a valve of these values, without noise."""
@@ -234,6 +246,16 @@ def still_mask(trace: Trace) -> NDArray[np.bool_]:
     return quiet
 
 
+def _position_resolution(trace: Trace) -> float:
+    """By how much a position and its prediction differ for numerical reasons alone, m.
+
+    Stamps of samples and of commands are whole nanoseconds, and a plunger moves on meanwhile; a step of the integrator
+    is accurate to its tolerance, of a full stroke; a float has 16 digits.
+    """
+    reach = float(np.max(np.abs(trace.pilot_position), initial=0.0))
+    return math.hypot(STAMPS * _fastest(trace), FIT_TOLERANCE * reach, float(np.finfo(np.float64).eps) * reach)
+
+
 def stroke_groups(trace: Trace, times: Array) -> NDArray[np.int64]:
     """(n,) which stroke each time belongs to: a stroke begins when the voltage leaves zero."""
     begins = trace.drive.times[_beginnings(trace.drive)]
@@ -281,17 +303,19 @@ def _kinds(trace: Trace) -> tuple[str, ...]:
     return ("position",) if trace.coil_current is None else ("position", "current")
 
 
-def _channel(trace: Trace, kind: str) -> Channel:
+def _channel(index: int, trace: Trace, kind: str) -> Channel:
     if kind == "position":
         return Channel(
             f"{trace.source}: pilot_position", kind, trace.times, trace.pilot_position, still_mask(trace),
-            stroke_groups(trace, trace.times),
+            stroke_groups(trace, trace.times), recording=index, resolution=_position_resolution(trace),
         )  # fmt: skip
     assert trace.coil_current is not None
     times, data = trace.coil_current
+    largest = float(np.max(np.abs(data), initial=0.0))
     return Channel(
-        f"{trace.source}: coil_current", kind, times, data, _settled(trace, times), stroke_groups(trace, times), "A"
-    )
+        f"{trace.source}: coil_current", kind, times, data, _settled(trace, times), stroke_groups(trace, times), "A",
+        role="actuation", recording=index, drifts=True, resolution=FIT_TOLERANCE * largest,
+    )  # fmt: skip
 
 
 def _settled(trace: Trace, times: Array) -> NDArray[np.bool_]:
