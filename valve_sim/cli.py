@@ -14,6 +14,7 @@ import os
 import re
 import shlex
 import sys
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -38,6 +39,8 @@ Progress = Callable[[str, float], None]
 OUTSIDE: Final = 1
 UNUSABLE: Final = 2
 STOPPED: Final = 130
+WRITING_SECONDS, WRITING_SHARE = 5.0, 0.4
+"""s, and at most this share, of a budget that are kept for writing and drawing what was found."""
 COMPLETE_VAR: Final = "_VALVE_SIM_COMPLETE"
 """What a shell sets to ask for completions; however the program is called, it is the same for the scripts that ship."""
 _FILE: Final = click.Path(path_type=Path)
@@ -366,6 +369,13 @@ def identify(
 @click.option(
     "--holdout", metavar="BAG", type=_FILE, multiple=True, help="Recording to judge by, not to fit. Repeatable."
 )
+@click.option(
+    "--budget",
+    metavar="SECONDS",
+    type=_number(1.0),
+    default=120.0,
+    help="Time it may take; says what was left untried.",
+)
 @_params
 @_valve
 @_map
@@ -376,6 +386,7 @@ def diagnose(
     bags: tuple[Path, ...],
     events: Path | None,
     holdout: tuple[Path, ...],
+    budget: float,
     params: Path | None,
     name: str | None,
     output: Path,
@@ -399,16 +410,18 @@ def diagnose(
     if events is not None:
         _diagnose_events(events, output, as_json)
         return
+    from valve_sim.identification.budget import Budget
     from valve_sim.identification.diagnosis import diagnose as trace_residual
     from valve_sim.identification.diagnosis_text import diagnosis_text
     from valve_sim.identification.outputs import FILES, write_diagnosis
     from valve_sim.identification.report_json import to_json
 
+    time_left = Budget(budget - min(WRITING_SECONDS, WRITING_SHARE * budget), time.monotonic)
     valve = _load(params)
     plan_files(*(output / file for file in FILES))
     traces, held_out = _read(bags, name, valve), _read(holdout, name, valve)
     with _progress() as progress:
-        result = trace_residual(traces, held_out, valve, progress)
+        result = trace_residual(traces, held_out, valve, progress, time_left)
     report = to_json(result)
     written = write_diagnosis(result, output, _provenance(params, [report["verdict"]["summary"]]))
     _print_report(report, diagnosis_text(result), written, as_json)
@@ -568,9 +581,12 @@ def _say_when_compiling() -> None:
 
 @contextmanager
 def _progress() -> Iterator[Progress]:
-    """A bar on stderr while that is a terminal; silence elsewhere."""
+    """A bar on stderr while that is a terminal; a line every ten seconds elsewhere."""
     if not sys.stderr.isatty():
-        yield lambda what, fraction: None
+        from valve_sim.progress_lines import ProgressLines
+
+        with ProgressLines(sys.stderr) as lines:
+            yield lines
         return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn

@@ -22,7 +22,7 @@ from valve_sim.identification.next_recording import Recommendation, recommend
 from valve_sim.identification.outcome import Candidate, Diagnosis, State
 from valve_sim.identification.plant import strokes_of_plant
 from valve_sim.identification.search import DECISIVE, Hypothesis
-from valve_sim.identification.verdicts import Findings, advise, decide
+from valve_sim.identification.verdicts import Findings, advise, decide, with_untried
 
 WEAK_EVIDENCE: Final = 30.0
 """Gain of S at which a name is still as doubtful as 63 %; at five detection limits the gain is some hundreds."""
@@ -32,8 +32,8 @@ MOST_FALSE_ALARMS: Final = 0.01
 """Probability that the search finds as much in noise alone, beyond which nothing is claimed."""
 SAME: Final = 1e-9
 """Share by which two errors differ that are equal but for rounding."""
-CLAIMED_BY, MAPPED_BY, WORDED_BY = 0.85, 0.91, 0.96
-"""Shares of the time by which a claim must be checked, force maps fitted, and intervals and look-alikes worked out."""
+RIVALLED_BY, CLAIMED_BY, MAPPED_BY, WORDED_BY = 0.75, 0.87, 0.92, 0.96
+"""Shares of the time by which a claim's rivals and the claim itself are checked, force maps fitted, and all worded."""
 LISTED: Final = 30
 """Candidates in the report, the best."""
 
@@ -75,36 +75,34 @@ class Conclusion:
             self.plant, best, self.strokes, is_unknown, names_most, self.confusable(best, is_unknown),
             self.evidence(best, [worse for _, worse in rivals]), self.share(best),
             [entry for entry, worse in rivals if worse < DECISIVE], functools.partial(self.advice, best),
-            self.left_untried(), self.budget.seconds,
             self.exploration.singles_untried(),
         )  # fmt: skip
         verdict, record_next = decide(findings)
+        candidates = tuple(self.candidates(base))
+        untried = tuple(dict.fromkeys([*self.exploration.untried, *self.untried]))
         return Diagnosis(
-            self.plant, before, after, verdict, tuple(self.candidates(base)), unexplained,
+            self.plant, before, after, with_untried(verdict, untried), candidates, unexplained,
             tuple(describe(entry.choice, entry.fit, base_fit) for entry in nameless.maps), record_next, alarm,
-            tuple(channel.name for channel in self.plant.channels), self._telling, self.left_untried(),
+            tuple(channel.name for channel in self.plant.channels), self._telling, untried,
         )  # fmt: skip
-
-    def left_untried(self) -> tuple[str, ...]:
-        """What was left to try when the time was used up, in words."""
-        return tuple(dict.fromkeys([*self.exploration.untried, *self.untried]))
 
     # -- the claim -----------------------------------------------------------------------------------------------------
 
     def claimed(self, explored: Hypothesis) -> tuple[Hypothesis, FalseAlarm]:
         """What of the best explored survives rivals, held-out data and the bootstrap; the base where nothing does."""
         if self.exploration.is_cut_short:
-            explored = self.in_time(CLAIMED_BY, "", self.exploration.best_claimable, Hypothesis(()))
-        best = self.in_time(CLAIMED_BY, f"the rivals of {explored}", lambda: self.rivalled(explored), explored)
+            explored = self.in_time(RIVALLED_BY, "", self.exploration.best_claimable, Hypothesis(()))
+        rivals = f"the rivals of {explored}" if explored.effects else ""
+        best = self.in_time(RIVALLED_BY, rivals, lambda: self.rivalled(explored), explored)
         base = Hypothesis((), best.timing)
         if base not in self.search.fits:
-            base = self.in_time(CLAIMED_BY, "", lambda: self.tried(base), Hypothesis(()))
+            base = self.in_time(RIVALLED_BY, "", lambda: self.tried(base), Hypothesis(()))
             best = best if base.timing == best.timing else base
         self.search.say("what the same search finds in noise alone", 0.88)
         nothing = (base, NOT_ASKED)
         # What is left of the time for claims does for this, even where rivals used up their share.
         return self.in_time(
-            MAPPED_BY, f"whether {best} holds" if best.effects else "", lambda: self.kept(best), nothing
+            CLAIMED_BY, f"whether {best} holds" if best.effects else "", lambda: self.kept(best), nothing
         )
 
     def tried(self, hypothesis: Hypothesis) -> Hypothesis:
@@ -126,7 +124,9 @@ class Conclusion:
         """The best if it predicts better, errs nowhere more than the base and is more than noise gives; or the base."""
         base = Hypothesis((), best.timing)
         base_fit, best_fit = self.search.fit(base), self.search.fit(best)
-        if best.effects and (not self.held_out.earns(base_fit, best_fit) or self.is_worse(best_fit, base_fit)):
+        timing = self.held_out.needs_timing(best_fit)
+        is_better = self.held_out.earns(base_fit, best_fit) and not self.is_worse(best_fit, base_fit, timing=timing)
+        if best.effects and not is_better:
             best, best_fit = base, base_fit
         alarm = false_alarm(base_fit, best_fit)
         if best.effects and self.exploration.is_adequate(best) and alarm.probability > MOST_FALSE_ALARMS:
@@ -134,19 +134,14 @@ class Conclusion:
         self._reported_timing = self.held_out.needs_timing(self.search.fit(best))
         return best, alarm
 
-    def is_worse(self, result: Fit, base: Fit) -> bool:
+    def is_worse(self, result: Fit, base: Fit, *, timing: bool) -> bool:
         """Whether a fit has a larger error than the base, on its own data or on held-out data, timed alike."""
         if rmse(result) > (1.0 + SAME) * rmse(base):
             return True
         if self.held_out.problem is None:
             return False
-        timing = self.held_out.needs_timing(result)
         here, there = (self.held_out.fit(fitted, timing=timing) for fitted in (result, base))
         return here is None or (there is not None and rmse(here) > (1.0 + SAME) * rmse(there))
-
-    def is_sound(self, result: Fit, base: Fit) -> bool:
-        """Whether a fit may be written: it errs nowhere more than the base."""
-        return not self.is_worse(result, base)
 
     def is_refuted(self, hypothesis: Hypothesis) -> bool:
         """Whether it leaves more than noise of held-out data; dampings of a single stroke are too uncertain to say."""
@@ -185,20 +180,23 @@ class Conclusion:
         """
         with self.budget.until(MAPPED_BY):
             left = nameless.maps if best_fit is base_fit else fit_maps(self.search, best_fit)
-        options: list[Nameless] = [] if names_effects else [*nameless.best[:1], *left[:1]]
-        sound = [
-            entry
-            for entry in options
-            if self.in_time(WORDED_BY, "", functools.partial(self.is_sound, entry.fit, base_fit), otherwise=False)
-        ]
-        error = {id(result): self.held_out.error(result) for result in (best_fit, *(entry.fit for entry in sound))}
-        chosen = min(sound, key=lambda entry: error[id(entry.fit)], default=None)
-        if chosen is not None and error[id(chosen.fit)] < error[id(best_fit)]:
-            return chosen.fit, describe(chosen.choice, chosen.fit, base_fit)
+        options = [] if names_effects else [*nameless.best[:1], *left[:1]]
+        find = functools.partial(self.better_map, options, best_fit, base_fit)
+        better = self.in_time(WORDED_BY, "", find, None)
+        if better is not None:
+            return better.fit, describe(better.choice, better.fit, base_fit)
         if not left:
             return best_fit, None
         shown = self.in_time(WORDED_BY, "", lambda: on_top(left[0].choice, best_fit), left[0].fit)
         return best_fit, describe(left[0].choice, shown, best_fit)
+
+    def better_map(self, options: Sequence[Nameless], best: Fit, base: Fit) -> Nameless | None:
+        """The map of the least held-out error, if that is less than the best's and none is larger than the base's."""
+        sound = [entry for entry in options if not self.is_worse(entry.fit, base, timing=self._reported_timing)]
+        chosen = min(sound, key=lambda entry: self.held_out.error(entry.fit), default=None)
+        if chosen is None or self.held_out.error(chosen.fit) >= self.held_out.error(best):
+            return None
+        return chosen
 
     def nameless_rivals(self, best: Hypothesis, nameless: Sequence[Nameless]) -> list[tuple[Nameless, float]]:
         """Forces without a name that come near the best in S, and by how much they are worse.

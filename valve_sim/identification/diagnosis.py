@@ -14,15 +14,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.identification.budget import Budget
+from valve_sim.identification.budget import Budget, OutOfTimeError
 from valve_sim.identification.conclusion import Conclusion
 from valve_sim.identification.current_form import doubt_of_current
 from valve_sim.identification.exploration import Exploration
-from valve_sim.identification.fitting import Mask, Problem
+from valve_sim.identification.fitting import Mask, Problem, fit
 from valve_sim.identification.held_out import HeldOut
 from valve_sim.identification.outcome import Candidate, Diagnosis, State, Verdict
 from valve_sim.identification.plant import Plant, strokes_of_plant
-from valve_sim.identification.search import Progress, Search
+from valve_sim.identification.search import Hypothesis, Progress, Search
 from valve_sim.identification.valve_plant import ValvePlant
 from valve_sim.model import Valve
 from valve_sim.traces import Trace
@@ -31,7 +31,11 @@ __all__ = ["Candidate", "Diagnosis", "State", "Verdict", "diagnose", "diagnose_p
 
 EVERY_FOURTH: Final = 4
 """Of the strokes is held out where no hold-out bag is given."""
-EXPLORED_BY: Final = 0.7
+DOUBTED_BY: Final = 0.2
+"""The share of the time within which it is asked whether an actuator's form is known."""
+BEGUN_BY: Final = 0.8
+"""The share of the time within which the declared model must be fitted: without it there is nothing to say."""
+EXPLORED_BY: Final = 0.65
 """The share of the time after which no further hypothesis is tried; the rest is for the conclusion."""
 
 
@@ -62,28 +66,40 @@ def diagnose_plant(
 ) -> Diagnosis:
     """The same for any plant; `holdout` is the same machine with other data."""
     budget = budget or Budget.unlimited()
-    with budget.until(EXPLORED_BY):
+    with budget.until(BEGUN_BY):
         exploration = _begun(plant, holdout, progress, budget)
+    with budget.until(EXPLORED_BY):
         best = exploration.explore()
     return Conclusion(exploration).conclude(best)
 
 
 def _begun(plant: Plant, holdout: Plant | None, progress: Progress | None, budget: Budget) -> Exploration:
-    """What is fitted and what is held out, with nothing tried yet."""
+    """What is fitted and what is held out, with nothing tried yet but the declared model."""
     train_mask, holdout_mask = _split(plant) if holdout is None else (None, None)
     problem = Problem(plant, train_mask, budget=budget)
+    never_still = [kind for kind, noise in problem.noises.items() if noise.samples == 0]
+    if never_still:
+        problem = problem.with_noise_of(fit(problem, plant.base, {}, nuisances=plant.nuisances))
     # Believed to the last milliampere, a current of another form would bend the motion to it.
     actuation = {channel.kind for channel in plant.channels if channel.role == "actuation"}
-    doubt = doubt_of_current(problem)
+    with budget.until(DOUBTED_BY):
+        doubt = doubt_of_current(problem)
     held_out = None
     if holdout is not None:
-        held_out = Problem(holdout, budget=budget)
+        held_out = Problem(holdout, budget=budget).with_noises({kind: problem.noises[kind] for kind in never_still})
     elif holdout_mask is not None:
         held_out = problem.restricted(holdout_mask)
     for kind in sorted(actuation):
         problem = problem.doubting(kind, doubt)
         held_out = None if held_out is None else held_out.doubting(kind, doubt)
-    return Exploration(Search(problem, progress), HeldOut(plant, held_out))
+    search = Search(problem, progress)
+    try:
+        search.fit(Hypothesis(()))
+    except OutOfTimeError:
+        # From one start it may be fitted all the same.
+        if Hypothesis(()) not in search.fits:
+            raise
+    return Exploration(search, HeldOut(plant, held_out))
 
 
 def _split(plant: Plant) -> tuple[Mask | None, Mask | None]:

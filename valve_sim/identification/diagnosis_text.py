@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from valve_sim.identification.diagnosis import Diagnosis
+from valve_sim.identification.plant import judged_channels
 from valve_sim.identification.units import measured, quantity
 from valve_sim.identification.wording import (
     headline,

@@ -52,12 +52,7 @@ class Exploration:
         self.is_cut_short = False
 
     def explore(self) -> Hypothesis:
-        """The best claimable hypothesis of all that the time allows to try.
-
-        Raises:
-            OutOfTimeError: not even the declared model could be fitted.
-        """
-        self.search.fit(Hypothesis(()))
+        """The best claimable hypothesis of all that the time allows to try, beside the declared model's fit."""
         try:
             return self._explore()
         except OutOfTimeError:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from valve_sim.identification.budget import Budget
-from valve_sim.identification.noise import Noise, estimate_noise, still_runs, stretches
+from valve_sim.identification.noise import Noise, estimate_noise, noise_of_residuals, still_runs, stretches
 from valve_sim.identification.plant import (
     Array,
     Nuisance,
@@ -98,12 +98,30 @@ class Problem:
 
     def doubting(self, kind: str, factor: float) -> Problem:
         """The same with the noise of a kind of channel taken to be so many times as large."""
-        doubtful = copy.copy(self)
-        doubtful.noises = {
-            name: replace(noise, innovation=factor * noise.innovation) if name == kind else noise
+        doubted = {
+            name: replace(noise, innovation=factor * noise.innovation)
             for name, noise in self.noises.items()
+            if name == kind
         }
-        return doubtful
+        return self.with_noises(doubted)
+
+    def with_noise_of(self, result: Fit) -> Problem:
+        """The same with the noise of what is never still taken from what a fit leaves of it."""
+        shown = self.plant.predict(result.values)
+        pieces: dict[str, list[Array]] = {kind: [] for kind, noise in self.noises.items() if noise.samples == 0}
+        for index, channel in enumerate(self.plant.channels):
+            for group in np.unique(channel.group) if channel.kind in pieces else ():
+                chosen = (channel.group == group) & (self.weight(index) > 0.0)
+                pieces[channel.kind].append((channel.data - shown[index])[chosen])
+        learned = {kind: noise_of_residuals(found, self.noises[kind]) for kind, found in pieces.items()}
+        return self.with_noises({**self.noises, **learned})
+
+    def with_noises(self, noises: Mapping[str, Noise]) -> Problem:
+        """The same data and samples with other noise."""
+        same = copy.copy(self)
+        same.noises = {kind: noises.get(kind, noise) for kind, noise in self.noises.items()}
+        same.excess = max(noise.excess for noise in same.noises.values())
+        return same
 
     @property
     def noise(self) -> Noise:

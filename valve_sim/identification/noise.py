@@ -102,6 +102,27 @@ def estimate_noise(channels: Sequence[Channel]) -> Noise:
     return Noise(spread, innovation, coefficients, step, _excess(noise, centred), samples)
 
 
+def noise_of_residuals(pieces: Sequence[Array], guess: Noise) -> Noise:
+    """The noise of a machine that is never still: what a model leaves, with the colour that it has.
+
+    What the model lacks is counted in, so that nothing is claimed too easily. Differences of the data would not do: of
+    smooth data they show a part of the noise, of jagged data the signal itself.
+
+    Args:
+        pieces: (n,) each, measured less modelled, in a row.
+        guess: by differences of the data; its quantisation step is kept.
+    """
+    long = [piece - piece.mean() for piece in pieces if len(piece) > LARGEST_ORDER + 1]
+    samples = sum(len(piece) for piece in long)
+    spread = math.sqrt(sum(float(piece @ piece) for piece in long) / samples) if samples >= SHORT_WINDOW else 0.0
+    floor = guess.step / math.sqrt(12.0)
+    if spread <= floor or spread == 0.0:
+        return guess
+    coefficients, innovation = _autoregression(long, samples)
+    noise = Noise(spread, max(innovation, 1e-6 * spread), coefficients, guess.step, 1.0, 0)
+    return replace(noise, excess=_excess(noise, long))
+
+
 def quiet_windows(channel: Channel, shortest: int = SHORTEST_WINDOW) -> list[Array]:
     """The stretches of a channel in which the machine is still, each of at least `shortest` samples."""
     return [channel.data[start:stop] for start, stop in stretches(channel.quiet) if stop - start >= shortest]

@@ -1,4 +1,4 @@
-"""The content of report.json, MODEL section 6."""
+"""The content of report.json."""
 
 from __future__ import annotations
 
@@ -8,18 +8,25 @@ from typing import Any
 from valve_sim.identification.diagnosis import Diagnosis, State
 from valve_sim.identification.force_curves import Motion, force_curve, motion_of
 from valve_sim.identification.nameless import Unexplained
+from valve_sim.identification.plant import judged_channels
 from valve_sim.identification.wording import headline, meanings
 
 
 def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
-    """The content of report.json, MODEL section 6."""
+    """The content of report.json.
+
+    Errors are in `unit`, the one in which people read the response: µm of a position, N of a force. Of a position they
+    also stand under the older names `noise_um` and `rmse_um`.
+    """
     motion = motion_of(diagnosis)
-    noise = next(noise for kind, noise in diagnosis.before.fit.problem.noises.items() if kind != "current")
+    problem = diagnosis.before.fit.problem
+    scale, unit = problem.plant.channels[judged_channels(problem.plant)[0]].readable
     return {
         "schema": "valve_sim/diagnosis/1",
         "sources": list(diagnosis.sources),
-        "noise_um": 1e6 * noise.sigma,
-        "before": _state_json(diagnosis.before),
+        "unit": unit,
+        **_in_unit("noise", scale * problem.noise.sigma, unit),
+        "before": _state_json(diagnosis.before, scale, unit),
         "verdict": {
             "kind": diagnosis.verdict.kind,
             "effects": list(diagnosis.verdict.effects),
@@ -30,14 +37,14 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
             "headline": headline(diagnosis),
         },
         "meaning": {meaning.name: meaning.to_json() for meaning in meanings(diagnosis)},
-        "after": {**_state_json(diagnosis.after), "effects": _effects_json(diagnosis.after)},
+        "after": {**_state_json(diagnosis.after, scale, unit), "effects": _effects_json(diagnosis.after)},
         "candidates": [
             {
                 "effect": " + ".join(candidate.effects),
                 "effects": list(candidate.effects),
                 "command_errors": candidate.timing,
                 "delta_bic": candidate.delta_score,
-                "rmse_um": {"train": 1e6 * candidate.train_rmse, "holdout": _number(1e6 * candidate.holdout_rmse)},
+                **_errors(candidate.train_rmse, candidate.holdout_rmse, scale, unit),
                 "parameters": {name: interval.to_json() for name, interval in candidate.intervals.items()},
             }
             for candidate in diagnosis.candidates
@@ -51,10 +58,18 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
     }
 
 
-def _state_json(state: State) -> dict[str, Any]:
+def _in_unit(name: str, value: Any, unit: str) -> dict[str, Any]:
+    return {name: value, f"{name}_um": value} if unit == "µm" else {name: value}
+
+
+def _errors(train: float, holdout: float, scale: float, unit: str) -> dict[str, Any]:
+    return _in_unit("rmse", {"train": scale * train, "holdout": _number(scale * holdout)}, unit)
+
+
+def _state_json(state: State, scale: float, unit: str) -> dict[str, Any]:
     return {
         "parameters": {name: i.to_json() for name, i in state.intervals.items() if "." not in name},
-        "rmse_um": {"train": 1e6 * state.train_rmse, "holdout": _number(1e6 * state.holdout_rmse)},
+        **_errors(state.train_rmse, state.holdout_rmse, scale, unit),
         "white": state.adequacy.is_white,
         "chi2_per_sample": state.fit.chi2 / state.fit.problem.effective_samples,
         "test": {"p_value": state.adequacy.p_value, "worst": state.adequacy.worst},

@@ -17,7 +17,7 @@ from valve_sim.model import CATALOGUE, DECLARED, Drive, Parameter, Valve
 from valve_sim.model.core_types import EVENT_RECORD
 from valve_sim.model.effects import FORCE_MAP_KNOTS, FORCE_MAP_VARIABLES, new_record
 from valve_sim.model.simulation import Samples, new_states, run_record
-from valve_sim.traces import Trace
+from valve_sim.traces import Signal, Trace
 
 CLOCK_SIGMA: Final = 50e-6
 """s, MODEL section 3: the prior of a bag's clock offset and of each command's stamp."""
@@ -25,6 +25,8 @@ FIT_TOLERANCE: Final = 1e-8
 """Of one step while fitting: a thousandth of the noise at most."""
 STAMPS: Final = math.sqrt(2.0) * 1e-9
 """s: a sample and the command before it are stamped in whole nanoseconds each."""
+AT_COMMAND: Final = 1e-8
+"""s: a sample this near a command may be before or after it, for rounded stamps."""
 SETTLING: Final = 0.3
 """The part of each interval between commands that is never taken for quiet, at its beginning."""
 BEFORE_STROKE: Final = 0.25
@@ -58,7 +60,8 @@ class ValvePlant:
     """
 
     def __init__(self, traces: Sequence[Trace], valve: Valve) -> None:
-        self.traces = tuple(without_jittered_current(trace) for trace in traces)
+        is_instant = valve.parameters.coil_time_constant == 0.0
+        self.traces = tuple(_with_usable_current(trace, is_instant=is_instant) for trace in traces)
         self.valve = valve
         self._declared = valve.declared()
         self._amperes = valve.parameters.reference_voltage / valve.parameters.coil_resistance
@@ -287,6 +290,21 @@ def _fastest(trace: Trace) -> float:
 def _coarse_step(data: Array) -> float:
     levels = np.unique(np.round(data, 12))
     return float(np.median(np.diff(levels))) if 1 < len(levels) < 0.5 * len(data) else 0.0
+
+
+def _with_usable_current(trace: Trace, *, is_instant: bool) -> Trace:
+    """The trace, less a current timed by its arrival; of a coil without a time constant also less what is in doubt.
+
+    Such a current jumps with the command, and rounded stamps do not say on which side of the jump a sample is.
+    """
+    trace = without_jittered_current(trace)
+    if not is_instant or trace.coil_current is None:
+        return trace
+    times, values = trace.coil_current
+    commands = np.concatenate([[-np.inf], trace.drive.times, [np.inf]])
+    after = np.searchsorted(commands, times)
+    is_clear = np.minimum(times - commands[after - 1], commands[after] - times) > AT_COMMAND
+    return replace(trace, coil_current=Signal(times[is_clear], values[is_clear]))
 
 
 def without_jittered_current(trace: Trace) -> Trace:

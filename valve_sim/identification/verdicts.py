@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from valve_sim.identification.calibration import calibrated
@@ -28,8 +28,8 @@ class Findings:
         is_unknown: whether something is left that has no name. names_most: whether the effects explain most beside it.
         confusable: of each effect, what else it could be. evidence: share of the claim in all evidence.
         share: of the base's squared residual that the claim explains. places: forces without a name that do as well.
-        advice: works out what to record next. untried: what was left to try when the time was used up.
-        seconds: the budget. singles_untried: whether not even every single effect was tried.
+        advice: works out what to record next.
+        singles_untried: whether not even every single effect was tried.
     """
 
     plant: Plant
@@ -42,8 +42,6 @@ class Findings:
     share: float
     places: Sequence[Nameless]
     advice: Callable[[], str]
-    untried: tuple[str, ...]
-    seconds: float
     singles_untried: bool
 
     @property
@@ -59,13 +57,18 @@ def decide(found: Findings) -> tuple[Verdict, str]:
     advice = found.advice() if kind in ("unknown", "insufficient") or (kind == "effects" and is_ambiguous) else ""
     if kind == "insufficient" and advice:
         sentence += f" {advice}"
-    if found.untried:
-        few = ", ".join(found.untried[:SHOWN_UNTRIED]) + (", ..." if len(found.untried) > SHOWN_UNTRIED else "")
-        sentence += f" The {found.seconds:g} s were used up with {len(found.untried)} left untried: {few}."
     is_sure = not found.is_unknown and not found.singles_untried and kind in ("none", "effects")
     probability = calibrated(kind, found.evidence) if is_sure else min(found.evidence, 0.5)
     effects = () if kind == "none" else found.best.effects
     return Verdict(kind, effects, dict(found.confusable), found.evidence, probability, sentence), advice
+
+
+def with_untried(verdict: Verdict, untried: Sequence[str]) -> Verdict:
+    """The verdict, saying what was left to try when the time was used up."""
+    if not untried:
+        return verdict
+    few = ", ".join(untried[:SHOWN_UNTRIED]) + (", ..." if len(untried) > SHOWN_UNTRIED else "")
+    return replace(verdict, summary=f"{verdict.summary} The time was used up with {len(untried)} left untried: {few}.")
 
 
 def _decided(found: Findings) -> tuple[str, str]:

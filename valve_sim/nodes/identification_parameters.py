@@ -12,6 +12,7 @@ from valve_sim.model import ParameterError
 from valve_sim.model.parameters import closest
 
 MODES: Final = ("identify", "diagnose")
+_LOWEST: Final = {"rate": 0.0, "budget": 1.0}
 _VALVE_KEYS: Final = ("valve.", "effects.")
 
 
@@ -26,7 +27,7 @@ class Settings(NamedTuple):
         rate: seconds of the bag a second of the clock; 0 for as fast as possible. loop: replay it again and again.
         apply_to: the node that gets the result; empty for none. apply_always: where more than noise is left, too.
         output: folder of the files. linger: stay after the last sample and the result, for ~/undo and late subscribers.
-        mode: of MODES.
+        mode: of MODES. budget: s that a diagnosis may take.
     """
 
     bag: str = ""
@@ -41,6 +42,7 @@ class Settings(NamedTuple):
     output: str = "."
     linger: bool = False
     mode: str = MODES[0]
+    budget: float = 120.0
 
 
 DESCRIPTIONS: Final = {
@@ -55,6 +57,7 @@ DESCRIPTIONS: Final = {
     "apply_always": "whether apply_to is given a result that leaves more than noise, too",
     "output": "folder of identified.yaml (mode diagnose: corrected.yaml) and before.yaml, what apply_to had",
     "linger": "whether the node stays when all is done, for ~/undo and late subscribers",
+    "budget": "[s] time that a diagnosis may take; it says what was left untried",
     "mode": "identify: refit `free`; diagnose: find the effect that the declared valve lacks",
 }
 
@@ -103,9 +106,10 @@ def output_folder(settings: Settings) -> Path:
 def _checked(name: str, value: object, where: str) -> object:
     if name == "free":
         return _checked_free(value, where)
-    if name == "rate":
-        if isinstance(value, bool) or not isinstance(value, int | float) or not (0.0 <= value < math.inf):
-            raise ParameterError(f"{where}: found {value!r}, expected a number from 0 on")
+    if name in _LOWEST:
+        lowest = _LOWEST[name]
+        if isinstance(value, bool) or not isinstance(value, int | float) or not (lowest <= value < math.inf):
+            raise ParameterError(f"{where}: found {value!r}, expected a number from {lowest:g} on")
         return float(value)
     if name in ("loop", "apply_always", "linger"):
         if not isinstance(value, bool):

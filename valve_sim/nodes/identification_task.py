@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import threading
+import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -106,10 +107,11 @@ def _doubt(result: Identification) -> str:
 
 def _diagnosed(trace: Trace, declared: Valve, settings: Settings, folder: Path, progress: Progress) -> Outcome:
     # Only where it is asked for: it brings half a second of imports.
+    from valve_sim.identification.budget import Budget
     from valve_sim.identification.diagnosis import diagnose
     from valve_sim.identification.report_json import to_json
 
-    result = diagnose([trace], [], declared, progress)
+    result = diagnose([trace], [], declared, progress, Budget(settings.budget, time.monotonic))
     file = folder / CORRECTED_FILE
     save_valve(file, result.valve, _provenance(settings, result.verdict.summary))
     offset = result.after.fit.values.get("clock_offset[0]", 0.0)

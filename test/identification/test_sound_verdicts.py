@@ -1,0 +1,185 @@
+"""Verdicts on awkward data: none leaves a larger error, and what is written is what is claimed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from plants.recording import train_profile
+
+from benchmarks.hard_recordings.cases import CAMPAIGN, Case, cases
+from valve_sim.files.parameter_files import default_valve
+from valve_sim.identification.axis_plant import AxisPlant
+from valve_sim.identification.diagnosis import Diagnosis, diagnose, diagnose_plant
+from valve_sim.identification.fitting import Problem, fit
+from valve_sim.identification.noise import Noise
+from valve_sim.identification.plant import Array, Channel, EffectChoice, ForceMap, Nuisance
+from valve_sim.identification.report_json import to_json
+from valve_sim.identification.synthetic import Sensor, record
+from valve_sim.model import Drive, Parameter
+from valve_sim.traces import Signal, read_trace
+
+from .test_emps import made_up_record
+
+BAGS = Path(__file__).parents[2] / "bags"
+
+
+def assert_sound(found: Diagnosis) -> None:
+    """No larger error after than before, and a corrected model that is the one the verdict speaks of."""
+    assert found.after.train_rmse <= found.before.train_rmse * (1.0 + 1e-9)
+    if not np.isnan(found.before.holdout_rmse):
+        assert found.after.holdout_rmse <= found.before.holdout_rmse * (1.0 + 1e-9)
+    knots = [value for name, value in found.after.fit.values.items() if name.startswith("force_map.knot")]
+    if found.verdict.kind in ("none", "effects"):
+        assert not any(knots)
+        assert {name.split(".")[0] for name in found.after.fit.free if "." in name} == set(found.verdict.effects)
+    elif any(knots):
+        assert found.unexplained is not None
+        assert set(found.unexplained.force) <= set(knots)
+
+
+@pytest.mark.parametrize("bag", ["live.mcap", "eight_strokes.mcap", "one_opening.mcap", "friction"])
+def test_of_the_shipped_bags_only_the_one_with_friction_gets_a_name(bag: str) -> None:
+    found = diagnose([read_trace(BAGS / bag)], [], default_valve())
+    assert_sound(found)
+    assert found.verdict.effects == (("coulomb_friction",) if bag == "friction" else ())
+    expected = {"friction": "effects", "one_opening.mcap": "insufficient"}
+    assert found.verdict.kind == expected.get(bag, "none")
+
+
+SLICE = ("noise-free, own", "noise-free, plant, with current", "coarse, no noise", "no name: ripple")
+
+
+@pytest.mark.parametrize("case", [case for case in cases() if case.kind in SLICE and case.seed == 1], ids=str)
+def test_a_slice_of_the_hard_recordings(case: Case) -> None:
+    found = diagnose(case.make(case.seed), [], case.declared)
+    assert found.verdict.kind in case.allowed
+    assert_sound(found)
+
+
+def test_strokes_are_held_out_of_bags_of_two_strokes_each() -> None:
+    (case,) = (case for case in cases() if case.kind == "four bags of two strokes" and case.seed == 1)
+    traces = case.make(1)
+    assert [int(np.count_nonzero(trace.drive.volts)) for trace in traces] == [2, 2, 2, 2]
+    found = diagnose(traces, [], CAMPAIGN)
+    assert_sound(found)
+    assert found.verdict.effects == ("coulomb_friction",)
+    assert found.after.holdout_rmse == pytest.approx(1e-6, rel=0.1)
+
+
+def test_a_sample_at_the_command_of_an_instant_coil_makes_no_effect() -> None:
+    valve = default_valve().with_values(coil_time_constant=0.0)
+    profile = train_profile()
+    made = record(valve, Drive(profile.times, profile.volts), profile.duration, 10e3, Sensor()).trace
+    times = made.coil_current.times + 1e-9 * (np.arange(len(made.times)) % 2)
+    found = diagnose([replace(made, coil_current=Signal(times, made.coil_current.values))], [], valve)
+    assert (found.verdict.kind, found.verdict.effects) == ("none", ())
+
+
+# -- a user's plants ---------------------------------------------------------------------------------------------------
+
+
+class Decay:
+    """Shown: gain · exp(−t) in every group, with a `step` in later groups as its one effect."""
+
+    base = ("gain",)
+    nuisances: tuple[Nuisance, ...] = ()
+    timing_errors: tuple[Nuisance, ...] = ()
+    force_maps: tuple[ForceMap, ...] = ()
+    experiments = ()
+    PARAMETERS: ClassVar = {
+        "gain": Parameter("gain", "A", "of the decay", 0.0, 1e3, 1.0),
+        "ramp.slope": Parameter("slope", "A/s", "added", -1e3, 1e3, 0.1, 0.0),
+    }
+    effects: ClassVar = {"ramp": EffectChoice("ramp", (PARAMETERS["ramp.slope"],))}
+
+    def __init__(self, kind: str, unit: str, data: Array | None = None, *, quiet: bool = True, groups: int = 8) -> None:
+        self.times = np.arange(200 * groups) / 100.0
+        group = np.arange(200 * groups) // 200
+        still = np.arange(200 * groups) % 200 >= 60 if quiet else np.zeros(200 * groups, bool)
+        shown = np.zeros(len(self.times)) if data is None else data
+        self.channels = (Channel("user", kind, self.times, shown, still, group, unit),)
+
+    def parameter(self, name: str) -> Parameter:
+        return self.PARAMETERS[name]
+
+    def declared(self, name: str) -> float:
+        return 1.0 if name == "gain" else 0.0
+
+    def predict(self, values: Mapping[str, float]) -> list[Array]:
+        since = np.minimum(self.times % 2.0, 0.6)
+        shape = np.exp(-20.0 * since) - np.exp(-20.0 * 0.6)
+        return [values.get("gain", 1.0) * shape + values.get("ramp.slope", 0.0) * since * (0.6 - since)]
+
+
+def made(kind: str, unit: str, extra: Array | float = 0.0, slope: float = 0.0, **form: bool) -> Decay:
+    plant = Decay(kind, unit, **form)
+    noise = np.random.default_rng(3).normal(0.0, 0.01, len(plant.times))
+    return Decay(kind, unit, plant.predict({"gain": 1.3, "ramp.slope": slope})[0] + noise + extra, **form)
+
+
+@pytest.mark.parametrize(("kind", "unit"), [("current", "A"), ("force", "N"), ("temperature", "K")])
+def test_a_user_s_only_channel_counts_whatever_its_kind(kind: str, unit: str) -> None:
+    found = diagnose_plant(made(kind, unit, slope=2.0), None)
+    assert found.verdict.effects == ("ramp",)
+    assert found.before.train_rmse > 2.0 * found.after.train_rmse
+    assert found.after.holdout_rmse == pytest.approx(0.01, rel=0.1)
+    assert "V" not in found.verdict.summary
+    report = to_json(found)
+    assert report["unit"] == unit
+    assert "rmse_um" not in report["after"]
+    assert report["after"]["rmse"]["train"] == pytest.approx(found.after.train_rmse)
+
+
+def test_advice_to_another_machine_is_not_the_valve_s() -> None:
+    found = diagnose_plant(made("current", "A", slope=2.0, groups=1), None)
+    assert found.verdict.kind == "insufficient"
+    assert "14 V" not in found.verdict.summary + found.record_next
+    assert "eight strokes" in found.record_next
+
+
+def test_what_no_effect_explains_is_unknown_without_maps_too() -> None:
+    wave = 0.1 * np.sin(np.arange(1600) * 0.7) * (np.arange(1600) % 200 < 60)
+    found = diagnose_plant(made("temperature", "K", wave), None)
+    assert found.verdict.kind == "unknown"
+    assert found.unexplained is None
+    assert_sound(found)
+
+
+def test_noise_that_is_never_seen_alone_is_what_the_model_leaves() -> None:
+    smooth = np.convolve(np.random.default_rng(5).normal(size=1600), np.ones(25) / 25.0, "same")
+    coloured = diagnose_plant(made("temperature", "K", 0.5 * smooth, quiet=False), None)
+    # Differences see a hundredth of noise of this colour, and made every effect certain.
+    assert coloured.before.fit.problem.noise.sigma == pytest.approx(0.1, rel=0.3)
+    assert coloured.verdict.effects == ()
+    jagged = Decay("force", "N", quiet=False)
+    jagged.predict = lambda values: [values.get("gain", 1.0) * np.sign(np.sin(3.1 * np.arange(1600)))]  # type: ignore[method-assign]
+    noise = np.random.default_rng(6).normal(0.0, 1e-3, 1600)
+    jagged.channels = (replace(jagged.channels[0], data=jagged.predict({})[0] + noise),)
+    # Differences see the signal itself, half a thousand times the noise.
+    found = diagnose_plant(jagged, None)
+    assert found.before.fit.problem.noise.sigma == pytest.approx(1e-3, rel=0.1)
+
+
+def test_an_axis_is_reported_in_newtons() -> None:
+    report = to_json(diagnose_plant(AxisPlant(made_up_record(lambda v: 8.0, 0.0)), None))
+    assert report["unit"] == "N"
+    assert report["before"]["rmse"]["train"] == pytest.approx(8.0, rel=0.2)
+    assert not [name for name in report["before"] if name.endswith("_um")]
+
+
+# -- numbers -----------------------------------------------------------------------------------------------------------
+
+
+def test_the_evidence_counts_the_prior_of_a_nuisance_once() -> None:
+    plant = made("current", "A")
+    shift = Nuisance("ramp.slope", 0.01, "A/s")
+    problem = Problem(plant, noises={"current": Noise(0.01, 0.01, (), 0.0, 1.0, 100)})
+    found = fit(problem, ("gain",), {}, nuisances=(shift,))
+    columns, spread = found.jacobian, np.array([1.0, 0.01])
+    volume = np.linalg.slogdet(np.eye(2) + columns.T @ columns * np.outer(spread, spread))[1]
+    assert found.evidence == pytest.approx(found.chi2 + volume, rel=1e-9)
