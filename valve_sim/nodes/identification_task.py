@@ -110,7 +110,10 @@ def _diagnosed(trace: Trace, declared: Valve, settings: Settings, folder: Path, 
     from valve_sim.identification.budget import Budget
     from valve_sim.identification.diagnosis import diagnose
     from valve_sim.identification.report_json import to_json
+    from valve_sim.identification.valve_plant import ValvePlant
 
+    # The first prediction after an installation compiles the model, which no budget is meant for.
+    ValvePlant([trace], declared).predict({})
     result = diagnose([trace], [], declared, progress, Budget(settings.budget, time.monotonic))
     file = folder / CORRECTED_FILE
     save_valve(file, result.valve, _provenance(settings, result.verdict.summary))
