@@ -59,14 +59,12 @@ def publish(words: list[str]) -> int:
 
 
 def echo(words: list[str]) -> int:
-    """ros2 topic echo --once TOPIC, of a topic that is latched."""
+    """ros2 topic echo --once --qos-durability transient_local TOPIC TYPE, of a topic that is latched."""
     import rclpy
     from rclpy.qos import DurabilityPolicy, QoSProfile
 
-    (topic,) = words[1:]
+    topic, kind = words[3:]
     node = rclpy.create_node("listener")
-    _patient(node, lambda: topic in dict(node.get_topic_names_and_types()), topic)
-    (kind,) = dict(node.get_topic_names_and_types())[topic]
     heard: list[Any] = []
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     node.create_subscription(message_class(kind), topic, heard.append, latched)

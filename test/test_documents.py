@@ -27,7 +27,7 @@ NOT_HERE = {
     "make shell": "test_invocation.py types into one",
     "make test": "is what runs this test",
     "make docs": "make test builds them, too",
-    "colcon build": "CI has no colcon; test_resources.py compares what would be installed",
+    "rosdep install": "CI has neither rosdep nor colcon; test_resources.py compares what would be installed",
     "ros2 launch": "CI has no launch; nodes/test_station.py starts what the launch file says",
 }
 """Commands that are not run, and what is in their place."""
@@ -84,7 +84,7 @@ def terminal(tmp_path: Path) -> tuple[Path, dict[str, str]]:
     """A folder to work in, with what a checkout has, and an environment in which the commands are found."""
     tools = tmp_path / "bin"
     tools.mkdir()
-    for name, words in {"valve-sim": "-m valve_sim", "ros2": str(STAND_IN)}.items():
+    for name, words in {"valve-sim": "-m valve_sim", "ros2": str(STAND_IN), "python3": ""}.items():
         tool = tools / name
         tool.write_text(f'#!/bin/sh\nexec "{sys.executable}" {words} "$@"\n')
         tool.chmod(tool.stat().st_mode | stat.S_IXUSR)

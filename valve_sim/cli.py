@@ -81,7 +81,7 @@ class CommandLine(click.Group):
         except click.ClickException as error:
             context = getattr(error, "ctx", None)
             hint = f" (see {context.command_path} --help)" if context else ""
-            _end(f"{_one_line(error.format_message())}{hint}")
+            _end(f"{_one_line(error.format_message()).removesuffix('.')}{hint}")
         except click.Abort:
             _end(_one_line(f"stopped; {ledger.words()}"), STOPPED)
         except BrokenPipeError:
