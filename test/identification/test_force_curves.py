@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -63,3 +65,12 @@ def test_a_force_that_goes_with_the_current_is_told_as_it_acts() -> None:
     idle = force_curve(entry("x·u²", 0.0, STROKE, np.full(KNOTS, 2.0)), moving(there, np.full(400, 0.1), 0.01))
     assert np.isnan(idle.force).all()
     assert idle.where == "nowhere that the data went"
+
+
+def test_the_band_is_two_standard_errors_of_the_knots() -> None:
+    errors = tuple(0.01 * (1 + knot) for knot in range(KNOTS))
+    there = np.linspace(0.0, STROKE, 400)
+    made = replace(entry("x", 0.0, STROKE, np.full(KNOTS, 0.2)), stderr=errors)
+    curve = force_curve(made, moving(there, np.full(400, 0.1)))
+    assert curve.band[list(curve.knots)] == pytest.approx(2.0 * np.array(errors))
+    assert np.isnan(force_curve(replace(made, stderr=()), moving(there, np.full(400, 0.1))).band).all()

@@ -10,7 +10,7 @@ would be is left out.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
@@ -179,8 +179,7 @@ def _near(drawn: Array, samples: Array) -> NDArray[np.bool_]:
 
 
 def _errors(entry: Unexplained) -> Array:
-    errors: Sequence[float] = getattr(entry, "stderr", ())
-    return np.array(errors) if len(errors) == len(entry.at) else np.full(len(entry.at), np.nan)
+    return np.array(entry.stderr) if entry.stderr else np.full(len(entry.at), np.nan)
 
 
 def _force_label(variable: str) -> str:

@@ -18,7 +18,10 @@ from valve_sim.model import SimulationError
 
 @dataclass(frozen=True)
 class Unexplained:
-    """A remainder that no named effect explains, as the force map that explains most of it."""
+    """A remainder that no named effect explains, as the force map that explains most of it.
+
+    `stderr`: of the force at each knot; 0 where a knot is held, empty where it is not known.
+    """
 
     force_rms: float
     where: str
@@ -26,6 +29,7 @@ class Unexplained:
     at: tuple[float, ...]
     force: tuple[float, ...]
     gain: float
+    stderr: tuple[float, ...] = ()
 
 
 class Nameless(NamedTuple):
@@ -96,6 +100,7 @@ def describe(choice: ForceMap, result: Fit, base: Fit) -> Unexplained:
     return Unexplained(
         float(np.sqrt(np.mean(np.square(force)))), where(choice, result), choice.variable, tuple(at.tolist()),
         tuple(force.tolist()), base.score - result.score,
+        tuple(result.stderr(name) if name in result.free else 0.0 for name in choice.all_knots),
     )  # fmt: skip
 
 

@@ -98,6 +98,7 @@ def _unexplained_json(entry: Unexplained, motion: Motion) -> dict[str, Any]:
         "variable": entry.variable,
         "at": list(entry.at),
         "force": list(entry.force),
+        "force_stderr": list(entry.stderr),
         "delta_bic": -entry.gain,
     }
 
