@@ -34,7 +34,8 @@ extensions = [
 exclude_patterns = ["_build", "_ext", "_templates", "examples"]
 templates_path = ["_templates"]
 default_role = "code"
-suppress_warnings = ["myst.header"]
+# A field that several classes have, such as `name`, is no one's link.
+suppress_warnings = ["ref.python"]
 
 html_math_renderer = "mathml" if has["latex2mathml"] else "mathjax"
 
