@@ -13,24 +13,37 @@ from valve_sim.nodes.parameters import table
 
 std_msgs = pytest.importorskip("std_msgs.msg", reason="there is no ROS 2 here: its messages cannot be imported")
 
+from rclpy.serialization import deserialize_message, serialize_message  # noqa: E402
+from sensor_msgs.msg import JointState  # noqa: E402
+from std_msgs.msg import Float64  # noqa: E402
+
 from valve_sim.nodes import messages  # noqa: E402
 
 READING = Reading(1.0, 2e-3, 1e-3, 0.5, 0.25, 0.8, 15.0, -3.0, Phase.OPEN, ())
 
 
-def test_joint_states_carry_everything_of_both_plungers() -> None:
-    maker = messages.ReadingMessages("tank")
-    message = maker.joint_states(1_500_000_002, READING)
+@pytest.mark.parametrize("frame_id", ["", "t", "ta", "tank", "a frame of thirty characters …"])
+def test_joint_states_carry_everything_of_both_plungers(frame_id: str) -> None:
+    maker = messages.ReadingMessages("")
+    maker.set_frame_id(frame_id)
+    message = deserialize_message(maker.joint_states(1_500_000_002, READING), JointState)
     assert (message.header.stamp.sec, message.header.stamp.nanosec) == (1, 500_000_002)
-    assert message.header.frame_id == "tank"
+    assert message.header.frame_id == frame_id
     assert list(message.name) == ["pilot_plunger", "main_plunger"]
     assert (list(message.position), list(message.velocity)) == ([2e-3, 1e-3], [0.5, 0.25])
     assert list(message.effort) == [15.0, -3.0]
-    assert maker.coil_current(READING).data == 0.8
-    maker.set_frame_id("other")
-    assert maker.joint_states(0, READING).header.frame_id == "other"
-    late = maker.joint_states(2**31 * 1_000_000_000 + 5, READING)
+    late = deserialize_message(maker.joint_states(2**31 * 1_000_000_000 + 5, READING), JointState)
     assert (late.header.stamp.sec, late.header.stamp.nanosec) == (2**31 - 1, 999_999_999)
+    assert list(late.position) == [2e-3, 1e-3]
+
+
+def test_what_is_encoded_here_is_what_ros_encodes_to_the_byte() -> None:
+    maker = messages.ReadingMessages("tank")
+    for reading in (READING, READING._replace(main_effort=math.nan, pilot_position=-math.inf)):
+        joints, current = maker.joint_states(7, reading), maker.coil_current(reading)
+        assert serialize_message(deserialize_message(joints, JointState)) == joints
+        assert serialize_message(deserialize_message(current, Float64)) == current
+        assert deserialize_message(current, Float64).data == reading.coil_current
 
 
 @pytest.mark.parametrize("phase", list(Phase))

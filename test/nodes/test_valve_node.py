@@ -17,7 +17,7 @@ from installed_effect import MAGNET_DRAG, Installed
 
 from valve_sim.files.resources import config_path
 
-from .ros_process import NodeProcess, Probe, running
+from .ros_process import PATIENCE, NodeProcess, Probe, running
 
 pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
@@ -321,6 +321,18 @@ def test_a_signal_ends_it_within_a_second_with_code_0(ros: None, tmp_path: Path,
         ending.close()
 
 
+def test_a_signal_while_the_model_is_compiled_is_said_to_wait_and_ends_it_with_code_0(tmp_path: Path) -> None:
+    cache = tmp_path / "cache"
+    with running(tmp_path, NUMBA_CACHE_DIR=str(cache)) as process:
+        ears = Probe()
+        assert ears.until(lambda: "compiling the model" in process.output)
+        ears.close()
+        process.process.send_signal(signal.SIGINT)
+        assert process.process.wait(3 * PATIENCE) == 0, process.output
+        assert "valve_node: ends when a calculation has, or at once with another Ctrl-C" in process.output
+        assert "Traceback" not in process.output
+
+
 @pytest.mark.parametrize(
     ("content", "says"),
     [
@@ -328,6 +340,10 @@ def test_a_signal_ends_it_within_a_second_with_code_0(ros: None, tmp_path: Path,
         ("valve: {pilot_mass: 0}", "valve.pilot_mass: found 0, expected a number above 0"),
         ("valve: {pilot_mass: heavy}", "valve.pilot_mass: found 'heavy', expected a number"),
         ("valve: {attraction_polynomial: [0, 1.5, 2]}", "valve.attraction_polynomial: found 3 terms"),
+        (
+            "valve: {attraction_polynomial: [3, 1.5, 2, 1.0]}",
+            r"valve.attraction_polynomial: found .* expected values of one type",
+        ),
     ],
 )
 def test_a_bad_file_ends_it_with_one_line_and_code_2(tmp_path: Path, content: str, says: str) -> None:
@@ -341,6 +357,7 @@ def test_a_bad_file_ends_it_with_one_line_and_code_2(tmp_path: Path, content: st
     [
         (["-p", "valve.pilot_mas:=1.0"], "valve_node: command line: valve.pilot_mas: .*did you mean valve.pilot_mass"),
         (["--params-file", "none.yaml"], "valve_node: none.yaml: cannot be read"),
+        (["-p", "frame_id:=[]"], "gives a name without a value"),
         (["--nonsense"], "valve_node: ROS 2 refused to start: .*--nonsense"),
     ],
 )

@@ -9,6 +9,7 @@
 Read are all the forms that ROS 2 itself reads: `/**`, wildcards, node names with and without slash, namespaces nested
 or joined, flat dotted keys (`valve.pilot_mass: 0.109`), and what `ros2 param dump` writes. Beyond these, an integer
 may stand for a double (also among doubles in a list) and 1e-3 is a number.
+The nodes leave their files to ROS 2, which refuses a list of both, and say so.
 
 Two rules make a file complete:
 

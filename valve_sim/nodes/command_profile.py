@@ -26,7 +26,7 @@ def _make_shell(given: GivenFiles) -> Shell:
     # Not before `run_node` has seen that ROS is there: without it, one line says so.
     from valve_sim.nodes.command_profile_shell import CommandProfileShell
 
-    return CommandProfileShell(given.sections)
+    return CommandProfileShell(given)
 
 
 if __name__ == "__main__":

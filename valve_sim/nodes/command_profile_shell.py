@@ -19,7 +19,6 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException
-from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import uninstall_signal_handlers
 from sensor_msgs.msg import BatteryState
@@ -28,14 +27,14 @@ from std_msgs.msg import Float64
 from valve_sim.files.parameter_files import Section
 from valve_sim.files.whole_files import write_whole
 from valve_sim.model import ValveError
+from valve_sim.nodes.node_clock import NodeClock
 from valve_sim.nodes.parameters import sources_of
 from valve_sim.nodes.profile_parameters import DESCRIPTIONS, Settings, check_settings, checked_profile
 from valve_sim.nodes.profile_playing import Commanded, ProfileBrokenOffError, as_csv, play
 from valve_sim.nodes.realtime import NANOSECONDS
 from valve_sim.nodes.replay import LISTENERS_SECONDS
-from valve_sim.nodes.shell_parts import RELIABLE, declare_read_only, full_name, given_parameters
-from valve_sim.nodes.spinning import spin
-from valve_sim.nodes.valve_shell import NodeClock
+from valve_sim.nodes.shell_parts import RELIABLE, declare_read_only, full_name, given_parameters, make_node
+from valve_sim.nodes.spinning import guarded, spin
 
 _LOOK_SECONDS: Final = 0.05
 _PROGRESS_SECONDS: Final = 5.0
@@ -57,7 +56,7 @@ class CommandProfileShell:
     """
 
     def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
-        self._node = Node("command_profile")
+        self._node = make_node("command_profile")
         try:
             self._settings = self._declare(sections)
             self._drive = checked_profile(self._settings)
@@ -68,7 +67,7 @@ class CommandProfileShell:
             whole = QoSProfile(depth=len(self._drive.times) + 1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
             self._log = self._node.create_publisher(BatteryState, "~/commanded", whole)
             self._is_watching = False
-            self._node.create_timer(_LOOK_SECONDS, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+            self._node.create_timer(_LOOK_SECONDS, guarded(self._look), clock=Clock(clock_type=ClockType.STEADY_TIME))
         except BaseException:
             self._node.destroy_node()
             raise
@@ -98,7 +97,7 @@ class CommandProfileShell:
                 f"ready: {self._voltage.topic_name} gets {rows} commands in {end:g} s, {most:g} V at most, "
                 f"from {self._settings.profile}"
             )
-            self._next_progress = time.monotonic() + _PROGRESS_SECONDS
+            self._next_progress = self._clock.elapsed() + _PROGRESS_SECONDS
             play(self._drive, self._clock, self._command, lambda: self._stop, self._note)
             self._exit_code = 0
         except ProfileBrokenOffError as reason:
@@ -107,10 +106,10 @@ class CommandProfileShell:
             self._switch_off()
             self._write()
 
-    def close(self) -> bool:
+    def close(self, timeout: float | None) -> bool:
         """Release everything; whether no thread is left behind."""
         self._node.context.try_shutdown()
-        self._answering.join(_HEARD_SECONDS)
+        self._answering.join(timeout)
         has_ended = not self._answering.is_alive()
         if has_ended:
             self._node.destroy_node()
@@ -141,12 +140,12 @@ class CommandProfileShell:
 
     def _wait_for_valve(self) -> None:
         """Until the valve and all others that are known to listen are connected."""
-        end = time.monotonic() + self._settings.patience
+        end = self._clock.elapsed() + self._settings.patience
         while True:
             listeners = self._listeners()
             if self._valve in listeners and self._voltage.get_subscription_count() >= len(listeners):
                 break
-            if time.monotonic() > end:
+            if self._clock.elapsed() > end:
                 others = f" ({', '.join(listeners)} does)" if listeners else ""
                 raise ProfileBrokenOffError(
                     f"{self._valve} does not hear {self._voltage.topic_name} after {self._settings.patience:g} s"
@@ -158,8 +157,8 @@ class CommandProfileShell:
         self._is_watching = True
 
     def _pause(self, seconds: float) -> None:
-        end = time.monotonic() + seconds
-        while (remaining := end - time.monotonic()) > 0.0:
+        end = self._clock.elapsed() + seconds
+        while (remaining := end - self._clock.elapsed()) > 0.0:
             if self._stop:
                 raise ProfileBrokenOffError(self._stop)
             time.sleep(min(remaining, _LOOK_SECONDS))
@@ -180,8 +179,8 @@ class CommandProfileShell:
 
     def _note(self, commanded: Commanded) -> None:
         self._commanded.append(commanded)
-        if time.monotonic() > self._next_progress:
-            self._next_progress = time.monotonic() + _PROGRESS_SECONDS
+        if self._clock.elapsed() > self._next_progress:
+            self._next_progress = self._clock.elapsed() + _PROGRESS_SECONDS
             left = self._drive.times[-1] - self._drive.times[len(self._commanded) - 1]
             self._node.get_logger().info(
                 f"{len(self._commanded)} of {len(self._drive.times)} commands, {left:.1f} s left"

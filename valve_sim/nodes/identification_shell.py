@@ -6,7 +6,6 @@ the result and hands it on.
 
 from __future__ import annotations
 
-import sys
 import threading
 from collections.abc import Sequence
 from typing import Final
@@ -16,7 +15,6 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
-from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
@@ -38,18 +36,16 @@ from valve_sim.nodes.identification_task import (
     report_text,
 )
 from valve_sim.nodes.messages import ReadingMessages, diagnostic_array
+from valve_sim.nodes.node_clock import NodeClock
 from valve_sim.nodes.parameters import sources_of, table
 from valve_sim.nodes.replay import Prediction, Replay, measured_reading, predict, replay_status
-from valve_sim.nodes.shell_parts import LATCHED, declare_read_only, full_name, given_parameters
-from valve_sim.nodes.spinning import spin
-from valve_sim.nodes.valve_shell import NodeClock
+from valve_sim.nodes.shell_parts import LATCHED, declare_read_only, full_name, given_parameters, make_node
+from valve_sim.nodes.spinning import guarded, spin
 
 _DEEP: Final = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
 """A recording has more samples a second than a live valve."""
-_STOP_SECONDS: Final = 0.4
 _DELIVERY: Final = Duration(seconds=2)
 """How long a node that is done waits until who listens has the result."""
-_SWITCH_INTERVAL: Final = 5e-4
 
 
 class IdentificationShell:
@@ -70,7 +66,7 @@ class IdentificationShell:
     """
 
     def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
-        self._node = Node("identification")
+        self._node = make_node("identification")
         try:
             self._settings = self._declare(sections)
             self._folder = output_folder(self._settings)
@@ -105,15 +101,14 @@ class IdentificationShell:
 
     def spin(self) -> None:
         """Replay, refit and answer until ROS is shut down."""
-        sys.setswitchinterval(_SWITCH_INTERVAL)
         for finding in self._trace.findings:
             self._node.get_logger().warning(finding)
         self._replay.start()
         spin(self._node)
 
-    def close(self) -> bool:
+    def close(self, timeout: float | None) -> bool:
         """Stop and release everything; whether both threads have ended."""
-        has_ended = self._replay.stop(_STOP_SECONDS) and self._task.stop(_STOP_SECONDS)
+        has_ended = self._replay.stop(timeout) and self._task.stop(timeout)
         if has_ended:
             self._node.destroy_node()
         return has_ended
@@ -142,7 +137,7 @@ class IdentificationShell:
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", _DEEP)
         self._messages = ReadingMessages("")
         # By the wall: diagnostics must tell, too, that /clock is silent.
-        node.create_timer(1.0, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        node.create_timer(1.0, guarded(self._diagnose), clock=Clock(clock_type=ClockType.STEADY_TIME))
         # A group of its own: while it waits, the valve's answer must find the others free.
         node.create_service(Trigger, "~/undo", self._undo, callback_group=MutuallyExclusiveCallbackGroup())
 
@@ -187,17 +182,19 @@ class IdentificationShell:
         outcome = find_out(self._trace, self._declared, self._settings, self._folder, progress)
         self._prediction = predict(self._trace, outcome.valve, outcome.clock_offset, self._settings.mode)
         applied = None if self._recipient is None else self._apply(outcome, self._recipient)
+        if applied is not None and not applied.is_set:
+            self._exit_code = 1  # before anybody hears of it, and ends this node
         self._result.publish(String(data=report_text(outcome, applied)))
         if applied is not None and not applied.is_set:
             raise ParameterError(f"{outcome.summary}; but apply_to: {applied.node} is as it was: {applied.reason}")
         return f"{outcome.summary}; see {outcome.file}"
 
     def _report(self, words: str, is_good: bool) -> None:
+        if not is_good:
+            self._exit_code = 1
         if self._node.context.ok():
             logger = self._node.get_logger()
             (logger.info if is_good else logger.error)(words)
-            if not is_good:
-                self._exit_code = 1
             self._end_if_done()
 
     def _end_if_done(self) -> None:

@@ -162,7 +162,7 @@ class Task(threading.Thread):
         """How far it is."""
         return self._state
 
-    def stop(self, timeout: float) -> bool:
+    def stop(self, timeout: float | None) -> bool:
         """End the thread at its next word of progress; whether it has ended within `timeout`, s."""
         self._stopping.set()
         if self.is_alive():

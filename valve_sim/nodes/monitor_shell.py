@@ -11,8 +11,6 @@ import gc
 import itertools
 import json
 import math
-import sys
-import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -22,7 +20,6 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
-from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
@@ -50,19 +47,17 @@ from valve_sim.nodes.monitor_status import (
     tracing_status,
 )
 from valve_sim.nodes.monitor_tasks import Judging, Tracing
+from valve_sim.nodes.node_clock import NodeClock
 from valve_sim.nodes.parameters import sources_of
 from valve_sim.nodes.realtime import LONGEST_LEAP_SECONDS, NANOSECONDS
-from valve_sim.nodes.shell_parts import LATCHED, RELIABLE, declare_read_only, full_name, given_parameters
-from valve_sim.nodes.spinning import say_left_out, spin
-from valve_sim.nodes.valve_shell import NodeClock
+from valve_sim.nodes.shell_parts import LATCHED, RELIABLE, declare_read_only, full_name, given_parameters, make_node
+from valve_sim.nodes.spinning import guarded, say_left_out, spin, waiting_messages
 from valve_sim.traces import Trace
 from valve_sim.traces.trouble import MOST_STROKES
 
 _MEASURED: Final = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Hears sensors of either reliability; deep, because the model may still be compiling when they begin."""
 _COMMANDS: Final = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
-_STOP_SECONDS: Final = 0.4
-_SWITCH_INTERVAL: Final = 1e-4
 _PAUSE: Final = 10e-3
 """s between looks at what waits: waking up for each sample would cost rclpy more than the model's step."""
 _JUMP_SECONDS: Final = 1.0
@@ -88,7 +83,7 @@ class MonitorShell:
     """
 
     def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
-        self._node = Node("monitor")
+        self._node = make_node("monitor")
         try:
             given = self._declare(sections)
             self._settings = given.settings
@@ -134,13 +129,12 @@ class MonitorShell:
 
     def spin(self) -> None:
         """Watch, judge and tell until ROS is shut down."""
-        sys.setswitchinterval(_SWITCH_INTERVAL)
         self._judging.start()
         spin(self._node, lambda: 0.0 if self._is_simulated() else _PAUSE)
 
-    def close(self) -> bool:
+    def close(self, timeout: float | None) -> bool:
         """Stop and release everything; whether both threads have ended."""
-        has_ended = self._judging.stop(_STOP_SECONDS) and self._tracing.stop(_STOP_SECONDS)
+        has_ended = self._judging.stop(timeout) and self._tracing.stop(timeout)
         if has_ended:
             self._node.destroy_node()
         return has_ended
@@ -162,24 +156,24 @@ class MonitorShell:
         self._finding = node.create_publisher(String, "~/finding", LATCHED)
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
         self._messages = ReadingMessages(self._settings.frame_id)
-        events = SubscriptionEventCallbacks(incompatible_qos=self._cannot_hear)
+        events = SubscriptionEventCallbacks(incompatible_qos=guarded(self._cannot_hear))
         if self._inputs:
             self._hear_by_map(events)
         else:
             self._hear_own_topics(events)
-        node.create_service(Trigger, "~/recommission", self._recommission)
+        node.create_service(Trigger, "~/recommission", guarded(self._recommission))
         # By the wall: diagnostics must tell, too, that /clock is silent.
-        node.create_timer(1.0, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        node.create_timer(1.0, guarded(self._diagnose), clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _hear_own_topics(self, events: SubscriptionEventCallbacks) -> None:
         node = self._node
-        hear_command: Any = self._hear_command  # with the message's times, which rclpy's types do not know of
+        hear_command: Any = guarded(self._hear_command)  # with the message's times, which rclpy's types do not know of
         self._commands = node.create_subscription(
             Float64, f"{self._valve}/coil_voltage", hear_command, _COMMANDS, event_callbacks=events
         )
-        hear_samples: Any = self._hear_samples
+        hear_samples: Any = guarded(self._hear_samples)
         self._samples = node.create_subscription(JointState, self._measured, hear_samples, _MEASURED)
-        hear_current: Any = self._hear_currents
+        hear_current: Any = guarded(self._hear_currents)
         self._currents = node.create_subscription(Float64, f"{self._sensors}/coil_current", hear_current, _MEASURED)
 
     def _hear_by_map(self, events: SubscriptionEventCallbacks) -> None:
@@ -190,7 +184,7 @@ class MonitorShell:
             subscription = subscribe(
                 entry.message_class,
                 entry.source.topic,
-                lambda message, info: hear(*self._usual(entry, message, info)),
+                guarded(lambda message, info: hear(*self._usual(entry, message, info))),
                 qos,
                 **settings,
             )
@@ -242,9 +236,8 @@ class MonitorShell:
         """Messages with their times; none in simulated time, where /clock must keep its place between them."""
         if self._is_simulated():
             return
-        handle: Any = subscription.handle
         try:
-            while (waiting := handle.take_message(subscription.msg_type, subscription.raw)) is not None:
+            for waiting in waiting_messages(subscription):
                 yield self._usual(self._entries.get(subscription), *waiting)
         except Exception as error:  # rclpy's own: what is done with a message is not in here
             say_left_out(self._node, error)
@@ -369,7 +362,7 @@ class MonitorShell:
             waiting_for = f"samples on {self._measured}"
         elif self._is_ready and not self._input.commands:
             waiting_for = f"a command on {self._voltage}"
-        facts = self._input.look(time.monotonic(), self._judging.lost, waiting_for)
+        facts = self._input.look(self._clock.elapsed(), self._judging.lost, waiting_for)
         wanted = self._settings.commissioning_strokes
         statuses = (
             health_status(self._watch.fault, self._judge, self._last_report, wanted, self._tracing),
@@ -389,6 +382,10 @@ class MonitorShell:
         stepper.advance(20e-3)
         gc.freeze()
         self._is_ready = True
+        self._node.get_logger().info(
+            f"ready: hears {self._commands.topic_name} and {self._measured}, reports each stroke on "
+            f"{self._stroke_report.topic_name} and what has changed on {self._finding.topic_name}"
+        )
 
     def _report(self, report: StrokeReport) -> None:
         self._last_report = report

@@ -64,7 +64,7 @@ class Judging(threading.Thread):
         self._anew.set()
         self.post_nothing()
 
-    def stop(self, timeout: float) -> bool:
+    def stop(self, timeout: float | None) -> bool:
         """End the thread; whether it has ended within `timeout`, s."""
         self._stopping.set()
         self.post_nothing()
@@ -131,7 +131,7 @@ class Tracing:
         with self._lock:
             self._next, self.finding, self.failure = None, None, ""
 
-    def stop(self, timeout: float) -> bool:
+    def stop(self, timeout: float | None) -> bool:
         """End it at its next word of progress; whether it has ended within `timeout`, s."""
         self._stopping.set()
         thread = self._thread

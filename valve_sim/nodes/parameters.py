@@ -35,8 +35,8 @@ _SETTINGS: Final = (
     ),
 )
 _FRAME_ID: Final = "frame_id"
-_ROS_OWN: Final = ("use_sim_time", "start_type_description_service")
-_ROS_OWN_PREFIX: Final = "qos_overrides."
+ROS_OWN: Final = ("use_sim_time", "start_type_description_service")
+ROS_OWN_PREFIX: Final = "qos_overrides."
 
 
 class NodeParameter(NamedTuple):
@@ -121,7 +121,7 @@ def check_overrides(
         source = sources.get(name, "command line")
         if name in entries:
             values[name] = entries[name].check(value, source)
-        elif name not in _ROS_OWN and not name.startswith(_ROS_OWN_PREFIX):
+        elif name not in ROS_OWN and not name.startswith(ROS_OWN_PREFIX):
             raise ParameterError(
                 f"{source}: {name}: found {value!r} under an unknown name; expected a parameter of valve_node, "
                 f"did you mean {closest(name, list(entries))}?"

@@ -193,7 +193,7 @@ class Worker(threading.Thread):
         self._rate = rate
         self._clock.wake()
 
-    def stop(self, timeout: float) -> bool:
+    def stop(self, timeout: float | None) -> bool:
         """End the thread; whether it has ended within `timeout`, s. It cannot while it compiles."""
         self._stopping.set()
         self._clock.wake()

@@ -164,7 +164,7 @@ class Replay(threading.Thread):
         """Commands and samples of one pass."""
         return len(self._score.offsets)
 
-    def stop(self, timeout: float) -> bool:
+    def stop(self, timeout: float | None) -> bool:
         """End the thread; whether it has ended within `timeout`, s."""
         self._stopping.set()
         self._clock.wake()

@@ -12,29 +12,51 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from valve_sim.files.parameter_files import Section
 from valve_sim.model import ParameterError
-from valve_sim.nodes.parameters import files_for_others
+from valve_sim.nodes.parameters import ROS_OWN, ROS_OWN_PREFIX, files_for_others
 
 RELIABLE: Final = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 LATCHED: Final = QoSProfile(
     depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
 )
 """Whoever comes later still hears the last message."""
-_QOS_PREFIX: Final = "qos_overrides."
+
+
+def make_node(name: str) -> Node:
+    """A node that has declared all that it was given, known or not: `declare` then says what it is.
+
+    Raises:
+        ParameterError: something was given without a value.
+    """
+    try:
+        return Node(name, automatically_declare_parameters_from_overrides=True)
+    except ValueError as error:
+        raise ParameterError(
+            "a parameter file or the command line gives a name without a value, such as effects: {} or free:=[] "
+            f"({error}); take it out"
+        ) from error
+
+
+def declare(node: Node, name: str, value: Any, descriptor: ParameterDescriptor) -> None:
+    """Declare a parameter with this value, in place of what was declared because it was given."""
+    if node.has_parameter(name):
+        node.undeclare_parameter(name)
+    node.declare_parameter(name, value, descriptor, ignore_override=True)
 
 
 def given_parameters(node: Node, sections: Sequence[tuple[str, Section]]) -> dict[str, object]:
     """Flat name to value of what was given on the command line and in its files, those of ROS itself left out.
 
-    rclpy passes over a misspelt name without a word; only here is it known what was given. A file that holds nothing
-    for this node is warned about.
+    rclpy passes over a misspelt name without a word; `make_node` has declared it. A file that holds nothing for this
+    node is warned about.
     """
     name = node.get_fully_qualified_name()
     for path, found in files_for_others(sections, name).items():
         node.get_logger().warning(f"{path} has parameters for {', '.join(found)}, and none for {name}")
+    declared: Mapping[str, Any] = node.get_parameters_by_prefix("")
     return {
-        key: override.value
-        for key, override in node._parameter_overrides.items()
-        if not node.has_parameter(key) and not key.startswith(_QOS_PREFIX)
+        key: parameter.value
+        for key, parameter in declared.items()
+        if key not in ROS_OWN and not key.startswith(ROS_OWN_PREFIX)
     }
 
 
@@ -42,9 +64,7 @@ def declare_read_only(node: Node, values: Mapping[str, Any], descriptions: Mappi
     """Declare parameters that do not change while the node runs."""
     for key, value in values.items():
         descriptor = ParameterDescriptor(name=key, description=descriptions[key], read_only=True)
-        node.declare_parameter(
-            key, list(value) if isinstance(value, tuple) else value, descriptor, ignore_override=True
-        )
+        declare(node, key, list(value) if isinstance(value, tuple) else value, descriptor)
 
 
 def full_name(node: Node, given: str, key: str) -> str:

@@ -2,14 +2,34 @@
 
 from __future__ import annotations
 
+import functools
 import time
-import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from typing import Any, ParamSpec, TypeVar
 
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.subscription import Subscription
 
-_OURS = "valve_sim"
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+class CallbackError(Exception):
+    """A callback of this package failed; `__cause__` is what it failed with."""
+
+
+def guarded(callback: Callable[P, R]) -> Callable[P, R]:
+    """A callback whose failure is told from what rclpy refuses by itself: see `spin`."""
+
+    @functools.wraps(callback)
+    def call(*args: P.args, **kwargs: P.kwargs) -> R:
+        try:
+            return callback(*args, **kwargs)
+        except Exception as error:
+            raise CallbackError(repr(error)) from error
+
+    return call
 
 
 def spin(node: Node, pause: Callable[[], float] | None = None) -> None:
@@ -20,8 +40,8 @@ def spin(node: Node, pause: Callable[[], float] | None = None) -> None:
         pause: s to do nothing after each answer, for a node that then takes all that waits; default none.
 
     A /clock before 1970, and whatever else rclpy refuses with an exception of its own, would end every node that hears
-    it; here it is left out with a line in the log. What fails in a callback of this package is raised: that is a fault
-    of ours, and no message's.
+    it; here it is left out with a line in the log. What fails in a callback of this package, each of them `guarded`, is
+    raised: that is a fault of ours, and no message's.
     """
     executor = SingleThreadedExecutor()
     executor.add_node(node)
@@ -33,22 +53,27 @@ def spin(node: Node, pause: Callable[[], float] | None = None) -> None:
                 else:
                     executor.spin_once()
                     time.sleep(pause())
-            except (KeyboardInterrupt, ExternalShutdownException):
+            except (KeyboardInterrupt, ExternalShutdownException, CallbackError):
                 raise
             except Exception as error:
-                if _is_ours(error) or not node.context.ok():
+                if not node.context.ok():
                     raise
                 say_left_out(node, error)
     finally:
         executor.remove_node(node)
 
 
+def waiting_messages(subscription: Subscription) -> Iterator[tuple[Any, Any]]:
+    """Messages that wait at a subscription, each with its information, taken without an executor.
+
+    The only use of what rclpy does not document: `take_message`, as its own `wait_for_message` has it. An executor of
+    Jazzy takes 290 µs of a core for each message, 29 % at 1 kHz; taking all that waits every 10 ms, 54 µs.
+    """
+    handle: Any = subscription.handle
+    while (waiting := handle.take_message(subscription.msg_type, subscription.raw)) is not None:
+        yield waiting
+
+
 def say_left_out(node: Node, error: Exception) -> None:
     """A line in the log, one a second at most, for a message that rclpy refuses with this exception."""
     node.get_logger().error(f"a message was left out that ROS cannot take: {error!r}", throttle_duration_sec=1.0)
-
-
-def _is_ours(error: Exception) -> bool:
-    """Whether a callback of this package was at work; the first frame is `spin` itself."""
-    frames = list(traceback.walk_tb(error.__traceback__))[1:]
-    return any(frame.f_globals.get("__name__", "").startswith(_OURS) for frame, _ in frames)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import itertools
 import os
 import signal
 import sys
@@ -11,26 +12,20 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import FrameType
-from typing import Any, Final, NamedTuple, NoReturn, Protocol
+from typing import Any, Final, NoReturn, Protocol
 
-from valve_sim.files.parameter_files import Section, read_sections, valve_from_flat, write_sections
+from valve_sim.files.parameter_files import Section, read_sections, valve_from_flat
 from valve_sim.model.errors import ParameterError, ValveError
 
 UNUSABLE_INPUT: Final = 2
 """Exit code after one line on stderr."""
+STOP_SECONDS: Final = 0.4
+"""How long a node that was asked to end may take without saying why."""
 _PARAMETER_FLAG: Final = "--params-file"
 
 
-class GivenFiles(NamedTuple):
-    """The command line as ROS shall see it, and what its parameter files hold.
-
-    Attributes:
-        arguments: with the files replaced by plain copies, which ROS's own parser cannot stumble over.
-        sections: (file as given, section) in the order of the command line.
-    """
-
-    arguments: list[str]
-    sections: list[tuple[str, Section]]
+GivenFiles = list[tuple[str, Section]]
+"""What the parameter files of a command line hold: (file as given, section), in its order."""
 
 
 class Shell(Protocol):
@@ -43,8 +38,8 @@ class Shell(Protocol):
     def spin(self) -> None:
         """Return when ROS is shut down."""
 
-    def close(self) -> bool:
-        """Release everything; whether no thread is left behind."""
+    def close(self, timeout: float | None) -> bool:
+        """End every thread and release everything, within `timeout`, s, or however long it takes; whether it has."""
 
 
 def run_node(name: str, make: Callable[[GivenFiles], Shell], args: Sequence[str] | None) -> int:
@@ -60,46 +55,43 @@ def run_node(name: str, make: Callable[[GivenFiles], Shell], args: Sequence[str]
     """
     arguments = list(sys.argv if args is None else args)
     try:
-        with tempfile.TemporaryDirectory(prefix="valve_sim-") as folder:
-            with _ends_quietly():
-                given = read_files(arguments, Path(folder))
-                _ensure_log_folder(name)
-            rclpy_init(given.arguments)
+        with _ends_quietly():
+            given = read_files(arguments)
+            _ensure_log_folder(name)
+        rclpy_init(arguments)
         shell = _made(make, given)
     except ValveError as error:
         print(f"{name}: {error}", file=sys.stderr)
         return UNUSABLE_INPUT
-    return 0 if shell is None else _spin(shell)
+    return 0 if shell is None else _spin(name, shell)
 
 
-def read_files(arguments: Sequence[str], folder: Path) -> GivenFiles:
-    """Read every parameter file of a command line, and put plain copies in their place.
-
-    Args:
-        arguments: the command line.
-        folder: where the copies go.
+def read_files(arguments: Sequence[str]) -> GivenFiles:
+    """Read every parameter file of a command line; ROS reads them again, and says less about what it refuses.
 
     Raises:
-        ParameterError: a file cannot be read, or holds nonsense about a valve.
+        ParameterError: a file cannot be read, holds nonsense about a valve, or a list that ROS refuses.
     """
-    plain, sections = list(arguments), []
+    found: GivenFiles = []
     in_ros_part = False
-    for index, argument in enumerate(arguments):
-        if argument == "--ros-args":
-            in_ros_part = True
-        elif argument == "--":
-            in_ros_part = False
-        elif in_ros_part and argument == _PARAMETER_FLAG and index + 1 < len(arguments):
-            path = arguments[index + 1]
-            found = read_sections(path)
-            for section in found:
+    for argument, value in itertools.pairwise([*arguments, ""]):
+        if argument in ("--ros-args", "--"):
+            in_ros_part = argument == "--ros-args"
+        elif in_ros_part and argument == _PARAMETER_FLAG and value:
+            for section in read_sections(value):
                 if section.is_about_valve:
-                    valve_from_flat(section.values, path)
-            sections += [(path, section) for section in found]
-            copy = folder / f"{index}.yaml"
-            write_sections(copy, found)
-            plain[index + 1] = str(copy)
-    return GivenFiles(plain, sections)
+                    valve_from_flat(section.values, value)
+                _check_lists(section, value)
+                found.append((value, section))
+    return found
+
+
+def _check_lists(section: Section, path: str) -> None:
+    for name, value in section.values.items():
+        if isinstance(value, list) and len({type(item) for item in value}) > 1:
+            raise ParameterError(
+                f"{path}: {name}: found {value}, expected values of one type, as ROS 2 takes no others: 0.0, not 0"
+            )
 
 
 def rclpy_init(arguments: Sequence[str]) -> None:
@@ -142,7 +134,7 @@ def _made(make: Callable[[GivenFiles], Shell], given: GivenFiles) -> Shell | Non
         return None
 
 
-def _spin(shell: Shell) -> int:
+def _spin(name: str, shell: Shell) -> int:
     shutdown_seen = importlib.import_module("rclpy.executors").ExternalShutdownException
     try:
         shell.spin()
@@ -153,17 +145,24 @@ def _spin(shell: Shell) -> int:
         if rclpy().ok():
             raise
     finally:
-        # A second Ctrl-C while everything is being put away would only leave a mess.
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)
-        is_quiet = shell.close()
+        _close(name, shell)
         rclpy().try_shutdown()
-    if not is_quiet:
-        # A thread is compiling and cannot be asked to stop; Python would wait for it.
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(shell.exit_code)
     return shell.exit_code
+
+
+def _close(name: str, shell: Shell) -> None:
+    """Put everything away. A second Ctrl-C would only leave a mess, unless a thread keeps the program waiting."""
+    _on_signals(signal.SIG_IGN)
+    if shell.close(STOP_SECONDS):
+        return
+    print(f"{name}: ends when a calculation has, or at once with another Ctrl-C", file=sys.stderr)
+    _on_signals(signal.SIG_DFL)
+    shell.close(None)
+
+
+def _on_signals(action: signal.Handlers) -> None:
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, action)
 
 
 @contextlib.contextmanager

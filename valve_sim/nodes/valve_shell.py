@@ -8,19 +8,15 @@ from __future__ import annotations
 
 import contextlib
 import gc
-import sys
-import threading
-import time
+import math
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Final
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.clock import Clock, JumpThreshold
+from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.duration import Duration
 from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import qos_policy_name_from_kind
 from sensor_msgs.msg import JointState
@@ -39,69 +35,25 @@ from valve_sim.nodes.messages import (
     phase_message,
 )
 from valve_sim.nodes.namesakes import Namesakes
+from valve_sim.nodes.node_clock import NodeClock
 from valve_sim.nodes.parameters import (
     Settings,
     Value,
     as_declared,
     check_overrides,
-    files_for_others,
     settings_of,
     sources_of,
     table,
     valve_of,
 )
-from valve_sim.nodes.realtime import NANOSECONDS, ClockReading, Restart, Worker
-from valve_sim.nodes.shell_parts import LATCHED, RELIABLE
-from valve_sim.nodes.spinning import spin
+from valve_sim.nodes.realtime import Restart, Worker
+from valve_sim.nodes.shell_parts import LATCHED, RELIABLE, declare, given_parameters, make_node
+from valve_sim.nodes.spinning import guarded, spin
 
 _LONGEST_SLEEP: Final = 0.05
-_STOP_SECONDS: Final = 0.4
 _PATIENCE_SECONDS: Final = 1.5
 _BETWEEN_WARNINGS: Final = 5.0
 """s between lines of the log about the same trouble: it may come a thousand times a second."""
-_SWITCH_INTERVAL: Final = 2e-5
-"""How long a callback in Python may keep the stepper waiting for the interpreter, s; Python's own is 5 ms.
-
-Measured with `benchmarks.node_timing`: 99 of 100 steps begin within 0.9 ms with 1e-4, 0.5 ms with 2e-5, and 0.9 ms
-again with 1e-6, where the threads spend their time handing over."""
-
-
-class NodeClock:
-    """The clock that the node follows: elapsed time, or /clock with use_sim_time."""
-
-    def __init__(self, node: Node) -> None:
-        self._clock: Any = node.get_clock()
-        self._woken = threading.Event()
-        # Held, because ROS forgets a callback whose handle is gone. Every /clock message is a jump of some size.
-        threshold = JumpThreshold(
-            min_forward=Duration(nanoseconds=1), min_backward=Duration(nanoseconds=-1), on_clock_change=True
-        )
-        self._handle = self._clock.create_jump_callback(threshold, post_callback=lambda jump: self._woken.set())
-
-    def read(self) -> ClockReading | None:
-        """Elapsed time, or simulated time once there is any."""
-        if not self._clock.ros_time_is_active:
-            return ClockReading(time.monotonic_ns(), False)
-        now = self._clock.now().nanoseconds
-        return ClockReading(now, True) if now else None
-
-    def sleep_until(self, deadline: int) -> None:
-        """Return at the deadline, at the next /clock message, or after 50 ms."""
-        if self._clock.ros_time_is_active:
-            self._woken.wait(_LONGEST_SLEEP)
-            self._woken.clear()
-        else:
-            remaining = (deadline - time.monotonic_ns()) / NANOSECONDS
-            if remaining > 0.0:
-                time.sleep(min(remaining, _LONGEST_SLEEP))
-
-    def wake(self) -> None:
-        """Make `sleep_until` return soon."""
-        self._woken.set()
-
-    def stamp(self) -> int:
-        """ROS time, ns: what a message that is sent now is stamped with."""
-        return int(self._clock.now().nanoseconds)
 
 
 class ValveShell:
@@ -120,7 +72,7 @@ class ValveShell:
     """
 
     def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
-        self._node = Node("valve")
+        self._node = make_node("valve")
         try:
             self._entries = table(default_valve())
             self._settings = self._declare(sections)
@@ -136,6 +88,7 @@ class ValveShell:
             self._failure = ""
             self._exit_code = 0
             self._is_ready = False
+            self._was_waiting = True
             self._messages = ReadingMessages(self._settings.frame_id)
             self._wire()
         except BaseException:
@@ -157,13 +110,12 @@ class ValveShell:
 
     def spin(self) -> None:
         """Step, publish and answer until ROS is shut down."""
-        sys.setswitchinterval(_SWITCH_INTERVAL)
         self._worker.start()
         spin(self._node)
 
-    def close(self) -> bool:
-        """Stop and release everything; whether the stepper has ended."""
-        has_ended = self._worker.stop(_STOP_SECONDS)
+    def close(self, timeout: float | None) -> bool:
+        """Stop and release everything; whether the stepper has ended. It cannot while it compiles."""
+        has_ended = self._worker.stop(timeout)
         if has_ended:
             self._node.destroy_node()
         return has_ended
@@ -172,16 +124,13 @@ class ValveShell:
 
     def _declare(self, sections: Sequence[tuple[str, Section]]) -> Settings:
         node, name = self._node, self._node.get_fully_qualified_name()
-        for path, found in files_for_others(sections, name).items():
-            node.get_logger().warning(f"{path} has parameters for {', '.join(found)}, and none for {name}")
-        # rclpy passes over a misspelt name without a word; only here is it known what was given.
-        given = {key: override.value for key, override in node._parameter_overrides.items()}
+        given = given_parameters(node, sections)
         values = check_overrides(given, self._entries, sources_of(sections, name))
         for key, entry in self._entries.items():
-            node.declare_parameter(key, values[key], descriptor(entry), ignore_override=True)
-        node.add_pre_set_parameters_callback(self._accept_integers)
-        node.add_on_set_parameters_callback(self._validate)
-        node.add_post_set_parameters_callback(self._apply)
+            declare(node, key, values[key], descriptor(entry))
+        node.add_pre_set_parameters_callback(guarded(self._accept_integers))
+        node.add_on_set_parameters_callback(guarded(self._validate))
+        node.add_post_set_parameters_callback(guarded(self._apply))
         return settings_of(values)
 
     def _wire(self) -> None:
@@ -191,16 +140,16 @@ class ValveShell:
         self._phase = node.create_publisher(UInt8, "~/phase", LATCHED)
         self._is_open = node.create_publisher(Bool, "~/is_open", LATCHED)
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
-        events = SubscriptionEventCallbacks(incompatible_qos=self._cannot_hear)
+        events = SubscriptionEventCallbacks(incompatible_qos=guarded(self._cannot_hear))
         self._voltage = node.create_subscription(
-            Float64, "~/coil_voltage", self._take_command, RELIABLE, event_callbacks=events
+            Float64, "~/coil_voltage", guarded(self._take_command), RELIABLE, event_callbacks=events
         )
-        node.create_service(Trigger, "~/reset", self._reset)
-        node.create_service(Trigger, "~/self_test", self._self_test)
+        node.create_service(Trigger, "~/reset", guarded(self._reset))
+        node.create_service(Trigger, "~/self_test", guarded(self._self_test))
         # By the wall: diagnostics must tell, too, that /clock is silent.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        node.create_timer(1.0, self._diagnose, clock=steady)
-        self._patience = node.create_timer(_PATIENCE_SECONDS, self._ask_for_patience, clock=steady)
+        node.create_timer(1.0, guarded(self._diagnose), clock=steady)
+        self._patience = node.create_timer(_PATIENCE_SECONDS, guarded(self._ask_for_patience), clock=steady)
 
     # --- the stepping thread ---
 
@@ -304,7 +253,11 @@ class ValveShell:
         if self._is_ready and self._clock.read() is None:
             waiting_for = "/clock (use_sim_time is true)"
         live = self._live
-        timing = timing_status(self._worker.timing.look(now), self._settings.publish_rate, waiting_for)
+        kept = self._worker.timing.look(now)
+        if self._was_waiting:
+            kept = kept._replace(rate=math.nan)  # of a second in which it stepped for a part only
+        self._was_waiting = bool(waiting_for)
+        timing = timing_status(kept, self._settings.publish_rate, waiting_for)
         if self._is_ready and timing.level is Level.WARN:
             self._node.get_logger().warning(timing.message, throttle_duration_sec=_BETWEEN_WARNINGS)
         statuses = (

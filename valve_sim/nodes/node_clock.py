@@ -1,0 +1,59 @@
+"""The clock that a node follows, through rclpy's own."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import Any, Final
+
+from rclpy.clock import Clock, JumpThreshold
+from rclpy.clock_type import ClockType
+from rclpy.duration import Duration
+from rclpy.node import Node
+
+from valve_sim.nodes.realtime import NANOSECONDS, ClockReading
+
+_LONGEST_SLEEP: Final = 0.05
+
+
+class NodeClock:
+    """The clock that the node follows: elapsed time, or /clock with use_sim_time."""
+
+    def __init__(self, node: Node) -> None:
+        self._clock: Any = node.get_clock()
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._woken = threading.Event()
+        # Held, because ROS forgets a callback whose handle is gone. Every /clock message is a jump of some size.
+        threshold = JumpThreshold(
+            min_forward=Duration(nanoseconds=1), min_backward=Duration(nanoseconds=-1), on_clock_change=True
+        )
+        self._handle = self._clock.create_jump_callback(threshold, post_callback=lambda jump: self._woken.set())
+
+    def read(self) -> ClockReading | None:
+        """Elapsed time, or simulated time once there is any."""
+        if not self._clock.ros_time_is_active:
+            return ClockReading(self._steady.now().nanoseconds, False)
+        now = self._clock.now().nanoseconds
+        return ClockReading(now, True) if now else None
+
+    def elapsed(self) -> float:
+        """Elapsed time by the wall, s, from any origin: it never stands still."""
+        return float(self._steady.now().nanoseconds) / NANOSECONDS
+
+    def sleep_until(self, deadline: int) -> None:
+        """Return at the deadline, at the next /clock message, or after 50 ms."""
+        if self._clock.ros_time_is_active:
+            self._woken.wait(_LONGEST_SLEEP)
+            self._woken.clear()
+        else:
+            remaining = (deadline - self._steady.now().nanoseconds) / NANOSECONDS
+            if remaining > 0.0:
+                time.sleep(min(remaining, _LONGEST_SLEEP))
+
+    def wake(self) -> None:
+        """Make `sleep_until` return soon."""
+        self._woken.set()
+
+    def stamp(self) -> int:
+        """ROS time, ns: what a message that is sent now is stamped with."""
+        return int(self._clock.now().nanoseconds)
