@@ -95,6 +95,8 @@ def test_a_guess_is_called_a_guess(diagnosis: Diagnosis) -> None:
     guess = replace(diagnosis, verdict=replace(diagnosis.verdict, probability=0.38))
     assert kind_words(guess.verdict) == ("A first guess, more likely wrong than right", False)
     assert headline(guess).startswith("Perhaps the model lacks Coulomb friction")
+    alike = replace(guess.verdict, confusable_with={"coulomb_friction": ("stiction",)})
+    assert kind_words(alike) == ("A first guess among look-alikes", False)
 
 
 def test_the_report_for_programs_has_the_same_words(diagnosis: Diagnosis) -> None:

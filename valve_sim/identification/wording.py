@@ -76,7 +76,9 @@ def kind_words(verdict: Verdict) -> tuple[str, bool]:
     found = "Nothing is missing" if verdict.kind == "none" else "Missing effect found"
     if verdict.probability >= SURE:
         return found, True
-    guess = "Perhaps nothing is missing" if verdict.kind == "none" else "A first guess, more likely wrong than right"
+    alike = any(verdict.confusable_with.values())
+    first = "A first guess among look-alikes" if alike else "A first guess, more likely wrong than right"
+    guess = "Perhaps nothing is missing" if verdict.kind == "none" else first
     probable = "Probably nothing is missing" if verdict.kind == "none" else "Missing effect, probably"
     return (probable, False) if verdict.probability >= EVEN else (guess, False)
 
