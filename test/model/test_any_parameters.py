@@ -21,6 +21,7 @@ from valve_sim.model import (
     Phase,
     SimulationError,
     Stepper,
+    Tag,
     Valve,
     simulate,
 )
@@ -30,7 +31,7 @@ BEYOND = 1e-9
 SECONDS = 0.02
 MOST_EVENTS = 20_000
 """Of 20 ms: a contact slower than 1 or 5 mm/s does not rebound, so there cannot be many."""
-SENSORS = ("sensor_delay", "sensor_bandwidth", "sensor_gain")
+SENSORS = tuple(effect.name for effect in CATALOGUE.tagged(Tag.SENSOR))
 CALIBRATED = Valve().with_values(a0=3.0336, coil_time_constant=1e-3)
 
 

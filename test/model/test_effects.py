@@ -131,7 +131,7 @@ def test_a_users_effect_needs_no_words_for_people() -> None:
     [
         (Effect("coil_lag", "s", (), "t", term=math.hypot), ("coil_lag", "registered already")),
         (Effect("idle", "s", (), "t"), ("idle", "neither a term nor a rewrite")),
-        (Effect("new", "s", (), "t", rewrite=print, fields={"inertia": 0.0}), ("new", "no mechanism", "inertia")),
+        (Effect("new", "s", (), "t", rewrite=print, fields={"inertia": 0.0}), ("new", "compiled core", "use a term")),
     ],
 )
 def test_an_effect_that_cannot_take_part_is_refused(effect: Effect, words: tuple[str, ...]) -> None:

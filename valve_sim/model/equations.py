@@ -7,29 +7,31 @@ Symbols and equation numbers:
     (3)  Phase 1:  m_1 v' = F_a − F_seat − c_1 v + Σ effects     the paper's equation for 0 ≤ t ≤ t1
     (4)  Phase 2:  m_2 v' = F_a − F_0 − k x − c_2 v + Σ effects  the paper's equation for t1 ≤ t ≤ t2
 
-Effects that are part of the hybrid automaton or of the coil stand here, numbered too; all other force effects are
-compiled terms f(x, v, u, t) that (5) adds up, wherever they were registered.
+Effects that are part of the hybrid automaton or of the coil stand here, numbered too. The forces of all others stand in
+their own files: (5) adds up those of the core, g_i, and compiled terms f_j, wherever these were registered.
 
-    (5)  Σ effects = Σ_j f_j(x, v, u, t) − c_± v − F_p exp(−(t − t_o)/τ_p) [Phase 2]
+    (5)  Σ effects = Σ_i g_i(x, v, u, t, mode, direction, t_o) + Σ_j f_j(x, v, u, t)
     (6)  dry friction: F_± + F_b exp(−(v/v_s)²) against the motion; at rest it holds up to F_± + F_b
-    (7)  saturation: u² → u² (1 + k) / (1 + k u²), k = 1/u_s²
+    (7)  saturation: what the effects make of u², h_i(u²), one after the other
     (8)  residual magnetism: the u that pulls never falls below u_r min(1, max |u| so far)
     (9)  eddy currents: τ_e w' = u − w; w pulls, u is measured
     (10) heating: T' = q u² − T/τ_c; R/R_0 = 1 + α T divides u's target and τ in (1)
 
-Here τ_c is the cooling time constant, F_p the pressure force and t_o the time when the pilot last left its seat.
+Here τ_c is the cooling time constant and t_o the time when the pilot last left its seat.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Final
+from collections.abc import Sequence
+from typing import Any, Final
 
 import numpy as np
 
 from valve_sim.model.calls import call_term
 from valve_sim.model.compiling import inlined, inner
 from valve_sim.model.core_types import MAIN
+from valve_sim.model.effects.catalogue import shipped
 
 COPPER_TEMPERATURE_COEFFICIENT: Final = 0.00393
 """α, 1/K: the resistance of copper at 20 °C (IEC 60028)."""
@@ -37,6 +39,28 @@ COPPER_TEMPERATURE_COEFFICIENT: Final = 0.00393
 SHORTEST_INTEGRATED: Final = 2e-8
 """s: while the coil heats, (1) and (9) are integrated; a current that settles faster than this follows at once instead.
 It would take tens of millions of steps a second, and moves events by no more than its time constant."""
+
+
+def _summed(forces: Sequence[Any]) -> Any:
+    """One compiled function for the sum of many, nothing for none."""
+    if not forces:
+        return inlined(lambda p, t, motion, coil, condition: 0.0)
+    first, rest = forces[0], _summed(forces[1:])
+    return inlined(
+        lambda p, t, motion, coil, condition: first(p, t, motion, coil, condition) + rest(p, t, motion, coil, condition)
+    )
+
+
+def _chained(pulls: Sequence[Any]) -> Any:
+    """One compiled function for many, one after the other."""
+    if not pulls:
+        return inlined(lambda p, squared: squared)
+    first, rest = pulls[0], _chained(pulls[1:])
+    return inlined(lambda p, squared: rest(p, first(p, squared)))
+
+
+_force_of_effects: Final = _summed([effect.core_force for effect in shipped() if effect.core_force is not None])
+_pull_of_effects: Final = _chained([effect.core_pull for effect in shipped() if effect.core_pull is not None])
 
 
 @inlined
@@ -55,10 +79,7 @@ def residual_floor(p, peak_current):
 def pull_squared(p, w, peak_current):
     """The u² of equation (2), through residual magnetism (8) and saturation (7)."""
     pull = max(abs(w), residual_floor(p, peak_current))
-    squared = pull * pull
-    if p.saturation != 0.0:
-        squared = squared * (1.0 + p.saturation) / (1.0 + squared * p.saturation)
-    return squared
+    return _pull_of_effects(p, pull * pull)
 
 
 @inner
@@ -81,14 +102,12 @@ def force_without_dry_friction(p, t, motion, coil, condition):
     """
     x, v = motion
     u, pull2 = coil
-    mode, direction, unseated_time = condition
+    mode = condition[0]
     if mode >= MAIN:
         force = attraction(p, x, pull2) - p.spring_preload - p.spring_rate * x - p.main_damping * v
-        if p.pressure_force != 0.0:
-            force -= p.pressure_force * math.exp(-(t - unseated_time) / p.equalisation_time)
     else:
         force = attraction(p, x, pull2) - p.seat_load - p.pilot_damping * v
-    force -= (p.damping_opening if direction > 0 else p.damping_closing) * v
+    force += _force_of_effects(p, t, motion, coil, condition)
     if p.term_count > 0:
         force += compiled_terms(p, mode, x, v, u, t)
     return force

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from valve_sim.model.compiling import inlined
 from valve_sim.model.effects.entry import Effect, Severity, Tag, Values, share
 from valve_sim.model.parameters import Parameter
 
@@ -19,6 +20,12 @@ def _rewrite(record: Any, values: Values) -> None:
     record["friction_closing"] += values["force_closing"]
     record["damping_opening"] += values["damping_opening"]
     record["damping_closing"] += values["damping_closing"]
+
+
+@inlined
+def damping(p: Any, t: float, motion: Any, coil: Any, condition: Any) -> float:
+    """−c_± v, N, by the direction of motion."""
+    return -(p.damping_opening if condition[1] > 0 else p.damping_closing) * motion[1]  # type: ignore[no-any-return]
 
 
 EFFECT = Effect(
@@ -37,6 +44,7 @@ EFFECT = Effect(
     what_to_do="Check the direction of lip seals, and whether the plunger tilts while the coil pulls.",
     severity=_severity,
     rewrite=_rewrite,
+    core_force=damping,
     fields={"friction_opening": 0.0, "friction_closing": 0.0, "damping_opening": 0.0, "damping_closing": 0.0},
     confused_with=("squeeze_film",),
     tags=(Tag.DISSIPATIVE, Tag.ANY_AXIS),

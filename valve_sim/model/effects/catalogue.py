@@ -123,8 +123,8 @@ class Catalogue(Mapping[str, Effect]):
             raise ParameterError(f"{where}: an effect named {effect.name} is registered already")
         if effect.changes_nothing:
             raise ParameterError(f"{where}: has neither a term nor a rewrite, so it would change nothing")
-        if effect.fields:
-            raise ParameterError(f"{where}: the compiled core has no mechanism that reads {', '.join(effect.fields)}")
+        if effect.fields or effect.core_force is not None or effect.core_pull is not None:
+            raise ParameterError(f"{where}: a part of the compiled core can only ship with it; use a term")
         self._declared[effect.name] = effect
 
 

@@ -96,6 +96,9 @@ class Effect(_Words):
         named: whether a diagnosis may claim it; False for shapes without a physical name.
         tags: what kind of effect it is; the first is the main one.
         fields: of the core's record, that a mechanism of the core reads for this effect, with their neutral values.
+        core_force: part of the compiled equations, f(p, t, motion, coil, condition) in newtons, + opens, for a force
+            that asks for more than a term is told; reads its `fields`; see `force_without_dry_friction`.
+        core_pull: likewise, what becomes of the square of the current that pulls, f(p, squared).
         adds_to: parameter of the effect → declared parameter that it is added to.
         origin: where an installed package names it, for messages.
     """
@@ -112,6 +115,8 @@ class Effect(_Words):
     named: bool = True
     tags: tuple[Tag, ...] = (Tag.FORCE,)
     fields: Values = field(default_factory=dict, hash=False)
+    core_force: Any = None
+    core_pull: Any = None
     adds_to: Mapping[str, str] = field(default_factory=dict, hash=False)
     origin: str = field(default="", compare=False)
     _compiled: list[Any] = field(default_factory=list, repr=False, compare=False)

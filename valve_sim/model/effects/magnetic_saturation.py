@@ -5,12 +5,21 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from valve_sim.model.compiling import inlined
 from valve_sim.model.effects.entry import Effect, Severity, Tag, Values
 from valve_sim.model.parameters import Parameter
 
 
 def _severity(values: Values, declared: Values) -> Severity | None:
     return Severity(values["current"] ** -2, "the attraction, between a small current and the reference current")
+
+
+@inlined
+def saturated(p: Any, squared: float) -> float:
+    """u² (1 + k) / (1 + k u²), k = 1/u_s²."""
+    if p.saturation == 0.0:
+        return squared
+    return squared * (1.0 + p.saturation) / (1.0 + squared * p.saturation)  # type: ignore[no-any-return]
 
 
 def _rewrite(record: Any, values: Values) -> None:
@@ -28,6 +37,7 @@ EFFECT = Effect(
     what_to_do="It belongs to the magnetic circuit; declare it, and do not count on higher voltage for more pull.",
     severity=_severity,
     rewrite=_rewrite,
+    core_pull=saturated,
     fields={"saturation": 0.0},
     tags=(Tag.COIL,),
 )

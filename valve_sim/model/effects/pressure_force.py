@@ -2,8 +2,23 @@
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
+from valve_sim.model.compiling import inlined
+from valve_sim.model.core_types import MAIN
 from valve_sim.model.effects.entry import Effect, Tag, set_fields, share_of_preload
 from valve_sim.model.parameters import Parameter
+
+
+@inlined
+def pressure(p: Any, t: float, motion: Any, coil: Any, condition: Any) -> float:
+    """−F_p exp(−(t − t_o)/τ_p) in Phase 2, N; t_o is when the pilot last left its seat."""
+    mode, _, unseated_time = condition
+    if mode < MAIN or p.pressure_force == 0.0:
+        return 0.0
+    return -p.pressure_force * math.exp(-(t - unseated_time) / p.equalisation_time)  # type: ignore[no-any-return]
+
 
 EFFECT = Effect(
     "pressure_force",
@@ -19,6 +34,7 @@ EFFECT = Effect(
     what_to_do="Check the inlet pressure, and the pilot orifice for dirt that slows the equalisation.",
     severity=share_of_preload("force"),
     rewrite=set_fields(pressure_force="force", equalisation_time="equalisation_time"),
+    core_force=pressure,
     fields={"pressure_force": 0.0, "equalisation_time": 1.0},
     tags=(Tag.FORCE,),
 )
