@@ -54,11 +54,16 @@ class LiveValve:
         self._random = np.random.default_rng(self.seed)
         self._time = 0.0
 
-    def stroke(self, effects: Mapping[str, Mapping[str, float]] | None = None, **parameters: float) -> LiveStroke:
+    def stroke(
+        self,
+        effects: Mapping[str, Mapping[str, float]] | None = None,
+        open_seconds: float = OPEN_SECONDS,
+        **parameters: float,
+    ) -> LiveStroke:
         """The next stroke, by a valve with these effects."""
         random = self._random
         volts = np.array([self.levels[self.strokes % len(self.levels)], 0.0])
-        true_times = np.array([LEAD, LEAD + OPEN_SECONDS])
+        true_times = np.array([LEAD, LEAD + open_seconds])
         duration = LEAD + OPEN_SECONDS + CLOSED_SECONDS
         first = np.ceil(self._time * self.rate) / self.rate - self._time
         times = np.arange(first, duration - 1e-9, 1.0 / self.rate)

@@ -190,3 +190,22 @@ def test_what_holds_zero_or_is_beyond_nature_is_no_finding(
     trace = Trace("", Drive.of([0.0], [9.0]), np.linspace(0.0, 0.01, 50), np.zeros(50))
     plant = ValvePlant([trace], default_valve())
     assert is_credible(effect, plant, {f"{effect}.{name}": Interval(value, 1.0, low, high)}) == is_one
+
+
+def test_a_valve_that_is_told_to_close_when_it_has_hardly_begun_to_open_is_not_judged() -> None:
+    """Both commands were held up, the first one by more: the valve may or may not reach its stop."""
+    monitor = Monitor(default_valve(), MonitorSettings(commissioning_strokes=8), refit=False)
+    valve = LiveValve(11, rate=2e3, levels=(9.0,), jitter=1e-3)
+    for _ in range(10):
+        list(feed(monitor, valve.stroke()))
+    valve.jitter = 0.0
+    reports = []
+    for early in (0.0, 0.016, 0.016, 0.0):
+        made = valve.stroke(open_seconds=0.03 - early)
+        heard = made._replace(command_times=made.command_times - np.array([early, 0.0]))
+        reports += list(feed(monitor, heard))
+    together = [report for report in reports if report.remark]
+    assert [report.state for report in together] == ["not judged"] * 2
+    assert all(report.remark.startswith("timing too uncertain") for report in together)
+    assert not any(report.record.fault for report in reports)
+    assert monitor.judge.alarms == 0

@@ -14,6 +14,7 @@ from valve_sim.identification.command_timing import TimedStroke, allowed_scatter
 from valve_sim.identification.stroke_scores import SIZE, Healthy, commission, late_by, score_stroke
 from valve_sim.identification.watching import StrokeRecord
 from valve_sim.model import Drive, EventKind, Valve, simulate
+from valve_sim.traces import Trace
 
 CONTRADICTS: Final = 4.0
 """Standard errors by which the mean of commissioning scores is not 0."""
@@ -118,6 +119,16 @@ def timed_stroke(record: StrokeRecord, healthy: Healthy) -> TimedStroke:
     volts = record.trace.drive.volts
     shifts = late_by(record.trace, healthy.valve, healthy.lateness)
     return TimedStroke(float(volts[np.argmax(np.abs(volts))]), shifts, record.arrival_spread)
+
+
+def came_together(trace: Trace, healthy: Healthy) -> bool:
+    """Whether a stroke was held open for less than half as long as it was commanded.
+
+    A valve that is just about to open then may or may not reach its stop: too little is known of when the voltage went.
+    """
+    hold = float(trace.drive.times[-1] - trace.drive.times[0])
+    opening, closing = late_by(trace, healthy.valve, healthy.lateness)
+    return opening - closing > 0.5 * hold
 
 
 def _opening_seconds(valve: Valve) -> float:

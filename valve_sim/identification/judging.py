@@ -22,7 +22,7 @@ import numpy as np
 
 from valve_sim.identification.alarm import Alarm, Sums
 from valve_sim.identification.command_timing import PLAINLY_WIDER, UNTIMED, CommandScatter, allowed_for
-from valve_sim.identification.commissioning import Commissioning, commission_with, timed_stroke
+from valve_sim.identification.commissioning import Commissioning, came_together, commission_with, timed_stroke
 from valve_sim.identification.fitting import Interval
 from valve_sim.identification.monitor_settings import MonitorSettings
 from valve_sim.identification.plant import Array
@@ -46,6 +46,8 @@ FORGETS: Final = 20
 WATCHING: Final = "watching"
 UNCERTAIN: Final = "timing too uncertain to judge"
 """State of a stroke of which its shape alone was held against the model: samples carry stamps, commands do not."""
+
+TOGETHER: Final = "timing too uncertain to judge: its commands were obeyed one soon after the other"
 
 
 class StrokeReport(NamedTuple):
@@ -224,6 +226,8 @@ class Judge:
                     self._commission(record)
                 else:
                     level = self._allowed(record, self.commissioning)
+                    if level >= UNTIMED and came_together(record.trace, self.commissioning.healthy):
+                        return self._report(record, None, {}, None, state, TOGETHER, {})
                     state = UNCERTAIN if level >= UNTIMED else WATCHING
                     scored = score_stroke(record.trace, self.commissioning.healthy, level)
                     scores = self.commissioning.standard(scored.scores, level)

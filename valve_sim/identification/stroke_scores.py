@@ -30,7 +30,7 @@ from valve_sim.identification.plant import Array, Nuisance, moved
 from valve_sim.identification.search import ANNEALING
 from valve_sim.identification.tall import cross
 from valve_sim.identification.valve_plant import CLOCK_SIGMA, ValvePlant
-from valve_sim.model import SimulationError, Valve, simulate
+from valve_sim.model import Drive, SimulationError, Valve, simulate
 from valve_sim.model.parameters import Parameter
 from valve_sim.traces import Trace
 
@@ -50,6 +50,10 @@ PLAINLY_MORE: Final = 2.0
 """χ² a sample beyond which a fit is tried from elsewhere too."""
 MEDIAN_OF_NORMAL: Final = 0.6745
 """Of the size of a standard normal number."""
+LOOKS: Final = 4
+"""How often the shifts of the commands are looked at before a fit."""
+PLAINLY_LATE: Final = 1e-3
+"""s by which a stroke is off after a look, so that it is worth another."""
 FAR: Final = 3.0
 """Standard deviations at which the furthest of some forty normal numbers is at most, mostly."""
 FURTHEST: Final = 15.0
@@ -320,14 +324,24 @@ def late_by(trace: Trace, valve: Valve, lateness: float) -> tuple[float, float]:
 
 
 def _rough_shifts(trace: Trace, valve: Valve, lateness: float) -> list[float]:
-    """(commands,) s: as `late_by`, 0 for what is not seen and for the commands between."""
-    shifts = [0.0] * len(trace.drive.times)
-    opening, closing = late_by(trace, valve, lateness)
-    if math.isfinite(closing) and len(shifts) > 1:
-        shifts[-1] = closing
-    if math.isfinite(opening):
-        shifts[0] = opening
-    return shifts
+    """(commands,) s: as `late_by`, 0 for what is not seen and for the commands between.
+
+    Looked at again with the commands so late: a valve that is held open for a shorter time closes sooner, and one that
+    has just begun to open closes otherwise.
+    """
+    shifts = np.zeros(len(trace.drive.times))
+    for _ in range(LOOKS):
+        times = trace.drive.times + shifts
+        if np.any(np.diff(times) <= 0.0):
+            break
+        opening, closing = late_by(replace(trace, drive=Drive(times, trace.drive.volts)), valve, lateness)
+        if len(shifts) > 1 and math.isfinite(closing):
+            shifts[-1] += closing
+        if math.isfinite(opening):
+            shifts[0] += opening
+        if not max(abs(opening), abs(closing)) > PLAINLY_LATE:
+            break
+    return shifts.tolist()
 
 
 def _position_only(trace: Trace) -> Trace:

@@ -46,9 +46,11 @@ MOST_VOLTS: Final = 1e4
 """V: no coil has more, and stepping the forces of more takes minutes a second."""
 LONGEST_GAP: Final = 60.0
 """s without samples, after which the model is not stepped on but begins at rest."""
+TAIL: Final = 3.0
+"""Times the delays that were lately seen, which none exceeds but one in many thousands."""
 STILL_AFTER: Final = 0.01
 """s after it was last seen open: what then remains of a stroke is less than noise."""
-CONFIRMED: Final = 3
+CONFIRMED: Final = 5
 """Strokes in a row that fail, where the times of commands are too uncertain for one to be believed."""
 
 
@@ -113,8 +115,11 @@ class Watch:
 
     @property
     def uncertainty(self) -> float:
-        """Seconds by which a healthy valve may be later than the model, since nobody knows when it got its command."""
-        return FAR * self.scatter + self._arrivals.spread
+        """Seconds by which a healthy valve may be later than the model, since nobody knows when it got its command.
+
+        Delays of a busy machine have a long tail: so many times as much as has lately been seen.
+        """
+        return TAIL * (FAR * self.scatter + self._arrivals.spread)
 
     def reset(self) -> None:
         """Begin anew, as after a jump of the clock: a valve at rest, of which nothing is known."""
@@ -257,7 +262,7 @@ class Watch:
     @property
     def _settle(self) -> float:
         """Seconds of the model's rest after which the valve rests too, although it may have got its command later."""
-        return self._settings.settle + self.uncertainty
+        return self._settings.settle + self.uncertainty / TAIL
 
     def _look(self, time: float, position: float, highest: float, reading: Reading) -> None:
         self._last, self._position = time, position
@@ -324,7 +329,7 @@ class Watch:
         if stroke.opened is None and stroke.model_opened:
             is_open = stroke.highest >= OPENED * self._valve.parameters.stroke
             self._missed = 0 if is_open else self._missed + 1
-            held = self._last_command - stroke.model_opened_at
+            held = (stroke.drive[-1][0] if len(stroke.drive) > 1 else self._last) - stroke.model_opened_at
             if is_open or held > self.uncertainty or self._missed >= CONFIRMED:
                 self._judge_opening(stroke)
             else:
@@ -406,7 +411,7 @@ class Watch:
             self._keep_from(until)
             return
         is_closed = self._phase is Phase.CLOSED and math.isfinite(self._rest_since)
-        still = max(self._rest_since + self.uncertainty, self._last_open + STILL_AFTER, self._last - LEAD)
+        still = max(self._rest_since + self.uncertainty / TAIL, self._last_open + STILL_AFTER, self._last - LEAD)
         self._keep_from(still if is_closed else math.inf)
 
     def _current_since(self, start: float) -> Signal | None:
