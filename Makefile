@@ -65,9 +65,9 @@ check: $(ENVIRONMENT)/.ready-to-test
 	$(PYTHON) -m pytest $(ALONE)
 	OPENBLAS_NUM_THREADS=1 $(PYTHON) -m benchmarks.campaign --slice
 
-# Stubs of modules that have gone would be warned of; a warning is an error.
+# A warning is an error; stubs and pages of modules that have gone would be warned of, or stay.
 docs: $(ENVIRONMENT)/.ready-to-test
-	@rm -rf docs/reference/api
+	@rm -rf docs/reference/api build/docs
 	$(PYTHON) -m sphinx -W --keep-going -q -j 2 -d build/docs-doctrees docs build/docs
 	@echo "documentation: build/docs/index.html"
 
