@@ -17,6 +17,7 @@ from sphinx.environment import BuildEnvironment
 from sphinx.util import logging
 
 LABEL = re.compile(r"\(eq-(\d+)\)\s*$", re.MULTILINE)
+COMMAND = re.compile(r"\\\w*")
 logger = logging.getLogger(__name__)
 
 
@@ -35,16 +36,24 @@ def labels_are_numbers(app: Sphinx, env: BuildEnvironment) -> None:
             logger.warning("equation %s is number %s of its page", label, number, location=docname)
 
 
+def converted(node: nodes.math | nodes.math_block, display: str) -> str:
+    """A formula as MathML; a command that the converter passes on as it stands is a warning."""
+    written: str = convert(node.astext(), display=display)
+    if "\\" in written:
+        logger.warning("not understood in a formula: %s", ", ".join(COMMAND.findall(written)), location=node)
+    return written
+
+
 def visit_inline(translator: Any, node: nodes.math) -> None:
     """Write a formula within a line."""
-    translator.body.append(convert(node.astext()))
+    translator.body.append(converted(node, "inline"))
     raise nodes.SkipNode
 
 
 def visit_display(translator: Any, node: nodes.math_block) -> None:
     """Write a formula of its own, with its number and a link to it."""
     translator.body.append(translator.starttag(node, "div", CLASS="math notranslate"))
-    translator.body.append('<div class="formula">' + convert(node.astext(), display="block") + "</div>")
+    translator.body.append('<div class="formula">' + converted(node, "block") + "</div>")
     if node["number"]:
         translator.body.append(f'<span class="eqno">({node["number"]})')
         translator.add_permalink_ref(node, "Link to this equation")
