@@ -62,7 +62,7 @@ setup(
     license=MANIFEST.findtext("license"),
     python_requires=">=3.10,<3.14",
     packages=find_packages(include=["valve_sim", "valve_sim.*"]),
-    package_data={f"{NAME}.identification": ["templates/*.j2"]},
+    package_data={f"{NAME}.identification.reporting": ["templates/*.j2"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (str(SHARE), ["package.xml"]),

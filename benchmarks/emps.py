@@ -21,9 +21,9 @@ import numpy as np
 from scipy.io import loadmat
 from scipy.io.matlab import MatReadError
 
-from valve_sim.identification.axis_plant import AxisPlant, AxisRecord
-from valve_sim.identification.diagnosis import Diagnosis, diagnose_plant
-from valve_sim.identification.fitting import Problem, fit
+from valve_sim.identification.diagnosis.run import Diagnosis, diagnose_plant
+from valve_sim.identification.estimation.fitting import Problem, fit
+from valve_sim.identification.plants.axis import AxisPlant, AxisRecord
 from valve_sim.model import ValveError
 
 DEFAULT = Path(__file__).resolve().parents[2] / "shared" / "data" / "emps" / "DATA_EMPS.mat"

@@ -162,12 +162,12 @@ def bad_file(random: Random, folder: Path) -> Path:
 
 def _any_value(parameter: Parameter, random: Random) -> float:
     """Anywhere in a parameter's range, small values and large ones alike, and its ends."""
-    size = abs(parameter.typical) * 10.0 ** random.uniform(-4.0, 3.0)
+    size = abs(parameter.prior_scale) * 10.0 ** random.uniform(-4.0, 3.0)
     value = float(random.choice([-1.0, 1.0]) * size)
     if random.random() < 0.1:
         value = float(random.choice([parameter.lower, parameter.upper, 0.0]))
     value = min(max(value, parameter.lower), parameter.upper)
-    return value if math.isfinite(value) else parameter.typical
+    return value if math.isfinite(value) else parameter.prior_scale
 
 
 def any_valve(random: Random) -> Valve:
@@ -175,7 +175,9 @@ def any_valve(random: Random) -> Valve:
     declared = Valve().with_values(a0=3.0336, coil_time_constant=1e-3).to_mapping()["valve"]
     for name in random.choice(list(DECLARED), int(random.integers(0, 6)), replace=False):
         if str(name) in declared:
-            declared[str(name)] = _any_value(DECLARED[str(name)]._replace(typical=declared[str(name)] or 1e-3), random)
+            declared[str(name)] = _any_value(
+                DECLARED[str(name)]._replace(prior_scale=declared[str(name)] or 1e-3), random
+            )
     names = [name for name, effect in CATALOGUE.items() if effect.named]
     effects = {
         str(name): {entry.name: _any_value(entry, random) for entry in CATALOGUE[str(name)].parameters}

@@ -29,9 +29,9 @@ from scipy.optimize import least_squares
 
 from benchmarks.coverage import as_trace, true_dampings
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.fitting import Fit, Problem, fit
-from valve_sim.identification.identify import DEFAULT_FREE
-from valve_sim.identification.valve_plant import CLOCK_SIGMA, ValvePlant
+from valve_sim.identification.estimation.fitting import Fit, Problem, fit
+from valve_sim.identification.estimation.identify import DEFAULT_FREE
+from valve_sim.identification.plants.valve import CLOCK_SIGMA, ValvePlant
 from valve_sim.model import Drive, ValveParameters
 from valve_sim.traces import Trace, read_trace, write_bag
 
@@ -56,7 +56,7 @@ WANTED = {
 }
 IN_A_NEW_PROCESS = """
 import json, sys, time
-from valve_sim.identification.identify import identify
+from valve_sim.identification.estimation.identify import identify
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.traces import read_trace
 trace = read_trace(sys.argv[1])

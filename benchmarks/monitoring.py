@@ -30,9 +30,9 @@ from typing import NamedTuple
 import numpy as np
 
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.judging import StrokeReport
-from valve_sim.identification.monitoring import Monitor
-from valve_sim.identification.tracing import trace_cause
+from valve_sim.identification.monitoring.fault_isolation import trace_cause
+from valve_sim.identification.monitoring.monitor import Monitor
+from valve_sim.identification.monitoring.stroke_monitor import StrokeReport
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "test"))
 from identification.live_strokes import CLOSED_SECONDS, LEAD, OPEN_SECONDS, LiveValve, feed
@@ -46,7 +46,7 @@ COMMISSIONING, GROWING, STAYING = 25, 50, 20
 STROKE_SECONDS = LEAD + OPEN_SECONDS + CLOSED_SECONDS
 
 
-class Healthy(NamedTuple):
+class Baseline(NamedTuple):
     """Strokes without fault: how many, warnings, m/m residual over noise, s of computing by monitor and plant."""
 
     strokes: int
@@ -78,7 +78,7 @@ def valve_of(seed: int, jitter: float, colour: float = 0.0) -> LiveValve:
     return LiveValve(seed, dampings, jitter=jitter, colour=colour, offset=float(random.normal(0.0, 50e-6)))
 
 
-def healthy(seed: int, strokes: int) -> Healthy:
+def healthy(seed: int, strokes: int) -> Baseline:
     """One seed without fault; `strokes` after commissioning."""
     valve, monitor = valve_of(seed, 50e-6, 0.7 * (seed % 2)), Monitor(default_valve(), refit=False)
     ratios, watched, own, plant = [], 0, 0.0, 0.0
@@ -90,7 +90,7 @@ def healthy(seed: int, strokes: int) -> Healthy:
         plant, own = plant + middle - begin, own + time.perf_counter() - middle
         ratios += [report.rms / report.noise for report in reports if report.state == "watching"]
         watched = len(ratios)
-    return Healthy(watched, monitor.judge.alarms, float(np.mean(ratios)), own, plant)
+    return Baseline(watched, monitor.judge.alarms, float(np.mean(ratios)), own, plant)
 
 
 def growth(seed: int, jitter: float, force: float, *, trace: bool) -> Growth:

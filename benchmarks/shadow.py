@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.monitoring import ALARM_FORCE, COMMISSIONING, GROWING, STAYING, STROKE_SECONDS, say, valve_of
-from valve_sim.identification.monitor_settings import MonitorSettings
+from valve_sim.identification.monitoring.settings import MonitorSettings
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "test"))
 from identification.live_strokes import LiveValve
@@ -44,7 +44,7 @@ TRACING_SECONDS = 180.0
 """By the wall, for a tracing to end after the last stroke."""
 
 
-class Healthy(NamedTuple):
+class Baseline(NamedTuple):
     """Strokes that were watched, and alarms in them."""
 
     strokes: int
@@ -112,7 +112,7 @@ def beside(valve: LiveValve, folder: Path) -> Iterator[Beside]:
         probe.close()
 
 
-def healthy(seed: int, strokes: int, folder: Path) -> Healthy:
+def healthy(seed: int, strokes: int, folder: Path) -> Baseline:
     """One seed without fault."""
     valve = valve_of(seed, 50e-6, 0.7 * (seed % 2))
     valve.rate = SLOWEST
@@ -121,7 +121,7 @@ def healthy(seed: int, strokes: int, folder: Path) -> Healthy:
             made.stroke()
             made.plant.forget()
         watched = [report for report in made.reports if report["state"] == "watching"]
-        return Healthy(len(watched), sum(report["alarm"]["raised"] for report in watched))
+        return Baseline(len(watched), sum(report["alarm"]["raised"] for report in watched))
 
 
 def growth(seed: int, folder: Path) -> Growth:

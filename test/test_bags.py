@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.identify import identify
+from valve_sim.identification.estimation.identify import identify
 from valve_sim.traces import list_valves, read_trace
 
 BAGS = Path(__file__).resolve().parents[1] / "bags"

@@ -40,7 +40,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from valve_sim.identification.plots import save_figure
+from valve_sim.identification.reporting.figures import save_figure
 from valve_sim.files.parameter_files import default_valve, load_valve, save_valve
 from valve_sim.traces import CSV_COLUMNS, read_trace, write_bag, write_csv
 from valve_sim.files.whole_files import write_whole

@@ -19,10 +19,10 @@ from identification.recordings import one_opening
 from valve_sim.cli import main
 from valve_sim.files import yaml_files
 from valve_sim.files.parameter_files import load_valve
-from valve_sim.identification.event_table import read_event_table
-from valve_sim.identification.synthetic import read_profile
+from valve_sim.identification.plants.event_table import read_event_table
 from valve_sim.model import ValveError, compiling
 from valve_sim.traces import list_valves, write_bag
+from valve_sim.traces.synthetic import read_profile
 
 SOURCES = sorted((Path(__file__).parents[1] / "valve_sim").rglob("*.py"))
 MODULES_THAT_RUN_DATA = {"pickle", "cPickle", "dill", "cloudpickle", "shelve", "marshal", "joblib", "code"}

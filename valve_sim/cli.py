@@ -223,9 +223,9 @@ def simulate(
     """
     if (voltage is None) == (profile is None):
         raise click.UsageError("give either --voltage or --profile", click.get_current_context())
-    from valve_sim.identification.synthetic import Sensor, read_profile, record
     from valve_sim.model import Drive, published_times
     from valve_sim.traces import write_bag, write_csv
+    from valve_sim.traces.synthetic import Sensor, read_profile, record
 
     if output.suffix not in (".csv", ".mcap", ""):
         _refuse(f"--output {output}: expected x.mcap, x.csv, or a name without ending for a rosbag2 folder")
@@ -240,7 +240,7 @@ def simulate(
         write_bag(output, recording.trace)
     events, (t1, t2) = recording.response.events, published_times(recording.response)
     if plot is not None:
-        from valve_sim.identification.plots import plot_response
+        from valve_sim.identification.reporting.figures import plot_response
 
         levels = {"gap": valve.parameters.pilot_gap, "stroke": valve.parameters.stroke}
         marks = {name: time for name, time in (("t1", t1), ("t2", t2)) if math.isfinite(time)}
@@ -345,7 +345,7 @@ def identify(
     """
     from valve_sim.files.parameter_files import save_valve
     from valve_sim.files.whole_files import write_whole
-    from valve_sim.identification.identify import identify as refit
+    from valve_sim.identification.estimation.identify import identify as refit
 
     written = (output / "identify.json", output / "identified.yaml")
     plan_files(*written)
@@ -410,12 +410,12 @@ def diagnose(
     if events is not None:
         _diagnose_events(events, output, as_json)
         return
-    from valve_sim.identification.budget import Budget
-    from valve_sim.identification.diagnosis import diagnose as trace_residual
-    from valve_sim.identification.diagnosis_text import diagnosis_text
-    from valve_sim.identification.outputs import FILES, write_diagnosis
-    from valve_sim.identification.report_json import to_json
-    from valve_sim.identification.valve_plant import ValvePlant
+    from valve_sim.identification.diagnosis.run import diagnose as trace_residual
+    from valve_sim.identification.estimation.budget import Budget
+    from valve_sim.identification.plants.valve import ValvePlant
+    from valve_sim.identification.reporting.diagnosis_json import to_json
+    from valve_sim.identification.reporting.files import FILES, write_diagnosis
+    from valve_sim.identification.reporting.text import diagnosis_text
 
     valve = _load(params)
     plan_files(*(output / file for file in FILES))
@@ -431,8 +431,8 @@ def diagnose(
 
 
 def _diagnose_events(events: Path, output: Path, as_json: bool) -> None:
-    from valve_sim.identification.event_diagnosis import diagnose_events, write_event_report
-    from valve_sim.identification.event_table import read_event_table
+    from valve_sim.identification.diagnosis.events import diagnose_events, write_event_report
+    from valve_sim.identification.plants.event_table import read_event_table
 
     table = read_event_table(events)
     _say_when_compiling()
@@ -481,7 +481,7 @@ def validate(
     if plot is not None and len(bags) > 1:
         raise click.UsageError("--plot draws one recording; give one BAG", click.get_current_context())
     from valve_sim.files.whole_files import write_whole
-    from valve_sim.identification.validation import validate as replay
+    from valve_sim.identification.validation.replay import validate as replay
 
     plan_files(*(path for path in (junit, plot) if path))
     valve = _load(params)
@@ -492,7 +492,7 @@ def validate(
     if junit is not None:
         write_whole(junit, _shown(result.junit()))  # XML has no place for control characters
     if plot is not None:
-        from valve_sim.identification.plots import plot_replay
+        from valve_sim.identification.reporting.figures import plot_replay
 
         plot_replay(plot, result.replays[0])
     _print_report(result.to_json(), result.text(), [path for path in (junit, plot) if path], as_json)
@@ -528,8 +528,8 @@ def fit_force(
     """
     from valve_sim.files.parameter_files import save_valve
     from valve_sim.files.whole_files import write_whole
-    from valve_sim.identification.plots import plot_static_force
-    from valve_sim.identification.static_force import fit_static_force
+    from valve_sim.identification.estimation.static_force import fit_static_force
+    from valve_sim.identification.reporting.figures import plot_static_force
 
     result = fit_static_force(file, _load(params), degree=degree, voltage=voltage, constant=not no_constant)
     report, picture, parameters = (output / f for f in ("fit-force.json", "fit-force.png", "attraction.yaml"))

@@ -20,7 +20,7 @@ from benchmarks.campaign.effects import CATALOGUED, METHOD_LIMITS
 from benchmarks.campaign.figures import confusion_table, figures, least_demands, reliability_table
 from benchmarks.campaign.limits import detection_limit
 from benchmarks.campaign.running import Outcome, Timing, examine, run_cases, time_cold
-from valve_sim.identification.diagnosis import Diagnosis
+from valve_sim.identification.diagnosis.run import Diagnosis
 
 TIMED: Final = [
     *(("single", seed) for seed in (0, 5, 11, 12, 17)),

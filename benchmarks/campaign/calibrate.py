@@ -1,4 +1,4 @@
-"""`python -m benchmarks.campaign.calibrate results.jsonl ...`: a and b of `valve_sim.identification.calibration`.
+"""`python -m benchmarks.campaign.calibrate results.jsonl ...`: a and b of the calibration of probabilities.
 
 The lines are those that `python -m benchmarks.campaign --json results.jsonl` wrote. All families on the plant of the
 declared form count, as often as the campaign has them; a claim of effects is right where all that is true is in its
@@ -18,7 +18,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from scipy.optimize import minimize
 
-from valve_sim.identification.calibration import log_odds
+from valve_sim.identification.diagnosis.calibration import log_odds
 
 FAMILIES: Final = ("single", "none", "pair", "uncatalogued", "weak")
 BINS: Final = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 0.99, 1.0)

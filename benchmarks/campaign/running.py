@@ -22,7 +22,7 @@ from plants.recording import Recording, write_bag
 
 from benchmarks.campaign.cases import Case, draw_case
 from valve_sim.files.parameter_files import save_valve
-from valve_sim.identification.diagnosis import Diagnosis, State, diagnose
+from valve_sim.identification.diagnosis.run import Diagnosis, State, diagnose
 from valve_sim.model import Drive
 from valve_sim.traces import Signal, Trace
 

@@ -11,8 +11,8 @@ from typing import Final, NamedTuple
 
 from benchmarks.hard_recordings import __doc__ as words
 from benchmarks.hard_recordings.cases import Case, cases
-from valve_sim.identification.budget import Budget
-from valve_sim.identification.diagnosis import diagnose
+from valve_sim.identification.diagnosis.run import diagnose
+from valve_sim.identification.estimation.budget import Budget
 
 BUDGET: Final = 60.0
 """s of processor time a diagnosis, unless told."""

@@ -18,9 +18,9 @@ from plants.recording import record as measured
 from benchmarks.campaign.cases import declared_valve
 from benchmarks.campaign.running import as_trace
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.synthetic import Sensor, record
 from valve_sim.model import Drive, Valve
 from valve_sim.traces import Trace, read_trace, write_bag
+from valve_sim.traces.synthetic import Sensor, record
 
 LEVELS: Final = (9.0, 12.0, 7.5, 14.0, 10.3, 8.4, 13.0, 11.2)
 """V, of successive strokes."""

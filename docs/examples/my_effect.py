@@ -9,11 +9,11 @@ from __future__ import annotations
 import numpy as np
 
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.diagnosis import Diagnosis, diagnose
-from valve_sim.identification.synthetic import Sensor, record
+from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
 from valve_sim.model import CATALOGUE, Drive, Valve
 from valve_sim.model.effects import Effect
 from valve_sim.model.parameters import Parameter
+from valve_sim.traces.synthetic import Sensor, record
 
 
 def eddy_drag(x: float, v: float, u: float, t: float, force: float, speed: float) -> float:

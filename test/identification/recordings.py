@@ -8,7 +8,7 @@ import numpy as np
 from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
 from plants.recording import Profile, Recorder, record, single_opening, train_profile
 
-from valve_sim.identification.plant import Channel
+from valve_sim.identification.plants.protocol import Channel
 from valve_sim.model import Drive
 from valve_sim.traces import Trace
 

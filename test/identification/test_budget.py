@@ -9,9 +9,9 @@ from collections.abc import Callable
 import pytest
 from plants.recording import Recorder, train_profile
 
-from valve_sim.identification.budget import Budget, OutOfTimeError
-from valve_sim.identification.diagnosis import diagnose
-from valve_sim.identification.report_json import to_json
+from valve_sim.identification.diagnosis.run import diagnose
+from valve_sim.identification.estimation.budget import Budget, OutOfTimeError
+from valve_sim.identification.reporting.diagnosis_json import to_json
 from valve_sim.model import ValveError
 from valve_sim.progress_lines import ProgressLines
 

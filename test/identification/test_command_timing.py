@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.command_timing import (
+from valve_sim.identification.estimation.fitting import Interval
+from valve_sim.identification.monitoring.command_timing import (
     UNTIMED,
     ArrivalSpread,
     CommandScatter,
@@ -17,13 +18,12 @@ from valve_sim.identification.command_timing import (
     allowed_for,
     allowed_scatters,
 )
-from valve_sim.identification.fitting import Interval
-from valve_sim.identification.judging import UNCERTAIN, WATCHING, StrokeReport
-from valve_sim.identification.monitor_settings import MonitorSettings
-from valve_sim.identification.monitoring import Monitor
-from valve_sim.identification.tracing import is_credible, trace_cause
-from valve_sim.identification.valve_plant import ValvePlant
-from valve_sim.identification.watching import CONFIRMED, StrokeRecord, Watch
+from valve_sim.identification.monitoring.fault_isolation import is_credible, trace_cause
+from valve_sim.identification.monitoring.monitor import Monitor
+from valve_sim.identification.monitoring.segmenter import CONFIRMED, StrokeRecord, StrokeSegmenter
+from valve_sim.identification.monitoring.settings import MonitorSettings
+from valve_sim.identification.monitoring.stroke_monitor import UNCERTAIN, WATCHING, StrokeReport
+from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import Drive
 from valve_sim.traces import Trace
 
@@ -122,7 +122,7 @@ def test_the_next_wider_level_is_allowed_and_nothing_is_said_beyond_the_last() -
     assert allowed_scatters(2e-3, 10e-3) == (UNTIMED,)
 
 
-def stuck(watch: Watch, begin: float, hold: float, position: float, late: float) -> StrokeRecord:
+def stuck(watch: StrokeSegmenter, begin: float, hold: float, position: float, late: float) -> StrokeRecord:
     """One stroke of a valve that stays where it is, each second sample late; its record."""
     commands = [(begin + 0.02, 9.0), (begin + 0.02 + hold, 0.0)]
     for index, time in enumerate(np.arange(begin, begin + 1.0, 1e-3).tolist()):
@@ -135,7 +135,7 @@ def stuck(watch: Watch, begin: float, hold: float, position: float, late: float)
 
 @pytest.mark.parametrize("late", [0.0, 0.1])
 def test_a_short_stroke_is_believed_on_a_quiet_machine_and_on_a_busy_one_when_it_comes_again(late: float) -> None:
-    watch = Watch(default_valve(), MonitorSettings())
+    watch = StrokeSegmenter(default_valve(), MonitorSettings())
     records = [stuck(watch, float(number), 0.05, 0.0, late) for number in range(CONFIRMED)]
     said = [bool(record.fault) for record in records]
     assert said == ([True] * CONFIRMED if late == 0.0 else [False] * (CONFIRMED - 1) + [True])
@@ -145,7 +145,7 @@ def test_a_short_stroke_is_believed_on_a_quiet_machine_and_on_a_busy_one_when_it
 
 @pytest.mark.parametrize(("late", "is_said"), [(0.0, True), (0.3, False)])
 def test_a_valve_that_closes_late_is_in_time_where_samples_are_as_late(late: float, is_said: bool) -> None:
-    watch = Watch(default_valve(), MonitorSettings())
+    watch = StrokeSegmenter(default_valve(), MonitorSettings())
     watch.command(0.1, 9.0)
     for index, time in enumerate(np.arange(0.0, 1.0, 1e-3).tolist()):
         if index == 500:

@@ -11,9 +11,9 @@ from plants.mismatched import BENCH_VALVE, MismatchedPlant
 from plants.recording import Recorder, record, train_profile
 
 from benchmarks.campaign.cases import declared_valve
-from valve_sim.identification.current_form import current_left, doubt_of_current
-from valve_sim.identification.fitting import Problem
-from valve_sim.identification.valve_plant import ValvePlant
+from valve_sim.identification.estimation.fitting import Problem
+from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.identification.selection.current_check import current_left, current_noise_inflation
 from valve_sim.model import Drive
 from valve_sim.traces import Signal, Trace
 
@@ -33,15 +33,15 @@ def problem(plant: Plant, declared: Entries, recorder: Recorder) -> Problem:
 def test_a_current_that_effects_explain_is_believed(effects: dict[str, dict[str, float]], jitter: float) -> None:
     recorder = Recorder(with_current=True, command_jitter=jitter)
     made = problem(DeclaredPlant(effects), CAMPAIGN_VALVE, recorder)
-    assert doubt_of_current(made) == 1.0
+    assert current_noise_inflation(made) == 1.0
     assert 0.9 < current_left(made) < 1.1 or jitter
 
 
 def test_a_current_of_another_form_is_believed_to_what_is_missed_of_it() -> None:
     made = problem(MismatchedPlant(), BENCH_VALVE, Recorder(with_current=True))
-    doubt = doubt_of_current(made)
+    doubt = current_noise_inflation(made)
     assert doubt > 2.0
-    doubtful = made.doubting("current", doubt)
+    doubtful = made.with_inflated_noise("current", doubt)
     assert doubtful.noises["current"].innovation == doubt * made.noises["current"].innovation
     assert doubtful.noises["position"] == made.noises["position"]
 
@@ -49,4 +49,4 @@ def test_a_current_of_another_form_is_believed_to_what_is_missed_of_it() -> None
 def test_without_a_current_there_is_nothing_to_doubt() -> None:
     made = problem(DeclaredPlant({}), CAMPAIGN_VALVE, Recorder())
     assert current_left(made) == 0.0
-    assert doubt_of_current(made) == 1.0
+    assert current_noise_inflation(made) == 1.0

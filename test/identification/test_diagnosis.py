@@ -8,9 +8,9 @@ import pytest
 from plants.declared import DeclaredPlant
 from plants.recording import Profile, Recorder, holdout_profile, record, single_opening, train_profile
 
-from valve_sim.identification.calibration import calibrated
-from valve_sim.identification.diagnosis import Diagnosis, diagnose
-from valve_sim.identification.report_json import to_json
+from valve_sim.identification.diagnosis.calibration import calibrated
+from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
+from valve_sim.identification.reporting.diagnosis_json import to_json
 from valve_sim.model import CATALOGUE, Drive, Valve
 from valve_sim.traces import Signal, Trace
 
@@ -136,7 +136,7 @@ def test_dampings_that_an_effect_can_take_over_have_intervals_that_say_so() -> N
     friction = {"force_opening": 0.05, "force_closing": 0.09, "damping_opening": 0.6, "damping_closing": 0.3}
     diagnosis = diagnosed({"asymmetric_friction": friction}, 40)
     assert diagnosis.verdict.effects == ("asymmetric_friction",)
-    assert diagnosis.after.fit.is_entangled("pilot_damping")
+    assert diagnosis.after.fit.is_collinear("pilot_damping")
     for name, truth in TRUE_DAMPING.items():
         interval = diagnosis.after.intervals[name]
         assert interval.low <= truth <= interval.high

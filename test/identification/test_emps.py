@@ -8,8 +8,8 @@ import pytest
 from scipy.io import savemat
 
 from benchmarks import emps
-from valve_sim.identification.axis_plant import AxisPlant, AxisRecord
-from valve_sim.identification.diagnosis import diagnose_plant
+from valve_sim.identification.diagnosis.run import diagnose_plant
+from valve_sim.identification.plants.axis import AxisPlant, AxisRecord
 from valve_sim.model import ValveError
 
 RATE = 1000.0

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from valve_sim.files.parameter_files import default_valve, load_valve
-from valve_sim.identification.event_diagnosis import DAMPINGS, PULLS, diagnose_events, write_event_report
-from valve_sim.identification.event_table import EventPlant, reached, read_event_table
+from valve_sim.identification.diagnosis.events import DAMPINGS, PULLS, diagnose_events, write_event_report
+from valve_sim.identification.plants.event_table import EventPlant, reached, read_event_table
 from valve_sim.model import Drive, ParameterError, simulate
 
 CONFIG = Path(__file__).parents[2] / "config"

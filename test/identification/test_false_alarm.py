@@ -9,11 +9,11 @@ import pytest
 from plants.recording import Recorder
 
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.calibration import CALIBRATION, calibrated
-from valve_sim.identification.false_alarm import FalseAlarm, false_alarm
-from valve_sim.identification.fitting import Problem
-from valve_sim.identification.search import DECISIVE, Hypothesis, Search
-from valve_sim.identification.valve_plant import ValvePlant
+from valve_sim.identification.diagnosis.calibration import CALIBRATION, calibrated
+from valve_sim.identification.estimation.fitting import Problem
+from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.identification.selection.bootstrap import FalseAlarm, false_alarm
+from valve_sim.identification.selection.hypotheses import DECISIVE, Hypothesis, Search
 
 from .recordings import recorded
 
@@ -28,7 +28,9 @@ def problem(
     if not take_for_white:
         return Problem(plant)
     noise = Problem(plant).noises["position"]
-    return Problem(plant, noises={"position": replace(noise, innovation=noise.sigma, coefficients=(), excess=1.0)})
+    return Problem(
+        plant, noises={"position": replace(noise, innovation=noise.sigma, coefficients=(), variance_inflation=1.0)}
+    )
 
 
 def alarm_of(given: Problem, found: str | None = None) -> FalseAlarm:

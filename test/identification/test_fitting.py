@@ -9,9 +9,9 @@ import pytest
 from scipy.optimize import least_squares
 
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.fitting import Interval, Problem, covariance_interval, fit, profile_interval
-from valve_sim.identification.plant import from_search, search_bounds, to_search
-from valve_sim.identification.valve_plant import ValvePlant
+from valve_sim.identification.estimation.fitting import Interval, Problem, covariance_interval, fit, profile_interval
+from valve_sim.identification.plants.protocol import from_internal, internal_bounds, to_internal
+from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import CATALOGUE, DECLARED, SimulationError
 
 from .recordings import TRUTH, one_opening, recorded
@@ -83,9 +83,9 @@ def test_a_parameter_without_influence_stays_flat() -> None:
     assert found.correlation()[0, 1] == 0.0
     interval, _ = profile_interval(found, "coil_resistance")
     assert "flat" in interval.remark
-    lower, upper = search_bounds(DECLARED["coil_resistance"])
+    lower, upper = internal_bounds(DECLARED["coil_resistance"])
     assert (interval.low, interval.high) == pytest.approx(
-        (from_search(DECLARED["coil_resistance"], lower), from_search(DECLARED["coil_resistance"], upper))
+        (from_internal(DECLARED["coil_resistance"], lower), from_internal(DECLARED["coil_resistance"], upper))
     )
 
 
@@ -116,10 +116,10 @@ def test_held_out_samples_take_no_part() -> None:
 @pytest.mark.parametrize("effect", list(CATALOGUE))
 def test_search_coordinates_lead_back(effect: str) -> None:
     for parameter in CATALOGUE[effect].parameters:
-        value = parameter.typical
-        assert from_search(parameter, to_search(parameter, value)) == pytest.approx(value, rel=1e-12)
+        value = parameter.prior_scale
+        assert from_internal(parameter, to_internal(parameter, value)) == pytest.approx(value, rel=1e-12)
         if parameter.off is not None:
-            assert from_search(parameter, to_search(parameter, parameter.off)) == parameter.off
+            assert from_internal(parameter, to_internal(parameter, parameter.off)) == parameter.off
 
 
 def test_what_cannot_be_simulated_is_an_error(problem: Problem, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,8 +10,8 @@ from plants.recording import Recorder
 
 from benchmarks.coverage import measure
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.identify import check_free, identify
-from valve_sim.identification.valve_plant import ValvePlant
+from valve_sim.identification.estimation.identify import check_free, identify
+from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import CATALOGUE, ParameterError, Valve
 
 from .recordings import TRUTH, one_opening, recorded, shortened
@@ -165,7 +165,7 @@ def test_any_parameter_of_an_effect_can_be_freed_alone(name: str) -> None:
         alone = f"{name}.{parameter.name}"
         for shown, expected in zip(plant.predict({alone: parameter.neutral}), declared, strict=True):
             np.testing.assert_array_equal(shown, expected)
-        effects = plant.with_values({alone: parameter.typical}).effects
+        effects = plant.with_values({alone: parameter.prior_scale}).effects
         assert set(effects[name]) == {own.name for own in CATALOGUE[name].parameters}
 
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.alarm import MOST, Sums, mean_run, threshold_for
-from valve_sim.identification.judging import StrokeReport
-from valve_sim.identification.monitor_settings import MonitorSettings
-from valve_sim.identification.monitoring import Monitor
-from valve_sim.identification.tracing import trace_cause
-from valve_sim.identification.watching import LEAD, Watch
+from valve_sim.identification.monitoring.cusum import MOST, Sums, mean_run, threshold_for
+from valve_sim.identification.monitoring.fault_isolation import trace_cause
+from valve_sim.identification.monitoring.monitor import Monitor
+from valve_sim.identification.monitoring.segmenter import LEAD, StrokeSegmenter
+from valve_sim.identification.monitoring.settings import MonitorSettings
+from valve_sim.identification.monitoring.stroke_monitor import StrokeReport
 
 from .live_strokes import LiveValve, feed
 
@@ -185,7 +185,7 @@ def test_a_valve_that_does_not_open_is_an_error_at_once() -> None:
 
 
 def test_a_valve_that_does_not_close_is_an_error() -> None:
-    watch, valve = Watch(default_valve(), MonitorSettings(patience=10e-3)), LiveValve(1, HEALTHY)
+    watch, valve = StrokeSegmenter(default_valve(), MonitorSettings(patience=10e-3)), LiveValve(1, HEALTHY)
     stroke = valve.stroke()
     held = np.where(stroke.times > stroke.command_times[1], 1.23e-3, stroke.position)
     commands = list(zip(stroke.command_times.tolist(), stroke.volts.tolist(), strict=True))
@@ -208,7 +208,7 @@ def test_commands_before_the_first_sample_are_reported_and_harm_nothing() -> Non
 
 
 def test_a_stroke_that_does_not_begin_at_rest_is_not_judged() -> None:
-    watch = Watch(default_valve(), MonitorSettings(settle=0.01, patience=0.01))
+    watch = StrokeSegmenter(default_valve(), MonitorSettings(settle=0.01, patience=0.01))
     times = np.arange(0.0, 0.2, 1e-3)
     commands = [(0.02, 9.0), (0.05, 0.0), (0.0505, 9.0), (0.1, 0.0)]
     for time in times.tolist():
@@ -222,7 +222,7 @@ def test_a_stroke_that_does_not_begin_at_rest_is_not_judged() -> None:
 
 def test_memory_is_bounded() -> None:
     settings = MonitorSettings(settle=0.05)
-    watch = Watch(default_valve(), settings)
+    watch = StrokeSegmenter(default_valve(), settings)
     watch.command(0.0, 0.0)
     for time in np.arange(0.0, 30.0, 2e-3).tolist():
         watch.measure(time, 0.0)
@@ -237,7 +237,7 @@ def test_memory_is_bounded() -> None:
 
 
 def test_bad_samples_and_commands_are_counted_and_harm_nothing() -> None:
-    watch = Watch(default_valve(), MonitorSettings())
+    watch = StrokeSegmenter(default_valve(), MonitorSettings())
     assert watch.measure(0.0, 0.0) is not None
     assert watch.measure(0.001, math.nan) is None
     assert watch.measure(math.inf, 0.0) is None

@@ -7,20 +7,20 @@ import pytest
 from plants.declared import DeclaredPlant
 from plants.recording import Profile, Recorder, record, single_opening
 
-from valve_sim.identification.fitting import Fit, Problem, fit
-from valve_sim.identification.next_recording import (
+from valve_sim.identification.diagnosis.experiment_design import (
     FEWEST_REPEATS,
     MOST_REPEATS,
     TELLS_APART,
     Recommendation,
     recommend,
 )
-from valve_sim.identification.plant import Experiment
-from valve_sim.identification.recording_profile import STROKE_VOLTS, duration_of, write_profile
-from valve_sim.identification.synthetic import read_profile
-from valve_sim.identification.valve_plant import ValvePlant
+from valve_sim.identification.estimation.fitting import Fit, Problem, fit
+from valve_sim.identification.plants.protocol import Experiment
+from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.identification.reporting.recording_profile import STROKE_VOLTS, duration_of, write_profile
 from valve_sim.model import Drive, EventKind, Valve, simulate
 from valve_sim.traces import Trace
+from valve_sim.traces.synthetic import read_profile
 
 DECLARED = Valve().with_values(a0=3.0336, coil_time_constant=0.9934e-3, coil_resistance=10.0)
 START = {"coulomb_friction.force": 0.02, "drive_gain.gain": 0.99}

@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pytest
 
-from valve_sim.identification.fitting import Fit, Problem, fit
-from valve_sim.identification.noise import Noise
-from valve_sim.identification.plant import Array, Channel, Nuisance
-from valve_sim.identification.predictive import FARTHEST, surprise
+from valve_sim.identification.estimation.fitting import Fit, Problem, fit
+from valve_sim.identification.estimation.noise import Noise
+from valve_sim.identification.plants.protocol import Array, Channel, Nuisance
+from valve_sim.identification.selection.predictive_density import FARTHEST, neg2_log_predictive
 from valve_sim.model import Parameter
 
 SIGMA = 0.3
@@ -65,7 +65,7 @@ def test_it_is_the_exact_density_of_a_linear_model(free: tuple[str, ...], seed: 
     unknown = design @ training.covariance[:count, :count] @ design.T + DRIFT.sigma**2
     covariance = np.eye(len(misses)) + unknown / SIGMA**2
     exact = misses @ np.linalg.solve(covariance, misses) / SIGMA**2 + np.linalg.slogdet(covariance)[1]
-    assert surprise(training, held_out) == pytest.approx(exact, rel=1e-6)
+    assert neg2_log_predictive(training, held_out) == pytest.approx(exact, rel=1e-6)
 
 
 def test_what_the_training_data_do_not_hold_is_no_certainty() -> None:
@@ -73,12 +73,18 @@ def test_what_the_training_data_do_not_hold_is_no_certainty() -> None:
     training.problem.plant.channels[0].times[:] = 0.0
     blind = fit(training.problem, ("level", "slope"), {}, nuisances=[DRIFT])
     assert blind.stderr("slope") == np.inf
-    slope = held_out.problem.plant.parameter("slope").typical * FARTHEST
-    assert np.isfinite(surprise(blind, held_out))
-    assert surprise(blind, held_out) > surprise(training, held_out)
-    assert surprise(blind, held_out) < surprise(training, held_out) + 2.0 * np.log(slope / SIGMA) + 40.0
+    slope = held_out.problem.plant.parameter("slope").prior_scale * FARTHEST
+    assert np.isfinite(neg2_log_predictive(blind, held_out))
+    assert neg2_log_predictive(blind, held_out) > neg2_log_predictive(training, held_out)
+    assert (
+        neg2_log_predictive(blind, held_out)
+        < neg2_log_predictive(training, held_out) + 2.0 * np.log(slope / SIGMA) + 40.0
+    )
 
 
 def test_the_truth_surprises_less_than_too_simple_a_model() -> None:
-    gains = [surprise(*fits(("level",), seed)) - surprise(*fits(("level", "slope"), seed)) for seed in range(20)]
+    gains = [
+        neg2_log_predictive(*fits(("level",), seed)) - neg2_log_predictive(*fits(("level", "slope"), seed))
+        for seed in range(20)
+    ]
     assert min(gains) > 10.0

@@ -17,14 +17,14 @@ import pytest
 from identification.browser import CHROMIUM, SETTINGS, Browser
 from identification.recordings import recorded
 from valve_sim.files.parameter_files import default_valve, load_valve
-from valve_sim.identification import report
-from valve_sim.identification.diagnosis import Diagnosis, diagnose
-from valve_sim.identification.outputs import write_diagnosis
-from valve_sim.identification.recording_profile import STROKE_VOLTS
-from valve_sim.identification.stroke_curves import DRAWN_POINTS, StrokeCurves, keep_extremes, strokes_of
-from valve_sim.identification.synthetic import read_profile
-from valve_sim.identification.wording import headline
+from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
+from valve_sim.identification.reporting import html as report
+from valve_sim.identification.reporting.curves import DRAWN_POINTS, StrokeCurves, keep_extremes, strokes_of
+from valve_sim.identification.reporting.files import write_diagnosis
+from valve_sim.identification.reporting.recording_profile import STROKE_VOLTS
+from valve_sim.identification.reporting.wording import headline
 from valve_sim.model import CATALOGUE, ValveError
+from valve_sim.traces.synthetic import read_profile
 
 HOSTILE = "</script><script>throw 1</script><img src=http://127.0.0.1:9/x>"
 LARGEST_PAGE = 8_000_000

@@ -9,10 +9,10 @@ import pytest
 from plants.recording import Profile, Recorder, train_profile
 
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.fitting import Fit, Problem, fit
-from valve_sim.identification.plant import Array
-from valve_sim.identification.separate import gathered, stay_apart
-from valve_sim.identification.valve_plant import ValvePlant
+from valve_sim.identification.estimation.column_groups import columns_decouple, group_columns
+from valve_sim.identification.estimation.fitting import Fit, Problem, fit
+from valve_sim.identification.plants.protocol import Array
+from valve_sim.identification.plants.valve import ValvePlant
 
 from .recordings import recorded
 
@@ -27,18 +27,18 @@ def rows(*indices: int, count: int = 12) -> np.ndarray:
 
 def test_what_has_no_sample_in_common_is_gathered() -> None:
     masks = [rows(0, 1), rows(1, 2), rows(2, 3), rows(4), np.ones(12, bool), rows()]
-    assert gathered(masks) == [[0, 2, 3, 5], [1], [4]]
-    assert gathered([]) == []
+    assert group_columns(masks) == [[0, 2, 3, 5], [1], [4]]
+    assert group_columns([]) == []
 
 
 def test_what_is_not_over_at_the_end_of_its_stretch_does_not_stay_apart() -> None:
     first, second = rows(*range(6)), rows(*range(6, 12))
     over = np.array([0.0, 5.0, 1.0, 0.0, 0.004, 0.0, 0.0, 0.0, 2.0, 3.0, 4.0, 5.0])
-    assert stay_apart(over, [first, second])
+    assert columns_decouple(over, [first, second])
     lasting = over.copy()
     lasting[4] = 0.006
-    assert not stay_apart(lasting, [first, second])
-    assert stay_apart(np.zeros(12), [first, second])
+    assert not columns_decouple(lasting, [first, second])
+    assert columns_decouple(np.zeros(12), [first, second])
 
 
 class Counting(ValvePlant):

@@ -8,8 +8,8 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from valve_sim.identification import side_by_side as module
-from valve_sim.identification.side_by_side import side_by_side
+from valve_sim.identification.estimation import parallel as module
+from valve_sim.identification.estimation.parallel import run_parallel
 
 
 @pytest.fixture(autouse=True)
@@ -28,7 +28,7 @@ def test_the_order_is_that_of_the_items() -> None:
         return -item
 
     announced: list[int] = []
-    assert side_by_side(work, range(5), announced.append) == [0, -1, -2, -3, -4]
+    assert run_parallel(work, range(5), announced.append) == [0, -1, -2, -3, -4]
     assert announced == [0, 1, 2, 3, 4]
 
 
@@ -50,10 +50,10 @@ def test_what_is_raised_meanwhile_leaves_the_rest_undone(monkeypatch: pytest.Mon
 
     monkeypatch.setattr(module, "ThreadPoolExecutor", Pool)
     with pytest.raises(KeyboardInterrupt):
-        side_by_side(work, range(100), interrupt)
+        run_parallel(work, range(100), interrupt)
     assert set(begun) <= {0, 1}
 
 
 def test_what_the_work_raises_is_raised() -> None:
     with pytest.raises(ZeroDivisionError):
-        side_by_side(lambda item: 1 // item, [1, 0])
+        run_parallel(lambda item: 1 // item, [1, 0])

@@ -13,15 +13,15 @@ from plants.recording import train_profile
 
 from benchmarks.hard_recordings.cases import CAMPAIGN, Case, cases
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.axis_plant import AxisPlant
-from valve_sim.identification.diagnosis import Diagnosis, diagnose, diagnose_plant
-from valve_sim.identification.fitting import Problem, fit
-from valve_sim.identification.noise import Noise
-from valve_sim.identification.plant import Array, Channel, EffectChoice, ForceMap, Nuisance
-from valve_sim.identification.report_json import to_json
-from valve_sim.identification.synthetic import Sensor, record
+from valve_sim.identification.diagnosis.run import Diagnosis, diagnose, diagnose_plant
+from valve_sim.identification.estimation.fitting import Problem, fit
+from valve_sim.identification.estimation.noise import Noise
+from valve_sim.identification.plants.axis import AxisPlant
+from valve_sim.identification.plants.protocol import Array, Channel, EffectChoice, ForceMap, Nuisance
+from valve_sim.identification.reporting.diagnosis_json import to_json
 from valve_sim.model import Drive, Parameter
 from valve_sim.traces import Signal, read_trace
+from valve_sim.traces.synthetic import Sensor, record
 
 from .test_emps import made_up_record
 

@@ -7,7 +7,7 @@ import pytest
 
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.files.tables import TableError
-from valve_sim.identification.static_force import fit_static_force
+from valve_sim.identification.estimation.static_force import fit_static_force
 from valve_sim.model import ValveError
 
 TRUTH = np.array([3.0336, 17.096e3, -30.931e6, 24.026e9])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from valve_sim.identification.tall import ROWS, cross, power
+from valve_sim.identification.estimation.gram import ROWS, gram, sum_squares
 
 
 @pytest.mark.parametrize("rows", [0, 1, ROWS - 1, ROWS, 5 * ROWS, 5 * ROWS + 7])
@@ -13,6 +13,6 @@ from valve_sim.identification.tall import ROWS, cross, power
 def test_it_is_the_product(rows: int, columns: int) -> None:
     random = np.random.default_rng(rows)
     left, right = random.standard_normal((rows, columns)), random.standard_normal((rows, 4))
-    np.testing.assert_allclose(cross(left, right), left.T @ right, atol=1e-12)
-    np.testing.assert_allclose(cross(left, right[:, 0]), left.T @ right[:, 0], atol=1e-12)
-    assert power(right[:, 0]) == pytest.approx(float(right[:, 0] @ right[:, 0]), abs=1e-12)
+    np.testing.assert_allclose(gram(left, right), left.T @ right, atol=1e-12)
+    np.testing.assert_allclose(gram(left, right[:, 0]), left.T @ right[:, 0], atol=1e-12)
+    assert sum_squares(right[:, 0]) == pytest.approx(float(right[:, 0] @ right[:, 0]), abs=1e-12)

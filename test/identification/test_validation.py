@@ -9,7 +9,7 @@ from plants.declared import DeclaredPlant
 from plants.recording import Recorder, Recording, record, train_profile
 
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.validation import validate
+from valve_sim.identification.validation.replay import validate
 from valve_sim.model import Drive, ValveError
 from valve_sim.traces import Trace
 

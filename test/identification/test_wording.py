@@ -9,12 +9,12 @@ import pytest
 
 from identification.recordings import recorded
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.diagnosis import Diagnosis, diagnose
-from valve_sim.identification.diagnosis_text import diagnosis_text
-from valve_sim.identification.fitting import Interval
-from valve_sim.identification.report_json import to_json
-from valve_sim.identification.units import limits, measured, quantity
-from valve_sim.identification.wording import headline, kind_words, meanings, title_of
+from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
+from valve_sim.identification.estimation.fitting import Interval
+from valve_sim.identification.reporting.diagnosis_json import to_json
+from valve_sim.identification.reporting.text import diagnosis_text
+from valve_sim.identification.reporting.units import limits, measured, quantity
+from valve_sim.identification.reporting.wording import headline, kind_words, meanings, title_of
 from valve_sim.model import CATALOGUE
 
 NAMED = [name for name, entry in CATALOGUE.items() if entry.named]

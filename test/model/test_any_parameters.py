@@ -35,9 +35,9 @@ SENSORS = tuple(effect.name for effect in CATALOGUE.tagged(Tag.SENSOR))
 CALIBRATED = Valve().with_values(a0=3.0336, coil_time_constant=1e-3)
 
 
-def values(parameter: Parameter, typical: float) -> st.SearchStrategy[float]:
+def values(parameter: Parameter, prior_scale: float) -> st.SearchStrategy[float]:
     """Its ends, zero, and anything from a ten-thousandth to a thousand times what is typical."""
-    sizes = st.floats(-4.0, 3.0).map(lambda decades: abs(typical or 1e-3) * 10.0**decades)
+    sizes = st.floats(-4.0, 3.0).map(lambda decades: abs(prior_scale or 1e-3) * 10.0**decades)
     signed = st.builds(math.copysign, sizes, st.sampled_from((1.0, -1.0)))
     ends = [end for end in (parameter.lower, parameter.upper, 0.0) if math.isfinite(end)]
     return st.one_of(signed, st.sampled_from(ends)).map(lambda value: min(max(value, parameter.lower), parameter.upper))
@@ -52,7 +52,7 @@ def valves(draw: st.DrawFn, *, with_sensors: bool) -> Valve:
     names = [name for name, effect in CATALOGUE.items() if effect.named and (with_sensors or name not in SENSORS)]
     chosen = draw(st.lists(st.sampled_from(names), max_size=3, unique=True))
     effects = {
-        name: {entry.name: draw(values(entry, entry.typical)) for entry in CATALOGUE[name].parameters}
+        name: {entry.name: draw(values(entry, entry.prior_scale)) for entry in CATALOGUE[name].parameters}
         for name in chosen
     }
     try:

@@ -43,9 +43,9 @@ def test_an_effect_at_its_neutral_values_is_exactly_no_effect(name: str, share: 
 @pytest.mark.parametrize("name", CATALOGUE)
 def test_a_parameter_that_is_not_given_is_neutral(name: str) -> None:
     for parameter in CATALOGUE[name].parameters:
-        alone = Valve(CALIBRATED.parameters, {name: {parameter.name: parameter.typical}})
+        alone = Valve(CALIBRATED.parameters, {name: {parameter.name: parameter.prior_scale}})
         whole = Valve(
-            CALIBRATED.parameters, {name: {**CATALOGUE[name].neutral_values(), parameter.name: parameter.typical}}
+            CALIBRATED.parameters, {name: {**CATALOGUE[name].neutral_values(), parameter.name: parameter.prior_scale}}
         )
         assert alone.record().tobytes() == whole.record().tobytes()
 
@@ -105,7 +105,7 @@ def test_an_entry_speaks_to_people(name: str) -> None:
     assert "_" not in effect.title
     for sentence in (effect.on_a_real_valve, effect.what_to_do):
         assert re.fullmatch(r"[A-Z][^_\n]{20,240}\.", sentence), sentence
-    values = {parameter.name: parameter.typical for parameter in effect.parameters}
+    values = {parameter.name: parameter.prior_scale for parameter in effect.parameters}
     severity = effect.severity_of(values, CALIBRATED.declared())
     assert severity is None or 0.0 <= severity.share < 10.0
     off = effect.severity_of(effect.neutral_values(), CALIBRATED.declared())

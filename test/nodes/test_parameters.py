@@ -48,9 +48,9 @@ def test_one_parameter_alone_switches_its_effect_on(effect: object) -> None:
     for rule in CATALOGUE[effect.name].parameters:  # type: ignore[attr-defined]
         if rule.off is None:
             continue
-        value = rule.off + rule.typical if math.isfinite(rule.off) else rule.typical
+        value = rule.off + rule.prior_scale if math.isfinite(rule.off) else rule.prior_scale
         if not rule.lower <= value <= rule.upper:
-            value = rule.off - rule.typical
+            value = rule.off - rule.prior_scale
         valve = valve_of({**DEFAULTS, f"effects.{effect.name}.{rule.name}": value}, "here")  # type: ignore[attr-defined]
         assert valve.effects[effect.name][rule.name] == value  # type: ignore[attr-defined]
 

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from valve_sim.identification.synthetic import read_profile
 from valve_sim.model import Drive, ParameterError, ValveError
 from valve_sim.nodes.profile_parameters import Settings, check_settings, checked_profile
 from valve_sim.nodes.profile_playing import Commanded, ProfileBrokenOffError, as_csv, play
 from valve_sim.nodes.realtime import NANOSECONDS, ClockReading
+from valve_sim.traces.synthetic import read_profile
 
 PULSE = Drive.of([0.1, 0.104], [11.0, 0.0])
 START = 50 * NANOSECONDS

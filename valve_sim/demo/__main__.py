@@ -91,7 +91,7 @@ def _enter_ros(folder: Path) -> None:
 
 
 def _conclude(bag: Path, picture: Path, story: Story, console: Console) -> None:
-    from valve_sim.identification.plots import plot_response
+    from valve_sim.identification.reporting.figures import plot_response
 
     parameters = default_valve().parameters
     seen = events_from_sensors(read_trace(bag), parameters.pilot_gap)

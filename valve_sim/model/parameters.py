@@ -17,8 +17,8 @@ from valve_sim.model.errors import ParameterError
 class Parameter(NamedTuple):
     """One scalar parameter: what it is called and which values make sense.
 
-    `typical` is the size that a search starts from, in the parameter's unit; `off` the value at which an effect's
-    parameter changes nothing (None: the parameter shapes an effect but does not switch it). `may_be_endless`: a
+    `prior_scale` is the size that a search starts from, in the parameter's unit; `off` the value at which an effect's
+    parameter changes nothing (None: the parameter shapes an effect but does not switch it). `infinite_at_upper`: a
     time constant that may be too long to be seen; its upper bound then stands for "never".
     """
 
@@ -27,15 +27,15 @@ class Parameter(NamedTuple):
     description: str
     lower: float = -math.inf
     upper: float = math.inf
-    typical: float = 1.0
+    prior_scale: float = 1.0
     off: float | None = None
     lower_is_allowed: bool = True
-    may_be_endless: bool = False
+    infinite_at_upper: bool = False
 
     @property
     def neutral(self) -> float:
         """The value at which it changes nothing, or its typical size where it only shapes."""
-        return self.typical if self.off is None else self.off
+        return self.prior_scale if self.off is None else self.off
 
     def check(self, value: object, where: str) -> float:
         """Return the value as a float.

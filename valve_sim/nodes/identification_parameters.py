@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from valve_sim.identification.identify import DEFAULT_FREE, check_free
+from valve_sim.identification.estimation.identify import DEFAULT_FREE, check_free
 from valve_sim.model import ParameterError
 from valve_sim.model.parameters import closest
 

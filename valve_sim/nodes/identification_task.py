@@ -11,8 +11,8 @@ from typing import Any, Final, NamedTuple
 
 from valve_sim.files.parameter_files import save_valve
 from valve_sim.files.recording_map import load_map
-from valve_sim.identification.fitting import Interval
-from valve_sim.identification.identify import Identification, identify, leaves_more_than_noise
+from valve_sim.identification.estimation.fitting import Interval
+from valve_sim.identification.estimation.identify import Identification, identify, leaves_more_than_noise
 from valve_sim.model import Valve
 from valve_sim.model.errors import ValveError
 from valve_sim.nodes.diagnostics import Level, Status
@@ -107,10 +107,10 @@ def _doubt(result: Identification) -> str:
 
 def _diagnosed(trace: Trace, declared: Valve, settings: Settings, folder: Path, progress: Progress) -> Outcome:
     # Only where it is asked for: it brings half a second of imports.
-    from valve_sim.identification.budget import Budget
-    from valve_sim.identification.diagnosis import diagnose
-    from valve_sim.identification.report_json import to_json
-    from valve_sim.identification.valve_plant import ValvePlant
+    from valve_sim.identification.diagnosis.run import diagnose
+    from valve_sim.identification.estimation.budget import Budget
+    from valve_sim.identification.plants.valve import ValvePlant
+    from valve_sim.identification.reporting.diagnosis_json import to_json
 
     # The first prediction after an installation compiles the model, which no budget is meant for.
     ValvePlant([trace], declared).predict({})

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Final, NamedTuple
 
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.monitor_settings import MonitorSettings
+from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.model import Parameter, ParameterError, Valve
 from valve_sim.model.parameters import closest
 from valve_sim.nodes.parameters import NodeParameter, Value, table, valve_of

@@ -1,4 +1,4 @@
-"""The ROS side of monitor_node: a `Watch`, a `Judge` and a tracing wired to topics. No physics, no decisions.
+"""The ROS side of monitor_node: segmenter, monitor and fault isolation wired to topics. No physics, no decisions.
 
 Threads: callbacks run in the main thread; each sample is a step of the model there, some tens of microseconds. A thread
 judges strokes, another traces the cause of an alarm; the live path waits for neither.
@@ -27,11 +27,11 @@ from std_msgs.msg import Float64, String
 from std_srvs.srv import Trigger
 
 from valve_sim.files.parameter_files import Section
-from valve_sim.identification.judging import Judge, StrokeReport
-from valve_sim.identification.monitor_memory import load_commissioning, save_commissioning
-from valve_sim.identification.stroke_scores import Healthy
-from valve_sim.identification.tracing import Finding
-from valve_sim.identification.watching import Prediction, Watch
+from valve_sim.identification.monitoring.fault_isolation import Finding
+from valve_sim.identification.monitoring.memory import load_commissioning, save_commissioning
+from valve_sim.identification.monitoring.scores import Baseline
+from valve_sim.identification.monitoring.segmenter import Prediction, StrokeSegmenter
+from valve_sim.identification.monitoring.stroke_monitor import StrokeMonitor, StrokeReport
 from valve_sim.model import ParameterError, Stepper
 from valve_sim.nodes.diagnostics import Level
 from valve_sim.nodes.live_map import LiveInput, live_inputs
@@ -106,15 +106,15 @@ class MonitorShell:
         self._next_message = 0
         self._input = InputCount()
         self._declared = given.valve
-        self._watch = Watch(given.valve, given.settings.monitor)
-        self._judge = Judge(given.valve, given.settings.monitor)
+        self._watch = StrokeSegmenter(given.valve, given.settings.monitor)
+        self._judge = StrokeMonitor(given.valve, given.settings.monitor)
         if self._kept is not None:
             self._judge.use(self._kept)
         self._tracing = Tracing(self._tell)
         self._health = HealthLog()
         self._told: tuple[str, ...] | None = None
         self._last_report: StrokeReport | None = None
-        self._healthy: Healthy | None = None
+        self._healthy: Baseline | None = None
         self._is_ready = False
         self._waiting: deque[Callable[[], None]] = deque(maxlen=_MOST_WAITING)
         self._judging = Judging(
@@ -426,7 +426,7 @@ class MonitorShell:
         else:
             self._node.get_logger().info(words)
 
-    def _trace(self, strokes: list[Trace], healthy: Healthy) -> None:
+    def _trace(self, strokes: list[Trace], healthy: Baseline) -> None:
         self._tracing.begin(strokes, healthy)
 
     def _tell(self, finding: Finding) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Final, NamedTuple
 
-from valve_sim.identification.judging import UNCERTAIN, WATCHING, Judge, StrokeReport
+from valve_sim.identification.monitoring.stroke_monitor import UNCERTAIN, WATCHING, StrokeMonitor, StrokeReport
 from valve_sim.nodes.diagnostics import Level, Status
 from valve_sim.nodes.monitor_tasks import Tracing
 
@@ -34,7 +34,7 @@ class InputFacts(NamedTuple):
     waiting_for: str
 
 
-def health_status(fault: str, judge: Judge, last: StrokeReport | None, wanted: int, tracing: Tracing) -> Status:
+def health_status(fault: str, judge: StrokeMonitor, last: StrokeReport | None, wanted: int, tracing: Tracing) -> Status:
     """Whether the valve does as it did: ERROR where it does not open or close, WARN where it has changed."""
     values = {
         "strokes": "0" if last is None else str(last.record.number + 1),
@@ -63,7 +63,7 @@ def health_status(fault: str, judge: Judge, last: StrokeReport | None, wanted: i
     return Status("valve", Level.OK, "as commissioned", values)
 
 
-def model_status(judge: Judge) -> Status:
+def model_status(judge: StrokeMonitor) -> Status:
     """Whether the declared model explains the healthy valve."""
     healthy = judge.healthy
     if healthy is None:
@@ -132,7 +132,7 @@ def stroke_status(report: StrokeReport) -> Status:
     return Status("stroke", level, words, {name: f"{value:.6g}" for name, value in values.items()})
 
 
-def _state(judge: Judge) -> str:
+def _state(judge: StrokeMonitor) -> str:
     if judge.healthy is None:
         return "commissioning"
     return UNCERTAIN if judge.is_timing_uncertain else WATCHING
@@ -148,7 +148,7 @@ class HealthLog:
     def __init__(self) -> None:
         self._state = ""
 
-    def look(self, report: StrokeReport, judge: Judge) -> tuple[Level, str] | None:
+    def look(self, report: StrokeReport, judge: StrokeMonitor) -> tuple[Level, str] | None:
         """Level and words after this stroke; None where nothing has changed."""
         level, state, words = _health(report, judge)
         if state == self._state:
@@ -157,7 +157,7 @@ class HealthLog:
         return level, f"{report.name}: {words}"
 
 
-def _health(report: StrokeReport, judge: Judge) -> tuple[Level, str, str]:
+def _health(report: StrokeReport, judge: StrokeMonitor) -> tuple[Level, str, str]:
     """How bad, under what name, and in words."""
     if report.record.fault:
         return Level.ERROR, "fault", report.record.fault

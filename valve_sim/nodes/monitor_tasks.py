@@ -7,10 +7,10 @@ import threading
 from collections.abc import Callable
 from typing import Final
 
-from valve_sim.identification.judging import Judge, StrokeReport
-from valve_sim.identification.stroke_scores import Healthy
-from valve_sim.identification.tracing import Finding, trace_cause
-from valve_sim.identification.watching import StrokeRecord
+from valve_sim.identification.monitoring.fault_isolation import Finding, trace_cause
+from valve_sim.identification.monitoring.scores import Baseline
+from valve_sim.identification.monitoring.segmenter import StrokeRecord
+from valve_sim.identification.monitoring.stroke_monitor import StrokeMonitor, StrokeReport
 from valve_sim.model.errors import ValveError
 from valve_sim.traces import Trace
 
@@ -32,11 +32,11 @@ class Judging(threading.Thread):
 
     def __init__(
         self,
-        judge: Judge,
+        judge: StrokeMonitor,
         *,
         prepare: Callable[[], None],
         report: Callable[[StrokeReport], None],
-        trace: Callable[[list[Trace], Healthy], None],
+        trace: Callable[[list[Trace], Baseline], None],
         forget: Callable[[], None],
         fail: Callable[[Exception], None],
     ) -> None:
@@ -113,12 +113,12 @@ class Tracing:
         self.doing = ""
         self.failure = ""
         self._tell = tell
-        self._next: tuple[list[Trace], Healthy] | None = None
+        self._next: tuple[list[Trace], Baseline] | None = None
         self._thread: threading.Thread | None = None
         self._lock = threading.Lock()
         self._stopping = threading.Event()
 
-    def begin(self, strokes: list[Trace], healthy: Healthy) -> None:
+    def begin(self, strokes: list[Trace], healthy: Baseline) -> None:
         """Trace the cause behind these strokes, now or after what is under way."""
         with self._lock:
             self._next = strokes, healthy
@@ -152,7 +152,7 @@ class Tracing:
                 if not self._stopping.is_set():
                     self._tell(found)
 
-    def _take(self) -> tuple[list[Trace], Healthy] | None:
+    def _take(self) -> tuple[list[Trace], Baseline] | None:
         with self._lock:
             work, self._next = self._next, None
             if work is None or self._stopping.is_set():

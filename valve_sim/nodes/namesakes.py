@@ -5,7 +5,7 @@ from __future__ import annotations
 from rclpy.node import Node
 
 
-class Namesakes:
+class DuplicateNodes:
     """Looks for other nodes of a node's name; each change of their number is said in the log.
 
     Args:

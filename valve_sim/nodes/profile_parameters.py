@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from valve_sim.identification.synthetic import read_profile
 from valve_sim.model import Drive, ParameterError
 from valve_sim.model.parameters import closest
+from valve_sim.traces.synthetic import read_profile
 
 
 class Settings(NamedTuple):

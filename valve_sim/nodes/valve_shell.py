@@ -34,7 +34,7 @@ from valve_sim.nodes.messages import (
     is_open_message,
     phase_message,
 )
-from valve_sim.nodes.namesakes import Namesakes
+from valve_sim.nodes.namesakes import DuplicateNodes
 from valve_sim.nodes.node_clock import NodeClock
 from valve_sim.nodes.parameters import (
     Settings,
@@ -84,7 +84,7 @@ class ValveShell:
                 max_voltage=self._settings.max_voltage,
             )
             self._commands = CommandCount()
-            self._namesakes = Namesakes(self._node)
+            self._namesakes = DuplicateNodes(self._node)
             self._failure = ""
             self._exit_code = 0
             self._is_ready = False

@@ -19,7 +19,7 @@ EFFECT = Effect(
     "the coil warms up and its resistance rises",
     (
         Parameter("temperature_rate", "K/s", "heating at u = 1", 0, 1e6, 10.0, 0.0),
-        Parameter("cooling_time_constant", "s", "of the coil's temperature", 1e-3, 1e6, 1.0, may_be_endless=True),
+        Parameter("cooling_time_constant", "s", "of the coil's temperature", 1e-3, 1e6, 1.0, infinite_at_upper=True),
     ),
     "IEC 60028: copper, 0.00393 1/K",
     title="Coil heating",

@@ -25,7 +25,9 @@ EFFECT = Effect(
     "pressure across the main plunger until the pilot orifice has equalised it",
     (
         Parameter("force", "N", "ΔP · A, holds the main plunger closed", -1e5, 1e5, 0.3, 0.0),
-        Parameter("equalisation_time", "s", "time constant of the equalisation", 1e-5, 1e3, 5e-3, may_be_endless=True),
+        Parameter(
+            "equalisation_time", "s", "time constant of the equalisation", 1e-5, 1e3, 5e-3, infinite_at_upper=True
+        ),
     ),
     "70 MPa on a 0.3 mm orifice: 4.9 N",
     title="Pressure on the main plunger",

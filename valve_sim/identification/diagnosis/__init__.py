@@ -1,0 +1,1 @@
+"""From the table of scores to a verdict, and what to record next."""

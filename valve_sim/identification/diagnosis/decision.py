@@ -1,0 +1,117 @@
+"""From what was found to the verdict and its words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+from valve_sim.identification.diagnosis.calibration import calibrated
+from valve_sim.identification.diagnosis.experiment_design import Recommendation
+from valve_sim.identification.diagnosis.outcome import Verdict
+from valve_sim.identification.plants.protocol import Plant, advice_of
+from valve_sim.identification.selection.force_maps import Nameless, where
+from valve_sim.identification.selection.hypotheses import Hypothesis
+from valve_sim.identification.selection.stepwise import LARGEST_CLASS
+
+SHOWN_UNTRIED: Final = 4
+"""So many of what was left untried are named in the summary."""
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What a verdict is decided by.
+
+    Attributes:
+        plant: the machine. best: the hypothesis that is claimed. strokes: how many there are.
+        is_unknown: whether something is left that has no name. names_most: whether the effects explain most beside it.
+        confusable: of each effect, what else it could be. evidence: share of the claim in all evidence.
+        share: of the base's squared residual that the claim explains. places: forces without a name that do as well.
+        advice: works out what to record next.
+        singles_untried: whether not even every single effect was tried.
+    """
+
+    plant: Plant
+    best: Hypothesis
+    strokes: int
+    is_unknown: bool
+    names_most: bool
+    confusable: Mapping[str, tuple[str, ...]]
+    evidence: float
+    share: float
+    places: Sequence[Nameless]
+    advice: Callable[[], str]
+    singles_untried: bool
+
+    @property
+    def is_ambiguous(self) -> bool:
+        """Whether more effects could be meant than make an answer."""
+        return any(len(others) + 1 > LARGEST_CLASS for others in self.confusable.values())
+
+
+def decide(found: Findings) -> tuple[Verdict, str]:
+    """The verdict, and what to record next."""
+    kind, sentence = _decided(found)
+    is_ambiguous = found.is_unknown or any(found.confusable.values())
+    advice = found.advice() if kind in ("unknown", "insufficient") or (kind == "effects" and is_ambiguous) else ""
+    if kind == "insufficient" and advice:
+        sentence += f" {advice}"
+    is_sure = not found.is_unknown and not found.singles_untried and kind in ("none", "effects")
+    probability = calibrated(kind, found.evidence) if is_sure else min(found.evidence, 0.5)
+    effects = () if kind == "none" else found.best.effects
+    return Verdict(kind, effects, dict(found.confusable), found.evidence, probability, sentence), advice
+
+
+def with_untried(verdict: Verdict, untried: Sequence[str]) -> Verdict:
+    """The verdict, saying what was left to try when the time was used up."""
+    if not untried:
+        return verdict
+    few = ", ".join(untried[:SHOWN_UNTRIED]) + (", ..." if len(untried) > SHOWN_UNTRIED else "")
+    return replace(verdict, summary=f"{verdict.summary} The time was used up with {len(untried)} left untried: {few}.")
+
+
+def _decided(found: Findings) -> tuple[str, str]:
+    """The kind of verdict, and its sentence."""
+    if found.is_unknown:
+        return _of_a_remainder(found)
+    if found.strokes <= 1:
+        return "insufficient", f"{advice_of(found.plant).ambiguous}."
+    if found.is_ambiguous:
+        count = 1 + max(len(others) for others in found.confusable.values())
+        return "insufficient", f"{count} effects explain the data about equally well."
+    if not found.best.effects:
+        return "none", "The declared model with refitted damping explains the data down to the noise."
+    others = sorted({other for names in found.confusable.values() for other in names})
+    places = [f"a force at {where(entry.choice, entry.fit)} alone" for entry in found.places[:1]]
+    alike = _listed([*others, *places], "or")
+    doubt = f"; {alike} would explain the data about as well" if alike else ""
+    return "effects", f"The model lacks {_listed(found.best.effects)}{doubt}."
+
+
+def _of_a_remainder(found: Findings) -> tuple[str, str]:
+    """Likewise where something is left that has no name."""
+    named, share = _listed(found.best.effects), f"{found.share:.1%} of the squared residual"
+    if found.names_most:
+        return "effects", f"The model lacks {named}, {share}; a remainder is left that no catalogued effect explains."
+    nearest = f"; {named} comes nearest, with {share}" if named else ""
+    if found.singles_untried:
+        return "insufficient", f"The time was too short to find what the model lacks{nearest}."
+    return "unknown", f"Something acts that no catalogued effect explains{nearest}."
+
+
+def advise(plant: Plant, strokes: int, telling: Recommendation | None) -> str:
+    """What to record next to tell effects apart: and the single pulse that tells most."""
+    advice = advice_of(plant).first if strokes <= 1 else advice_of(plant).more
+    if telling is None:
+        return f"{advice}."
+    one, other = telling.pair
+    return (
+        f"{advice}; of single pulses {telling.experiment.words} tells most: {telling.repeats} of them set {one} and "
+        f"{other} apart by {math.sqrt(telling.repeats) * telling.separation:.0f} standard deviations, others by more."
+    )
+
+
+def _listed(names: Sequence[str], last: str = "and") -> str:
+    """Names as in a sentence: a, b and c."""
+    return f" {last} ".join(part for part in (", ".join(names[:-1]), *names[-1:]) if part)

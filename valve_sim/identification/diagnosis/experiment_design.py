@@ -1,0 +1,105 @@
+"""What to record next: of the recordings that could be made, the one that tells the candidates apart best.
+
+METHOD step 7. A recording is simulated as if one hypothesis were the truth, and the other is refitted to it: the root
+of the χ² that is left is by how many standard deviations they differ there. (Linear differences will not do: where a
+pulse only just lifts the valve they promise ten times what a refit leaves.) What is recorded already would hold the
+refit back, so two hypotheses differ by at least that. A recording is worth what separates its least separated pair.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+from valve_sim.identification.estimation.fitting import Fit, Problem, fit
+from valve_sim.identification.plants.protocol import Experiment
+from valve_sim.model import SimulationError
+
+TELLS_APART: Final = 5.0
+"""Standard deviations: what separates a pair by less decides nothing."""
+FEWEST_REPEATS, MOST_REPEATS = 4, 25
+"""How often an experiment is made: every fourth stroke is held out; what 25 of them cannot tell is not advised."""
+
+
+@dataclass(frozen=True)
+class Recommendation:
+    """An experiment, and by how many standard deviations it separates each pair of candidates."""
+
+    experiment: Experiment
+    separations: Mapping[tuple[str, str], float]
+
+    @property
+    def pair(self) -> tuple[str, str]:
+        """The least separated pair."""
+        return min(self.separations, key=self.separations.__getitem__)
+
+    @property
+    def separation(self) -> float:
+        """Of the least separated pair by one such experiment, standard deviations."""
+        return self.separations[self.pair]
+
+    @property
+    def repeats(self) -> int:
+        """How many such experiments separate every pair by `TELLS_APART`: their χ² add up."""
+        if self.separation <= TELLS_APART / math.sqrt(MOST_REPEATS + 1):
+            return MOST_REPEATS + 1
+        return max(FEWEST_REPEATS, math.ceil((TELLS_APART / self.separation) ** 2))
+
+    def to_json(self) -> dict[str, Any]:
+        """What the experiments together are expected to tell apart, the least separated pair first."""
+        return {
+            "experiment": self.experiment.words,
+            "repeats": self.repeats,
+            "separates": [
+                {"candidates": list(pair), "standard_deviations": separation * math.sqrt(self.repeats)}
+                for pair, separation in sorted(self.separations.items(), key=lambda item: item[1])
+            ],
+        }
+
+
+def recommend(candidates: Mapping[str, Fit], experiments: Sequence[Experiment]) -> Recommendation | None:
+    """The experiment whose least separated pair of candidates is the most separated.
+
+    Args:
+        candidates: fits of the hypotheses between which the data cannot decide, by what people call them.
+        experiments: what could be recorded.
+
+    Returns:
+        None where no experiment separates them, or there are fewer than two candidates.
+    """
+    judged = [judgement for experiment in experiments if (judgement := _judge(candidates, experiment)) is not None]
+    best = max(judged, key=lambda recommendation: recommendation.separation, default=None)
+    return best if best is not None and best.repeats <= MOST_REPEATS else None
+
+
+def _judge(candidates: Mapping[str, Fit], experiment: Experiment) -> Recommendation | None:
+    """What an experiment is worth; None where a candidate cannot be simulated in it."""
+    try:
+        apart = {
+            (one, other): min(
+                _left_of(experiment, candidates[truth], candidates[rival])
+                for truth, rival in ((one, other), (other, one))
+            )
+            for one, other in itertools.combinations(candidates, 2)
+        }
+    except SimulationError:
+        return None
+    return Recommendation(experiment, apart) if apart else None
+
+
+def _left_of(experiment: Experiment, truth: Fit, rival: Fit) -> float:
+    """Standard deviations that are left of a recording of `truth` when `rival` is refitted to it."""
+    plant = experiment.simulated(_machine(truth))
+    problem = Problem(plant, noises=truth.problem.noises, budget=truth.problem.budget)
+    fixed = {name: value for name, value in _machine(rival).items() if name not in rival.free}
+    refit = fit(problem, rival.free, rival.values, nuisances=plant.nuisances, fixed=fixed)
+    return math.sqrt(refit.chi2 / problem.variance_inflation)
+
+
+def _machine(result: Fit) -> dict[str, float]:
+    """The values of a fit that belong to the machine, not to its recordings."""
+    own = {nuisance.name for nuisance in result.nuisances}
+    return {name: value for name, value in result.values.items() if name not in own}

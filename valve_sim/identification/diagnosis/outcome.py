@@ -1,0 +1,94 @@
+"""What a diagnosis comes to: a verdict, the model before and after, and all that was tried."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from valve_sim.identification.diagnosis.experiment_design import Recommendation
+from valve_sim.identification.estimation.fitting import Fit, Interval
+from valve_sim.identification.plants.protocol import Plant
+from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.identification.selection.bootstrap import FalseAlarm
+from valve_sim.identification.selection.force_maps import Unexplained
+from valve_sim.identification.selection.residual_tests import Adequacy
+from valve_sim.model import Valve
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What is claimed; the fields are those of report.json.
+
+    `evidence` is the share of the claim in the evidence of all that was tried; `probability` is what a share of that
+    size has been worth on the campaign.
+    """
+
+    kind: str
+    effects: tuple[str, ...]
+    confusable_with: Mapping[str, tuple[str, ...]]
+    evidence: float
+    probability: float
+    summary: str
+
+
+@dataclass(frozen=True)
+class State:
+    """A fitted model on training and held-out data.
+
+    Attributes:
+        fit: on the training data. holdout: the same values on held-out data, nuisances estimated; or None.
+        train_rmse, holdout_rmse: in the response's unit, m for a valve; nan where there is no hold-out.
+        adequacy: of the training residuals. intervals: of every freed parameter.
+    """
+
+    fit: Fit
+    holdout: Fit | None
+    train_rmse: float
+    holdout_rmse: float
+    adequacy: Adequacy
+    intervals: Mapping[str, Interval]
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One hypothesis that was tried."""
+
+    effects: tuple[str, ...]
+    timing: bool
+    delta_score: float
+    train_rmse: float
+    holdout_rmse: float
+    intervals: Mapping[str, Interval]
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """The outcome of `diagnose_plant`.
+
+    `telling` is the experiment that `record_next` advises, where one is known; `untried` is what was left to try when
+    the time was used up.
+    """
+
+    plant: Plant
+    before: State
+    after: State
+    verdict: Verdict
+    candidates: tuple[Candidate, ...]
+    unexplained: Unexplained | None
+    maps: tuple[Unexplained, ...]
+    record_next: str
+    false_alarm: FalseAlarm
+    sources: tuple[str, ...] = ()
+    telling: Recommendation | None = None
+    untried: tuple[str, ...] = ()
+
+    @property
+    def valve(self) -> Valve:
+        """The corrected valve.
+
+        Raises:
+            TypeError: the plant is not a valve.
+        """
+        if not isinstance(self.plant, ValvePlant):
+            raise TypeError("only a diagnosis of a valve has a corrected valve")
+        return self.plant.with_values(self.after.fit.values)

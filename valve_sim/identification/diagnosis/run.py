@@ -1,0 +1,116 @@
+"""Close the loop: trace the residual to the missing effect, add it, report the error before and after.
+
+Base fit, test of what is left, refit of the whole catalogue inside the simulator, forward selection with swaps and
+backward elimination, ambiguity class, hold-out, force maps for what has no name. Effects, timing errors and force maps
+are compared on one scale, the score S of `fitting`, and timing errors of single commands pay the Occam factor of their
+prior instead of being tried last.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valve_sim.identification.diagnosis.conclusion import Conclusion
+from valve_sim.identification.diagnosis.outcome import Candidate, Diagnosis, State, Verdict
+from valve_sim.identification.estimation.budget import Budget, OutOfTimeError
+from valve_sim.identification.estimation.fitting import Mask, Problem, fit
+from valve_sim.identification.plants.protocol import Plant, strokes_of_plant
+from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.identification.selection.current_check import current_noise_inflation
+from valve_sim.identification.selection.held_out import HeldOut
+from valve_sim.identification.selection.hypotheses import Hypothesis, Progress, Search
+from valve_sim.identification.selection.stepwise import Exploration
+from valve_sim.model import Valve
+from valve_sim.traces import Trace
+
+__all__ = ["Candidate", "Diagnosis", "State", "Verdict", "diagnose", "diagnose_plant"]
+
+EVERY_FOURTH: Final = 4
+"""Of the strokes is held out where no hold-out bag is given."""
+DOUBTED_BY: Final = 0.2
+"""The share of the time within which it is asked whether an actuator's form is known."""
+BEGUN_BY: Final = 0.8
+"""The share of the time within which the declared model must be fitted: without it there is nothing to say."""
+EXPLORED_BY: Final = 0.65
+"""The share of the time after which no further hypothesis is tried; the rest is for the conclusion."""
+
+
+def diagnose(
+    traces: Sequence[Trace],
+    holdout: Sequence[Trace],
+    valve: Valve,
+    progress: Progress | None = None,
+    budget: Budget | None = None,
+) -> Diagnosis:
+    """Trace the residual of a declared valve to the effect it lacks.
+
+    Args:
+        traces: training data. holdout: other recordings of the same valve, or none: strokes are held out inside.
+        valve: the declared valve.
+        progress: told what is being tried, and the fraction done.
+        budget: how long it may take, e.g. `Budget(60.0, time.monotonic)`; default as long as it takes.
+
+    Raises:
+        OutOfTimeError: the budget is used up before the declared valve could be fitted.
+        SimulationError: the declared valve cannot be simulated.
+    """
+    return diagnose_plant(ValvePlant(traces, valve), ValvePlant(holdout, valve) if holdout else None, progress, budget)
+
+
+def diagnose_plant(
+    plant: Plant, holdout: Plant | None, progress: Progress | None = None, budget: Budget | None = None
+) -> Diagnosis:
+    """The same for any plant; `holdout` is the same machine with other data."""
+    budget = budget or Budget.unlimited()
+    with budget.until(BEGUN_BY):
+        exploration = _begun(plant, holdout, progress, budget)
+    with budget.until(EXPLORED_BY):
+        best = exploration.explore()
+    return Conclusion(exploration).conclude(best)
+
+
+def _begun(plant: Plant, holdout: Plant | None, progress: Progress | None, budget: Budget) -> Exploration:
+    """What is fitted and what is held out, with nothing tried yet but the declared model."""
+    train_mask, holdout_mask = _split(plant) if holdout is None else (None, None)
+    problem = Problem(plant, train_mask, budget=budget)
+    never_still = [kind for kind, noise in problem.noises.items() if noise.samples == 0]
+    if never_still:
+        problem = problem.with_noise_of(fit(problem, plant.base, {}, nuisances=plant.nuisances))
+    # Believed to the last milliampere, a current of another form would bend the motion to it.
+    actuation = {channel.kind for channel in plant.channels if channel.role == "actuation"}
+    with budget.until(DOUBTED_BY):
+        doubt = current_noise_inflation(problem)
+    held_out = None
+    if holdout is not None:
+        held_out = Problem(holdout, budget=budget).with_noises({kind: problem.noises[kind] for kind in never_still})
+    elif holdout_mask is not None:
+        held_out = problem.restricted(holdout_mask)
+    for kind in sorted(actuation):
+        problem = problem.with_inflated_noise(kind, doubt)
+        held_out = None if held_out is None else held_out.with_inflated_noise(kind, doubt)
+    search = Search(problem, progress)
+    try:
+        search.fit(Hypothesis(()))
+    except OutOfTimeError:
+        # From one start it may be fitted all the same.
+        if Hypothesis(()) not in search.fits:
+            raise
+    return Exploration(search, HeldOut(plant, held_out))
+
+
+def _split(plant: Plant) -> tuple[Mask | None, Mask | None]:
+    """Masks for training and held-out strokes, or None twice when there are too few strokes to hold any out."""
+    strokes = strokes_of_plant(plant)
+    if len(strokes) < EVERY_FOURTH:
+        return None, None
+    held = set(strokes[EVERY_FOURTH - 2 :: EVERY_FOURTH])
+
+    def is_held(index: int, groups: NDArray[np.int64]) -> NDArray[np.bool_]:
+        recording = plant.channels[index].recording
+        return np.isin(groups, [group for number, group in held if number == recording])
+
+    return (lambda index, groups: ~is_held(index, groups)), is_held

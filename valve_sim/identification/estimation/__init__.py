@@ -1,0 +1,1 @@
+"""Parameters from data: noise, output-error fits, intervals."""

@@ -1,0 +1,236 @@
+"""Refit declared parameters to measured strokes, and say honestly what the data hold."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+
+from valve_sim.identification.estimation.fitting import Fit, Interval, Problem, fit, profile_interval
+from valve_sim.identification.plants.protocol import Array, Nuisance, Plant, judged_channels
+from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.identification.reporting.units import limits, measured, quantity
+from valve_sim.model import CATALOGUE, DECLARED, ParameterError, Valve
+from valve_sim.model.parameters import closest
+from valve_sim.traces import Trace
+
+DEFAULT_FREE: Final = ("pilot_damping", "main_damping")
+STARTS: Final = (1.0, 4.0, 0.25)
+"""Factors on the declared values from which a fit starts, to leave wrong basins."""
+CORRELATED: Final = 0.99
+"""Beyond this correlation two parameters are said to be told apart hardly."""
+WEAK: Final = 0.25
+"""A 95 % interval wider than this share of the value (and of the declared value) holds the parameter only loosely."""
+
+TOO_MUCH: Final = 5.0
+"""Standard deviations of χ² beyond which a remainder is more than noise."""
+DECISIVE: Final = 10.0
+"""A difference of scores (METHOD: ΔBIC 10)."""
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Identification:
+    """The outcome of `identify`.
+
+    Attributes:
+        fit: the best fit. intervals: by freed parameter, 95 % by profile likelihood.
+        profiles: by freed parameter, (value, rise of χ²) pairs. remarks: one sentence each, for a person.
+        rmse_before, rmse_after: m, of the pilot plunger's position, as declared and refitted.
+        valve: the identified valve.
+    """
+
+    fit: Fit
+    intervals: Mapping[str, Interval]
+    profiles: Mapping[str, list[tuple[float, float]]]
+    remarks: tuple[str, ...]
+    rmse_before: float
+    rmse_after: float
+    valve: Valve
+    sources: tuple[str, ...] = field(default=())
+
+    def to_json(self) -> dict[str, Any]:
+        """The content of identify.json."""
+        noise = self.fit.problem.noises["position"]
+        return {
+            "schema": "valve_sim/identification/1",
+            "sources": list(self.sources),
+            "noise_um": 1e6 * noise.sigma,
+            "noise": {
+                "sigma_um": 1e6 * noise.sigma,
+                "colour": list(noise.coefficients),
+                "quantisation_um": 1e6 * noise.step,
+            },
+            "parameters": {name: interval.to_json() for name, interval in self.intervals.items()},
+            "clock_offsets_us": [1e6 * self.fit.values[nuisance.name] for nuisance in self.fit.problem.plant.nuisances],
+            "rmse_um": {"before": 1e6 * self.rmse_before, "after": 1e6 * self.rmse_after},
+            "chi2_per_sample": self.fit.chi2 / self.fit.problem.effective_samples,
+            "converged": self.fit.converged,
+            "profiles": {
+                name: [{"value": value, "rise": rise} for value, rise in curve if math.isfinite(value)]
+                for name, curve in self.profiles.items()
+            },
+            "remarks": list(self.remarks),
+        }
+
+    def text(self) -> str:
+        """A report for the terminal: value, error, start, and what the data do not hold."""
+        plant = self.fit.problem.plant
+        lines = [f"{'parameter':<28}{'value ± standard error':<30}{'95 % interval':<30}declared"]
+        for name, interval in self.intervals.items():
+            unit, declared = plant.parameter(name).unit, plant.declared(name)
+            found = f"{measured(interval, unit):<30}{limits(interval, unit):<30}"
+            lines.append(f"{name:<28}{found}{quantity(declared, unit)}")
+        noise = self.fit.problem.noises["position"]
+        lines.append(
+            f"residual {1e6 * self.rmse_before:.3g} µm as declared, {1e6 * self.rmse_after:.3g} µm refitted; "
+            f"sensor noise {1e6 * noise.sigma:.3g} µm"
+        )
+        return "\n".join([*lines, *self.remarks])
+
+
+def identify(
+    traces: Sequence[Trace],
+    valve: Valve,
+    free: Sequence[str] = DEFAULT_FREE,
+    progress: Progress | None = None,
+) -> Identification:
+    """Refit parameters of the declared valve to one or more traces.
+
+    Args:
+        traces: measured strokes.
+        valve: the declared valve; effects that it has on stay on.
+        free: declared parameters, or `<effect>.<parameter>`, to refit.
+        progress: told what is being done, and the fraction done.
+
+    Raises:
+        ParameterError: a name that cannot be freed.
+        SimulationError: the declared valve cannot be simulated.
+    """
+    say = progress or (lambda what, fraction: None)
+    check_free(free)
+    plant = ValvePlant(traces, valve)
+    say("noise", 0.0)
+    problem = Problem(plant)
+    best = best_fit(problem, free, lambda fraction: say("fit", 0.5 * fraction))
+    intervals: dict[str, Interval] = {}
+    profiles: dict[str, list[tuple[float, float]]] = {}
+    for index, name in enumerate(free):
+        say(f"interval of {name}", 0.5 + 0.5 * index / len(free))
+        intervals[name], profiles[name] = profile_interval(best, name)
+    say("done", 1.0)
+    offsets = {nuisance.name: best.values[nuisance.name] for nuisance in best.nuisances}
+    return Identification(
+        best, intervals, profiles, tuple(remarks(best, intervals)), position_rmse(plant, offsets),
+        position_rmse(plant, best.values), plant.with_values(best.values), tuple(trace.source for trace in traces),
+    )  # fmt: skip
+
+
+def check_free(free: Sequence[str]) -> None:
+    """All names can be freed.
+
+    Raises:
+        ParameterError: one cannot; the message has the closest that can.
+    """
+    known = [*DECLARED, *(f"{e.name}.{p.name}" for e in CATALOGUE.values() if e.named for p in e.parameters)]
+    for name in free:
+        if name not in known:
+            raise ParameterError(
+                f"{name}: cannot be freed, there is no such parameter; did you mean {closest(name, known)}?"
+            )
+
+
+def best_fit(problem: Problem, free: Sequence[str], progress: Callable[[float], None]) -> Fit:
+    """The best of fits from several starts.
+
+    Where it leaves more than noise, errors of the commands' stamps are estimated along, and kept if that is decisive:
+    a recorder stamps a command when it hears of it, up to a millisecond beside the time at which it took effect.
+    """
+    plant = problem.plant
+    plain = _best_of_starts(problem, free, plant.nuisances, progress)
+    if not plant.timing_errors or not leaves_more_than_noise(plain):
+        return plain
+    timed = _best_of_starts(problem, free, (*plant.nuisances, *plant.timing_errors), lambda fraction: progress(1.0))
+    return timed if timed.score < plain.score - DECISIVE else plain
+
+
+def leaves_more_than_noise(result: Fit) -> bool:
+    """Whether χ² exceeds what noise gives it by 5 %, and by more than `TOO_MUCH` of its standard deviations.
+
+    Those count in that the noise itself is known from a limited number of samples at rest only.
+    """
+    samples, quiet = result.problem.effective_samples, [noise.samples for noise in result.problem.noises.values()]
+    left = result.chi2 / result.problem.variance_inflation / samples - 1.0
+    return left > max(0.05, TOO_MUCH * math.sqrt(2.0 / samples + 2.0 / max(1, min(quiet))))
+
+
+def _best_of_starts(
+    problem: Problem, free: Sequence[str], nuisances: Sequence[Nuisance], progress: Callable[[float], None]
+) -> Fit:
+    fits = []
+    for index, factor in enumerate(STARTS):
+        start = {name: _started(problem.plant, name, factor) for name in free}
+        fits.append(fit(problem, free, start, nuisances=nuisances))
+        progress((index + 1) / len(STARTS))
+    return min(fits, key=lambda result: result.chi2)
+
+
+def position_rmse(plant: Plant, values: Mapping[str, float]) -> float:
+    """Root mean square of measured less predicted position over all samples, m."""
+    shown = plant.predict(values)
+    squares = [np.square(plant.channels[index].data - shown[index]) for index in judged_channels(plant)]
+    residual: Array = np.concatenate(squares)
+    return float(np.sqrt(np.mean(residual)))
+
+
+def remarks(result: Fit, intervals: Mapping[str, Interval]) -> list[str]:
+    """What a person must know about the freed parameters: flat, on a bound, correlated."""
+    said = []
+    plant = result.problem.plant
+    correlation = result.correlation()
+    for index, name in enumerate(result.free):
+        interval = intervals[name]
+        others = [(abs(float(correlation[index, j])), other) for j, other in enumerate(result.free) if j != index]
+        strongest = max(others, default=(0.0, ""))
+        bound = result.on_bound(name)
+        if interval.remark:
+            said.append(f"{name} is not identifiable from these data: {interval.remark}.")
+        elif bound is not None:
+            said.append(f"{name} sits on its {bound} bound: the data want it beyond, or something else is missing.")
+        elif interval.high - interval.low > WEAK * max(abs(interval.value), abs(plant.declared(name))):
+            said.append(
+                f"{name} is held only loosely by these data: anything from {interval.low:.3g} to {interval.high:.3g} "
+                f"{plant.parameter(name).unit} fits."
+            )
+        if strongest[0] > CORRELATED and (name < strongest[1] or strongest[1] not in result.free):
+            said.append(
+                f"{name} and {strongest[1]} can hardly be told apart (correlation {strongest[0]:.4f}); "
+                "strokes at other voltages, or a release, would separate them."
+            )
+    timing = [abs(result.values[nuisance.name]) for nuisance in result.nuisances[len(plant.nuisances) :]]
+    if timing:
+        said.append(
+            f"the commands' stamps are off by up to {1e6 * max(timing):.3g} µs, beside the clock offset; each was "
+            "estimated along."
+        )
+    if leaves_more_than_noise(result):
+        said.append(
+            "what is left is more than noise, so the model lacks something and the intervals are too narrow; "
+            "`diagnose` may name it."
+        )
+    if not result.converged:
+        said.append("the fit did not settle; treat the values with care.")
+    return said
+
+
+def _started(plant: Plant, name: str, factor: float) -> float:
+    declared, parameter = plant.declared(name), plant.parameter(name)
+    if parameter.off is None:
+        return declared * factor if declared else parameter.prior_scale * factor
+    if math.isinf(parameter.off):
+        return parameter.prior_scale * factor
+    return parameter.off + 0.1 * factor * parameter.prior_scale

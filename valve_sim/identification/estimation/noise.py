@@ -1,0 +1,245 @@
+"""The noise of a sensor, from windows in which the machine is still (METHOD step 0)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valve_sim.identification.plants.protocol import Channel
+
+Array = NDArray[np.float64]
+
+LARGEST_ORDER: Final = 3
+"""Of the autoregression."""
+SHORTEST_WINDOW: Final = 100
+"""Samples: a shorter quiet window says too little of colour."""
+SHORT_WINDOW: Final = 25
+"""Samples: what must do where no quiet window is longer. The size of the noise is taken from these, not its colour."""
+BLOCK: Final = 64
+"""Samples in a block whose mean shows noise slower than the autoregression."""
+ENOUGH_AT_REST: Final = 500
+"""Samples at seat and at stop from which their noise can be compared."""
+PLAINLY_NOISIER: Final = 1.2
+"""Standard deviation at one rest over that at the other, beyond chance for so many samples, coloured ones too."""
+DIGITS: Final = 1e-6
+"""Of a signal's range: data that are printed to six digits, the least that anybody writes."""
+COARSE: Final = 2.0
+"""A quantisation step above this many standard deviations hides the noise: readings at rest then repeat."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Noise of one kind of signal: e_t = r_t − Σ φ_k r_{t−k} is white with standard deviation `innovation`.
+
+    Attributes:
+        sigma: standard deviation of the noise, in the signal's unit.
+        innovation: standard deviation of what whitening leaves.
+        coefficients: (p,) φ, p ≤ 3.
+        step: quantisation step, 0 for none seen.
+        excess: variance of block means over what white noise gives, ≥ 1: the factor by which evidence is discounted.
+        samples: how many quiet samples it rests on.
+    """
+
+    sigma: float
+    innovation: float
+    coefficients: tuple[float, ...]
+    step: float
+    variance_inflation: float
+    samples: int
+
+    def whiten(self, residual: Array) -> Array:
+        """Residual in units of the innovation, white if the noise is as estimated; (n,) → (n,)."""
+        white = residual.copy()
+        for lag, coefficient in enumerate(self.coefficients, start=1):
+            white[lag:] -= coefficient * residual[:-lag]
+        white /= self.innovation
+        return white
+
+    @property
+    def is_coarse(self) -> bool:
+        """Whether the quantisation step hides the noise."""
+        return self.step > COARSE * self.sigma
+
+
+def estimate_noise(channels: Sequence[Channel]) -> Noise:
+    """The noise of channels that share a sensor.
+
+    Args:
+        channels: of one kind; at least one with samples.
+    """
+    windows = [window for channel in channels for window in quiet_windows(channel)]
+    shows_colour = bool(windows)
+    if not shows_colour:
+        windows = [window for channel in channels for window in quiet_windows(channel, SHORT_WINDOW)]
+    step = quantisation_step(np.concatenate([channel.data for channel in channels]))
+    windows = _at_the_quieter_rest(windows)
+    if not windows:
+        # Never still: the second difference of a smooth motion is nearly all noise.
+        bends = np.concatenate([np.diff(channel.data, 2) for channel in channels])
+        sigma = max(1.4826 * float(np.median(np.abs(bends))) / math.sqrt(6.0), step / math.sqrt(12.0), _floor(channels))
+        return Noise(sigma, sigma, (), step, 1.0, 0)
+    # A position at rest stays; a current drifts while the coil heats, and that is no noise.
+    drifts = channels[0].drifts
+    centred = [_without_drift(window) if drifts else window - window.mean() for window in windows]
+    samples = sum(len(window) for window in centred)
+    spread = math.sqrt(sum(float(window @ window) for window in centred) / max(1, samples - len(centred)))
+    floor = max(step / math.sqrt(12.0), _floor(channels))
+    if step > COARSE * spread:
+        sigma = max(_spread_in_motion(channels, step), floor)
+        return Noise(sigma, sigma, (), step, 1.0, samples)
+    if spread < floor:
+        return Noise(floor, floor, (), step, 1.0, samples)
+    if not shows_colour:
+        white = Noise(spread, spread, (), step, 1.0, samples)
+        return replace(white, variance_inflation=_excess(white, centred, SHORT_WINDOW))
+    coefficients, innovation = _autoregression(centred, samples)
+    noise = Noise(spread, innovation, coefficients, step, 1.0, samples)
+    return Noise(spread, innovation, coefficients, step, _excess(noise, centred), samples)
+
+
+def noise_of_residuals(pieces: Sequence[Array], guess: Noise) -> Noise:
+    """The noise of a machine that is never still: what a model leaves, with the colour that it has.
+
+    What the model lacks is counted in, so that nothing is claimed too easily. Differences of the data would not do: of
+    smooth data they show a part of the noise, of jagged data the signal itself.
+
+    Args:
+        pieces: (n,) each, measured less modelled, in a row.
+        guess: by differences of the data; its quantisation step is kept.
+    """
+    long = [piece - piece.mean() for piece in pieces if len(piece) > LARGEST_ORDER + 1]
+    samples = sum(len(piece) for piece in long)
+    spread = math.sqrt(sum(float(piece @ piece) for piece in long) / samples) if samples >= SHORT_WINDOW else 0.0
+    floor = guess.step / math.sqrt(12.0)
+    if spread <= floor or spread == 0.0:
+        return guess
+    coefficients, innovation = _autoregression(long, samples)
+    noise = Noise(spread, max(innovation, 1e-6 * spread), coefficients, guess.step, 1.0, 0)
+    return replace(noise, variance_inflation=_excess(noise, long))
+
+
+def quiet_windows(channel: Channel, shortest: int = SHORTEST_WINDOW) -> list[Array]:
+    """The stretches of a channel in which the machine is still, each of at least `shortest` samples."""
+    return [channel.data[start:stop] for start, stop in stretches(channel.quiet) if stop - start >= shortest]
+
+
+def stretches(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """(start, stop) of each run of True in (n,) mask."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+
+
+def _at_the_quieter_rest(windows: list[Array]) -> list[Array]:
+    """Those at one rest only, seat or stop, where the other is plainly noisier: what rattles there is no noise."""
+    if not windows:
+        return windows
+    levels = [float(window.mean()) for window in windows]
+    middle = 0.5 * (min(levels) + max(levels))
+    rests = [
+        [window for window, level in zip(windows, levels, strict=True) if (level > middle) == is_high]
+        for is_high in (False, True)
+    ]
+    if any(sum(len(window) for window in rest) < ENOUGH_AT_REST for rest in rests):
+        return windows
+    quieter, louder = sorted(rests, key=_spread)
+    return quieter if _spread(louder) > PLAINLY_NOISIER * _spread(quieter) else windows
+
+
+def _without_drift(window: Array) -> Array:
+    """A window less the straight line through it."""
+    at = np.arange(len(window)) - 0.5 * (len(window) - 1)
+    return np.asarray(window - window.mean() - at * float(at @ window) / float(at @ at))
+
+
+def _spread(windows: Sequence[Array]) -> float:
+    """Standard deviation within windows."""
+    squares = sum(float(np.sum(np.square(window - window.mean()))) for window in windows)
+    return math.sqrt(squares / max(1, sum(len(window) - 1 for window in windows)))
+
+
+def quantisation_step(data: Array) -> float:
+    """The step of a quantised signal, in its unit; 0 if readings hardly repeat."""
+    levels = np.unique(np.round(data, 12))
+    if len(levels) < 3 or len(levels) > 0.5 * len(data):
+        return 0.0
+    gaps = np.diff(levels)
+    step = float(np.quantile(gaps, 0.05))
+    multiples = gaps / step
+    on_grid = np.abs(multiples - np.round(multiples)) < 0.02
+    return step if step > 0 and np.mean(on_grid) > 0.95 else 0.0
+
+
+def still_runs(data: Array) -> Array:
+    """(n,) how many identical readings in a row each sample is one of."""
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(data)) + 1, [len(data)]])
+    lengths = np.diff(edges)
+    return np.repeat(lengths, lengths).astype(np.float64)
+
+
+def _spread_in_motion(channels: Sequence[Channel], step: float) -> float:
+    """Noise and rounding together, from the second differences of samples that move by more than two steps.
+
+    At rest a coarse sensor hides its noise; in motion rounding is white (Widrow 1956) and the plunger's own second
+    difference is far below a step. Impacts are the outliers that are left out.
+    """
+    bends = []
+    for channel in channels:
+        moves = np.abs(channel.data[2:] - channel.data[:-2]) > 2.0 * step
+        bends.append(np.diff(channel.data, 2)[moves])
+    bend = np.concatenate(bends)
+    if len(bend) < 30:
+        return 0.0
+    kept = bend[np.abs(bend - np.median(bend)) < 4.0 * step]
+    return float(np.std(kept)) / math.sqrt(6.0) if len(kept) > 30 else 0.0
+
+
+def _floor(channels: Sequence[Channel]) -> float:
+    """What no noise is smaller than: what rounding makes of noise-free data, and a millionth of the signal's range.
+
+    The millionth stands for what a plant does not say of itself: how accurately it predicts, and with how many digits
+    its data were written.
+    """
+    known = max(channel.resolution for channel in channels)
+    return max(known, DIGITS * max(float(np.ptp(channel.data)) for channel in channels)) + 1e-15
+
+
+def _autoregression(windows: Sequence[Array], samples: int) -> tuple[tuple[float, ...], float]:
+    """Burg's recursion over several windows; the order by Schwarz's criterion (Burg 1975; Kay 1988, section 7.3)."""
+    forward = [window.copy() for window in windows]
+    backward = [window.copy() for window in windows]
+    power = sum(float(window @ window) for window in windows) / samples
+    coefficients = np.empty(0)
+    best = (samples * math.log(power), coefficients, power)
+    for order in range(1, LARGEST_ORDER + 1):
+        ahead = [f[1:] for f in forward]
+        behind = [b[:-1] for b in backward]
+        top = 2.0 * sum(float(f @ b) for f, b in zip(ahead, behind, strict=True))
+        bottom = sum(float(f @ f + b @ b) for f, b in zip(ahead, behind, strict=True))
+        reflection = top / bottom
+        coefficients = np.concatenate([coefficients - reflection * coefficients[::-1], [reflection]])
+        forward = [f - reflection * b for f, b in zip(ahead, behind, strict=True)]
+        backward = [b - reflection * f for f, b in zip(ahead, behind, strict=True)]
+        power *= 1.0 - reflection * reflection
+        score = samples * math.log(power) + 2.0 * order * math.log(samples)
+        if score < best[0]:
+            best = (score, coefficients.copy(), power)
+    return tuple(float(value) for value in best[1]), math.sqrt(best[2])
+
+
+def _excess(noise: Noise, windows: Sequence[Array], block: int = BLOCK) -> float:
+    """How much more the means of blocks vary than those of white noise, at least 1; 1 where too few to tell."""
+    means = []
+    for window in windows:
+        white = noise.whiten(window)
+        blocks = len(white) // block
+        means.extend(white[: blocks * block].reshape(blocks, block).mean(axis=1) * math.sqrt(block))
+    if len(means) < 10:
+        return 1.0
+    ratio = float(np.mean(np.square(means)))
+    # Chance alone gives a ratio within two standard errors of one.
+    return ratio if ratio > 1.0 + 2.0 * math.sqrt(2.0 / len(means)) else 1.0

@@ -1,0 +1,218 @@
+"""The static experiment: attraction over displacement, from load cell and stage, as the model's polynomial.
+
+The paper measured the force at one voltage while a stage moved the plunger, and fitted a cubic without a constant term.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import stdtrit
+
+from valve_sim.files.tables import TableError, read_table
+from valve_sim.identification.estimation.fitting import Interval
+from valve_sim.identification.plants.protocol import Array
+from valve_sim.model import DECLARED, Drive, Valve, ValveError, published_times, simulate
+from valve_sim.model.parameters import POLYNOMIAL_NAMES
+
+HIGHEST_DEGREE: Final = len(POLYNOMIAL_NAMES) - 1
+LARGEST_DISPLACEMENT: Final = 0.1
+"""m: solenoid plungers move millimetres; beyond this the table is most likely in millimetres."""
+OPENING_TIME: Final = 1.0
+"""s that a valve is given to open."""
+
+_COLUMNS: Final = {
+    "displacement": ("displacement", "displacement_m", "position", "pilot_position", "x"),
+    "force": ("force", "force_n", "attraction", "f"),
+}
+
+
+@dataclass(frozen=True)
+class StaticForce:
+    """An attraction polynomial from a static table.
+
+    Attributes:
+        source: the table. displacement: (n,) m. force: (n,) N, as measured, at `voltage`.
+        voltage: V, at which the table was measured.
+        intervals: by name a0 … a3, at the reference voltage (u = 1), 95 % by Student's t.
+        rmse: of the residuals, N, as measured.
+        r_squared: share of the force's variance that the polynomial explains.
+        valve: the valve with this polynomial.
+        remarks: one sentence each, on the start of motion first.
+    """
+
+    source: str
+    displacement: Array
+    force: Array
+    voltage: float
+    intervals: dict[str, Interval]
+    rmse: float
+    r_squared: float
+    valve: Valve
+    remarks: tuple[str, ...]
+
+    @property
+    def predicted(self) -> Array:
+        """(n,) N, the polynomial at the table's displacements and voltage."""
+        scale = (self.voltage / self.valve.parameters.reference_voltage) ** 2
+        polynomial = np.polynomial.Polynomial(self.valve.parameters.attraction_polynomial)
+        return np.asarray(scale * polynomial(self.displacement))
+
+    def to_json(self) -> dict[str, Any]:
+        """The content of fit-force.json."""
+        return {
+            "schema": "valve_sim/static_force/1",
+            "source": self.source,
+            "samples": len(self.force),
+            "voltage": self.voltage,
+            "reference_voltage": self.valve.parameters.reference_voltage,
+            "parameters": {name: interval.to_json() for name, interval in self.intervals.items()},
+            "attraction_polynomial": list(self.valve.parameters.attraction_polynomial),
+            "rmse_n": self.rmse,
+            "maximum_n": float(np.max(np.abs(self.force - self.predicted))),
+            "r_squared": self.r_squared,
+            "remarks": list(self.remarks),
+        }
+
+    def text(self) -> str:
+        """For the terminal."""
+        lines = [f"{self.source}: {len(self.force)} points at {self.voltage:g} V"]
+        lines.append(f"{'':<5}{'value':>12} {'± std. error':>14}   95 % interval")
+        for name, interval in self.intervals.items():
+            lines.append(
+                f"{name:<5}{interval.value:>12.5g} ± {interval.stderr:<12.2g}   "
+                f"[{interval.low:.5g}, {interval.high:.5g}] {DECLARED[name].unit}"
+            )
+        lines.append(f"residual {self.rmse:.3g} N (rms), R² {self.r_squared:.6f}")
+        return "\n".join([*lines, *self.remarks])
+
+
+def fit_static_force(
+    path: Path | str,
+    valve: Valve,
+    *,
+    degree: int = HIGHEST_DEGREE,
+    voltage: float | None = None,
+    constant: bool = True,
+) -> StaticForce:
+    """Fit the attraction polynomial by least squares.
+
+    Args:
+        path: a CSV table (see `tables.read_table`) of displacement, m, and force, N.
+        valve: its other parameters, and the reference voltage that the polynomial is for.
+        degree: of the polynomial, 0 to 3.
+        voltage: V, at which the table was measured; default the reference voltage.
+        constant: fit a0 too; the paper has none.
+
+    Raises:
+        ValveError: degree or voltage make no sense.
+        TableError: the table cannot be used.
+    """
+    reference = valve.parameters.reference_voltage
+    volts = reference if voltage is None else voltage
+    powers = np.arange(0 if constant else 1, degree + 1)
+    if not 0 <= degree <= HIGHEST_DEGREE or len(powers) == 0:
+        raise ValveError(
+            f"--degree {degree}: the model holds a0 to a3; expected {0 if constant else 1} to {HIGHEST_DEGREE}"
+        )
+    if volts == 0.0 or not math.isfinite(volts):
+        raise ValveError(f"--voltage {volts:g}: a coil without voltage does not pull; expected the table's voltage")
+    displacement, force = _read(path, len(powers))
+    at_reference = (reference / volts) ** 2
+    values, errors, rmse = _least_squares(displacement, force, powers)
+    # Between the 2.5 % quantiles of Student's t, because the noise is estimated from the same residuals.
+    quantile = float(stdtrit(len(force) - len(powers), 0.975))
+    intervals = {
+        POLYNOMIAL_NAMES[power]: Interval(value, error, value - quantile * error, value + quantile * error)
+        for power, value, error in zip(powers, at_reference * values, at_reference * errors, strict=True)
+    }
+    polynomial = {name: intervals[name].value if name in intervals else 0.0 for name in POLYNOMIAL_NAMES}
+    fitted = valve.with_values(**polynomial)
+    variance = float(np.var(force))
+    return StaticForce(
+        str(path),
+        displacement,
+        force,
+        volts,
+        intervals,
+        rmse,
+        1.0 - rmse**2 / variance if variance > 0.0 else 0.0,
+        fitted,
+        tuple(_remarks(fitted, intervals.get("a0"), displacement)),
+    )
+
+
+def _read(path: Path | str, terms: int) -> tuple[Array, Array]:
+    table = read_table(path, _COLUMNS)
+    displacement, force = table["displacement"], table["force"]
+    reach = float(np.max(np.abs(displacement)))
+    if reach > LARGEST_DISPLACEMENT:
+        raise TableError(f"{path}: displacement reaches {reach:g}; expected metres (divide millimetres by 1000)")
+    places = len(np.unique(displacement))
+    if places < terms or len(force) <= terms:
+        raise TableError(
+            f"{path}: has {len(force)} points at {places} displacements; expected more than {terms} for {terms} "
+            "coefficients: measure more, or lower --degree"
+        )
+    return displacement, force
+
+
+def _least_squares(displacement: Array, force: Array, powers: NDArray[np.int_]) -> tuple[Array, Array, float]:
+    """Coefficients, their standard errors, and the rms of what is left."""
+    # In units of the largest displacement: powers of 1e-3 m would otherwise leave half of the digits.
+    scale = float(np.max(np.abs(displacement))) or 1.0
+    design = (displacement[:, None] / scale) ** powers
+    coefficients, *_ = np.linalg.lstsq(design, force, rcond=None)
+    residual = force - design @ coefficients
+    squares = float(residual @ residual)
+    variance = squares / (len(force) - len(powers))
+    covariance = variance * np.linalg.pinv(design.T @ design)
+    units = scale ** -powers.astype(np.float64)
+    return coefficients * units, np.sqrt(np.diag(covariance)) * units, math.sqrt(squares / len(force))
+
+
+def _remarks(valve: Valve, constant: Interval | None, displacement: Array) -> list[str]:
+    parameters = valve.parameters
+    said = [_start_of_motion(valve, constant)]
+    if float(np.min(displacement)) > 0.1 * parameters.pilot_gap:
+        said.append(
+            f"the table begins at {1e6 * float(np.min(displacement)):.0f} µm: a0 is extrapolated; measure at x = 0, "
+            "where the motion starts."
+        )
+    if float(np.max(displacement)) < 0.98 * parameters.stroke:
+        said.append(
+            f"the table ends at {1e6 * float(np.max(displacement)):.0f} µm of {1e6 * parameters.stroke:.0f} µm stroke: "
+            "beyond it the polynomial is an extrapolation."
+        )
+    return said
+
+
+def _start_of_motion(valve: Valve, constant: Interval | None) -> str:
+    """What the constant term, or its lack, means for the start of motion."""
+    if constant is None:
+        return (
+            f"without a constant term the attraction at x = 0 is 0 N: {_opening(valve)}. Fit with the constant term; a "
+            "magnetised coil pulls at the largest gap too."
+        )
+    without = valve.with_values(a0=0.0)
+    if constant.low <= 0.0 <= constant.high:
+        return (
+            f"a0 = {constant.value:.3g} N is not told from 0 (95 %: {constant.low:.3g} to {constant.high:.3g} N) "
+            f"and a0 alone starts the motion: with it {_opening(valve)}, without it {_opening(without)}. Measure more "
+            "points near x = 0."
+        )
+    return f"a0 = {constant.value:.4g} N starts the motion: with it {_opening(valve)}, without it {_opening(without)}."
+
+
+def _opening(valve: Valve) -> str:
+    volts = valve.parameters.reference_voltage
+    t1, t2 = published_times(simulate(valve, Drive.of([0.0], [volts]), [OPENING_TIME]))
+    if math.isnan(t1):
+        return f"the valve never opens at {volts:g} V (nothing lifts the pilot plunger off its seat)"
+    reached = "never reaches the stop" if math.isnan(t2) else f"reaches the stop at {1e3 * t2:.2f} ms"
+    return f"the pilot plunger meets the main plunger at {1e3 * t1:.2f} ms and {reached} at {volts:g} V"

@@ -1,0 +1,291 @@
+"""From an alarm to its cause: the last strokes diagnosed against the valve as it was commissioned, and worded.
+
+A diagnosis of a recording must free the dampings, which nobody knows; beside a valve that was commissioned they are
+known. So here they are candidates like any effect, "the main damping has changed" beside "Coulomb friction has
+appeared", and what tells the two apart is not lost to a refit. Their errors of commissioning, and the errors of the
+commands' stamps, are estimated along always, as nuisances: commissioning has shown how large they are.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valve_sim.identification.diagnosis.run import Diagnosis, diagnose_plant
+from valve_sim.identification.estimation.fitting import Interval
+from valve_sim.identification.estimation.identify import DEFAULT_FREE
+from valve_sim.identification.monitoring.scores import Baseline
+from valve_sim.identification.plants.commissioned import CommissionedCurrent
+from valve_sim.identification.plants.protocol import Array, EffectChoice, Experiment, Nuisance, Plant
+from valve_sim.identification.plants.valve import CLOCK_SIGMA, ValvePlant
+from valve_sim.model import CATALOGUE, DECLARED, Drive, Parameter, Tag, Valve
+from valve_sim.traces import Signal, Trace
+
+FEWEST: Final = 6
+"""Strokes that a tracing begins with: four to fit, two held out."""
+HELD_OUT: Final = 3
+"""Every so manieth stroke is held out."""
+
+NATURAL: Final = 100.0
+"""Typical amounts of an effect beyond which none is believed: 5 N of friction, 30 N of pressure."""
+NOT_TOLD: Final = "the strokes are not those of the commissioned valve, and no effect is known well enough to be named"
+
+_VALUE: Final = "value"
+_COMMISSIONING: Final = tuple(f"commissioning_error[{index}]" for index in range(len(DEFAULT_FREE)))
+FINEST_SCATTER: Final = 1e-6
+"""s: stamps are not believed any further."""
+
+Progress = Callable[[str, float], None]
+
+
+class Finding(NamedTuple):
+    """What a tracing found.
+
+    Attributes:
+        kind: of verdict, as in report.json: "none", "effects", "unknown" or "insufficient".
+        effects: names from the catalogue. summary: one sentence for a person.
+        confusable_with: by effect, names that would explain the strokes about as well.
+        parameters: by `<effect>.<parameter>`, what it has become. probability: of the names. strokes: looked at.
+    """
+
+    kind: str
+    effects: tuple[str, ...]
+    summary: str
+    confusable_with: dict[str, tuple[str, ...]]
+    parameters: dict[str, Interval]
+    probability: float
+    strokes: int
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return {
+            "schema": "valve_sim/finding/1",
+            "kind": self.kind,
+            "effects": list(self.effects),
+            "summary": self.summary,
+            "confusable_with": {name: list(others) for name, others in self.confusable_with.items()},
+            "parameters": {name: interval.to_json() for name, interval in self.parameters.items()},
+            "probability": self.probability,
+            "strokes": self.strokes,
+        }
+
+
+def trace_cause(strokes: Sequence[Trace], healthy: Baseline, progress: Progress | None = None) -> Finding:
+    """Find what has changed in a valve since it was commissioned.
+
+    Args:
+        strokes: one each, at least `FEWEST`; every `HELD_OUT`-th is kept to try the names on.
+        healthy: the valve as commissioned.
+        progress: told what is being tried, and the fraction done.
+
+    Raises:
+        SimulationError: the commissioned valve cannot be simulated.
+    """
+    training = [stroke for index, stroke in enumerate(strokes) if index % HELD_OUT != HELD_OUT - 1]
+    held_out = [stroke for index, stroke in enumerate(strokes) if index % HELD_OUT == HELD_OUT - 1]
+    plants = [CommissionedPlant(join(part, healthy), healthy) for part in (training, held_out)]
+    result = diagnose_plant(plants[0], plants[1], progress)
+    verdict, intervals = result.verdict, result.after.intervals
+    parameters = {name: interval for name, interval in intervals.items() if name.split(".")[0] in verdict.effects}
+    if not all(is_credible(effect, plants[0], parameters) for effect in verdict.effects):
+        return Finding("unknown", (), NOT_TOLD, {}, {}, 0.0, len(strokes))
+    return Finding(
+        verdict.kind,
+        verdict.effects,
+        _summary(result, parameters, healthy),
+        dict(verdict.confusable_with),
+        parameters,
+        verdict.probability,
+        len(strokes),
+    )
+
+
+def is_credible(effect: str, plant: Plant, intervals: Mapping[str, Interval]) -> bool:
+    """Whether an effect is worth a name: some amount of it is not zero, and all amounts are possible.
+
+    Args:
+        effect: its name. plant: whose effect it is.
+        intervals: by `<effect>.<parameter>`, 95 %.
+    """
+    switches = [switch for switch in plant.effects[effect].parameters if switch.off is not None]
+    known = [
+        (switch, intervals[f"{effect}.{switch.name}"]) for switch in switches if f"{effect}.{switch.name}" in intervals
+    ]
+    return all(_is_natural(switch, interval) for switch, interval in known) and any(
+        not _holds(interval, switch.off) for switch, interval in known if switch.off is not None
+    )
+
+
+def _holds(interval: Interval, neutral: float) -> bool:
+    return not interval.low > neutral and not interval.high < neutral
+
+
+def _is_natural(parameter: Parameter, interval: Interval) -> bool:
+    """Whether a value, and what its interval leaves open, is within a hundred times what such an effect amounts to."""
+    if parameter.off is None or not math.isfinite(parameter.off):
+        return True
+    most = NATURAL * parameter.prior_scale
+    return max(abs(bound - parameter.off) for bound in (interval.value, interval.low, interval.high)) <= most
+
+
+class CommissionedPlant(ValvePlant):
+    """A valve whose dampings and clock are known: a change of a damping is one effect among others.
+
+    Args:
+        trace: some strokes, their motion put back by the lateness.
+        healthy: the valve as commissioned.
+    """
+
+    def __init__(self, trace: Trace, healthy: Baseline) -> None:
+        super().__init__([trace], healthy.valve)
+        self._scatter = max(healthy.scatter, FINEST_SCATTER)
+        self._spread = np.linalg.cholesky(healthy.damping_covariance) / CLOCK_SIGMA
+        self._dampings = {name: self._damping(name) for name in DEFAULT_FREE}
+        alike = tuple(entry.name for entry in CATALOGUE.tagged(Tag.LIKE_DAMPING))
+        self._effects = {
+            **{name: EffectChoice(name, (parameter,), alike) for name, parameter in self._dampings.items()},
+            **self._effects,
+        }
+
+    @property
+    def base(self) -> Sequence[str]:
+        """Nothing is refitted before an effect is claimed."""
+        return ()
+
+    @property
+    def nuisances(self) -> Sequence[Nuisance]:
+        """An error for each command's stamp, and what commissioning has left open of the dampings.
+
+        The latter in a unit in which their deviation is that of a clock, so that one difference step suits both.
+        """
+        stamps = [nuisance._replace(sigma=self._scatter) for nuisance in super().timing_errors]
+        return (*stamps, *(Nuisance(name, CLOCK_SIGMA, "–") for name in _COMMISSIONING))
+
+    @property
+    def timing_errors(self) -> Sequence[Nuisance]:
+        """None beside those that are always estimated."""
+        return ()
+
+    @property
+    def experiments(self) -> Sequence[Experiment]:
+        """None: the valve is at work."""
+        return ()
+
+    def parameter(self, name: str) -> Parameter:
+        """As of any valve's plant, and of the dampings, which are off where they were."""
+        effect = name.partition(".")[0]
+        return self._dampings[effect] if effect in self._dampings else super().parameter(name)
+
+    def declared(self, name: str) -> float:
+        """The commissioned value."""
+        return super().declared(name.partition(".")[0] if name.partition(".")[0] in self._dampings else name)
+
+    def record(self, values: Mapping[str, float]) -> Any:
+        """As of any valve's plant."""
+        return super().record(self._plain(values))
+
+    def with_values(self, values: Mapping[str, float]) -> Valve:
+        """As of any valve's plant."""
+        return super().with_values(self._plain(values))
+
+    def _plain(self, values: Mapping[str, float]) -> dict[str, float]:
+        """With the dampings as they are: changed or not, and with the errors of commissioning."""
+        plain = {name: value for name, value in values.items() if name.partition(".")[0] not in self._dampings}
+        errors = self._spread @ np.array([plain.pop(name, 0.0) for name in _COMMISSIONING])
+        for name, error in zip(DEFAULT_FREE, errors.tolist(), strict=True):
+            plain[name] = max(0.0, values.get(f"{name}.{_VALUE}", super().declared(name)) + error)
+        return plain
+
+    def _damping(self, name: str) -> Parameter:
+        known = DECLARED[name]
+        value = super().declared(name)
+        return known._replace(name=_VALUE, off=value, prior_scale=max(value, known.prior_scale))
+
+
+def join(strokes: Sequence[Trace], healthy: Baseline) -> Trace:
+    """Strokes as one trace, with the rests between them as they were; motion and current put back in time."""
+    lateness = healthy.lateness
+    epoch = strokes[0].epoch_ns
+    starts = [(stroke.epoch_ns - epoch) / 1e9 for stroke in strokes]
+    times = np.concatenate([stroke.times + start - lateness for stroke, start in zip(strokes, starts, strict=True)])
+    # Rest before a stroke may have been kept with the stroke before it, too.
+    is_later = _rises(times)
+    commands = [stroke.drive.times + start for stroke, start in zip(strokes, starts, strict=True)]
+    return Trace(
+        f"{strokes[0].source} to {strokes[-1].source}",
+        Drive(np.concatenate(commands), np.concatenate([stroke.drive.volts for stroke in strokes])),
+        times[is_later],
+        np.concatenate([stroke.pilot_position for stroke in strokes])[is_later],
+        coil_current=_join_currents(strokes, starts, healthy.current),
+        epoch_ns=epoch,
+    )
+
+
+def _join_currents(
+    strokes: Sequence[Trace], starts: Sequence[float], commissioned: CommissionedCurrent | None
+) -> Signal | None:
+    """None where the current was not commissioned, or a stroke has none."""
+    if commissioned is None:
+        return None
+    known = [commissioned.as_modelled(stroke.coil_current) for stroke in strokes if stroke.coil_current is not None]
+    if len(known) < len(strokes):
+        return None
+    times = np.concatenate([current.times + start for current, start in zip(known, starts, strict=True)])
+    is_later = _rises(times)
+    return Signal(times[is_later], np.concatenate([current.values for current in known])[is_later])
+
+
+def _rises(times: Array) -> NDArray[np.bool_]:
+    """Which times are later than all before them."""
+    return np.asarray(times > np.concatenate([[-math.inf], np.maximum.accumulate(times)[:-1]]))
+
+
+def _summary(result: Diagnosis, parameters: Mapping[str, Interval], healthy: Baseline) -> str:
+    verdict = result.verdict
+    if verdict.kind == "none":
+        return "the last strokes are as those of the commissioned valve"
+    if not verdict.effects:
+        return verdict.summary
+    words = "; ".join(_effect_words(name, parameters, healthy) for name in verdict.effects)
+    others = sorted({other for names in verdict.confusable_with.values() for other in names})
+    doubt = f" ({', '.join(_plain(other) for other in others)} would explain it about as well)" if others else ""
+    certainty = "" if verdict.kind == "effects" else f"{verdict.summary.rstrip('.')}: "
+    return f"{certainty}{words}{doubt}"
+
+
+def _effect_words(effect: str, parameters: Mapping[str, Interval], healthy: Baseline) -> str:
+    """Such as "Coulomb friction 0.31 ± 0.04 N, none when commissioned"."""
+    own = {name.split(".")[1]: interval for name, interval in parameters.items() if name.split(".")[0] == effect}
+    if effect in DEFAULT_FREE:
+        before = f"{healthy.valve.declared()[effect]:.3g} when commissioned"
+        values = [_value(interval, DECLARED[effect].unit) for interval in own.values()]
+    else:
+        before = "none when commissioned"
+        entry = CATALOGUE[effect]
+        values = [
+            f"{'' if len(own) == 1 else _plain(name) + ' '}{_value(interval, entry.parameter(name).unit)}"
+            for name, interval in own.items()
+        ]
+    plain = _plain(effect)
+    return f"{plain[0].upper()}{plain[1:]} {', '.join(values)}, {before}"
+
+
+def _value(interval: Interval, unit: str) -> str:
+    """Value and half width of the 95 % interval, rounded to where the half width has two digits."""
+    half = 0.5 * (interval.high - interval.low)
+    plain_unit = "" if unit in ("", "–") else f" {unit}"
+    if not math.isfinite(half) or half <= 0.0:
+        return f"{interval.value:.3g}{plain_unit}"
+    digits = 1 - math.floor(math.log10(half))
+    if -3 <= digits <= 6:
+        places = max(digits, 0)
+        return f"{interval.value:.{places}f} ± {half:.{places}f}{plain_unit}"
+    return f"{interval.value:.3g} ± {half:.2g}{plain_unit}"
+
+
+def _plain(name: str) -> str:
+    return name.replace("_", " ").replace("coulomb", "Coulomb")

@@ -1,0 +1,153 @@
+"""What a commissioning has found, kept in a file: a monitor that is started again goes on with it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from valve_sim.files.whole_files import write_whole
+from valve_sim.identification.estimation.identify import DEFAULT_FREE
+from valve_sim.identification.estimation.noise import Noise
+from valve_sim.identification.monitoring.command_timing import TimedStroke
+from valve_sim.identification.monitoring.commissioning import Commissioning, ScoreBaseline
+from valve_sim.identification.monitoring.scores import Baseline
+from valve_sim.identification.plants.commissioned import CommissionedCurrent
+from valve_sim.model import ParameterError, Valve
+
+SCHEMA: Final = "valve_sim/commissioning/1"
+MEND: Final = "name another file, or delete this one to commission anew"
+
+
+def save_commissioning(path: Path, commissioning: Commissioning, declared: Valve) -> None:
+    """Write the file, whole or not at all.
+
+    Args:
+        path: of the file; its folder is made.
+        commissioning: what is kept.
+        declared: the valve that it was made with.
+
+    Raises:
+        ParameterError: it cannot be written.
+    """
+    body = {"declared": declared.to_mapping(), "commissioning": _to_plain(commissioning)}
+    text = json.dumps({"schema": SCHEMA, "sha256": _digest(_round_trip(body)), **body}, indent=1)
+    write_whole(path, text + "\n", ParameterError)
+
+
+def load_commissioning(path: Path, declared: Valve) -> Commissioning | None:
+    """Read it again.
+
+    Args:
+        path: of the file.
+        declared: the valve as it is declared now.
+
+    Returns:
+        None where there is no such file yet.
+
+    Raises:
+        ParameterError: it cannot be read, is damaged, of another schema, or was made with another valve; one line.
+    """
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise ParameterError(f"{path}: cannot be read ({error.strerror}); {MEND}") from error
+    except ValueError as error:
+        raise ParameterError(f"{path}: damaged (no JSON); {MEND}") from error
+    schema = found.get("schema") if isinstance(found, dict) else None
+    if schema != SCHEMA:
+        raise ParameterError(f"{path}: found schema {schema!r}, expected {SCHEMA!r}; {MEND}")
+    body = {key: found.get(key) for key in ("declared", "commissioning")}
+    if _digest(body) != found.get("sha256"):
+        raise ParameterError(f"{path}: damaged (its checksum is not that of what it holds); {MEND}")
+    difference = _difference(body["declared"], _round_trip(declared.to_mapping()))
+    if difference:
+        raise ParameterError(f"{path}: was commissioned with another valve ({difference}); {MEND}")
+    return _from_plain(body["commissioning"], declared)
+
+
+def _digest(body: Any) -> str:
+    return hashlib.sha256(json.dumps(body, sort_keys=True).encode()).hexdigest()
+
+
+def _round_trip(value: Any) -> Any:
+    """As it is when read again: tuples are lists."""
+    return json.loads(json.dumps(value))
+
+
+def _difference(then: Mapping[str, Any], now: Mapping[str, Any]) -> str:
+    """The first parameter that differs, and how; empty if none does."""
+    before, after = _flat(then), _flat(now)
+    for name in (*before, *after):
+        if before.get(name) != after.get(name):
+            return f"{name}: {before.get(name, 'none')} there, {after.get(name, 'none')} declared"
+    return ""
+
+
+def _flat(values: Any, prefix: str = "") -> dict[str, Any]:
+    if not isinstance(values, dict):
+        return {prefix: values}
+    return {
+        name: value
+        for key, inner in values.items()
+        for name, value in _flat(inner, f"{prefix}.{key}".lstrip(".")).items()
+    }
+
+
+def _to_plain(commissioning: Commissioning) -> dict[str, Any]:
+    healthy = commissioning.healthy
+    declared, noise = healthy.valve.declared(), healthy.noise
+    return {
+        "dampings": {name: declared[name] for name in DEFAULT_FREE},
+        "damping_covariance": healthy.damping_covariance.tolist(),
+        "lateness": healthy.lateness,
+        "scatter": healthy.scatter,
+        "jitter": healthy.jitter,
+        "noise": noise.__dict__,
+        "current": None if healthy.current is None else healthy.current._asdict(),
+        "strokes": [
+            [stroke.volts, [_known(shift) for shift in stroke.shifts], _known(stroke.arrival_spread)]
+            for stroke in commissioning.strokes
+        ],
+        "baselines": [
+            [level, {name: baseline.__dict__ for name, baseline in baselines.items()}]
+            for level, baselines in commissioning.baselines.items()
+        ],
+    }
+
+
+def _from_plain(plain: Mapping[str, Any], declared: Valve) -> Commissioning:
+    noise, current = plain["noise"], plain["current"]
+    healthy = Baseline(
+        declared.with_values(**plain["dampings"]),
+        plain["lateness"],
+        plain["scatter"],
+        plain["jitter"],
+        Noise(**{**noise, "coefficients": tuple(noise["coefficients"])}),
+        np.array(plain["damping_covariance"]),
+        None if current is None else CommissionedCurrent(**current),
+    )
+    strokes = tuple(
+        TimedStroke(volts, tuple(_or_nan(shift) for shift in shifts), _or_nan(arrival))
+        for volts, shifts, arrival in plain["strokes"]
+    )
+    baselines = {
+        level: {name: ScoreBaseline(**baseline) for name, baseline in entries.items()}
+        for level, entries in plain["baselines"]
+    }
+    return Commissioning(healthy, baselines, strokes)
+
+
+def _known(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _or_nan(value: float | None) -> float:
+    return math.nan if value is None else value

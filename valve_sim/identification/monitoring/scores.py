@@ -1,0 +1,364 @@
+"""One stroke held against a commissioned valve: how much more than noise is left of it, and in which direction.
+
+A stroke's residual is whitened, and an error of each command's stamp is estimated along, within its prior N(0, jitter):
+that is a nuisance, no fault. What is left is projected on the change that each effect of the catalogue would make. With
+e the whitened residual, a the whitened change, N what errors of the stamps change and P their prior variance,
+
+    score = aᵀ W e / √(aᵀ W a),        W = (I + N P Nᵀ)⁻¹,
+
+is standard normal under noise, jitter and the commissioned valve, and the most powerful statistic for that effect (the
+matched filter; Kay, Fundamentals of Statistical Signal Processing II, 1998, section 4.4). A last score is the size of
+what is left, whatever its direction, for what has no name.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from valve_sim.identification.estimation.fitting import Fit, Interval, Problem, covariance_interval, fit
+from valve_sim.identification.estimation.gram import gram
+from valve_sim.identification.estimation.identify import DEFAULT_FREE
+from valve_sim.identification.estimation.noise import Noise
+from valve_sim.identification.monitoring.command_timing import UNTIMED
+from valve_sim.identification.plants.commissioned import CommissionedCurrent, commission_current
+from valve_sim.identification.plants.protocol import Array, Nuisance, perturbed
+from valve_sim.identification.plants.valve import CLOCK_SIGMA, ValvePlant
+from valve_sim.identification.selection.hypotheses import ANNEALING
+from valve_sim.identification.selection.residual_tests import moving_residuals
+from valve_sim.model import Drive, SimulationError, Valve, simulate
+from valve_sim.model.parameters import Parameter
+from valve_sim.traces import Trace
+
+SIZE: Final = "size"
+"""Name of the score of the residual's size."""
+DELAYS: Final = ("opening delay", "closing delay")
+"""Names of the scores of the stamps' errors."""
+FINEST: Final = 0.05e-6
+"""m: noise is taken to be no smaller, the repeatability of the paper's laser; a simulated valve has none at all."""
+MOST_SHIFTS: Final = 6
+"""Commands of a stroke whose stamps may err; of more (a ramp, a modulated voltage) the first and the last."""
+TELLS_NOTHING: Final = 1e-3
+"""Standard deviations that so large an effect must move a stroke by for its direction to be looked at."""
+STILL: Final = 1e-5
+"""m/s: below it the model rests."""
+PLAINLY_MORE: Final = 2.0
+"""χ² a sample beyond which a fit is tried from elsewhere too."""
+MEDIAN_OF_NORMAL: Final = 0.6745
+"""Of the size of a standard normal number."""
+LOOKS: Final = 4
+"""How often the shifts of the commands are looked at before a fit."""
+PLAINLY_LATE: Final = 1e-3
+"""s by which a stroke is off after a look, so that it is worth another."""
+FAR: Final = 3.0
+"""Standard deviations at which the furthest of some forty normal numbers is at most, mostly."""
+FURTHEST: Final = 15.0
+"""Standard deviations of a stamp's error at which an estimate starts at most."""
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """A valve as it was commissioned.
+
+    Attributes:
+        valve: the declared one with refitted dampings.
+        lateness: s by which its motion is later than its stamps say: the clock offset, and the mean error of a command.
+        scatter: s, standard deviation of a command's own error, as seen. jitter: what is allowed for, never less.
+        noise: of the position.
+        damping_covariance: (2, 2) of the refitted dampings, in the order of DEFAULT_FREE.
+        current: how the measured current relates to the model's; None where there is none that can be used.
+    """
+
+    valve: Valve
+    lateness: float
+    scatter: float
+    jitter: float
+    noise: Noise
+    damping_covariance: Array
+    current: CommissionedCurrent | None = None
+
+
+@dataclass(frozen=True)
+class Scored:
+    """One stroke against a commissioned valve.
+
+    Attributes:
+        scores: by name of a direction: each about standard normal while nothing has changed.
+        shifts: (commands,) s, estimated errors of the stamps.
+        rms: m, of what is left of the position.
+    """
+
+    scores: Mapping[str, float]
+    shifts: Array
+    rms: float
+
+
+def score_stroke(trace: Trace, healthy: Baseline, jitter: float | None = None) -> Scored:
+    """Hold one stroke against the commissioned valve.
+
+    Args:
+        trace: one stroke, from rest.
+        healthy: what it is held against.
+        jitter: s, standard deviation that its commands' times are allowed; None: the commissioned one. With `UNTIMED`
+            nothing is said of delays.
+
+    Raises:
+        SimulationError: the commissioned valve cannot be simulated.
+    """
+    stroke = _Stroke(trace, healthy, jitter)
+    result = stroke.fit(())
+    shifts = np.array([result.values[nuisance.name] for nuisance in result.nuisances])
+    jacobian, prior = result.jacobian, np.array([1.0 / nuisance.sigma**2 for nuisance in result.nuisances])
+    # One step more, in the linear model that the scores are reckoned with: they must not see where the fit stopped.
+    scale = np.sqrt(np.sum(np.square(jacobian), axis=0) + prior)
+    inverse = np.linalg.inv((gram(jacobian, jacobian) + np.diag(prior)) / np.outer(scale, scale)) / np.outer(
+        scale, scale
+    )
+    left = result.residuals - jacobian @ (inverse @ (gram(jacobian, result.residuals) + prior * shifts))
+    slow = math.sqrt(healthy.noise.variance_inflation)
+    scores = {SIZE: _size(stroke.problem, left)}
+    for name, change in stroke.directions(result):
+        seen = change @ jacobian
+        power = float(change @ change - seen @ inverse @ seen)
+        if power > TELLS_NOTHING**2:
+            # The fit's residual is measured less predicted, and so is the change of it that an effect makes.
+            scores[name] = -float(change @ left) / math.sqrt(power) / slow
+    return Scored(scores, shifts, stroke.rms(result))
+
+
+def refitted(trace: Trace, healthy: Baseline, jitter: float | None = None) -> dict[str, Interval]:
+    """The dampings by this stroke alone, with 95 % intervals; arguments as of `score_stroke`.
+
+    Raises:
+        SimulationError: the valve cannot be simulated.
+    """
+    result = _Stroke(trace, healthy, jitter).fit(DEFAULT_FREE)
+    return {name: covariance_interval(result, name) for name in DEFAULT_FREE}
+
+
+def commission(traces: Sequence[Trace], valve: Valve, noise: float) -> Baseline:
+    """Fit dampings, clock and the scatter of the commands to the first strokes, all together.
+
+    Args:
+        traces: one stroke each.
+        valve: the declared valve.
+        noise: standard deviation of the position sensor, m; 0 to estimate it.
+
+    Raises:
+        SimulationError: the declared valve cannot be simulated.
+    """
+    plant = ValvePlant([_position_only(trace) for trace in traces], valve)
+    noises = None if noise == 0.0 else {"position": Noise(noise, noise, (), 0.0, 1.0, len(traces[0].times))}
+    problem = Problem(plant, noises=noises)
+    measured = _at_least_finest(problem.noises["position"])
+    problem = Problem(plant, noises={"position": measured})
+    rough = {
+        f"command_error[{index},{command}]": lateness
+        for index, trace in enumerate(traces)
+        for command, lateness in enumerate(_rough_shifts(trace, valve, 0.0))
+    }
+    prior = max(CLOCK_SIGMA, float(np.max(np.abs(list(rough.values())))) / FURTHEST)
+    result = _commissioning_fit(problem, rough, prior)
+    if noise == 0.0 and measured.samples == 0:
+        # Its rests were too short to show the noise by themselves; what the fit leaves of them does.
+        problem = Problem(plant, noises={"position": _at_least_finest(_noise_at_rest(plant, result))})
+        result = _commissioning_fit(problem, result.values, prior)
+    late = [
+        result.values[f"clock_offset[{index}]"] + result.values[f"command_error[{index},{command}]"]
+        for index, trace in enumerate(traces)
+        for command in range(len(trace.drive.times))
+    ]
+    lateness = float(np.median(late))
+    scatter = _scatter(np.abs(np.array(late) - lateness))
+    dampings = {name: result.values[name] for name in DEFAULT_FREE}
+    covariance = result.covariance[: len(DEFAULT_FREE), : len(DEFAULT_FREE)]
+    commissioned = plant.with_values(dampings)
+    return Baseline(
+        commissioned,
+        lateness,
+        scatter,
+        max(CLOCK_SIGMA, scatter),
+        problem.noises["position"],
+        covariance,
+        commission_current(traces, commissioned),
+    )
+
+
+def _commissioning_fit(problem: Problem, start: Mapping[str, float], prior: float) -> Fit:
+    """With so wide a prior of the stamps' errors, s, that the latest is within reach: each is well determined."""
+    plant = problem.plant
+    errors = [error._replace(sigma=prior) for error in plant.timing_errors]
+    return fit(problem, DEFAULT_FREE, start, nuisances=(*plant.nuisances, *errors))
+
+
+def _noise_at_rest(plant: ValvePlant, result: Fit) -> Noise:
+    """White noise, from the residuals where the model neither moves nor is about to."""
+    valve = plant.with_values(result.values)
+    squares, count = 0.0, 0
+    for index, (trace, shown) in enumerate(zip(plant.traces, plant.predict(result.values), strict=True)):
+        offset = result.values[f"clock_offset[{index}]"]
+        speed = np.abs(
+            simulate(valve, trace.drive, trace.times - offset, start_time=_before(trace, offset)).pilot_velocity
+        )
+        is_still = np.convolve(speed > STILL, [1, 1, 1], mode="same") == 0
+        squares += float(np.sum(np.square((trace.pilot_position - shown)[is_still])))
+        count += int(np.count_nonzero(is_still))
+    sigma = math.sqrt(squares / max(1, count))
+    return Noise(sigma, sigma, (), 0.0, 1.0, count)
+
+
+def _scatter(apart: Array) -> float:
+    """Standard deviation of errors of stamps, by their sizes: the upper end of its 95 % interval (of the median's).
+
+    A network or a scheduler holds a command up now and then, and will again: the furthest one must not be a surprise.
+    """
+    middle = float(np.median(apart)) / MEDIAN_OF_NORMAL
+    bound = middle * (1.0 + 2.0 * 1.17 / math.sqrt(2.0 * len(apart)))
+    return max(bound, float(np.max(apart)) / FAR)
+
+
+def _at_least_finest(noise: Noise) -> Noise:
+    if noise.sigma >= FINEST:
+        return noise
+    return Noise(FINEST, FINEST, (), noise.step, 1.0, noise.samples)
+
+
+class _Stroke:
+    """One stroke as a problem to fit, its clock held, its stamps free."""
+
+    def __init__(self, trace: Trace, healthy: Baseline, jitter: float | None) -> None:
+        self._trace = trace
+        self._healthy = healthy
+        self._jitter = healthy.jitter if jitter is None else jitter
+        self._plant = ValvePlant([_position_only(trace)], healthy.valve)
+        self.problem = Problem(self._plant, noises={"position": healthy.noise})
+        self._fixed = {"clock_offset[0]": healthy.lateness}
+
+    def fit(self, free: Sequence[str]) -> Fit:
+        """The stamps' errors, and what is freed beside them."""
+        rough = _rough_shifts(self._trace, self._healthy.valve, self._healthy.lateness)
+        furthest = FURTHEST * self._jitter
+        start = {
+            f"command_error[0,{index}]": float(np.clip(shift, -furthest, furthest)) for index, shift in enumerate(rough)
+        }
+        result = fit(self.problem, free, start, nuisances=self._shifts(), fixed=self._fixed)
+        if result.chi2 < PLAINLY_MORE * self.problem.effective_samples:
+            return result
+        # Something is wrong with the stroke, or with the start: contacts make shallow wrong basins.
+        again = [
+            fit(self.problem, free, other, nuisances=self._shifts(), fixed=self._fixed, robust=ANNEALING)
+            for other in (start, {})
+        ]
+        return min((result, *again), key=lambda found: found.chi2)
+
+    def directions(self, result: Fit) -> Iterator[tuple[str, Array]]:
+        """Names, and the change of the whitened residual by a small effect of each: dampings, the catalogue, stamps."""
+        plant = self._plant
+        for name in DEFAULT_FREE:
+            yield from self._direction(result, name, {name: perturbed(plant.parameter(name), plant.declared(name))})
+        for effect in plant.effects.values():
+            for switch in effect.parameters:
+                if switch.off is not None:
+                    values = {f"{effect.name}.{p.name}": _with_switch(p, switch) for p in effect.parameters}
+                    single = sum(p.off is not None for p in effect.parameters) == 1
+                    yield from self._direction(
+                        result, effect.name if single else f"{effect.name}.{switch.name}", values
+                    )
+        if self._jitter >= UNTIMED:
+            return
+        for nuisance, column in zip(result.nuisances, result.jacobian.T, strict=True):
+            which = 0 if nuisance is result.nuisances[0] else 1
+            if nuisance in (result.nuisances[0], result.nuisances[-1]):
+                yield DELAYS[which], column * nuisance.sigma
+
+    def rms(self, result: Fit) -> float:
+        """Root mean square of measured less predicted position, m."""
+        (shown,) = self._plant.predict(result.values)
+        return float(np.sqrt(np.mean(np.square(self._trace.pilot_position - shown))))
+
+    def _direction(self, result: Fit, name: str, values: Mapping[str, float]) -> Iterator[tuple[str, Array]]:
+        try:
+            changed = self.problem.residuals({**result.values, **values})
+        except SimulationError:
+            return
+        yield name, changed - result.residuals
+
+    def _shifts(self) -> list[Nuisance]:
+        errors = list(self._plant.timing_errors)
+        chosen = errors if len(errors) <= MOST_SHIFTS else [errors[0], errors[-1]]
+        return [nuisance._replace(sigma=self._jitter) for nuisance in chosen]
+
+
+def _with_switch(parameter: Parameter, switch: Parameter) -> float:
+    """The value of an effect's parameter where this switch of it alone is a little on."""
+    if parameter.off is None:
+        return parameter.prior_scale
+    return perturbed(parameter, parameter.off) if parameter is switch else parameter.off
+
+
+def _size(problem: Problem, left: Array) -> float:
+    """Sum of squares over the samples in motion as a normal score (Wilson and Hilferty 1931)."""
+    moving = moving_residuals(problem, left)
+    count = len(moving)
+    if count == 0:
+        return 0.0
+    ratio = float(moving @ moving) / count / problem.variance_inflation
+    narrow = 2.0 / (9.0 * count)
+    return float(np.cbrt(ratio) - 1.0 + narrow) / math.sqrt(narrow)
+
+
+def late_by(trace: Trace, valve: Valve, lateness: float) -> tuple[float, float]:
+    """How late the measured stroke passes its middle after the first and the last command, s; nan where it does not."""
+    shown = simulate(valve, trace.drive, trace.times - lateness, start_time=_before(trace, lateness)).pilot_position
+    middle = 0.5 * valve.parameters.stroke
+    opening, closing = (
+        crossing(trace.times, trace.pilot_position, middle, rises=rises)
+        - crossing(trace.times, shown, middle, rises=rises)
+        for rises in (True, False)
+    )
+    return opening, closing
+
+
+def _rough_shifts(trace: Trace, valve: Valve, lateness: float) -> list[float]:
+    """(commands,) s: as `late_by`, 0 for what is not seen and for the commands between.
+
+    Looked at again with the commands so late: a valve that is held open for a shorter time closes sooner, and one that
+    has just begun to open closes otherwise.
+    """
+    shifts = np.zeros(len(trace.drive.times))
+    for _ in range(LOOKS):
+        times = trace.drive.times + shifts
+        if np.any(np.diff(times) <= 0.0):
+            break
+        opening, closing = late_by(replace(trace, drive=Drive(times, trace.drive.volts)), valve, lateness)
+        if len(shifts) > 1 and math.isfinite(closing):
+            shifts[-1] += closing
+        if math.isfinite(opening):
+            shifts[0] += opening
+        if not max(abs(opening), abs(closing)) > PLAINLY_LATE:
+            break
+    return shifts.tolist()
+
+
+def _position_only(trace: Trace) -> Trace:
+    """Without the current, which serves the tracing: its stamps are those of its reception."""
+    return replace(trace, coil_current=None)
+
+
+def _before(trace: Trace, lateness: float) -> float:
+    return float(min(trace.drive.times[0], trace.times[0] - lateness)) - CLOCK_SIGMA
+
+
+def crossing(times: Array, position: Array, level: float, *, rises: bool) -> float:
+    """When a position first rises past a level, or last falls past it, by a straight line between samples; or nan."""
+    beyond = position >= level if rises else position < level
+    passed = np.flatnonzero(beyond[1:] & ~beyond[:-1])
+    if len(passed) == 0:
+        return math.nan
+    at = int(passed[0 if rises else -1])
+    share = (level - position[at]) / (position[at + 1] - position[at])
+    return float(times[at] + share * (times[at + 1] - times[at]))

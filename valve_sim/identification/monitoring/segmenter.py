@@ -1,0 +1,442 @@
+"""Beside a real valve, live: a model stepped beside the samples, and the stream cut into strokes. No clock, no ROS.
+
+A `StrokeSegmenter` says at once when the valve does not open or does not close. All memory is bounded: while nothing
+moves for longer than `settle`, samples are not kept.
+"""
+
+from __future__ import annotations
+
+import bisect
+import math
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from valve_sim.identification.monitoring.command_timing import FAR, ArrivalSpread
+from valve_sim.identification.monitoring.settings import MonitorSettings
+from valve_sim.identification.plants.protocol import Array
+from valve_sim.model import Drive, Phase, Reading, SimulationError, Stepper, Valve
+from valve_sim.traces import Signal, Trace
+
+LEAD: Final = 0.25
+"""s of rest before a stroke that are kept with it: they show the noise."""
+MOST_SAMPLES: Final = 100_000
+"""Of a stroke; one that has more is ended."""
+MOST_COMMANDS: Final = 1000
+"""Of a stroke; further ones are not kept."""
+OPENED: Final = 0.9
+"""Share of the stroke that counts as open."""
+CLOSED: Final = 0.1
+"""Share of the stroke that counts as closed."""
+RESTING: Final = 0.01
+"""Share of the stroke below which a valve has not left its seat for long."""
+EARLIEST: Final = 0.05
+"""s by which a command may come in here after the valve has begun to move by it."""
+LIFTING: Final = 5e-3
+"""s before a valve is seen to have left its seat, in which it does."""
+STILL: Final = 1e-5
+"""m/s: below it the model rests."""
+NO_CURRENT: Final = 1e-3
+"""Share of the reference current that is none."""
+FEWEST_SAMPLES: Final = 4
+"""Of a stroke between its first command and its last."""
+MOST_VOLTS: Final = 1e4
+"""V: no coil has more, and stepping the forces of more takes minutes a second."""
+LONGEST_GAP: Final = 60.0
+"""s without samples, after which the model is not stepped on but begins at rest."""
+TAIL: Final = 3.0
+"""Times the delays that were lately seen, which none exceeds but one in many thousands."""
+STILL_AFTER: Final = 0.01
+"""s after it was last seen open: what then remains of a stroke is less than noise."""
+CONFIRMED: Final = 5
+"""Strokes in a row that fail, where the times of commands are too uncertain for one to be believed."""
+
+
+class Prediction(NamedTuple):
+    """The model beside one sample; the residual is measured less predicted, m."""
+
+    reading: Reading
+    residual: float
+
+
+class StrokeRecord(NamedTuple):
+    """One stroke as it was cut out.
+
+    Attributes:
+        number: from 0 on. time: of the opening command, s. trace: times since `trace.epoch_ns`.
+        remark: why it cannot be held against the model; empty if it can.
+        opened, closed: whether the valve was seen to; None where the model did not, or where timing was too uncertain.
+        fault: empty, or what went wrong.
+        arrival_spread: s by which its samples came in later than the soonest of late; nan where arrivals are not known.
+    """
+
+    number: int
+    time: float
+    trace: Trace
+    remark: str
+    opened: bool | None
+    closed: bool | None
+    fault: str
+    arrival_spread: float = math.nan
+
+
+class StrokeSegmenter:
+    """The live half: a model stepped beside the samples, and the stream cut into strokes. Some µs a sample.
+
+    Times are seconds since any one moment. Samples come in the order of their times, and so do commands.
+
+    Args:
+        valve: the declared valve.
+        settings: how it is watched.
+    """
+
+    def __init__(self, valve: Valve, settings: MonitorSettings) -> None:
+        self._settings = settings
+        self._valve = valve
+        self._lateness = 0.0
+        self._next: tuple[Valve, float] | None = None
+        self.strokes = 0
+        self.rejected = 0
+        self.scatter = 0.0
+        """s, standard deviation of the commands' times, as the judgement of strokes has last found it."""
+        self.reset()
+
+    @property
+    def valve(self) -> Valve:
+        """What is stepped beside the samples."""
+        return self._valve
+
+    @property
+    def kept(self) -> int:
+        """How many samples are in memory."""
+        return len(self._times)
+
+    @property
+    def uncertainty(self) -> float:
+        """Seconds by which a healthy valve may be later than the model, since nobody knows when it got its command.
+
+        Delays of a busy machine have a long tail: so many times as much as has lately been seen.
+        """
+        return TAIL * (FAR * self.scatter + self._arrivals.spread)
+
+    def reset(self) -> None:
+        """Begin anew, as after a jump of the clock: a valve at rest, of which nothing is known."""
+        self.fault = ""
+        """What the valve does not do, in words; empty where it does. Stays until a stroke goes well."""
+        self._arrivals = ArrivalSpread()
+        self._missed = 0
+        self._stepper: Stepper | None = None
+        self._stepped = -math.inf
+        self._volts = math.nan
+        self._last = self._last_command = -math.inf
+        self._position = math.nan
+        self._last_open = -math.inf
+        self._pending: deque[tuple[float, float]] = deque()
+        self._times: list[float] = []
+        self._positions: list[float] = []
+        self._current_times: list[float] = []
+        self._currents: list[float] = []
+        self._phase = Phase.CLOSED
+        self._phase_since = -math.inf
+        self._rest_since = math.inf
+        self._stroke: _Stroke | None = None
+        self._finished: deque[StrokeRecord] = deque()
+
+    def use(self, valve: Valve, lateness: float) -> None:
+        """Step this valve from the next stroke on, its motion later than the stamps say by `lateness`, s."""
+        self._next = valve, lateness
+
+    def command(self, time: float, volts: float) -> None:
+        """A voltage in force from `time` on, s; one that repeats the voltage in force changes nothing.
+
+        It waits for the first sample of its time or later, so that either may come in late. What is not finite, or of
+        an earlier time than the last, is rejected and counted.
+        """
+        latest = self._pending[-1][0] if self._pending else self._last_command
+        is_possible = math.isfinite(time) and abs(volts) <= MOST_VOLTS
+        if not is_possible or time < latest or len(self._pending) >= MOST_COMMANDS:
+            self.rejected += 1
+            return
+        self._pending.append((time, volts))
+        self._obey(self._last)
+
+    def _obey(self, until: float) -> None:
+        """The commands whose time has come."""
+        while self._pending and self._pending[0][0] <= until:
+            self._energise(*self._pending.popleft())
+
+    def _energise(self, time: float, volts: float) -> None:
+        before = 0.0 if math.isnan(self._volts) else self._volts
+        self._volts = volts
+        if before == volts:
+            return
+        self._last_command, self._rest_since = time, math.inf
+        if before == 0.0:
+            self._begin(time)
+        if self._stroke is not None and len(self._stroke.drive) < MOST_COMMANDS:
+            self._stroke.drive.append((time, volts))
+        try:
+            self._model(time).command(time, volts)
+        except SimulationError:
+            # A voltage that no coil has: the model rests without current until the next command.
+            self._stepper = Stepper(self._valve, time)
+            if self._stroke is not None:
+                self._stroke.is_at_rest = False
+
+    def measure(self, time: float, position: float, arrival: float = math.nan) -> Prediction | None:
+        """One sample of the pilot plunger's position.
+
+        Args:
+            time: its stamp, s. position: m.
+            arrival: when it came in, s by the clock that times commands; nan where that is not known.
+
+        Returns:
+            the model beside it; None where the sample was rejected.
+        """
+        if not (math.isfinite(time) and math.isfinite(position)) or time <= self._last:
+            self.rejected += 1
+            return None
+        self._obey(time)
+        reading = self._step(time)
+        self._keep(time, [time], [position])
+        self._arrivals.add(time, arrival - time)
+        if self._stroke is not None and arrival - time > self._stroke.latest:
+            self._stroke.latest = arrival - time
+        self._look(time, position, position, reading)
+        return Prediction(reading, position - reading.pilot_position)
+
+    def measure_many(self, times: Array, positions: Array) -> None:
+        """A batch of some milliseconds, good and in order; the model is stepped to its end only."""
+        last = float(times[-1])
+        self._obey(last)
+        reading = self._step(last)
+        self._keep(last, times.tolist(), positions.tolist())
+        self._look(last, float(positions[-1]), float(positions.max()), reading)
+
+    def measure_current(self, time: float, current: float) -> None:
+        """One sample of the coil current, A: kept with the stroke for the tracing; rejected as positions are."""
+        last = self._current_times[-1] if self._current_times else -math.inf
+        if not (math.isfinite(time) and math.isfinite(current)) or time <= last:
+            self.rejected += 1
+        elif len(self._current_times) < MOST_SAMPLES and self._is_kept(time):
+            self._current_times.append(time)
+            self._currents.append(current)
+
+    def take_finished(self) -> list[StrokeRecord]:
+        """The strokes that have ended since it was last asked."""
+        finished = list(self._finished)
+        self._finished.clear()
+        return finished
+
+    def _model(self, time: float) -> Stepper:
+        if self._stepper is None or time - self._stepped > LONGEST_GAP:
+            # Stepping over years, where a stamp leaps, would take hours: at rest from here on.
+            self._stepper = Stepper(self._valve, time - self._lateness)
+            if self._stroke is not None:
+                self._stroke.is_at_rest = False
+        self._stepped = time
+        return self._stepper
+
+    def _step(self, time: float) -> Reading:
+        """The model at a sample; a sample that was stamped before the last command sees it at the command."""
+        at = max(time - self._lateness, self._last_command)
+        try:
+            return self._model(time).advance(at)
+        except SimulationError:
+            self._stepper = Stepper(self._valve, at)
+            if self._stroke is not None:
+                self._stroke.is_at_rest = False
+            return self._stepper.advance(at)
+
+    def _keep(self, time: float, times: list[float], positions: list[float]) -> None:
+        """All of a stroke but what comes after a long rest of the model; between strokes, the last moments."""
+        if self._is_kept(time):
+            self._times.extend(times)
+            self._positions.extend(positions)
+
+    def _is_kept(self, time: float) -> bool:
+        return self._stroke is None or time - self._rest_since <= self._settle
+
+    @property
+    def _settle(self) -> float:
+        """Seconds of the model's rest after which the valve rests too, although it may have got its command later."""
+        return self._settings.settle + self.uncertainty / TAIL
+
+    def _look(self, time: float, position: float, highest: float, reading: Reading) -> None:
+        self._last, self._position = time, position
+        if not self._is_closed(highest):
+            self._last_open = time
+        is_still = abs(reading.pilot_velocity) <= STILL
+        phase = Phase.CLOSED if is_still and self._is_closed(reading.pilot_position) else reading.phase
+        if phase is not self._phase:
+            self._phase, self._phase_since = phase, time
+        self._rest_since = min(self._rest_since, time) if is_still else math.inf
+        stroke = self._stroke
+        if stroke is not None:
+            stroke.highest = max(stroke.highest, highest)
+            if reading.phase is Phase.OPEN and not stroke.model_opened:
+                stroke.model_opened, stroke.model_opened_at = True, time
+        self._judge_position(time, position)
+        if stroke is not None:
+            self._end_if_over(stroke, time)
+        elif self._times[-1] - self._times[0] > 2.0 * LEAD or len(self._times) > MOST_SAMPLES:
+            self._keep_from(time - LEAD)
+
+    def _judge_position(self, time: float, position: float) -> None:
+        """Whether the valve is where the model has been for longer than patience allows."""
+        if math.isnan(self._volts):
+            return
+        took, patience = self._phase_since - self._last_command, self._settings.patience
+        patience = max(patience, took if math.isfinite(took) else 0.0) + self.uncertainty
+        if time - max(self._phase_since, self._last_command) <= patience:
+            return
+        stroke = self._stroke
+        if self._phase is Phase.OPEN and self._volts != 0.0 and stroke is not None and stroke.opened is None:
+            self._judge_opening(stroke)
+        elif self._phase is Phase.CLOSED and self._volts == 0.0 and (stroke is None or stroke.closed is None):
+            closed = self._is_closed(position)
+            if not closed:
+                self.fault = f"the valve did not close: {1e3 * position:.3f} mm open, without voltage"
+            if stroke is not None:
+                stroke.closed, stroke.fault = closed, stroke.fault or ("" if closed else self.fault)
+
+    def _is_closed(self, position: float) -> bool:
+        """Of the valve, or of the model, which without seat load floats some picometres above its seat."""
+        return position <= CLOSED * self._valve.parameters.stroke
+
+    def _judge_opening(self, stroke: _Stroke) -> None:
+        parameters = self._valve.parameters
+        stroke.opened = stroke.highest >= OPENED * parameters.stroke
+        if stroke.opened:
+            self._missed = 0
+            return
+        if stroke.highest < parameters.pilot_gap:
+            moved = 1e3 * max(stroke.highest, 0.0)
+            self.fault = f"the valve did not open: the pilot plunger moved {moved:.3f} mm only"
+        else:
+            self.fault = f"the valve opened to {1e3 * stroke.highest:.3f} mm only, of {1e3 * parameters.stroke:.3f} mm"
+        stroke.fault = self.fault
+
+    def _judge_late(self, stroke: _Stroke) -> str:
+        """Of a stroke that is over before patience was; why it cannot be judged, empty if it can.
+
+        A valve that may have got its opening command when the closing one was there already need not have opened. What
+        timing alone may have done is believed when it happens `CONFIRMED` times in a row.
+        """
+        remark = ""
+        if stroke.opened is None and stroke.model_opened:
+            is_open = stroke.highest >= OPENED * self._valve.parameters.stroke
+            self._missed = 0 if is_open else self._missed + 1
+            held = (stroke.drive[-1][0] if len(stroke.drive) > 1 else self._last) - stroke.model_opened_at
+            if is_open or held > self.uncertainty or self._missed >= CONFIRMED:
+                self._judge_opening(stroke)
+            else:
+                remark = f"timing too uncertain to judge: held open for {1e3 * max(held, 0.0):.0f} ms only"
+        if stroke.closed is None and self._phase is Phase.CLOSED and self._is_closed(self._position):
+            stroke.closed = True
+        return remark
+
+    def _begin(self, time: float) -> None:
+        """An opening command: what ran before ends, and a stroke begins."""
+        left_seat = self._left_seat()
+        begins_early = math.isfinite(left_seat)
+        if self._stroke is not None:
+            self._finish(self._stroke, "", left_seat - LIFTING if begins_early else math.inf)
+        at = max(time, self._last - self._lateness)
+        reading = self._model(time).advance(at)
+        parameters = self._valve.parameters
+        has_current = abs(reading.coil_current) * parameters.coil_resistance > NO_CURRENT * parameters.reference_voltage
+        is_closed = math.isnan(self._position) or self._is_closed(self._position) or begins_early
+        is_at_rest = is_closed and self._phase is Phase.CLOSED and not has_current
+        self._stroke = _Stroke(is_at_rest)
+        if begins_early:
+            self._stroke.highest = max(self._positions[bisect.bisect_left(self._times, left_seat) :], default=0.0)
+        if self._next is not None and is_at_rest:
+            (self._valve, self._lateness), self._next = self._next, None
+            self._stepper = Stepper(self._valve, min(time, at))
+
+    def _left_seat(self) -> float:
+        """When the valve was last at rest, s, if it has moved before its command came in; nan if it has not."""
+        limit = RESTING * self._valve.parameters.stroke
+        index = len(self._positions) - 1
+        while index >= 0 and self._positions[index] > limit and self._last - self._times[index] <= EARLIEST:
+            index -= 1
+        closing = self._stroke.drive[-1][0] if self._stroke is not None else -math.inf
+        if index < 0 or self._positions[index] > limit or self._times[index] < closing:
+            return math.nan
+        return self._times[index] if index < len(self._positions) - 1 else math.nan
+
+    def _end_if_over(self, stroke: _Stroke, time: float) -> None:
+        if time - stroke.drive[0][0] > self._settings.stroke_timeout:
+            self._finish(stroke, "it did not end before stroke_timeout")
+        elif len(self._times) > MOST_SAMPLES or len(stroke.drive) >= MOST_COMMANDS:
+            self._finish(stroke, "it is too long to be kept")
+        elif self._volts == 0.0 and time - self._rest_since > self._settle and (
+            stroke.closed is not None or self._phase is not Phase.CLOSED
+        ):  # fmt: skip
+            self._finish(stroke, "")
+
+    def _finish(self, stroke: _Stroke, remark: str, until: float = math.inf) -> None:
+        """Hand the stroke out; its last moments at rest are the next one's first."""
+        remark = remark or self._judge_late(stroke)
+        if not stroke.fault:
+            self.fault = ""
+        start = self._times[0] if self._times else stroke.drive[0][0]
+        times, volts = np.array(stroke.drive, dtype=np.float64).T
+        stop = bisect.bisect_right(self._times, until)
+        trace = Trace(
+            f"stroke {self.strokes}",
+            Drive(times - start, volts.copy()),
+            np.array(self._times[:stop]) - start,
+            np.array(self._positions[:stop]),
+            coil_current=self._current_since(start),
+            epoch_ns=round(start * 1e9),
+        )
+        remark = remark or ("" if stroke.is_at_rest else "it did not begin at rest") or stroke.fault
+        first, last = float(trace.drive.times[0]), float(trace.drive.times[-1])
+        opening = (trace.times > first) & ((trace.times < last) | (last == first))
+        if np.count_nonzero(opening) < FEWEST_SAMPLES:
+            remark = remark or "it has too few samples"
+        self._finished.append(
+            StrokeRecord(
+                self.strokes, stroke.drive[0][0], trace, remark, stroke.opened, stroke.closed, stroke.fault,
+                max(0.0, stroke.latest - self._arrivals.soonest) if math.isfinite(stroke.latest) else math.nan,
+            )
+        )  # fmt: skip
+        self.strokes += 1
+        self._stroke = None
+        if math.isfinite(until):
+            self._keep_from(until)
+            return
+        is_closed = self._phase is Phase.CLOSED and math.isfinite(self._rest_since)
+        still = max(self._rest_since + self.uncertainty / TAIL, self._last_open + STILL_AFTER, self._last - LEAD)
+        self._keep_from(still if is_closed else math.inf)
+
+    def _current_since(self, start: float) -> Signal | None:
+        """Until the last sample: what came in later belongs to the next stroke."""
+        stop = bisect.bisect_right(self._current_times, self._last)
+        if stop == 0:
+            return None
+        return Signal(np.array(self._current_times[:stop]) - start, np.array(self._currents[:stop]))
+
+    def _keep_from(self, time: float) -> None:
+        for times, values in ((self._times, self._positions), (self._current_times, self._currents)):
+            first = max(bisect.bisect_left(times, time), len(times) - MOST_SAMPLES // 2)
+            del times[:first], values[:first]
+
+
+@dataclass
+class _Stroke:
+    """A stroke that is under way."""
+
+    is_at_rest: bool
+    drive: list[tuple[float, float]] = field(default_factory=list)
+    highest: float = 0.0
+    model_opened: bool = False
+    model_opened_at: float = math.nan
+    latest: float = -math.inf
+    opened: bool | None = None
+    closed: bool | None = None
+    fault: str = ""

@@ -1,0 +1,287 @@
+"""What identification sees of a machine: named parameters, effects that may be on, and what sensors would show.
+
+The valve is one plant (`valve_plant`), a servo axis another (`benchmarks/emps`), a user's actuator a third. Fit and
+diagnosis know only this page.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final, Literal, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valve_sim.model.parameters import Parameter
+
+Array = NDArray[np.float64]
+
+SMALL_MOVE: Final = 0.05
+"""Natural sizes of a parameter: a difference that shows the direction in which it moves the residual."""
+
+
+class Nuisance(NamedTuple):
+    """Something that is not the machine's but must be estimated along.
+
+    Attributes:
+        name, unit: what it is. sigma: of its prior N(0, sigma).
+        channels: indices of the channels that it acts on; empty: on all.
+        during: s, from when to when it acts on them, by their times.
+    """
+
+    name: str
+    sigma: float
+    unit: str
+    channels: tuple[int, ...] = ()
+    during: tuple[float, float] = (-math.inf, math.inf)
+
+
+@dataclass(frozen=True)
+class EffectChoice:
+    """An effect that a diagnosis may add: its parameters are freed as `<name>.<parameter>`."""
+
+    name: str
+    parameters: tuple[Parameter, ...]
+    confused_with: tuple[str, ...] = ()
+
+    def free_names(self) -> tuple[str, ...]:
+        """The names that a fit frees."""
+        return tuple(f"{self.name}.{parameter.name}" for parameter in self.parameters)
+
+
+@dataclass(frozen=True)
+class ForceMap:
+    """A force of unknown origin that a fit may add: a curve over one variable, free at its knots.
+
+    Attributes:
+        variable: what it is a function of, e.g. "x" or "t·v".
+        all_knots: names of the knots. fixed: values that place them.
+        low, high: the range of the variable, in `unit`.
+        one_knot: the only knot that is free, or None: all are.
+    """
+
+    variable: str
+    all_knots: tuple[str, ...]
+    fixed: Mapping[str, float]
+    low: float
+    high: float
+    unit: str
+    one_knot: int | None = None
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Names of the knots that a fit frees."""
+        return self.all_knots if self.one_knot is None else (self.all_knots[self.one_knot],)
+
+    @property
+    def held(self) -> dict[str, float]:
+        """What a fit holds: the place of the knots, and no force at those that are not free."""
+        return {**self.fixed, **{name: 0.0 for name in self.all_knots if name not in self.free}}
+
+    def at_one_knot(self) -> list[ForceMap]:
+        """The same with only one knot free, for each knot: forces that act at one place alone."""
+        return [replace(self, one_knot=index) for index in range(len(self.all_knots))]
+
+
+READABLE_UNITS: Final = {"m": (1e6, "µm")}
+"""SI unit to the factor and name of the unit in which people read a sensor's signal."""
+
+Role = Literal["response", "actuation"]
+"""What a channel shows: the machine's response, by which models are judged, or the actuator that drives it.
+
+An actuator's form may be one that no effect explains, so it is believed only as far as effects explain it.
+"""
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One measured signal: what a fit compares with the prediction.
+
+    Attributes:
+        name: for people, e.g. "train.mcap: pilot_position".
+        kind: of sensor, e.g. "position", "current" or "force": signals of one kind share their noise.
+        times: (n,) s. data: (n,) in `unit`.
+        quiet: (n,) True where the machine is known to be still, so that what is seen is the sensor's noise.
+        group: (n,) the stroke (or window) that each sample belongs to, from 0 on; hold-out takes whole groups.
+        unit: SI.
+        role: what the channel shows.
+        recording: which recording it is of; groups of one number in one recording are one stroke.
+        drifts: whether the signal drifts while the machine is still, as a current does while its coil heats.
+        resolution: by how much data and prediction differ for numerical reasons alone: rounded stamps, rounded values,
+            the tolerance of an integrator. No noise is taken to be smaller.
+    """
+
+    name: str
+    kind: str
+    times: Array
+    data: Array
+    quiet: NDArray[np.bool_]
+    group: NDArray[np.int64]
+    unit: str = "m"
+    role: Role = "response"
+    recording: int = 0
+    drifts: bool = False
+    resolution: float = 0.0
+
+    @property
+    def readable(self) -> tuple[float, str]:
+        """The factor from SI, and the name, of the unit in which people read the signal."""
+        return READABLE_UNITS.get(self.unit, (1.0, self.unit))
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A recording that could be made.
+
+    Attributes:
+        words: for people, e.g. "11 V for 4 ms".
+        simulated: the recording, without noise, as if the machine had the given values.
+        commands: (s, input) from 0 on, each held until the next: what drives the machine; empty where it is not said.
+    """
+
+    words: str
+    simulated: Callable[[Mapping[str, float]], Plant]
+    commands: tuple[tuple[float, float], ...] = ()
+
+
+class Advice(NamedTuple):
+    """What a plant's owner should record next, in whole sentences without the full stop.
+
+    Attributes:
+        ambiguous: why one stroke cannot tell effects apart. first: after a single stroke. more: after several.
+    """
+
+    ambiguous: str
+    first: str
+    more: str
+
+
+GENERIC_ADVICE: Final = Advice(
+    "one stroke cannot tell an effect from what is refitted anyway",
+    "Record next: at least eight strokes under different conditions, in one recording",
+    "Record next: strokes under conditions not used yet",
+)
+
+
+def advice_of(plant: Plant) -> Advice:
+    """The plant's own `advice`, an optional member, or words that hold for any machine."""
+    found = getattr(plant, "advice", GENERIC_ADVICE)
+    return found if isinstance(found, Advice) else GENERIC_ADVICE
+
+
+def judged_channels(plant: Plant) -> list[int]:
+    """Indices of the channels in which errors are reported: responses, of the first one's kind and so of one unit."""
+    responses = [index for index, channel in enumerate(plant.channels) if channel.role == "response"]
+    indices = responses or list(range(len(plant.channels)))
+    kind = plant.channels[indices[0]].kind
+    return [index for index in indices if plant.channels[index].kind == kind]
+
+
+def strokes_of_plant(plant: Plant) -> list[tuple[int, int]]:
+    """(recording, group) of every stroke that a response shows, in order."""
+    channels = plant.channels
+    responses = [channel for channel in channels if channel.role == "response"] or channels
+    return sorted({(channel.recording, int(group)) for channel in responses for group in np.unique(channel.group)})
+
+
+class Plant(Protocol):
+    """A machine with its measured data."""
+
+    @property
+    def channels(self) -> Sequence[Channel]:
+        """What was measured."""
+
+    @property
+    def base(self) -> Sequence[str]:
+        """The parameters that are refitted before any effect is claimed."""
+
+    @property
+    def nuisances(self) -> Sequence[Nuisance]:
+        """Always estimated: clock offsets."""
+
+    @property
+    def timing_errors(self) -> Sequence[Nuisance]:
+        """Estimated where the data ask for it: errors of each command's stamp."""
+
+    @property
+    def effects(self) -> Mapping[str, EffectChoice]:
+        """What may be missing, by name."""
+
+    @property
+    def force_maps(self) -> Sequence[ForceMap]:
+        """Curves that stand for what no named effect explains."""
+
+    @property
+    def experiments(self) -> Sequence[Experiment]:
+        """Recordings that could be made next, where the plant knows any."""
+
+    def parameter(self, name: str) -> Parameter:
+        """Unit and range of anything that can be freed."""
+
+    def declared(self, name: str) -> float:
+        """The declared value of a parameter, or the value at which an effect's parameter changes nothing."""
+
+    def predict(self, values: Mapping[str, float]) -> list[Array]:
+        """What each channel would show. Called from several threads at once, so it keeps nothing between calls.
+
+        Args:
+            values: freed parameters and nuisances by name; the rest is as declared. Effects that appear are on.
+        """
+
+
+def _is_logarithmic(parameter: Parameter) -> bool:
+    """Whether a parameter is a scale (a time constant, a film) that is searched by its logarithm."""
+    return parameter.off is None and parameter.lower > 0.0 and not parameter.infinite_at_upper
+
+
+def _is_reciprocal(parameter: Parameter) -> bool:
+    """Whether a parameter is off, or not to be seen, at infinity and therefore searched by its reciprocal."""
+    return parameter.infinite_at_upper or (parameter.off is not None and math.isinf(parameter.off))
+
+
+def to_internal(parameter: Parameter, value: float) -> float:
+    """The coordinate in which a parameter is searched: its value, 1/value where infinity is in reach, or ln(value)."""
+    if _is_reciprocal(parameter):
+        return 0.0 if math.isinf(value) else 1.0 / value
+    return math.log(value) if _is_logarithmic(parameter) else value
+
+
+def from_internal(parameter: Parameter, coordinate: float) -> float:
+    """The inverse of `to_internal`."""
+    if _is_reciprocal(parameter):
+        most = parameter.upper if parameter.infinite_at_upper else math.inf
+        return most if coordinate <= 0.0 else min(1.0 / coordinate, most)
+    return math.exp(coordinate) if _is_logarithmic(parameter) else coordinate
+
+
+def internal_slope(parameter: Parameter, coordinate: float) -> float:
+    """|d value / d coordinate|; infinite where the value is."""
+    if _is_reciprocal(parameter):
+        return math.inf if coordinate <= 0.0 else 1.0 / coordinate**2
+    return math.exp(coordinate) if _is_logarithmic(parameter) else 1.0
+
+
+def internal_bounds(parameter: Parameter) -> tuple[float, float]:
+    """The bounds of the search coordinate."""
+    if _is_reciprocal(parameter):
+        return (1.0 / parameter.upper if parameter.infinite_at_upper else 0.0), 1.0 / parameter.lower
+    if _is_logarithmic(parameter):
+        return math.log(parameter.lower), math.log(parameter.upper)
+    return parameter.lower, parameter.upper
+
+
+def internal_scale(parameter: Parameter) -> float:
+    """A natural size of the search coordinate."""
+    if _is_reciprocal(parameter):
+        return 1.0 / parameter.prior_scale
+    return 1.0 if _is_logarithmic(parameter) else abs(parameter.prior_scale)
+
+
+def perturbed(parameter: Parameter, value: float) -> float:
+    """A value a little off, by a share of its natural size, within its range: for the direction that it moves in."""
+    at = to_internal(parameter, value)
+    lower, upper = internal_bounds(parameter)
+    step = SMALL_MOVE * internal_scale(parameter)
+    return from_internal(parameter, min(max(at + step if at + step <= upper else at - step, lower), upper))

@@ -1,0 +1,108 @@
+"""What a report draws of each stroke: measured, and the model before and after, thinned without hiding extremes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valve_sim.identification.diagnosis.run import Diagnosis
+from valve_sim.identification.estimation.fitting import Fit
+from valve_sim.identification.plants.protocol import Array, Channel, judged_channels
+
+DRAWN_POINTS: Final = 450
+"""At most so many points for each stroke: 100 strokes then make a report of some 2 MB."""
+
+
+@dataclass(frozen=True)
+class StrokeCurves:
+    """One stroke of one channel; arrays are (n,), in the units that people read.
+
+    Attributes:
+        title: where it is from. is_held_out: whether it took no part in the fit.
+        time: ms. measured, before, after: in `unit`. noise: σ of the sensor, in `unit`.
+        root_mean_squares: of measured − before and measured − after, over all samples.
+    """
+
+    title: str
+    is_held_out: bool
+    quantity: str
+    unit: str
+    time: Array
+    measured: Array
+    before: Array
+    after: Array
+    noise: float
+    root_mean_squares: tuple[float, float]
+
+    def thinned(self) -> StrokeCurves:
+        """At most `DRAWN_POINTS` samples: of each of equal bins, those where a curve or residual is extreme."""
+        curves = (self.measured, self.measured - self.before, self.measured - self.after)
+        kept = keep_extremes(curves, DRAWN_POINTS)
+        return StrokeCurves(
+            self.title, self.is_held_out, self.quantity, self.unit, self.time[kept], self.measured[kept],
+            self.before[kept], self.after[kept], self.noise, self.root_mean_squares,
+        )  # fmt: skip
+
+
+def keep_extremes(curves: tuple[Array, ...], most: int) -> NDArray[np.int64]:
+    """Indices of at most `most` samples: the ends, and of equal bins where each curve is lowest and highest.
+
+    Args:
+        curves: (n,) each.
+        most: more than 2 and the number of extremes of one bin.
+    """
+    count = len(curves[0])
+    if count <= most:
+        return np.arange(count)
+    bins = max(1, (most - 2) // (2 * len(curves)))
+    kept = {0, count - 1}
+    for part in np.array_split(np.arange(count), bins):
+        for curve in curves:
+            kept.add(int(part[np.argmin(curve[part])]))
+            kept.add(int(part[np.argmax(curve[part])]))
+    return np.array(sorted(kept))
+
+
+def strokes_of(diagnosis: Diagnosis) -> list[StrokeCurves]:
+    """Every stroke of every channel in which errors are reported: those that were fitted, then those held out."""
+    before, after = diagnosis.before, diagnosis.after
+    found = list(_strokes(before.fit, after.fit, is_held_out=False))
+    if before.holdout is not None and after.holdout is not None:
+        found += _strokes(before.holdout, after.holdout, is_held_out=True)
+    return found
+
+
+def _strokes(before: Fit, after: Fit, *, is_held_out: bool) -> Iterator[StrokeCurves]:
+    problem = before.problem
+    shown_before, shown_after = (problem.plant.predict(fitted.values) for fitted in (before, after))
+    for index in judged_channels(problem.plant):
+        channel, first, second = problem.plant.channels[index], shown_before[index], shown_after[index]
+        takes_part = problem.weight(index) > 0.0
+        sigma = problem.noise_of(index).sigma
+        for group in np.unique(channel.group[takes_part]):
+            chosen = takes_part & (channel.group == group)
+            yield _stroke(channel, chosen, (first[chosen], second[chosen]), sigma, is_held_out=is_held_out)
+
+
+def _stroke(
+    channel: Channel, chosen: NDArray[np.bool_], shown: tuple[Array, Array], sigma: float, *, is_held_out: bool
+) -> StrokeCurves:
+    scale, unit = channel.readable
+    measured = scale * channel.data[chosen]
+    before, after = (scale * curve for curve in shown)
+    number = int(channel.group[chosen][0]) + 1
+    title = f"{channel.name}, stroke {number}" + (", held out" if is_held_out else "")
+    errors = (_root_mean_square(measured - before), _root_mean_square(measured - after))
+    return StrokeCurves(
+        title, is_held_out, channel.kind, unit, 1e3 * channel.times[chosen], measured, before, after, scale * sigma,
+        errors,
+    )  # fmt: skip
+
+
+def _root_mean_square(values: Array) -> float:
+    return math.sqrt(float(np.mean(np.square(values))))

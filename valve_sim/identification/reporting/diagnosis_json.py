@@ -1,0 +1,107 @@
+"""The content of report.json."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from valve_sim.identification.diagnosis.run import Diagnosis, State
+from valve_sim.identification.plants.protocol import judged_channels
+from valve_sim.identification.reporting.force_curves import Motion, force_curve, motion_of
+from valve_sim.identification.reporting.wording import headline, meanings
+from valve_sim.identification.selection.force_maps import Unexplained
+
+
+def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
+    """The content of report.json.
+
+    Errors are in `unit`, the one in which people read the response: µm of a position, N of a force. Of a position they
+    also stand under the older names `noise_um` and `rmse_um`.
+    """
+    motion = motion_of(diagnosis)
+    problem = diagnosis.before.fit.problem
+    scale, unit = problem.plant.channels[judged_channels(problem.plant)[0]].readable
+    return {
+        "schema": "valve_sim/diagnosis/1",
+        "sources": list(diagnosis.sources),
+        "unit": unit,
+        **_in_unit("noise", scale * problem.noise.sigma, unit),
+        "before": _state_json(diagnosis.before, scale, unit),
+        "verdict": {
+            "kind": diagnosis.verdict.kind,
+            "effects": list(diagnosis.verdict.effects),
+            "confusable_with": {name: list(others) for name, others in diagnosis.verdict.confusable_with.items()},
+            "probability": diagnosis.verdict.probability,
+            "evidence": diagnosis.verdict.evidence,
+            "summary": diagnosis.verdict.summary,
+            "headline": headline(diagnosis),
+        },
+        "meaning": {meaning.name: meaning.to_json() for meaning in meanings(diagnosis)},
+        "after": {**_state_json(diagnosis.after, scale, unit), "effects": _effects_json(diagnosis.after)},
+        "candidates": [
+            {
+                "effect": " + ".join(candidate.effects),
+                "effects": list(candidate.effects),
+                "command_errors": candidate.timing,
+                "delta_bic": _number(candidate.delta_score),
+                **_errors(candidate.train_rmse, candidate.holdout_rmse, scale, unit),
+                "parameters": {name: interval.to_json() for name, interval in candidate.intervals.items()},
+            }
+            for candidate in diagnosis.candidates
+        ],
+        "unexplained": None if diagnosis.unexplained is None else _unexplained_json(diagnosis.unexplained, motion),
+        "force_maps": [_unexplained_json(entry, motion) for entry in diagnosis.maps],
+        "record_next": diagnosis.record_next or None,
+        "record_next_gain": None if diagnosis.telling is None else diagnosis.telling.to_json(),
+        "untried": list(diagnosis.untried),
+        "false_alarm": diagnosis.false_alarm._asdict(),
+    }
+
+
+def _in_unit(name: str, value: Any, unit: str) -> dict[str, Any]:
+    return {name: value, f"{name}_um": value} if unit == "µm" else {name: value}
+
+
+def _errors(train: float, holdout: float, scale: float, unit: str) -> dict[str, Any]:
+    return _in_unit("rmse", {"train": scale * train, "holdout": _number(scale * holdout)}, unit)
+
+
+def _state_json(state: State, scale: float, unit: str) -> dict[str, Any]:
+    return {
+        "parameters": {name: i.to_json() for name, i in state.intervals.items() if "." not in name},
+        **_errors(state.train_rmse, state.holdout_rmse, scale, unit),
+        "white": state.adequacy.is_white,
+        "chi2_per_sample": state.fit.chi2 / state.fit.problem.effective_samples,
+        "test": {"p_value": state.adequacy.p_value, "worst": state.adequacy.worst},
+    }
+
+
+def _effects_json(state: State) -> dict[str, dict[str, Any]]:
+    effects: dict[str, dict[str, Any]] = {}
+    for name, interval in state.intervals.items():
+        effect, dot, parameter = name.partition(".")
+        if dot:
+            effects.setdefault(effect, {})[parameter] = interval.to_json()
+    for name, value in state.fit.values.items():
+        effect, dot, parameter = name.partition(".")
+        if dot and effect in effects and parameter not in effects[effect]:
+            effects[effect][parameter] = {"value": value, "stderr": 0.0, "ci95": [value, value]}
+    return effects
+
+
+def _unexplained_json(entry: Unexplained, motion: Motion) -> dict[str, Any]:
+    """As far as the data went: knots beyond hold whatever the fit left there."""
+    curve = force_curve(entry, motion)
+    return {
+        "force_rms_n": curve.rms,
+        "where": curve.where,
+        "variable": entry.variable,
+        "at": list(entry.at),
+        "force": list(entry.force),
+        "force_stderr": list(entry.stderr),
+        "delta_bic": -entry.gain,
+    }
+
+
+def _number(value: float) -> float | None:
+    return value if math.isfinite(value) else None

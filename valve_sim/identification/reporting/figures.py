@@ -1,0 +1,169 @@
+"""Pictures for people: what a valve did, what was measured beside what was predicted, a force map and its residuals.
+
+Drawn without a display and without global state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from valve_sim.files.whole_files import replacing
+from valve_sim.identification.estimation.static_force import StaticForce
+from valve_sim.identification.plants.protocol import Array
+from valve_sim.identification.validation.replay import Replay
+from valve_sim.model import Drive, Phase, Response, ValveError
+
+PILOT, MAIN, SECOND, QUIET = "#0b6fa4", "#d9730d", "#7b3fa0", "#8a8f98"
+"""Colours that stay apart for colour-blind readers and in grey print."""
+_PHASE_NAMES: Final = {phase: phase.name.lower().replace("_", " ") for phase in Phase}
+_STYLE: Final = {"linewidth": 1.6}
+
+
+def plot_response(
+    path: Path | str,
+    response: Response,
+    drive: Drive,
+    title: str,
+    *,
+    marks: Mapping[str, float] | None = None,
+    levels: Mapping[str, float] | None = None,
+) -> None:
+    """Draw displacement, velocity, current and phase, one above the other.
+
+    Args:
+        path: of the picture; its ending says the format.
+        response: what the valve did.
+        drive: the commanded voltage.
+        title: one line.
+        marks: times to mark by a name, s.
+        levels: displacements to mark by a name, m.
+
+    Raises:
+        ValveError: the picture cannot be written.
+    """
+    figure = Figure(figsize=(9.0, 8.0), layout="constrained")
+    displacement, velocity, current, phase = figure.subplots(4, 1, sharex=True, height_ratios=(3, 2, 2, 1.6))
+    times = 1e3 * response.time
+    displacement.plot(times, 1e6 * response.pilot_position, color=PILOT, label="pilot plunger", **_STYLE)
+    displacement.plot(times, 1e6 * response.main_position, color=MAIN, label="main plunger", **_STYLE)
+    displacement.set_ylabel("displacement, µm")
+    for name, level in (levels or {}).items():
+        _mark_level(displacement, name, 1e6 * level)
+    displacement.legend(loc="center right", frameon=False)
+    velocity.plot(times, 1e3 * response.pilot_velocity, color=PILOT, **_STYLE)
+    velocity.axhline(0.0, color=QUIET, linewidth=0.6)
+    velocity.set_ylabel("velocity, mm/s")
+    current.plot(times, response.coil_current, color=SECOND, **_STYLE)
+    current.set_ylabel("coil current, A")
+    _draw_voltage(current, drive, response.time)
+    _draw_phase(phase, times, response.phase)
+    for name, time in (marks or {}).items():
+        _mark_time((displacement, velocity, current, phase), name, 1e3 * time)
+    _finish(figure, path, title, "time, ms")
+
+
+def plot_replay(path: Path | str, replay: Replay) -> None:
+    """Draw measured and predicted displacement, and what lies between them beside the tolerance.
+
+    Raises:
+        ValveError: the picture cannot be written.
+    """
+    figure = Figure(figsize=(10.0, 6.0), layout="constrained")
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+    times = 1e3 * replay.trace.times
+    above.plot(times, 1e6 * replay.trace.pilot_position, color=QUIET, linewidth=2.6, label="measured")
+    above.plot(times, 1e6 * replay.predicted, color=PILOT, linewidth=1.0, label="model")
+    above.set_ylabel("pilot plunger, µm")
+    above.legend(loc="upper right", frameon=False)
+    below.plot(times, 1e6 * (replay.trace.pilot_position - replay.predicted), color=MAIN, linewidth=0.7)
+    for sign in (-1.0, 1.0):
+        below.axhline(sign * 1e6 * replay.tolerance, color=QUIET, linestyle="--", linewidth=0.8)
+    below.set_ylabel("measured − model, µm")
+    verdict = "within" if replay.passed else "outside"
+    _finish(figure, path, f"{replay.trace.source}: {verdict} {1e6 * replay.tolerance:.3g} µm (dashed)", "time, ms")
+
+
+def plot_static_force(path: Path | str, fitted: StaticForce) -> None:
+    """Draw the measured force, the polynomial through it, and the residuals.
+
+    Raises:
+        ValveError: the picture cannot be written.
+    """
+    figure = Figure(figsize=(8.0, 6.0), layout="constrained")
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+    order = np.argsort(fitted.displacement)
+    x = 1e6 * fitted.displacement[order]
+    above.plot(x, fitted.force[order], "o", color=QUIET, markersize=3.5, label="measured")
+    above.plot(x, fitted.predicted[order], color=PILOT, label="polynomial", **_STYLE)
+    above.set_ylabel(f"attraction at {fitted.voltage:g} V, N")
+    above.legend(loc="upper left", frameon=False)
+    below.plot(x, (fitted.force - fitted.predicted)[order], "o", color=MAIN, markersize=3.5)
+    below.axhline(0.0, color=QUIET, linewidth=0.8)
+    below.set_ylabel("measured − polynomial, N")
+    _finish(figure, path, f"{fitted.source}: residual {fitted.rmse:.3g} N rms", "displacement, µm")
+
+
+def _draw_voltage(axes: Axes, drive: Drive, times: Array) -> None:
+    """The command, dashed on an axis of its own."""
+    volts = axes.twinx()
+    volts.step(1e3 * times, drive.at(times), where="post", color=QUIET, linewidth=1.0, linestyle="--")
+    volts.set_ylabel("command, V", color=QUIET)
+    volts.tick_params(axis="y", colors=QUIET)
+    volts.spines[["top"]].set_visible(False)
+
+
+def _draw_phase(axes: Axes, times: Array, phases: np.typing.NDArray[np.uint8]) -> None:
+    axes.step(times, phases, where="post", color="black", linewidth=1.4)
+    axes.set_yticks([int(phase) for phase in Phase], [_PHASE_NAMES[phase] for phase in Phase])
+    axes.set_ylim(-0.4, len(Phase) - 0.6)
+    axes.set_ylabel("phase")
+
+
+def _mark_level(axes: Axes, name: str, level: float) -> None:
+    axes.axhline(level, color=QUIET, linewidth=0.6, linestyle=":")
+    axes.annotate(
+        f"{name} {level:.0f} µm", (1.0, level), xycoords=("axes fraction", "data"), xytext=(-4, 3),
+        textcoords="offset points", fontsize=8, color=QUIET, horizontalalignment="right",
+    )  # fmt: skip
+
+
+def _mark_time(panels: tuple[Axes, ...], name: str, time: float) -> None:
+    for axes in panels:
+        axes.axvline(time, color=QUIET, linewidth=0.6, linestyle=":")
+    panels[0].annotate(
+        name, (time, 1.0), xycoords=("data", "axes fraction"), xytext=(0, 3), textcoords="offset points", fontsize=8,
+        horizontalalignment="center",
+    )  # fmt: skip
+
+
+def _finish(figure: Figure, path: Path | str, title: str, unit: str) -> None:
+    figure.suptitle(title)
+    figure.axes[0].margins(x=0.01)
+    for axes in figure.axes:
+        axes.spines[["top"]].set_visible(False)
+        axes.grid(visible=True, axis="x", color="#e4e6ea", linewidth=0.6)
+    lowest = max((axes for axes in figure.axes), key=lambda axes: axes.get_subplotspec().rowspan.stop)  # type: ignore[union-attr]
+    lowest.set_xlabel(unit)
+    save_figure(figure, Path(path))
+
+
+def save_figure(figure: Figure, path: Path) -> None:
+    """Write a picture, whole or not at all.
+
+    Raises:
+        ValveError: it cannot be written.
+    """
+    ending = path.suffix.lstrip(".") or "png"
+    try:
+        with replacing(path) as partial:
+            figure.savefig(partial, dpi=130, format=ending)
+    except ValueError as error:
+        raise ValveError(
+            f"{path}: the picture cannot be written ({error}); expected a path that ends with .png"
+        ) from error

@@ -1,0 +1,66 @@
+"""The files that a diagnosis leaves behind: report.json, report.html, report.png.
+
+Of a valve also corrected.yaml, and record_next.yaml where there is something to tell apart.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from valve_sim.files.parameter_files import save_valve
+from valve_sim.files.whole_files import write_whole
+from valve_sim.identification.diagnosis.run import Diagnosis
+from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.identification.reporting.diagnosis_json import to_json
+from valve_sim.identification.reporting.html import plot_diagnosis, write_report
+from valve_sim.identification.reporting.recording_profile import write_profile
+
+FILES: Final = ("report.json", "report.html", "report.png", "corrected.yaml")
+"""Of a valve, in the order in which they are written; record_next.yaml follows where there is something to tell."""
+
+
+def write_diagnosis(diagnosis: Diagnosis, directory: Path | str, provenance: str) -> tuple[Path, ...]:
+    """Write what a diagnosis found, each file whole or not at all.
+
+    Args:
+        diagnosis: of any plant; only a valve has a corrected.yaml and a record_next.yaml.
+        directory: made where it is missing.
+        provenance: how the diagnosis was made; goes into report.html and corrected.yaml.
+
+    Returns:
+        the files, report.json first.
+
+    Raises:
+        ValveError: a file cannot be written.
+    """
+    folder = Path(directory)
+    data, page, picture, corrected = (folder / name for name in FILES)
+    text = json.dumps(_without_infinities(to_json(diagnosis)), indent=2, ensure_ascii=False, allow_nan=False)
+    write_whole(data, text + "\n")
+    write_report(diagnosis, page, provenance)
+    plot_diagnosis(diagnosis, picture)
+    if not isinstance(diagnosis.plant, ValvePlant):
+        return data, page, picture
+    save_valve(corrected, diagnosis.valve, provenance)
+    profile = folder / "record_next.yaml"
+    if not diagnosis.record_next:
+        # One from an earlier run into this folder would advise what this diagnosis does not.
+        profile.unlink(missing_ok=True)
+        return data, page, picture, corrected
+    write_profile(profile, diagnosis.telling, provenance)
+    return data, page, picture, corrected, profile
+
+
+def _without_infinities(value: Any) -> Any:
+    """JSON has no number that is not finite: null."""
+    if isinstance(value, Mapping):
+        return {key: _without_infinities(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_infinities(item) for item in value]
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    return value

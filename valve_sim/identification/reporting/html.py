@@ -1,0 +1,335 @@
+"""A diagnosis as people look at it: one self-contained page, and the same plots as a picture.
+
+The page needs no network: its plots are drawn by a few lines of script that it carries along.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from jinja2 import Environment, PackageLoader
+
+from valve_sim import __version__
+from valve_sim.files.whole_files import write_whole
+from valve_sim.identification.diagnosis.run import Candidate, Diagnosis, State
+from valve_sim.identification.plants.protocol import judged_channels
+from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.identification.reporting.curves import StrokeCurves, strokes_of
+from valve_sim.identification.reporting.force_curves import ForceCurve, force_curve, motion_of
+from valve_sim.identification.reporting.units import limits, measured, quantity
+from valve_sim.identification.reporting.wording import (
+    headline,
+    kind_words,
+    meanings,
+    named_value,
+    probability_words,
+    titles_of,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+SHOWN_STROKES: Final = 6
+"""So many are drawn at once, those that the declared model misses most; the others unfold."""
+FIRST_STROKES: Final = 2
+"""So many stay with their heading on paper."""
+PICTURED_STROKES: Final = 3
+_FACTOR_WORDS: Final = {"·v": ", times velocity", "·u²": ", with the current squared"}
+SHOWN_CANDIDATES: Final = 8
+_SMALLEST_PROBABILITY: Final = 1e-6
+"""Below it a p-value says nothing more."""
+
+
+def write_report(diagnosis: Diagnosis, path: Path | str, provenance: str = "") -> None:
+    """Write report.html, whole or not at all.
+
+    Args:
+        diagnosis: what was found.
+        path: of the page.
+        provenance: how it was made, shown as it stands.
+
+    Raises:
+        ValveError: the page cannot be written.
+    """
+    environment = Environment(
+        loader=PackageLoader("valve_sim.identification.reporting"),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    page = environment.get_template("report.html.j2").render(_content(diagnosis), provenance=provenance)
+    write_whole(Path(path), page)
+
+
+def plot_diagnosis(diagnosis: Diagnosis, path: Path | str) -> None:
+    """Draw the strokes that the declared model misses most, their residuals, and the force maps.
+
+    Raises:
+        ValveError: the picture cannot be written.
+    """
+    # Loaded here because a report.html, and --help, do not need it.
+    from matplotlib.figure import Figure
+
+    from valve_sim.identification.reporting.figures import MAIN, PILOT, QUIET, save_figure
+
+    strokes = _worst_first(strokes_of(diagnosis))[:PICTURED_STROKES]
+    figure = Figure(figsize=(4.6 * len(strokes) + 0.8, 8.6 if diagnosis.maps else 6.4), layout="constrained")
+    figure.suptitle(f"{headline(diagnosis)}\nProbability {probability_words(diagnosis.verdict)}", wrap=True)
+    ratios = (5, 3) if diagnosis.maps else (1,)
+    rows = list(figure.subfigures(len(ratios), 1, squeeze=False, height_ratios=ratios)[:, 0])
+    for above, below, stroke in zip(
+        *rows[0].subplots(2, len(strokes), sharex="col", squeeze=False), strokes, strict=True
+    ):
+        above.set_title(_wrapped(stroke.title), fontsize=9)
+        above.plot(stroke.time, stroke.measured, color=QUIET, linewidth=2.8, label="measured")
+        above.plot(stroke.time, stroke.before, color=MAIN, linewidth=1.2, label="before")
+        above.plot(stroke.time, stroke.after, color=PILOT, linewidth=1.2, label="after")
+        above.set_ylabel(f"{stroke.quantity}, {stroke.unit}")
+        below.axhspan(-2 * stroke.noise, 2 * stroke.noise, color=PILOT, alpha=0.1, linewidth=0)
+        below.plot(stroke.time, stroke.measured - stroke.before, color=MAIN, linewidth=0.8)
+        below.plot(stroke.time, stroke.measured - stroke.after, color=PILOT, linewidth=0.8)
+        below.set_ylabel(f"residual, {stroke.unit}")
+        below.set_xlabel("time, ms")
+    rows[0].axes[0].legend(frameon=False)
+    if diagnosis.maps:
+        axes = rows[1].subplots(1, len(diagnosis.maps), squeeze=False)[0]
+        for panel, curve in zip(axes, force_curves(diagnosis), strict=True):
+            _draw_curve(panel, curve, PILOT, QUIET)
+    for panel in [axes for row in rows for axes in row.axes]:
+        panel.spines[["top", "right"]].set_visible(False)
+    save_figure(figure, Path(path))
+
+
+def _draw_curve(axes: Axes, curve: ForceCurve, colour: str, quiet: str) -> None:
+    axes.fill_between(
+        curve.at, curve.force - curve.band, curve.force + curve.band, color=colour, alpha=0.15, linewidth=0
+    )
+    axes.plot(curve.at, curve.force, "o-", color=colour, markersize=3.5, markevery=list(curve.knots))
+    axes.axhline(0.0, color=quiet, linewidth=0.8)
+    axes.set_xlabel(curve.label)
+    axes.set_ylabel(curve.force_label)
+
+
+def _wrapped(title: str) -> str:
+    return title.replace(": ", ":\n").replace("$", r"\$")
+
+
+# --- what the page says -------------------------------------------------------------------------------------------
+
+
+def _content(diagnosis: Diagnosis) -> dict[str, Any]:
+    """Everything that the template names."""
+    verdict, strokes = diagnosis.verdict, _worst_first(strokes_of(diagnosis))
+    channel = diagnosis.plant.channels[judged_channels(diagnosis.plant)[0]]
+    scale, unit = channel.readable
+    captions = [
+        {"index": index, "title": stroke.title, "rms": _change(*stroke.root_mean_squares, unit)}
+        for index, stroke in enumerate(strokes)
+    ]
+    held_out = sum(stroke.is_held_out for stroke in strokes)
+    sigma = scale * diagnosis.before.fit.problem.noises[channel.kind].sigma
+    words, is_sure = kind_words(verdict)
+    candidates = [_candidate_row(candidate, diagnosis, scale, unit) for candidate in diagnosis.candidates]
+    return {
+        "kind": verdict.kind,
+        "kind_words": words,
+        "is_sure": is_sure,
+        "probability": probability_words(verdict),
+        "headline": headline(diagnosis),
+        "summary": verdict.summary,
+        "improvement": _improvement(diagnosis, scale, unit, sigma),
+        "meanings": meanings(diagnosis),
+        "comparison": _comparison(diagnosis, scale, unit),
+        "first": captions[:FIRST_STROKES],
+        "second": captions[FIRST_STROKES:SHOWN_STROKES],
+        "rest": captions[SHOWN_STROKES:],
+        **_forces(diagnosis),
+        "candidates": candidates[:SHOWN_CANDIDATES],
+        "more_candidates": candidates[SHOWN_CANDIDATES:],
+        "intervals": _interval_rows(diagnosis),
+        "has_parameters": isinstance(diagnosis.plant, ValvePlant),
+        "record_next": diagnosis.record_next,
+        "gain": _gain_rows(diagnosis),
+        "version": __version__,
+        "sources": diagnosis.sources,
+        "noise": f"{_three_digits(sigma)} {unit} rms of the {channel.kind} sensor, read where the machine is still",
+        "strokes": f"{len(strokes) - held_out} fitted, {held_out} held out. Errors are over all samples; drawn are, of "
+        "equal bins of each stroke, the samples at which a curve or a residual is lowest or highest.",
+        "strokes_data": [_stroke_plot(stroke.thinned()) for stroke in strokes],
+    }
+
+
+def _worst_first(strokes: list[StrokeCurves]) -> list[StrokeCurves]:
+    return sorted(strokes, key=lambda stroke: -stroke.root_mean_squares[0])
+
+
+def _improvement(diagnosis: Diagnosis, scale: float, unit: str, sigma: float) -> str:
+    before, after = diagnosis.before, diagnosis.after
+    words = f"On fitted strokes: {_change(scale * before.train_rmse, scale * after.train_rmse, unit)}."
+    if math.isfinite(before.holdout_rmse):
+        words += f" On held-out strokes: {_change(scale * before.holdout_rmse, scale * after.holdout_rmse, unit)}."
+    return f"Root-mean-square error before → after. {words} The sensor's noise is {_three_digits(sigma)} {unit}."
+
+
+def _change(before: float, after: float, unit: str) -> str:
+    return f"{_three_digits(before)} → {_three_digits(after)} {unit}"
+
+
+def _comparison(diagnosis: Diagnosis, scale: float, unit: str) -> list[tuple[str, str, str]]:
+    """Rows of a label, the value before and the value after, each with its unit."""
+    before, after = diagnosis.before, diagnosis.after
+
+    def of_both(label: str, say: Callable[[State], str]) -> tuple[str, str, str]:
+        return label, say(before), say(after)
+
+    rows = [
+        of_both("rms error, fitted strokes", lambda state: _number(scale * state.train_rmse, unit)),
+        of_both("rms error, held-out strokes", lambda state: _number(scale * state.holdout_rmse, unit)),
+        of_both("what is left is noise", _whiteness),
+        of_both("χ² per sample", lambda state: f"{state.fit.chi2 / state.fit.problem.effective_samples:.4g}"),
+    ]
+    for name in dict.fromkeys([*before.intervals, *after.intervals]):
+        if not _is_knot(name):
+            words, parameter_unit = named_value(diagnosis.plant, name)
+            rows.append((words, _value(before, name, parameter_unit), _value(after, name, parameter_unit)))
+    return rows
+
+
+def _whiteness(state: State) -> str:
+    probability = state.adequacy.p_value
+    words = f"p = {probability:.2g}" if probability >= _SMALLEST_PROBABILITY else f"p < {_SMALLEST_PROBABILITY:g}"
+    return f"{'yes' if state.adequacy.is_white else 'no'} ({words})"
+
+
+def _value(state: State, name: str, unit: str) -> str:
+    found = state.intervals.get(name)
+    return "–" if found is None else measured(found, unit)
+
+
+def _number(value: float, unit: str) -> str:
+    return f"{_three_digits(value)} {unit}" if math.isfinite(value) else "–"
+
+
+def _three_digits(value: float) -> str:
+    """1.00, not 1: people compare columns."""
+    return f"{value:#.3g}".rstrip(".")
+
+
+def _candidate_row(candidate: Candidate, diagnosis: Diagnosis, scale: float, unit: str) -> dict[str, Any]:
+    values = [
+        f"{diagnosis.plant.parameter(name).description} {quantity(found.value, diagnosis.plant.parameter(name).unit)}"
+        for name, found in candidate.intervals.items()
+        if "." in name and not _is_knot(name)
+    ]
+    return {
+        "title": titles_of(candidate.effects) + (" with errors of the commands' stamps" if candidate.timing else ""),
+        "name": " + ".join(candidate.effects),
+        "gain": f"{candidate.delta_score:.1f}",
+        "train": _number(scale * candidate.train_rmse, unit),
+        "holdout": _number(scale * candidate.holdout_rmse, unit),
+        "text": "; ".join(values),
+        "chosen": set(candidate.effects) == set(diagnosis.verdict.effects) and _is_fit(candidate, diagnosis.after),
+    }
+
+
+def _is_fit(candidate: Candidate, state: State) -> bool:
+    """Whether it is the candidate that the corrected model was made of, with or without errors of the stamps."""
+    return candidate.train_rmse == state.train_rmse
+
+
+def _interval_rows(diagnosis: Diagnosis) -> list[dict[str, str]]:
+    rows = []
+    for name, found in diagnosis.after.intervals.items():
+        if not _is_knot(name):
+            words, unit = named_value(diagnosis.plant, name)
+            value, remark = measured(found, unit), found.remark
+            rows.append({"words": words, "name": name, "value": value, "limits": limits(found, unit), "remark": remark})
+    return rows
+
+
+def _is_knot(name: str) -> bool:
+    """Knots of a force map are drawn, not listed."""
+    return name.startswith("force_map.")
+
+
+def _gain_rows(diagnosis: Diagnosis) -> list[str]:
+    """By how much the recording to make next is expected to separate which candidates."""
+    if diagnosis.telling is None:
+        return []
+    return [
+        f"{' and '.join(titles_of(name.split(' + ')) for name in pair['candidates'])}: "
+        f"{pair['standard_deviations']:.0f} standard deviations"
+        for pair in diagnosis.telling.to_json()["separates"]
+    ]
+
+
+# --- what the page draws ------------------------------------------------------------------------------------------
+
+
+def force_curves(diagnosis: Diagnosis) -> list[ForceCurve]:
+    """The force maps as far as the data went."""
+    motion = motion_of(diagnosis) if diagnosis.maps else None
+    return [force_curve(entry, motion) for entry in diagnosis.maps] if motion is not None else []
+
+
+def _forces(diagnosis: Diagnosis) -> dict[str, Any]:
+    curves = force_curves(diagnosis)
+    maps = [
+        {
+            "variable": curve.label.partition(",")[0] + _FACTOR_WORDS.get(curve.variable[1:], ""),
+            "gain": f"{-curve.gain:.1f}",
+            "rms": quantity(curve.rms, "N"),
+            "where": curve.where,
+        }
+        for curve in curves
+    ]
+    unexplained = ""
+    if diagnosis.unexplained is not None:
+        curve = force_curve(diagnosis.unexplained, motion_of(diagnosis))
+        unexplained = f"{quantity(curve.rms, 'N')} rms while it moves, strongest at {curve.where}."
+    return {
+        "maps": maps,
+        "maps_data": [_curve_plot(curve) for curve in curves],
+        "unexplained": unexplained,
+        "is_partial": any(curve.is_partial for curve in curves),
+    }
+
+
+def _stroke_plot(stroke: StrokeCurves) -> dict[str, Any]:
+    return {
+        "quantity": stroke.quantity,
+        "unit": stroke.unit,
+        "noise": float(f"{stroke.noise:.3g}"),
+        "time": _rounded(stroke.time, 4),
+        "measured": _rounded(stroke.measured, 2),
+        "before": _rounded(stroke.before, 2),
+        "after": _rounded(stroke.after, 2),
+        "residual_before": _rounded(stroke.measured - stroke.before, 3),
+        "residual_after": _rounded(stroke.measured - stroke.after, 3),
+    }
+
+
+def _curve_plot(curve: ForceCurve) -> dict[str, Any]:
+    return {
+        "label": curve.label,
+        "force_label": curve.force_label,
+        "at": _rounded(curve.at, 5),
+        "force": _rounded(curve.force, 6),
+        "low": _rounded(curve.force - curve.band, 6),
+        "high": _rounded(curve.force + curve.band, 6),
+        "knots": list(curve.knots),
+    }
+
+
+def _rounded(values: np.typing.NDArray[np.float64], digits: int) -> list[float | None]:
+    """Short numbers for the page; what is not finite has no place in JSON."""
+    return list(_finite(np.round(values, digits)))
+
+
+def _finite(values: np.typing.NDArray[np.float64]) -> Iterator[float | None]:
+    for value in values.tolist():
+        yield value if math.isfinite(value) else None

@@ -1,0 +1,78 @@
+"""The recording to make next as a profile of commands: what `simulate --profile` and `command_profile` take."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+from valve_sim.files.whole_files import write_whole
+from valve_sim.identification.diagnosis.experiment_design import Recommendation
+from valve_sim.model import Drive
+
+STROKE_VOLTS: Final = (7.5, 8.5, 9.5, 10.5, 11.5, 12.5, 13.5, 14.0)
+"""V, of the full strokes after the pulses: friction, drag and pull grow differently with the voltage."""
+ON, REST = 30e-3, 65e-3
+"""s: how long the voltage of a full stroke holds, and the rest after each stroke, at whose end nothing moves."""
+LEAD: Final = 0.1
+"""s of rest before the first command: the sensor's noise is read from it."""
+
+
+def profile_to_record(telling: Recommendation | None) -> Drive:
+    """The commands of the recording to make next: the telling pulse some times, then full strokes at other voltages.
+
+    Args:
+        telling: the pulse that separates the candidates most; None where none is known to.
+    """
+    pulses = [telling.experiment.commands] * telling.repeats if telling is not None else []
+    strokes = [((0.0, volts), (ON, 0.0)) for volts in STROKE_VOLTS]
+    rows, start = [], LEAD
+    for commands in [*pulses, *strokes]:
+        rows += [(start + time, volts) for time, volts in commands]
+        start = rows[-1][0] + REST
+    times, volts = zip(*rows, strict=True)
+    return Drive.of(times, volts)
+
+
+def duration_of(drive: Drive) -> float:
+    """How long to record it, s."""
+    return float(drive.times[-1]) + REST
+
+
+def write_profile(path: Path, telling: Recommendation | None, provenance: str) -> None:
+    """Write record_next.yaml, whole or not at all.
+
+    Args:
+        path: of the file.
+        telling: the pulse that separates the candidates most; None where none is known to.
+        provenance: how the diagnosis was made.
+
+    Raises:
+        ValveError: it cannot be written.
+    """
+    drive = profile_to_record(telling)
+    notes = [
+        *provenance.splitlines(),
+        "",
+        *_gain_words(telling),
+        "",
+        "Rows are [time in s, volts]; each voltage holds until the next row. Highest: "
+        f"{max(abs(drive.volts)):g} V; leave out what your coil or its driver must not get.",
+        f"Simulate: valve-sim simulate --profile {path.name} --duration {duration_of(drive):.2f} --output next.mcap",
+        f"Command:  ros2 run valve_sim command_profile --ros-args -p profile:={path.name} -p valve:=/valve",
+        "Then diagnose the new recording together with the old one: valve-sim diagnose OLD NEW --output results",
+    ]
+    rows = [
+        f"- [{time:.6g}, {volts:g}]" for time, volts in zip(drive.times.tolist(), drive.volts.tolist(), strict=True)
+    ]
+    write_whole(path, "\n".join([*(f"# {note}".rstrip() for note in notes), *rows]) + "\n")
+
+
+def _gain_words(telling: Recommendation | None) -> list[str]:
+    if telling is None:
+        return ["Full strokes at eight voltages. No single pulse is known to tell the candidates apart."]
+    pulses = f"{telling.repeats} pulses of {telling.experiment.words}"
+    lines = [f"{pulses}, then full strokes at eight voltages. The pulses separate:"]
+    for pair in telling.to_json()["separates"]:
+        one, other = pair["candidates"]
+        lines.append(f"  {one} and {other} by {pair['standard_deviations']:.0f} standard deviations")
+    return lines

@@ -1,0 +1,57 @@
+"""A diagnosis as the terminal shows it: plain words first, names of code behind them."""
+
+from __future__ import annotations
+
+import math
+
+from valve_sim.identification.diagnosis.run import Diagnosis
+from valve_sim.identification.plants.protocol import judged_channels
+from valve_sim.identification.reporting.units import measured, quantity
+from valve_sim.identification.reporting.wording import (
+    headline,
+    kind_words,
+    meanings,
+    named_value,
+    probability_words,
+    title_of,
+)
+
+_WIDTH = 44
+
+
+def diagnosis_text(diagnosis: Diagnosis) -> str:
+    """The verdict, the errors before and after, what each effect is and what to do, and the values with their units."""
+    verdict, before, after = diagnosis.verdict, diagnosis.before, diagnosis.after
+    lines = [
+        f"{verdict.kind}: {headline(diagnosis)}",
+        f"  {kind_words(verdict)[0]} (probability {probability_words(verdict)}). {verdict.summary}",
+    ]
+    unit, noise = _unit_and_noise(diagnosis)
+    for label, errors in (
+        ("fitted strokes", (before.train_rmse, after.train_rmse)),
+        ("held-out strokes", (before.holdout_rmse, after.holdout_rmse)),
+    ):
+        if not any(map(math.isnan, errors)):
+            lines.append(
+                f"  {label + ', rms error':<28}{quantity(errors[0], unit)} before, {quantity(errors[1], unit)} after"
+            )
+    lines.append(f"  {'noise of the sensor':<28}{quantity(noise, unit)}")
+    for meaning in meanings(diagnosis):
+        severity = f", {meaning.severity}" if meaning.severity else ""
+        amounts = "; ".join(f"{what} {value}" for what, value in meaning.amounts)
+        lines.append(f"  {meaning.title} ({meaning.name}): {amounts}{severity}")
+        lines += [f"    {words}" for words in (meaning.on_a_real_valve, meaning.what_to_do) if words]
+    for name, found in after.intervals.items():
+        lines.append(f"  {name:<{_WIDTH}}{measured(found, named_value(diagnosis.plant, name)[1])}")
+    for effect, others in verdict.confusable_with.items():
+        if others:
+            alike = ", ".join(f"{title_of(other)} ({other})" for other in others)
+            lines.append(f"  {title_of(effect)} ({effect}) could also be: {alike}")
+    if diagnosis.record_next:
+        lines.append(f"  {diagnosis.record_next}")
+    return "\n".join(lines)
+
+
+def _unit_and_noise(diagnosis: Diagnosis) -> tuple[str, float]:
+    channel = diagnosis.plant.channels[judged_channels(diagnosis.plant)[0]]
+    return channel.unit, diagnosis.before.fit.problem.noises[channel.kind].sigma

@@ -1,0 +1,162 @@
+"""A verdict in plain words: what an effect is called, how much of it there is, and in which unit people read it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, NamedTuple
+
+from valve_sim.identification.diagnosis.run import Diagnosis, Verdict
+from valve_sim.identification.plants.protocol import Plant
+from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.identification.reporting.units import measured
+from valve_sim.model import CATALOGUE, Effect
+
+SURE: Final = 0.9
+"""Probability from which on a verdict is called found."""
+EVEN: Final = 0.5
+"""Probability below which a verdict is more likely wrong than right."""
+
+
+class Meaning(NamedTuple):
+    """What a named effect is to a person.
+
+    Attributes:
+        name: in code. title: plain.
+        amounts: (what, value with interval and unit) of each parameter.
+        severity: how bad that is, or empty. on_a_real_valve, what_to_do: a sentence each, or empty.
+        others: plain titles of what would explain the data about as well.
+    """
+
+    name: str
+    title: str
+    amounts: tuple[tuple[str, str], ...]
+    severity: str
+    on_a_real_valve: str
+    what_to_do: str
+    others: tuple[str, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """As in report.json."""
+        return {
+            "title": self.title,
+            "amounts": dict(self.amounts),
+            "severity": self.severity or None,
+            "on_a_real_valve": self.on_a_real_valve or None,
+            "what_to_do": self.what_to_do or None,
+        }
+
+
+def title_of(effect: str) -> str:
+    """The plain name of an effect, whether it is in the catalogue or a plant's own."""
+    plain = effect.replace("_", " ")
+    fallback = plain[:1].upper() + plain[1:]
+    entry = CATALOGUE.get(effect)
+    return fallback if entry is None else entry.title
+
+
+def titles_of(effects: Sequence[str]) -> str:
+    """Plain names of several effects at once."""
+    return " + ".join([title_of(effects[0]), *(_inside(title_of(name)) for name in effects[1:])])
+
+
+def named_value(plant: Plant, name: str) -> tuple[str, str]:
+    """What people call a parameter, and its unit: Coulomb friction, friction force."""
+    effect, dot, _ = name.partition(".")
+    parameter = plant.parameter(name)
+    words = f"{title_of(effect)}: {parameter.description}" if dot else name.replace("_", " ")
+    return words, parameter.unit
+
+
+def kind_words(verdict: Verdict) -> tuple[str, bool]:
+    """The verdict in two words, and whether it is good news about the diagnosis: sure enough to act on."""
+    if verdict.kind == "insufficient":
+        return "The data cannot tell", False
+    if verdict.kind == "unknown":
+        return "Something without a name", False
+    found = "Nothing is missing" if verdict.kind == "none" else "Missing effect found"
+    if verdict.probability >= SURE:
+        return found, True
+    alike = any(verdict.confusable_with.values())
+    first = "A first guess among look-alikes" if alike else "A first guess, more likely wrong than right"
+    guess = "Perhaps nothing is missing" if verdict.kind == "none" else first
+    probable = "Probably nothing is missing" if verdict.kind == "none" else "Missing effect, probably"
+    return (probable, False) if verdict.probability >= EVEN else (guess, False)
+
+
+def probability_words(verdict: Verdict) -> str:
+    """The probability in percent; never 100."""
+    return f"{100 * verdict.probability:.0f} %" if verdict.probability < 0.995 else "> 99 %"
+
+
+def headline(diagnosis: Diagnosis) -> str:
+    """The verdict in a sentence or two without names of code."""
+    verdict = diagnosis.verdict
+    if verdict.kind == "none":
+        return (
+            "Nothing is missing: the declared valve with refitted damping does what was measured, down to the noise."
+            if (isinstance(diagnosis.plant, ValvePlant))
+            else "Nothing is missing: the declared model, refitted, does what was measured, down to the noise."
+        )
+    named = _listed([_inside(title_of(name)) for name in verdict.effects])
+    others = list(dict.fromkeys(other for names in verdict.confusable_with.values() for other in names))
+    alike = _listed([_inside(title_of(other)) for other in others], "or")
+    if verdict.kind == "insufficient":
+        start = "These recordings cannot tell what is missing"
+        return (
+            f"{start}; {named} fits best, {alike} about as well."
+            if named and alike
+            else (f"{start}; {named} fits best." if named else f"{start}.")
+        )
+    if verdict.kind == "unknown":
+        nearest = f" The closest is {named}." if named else ""
+        return f"Something acts that no effect of the catalogue explains.{nearest}"
+    claim = f"The model lacks {named}" if verdict.probability >= EVEN else f"Perhaps the model lacks {named}"
+    amounts = [_largest(meaning) for meaning in meanings(diagnosis)]
+    much = f": {amounts[0]}" if len(amounts) == 1 and amounts[0] else ""
+    doubt = f" {alike[:1].upper()}{alike[1:]} would explain the data about as well." if alike else ""
+    rest = " Something without a name is left beside it." if diagnosis.unexplained is not None else ""
+    return f"{claim}{much}.{doubt}{rest}"
+
+
+def meanings(diagnosis: Diagnosis) -> list[Meaning]:
+    """What each named effect is on a real valve, how much of it there is, and what to do."""
+    verdict, after, plant = diagnosis.verdict, diagnosis.after, diagnosis.plant
+    found = []
+    for effect in verdict.effects:
+        own = {name: one for name, one in after.intervals.items() if name.startswith(f"{effect}.")}
+        amounts = tuple(
+            (plant.parameter(name).description, measured(one, plant.parameter(name).unit)) for name, one in own.items()
+        )
+        values = {name.partition(".")[2]: one.value for name, one in own.items()}
+        others = verdict.confusable_with.get(effect, ())
+        entry = CATALOGUE.get(effect)
+        found.append(
+            Meaning(
+                effect, title_of(effect), amounts, _severity(entry, values, plant),
+                entry.on_a_real_valve if entry else "", entry.what_to_do if entry else "",
+                tuple(title_of(other) for other in others),
+            )
+        )  # fmt: skip
+    return found
+
+
+def _severity(entry: Effect | None, values: Mapping[str, float], plant: Plant) -> str:
+    """How bad this much is; empty where nothing known compares, or not all of the effect's values are free."""
+    if entry is None or not isinstance(plant, ValvePlant) or set(values) != {p.name for p in entry.parameters}:
+        return ""
+    found = entry.severity_of(values, plant.valve.declared())
+    return "" if found is None else str(found)
+
+
+def _largest(meaning: Meaning) -> str:
+    """The amount that a headline shows: of an effect with one parameter only."""
+    return meaning.amounts[0][1] if len(meaning.amounts) == 1 else ""
+
+
+def _listed(names: Sequence[str], last: str = "and") -> str:
+    return f" {last} ".join(part for part in (", ".join(names[:-1]), *names[-1:]) if part)
+
+
+def _inside(title: str) -> str:
+    """A title within a sentence: small, but for a name such as Coulomb."""
+    return title if title.startswith("Coulomb") or title[1:2].isupper() else title[:1].lower() + title[1:]

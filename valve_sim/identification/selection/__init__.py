@@ -1,0 +1,1 @@
+"""Which model: hypotheses, their fits, criteria, residual tests, held-out data."""

@@ -1,0 +1,99 @@
+"""Can the catalogue explain the coil's current at all? Asked of the current alone, before the motion is looked at.
+
+A current is known to milliamperes and moves the plungers: where its form is none that the catalogue has (back-EMF, an
+inductance that falls with the stroke), a fit of both would bend the motion to it. So it is believed as far only as the
+effects that move it explain it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from valve_sim.identification.estimation.budget import OutOfTimeError
+from valve_sim.identification.estimation.fitting import Fit, Problem
+from valve_sim.identification.plants.protocol import Array, EffectChoice, perturbed
+from valve_sim.identification.selection.hypotheses import DECISIVE, Hypothesis, Search
+from valve_sim.model import SimulationError
+
+UNEXPLAINED: Final = 1.5
+"""Standard deviations, root mean square, by which effects miss a current whose form is another: on the campaign's
+plant of the declared form they miss it by at most 1.04, on the one of another form by 2.6 to 11."""
+MOST_EFFECTS: Final = 4
+"""More that act on the coil at once explain anything."""
+MOVES_NOTHING: Final = 1e-3
+"""Standard deviations: an effect that moves no sample of the current by more is none of the coil's."""
+
+
+def current_noise_inflation(problem: Problem) -> float:
+    """By what to multiply the noise of the current: 1, or what is missed of a current of another form."""
+    left = current_left(problem)
+    return left if left > UNEXPLAINED else 1.0
+
+
+def current_left(problem: Problem) -> float:
+    """Standard deviations of its noise, root mean square, by which the current is missed at best; 0 without one.
+
+    Effects that move the current are added while they are decisive, and errors of the commands' stamps are tried.
+    """
+    is_actuation = [channel.role == "actuation" for channel in problem.plant.channels]
+    if not any(is_actuation):
+        return 0.0
+    search = Search(problem.restricted(lambda index, groups: problem.weight(index) * is_actuation[index] > 0.0))
+    best = Hypothesis(())
+    search.fit(best)
+    try:
+        return _left(search)
+    except OutOfTimeError:
+        # What was not tried may explain it: for want of time it is doubted by all that the model misses.
+        return _missed(search.fit(best))
+
+
+def _left(search: Search) -> float:
+    """What is missed beside errors of the stamps, or beside the effects that explain most of the current."""
+    best = Hypothesis(())
+    if _missed(search.fit(best)) <= UNEXPLAINED:
+        return _missed(search.fit(best))
+    # Asked first: to a current without noise every effect is decisive, when it is late stamps that move it.
+    timed = _missed(search.fit(best._replace(timing=True)))
+    if timed <= UNEXPLAINED:
+        return timed
+    names = _of_the_coil(search.problem, search.fit(best))
+    while len(best.effects) < MOST_EFFECTS:
+        further = [best.adding(name) for name in names if name not in best.effects]
+        candidate = search.best(further) if further else best
+        if candidate == best or search.score(candidate) > search.score(best) - DECISIVE:
+            break
+        best = candidate
+    timed = _missed(search.fit(best._replace(timing=True)))
+    return timed if timed <= UNEXPLAINED else _missed(search.fit(best))
+
+
+def _missed(result: Fit) -> float:
+    """Root mean square of whitened residuals."""
+    return math.sqrt(float(np.sum(np.square(result.residuals))) / max(1, result.problem.samples))
+
+
+def _of_the_coil(problem: Problem, base: Fit) -> Sequence[str]:
+    """The effects that move the current."""
+    return [
+        name for name, effect in problem.plant.effects.items()
+        if np.max(np.abs(_with(problem, base, effect) - base.residuals)) > MOVES_NOTHING
+    ]  # fmt: skip
+
+
+def _with(problem: Problem, base: Fit, effect: EffectChoice) -> Array:
+    """Residuals with a little of an effect."""
+    values = {
+        f"{effect.name}.{parameter.name}": parameter.prior_scale
+        if parameter.off is None
+        else perturbed(parameter, parameter.off)
+        for parameter in effect.parameters
+    }
+    try:
+        return problem.residuals({**base.values, **values})
+    except SimulationError:
+        return base.residuals

@@ -1,0 +1,120 @@
+"""Forces without a name: free curves over position, velocity or time, and forces at one place of the stroke alone."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from valve_sim.identification.estimation.budget import OutOfTimeError
+from valve_sim.identification.estimation.fitting import Fit, fit
+from valve_sim.identification.estimation.parallel import run_parallel
+from valve_sim.identification.plants.protocol import Array, ForceMap
+from valve_sim.identification.selection.hypotheses import Hypothesis, Search
+from valve_sim.model import SimulationError
+
+
+@dataclass(frozen=True)
+class Unexplained:
+    """A remainder that no named effect explains, as the force map that explains most of it.
+
+    `stderr`: of the force at each knot; 0 where a knot is held, empty where it is not known.
+    """
+
+    force_rms: float
+    where: str
+    variable: str
+    at: tuple[float, ...]
+    force: tuple[float, ...]
+    gain: float
+    stderr: tuple[float, ...] = ()
+
+
+class Nameless(NamedTuple):
+    """A force without a name, and the fit with it."""
+
+    choice: ForceMap
+    fit: Fit
+
+
+def fit_maps(search: Search, base: Fit) -> list[Nameless]:
+    """Force maps on top of a fit, best score first; those for which the time was too short are left out."""
+    nuisance_names = {nuisance.name for nuisance in base.nuisances}
+    own = {*base.free, *nuisance_names}
+    others = {name: value for name, value in base.values.items() if name not in own}
+
+    def fitted(choice: ForceMap) -> list[Nameless]:
+        free, fixed = (*base.free, *choice.free), {**others, **choice.held}
+        try:
+            return [Nameless(choice, fit(base.problem, free, base.values, nuisances=base.nuisances, fixed=fixed))]
+        except OutOfTimeError:
+            return []
+
+    maps = base.problem.plant.force_maps
+    found = run_parallel(fitted, maps, lambda choice: search.say(f"a force over {choice.variable}", 0.9))
+    search.untried.extend(
+        f"a force over {choice.variable}" for choice, fits in zip(maps, found, strict=True) if not fits
+    )
+    return sorted(itertools.chain(*found), key=lambda entry: entry.fit.score)
+
+
+def fit_local_forces(search: Search, best: Hypothesis) -> list[Nameless]:
+    """A force at one place alone instead of each member of a hypothesis, best score first.
+
+    It has as many parameters as the simplest effects. Where it does as well as a name, the data speak of one
+    place only, and the name of the rest of the stroke by hope (on the campaign: a ripple or a vibration of half a
+    millinewton that lifts the pilot plunger off its seat, as a constant force would).
+
+    Raises:
+        OutOfTimeError: the time is used up.
+    """
+    maps = search.problem.plant.force_maps
+    places = [one for choice in maps if choice.variable == "x" for one in choice.at_one_knot()]
+
+    rests = {member: search.fit(best.without(member)) for member in best.effects}
+
+    def fitted(instead: tuple[str, ForceMap]) -> list[Nameless]:
+        member, choice = instead
+        rest = rests[member]
+        free = (*rest.free, *choice.free)
+        try:
+            held = fit(rest.problem, free, rest.values, nuisances=rest.nuisances, fixed=choice.held)
+        except SimulationError:
+            return []
+        return [Nameless(choice, held)]
+
+    found = run_parallel(fitted, list(itertools.product(best.effects, places)))
+    return sorted(itertools.chain(*found), key=lambda entry: entry.fit.score)
+
+
+def on_top(choice: ForceMap, base: Fit) -> Fit:
+    """A force map with all else held, so that it shows what is left and trades nothing with friction or mass."""
+    return fit(base.problem, choice.free, {}, fixed={**base.values, **choice.held})
+
+
+def describe(choice: ForceMap, result: Fit, base: Fit) -> Unexplained:
+    """A fitted force map in words: how large, and where it acts."""
+    at, force = _curve(choice, result)
+    return Unexplained(
+        float(np.sqrt(np.mean(np.square(force)))), where(choice, result), choice.variable, tuple(at.tolist()),
+        tuple(force.tolist()), base.score - result.score,
+        tuple(result.stderr(name) if name in result.free else 0.0 for name in choice.all_knots),
+    )  # fmt: skip
+
+
+def where(choice: ForceMap, result: Fit) -> str:
+    """Where a fitted force map acts, in words."""
+    at, force = _curve(choice, result)
+    strong = np.flatnonzero(np.abs(force) >= 0.5 * np.max(np.abs(force)))
+    low, high = at[max(0, strong[0] - 1)], at[min(len(at) - 1, strong[-1] + 1)]
+    scale, unit = (1e3, "mm") if choice.unit == "m" else (1e3, "ms") if choice.unit == "s" else (1.0, "m/s")
+    words = f"{choice.variable[0]} {scale * low:.3g} to {scale * high:.3g} {unit}"
+    return words + (f", times {choice.variable[2:]}" if len(choice.variable) > 1 else "")
+
+
+def _curve(choice: ForceMap, result: Fit) -> tuple[Array, Array]:
+    """Knots of a fitted force map, and the force there, N."""
+    at = np.linspace(choice.low, choice.high, len(choice.all_knots))
+    return at, np.array([result.values[name] for name in choice.all_knots])

@@ -1,0 +1,273 @@
+"""The search over named effects: every candidate is refitted inside the simulator (METHOD steps 4, 5 and 8).
+
+A hypothesis is a set of effects, with or without errors in each command's stamp. Hypotheses are compared by the
+score S of `fitting`; the best of each is kept, so that asking twice costs nothing.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from valve_sim.identification.estimation.budget import OutOfTimeError
+from valve_sim.identification.estimation.fitting import Fit, Problem, fit
+from valve_sim.identification.estimation.parallel import run_parallel
+from valve_sim.identification.plants.protocol import (
+    EffectChoice,
+    from_internal,
+    internal_bounds,
+    internal_scale,
+    to_internal,
+)
+from valve_sim.model import SimulationError
+from valve_sim.model.parameters import Parameter
+
+DECISIVE: Final = 10.0
+"""Difference of S that decides (METHOD: ΔBIC 10, odds of 150 to 1)."""
+SMALL, LARGE = 0.05, (0.5, 1.5, 3.0)
+"""Starts, in natural sizes of a parameter: one near off, which follows the gradient, and some that leave its basin."""
+SHAPES: Final = (1.0, 0.2, 5.0)
+"""Likewise for parameters that shape an effect but do not switch it."""
+ANNEALING: Final = (100.0, 20.0, 5.0)
+"""σ: Cauchy scales that lead a fit with impacts out of wrong basins (METHOD)."""
+ROBUST: Final = 20.0
+"""σ: scale of the cost by which starts are ranked, so that one impact at another time does not decide."""
+SCATTER: Final = (1.0, 3.0, 3.0, 10.0, 10.0, 30.0)
+"""Standard errors by which the starts of a polish are scattered."""
+
+Progress = Callable[[str, float], None]
+
+
+class Hypothesis(NamedTuple):
+    """A set of effects, in alphabetical order, and whether each command's stamp may err."""
+
+    effects: tuple[str, ...]
+    timing: bool = False
+
+    def __str__(self) -> str:
+        return " + ".join(self.effects) + (", with errors of the commands' stamps" if self.timing else "")
+
+    def adding(self, effect: str) -> Hypothesis:
+        """The same and one effect more."""
+        return Hypothesis(tuple(sorted((*self.effects, effect))), self.timing)
+
+    def without(self, effect: str) -> Hypothesis:
+        """The same less one effect."""
+        return Hypothesis(tuple(name for name in self.effects if name != effect), self.timing)
+
+
+class Search:
+    """Fits hypotheses to one problem, and remembers.
+
+    Args:
+        problem: training data, with the budget of fits to them.
+        progress: told what is being tried, and the fraction done.
+
+    Attributes:
+        fits: the best fit of every hypothesis that was tried.
+        untried: what was to be tried when the time was used up, in words.
+    """
+
+    def __init__(self, problem: Problem, progress: Progress | None = None) -> None:
+        self.problem = problem
+        self.fits: dict[Hypothesis, Fit] = {}
+        self._progress = progress or (lambda what, fraction: None)
+        self.untried: list[str] = []
+        self._annealed: set[Hypothesis] = set()
+        self._polished: set[Hypothesis] = set()
+
+    def say(self, what: str, fraction: float) -> None:
+        """Report progress."""
+        self._progress(what, fraction)
+
+    def fit(self, hypothesis: Hypothesis, *, anneal: bool = False) -> Fit:
+        """The best fit of a hypothesis, from several starts.
+
+        Raises:
+            OutOfTimeError: the time is used up; what was fitted by then is kept.
+        """
+        if hypothesis in self.fits and (not anneal or hypothesis in self._annealed):
+            return self.fits[hypothesis]
+        fits = [self.fits[hypothesis]] if hypothesis in self.fits else []
+        try:
+            if not fits:
+                fits.extend(self._fits(hypothesis))
+            if anneal:
+                self._annealed.add(hypothesis)
+                fits.extend(self._attempt(hypothesis, dict(fits[0].values), ANNEALING))
+        finally:
+            if fits:
+                self.fits[hypothesis] = min(fits, key=lambda result: result.chi2)
+        return self.fits[hypothesis]
+
+    def fit_each(self, hypotheses: Sequence[Hypothesis], fractions: tuple[float, float]) -> None:
+        """Fit hypotheses of as many effects side by side: they start from smaller ones, not from each other.
+
+        Args:
+            hypotheses: what to fit.
+            fractions: of the diagnosis that are done before and after.
+        """
+        before, after = fractions
+        new = [hypothesis for hypothesis in dict.fromkeys(hypotheses) if hypothesis not in self.fits]
+        done = {hypothesis: index / len(new) for index, hypothesis in enumerate(new)}
+        try:
+            run_parallel(self.fit, new, lambda h: self.say(str(h), before + (after - before) * done[h]))
+        except OutOfTimeError:
+            self.untried.extend(str(hypothesis) for hypothesis in new if hypothesis not in self.fits)
+            raise
+        finally:
+            for hypothesis in new:
+                # Ties go to what was fitted first, which must not depend on what was ready first.
+                if hypothesis in self.fits:
+                    self.fits[hypothesis] = self.fits.pop(hypothesis)
+
+    def polish(self, hypothesis: Hypothesis) -> Fit:
+        """Fit again from around the best fit: contacts that come and go make shallow wrong basins beside the right one.
+
+        The starts are scattered by a few standard errors, with a seed of their own, so that a diagnosis repeats.
+        """
+        best = self.fit(hypothesis, anneal=True)
+        if hypothesis in self._polished:
+            return best
+        self._polished.add(hypothesis)
+        random = np.random.default_rng(len(hypothesis.effects))
+        plant = self.problem.plant
+        for spread in SCATTER:
+            start = dict(best.values)
+            for name in best.free:
+                parameter = plant.parameter(name)
+                index = best.free.index(name)
+                error = min(math.sqrt(float(best.covariance[index, index])), internal_scale(parameter))
+                at = float(best.coordinates[index]) + spread * error * float(random.standard_normal())
+                lower, upper = internal_bounds(parameter)
+                start[name] = from_internal(parameter, min(max(at, lower), upper))
+            for result in self._attempt(hypothesis, start):
+                if result.chi2 < best.chi2:
+                    best = result
+        self.fits[hypothesis] = best
+        return best
+
+    def refit(self, hypothesis: Hypothesis, start: Mapping[str, float]) -> Fit:
+        """Fit once more, from these values, and keep what is better."""
+        fits = [self.fit(hypothesis), *self._attempt(hypothesis, start)]
+        self.fits[hypothesis] = min(fits, key=lambda result: result.chi2)
+        return self.fits[hypothesis]
+
+    def score(self, hypothesis: Hypothesis) -> float:
+        """S of a hypothesis."""
+        return self.fit(hypothesis).score
+
+    def best(self, hypotheses: Iterable[Hypothesis]) -> Hypothesis:
+        """The hypothesis of the lowest score."""
+        return min(hypotheses, key=self.score)
+
+    def free_names(self, hypothesis: Hypothesis) -> tuple[str, ...]:
+        """What a hypothesis frees."""
+        plant = self.problem.plant
+        return (*plant.base, *itertools.chain(*(plant.effects[name].free_names() for name in hypothesis.effects)))
+
+    def _fits(self, hypothesis: Hypothesis) -> Iterable[Fit]:
+        """Fits from each start; a smaller hypothesis that was fitted lends its values."""
+        if not hypothesis.effects:
+            plain = Hypothesis(())
+            warm = self.fits[plain].values if plain in self.fits else {}
+            starts: list[Mapping[str, float]] = [warm]
+            if not warm:
+                starts.append({name: 3.0 * self.problem.plant.declared(name) for name in self.problem.plant.base})
+            for start in starts:
+                yield from self._attempt(hypothesis, start)
+            return
+        untimed = hypothesis._replace(timing=False)
+        if hypothesis.timing and untimed in self.fits:
+            yield from self._attempt(hypothesis, self.fits[untimed].values)
+        known = [name for name in hypothesis.effects if hypothesis.without(name) in self.fits]
+        added = min(known, key=lambda name: self.score(hypothesis.without(name))) if known else hypothesis.effects[-1]
+        warm = self.fit(hypothesis.without(added)).values
+        effect = self.problem.plant.effects[added]
+        fits: list[Fit] = []
+        for start in effect_starts(self.problem, effect, warm):
+            fits.extend(self._attempt(hypothesis, {**warm, **start}))
+        if fits and _has_lost_its_shape(min(fits, key=lambda result: result.chi2), effect):
+            for shape in SHAPES:
+                start = _start(effect, [SMALL] * len(effect.parameters), shape)
+                fits.extend(self._attempt(hypothesis, {**warm, **start}))
+        yield from fits
+
+    def _attempt(
+        self, hypothesis: Hypothesis, start: Mapping[str, float], robust: Sequence[float] = ()
+    ) -> Iterable[Fit]:
+        plant = self.problem.plant
+        nuisances = (*plant.nuisances, *(plant.timing_errors if hypothesis.timing else ()))
+        try:
+            yield fit(self.problem, self.free_names(hypothesis), start, nuisances=nuisances, robust=robust)
+        except SimulationError:
+            return
+
+
+def effect_starts(problem: Problem, effect: EffectChoice, warm: Mapping[str, float]) -> list[dict[str, float]]:
+    """Where to start an effect's parameters from: near off, and the best of some larger sizes and other shapes."""
+    near = [] if _is_saddle(effect) else [_start(effect, [SMALL] * len(effect.parameters), 1.0)]
+    amplitudes = [parameter.off is not None for parameter in effect.parameters]
+    choices = [
+        _sizes(parameter) if is_amplitude else (1.0,)
+        for parameter, is_amplitude in zip(effect.parameters, amplitudes, strict=True)
+    ]
+    combinations = (
+        list(itertools.product(*choices)) if sum(amplitudes) <= 2 else [(size,) * len(choices) for size in LARGE]
+    )
+    shapes = SHAPES if not all(amplitudes) else SHAPES[:1]
+    far = [_start(effect, sizes, shape) for sizes in combinations for shape in shapes]
+
+    def cost(start: Mapping[str, float]) -> float:
+        try:
+            residuals = problem.residuals({**warm, **start})
+        except SimulationError:
+            return math.inf
+        return float(np.sum(np.log1p(np.square(residuals / ROBUST))))
+
+    return near + sorted(far, key=cost)[: 1 if near and sum(amplitudes) == 1 else 2]
+
+
+def _has_lost_its_shape(result: Fit, effect: EffectChoice) -> bool:
+    """Whether a parameter that shapes an effect has run to a bound, from where no gradient leads back.
+
+    A Stribeck velocity does, which then makes plain friction of stiction.
+    """
+    return any(
+        parameter.off is None and result.on_bound(f"{effect.name}.{parameter.name}") is not None
+        for parameter in effect.parameters
+    )
+
+
+def _is_saddle(effect: EffectChoice) -> bool:
+    """Whether the gradient vanishes where the effect is off, so that a start there would stay."""
+    return any(parameter.off is not None and math.isinf(parameter.off) for parameter in effect.parameters)
+
+
+def _sizes(parameter: Parameter) -> list[float]:
+    lower, upper = internal_bounds(parameter)
+    assert parameter.off is not None
+    two_sided = lower < to_internal(parameter, parameter.off) < upper
+    return [sign * size for size in LARGE for sign in ((1.0, -1.0) if two_sided else (1.0,))]
+
+
+def _start(effect: EffectChoice, sizes: Sequence[float], shape: float) -> dict[str, float]:
+    return {
+        f"{effect.name}.{parameter.name}": _start_value(parameter, size, shape)
+        for parameter, size in zip(effect.parameters, sizes, strict=True)
+    }
+
+
+def _start_value(parameter: Parameter, size: float, shape: float) -> float:
+    if parameter.off is None:
+        return min(max(parameter.prior_scale * shape, parameter.lower), parameter.upper)
+    lower, upper = internal_bounds(parameter)
+    off = to_internal(parameter, parameter.off)
+    at = off + size * internal_scale(parameter)
+    if not lower <= at <= upper:
+        at = off - size * internal_scale(parameter)
+    return from_internal(parameter, min(max(at, lower), upper))

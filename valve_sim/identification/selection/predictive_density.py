@@ -1,0 +1,78 @@
+"""What a fitted model makes of data that it was not fitted to: the density that it gives them.
+
+Held-out data are predicted by all that the training data leave possible, not by the best fit alone: a best fit is off
+by its standard errors, and held-out strokes may show just the direction in which it is. About the best fit, to second
+order (Laplace; MacKay 2003, chapter 28),
+
+    −2 ln p(held-out | training) = χ² − gᵀ (C⁻¹ + H)⁻¹ g + ln det(1 + C H) + constant
+
+with χ² and half its gradient g and information H = JᵀJ at the best fit, and C the covariance that the training data
+leave (of nuisances: their priors). A model is worth what it predicts: Dawid, J. R. Stat. Soc. A 147, 1984, p. 278.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from valve_sim.identification.estimation.fitting import DIFFERENCE, Fit
+from valve_sim.identification.estimation.gram import gram
+from valve_sim.identification.plants.protocol import Array, from_internal, internal_bounds, internal_scale
+from valve_sim.model import SimulationError
+
+FARTHEST: Final = 10.0
+"""Natural sizes of a parameter: the standard deviation of one that the training data do not hold."""
+
+
+def neg2_log_predictive(training: Fit, held_out: Fit) -> float:
+    """−2 ln p(held-out | training), but for a constant of the held-out data; smaller is better.
+
+    Args:
+        training: the fit to training data.
+        held_out: the same values on held-out data, their nuisances fitted.
+    """
+    variance_inflation = held_out.problem.variance_inflation
+    jacobian = np.hstack([_sensitivities(training, held_out), held_out.jacobian])
+    gradient = gram(jacobian, held_out.residuals)
+    gradient[len(training.free) :] += [
+        held_out.values[nuisance.name] / nuisance.sigma**2 for nuisance in held_out.nuisances
+    ]
+    information = gram(jacobian, jacobian)
+    spread = _spread(training, held_out)
+    within = np.eye(len(spread)) + spread.T @ information @ spread / variance_inflation
+    gained = spread.T @ gradient / variance_inflation
+    _, volume = np.linalg.slogdet(within)
+    return float(held_out.chi2 / variance_inflation - gained @ np.linalg.solve(within, gained) + volume)
+
+
+def _sensitivities(training: Fit, held_out: Fit) -> Array:
+    """(n, k) d(held-out residuals)/d(search coordinate) of the freed parameters."""
+    plant, columns = training.problem.plant, []
+    for name, at in zip(training.free, training.coordinates, strict=False):
+        parameter = plant.parameter(name)
+        step = DIFFERENCE * internal_scale(parameter)
+        moved = at + step if at + step <= internal_bounds(parameter)[1] else at - step
+        try:
+            there = held_out.problem.residuals({**held_out.values, name: from_internal(parameter, float(moved))})
+        except SimulationError:
+            there = held_out.residuals
+        columns.append((there - held_out.residuals) / (moved - at))
+    return np.column_stack(columns) if columns else np.empty((len(held_out.residuals), 0))
+
+
+def _spread(training: Fit, held_out: Fit) -> Array:
+    """A square root of what is not known before the held-out data are seen: parameters, then nuisances."""
+    k = len(training.free)
+    farthest = [FARTHEST * internal_scale(training.problem.plant.parameter(name)) for name in training.free]
+    covariance = training.covariance[:k, :k]
+    shrink = np.minimum(1.0, np.array(farthest) / np.sqrt(np.diag(covariance)))
+    # A parameter of infinite variance has no correlation; others shrink along, so that correlations stay.
+    covariance = np.where(np.isfinite(covariance), covariance, 0.0) * np.outer(shrink, shrink)
+    covariance[np.diag_indices(k)] = np.minimum(np.diag(training.covariance)[:k], np.square(farthest))
+    sizes, directions = np.linalg.eigh(covariance)
+    root = directions * np.sqrt(np.maximum(sizes, 0.0))
+    spread = np.zeros((k + len(held_out.nuisances),) * 2)
+    spread[:k, :k] = root
+    spread[range(k, len(spread)), range(k, len(spread))] = [nuisance.sigma for nuisance in held_out.nuisances]
+    return spread

@@ -1,0 +1,287 @@
+"""Which hypotheses are tried, in which order, and which of them may be claimed (METHOD steps 4 to 8).
+
+Singles, then pairs, triples and quadruples while each gains; members are swapped through the catalogue, and what is not
+needed is dropped again. Hypotheses are ordered by what they predict of held-out strokes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+from valve_sim.identification.estimation.budget import OutOfTimeError
+from valve_sim.identification.estimation.parallel import run_parallel
+from valve_sim.identification.plants.protocol import to_internal
+from valve_sim.identification.selection.held_out import HeldOut
+from valve_sim.identification.selection.hypotheses import DECISIVE, Hypothesis, Search
+from valve_sim.identification.selection.residual_tests import adequacy
+
+MOST_EFFECTS: Final = 4
+"""One more than METHOD has: on the plant of other form three leave the added effect out in 4 of 10 cases, four in 2."""
+LARGEST_CLASS: Final = 4
+"""More names than this are no answer (MODEL section 6)."""
+BEAM: Final = 2
+"""How many of the best hypotheses are extended by one more effect."""
+HINT: Final = 0.02
+"""P-value below which the search goes on: it costs seconds, where stopping early costs a wrong name."""
+NEARLY: Final = 40.0
+"""Difference of S within which a better start may turn the tables."""
+WORTH_A_LOOK: Final = 20
+"""How many of the best hypotheses are tried on held-out data where none leaves only noise."""
+LIKELY: Final = 4.0
+"""Difference of evidence within which a richer look-alike is named, too: odds of 7 to 1. Measured: where friction is
+Coulomb's, stiction is worse by 5 to 8; where it is a stiction too small to be told, by -8 to 3.4."""
+EXCLUDES_OFF: Final = 1.96
+"""Standard errors that an effect must be away from 'off'."""
+
+
+class Exploration:
+    """The hypotheses that were tried on one problem, with what they predict of held-out data.
+
+    Args:
+        search: on the training data. held_out: what is asked for predictions.
+
+    Attributes:
+        is_cut_short: whether the time was used up before all was tried.
+    """
+
+    def __init__(self, search: Search, held_out: HeldOut) -> None:
+        self.search, self.held_out = search, held_out
+        self.plant = search.problem.plant
+        self.is_cut_short = False
+
+    def explore(self) -> Hypothesis:
+        """The best claimable hypothesis of all that the time allows to try, beside the declared model's fit."""
+        try:
+            return self._explore()
+        except OutOfTimeError:
+            self.is_cut_short = True
+            return Hypothesis(())
+
+    @property
+    def untried(self) -> list[str]:
+        """What was left to try."""
+        return [*self.search.untried, "sets of more effects"] if self.is_cut_short else list(self.search.untried)
+
+    def singles_untried(self) -> bool:
+        """Whether not even every single effect was tried."""
+        return any(Hypothesis((name,)) not in self.search.fits for name in self.plant.effects)
+
+    def _explore(self) -> Hypothesis:
+        """Singles, then pairs and triples while something is left; returns the best claimable hypothesis."""
+        search, names = self.search, list(self.plant.effects)
+        search.fit_each([Hypothesis((name,)) for name in names], (0.0, 0.3))
+        if self.needs_larger_model(self.best_claimable()):
+            self._explore_timing(names)
+        for count in range(2, MOST_EFFECTS + 1):
+            best = self.best_claimable()
+            # Stamps that err take up what friction delays, so two effects must have been tried beside them.
+            hides_another = best.timing and len(best.effects) == 1 and count == 2
+            if not self.needs_larger_model(best) and not hides_another:
+                break
+            if best.effects:
+                search.polish(best)
+            if not self._extend(count, names):
+                break
+        if not self.is_adequate(self.best_claimable()):
+            self._extend_timing(names)
+        self._drop_idle()
+        return self.eliminate(self.best_claimable())
+
+    def _drop_idle(self) -> None:
+        """Where the best of all has members that do nothing, the rest was only short of a good start."""
+        hypothesis = self.search.best(self.tried())
+        while idle := [member for member in hypothesis.effects if not self._is_on(hypothesis, member)]:
+            start = self.search.fit(hypothesis).values
+            hypothesis = hypothesis.without(idle[0])
+            self.search.refit(hypothesis, start)
+
+    def _explore_timing(self, names: Sequence[str]) -> None:
+        """Errors of the commands' stamps, where they explain more than any one effect does, or all that was left."""
+        if not self.plant.timing_errors:
+            return
+        search = self.search
+        best = sorted(filter(self.is_claimable, self.tried()), key=search.score)[:BEAM]
+        timed = [Hypothesis((), True), *(hypothesis._replace(timing=True) for hypothesis in best)]
+        search.fit(timed[0])
+        search.fit_each(timed[1:], (0.3, 0.3))
+        explain_more = search.score(search.best(timed)) < search.score(best[0]) - DECISIVE
+        if explain_more or any(self.is_adequate(hypothesis) for hypothesis in timed):
+            search.fit_each([Hypothesis((name,), timing=True) for name in names], (0.3, 0.5))
+
+    def _extend_timing(self, names: Sequence[str]) -> None:
+        """Pairs with errors of the stamps, where these explain more than a second effect does."""
+        timed = [h for h in self.tried() if h.timing and len(h.effects) == 1 and self._has_effects_on(h)]
+        if not timed:
+            return
+        start = self.search.best(timed)
+        if self.search.score(start) > self.search.score(self.best_claimable()):
+            return
+        self.search.fit_each([start.adding(name) for name in names if name not in start.effects], (0.8, 0.9))
+
+    def _extend(self, count: int, names: Sequence[str]) -> bool:
+        """Add one more effect to the best few, swap members; whether that was decisive."""
+        search = self.search
+        smaller = [hypothesis for hypothesis in self.tried() if len(hypothesis.effects) == count - 1]
+        smaller = sorted((h for h in smaller if not h.timing), key=self.selection_criterion)
+        before = self.selection_criterion(self.best_claimable())
+        larger = [start.adding(name) for start in smaller[:BEAM] for name in names if name not in start.effects]
+        done = 0.5 + 0.1 * (count - 2)
+        search.fit_each(larger, (done, done + 0.1))
+        best = self.best_claimable()
+        if len(best.effects) == count:
+            best = self._swap(best, names)
+            if not self.is_adequate(best):
+                search.fit(best, anneal=True)
+                timed = best._replace(timing=True)
+                if self.plant.timing_errors and not best.timing:
+                    search.fit(timed)
+        return self.selection_criterion(self.best_claimable()) < before - DECISIVE
+
+    def _swap(self, best: Hypothesis, names: Sequence[str]) -> Hypothesis:
+        """Swap each member through the catalogue (METHOD: cured most wrong pairs)."""
+        rests = [best.without(member) for member in best.effects]
+        swapped = [rest.adding(name) for rest in rests for name in names if name not in rest.effects]
+        done = 0.5 + 0.1 * (len(best.effects) - 1)
+        self.search.fit_each(rests, (done, done))
+        self.search.fit_each(swapped, (done, done))
+        return self.best_claimable()
+
+    def eliminate(self, best: Hypothesis) -> Hypothesis:
+        """Backward: drop every effect whose loss costs less than a decisive difference."""
+        for member in best.effects:
+            rest = best.without(member)
+            self.search.refit(rest, self.search.fit(best).values)
+            costs_little = self.search.score(rest) < self.search.score(best) + DECISIVE
+            if costs_little or not self.held_out.improves_holdout(self.search.fit(rest), self.search.fit(best)):
+                return self.eliminate(rest)
+        untimed = best._replace(timing=False)
+        if best.timing and self.search.score(untimed) < self.search.score(best):
+            return untimed
+        return best
+
+    # -- what a hypothesis is worth ------------------------------------------------------------------------------------
+
+    def best_claimable(self) -> Hypothesis:
+        """The hypothesis that predicts best of those whose effects are away from off and from bounds."""
+        claimable = [hypothesis for hypothesis in self.tried() if self.is_claimable(hypothesis)]
+        merits = run_parallel(self.selection_criterion, claimable)
+        return claimable[merits.index(min(merits))]
+
+    def selection_criterion(self, hypothesis: Hypothesis) -> float:
+        """What a hypothesis is worth to the search: its predictive score.
+
+        Where no form is right, the score of the training data rewards what bends to them most, such as a pressure force
+        that only acts there (on the plant of other form: 2.8 µm in training, 11 µm held out, where nothing has 10 µm).
+        """
+        result = self.search.fit(hypothesis)
+        timing = self.held_out.needs_timing(result)
+        return self.held_out.score(result, timing=timing, residual_is_white=adequacy(result).is_white)
+
+    def tried(self) -> list[Hypothesis]:
+        """Every hypothesis that was fitted, in order."""
+        return list(self.search.fits)
+
+    def is_adequate(self, hypothesis: Hypothesis) -> bool:
+        """Whether nothing but noise is left of it."""
+        return adequacy(self.search.fit(hypothesis)).is_white
+
+    def fails_hold_out(self, hypothesis: Hypothesis) -> bool:
+        """Whether a hypothesis leaves more than noise of held-out data: then it is wrong or not all."""
+        return self.held_out.fails(self.search.fit(hypothesis))
+
+    def needs_larger_model(self, hypothesis: Hypothesis) -> bool:
+        """Whether training or held-out data give any hint that something is left of it."""
+        result = self.search.fit(hypothesis)
+        if adequacy(result).p_value < HINT:
+            return True
+        return bool(hypothesis.effects) and self.held_out.hints_at_more(result)
+
+    def is_claimable(self, hypothesis: Hypothesis) -> bool:
+        """A parameter on its bound names nothing, nor does an effect that may as well be off.
+
+        Errors of the stamps are believed only where they leave nothing but noise: they bend to any mismatch.
+        """
+        return self._has_effects_on(hypothesis) and (not hypothesis.timing or self.is_adequate(hypothesis))
+
+    def _has_effects_on(self, hypothesis: Hypothesis) -> bool:
+        return all(self._is_on(hypothesis, name) for name in hypothesis.effects)
+
+    def _is_on(self, hypothesis: Hypothesis, effect: str) -> bool:
+        """Whether an effect is away from off, or would be missed though its parameters trade with each other."""
+        result, away = self.search.fit(hypothesis), []
+        for parameter in self.plant.effects[effect].parameters:
+            name = f"{effect}.{parameter.name}"
+            index = result.free.index(name)
+            at = float(result.coordinates[index])
+            if parameter.off is None:
+                if result.on_bound(name) is not None:
+                    return False
+                continue
+            off = to_internal(parameter, parameter.off)
+            if result.on_bound(name) is not None and not math.isclose(at, off, abs_tol=1e-12):
+                return False
+            error = math.sqrt(max(0.0, float(result.covariance[index, index])))
+            away.append(abs(at - off) > EXCLUDES_OFF * error and at != off)
+        rest = hypothesis.without(effect)
+        is_missed = rest in self.search.fits and self.search.score(rest) > self.search.score(hypothesis) + DECISIVE
+        return any(away) or is_missed
+
+    # -- what comes near the best --------------------------------------------------------------------------------------
+
+    def delta_scores(self, best: Hypothesis) -> dict[Hypothesis, float]:
+        """By how much each hypothesis of as many effects that comes near the best predicts worse, in S."""
+        timing = self.held_out.needs_timing(self.search.fit(best))
+        limit = self.search.score(best) + 2.0 * DECISIVE
+        count = max(1, len(best.effects))
+        near = [h for h in self.tried() if len(h.effects) == count and self.search.score(h) < limit]
+        residual_is_white = self.is_adequate(best)
+        scores = {
+            h: self.held_out.score(self.search.fit(h), timing=timing, residual_is_white=residual_is_white)
+            for h in (best, *near)
+        }
+        return {h: scores[h] - scores[best] for h in near}
+
+    def polish_near(self, best: Hypothesis) -> None:
+        """Give what may do as well as the best, and itself, the same chance: a fit from around each."""
+        limit = self.search.score(best) + NEARLY
+        near = [h for h in self.tried() if len(h.effects) == len(best.effects) and self.search.score(h) < limit]
+        nearest = {best, *sorted(near, key=self.search.score)[:LARGEST_CLASS]}
+        run_parallel(self.search.polish, list(nearest))
+
+    def competing_models(self, best: Hypothesis) -> list[Hypothesis]:
+        """What does about as well as the best, itself included where it has effects; best first."""
+        delta_scores = self.delta_scores(best)
+        return sorted((h for h, worse in delta_scores.items() if worse < DECISIVE), key=delta_scores.__getitem__)
+
+    def larger_alternatives(self, best: Hypothesis) -> dict[Hypothesis, float]:
+        """Look-alikes with more parameters, in place of a member each: by how much their evidence is worse.
+
+        S charges ln N for a parameter, however little of the effect it can be. That makes a name, and is no reason to
+        say that stiction cannot be where Coulomb friction is named: of these the evidence is asked (`Fit.evidence`).
+        """
+        if not self.is_adequate(best):
+            return {}
+        size, mine = len(self.search.free_names(best)), self._evidence(best)
+        alike = [
+            best.without(member).adding(name)
+            for member in best.effects
+            for name in self.plant.effects[member].confused_with
+            if name not in best.effects
+        ]
+        more = [h for h in alike if h in self.search.fits and len(self.search.free_names(h)) > size]
+        return {hypothesis: self._evidence(hypothesis) - mine for hypothesis in more}
+
+    def _evidence(self, hypothesis: Hypothesis) -> float:
+        """−2 ln of the evidence of training data, and how surprising held-out data are."""
+        result = self.search.fit(hypothesis)
+        timing = self.held_out.needs_timing(result)
+        return result.evidence + self.held_out.score(result, timing=timing, residual_is_white=True) - result.score
+
+    def best_on_hold_out(self, best: Hypothesis) -> Hypothesis:
+        """Of the few that are worth most, the one of the smallest plain error on held-out data."""
+        few = sorted(filter(self.is_claimable, self.tried()), key=self.selection_criterion)[:WORTH_A_LOOK]
+        if self.held_out.problem is None or not few:
+            return best
+        return min(few, key=lambda hypothesis: self.held_out.error(self.search.fit(hypothesis)))

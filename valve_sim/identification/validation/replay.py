@@ -1,0 +1,348 @@
+"""Replay validation: does a declared valve, driven as the recorded one was, do what was measured?
+
+Nothing about the valve is fitted. What is estimated is what MODEL section 3 calls nuisances: the offset between the
+clocks of commands and samples, within its prior, and on request an error of each command's stamp.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, Final, NamedTuple
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valve_sim.identification.estimation.fitting import Problem, fit
+from valve_sim.identification.plants.protocol import Array
+from valve_sim.identification.plants.valve import CLOCK_SIGMA, ValvePlant
+from valve_sim.model import Drive, Event, EventKind, Response, Valve, ValveError, simulate
+from valve_sim.traces import SensorEvent, Stroke, Trace, events_from_sensors, find_strokes
+
+NOISE_FACTOR: Final = 3.0
+"""The default tolerance, in standard deviations of the sensor's noise."""
+FINEST_TOLERANCE: Final = 0.15e-6
+"""m: three times the repeatability of the paper's laser, for recordings without noise."""
+MARGIN: Final = 1e-3
+"""s around the model's motion that still counts as moving, so that a valve that is late there is seen."""
+STILL_SPEED: Final = 1e-5
+"""m/s: below it the model rests; a pilot plunger that nothing holds down creeps at nanometres a second."""
+MICRO: Final = 1e6
+
+_ARRIVALS: Final[Mapping[str, tuple[EventKind, ...]]] = {
+    "pilot_reaches_main": (EventKind.PICKED_UP, EventKind.HELD_AT_GAP),
+    "reaches_stop": (EventKind.REACHED_STOP, EventKind.BOUNCED_AT_STOP),
+    "main_seats": (EventKind.MAIN_SEATED,),
+    "reaches_seat": (EventKind.SEATED, EventKind.BOUNCED_AT_SEAT),
+}
+
+Progress = Callable[[str, float], None]
+
+
+class Errors(NamedTuple):
+    """Measured less predicted position of the pilot plunger, m.
+
+    Attributes:
+        samples: how many there are.
+        rmse: over all of them.
+        moving_rmse: over those in which the model moves, 1 ms around included; nan where it does not move.
+        maximum: the largest absolute error.
+    """
+
+    samples: int
+    rmse: float
+    moving_rmse: float
+    maximum: float
+
+    @property
+    def judged(self) -> float:
+        """What is held against the tolerance, m: a long rest must not hide a wrong motion."""
+        return self.rmse if math.isnan(self.moving_rmse) else max(self.rmse, self.moving_rmse)
+
+    def to_json(self) -> dict[str, Any]:
+        """In µm; null where the model does not move."""
+        moving = None if math.isnan(self.moving_rmse) else MICRO * self.moving_rmse
+        return {
+            "samples": self.samples,
+            "rmse_um": MICRO * self.rmse,
+            "moving_rmse_um": moving,
+            "maximum_um": MICRO * self.maximum,
+        }
+
+
+class Arrival(NamedTuple):
+    """When the plungers arrived somewhere, s after the stroke's command: measured, and in the model (nan: never)."""
+
+    kind: str
+    sensor: str
+    measured: float
+    uncertainty: float
+    model: float
+
+    def to_json(self) -> dict[str, Any]:
+        """In ms."""
+        return {
+            "kind": self.kind,
+            "sensor": self.sensor,
+            "measured_ms": 1e3 * self.measured,
+            "stderr_ms": 1e3 * self.uncertainty,
+            "model_ms": None if math.isnan(self.model) else 1e3 * self.model,
+        }
+
+
+class StrokeCheck(NamedTuple):
+    """One stroke replayed."""
+
+    name: str
+    errors: Errors
+    arrivals: tuple[Arrival, ...]
+
+
+@dataclass(frozen=True)
+class Replay:
+    """One recording replayed.
+
+    Attributes:
+        trace: what was measured. valve: what was simulated.
+        predicted: (n,) m, at the trace's samples.
+        clock_offset: s, by which samples are stamped late.
+        noise: standard deviation of the position sensor, m.
+        tolerance: m.
+        errors: over the whole recording. strokes: one by one.
+    """
+
+    trace: Trace
+    valve: Valve
+    predicted: Array
+    clock_offset: float
+    noise: float
+    tolerance: float
+    errors: Errors
+    strokes: tuple[StrokeCheck, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether every stroke, and the recording as a whole, is within the tolerance."""
+        return all(errors.judged <= self.tolerance for errors in (self.errors, *(s.errors for s in self.strokes)))
+
+    def to_json(self) -> dict[str, Any]:
+        """One entry of the report."""
+        return {
+            "source": self.trace.source,
+            "passed": self.passed,
+            "tolerance_um": MICRO * self.tolerance,
+            "noise_um": MICRO * self.noise,
+            "clock_offset_us": MICRO * self.clock_offset,
+            **self.errors.to_json(),
+            "strokes": [
+                {
+                    "name": stroke.name,
+                    "passed": stroke.errors.judged <= self.tolerance,
+                    **stroke.errors.to_json(),
+                    "arrivals": [arrival.to_json() for arrival in stroke.arrivals],
+                }
+                for stroke in self.strokes
+            ],
+        }
+
+    def text(self) -> str:
+        """For the terminal."""
+        lines = [
+            f"{self.trace.source}: {'within' if self.passed else 'OUTSIDE'} {MICRO * self.tolerance:.3g} µm "
+            f"(noise {MICRO * self.noise:.3g} µm, clock offset {MICRO * self.clock_offset:.1f} µs)",
+            f"  {'stroke':<32}{'rmse':>9}{'moving':>9}{'maximum':>9}  µm",
+        ]
+        rows = [*((stroke.name, stroke.errors) for stroke in self.strokes), ("in all", self.errors)]
+        for name, errors in rows:
+            moving = "–" if math.isnan(errors.moving_rmse) else f"{MICRO * errors.moving_rmse:.3g}"
+            lines.append(
+                f"  {name:<32}{MICRO * errors.rmse:>9.3g}{moving:>9}{MICRO * errors.maximum:>9.3g}"
+                f"  {'' if errors.judged <= self.tolerance else 'outside'}".rstrip()
+            )
+        return "\n".join([*lines, *self._arrival_lines()])
+
+    def _arrival_lines(self) -> Iterator[str]:
+        if any(stroke.arrivals for stroke in self.strokes):
+            yield f"  {'arrival after the command':<32}{'measured':>18}{'model':>9}{'apart':>9}  ms"
+        for stroke in self.strokes:
+            for arrival in stroke.arrivals:
+                name = f"{arrival.kind.replace('_', ' ')} ({arrival.sensor})"
+                measured = f"{1e3 * arrival.measured:.3f} ± {1e3 * arrival.uncertainty:.3f}"
+                model, apart = 1e3 * arrival.model, 1e3 * (arrival.measured - arrival.model)
+                yield f"  {name:<32}{measured:>18}{model:>9.3f}{apart:>+9.3f}  {stroke.name}"
+
+
+@dataclass(frozen=True)
+class Validation:
+    """Recordings replayed against one declared valve."""
+
+    replays: tuple[Replay, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether all are within their tolerance."""
+        return all(replay.passed for replay in self.replays)
+
+    def to_json(self) -> dict[str, Any]:
+        """The whole report; lengths in µm, times in ms and µs, as the names say."""
+        return {
+            "schema": "valve_sim/validation/1",
+            "passed": self.passed,
+            "recordings": [replay.to_json() for replay in self.replays],
+        }
+
+    def text(self) -> str:
+        """For the terminal."""
+        return "\n".join([*(replay.text() for replay in self.replays), "passed" if self.passed else "FAILED"])
+
+    def junit(self) -> str:
+        """JUnit XML: a suite for each recording, a test case for each stroke and one for the recording as a whole."""
+        root = ElementTree.Element("testsuites", name="valve-sim validate")
+        for replay in self.replays:
+            _add_suite(root, replay)
+        for key in ("tests", "failures", "errors"):
+            root.set(key, str(sum(int(suite.get(key, "0")) for suite in root)))
+        ElementTree.indent(root)
+        document: bytes = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
+        return document.decode() + "\n"
+
+
+def validate(
+    traces: Sequence[Trace],
+    valve: Valve,
+    tolerance: float | None = None,
+    *,
+    command_jitter: bool = False,
+    progress: Progress | None = None,
+) -> Validation:
+    """Replay recordings on a declared valve.
+
+    A stroke passes when the root mean square of its error, over all its samples and over those in which the model
+    moves, is within the tolerance.
+
+    Args:
+        traces: measured strokes.
+        valve: the declared valve.
+        tolerance: m; default NOISE_FACTOR times the noise of each recording, at least FINEST_TOLERANCE.
+        command_jitter: estimate an error of each command's stamp too, prior N(0, CLOCK_SIGMA).
+        progress: told what is being done, and the fraction done.
+
+    Raises:
+        ValveError: the tolerance is not above 0.
+        SimulationError: the valve cannot be simulated.
+    """
+    if tolerance is not None and not 0.0 < tolerance < math.inf:
+        raise ValveError(f"--tolerance-um {MICRO * tolerance:g}: expected a length above 0")
+    replays = []
+    for index, trace in enumerate(traces):
+        if progress is not None:
+            progress(f"replaying {trace.source}", index / len(traces))
+        replays.append(replay_trace(trace, valve, tolerance, command_jitter=command_jitter))
+    return Validation(tuple(replays))
+
+
+def replay_trace(trace: Trace, valve: Valve, tolerance: float | None = None, *, command_jitter: bool = False) -> Replay:
+    """Replay one recording; arguments as in `validate`.
+
+    Raises:
+        SimulationError: the valve cannot be simulated.
+    """
+    # The current takes no part: the declared coil resistance is an assumption, and would pull at the clock offset.
+    plant = ValvePlant([replace(trace, coil_current=None)], valve)
+    problem = Problem(plant)
+    timing = plant.timing_errors if command_jitter else ()
+    nuisances = fit(problem, (), {}, nuisances=(*plant.nuisances, *timing)).values
+    offset = nuisances["clock_offset[0]"]
+    late = [nuisances.get(nuisance.name, 0.0) for nuisance in plant.timing_errors]
+    drive = Drive(np.maximum.accumulate(trace.drive.times + np.array(late)), trace.drive.volts)
+    noise = problem.noises["position"].sigma
+    start = min(float(drive.times.min(initial=math.inf)), float(trace.times[0])) - CLOCK_SIGMA
+    response = simulate(valve, drive, np.maximum(trace.times - offset, start), start_time=start)
+    residual = trace.pilot_position - response.pilot_position
+    errors_of = partial(_errors, residual, _moving(trace, response))
+    return Replay(
+        trace,
+        valve,
+        response.pilot_position,
+        offset,
+        noise,
+        max(NOISE_FACTOR * noise, FINEST_TOLERANCE) if tolerance is None else tolerance,
+        errors_of(np.ones(len(residual), dtype=bool)),
+        tuple(_stroke_checks(trace, valve, response.events, offset, errors_of)),
+    )
+
+
+def _moving(trace: Trace, response: Response) -> NDArray[np.bool_]:
+    """(n,) samples no further than MARGIN from one in which the model moves."""
+    when = trace.times[np.abs(response.pilot_velocity) > STILL_SPEED]
+    if len(when) == 0:
+        return np.zeros(len(trace.times), dtype=bool)
+    after = np.minimum(np.searchsorted(when, trace.times), len(when) - 1)
+    before = np.maximum(after - 1, 0)
+    distance = np.minimum(np.abs(when[after] - trace.times), np.abs(when[before] - trace.times))
+    return np.asarray(distance <= MARGIN)
+
+
+def _errors(residual: Array, moving: NDArray[np.bool_], chosen: NDArray[np.bool_]) -> Errors:
+    return Errors(
+        int(np.count_nonzero(chosen)),
+        _root_mean_square(residual[chosen]),
+        _root_mean_square(residual[chosen & moving]),
+        float(np.max(np.abs(residual[chosen]))),
+    )
+
+
+def _root_mean_square(values: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else math.nan
+
+
+def _stroke_checks(
+    trace: Trace,
+    valve: Valve,
+    events: Sequence[Event],
+    offset: float,
+    errors_of: Callable[[NDArray[np.bool_]], Errors],
+) -> Iterator[StrokeCheck]:
+    """Every stroke that has samples."""
+    seen = {found.stroke: found.events for found in events_from_sensors(trace, valve.parameters.pilot_gap)}
+    for stroke in find_strokes(trace):
+        chosen = (trace.times >= stroke.start) & (trace.times < stroke.stop)
+        if chosen.any():
+            arrivals = (_arrival(event, stroke, events, offset) for event in seen.get(stroke, ()))
+            yield StrokeCheck(stroke.name, errors_of(chosen), tuple(arrivals))
+
+
+def _arrival(event: SensorEvent, stroke: Stroke, events: Sequence[Event], offset: float) -> Arrival:
+    modelled = (
+        found.time - stroke.start
+        for found in events
+        if found.kind in _ARRIVALS[event.kind] and stroke.start <= found.time < stroke.stop
+    )
+    return Arrival(event.kind, event.sensor, event.after_command - offset, event.uncertainty, next(modelled, math.nan))
+
+
+def _add_suite(root: ElementTree.Element, replay: Replay) -> None:
+    cases = [*((stroke.name, stroke.errors) for stroke in replay.strokes), ("in all", replay.errors)]
+    failures = sum(errors.judged > replay.tolerance for _, errors in cases)
+    suite = ElementTree.SubElement(
+        root,
+        "testsuite",
+        name=replay.trace.source,
+        tests=str(len(cases)),
+        failures=str(failures),
+        errors="0",
+        skipped="0",
+    )
+    for name, errors in cases:
+        case = ElementTree.SubElement(suite, "testcase", classname=replay.trace.source, name=name)
+        words = (
+            f"rmse {MICRO * errors.rmse:.3g} µm, moving {MICRO * errors.moving_rmse:.3g} µm, maximum "
+            f"{MICRO * errors.maximum:.3g} µm, tolerance {MICRO * replay.tolerance:.3g} µm"
+        )
+        if errors.judged > replay.tolerance:
+            ElementTree.SubElement(case, "failure", message=words, type="outside tolerance")
+        else:
+            ElementTree.SubElement(case, "system-out").text = words
