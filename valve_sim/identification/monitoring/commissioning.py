@@ -121,13 +121,14 @@ def timed_stroke(record: StrokeRecord, healthy: Baseline) -> TimedStroke:
     return TimedStroke(float(volts[np.argmax(np.abs(volts))]), shifts, record.arrival_spread)
 
 
-def came_together(trace: Trace, healthy: Baseline) -> bool:
+def came_together(trace: Trace, valve: Valve) -> bool:
     """Whether a stroke was held open for less than half as long as it was commanded.
 
     A valve that is just about to open then may or may not reach its stop: too little is known of when the voltage went.
     """
     hold = float(trace.drive.times[-1] - trace.drive.times[0])
-    opening, closing = late_by(trace, healthy.valve, healthy.lateness)
+    # What a clock is off by is in both.
+    opening, closing = late_by(trace, valve, 0.0)
     return opening - closing > 0.5 * hold
 
 

@@ -226,12 +226,14 @@ class StrokeMonitor:
         scored, scores, alarm, state, remark = None, {}, None, "not judged", record.remark
         if not remark:
             try:
-                if self.commissioning is None:
+                if self.commissioning is None and came_together(record.trace, self._declared):
+                    remark = TOGETHER
+                elif self.commissioning is None:
                     state = "commissioning"
                     self._commission(record)
                 else:
                     level = self._allowed(record, self.commissioning)
-                    if level >= UNTIMED and came_together(record.trace, self.commissioning.healthy):
+                    if level >= UNTIMED and came_together(record.trace, self.commissioning.healthy.valve):
                         return self._report(record, None, {}, None, state, TOGETHER, {})
                     state = UNCERTAIN if level >= UNTIMED else WATCHING
                     scored = score_stroke(record.trace, self.commissioning.healthy, level)
