@@ -22,7 +22,8 @@ from scipy.io import loadmat
 from scipy.io.matlab import MatReadError
 
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose_plant
-from valve_sim.identification.estimation.fitting import Problem, fit
+from valve_sim.identification.estimation.problem import Problem
+from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.axis import AxisPlant, AxisRecord
 from valve_sim.model import ValveError
 

@@ -29,8 +29,10 @@ from scipy.optimize import least_squares
 
 from benchmarks.coverage import as_trace, true_dampings
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.estimation.fitting import Fit, Problem, fit
 from valve_sim.identification.estimation.identify import DEFAULT_FREE
+from valve_sim.identification.estimation.problem import Problem
+from valve_sim.identification.estimation.result import Fit
+from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.valve import CLOCK_SIGMA, ValvePlant
 from valve_sim.model import Drive, ValveParameters
 from valve_sim.traces import Trace, read_trace, write_bag

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.estimation.fitting import Interval
+from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.identification.monitoring.command_timing import (
     UNTIMED,
     ArrivalSpread,

@@ -11,7 +11,7 @@ from plants.mismatched import BENCH_VALVE, MismatchedPlant
 from plants.recording import Recorder, record, train_profile
 
 from benchmarks.campaign.cases import declared_valve
-from valve_sim.identification.estimation.fitting import Problem
+from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.selection.current_check import current_left, current_noise_inflation
 from valve_sim.model import Drive

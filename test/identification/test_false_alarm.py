@@ -10,7 +10,7 @@ from plants.recording import Recorder
 
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.diagnosis.calibration import CALIBRATION, calibrated
-from valve_sim.identification.estimation.fitting import Problem
+from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.selection.bootstrap import FalseAlarm, false_alarm
 from valve_sim.identification.selection.hypotheses import DECISIVE, Hypothesis, Search

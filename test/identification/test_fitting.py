@@ -9,7 +9,9 @@ import pytest
 from scipy.optimize import least_squares
 
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.estimation.fitting import Interval, Problem, covariance_interval, fit, profile_interval
+from valve_sim.identification.estimation.intervals import Interval, covariance_interval, profile_interval
+from valve_sim.identification.estimation.problem import Problem
+from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import from_internal, internal_bounds, to_internal
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import CATALOGUE, DECLARED, SimulationError

@@ -14,7 +14,9 @@ from valve_sim.identification.diagnosis.experiment_design import (
     Recommendation,
     recommend,
 )
-from valve_sim.identification.estimation.fitting import Fit, Problem, fit
+from valve_sim.identification.estimation.problem import Problem
+from valve_sim.identification.estimation.result import Fit
+from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Experiment
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.recording_profile import STROKE_VOLTS, duration_of, write_profile

@@ -7,8 +7,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pytest
 
-from valve_sim.identification.estimation.fitting import Fit, Problem, fit
 from valve_sim.identification.estimation.noise import Noise
+from valve_sim.identification.estimation.problem import Problem
+from valve_sim.identification.estimation.result import Fit
+from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Array, Channel, Nuisance
 from valve_sim.identification.selection.predictive_density import FARTHEST, neg2_log_predictive
 from valve_sim.model import Parameter

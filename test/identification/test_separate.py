@@ -10,7 +10,9 @@ from plants.recording import Profile, Recorder, train_profile
 
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.estimation.column_groups import columns_decouple, group_columns
-from valve_sim.identification.estimation.fitting import Fit, Problem, fit
+from valve_sim.identification.estimation.problem import Problem
+from valve_sim.identification.estimation.result import Fit
+from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.identification.plants.valve import ValvePlant
 

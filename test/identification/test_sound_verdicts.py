@@ -14,8 +14,9 @@ from plants.recording import train_profile
 from benchmarks.hard_recordings.cases import CAMPAIGN, Case, cases
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose, diagnose_plant
-from valve_sim.identification.estimation.fitting import Problem, fit
 from valve_sim.identification.estimation.noise import Noise
+from valve_sim.identification.estimation.problem import Problem
+from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.axis import AxisPlant
 from valve_sim.identification.plants.protocol import Array, Channel, EffectChoice, ForceMap, Nuisance
 from valve_sim.identification.reporting.diagnosis_json import to_json

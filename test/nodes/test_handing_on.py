@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
 
-from valve_sim.identification.estimation.fitting import Interval
+from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.nodes.handing_on import changes_between
 
 

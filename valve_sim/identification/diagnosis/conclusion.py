@@ -16,7 +16,8 @@ from valve_sim.identification.diagnosis.decision import Findings, advise, decide
 from valve_sim.identification.diagnosis.experiment_design import Recommendation, recommend
 from valve_sim.identification.diagnosis.outcome import Candidate, Diagnosis, State
 from valve_sim.identification.estimation.budget import OutOfTimeError
-from valve_sim.identification.estimation.fitting import Fit, Interval, covariance_interval, profile_interval, rmse
+from valve_sim.identification.estimation.intervals import Interval, covariance_interval, profile_interval
+from valve_sim.identification.estimation.result import Fit, rmse
 from valve_sim.identification.plants.protocol import strokes_of_plant
 from valve_sim.identification.selection.bootstrap import NOT_ASKED, FalseAlarm, false_alarm
 from valve_sim.identification.selection.force_maps import (

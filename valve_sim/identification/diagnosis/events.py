@@ -22,8 +22,9 @@ from scipy import stats
 from scipy.optimize import least_squares
 
 from valve_sim.files.whole_files import write_whole
-from valve_sim.identification.estimation.fitting import Problem, fit
 from valve_sim.identification.estimation.noise import Noise
+from valve_sim.identification.estimation.problem import Problem
+from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.event_table import EventPlant, EventTable, reached
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.identification.reporting.event_figures import plot_event_diagnosis

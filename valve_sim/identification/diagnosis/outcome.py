@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from valve_sim.identification.diagnosis.experiment_design import Recommendation
-from valve_sim.identification.estimation.fitting import Fit, Interval
+from valve_sim.identification.estimation.intervals import Interval
+from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.plants.protocol import Plant
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.selection.bootstrap import FalseAlarm

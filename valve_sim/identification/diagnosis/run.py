@@ -2,7 +2,7 @@
 
 Base fit, test of what is left, refit of the whole catalogue inside the simulator, forward selection with swaps and
 backward elimination, ambiguity class, hold-out, force maps for what has no name. Effects, timing errors and force maps
-are compared on one scale, the score S of `fitting`, and timing errors of single commands pay the Occam factor of their
+are compared on one scale, the score S of `result`, and timing errors of single commands pay the Occam factor of their
 prior instead of being tried last.
 """
 
@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from valve_sim.identification.diagnosis.conclusion import Conclusion
 from valve_sim.identification.diagnosis.outcome import Candidate, Diagnosis, State, Verdict
 from valve_sim.identification.estimation.budget import Budget, OutOfTimeError
-from valve_sim.identification.estimation.fitting import Mask, Problem, fit
+from valve_sim.identification.estimation.problem import Mask, Problem
+from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Plant, strokes_of_plant
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.selection.current_check import current_noise_inflation
@@ -79,7 +80,7 @@ def _begun(plant: Plant, holdout: Plant | None, progress: Progress | None, budge
     problem = Problem(plant, train_mask, budget=budget)
     never_still = [kind for kind, noise in problem.noises.items() if noise.samples == 0]
     if never_still:
-        problem = problem.with_noise_of(fit(problem, plant.base, {}, nuisances=plant.nuisances))
+        problem = problem.with_noise_left_by(fit(problem, plant.base, {}, nuisances=plant.nuisances).values)
     # Believed to the last milliampere, a current of another form would bend the motion to it.
     actuation = {channel.kind for channel in plant.channels if channel.role == "actuation"}
     with budget.until(DOUBTED_BY):

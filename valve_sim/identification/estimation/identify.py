@@ -9,7 +9,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from valve_sim.identification.estimation.fitting import Fit, Interval, Problem, fit, profile_interval
+from valve_sim.identification.estimation.intervals import Interval, profile_interval
+from valve_sim.identification.estimation.problem import Problem
+from valve_sim.identification.estimation.result import Fit
+from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Array, Nuisance, Plant, judged_channels
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.units import limits, measured, quantity

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from valve_sim.files.tables import TableError, read_table
-from valve_sim.identification.estimation.fitting import Interval
+from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.model import DECLARED, Drive, Valve, ValveError, published_times, simulate
 from valve_sim.model.parameters import POLYNOMIAL_NAMES

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose_plant
-from valve_sim.identification.estimation.fitting import Interval
 from valve_sim.identification.estimation.identify import DEFAULT_FREE
+from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.identification.monitoring.scores import Baseline
 from valve_sim.identification.plants.commissioned import CommissionedCurrent
 from valve_sim.identification.plants.protocol import Array, EffectChoice, Experiment, Nuisance, Plant

@@ -20,10 +20,13 @@ from typing import Final
 
 import numpy as np
 
-from valve_sim.identification.estimation.fitting import Fit, Interval, Problem, covariance_interval, fit
 from valve_sim.identification.estimation.gram import gram
 from valve_sim.identification.estimation.identify import DEFAULT_FREE
+from valve_sim.identification.estimation.intervals import Interval, covariance_interval
 from valve_sim.identification.estimation.noise import Noise
+from valve_sim.identification.estimation.problem import Problem
+from valve_sim.identification.estimation.result import Fit
+from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.monitoring.command_timing import UNTIMED
 from valve_sim.identification.plants.commissioned import CommissionedCurrent, commission_current
 from valve_sim.identification.plants.protocol import Array, Nuisance, perturbed

@@ -20,7 +20,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from valve_sim.identification.estimation.fitting import Interval
+from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.identification.monitoring.command_timing import PLAINLY_WIDER, UNTIMED, CommandScatter, allowed_for
 from valve_sim.identification.monitoring.commissioning import (
     Commissioning,

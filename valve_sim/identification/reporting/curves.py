@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.identification.diagnosis.run import Diagnosis
-from valve_sim.identification.estimation.fitting import Fit
+from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.plants.protocol import Array, Channel, judged_channels
 
 DRAWN_POINTS: Final = 450

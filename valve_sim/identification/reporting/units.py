@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Final
 
-from valve_sim.identification.estimation.fitting import Interval
+from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.identification.plants.protocol import Plant
 
 _PREFIXES: Final[Mapping[str, tuple[tuple[float, str], ...]]] = {

@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from valve_sim.identification.estimation.fitting import Fit
+from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.plants.protocol import Array, EffectChoice, perturbed
 from valve_sim.model import SimulationError
 

@@ -14,7 +14,8 @@ from typing import Final
 import numpy as np
 
 from valve_sim.identification.estimation.budget import OutOfTimeError
-from valve_sim.identification.estimation.fitting import Fit, Problem
+from valve_sim.identification.estimation.problem import Problem
+from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.plants.protocol import Array, EffectChoice, perturbed
 from valve_sim.identification.selection.hypotheses import DECISIVE, Hypothesis, Search
 from valve_sim.model import SimulationError

@@ -9,8 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from valve_sim.identification.estimation.budget import OutOfTimeError
-from valve_sim.identification.estimation.fitting import Fit, fit
 from valve_sim.identification.estimation.parallel import run_parallel
+from valve_sim.identification.estimation.result import Fit
+from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Array, ForceMap
 from valve_sim.identification.selection.hypotheses import Hypothesis, Search
 from valve_sim.model import SimulationError

@@ -7,7 +7,9 @@ from typing import Final
 
 import numpy as np
 
-from valve_sim.identification.estimation.fitting import Fit, Problem, fit, rmse
+from valve_sim.identification.estimation.problem import Problem
+from valve_sim.identification.estimation.result import Fit, rmse
+from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Nuisance, Plant
 from valve_sim.identification.selection.predictive_density import neg2_log_predictive
 from valve_sim.identification.selection.residual_tests import adequacy

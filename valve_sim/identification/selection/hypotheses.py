@@ -1,7 +1,7 @@
 """The search over named effects: every candidate is refitted inside the simulator (METHOD steps 4, 5 and 8).
 
 A hypothesis is a set of effects, with or without errors in each command's stamp. Hypotheses are compared by the
-score S of `fitting`; the best of each is kept, so that asking twice costs nothing.
+score S of `result`; the best of each is kept, so that asking twice costs nothing.
 """
 
 from __future__ import annotations
@@ -14,8 +14,10 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from valve_sim.identification.estimation.budget import OutOfTimeError
-from valve_sim.identification.estimation.fitting import Fit, Problem, fit
 from valve_sim.identification.estimation.parallel import run_parallel
+from valve_sim.identification.estimation.problem import Problem
+from valve_sim.identification.estimation.result import Fit
+from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import (
     EffectChoice,
     from_internal,

@@ -16,8 +16,9 @@ from typing import Final
 
 import numpy as np
 
-from valve_sim.identification.estimation.fitting import DIFFERENCE, Fit
 from valve_sim.identification.estimation.gram import gram
+from valve_sim.identification.estimation.result import Fit
+from valve_sim.identification.estimation.solver import DIFFERENCE
 from valve_sim.identification.plants.protocol import Array, from_internal, internal_bounds, internal_scale
 from valve_sim.model import SimulationError
 

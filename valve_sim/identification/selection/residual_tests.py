@@ -9,8 +9,9 @@ from typing import Final
 import numpy as np
 from scipy.special import fdtrc
 
-from valve_sim.identification.estimation.fitting import Fit, Problem
 from valve_sim.identification.estimation.gram import sum_squares
+from valve_sim.identification.estimation.problem import Problem
+from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.plants.protocol import Array
 
 BLOCKS: Final = (4, 16)

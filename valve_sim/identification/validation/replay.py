@@ -16,7 +16,8 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.identification.estimation.fitting import Problem, fit
+from valve_sim.identification.estimation.problem import Problem
+from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.identification.plants.valve import CLOCK_SIGMA, ValvePlant
 from valve_sim.model import Drive, Event, EventKind, Response, Valve, ValveError, simulate

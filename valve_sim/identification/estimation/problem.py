@@ -1,0 +1,140 @@
+"""What a fit is held against: measured channels, their noise, and which samples take part, as whitened residuals."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valve_sim.identification.estimation.budget import Budget
+from valve_sim.identification.estimation.noise import Noise, estimate_noise, noise_of_residuals, still_runs, stretches
+from valve_sim.identification.plants.protocol import Array, Nuisance, Plant, judged_channels
+
+Mask = Callable[[int, NDArray[np.int64]], NDArray[np.bool_]]
+
+LONGEST_RUN: Final = 4
+"""Identical readings in a row, beyond which a coarse sensor repeats one reading."""
+
+
+class Problem:
+    """Measured channels, their noise, and which samples take part.
+
+    Args:
+        plant: the machine and its data.
+        takes_part: (channel index, (n,) groups) → (n,) mask of samples that are fitted; default all.
+        noises: noise by kind of channel; default estimated from the channels.
+        budget: of the fits to it; default no limit.
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        takes_part: Mask | None = None,
+        noises: Mapping[str, Noise] | None = None,
+        budget: Budget | None = None,
+    ) -> None:
+        self.plant = plant
+        self.budget = budget or Budget.unlimited()
+        kinds = {channel.kind for channel in plant.channels}
+        self.noises = dict(noises) if noises is not None else {
+            kind: estimate_noise([channel for channel in plant.channels if channel.kind == kind])
+            for kind in sorted(kinds)
+        }  # fmt: skip
+        self._weights = [self._weight(index, takes_part) for index in range(len(plant.channels))]
+        self.samples = sum(int(np.count_nonzero(weight)) for weight in self._weights)
+        self.effective_samples = float(sum(np.sum(np.minimum(weight, 1.0) ** 2) for weight in self._weights))
+        self.variance_inflation = max(noise.variance_inflation for noise in self.noises.values())
+
+    def restricted(self, takes_part: Mask) -> Problem:
+        """The same data and noise with other samples taking part."""
+        return Problem(self.plant, takes_part, self.noises, self.budget)
+
+    def with_inflated_noise(self, kind: str, factor: float) -> Problem:
+        """The same with the noise of a kind of channel taken to be so many times as large."""
+        doubted = {
+            name: replace(noise, innovation=factor * noise.innovation)
+            for name, noise in self.noises.items()
+            if name == kind
+        }
+        return self.with_noises(doubted)
+
+    def with_noise_left_by(self, values: Mapping[str, float]) -> Problem:
+        """The same with the noise of what is never still taken from what these values leave of it."""
+        shown = self.plant.predict(values)
+        pieces: dict[str, list[Array]] = {kind: [] for kind, noise in self.noises.items() if noise.samples == 0}
+        for index, channel in enumerate(self.plant.channels):
+            for group in np.unique(channel.group) if channel.kind in pieces else ():
+                chosen = (channel.group == group) & (self.weight(index) > 0.0)
+                pieces[channel.kind].append((channel.data - shown[index])[chosen])
+        learned = {kind: noise_of_residuals(found, self.noises[kind]) for kind, found in pieces.items()}
+        return self.with_noises({**self.noises, **learned})
+
+    def with_noises(self, noises: Mapping[str, Noise]) -> Problem:
+        """The same data and samples with other noise."""
+        same = copy.copy(self)
+        same.noises = {kind: noises.get(kind, noise) for kind, noise in self.noises.items()}
+        same.variance_inflation = max(noise.variance_inflation for noise in same.noises.values())
+        return same
+
+    @property
+    def noise(self) -> Noise:
+        """That of the response in which errors are reported."""
+        return self.noise_of(judged_channels(self.plant)[0])
+
+    def noise_of(self, index: int) -> Noise:
+        """The noise of a channel."""
+        return self.noises[self.plant.channels[index].kind]
+
+    def weight(self, index: int) -> Array:
+        """(n,) how much each sample of a channel counts; 0 where it takes no part."""
+        return self._weights[index]
+
+    def reach(self, nuisance: Nuisance) -> NDArray[np.bool_]:
+        """(n,) which of the residuals a nuisance acts on."""
+        low, high = nuisance.during
+        acts_on = nuisance.channels or range(len(self.plant.channels))
+        return np.concatenate(
+            [
+                (low <= channel.times) & (channel.times < high) & (index in acts_on)
+                for index, channel in enumerate(self.plant.channels)
+            ]
+        )
+
+    def residuals(self, values: Mapping[str, float]) -> Array:
+        """Whitened, weighted residuals of all channels in a row (measured − predicted).
+
+        Raises:
+            OutOfTimeError: the time for fits is used up.
+            SimulationError: the machine cannot be simulated with these values.
+        """
+        self.budget.check()
+        shown = self.plant.predict(values)
+        return np.concatenate(
+            [
+                self.noise_of(index).whiten(channel.data - prediction) * weight
+                for index, (channel, prediction, weight) in enumerate(
+                    zip(self.plant.channels, shown, self._weights, strict=True)
+                )
+            ]
+        )
+
+    def _weight(self, index: int, takes_part: Mask | None) -> Array:
+        channel = self.plant.channels[index]
+        weight = np.ones(len(channel.data))
+        noise = self.noise_of(index)
+        if noise.step > 0.0 and noise.is_coarse:
+            # A coarse sensor at rest repeats one reading; a thousand copies are not a thousand measurements. The runs
+            # are the declared model's: weights by the readings themselves lean on their errors, which with 1 µm of
+            # noise and 5 µm steps puts the dampings 0.16 standard errors off.
+            runs = still_runs(np.round(self.plant.predict({})[index] / noise.step))
+            weight = np.where(runs > LONGEST_RUN, 1.0 / np.sqrt(runs), weight)
+            for start, stop in stretches(channel.quiet):
+                weight[start:stop] = np.minimum(weight[start:stop], 1.0 / math.sqrt(stop - start))
+        if takes_part is not None:
+            weight = np.where(takes_part(index, channel.group), weight, 0.0)
+        return weight

@@ -1,0 +1,149 @@
+"""What a fit found, and what that is worth: errors, correlations, and scores for comparing models.
+
+The criterion is χ² = Σ e² + Σ (nuisance / prior)², e the whitened residual. Its score, for comparing models, is
+
+    S = χ²/f + k ln N + Σ ln(1 + σ_j² I_j)
+
+with k freed parameters, N samples (copies of one reading count once), f the factor by which slow noise discounts
+evidence, and for each nuisance the Occam factor of its prior σ_j and information I_j (Laplace; MacKay 2003, chapter
+28). Of two models a difference of 10 in S is decisive.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from valve_sim.identification.estimation.problem import Problem
+from valve_sim.identification.plants.protocol import (
+    Array,
+    Nuisance,
+    internal_bounds,
+    internal_scale,
+    internal_slope,
+    judged_channels,
+)
+
+NO_INFORMATION: Final = 1e-290
+"""Information below which a parameter moves nothing at all."""
+SMALLEST_SHARE: Final = 1e-14
+"""Of the information, scaled to ones on its diagonal, that a direction can have and still be told from rounding."""
+COLLINEAR: Final = 100.0
+"""Variance of a parameter over what it would be if all others were known, beyond which directions are nearly flat."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """The outcome of one fit; equal to itself only, so that what is worked out of it can be remembered by it.
+
+    Attributes:
+        problem: what was fitted.
+        free: names of the freed parameters. nuisances: of the nuisances estimated along.
+        values: every freed parameter and nuisance at the optimum, in its unit.
+        chi2: criterion at the optimum, nuisance priors included.
+        residuals: whitened residuals there.
+        jacobian: (n, k + m) d(residuals)/d(search coordinate), nuisances last.
+        information: (k + m, k + m), priors included.
+        converged: whether the last step was small enough.
+    """
+
+    problem: Problem
+    free: tuple[str, ...]
+    nuisances: tuple[Nuisance, ...]
+    values: dict[str, float]
+    chi2: float
+    residuals: Array
+    jacobian: Array
+    information: Array
+    converged: bool
+    coordinates: Array = field(repr=False)
+
+    @property
+    def covariance(self) -> Array:
+        """(k + m, k + m) of the search coordinates, slow noise included; directions the data do not hold are huge.
+
+        A parameter without any influence has infinite variance and no correlation.
+        """
+        diagonal = np.diag(self.information)
+        alive = diagonal > NO_INFORMATION
+        scale = 1.0 / np.sqrt(diagonal[alive])
+        sizes, directions = np.linalg.eigh(self.information[np.ix_(alive, alive)] * np.outer(scale, scale))
+        inverse = (directions / np.maximum(sizes, SMALLEST_SHARE)) @ directions.T
+        covariance = np.diag(np.where(alive, 0.0, np.inf))
+        covariance[np.ix_(alive, alive)] = inverse * np.outer(scale, scale) * self.problem.variance_inflation
+        return covariance
+
+    @property
+    def score(self) -> float:
+        """S of the module's page: smaller is better, by 10 is decisive."""
+        occam = 0.0
+        for index, nuisance in enumerate(self.nuisances, start=len(self.free)):
+            occam += math.log(max(1.0, nuisance.sigma**2 * float(self.information[index, index])))
+        variance_inflation = self.problem.variance_inflation
+        return self.chi2 / variance_inflation + len(self.free) * math.log(self.problem.effective_samples) + occam
+
+    @property
+    def evidence(self) -> float:
+        """−2 ln of the evidence, but for a constant: χ²/f + ln det(1 + D I D / f) (Laplace).
+
+        D has the natural sizes of the freed parameters, and σ of the nuisances: how large each may be before the data
+        are seen. A parameter that the data hardly hold costs hardly anything here, and ln N in the score.
+        """
+        plant, variance_inflation = self.problem.plant, self.problem.variance_inflation
+        sizes = [internal_scale(plant.parameter(name)) for name in self.free]
+        sigmas = [nuisance.sigma for nuisance in self.nuisances]
+        spread = np.array([*sizes, *sigmas])
+        # The priors of the nuisances are the ones of 1 + D I D: I is what the data alone say.
+        of_data = self.information - np.diag([0.0] * len(sizes) + [1.0 / sigma**2 for sigma in sigmas])
+        _, volume = np.linalg.slogdet(np.eye(len(spread)) + of_data * np.outer(spread, spread) / variance_inflation)
+        return self.chi2 / variance_inflation + float(volume)
+
+    def stderr(self, name: str) -> float:
+        """Standard error of a freed parameter in its own unit; inf where the data do not hold it."""
+        index = self.free.index(name)
+        error = math.sqrt(max(0.0, float(self.covariance[index, index])))
+        slope = internal_slope(self.problem.plant.parameter(name), float(self.coordinates[index]))
+        return error * slope
+
+    def is_collinear(self, name: str) -> bool:
+        """Whether others can take its place so nearly that a parabola no longer says how far it reaches.
+
+        Dampings are, beside an asymmetric friction that has dampings of its own for both directions.
+        """
+        index = self.free.index(name)
+        known, variance = float(self.information[index, index]), float(self.covariance[index, index])
+        return math.isfinite(variance) and known * variance > COLLINEAR * self.problem.variance_inflation
+
+    def correlation(self) -> Array:
+        """(k, k) of the freed parameters."""
+        k = len(self.free)
+        covariance = self.covariance[:k, :k]
+        error = np.sqrt(np.diag(covariance))
+        correlation = np.asarray(np.where(np.isfinite(covariance), covariance, 0.0) / np.outer(error, error))
+        np.fill_diagonal(correlation, 1.0)
+        return correlation
+
+    def on_bound(self, name: str) -> str | None:
+        """'lower' or 'upper' if a parameter sits on that bound, by its search coordinate; being endless is no bound."""
+        parameter = self.problem.plant.parameter(name)
+        lower, upper = internal_bounds(parameter)
+        at = float(self.coordinates[self.free.index(name)])
+        scale = 1e-9 * max(abs(at), internal_scale(parameter))
+        if parameter.infinite_at_upper and at - lower <= scale:
+            return None
+        return "lower" if at - lower <= scale else "upper" if upper - at <= scale else None
+
+
+def rmse(result: Fit) -> float:
+    """Root mean square of measured less predicted response over the samples that take part, in its unit."""
+    plant, problem = result.problem.plant, result.problem
+    squares, count = 0.0, 0
+    predictions = plant.predict(result.values)
+    for index in judged_channels(plant):
+        takes_part = problem.weight(index) > 0.0
+        squares += float(np.sum(np.square((plant.channels[index].data - predictions[index])[takes_part])))
+        count += int(np.count_nonzero(takes_part))
+    return math.sqrt(squares / max(1, count))

@@ -1,0 +1,224 @@
+"""Output-error fits on whitened residuals: bounded Gauss–Newton with Levenberg's damping."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import numpy as np
+
+from valve_sim.identification.estimation.column_groups import columns_decouple, group_columns
+from valve_sim.identification.estimation.gram import gram, sum_squares
+from valve_sim.identification.estimation.problem import Problem
+from valve_sim.identification.estimation.result import NO_INFORMATION, Fit
+from valve_sim.identification.plants.protocol import (
+    Array,
+    Nuisance,
+    from_internal,
+    internal_bounds,
+    internal_scale,
+    to_internal,
+)
+from valve_sim.model import SimulationError
+
+DIFFERENCE: Final = 2e-3
+"""Step of a difference quotient, in natural sizes of its parameter."""
+NUISANCE_DIFFERENCE: Final = 1e-6
+"""s: likewise for times."""
+MOST_ITERATIONS: Final = 40
+CONVERGED: Final = 1e-2
+"""A fit has converged when a step would lower χ² by less than this: a tenth of a standard error."""
+LARGEST_DAMPING: Final = 1e4
+"""Levenberg's, in units of the information: beyond it no step helps and the fit stands still."""
+FEW: Final = 4
+"""So many nuisances have their derivatives renewed in every step; those of more are kept while they serve."""
+
+
+def fit(
+    problem: Problem,
+    free: Sequence[str],
+    start: Mapping[str, float],
+    *,
+    nuisances: Sequence[Nuisance] = (),
+    fixed: Mapping[str, float] | None = None,
+    robust: Sequence[float] = (),
+) -> Fit:
+    """Minimise χ² from one start.
+
+    Args:
+        problem: data and noise.
+        free: parameters to free.
+        start: values to start from, by name; what is missing starts at its declared value (nuisances at 0).
+        nuisances: estimated along, with their priors.
+        fixed: further values to hold, e.g. an effect's parameter in a profile.
+        robust: scales in σ of a Cauchy loss that is used first, one after the other, to leave wrong basins.
+    """
+    search = _Search(problem, tuple(free), tuple(nuisances), dict(fixed or {}))
+    at = search.start(start)
+    for scale in robust:
+        at, *_ = search.descend(at, scale)
+    at, chi2, residuals, jacobian, information, converged = search.descend(at, math.inf)
+    return Fit(
+        problem, tuple(free), tuple(nuisances), search.values(at), chi2, residuals, jacobian, information,
+        converged, at,
+    )  # fmt: skip
+
+
+class _Search:
+    """One minimisation: coordinates in natural sizes, bounds, difference quotients."""
+
+    def __init__(
+        self, problem: Problem, free: tuple[str, ...], nuisances: tuple[Nuisance, ...], fixed: dict[str, float]
+    ) -> None:
+        self.problem, self.free, self.nuisances, self.fixed = problem, free, nuisances, fixed
+        self.parameters = [problem.plant.parameter(name) for name in free]
+        bounds = [internal_bounds(parameter) for parameter in self.parameters]
+        self.lower = np.array([low for low, _ in bounds] + [-20.0 * n.sigma for n in nuisances])
+        self.upper = np.array([high for _, high in bounds] + [20.0 * n.sigma for n in nuisances])
+        scales = [internal_scale(parameter) for parameter in self.parameters]
+        self.steps = np.array([DIFFERENCE * s for s in scales] + [NUISANCE_DIFFERENCE] * len(nuisances))
+        self.prior = np.array([0.0] * len(free) + [1.0 / n.sigma**2 for n in nuisances])
+        self._reach = [problem.reach(nuisance) for nuisance in nuisances]
+        self._groups = group_columns(self._reach)
+        self._nuisance_columns: Array | None = None
+
+    def start(self, values: Mapping[str, float]) -> Array:
+        plant = self.problem.plant
+        coordinates = [
+            to_internal(parameter, values.get(name, plant.declared(name)))
+            for name, parameter in zip(self.free, self.parameters, strict=True)
+        ]
+        coordinates += [values.get(nuisance.name, 0.0) for nuisance in self.nuisances]
+        return np.clip(np.array(coordinates, dtype=np.float64), self.lower, self.upper)
+
+    def values(self, at: Array) -> dict[str, float]:
+        values = dict(self.fixed)
+        for name, parameter, coordinate in zip(self.free, self.parameters, at, strict=False):
+            values[name] = from_internal(parameter, float(coordinate))
+        for nuisance, coordinate in zip(self.nuisances, at[len(self.free) :], strict=True):
+            values[nuisance.name] = float(coordinate)
+        return values
+
+    def residuals(self, at: Array) -> Array | None:
+        """Residuals, or None where the model cannot be simulated."""
+        try:
+            residuals = self.problem.residuals(self.values(at))
+        except SimulationError:
+            return None
+        return residuals if np.all(np.isfinite(residuals)) else None
+
+    def jacobian(self, at: Array, residuals: Array) -> Array:
+        """Forward differences, away from the bound ahead; the columns of many nuisances are kept while they do."""
+        columns = [self._column(at, index, residuals) for index in range(len(self.free))]
+        if self._nuisance_columns is None:
+            self._nuisance_columns = self._columns_of_nuisances(at, residuals)
+        return np.column_stack([*columns, self._nuisance_columns])
+
+    def _columns_of_nuisances(self, at: Array, residuals: Array) -> Array:
+        columns = np.zeros((len(residuals), len(self.nuisances)))
+        for group in self._groups:
+            indices = [len(self.free) + index for index in group]
+            columns[:, group] = self._columns_at_once(at, indices, residuals)
+        return columns
+
+    def _columns_at_once(self, at: Array, indices: list[int], residuals: Array) -> Array:
+        """Of nuisances that have samples of their own, by one run; by one for each where they reach beyond them."""
+        if len(indices) > 1:
+            moved, steps = at.copy(), self.steps[indices]
+            moved[indices] += np.where(at[indices] + steps > self.upper[indices], -steps, steps)
+            there = self.residuals(moved)
+            masks = [self._reach[index - len(self.free)] for index in indices]
+            if there is not None and columns_decouple(there - residuals, masks):
+                return np.where(np.column_stack(masks), (there - residuals)[:, None] / (moved - at)[indices], 0.0)
+        return np.column_stack([self._column(at, index, residuals) for index in indices])
+
+    def _column(self, at: Array, index: int, residuals: Array) -> Array:
+        step = self.steps[index]
+        if abs(at[index]) > 0.0 and index < len(self.free):
+            step = max(step, 1e-5 * abs(at[index]))
+        for size in (step, -step, 0.1 * step, -0.1 * step):
+            moved = at.copy()
+            moved[index] = min(max(at[index] + size, self.lower[index]), self.upper[index])
+            actual = moved[index] - at[index]
+            there = self.residuals(moved) if actual != 0.0 else None
+            if there is not None:
+                return np.asarray((there - residuals) / actual)
+        return np.zeros(len(residuals))
+
+    def descend(self, at: Array, cauchy: float) -> tuple[Array, float, Array, Array, Array, bool]:
+        """Gauss–Newton with Levenberg's damping, variables on a bound held while they push outwards."""
+        residuals = self.residuals(at)
+        if residuals is None:
+            raise SimulationError("the model cannot be simulated at the start of the fit")
+        damping, converged = 1e-4, False
+        cost = self._cost(at, residuals, cauchy)
+        jacobian = self.jacobian(at, residuals)
+        is_stale = False
+        information, gradient = self._normal(at, residuals, jacobian, cauchy)
+        for _ in range(MOST_ITERATIONS):
+            move, gain = self._step(at, information, gradient, damping)
+            if gain < CONVERGED:
+                converged = True
+                break
+            candidate = np.clip(at + move, self.lower, self.upper)
+            there = self.residuals(candidate)
+            new_cost = self._cost(candidate, there, cauchy) if there is not None else math.inf
+            if there is not None and new_cost < cost:
+                converged = cost - new_cost < CONVERGED
+                damping = max(1e-9, damping * (0.1 if cost - new_cost > 0.5 * gain else 0.5))
+                if len(self.nuisances) <= FEW or cost - new_cost > 0.01 * cost:
+                    self._nuisance_columns = None
+                is_stale = self._nuisance_columns is not None
+                at, residuals, cost = candidate, there, new_cost
+                jacobian = self.jacobian(at, residuals)
+            elif is_stale:
+                self._nuisance_columns = None
+                jacobian = self.jacobian(at, residuals)
+                is_stale = False
+            else:
+                damping *= 10.0
+                converged = damping > LARGEST_DAMPING
+            if converged:
+                break
+            information, gradient = self._normal(at, residuals, jacobian, cauchy)
+        if math.isfinite(cauchy):
+            information, _ = self._normal(at, residuals, jacobian, math.inf)
+        return at, cost, residuals, jacobian, information, converged
+
+    def _normal(self, at: Array, residuals: Array, jacobian: Array, cauchy: float) -> tuple[Array, Array]:
+        """Information matrix and half the gradient of the criterion, priors included."""
+        if math.isfinite(cauchy):
+            weighted = jacobian / (1.0 + np.square(residuals / cauchy))[:, None]
+        else:
+            weighted = jacobian
+        return gram(weighted, jacobian) + np.diag(self.prior), gram(weighted, residuals) + self.prior * at
+
+    def _cost(self, at: Array, residuals: Array, cauchy: float) -> float:
+        prior = float(self.prior @ np.square(at))
+        if not math.isfinite(cauchy):
+            return sum_squares(residuals) + prior
+        return float(cauchy**2 * np.sum(np.log1p(np.square(residuals / cauchy)))) + prior
+
+    def _step(self, at: Array, information: Array, gradient: Array, damping: float) -> tuple[Array, float]:
+        """The damped step within bounds, and the decrease that it promises."""
+        scale = np.maximum(np.diag(information), 1e-300)
+        held = ((at <= self.lower) & (gradient > 0)) | ((at >= self.upper) & (gradient < 0)) | (scale <= NO_INFORMATION)
+        move = np.zeros(len(at))
+        for _ in range(len(at)):
+            moving = ~held
+            if not np.any(moving):
+                break
+            size = 1.0 / np.sqrt(scale[moving])
+            normal = information[np.ix_(moving, moving)] * np.outer(size, size)
+            normal[np.diag_indices_from(normal)] *= 1.0 + damping
+            normal[np.diag_indices_from(normal)] += 1e-12
+            rest = gradient[moving] + information[np.ix_(moving, held)] @ move[held]
+            move[moving] = -size * np.linalg.solve(normal, size * rest)
+            beyond = moving & ((at + move < self.lower) | (at + move > self.upper))
+            if not np.any(beyond):
+                break
+            move[beyond] = np.clip(at[beyond] + move[beyond], self.lower[beyond], self.upper[beyond]) - at[beyond]
+            held = held | beyond
+        gain = -float(2.0 * gradient @ move + move @ information @ move)
+        return move, max(gain, 0.0)
