@@ -4,7 +4,7 @@ A bag of 0.5 s at 20 kHz (eight strokes, 1 µm noise, 0.1 µm steps, from the in
 identified in new processes, their compile cache warm as after any first run; a long bag is read; and the same fit is
 made by scipy: `solve_ivp` (DOP853; RK45 takes as long; the coil's current in closed form, contacts as
 events) inside `least_squares`, from the same start on the same whitened residuals. Both fits run in this process, to
-the end, and their answers are compared. Exits 1 when short of what issue 3 wants. Needs no ROS.
+the end, and their answers are compared. Exits 1 when short of the wanted ratio. Needs no ROS.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ class Motion(NamedTuple):
 
 
 def simulate_by_scipy(parameters: ValveParameters, drive: Drive, times: Array) -> Array:
-    """Pilot position at ascending `times`, m, by MODEL.md 2.
+    """Pilot position at ascending `times`, m, by eqs. (1) to (15) of the theory.
 
     Left out, because these strokes have neither: a contact at the pilot gap slower than 1 mm/s, and seat load.
     """

@@ -16,7 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from benchmarks.campaign import __doc__ as campaign_words
 from benchmarks.campaign.cases import FAMILIES, NOISES, draw_case, planned
-from benchmarks.campaign.effects import CATALOGUED, METHOD_LIMITS
+from benchmarks.campaign.effects import CATALOGUED, EARLIER_LIMITS
 from benchmarks.campaign.figures import confusion_table, figures, least_demands, reliability_table
 from benchmarks.campaign.limits import detection_limit
 from benchmarks.campaign.running import Outcome, Timing, examine, run_cases, time_cold
@@ -138,9 +138,9 @@ def _print_tables(outcomes: Sequence[Outcome], *, is_slice: bool) -> None:
 
 def _limits_table() -> str:
     """Detection limits in white noise that amplitudes are drawn by, for shapes in the middle of their ranges."""
-    lines = [f"{'detection limit, as a size':<28}{'here':>12}{'METHOD':>12}"]
+    lines = [f"{'detection limit, as a size':<28}{'here':>12}{'earlier':>12}"]
     for name, scale in CATALOGUED.items():
-        known = f"{METHOD_LIMITS[name]:>12.3g}" if name in METHOD_LIMITS else f"{'–':>12}"
+        known = f"{EARLIER_LIMITS[name]:>12.3g}" if name in EARLIER_LIMITS else f"{'–':>12}"
         lines.append(f"{name:<28}{detection_limit(name, scale.middle(), NOISES['white']):>12.3g}{known}")
     return "\n".join(lines)
 

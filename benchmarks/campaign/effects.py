@@ -21,9 +21,9 @@ class Scale:
     Attributes:
         parameters: from a size (0 is off, of either sign where `is_signed`) and a shape.
         guess: a size at which the effect shows clearly.
-        largest: the upper end of what is drawn; what is physically sensible (METHOD, "Physics with sources").
+        largest: the upper end of what is drawn; what is physically sensible.
         shapes: range of each shape parameter, drawn evenly in the logarithm, or evenly if the range begins at 0.
-        is_signed: whether MODEL.md 3 allows both signs.
+        is_signed: whether the catalogue allows both signs.
         most: what physics cannot exceed.
         limit_shape: what takes the place of the drawn shape where the detection limit is worked out.
     """
@@ -131,7 +131,7 @@ CATALOGUED: Final[Mapping[str, Scale]] = {
     ),
     "sensor_gain": Scale(_gain, 1e-4, 0.02, is_signed=True),
 }
-"""MODEL.md 3, by size. Pressure holds the main plunger down; lags, drag, rebounds and losses have one sign."""
+"""Those of the catalogue, by size. Pressure holds the main plunger down; lags, drag and losses have one sign."""
 
 UNCATALOGUED: Final[Mapping[str, Scale]] = {
     "force_bump": Scale(
@@ -146,7 +146,7 @@ UNCATALOGUED: Final[Mapping[str, Scale]] = {
 }
 """Plant (a)'s disturbances without a name in the catalogue, by size."""
 
-METHOD_LIMITS: Final[Mapping[str, float]] = {
+EARLIER_LIMITS: Final[Mapping[str, float]] = {
     "coulomb_friction": 1.5e-3,
     "constant_force": 2.4e-3,
     "rest_attraction": 6e-3,
@@ -161,14 +161,14 @@ METHOD_LIMITS: Final[Mapping[str, float]] = {
     "stroke_offset": 0.05e-6,
     "sensor_gain": 5e-5,
 }
-"""Sizes at the detection limit that METHOD measured on like recordings."""
+"""Sizes at the detection limit by earlier measurements of such recordings, to compare with."""
 
 CONFUSION_CLASSES: Final = (
     {"coulomb_friction", "stiction", "asymmetric_friction", "squeeze_film"},
     {"stroke_offset", "sensor_gain"},
     {"rest_attraction", "drive_gain"},
 )
-"""METHOD: classes that physics makes; a pair is not drawn from one of them."""
+"""Effects that physics makes look alike; a pair is not drawn from one class."""
 
 
 def are_confusable(first: str, second: str) -> bool:

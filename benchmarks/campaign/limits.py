@@ -22,7 +22,7 @@ from benchmarks.campaign.effects import CATALOGUED, Effects, Scale
 DETECTABLE: Final = 3.3
 """Standard deviations."""
 CLOCK_PRIOR: Final = 50e-6
-"""s, MODEL.md 3: of a bag's clock offset, and of each command's stamp."""
+"""s: of a bag's clock offset, and of the error of each command's stamp."""
 DAMPINGS: Final = ("pilot_damping", "main_damping")
 DECLARED_DAMPING: Final = {name: float(np.asarray(CAMPAIGN_VALVE[name])) for name in DAMPINGS}
 DAMPING_STEP, TIME_STEP = 2e-3, 0.4e-6

@@ -27,7 +27,7 @@ from valve_sim.model import Drive
 from valve_sim.traces import Signal, Trace
 
 LARGEST_CLASS: Final = 4
-"""A class of more names is no answer (MODEL.md 6)."""
+"""A class of more names is no answer."""
 CONFIDENT: Final = 0.9
 """Probability from which a claim must be right."""
 PATIENCE: Final = 900.0

@@ -1,4 +1,7 @@
-"""An independent reference: MODEL sections 2 and 3 once more, for SciPy's DOP853. No line is shared with the core."""
+"""An independent reference: the theory's model once more, eqs. (1) to (15), for SciPy's DOP853.
+
+No line is shared with the core.
+"""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Truth plants: valves to record test data from, written from MODEL.md alone and sharing no code with the package."""
+"""Truth plants: valves to record test data from, sharing no code with the package."""

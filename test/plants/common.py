@@ -11,7 +11,7 @@ FloatArray = NDArray[np.float64]
 AnyFunction = TypeVar("AnyFunction", bound=Callable[..., object])
 
 
-# MODEL.md 3: names and parameters of the effects.
+# Names and parameters of the effects, as docs/reference/effects.md lists them.
 CATALOGUE: dict[str, tuple[str, ...]] = {
     "coulomb_friction": ("force",),
     "stiction": ("force", "breakaway", "stribeck_velocity"),

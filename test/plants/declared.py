@@ -1,9 +1,9 @@
-"""Plant (a), form known: MODEL.md's physics, modes and effects, by classical Runge-Kutta steps of fixed length.
+"""Plant (a), form known: the theory's physics, modes and effects, by classical Runge-Kutta steps of fixed length.
 
 A step never straddles a command or a sample, and one that crosses a contact, a turn of the velocity or the breaking
 of a rest is cut there by bisection of the step itself, to a few femtoseconds. Nothing here comes from the package.
 
-Readings of MODEL.md 3 where it leaves a choice:
+Where the paper and the catalogue leave a choice:
 
 - drive_gain multiplies u's target, so the measured current and the heat show it.
 - residual_magnetism is a floor under the u behind eddy_lag and before magnetic_saturation; `largest abs(u) so far` is
@@ -21,7 +21,7 @@ import numpy as np
 
 from .common import CATALOGUE, FloatArray, PlantEvent, PlantRun, check_effects, compiled, compiled_entry
 
-# MODEL.md 2 with the two mends of MODEL.md 1 that make both published event times come out.
+# The paper's valve with the two corrections of docs/theory/paper.md that make both published event times come out.
 CAMPAIGN_VALVE: dict[str, float | tuple[float, float, float, float]] = {
     "pilot_mass": 0.109,
     "moving_mass": 0.134,
@@ -143,10 +143,10 @@ NO_EVENT = -1
 ) = range(52)
 PARAMETER_COUNT = 52
 
-COPPER = 0.00393  # 1/K, MODEL.md 3
+COPPER = 0.00393  # 1/K, IEC 60028: theory, eq. (10)
 SEAT_HOLDS = 1e-9  # N: no smaller net force lifts the pilot off its seat
-SLOW_CONTACT = 1e-3  # m/s, MODEL.md 2
-SLOWEST_REBOUND = 5e-3  # m/s, MODEL.md 3
+SLOW_CONTACT = 1e-3  # m/s: theory, eq. (14)
+SLOWEST_REBOUND = 5e-3  # m/s: theory, eq. (15)
 BISECTIONS = 30  # of a 2 µs step: 2 fs
 
 State = tuple[float, float, float, float, float, float, float]  # x, v, u, eddy u, temperature, seen pilot, seen main
@@ -545,7 +545,7 @@ def _packed(
 
 @dataclass(frozen=True)
 class DeclaredPlant:
-    """A valve of MODEL.md 2 with effects of MODEL.md 3 and disturbances that no catalogue holds.
+    """A valve with effects of the catalogue and disturbances that no catalogue holds.
 
     `parameters` replaces entries of CAMPAIGN_VALVE; `effects` holds names of CATALOGUE and UNCATALOGUED; `step` is the
     longest step in s. An unknown name raises ValueError.

@@ -1,4 +1,4 @@
-"""Plant (b), form mismatched: a valve that MODEL.md's equations describe only roughly.
+"""Plant (b), form mismatched: a valve that the theory's equations describe only roughly.
 
 Two bodies instead of modes: pilot and main plunger touch each other, the seat and the stop through stiff Hunt-Crossley
 contacts k d (1 + c d'), so a contact takes microseconds and rebounds at most at 1 / c. Friction is LuGre on both
@@ -23,8 +23,8 @@ from scipy.optimize import brentq
 
 from .common import CATALOGUE, FloatArray, PlantEvent, PlantRun, check_effects, compiled, compiled_entry
 
-# Effects like those of MODEL.md 3 that can be laid on top, each in this plant's own form. pickup_impact is not among
-# them: the pick-up is a contact here.
+# Effects like the catalogue's that can be laid on top, each in this plant's own form. pickup_impact is not among them:
+# the pick-up is a contact here.
 EFFECTS = {name: names for name, names in CATALOGUE.items() if name != "pickup_impact"}
 
 PILOT_MASS = 0.109  # kg, paper
@@ -54,8 +54,8 @@ HYSTERESIS_SPAN = 0.15  # change of u that saturates the hysteresis
 REST_FORCE = 4.98144621  # N, solved for the paper's event times
 WINDING_INDUCTANCE = 14.23303238e-3  # H, solved for the paper's event times
 
-# Entries of a valve of MODEL.md 2 that bench tests would give for this plant: the force map at rest, the rise of the
-# current with the plunger blocked, the force that lifts the pilot. The published valve is further off.
+# Declared parameters that bench tests would give for this plant: the force map at rest, the rise of the current with
+# the plunger blocked, the force that lifts the pilot. The published valve is further off.
 BENCH_VALVE: dict[str, float | tuple[float, float, float, float]] = {
     "attraction_polynomial": (REST_FORCE, 17.096e3, -30.931e6, 24.026e9),
     "coil_time_constant": WINDING_INDUCTANCE / RESISTANCE,

@@ -1,4 +1,4 @@
-"""The truth plants against MODEL.md's numbers, against scipy at 1e-12, and against themselves with other steps."""
+"""The truth plants against the paper's numbers, against scipy at 1e-12, and against themselves with other steps."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path

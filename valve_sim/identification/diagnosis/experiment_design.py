@@ -1,7 +1,7 @@
 """What to record next: of the recordings that could be made, the one that tells the candidates apart best.
 
-METHOD step 7. A recording is simulated as if one hypothesis were the truth, and the other is refitted to it: the root
-of the χ² that is left is by how many standard deviations they differ there. (Linear differences will not do: where a
+A recording is simulated as if one hypothesis were the truth, and the other is refitted to it: the root of the χ² that
+is left is by how many standard deviations they differ there, theory, eq. (53). (Linear differences will not do: where a
 pulse only just lifts the valve they promise ten times what a refit leaves.) What is recorded already would hold the
 refit back, so two hypotheses differ by at least that. A recording is worth what separates its least separated pair.
 """

@@ -1,4 +1,4 @@
-"""The noise of a sensor, from windows in which the machine is still (METHOD step 0)."""
+"""The noise of a sensor, from windows in which the machine is still: theory, eqs. (21) to (25)."""
 
 from __future__ import annotations
 
@@ -209,7 +209,11 @@ def _floor(channels: Sequence[Channel]) -> float:
 
 
 def _autoregression(windows: Sequence[Array], samples: int) -> tuple[tuple[float, ...], float]:
-    """Burg's recursion over several windows; the order by Schwarz's criterion (Burg 1975; Kay 1988, section 7.3)."""
+    """Coefficients and innovation by Burg's recursion over several windows (Burg 1975; Kay 1988, section 7.3).
+
+    The order is that of the smallest n ln P + 2 m ln n: Schwarz's criterion with twice its penalty, theory, eq. (23).
+    Schwarz's own takes 1 in 100 white noises of 2000 samples for coloured, this one fewer than 1 in 1000.
+    """
     forward = [window.copy() for window in windows]
     backward = [window.copy() for window in windows]
     power = sum(float(window @ window) for window in windows) / samples

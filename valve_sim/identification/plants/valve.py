@@ -28,7 +28,7 @@ from valve_sim.model.simulation import Samples, new_states, run_record
 from valve_sim.traces import Signal, Trace
 
 CLOCK_SIGMA: Final = 50e-6
-"""s, MODEL section 3: the prior of a bag's clock offset and of each command's stamp."""
+"""s: standard deviation of the prior of a bag's clock offset and of the error of each command's stamp."""
 FIT_TOLERANCE: Final = 1e-8
 """Of one step while fitting: a thousandth of the noise at most."""
 STAMPS: Final = math.sqrt(2.0) * 1e-9

@@ -1,4 +1,4 @@
-"""The search over named effects: every candidate is refitted inside the simulator (METHOD steps 4, 5 and 8).
+"""The search over named effects: every candidate is refitted inside the simulator.
 
 A hypothesis is a set of effects, with or without errors in each command's stamp. Hypotheses are compared by the
 score S of `result`; the best of each is kept, so that asking twice costs nothing.
@@ -29,13 +29,13 @@ from valve_sim.model import SimulationError
 from valve_sim.model.parameters import Parameter
 
 DECISIVE: Final = 10.0
-"""Difference of S that decides (METHOD: ΔBIC 10, odds of 150 to 1)."""
+"""Difference of the score S, theory, eq. (41), that decides: odds of 150 to 1."""
 SMALL, LARGE = 0.05, (0.5, 1.5, 3.0)
 """Starts, in natural sizes of a parameter: one near off, which follows the gradient, and some that leave its basin."""
 SHAPES: Final = (1.0, 0.2, 5.0)
 """Likewise for parameters that shape an effect but do not switch it."""
 ANNEALING: Final = (100.0, 20.0, 5.0)
-"""σ: Cauchy scales that lead a fit with impacts out of wrong basins (METHOD)."""
+"""σ: scales of the Cauchy loss, theory, eq. (30), that lead a fit with impacts out of local minima."""
 ROBUST: Final = 20.0
 """σ: scale of the cost by which starts are ranked, so that one impact at another time does not decide."""
 SCATTER: Final = (1.0, 3.0, 3.0, 10.0, 10.0, 30.0)

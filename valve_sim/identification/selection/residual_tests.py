@@ -1,4 +1,4 @@
-"""Tests of whether what a model leaves is more than noise (METHOD step 2)."""
+"""Tests of whether a model's residual is white: theory, eq. (43)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which hypotheses are tried, in which order, and which of them may be claimed (METHOD steps 4 to 8).
+"""Which hypotheses are tried, in which order, and which of them may be claimed.
 
 Singles, then pairs, triples and quadruples while each gains; members are swapped through the catalogue, and what is not
 needed is dropped again. Hypotheses are ordered by what they predict of held-out strokes.
@@ -18,9 +18,9 @@ from valve_sim.identification.selection.hypotheses import DECISIVE, Hypothesis, 
 from valve_sim.identification.selection.residual_tests import adequacy
 
 MOST_EFFECTS: Final = 4
-"""One more than METHOD has: on the plant of other form three leave the added effect out in 4 of 10 cases, four in 2."""
+"""In one hypothesis. On the plant of another form, three leave the added effect out in 4 of 10 cases, four in 2."""
 LARGEST_CLASS: Final = 4
-"""More names than this are no answer (MODEL section 6)."""
+"""More names than this are no answer."""
 BEAM: Final = 2
 """How many of the best hypotheses are extended by one more effect."""
 HINT: Final = 0.02
@@ -140,7 +140,7 @@ class Exploration:
         return self.selection_criterion(self.best_claimable()) < before - DECISIVE
 
     def _swap(self, best: Hypothesis, names: Sequence[str]) -> Hypothesis:
-        """Swap each member through the catalogue (METHOD: cured most wrong pairs)."""
+        """Swap each member through the catalogue (which corrected most wrong pairs on the campaign)."""
         rests = [best.without(member) for member in best.effects]
         swapped = [rest.adding(name) for rest in rests for name in names if name not in rest.effects]
         done = 0.5 + 0.1 * (len(best.effects) - 1)

@@ -1,7 +1,7 @@
 """Replay validation: does a declared valve, driven as the recorded one was, do what was measured?
 
-Nothing about the valve is fitted. What is estimated is what MODEL section 3 calls nuisances: the offset between the
-clocks of commands and samples, within its prior, and on request an error of each command's stamp.
+Nothing about the valve is fitted. Only nuisance parameters are estimated, within their priors: the offset between the
+clocks of commands and samples and, on request, an error of each command's stamp (theory, eq. (26)).
 """
 
 from __future__ import annotations
