@@ -72,9 +72,11 @@ class PlantOnTopics:
                 self._send(made, start, min(start + CHUNK, stop))
 
     def strokes(self, count: int, effects: Mapping[str, Mapping[str, float]] | None = None) -> list[Any]:
-        """So many strokes; the reports that came meanwhile."""
+        """So many strokes; the reports of all but the last, which has not ended yet."""
+        told = self.told
         for _ in range(count):
             self.stroke(effects)
+        assert self._probe.until(lambda: self.told >= told + count - 1), "a stroke was not reported"
         return self.take_reports()
 
     @property

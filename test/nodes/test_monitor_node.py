@@ -122,7 +122,6 @@ def test_a_valve_with_topics_and_units_of_its_own_is_watched_by_a_map(probe: Pro
         plant.wait_for_monitor()
         before = len(plant.residuals)
         reports = plant.strokes(3)
-        # The last one is reported once the valve has rested for a while.
         assert [report["opened"] and report["closed"] for report in reports[:2]] == [True, True]
         residual = np.array([message.data for message in plant.residuals[before:]])
         assert np.sqrt(np.mean(residual**2)) == pytest.approx(1e-6, rel=0.2)
@@ -165,12 +164,10 @@ def test_what_commissioning_found_survives_a_restart_until_it_is_asked_for_anew(
     given = {"measured": "measured/joint_states", "use_sim_time": True, "max_rate": 1e5, "state": str(state)}
     with monitoring(tmp_path, **given) as process:
         plant.wait_for_monitor()
-        reports = plant.strokes(FEW + 3)
-        assert probe.until(lambda: state.exists() and numbers and f"{FEW + 1}" == numbers[-1].status[0].values[0].value)
-        reports += plant.take_reports()
-        assert reports[-1]["stroke"] == FEW + 1
-        values = {pair.key: pair.value for pair in numbers[-1].status[0].values}
-        assert float(values["t2 (ms)"]) == pytest.approx(1e3 * reports[-1]["t2"], rel=1e-4)
+        reports = {report["stroke"]: report for report in plant.strokes(FEW + 3)}
+        assert probe.until(lambda: state.exists() and numbers_of(FEW + 1, numbers))
+        values = numbers_of(FEW + 1, numbers)
+        assert float(values["t2 (ms)"]) == pytest.approx(1e3 * reports[FEW + 1]["t2"], rel=1e-4)
         process.send_signal(signal.SIGTERM)
         assert process.wait(PATIENCE) == 0
     plant.predicted.clear()
@@ -184,16 +181,27 @@ def test_what_commissioning_found_survives_a_restart_until_it_is_asked_for_anew(
         assert plant.strokes(3)[-1]["state"] == "commissioning"
 
 
+def numbers_of(stroke: int, heard: list[Any]) -> dict[str, str]:
+    """What ~/stroke_diagnostics has said of one stroke; empty if nothing yet."""
+    said = [{pair.key: pair.value for pair in message.status[0].values} for message in heard]
+    return next((values for values in said if values["stroke"] == f"{stroke}"), {})
+
+
 def test_a_stuck_valve_is_an_error(probe: Probe, tmp_path: Path) -> None:
     ears = Ears(probe)
     with running(tmp_path), monitoring(tmp_path):
         ears.ready()
         ears.strokes(2)
         assert probe.set_parameters(valve__seat_load=100.0)[0].successful
-        (report,) = ears.strokes(1)
+        # Held for as long as it takes: the monitor is the more patient, the later this machine is.
+        ears.voltage.publish(Float64(data=9.0))
+        assert probe.until(lambda: ears.is_said("valve", 2, "did not open"))
+        before = len(ears.reports)
+        ears.voltage.publish(Float64(data=0.0))
+        assert probe.until(lambda: len(ears.reports) > before), "the stroke was not reported"
+        report = json.loads(ears.reports[-1].data)
         assert report["opened"] is False
         assert "did not open" in report["fault"]
-        assert probe.until(lambda: ears.is_said("valve", 2, "did not open"))
 
 
 def test_bad_samples_are_counted_and_harm_nothing(probe: Probe, tmp_path: Path) -> None:
