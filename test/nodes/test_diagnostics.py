@@ -78,5 +78,5 @@ def test_the_valve_says_where_it_is_and_why_it_was_put_back() -> None:
     assert (status.level, status.message) == (Level.OK, "gap_hold")
     assert (status.values["phase"], status.values["strokes"]) == ("gap_hold", "3")
     assert valve_status(ValveFacts(Phase.CLOSED, 3, 1, "too stiff")).level is Level.ERROR
-    status = valve_status(ValveFacts(Phase.CLOSED, 3, 0, "", namesakes=1))
+    status = valve_status(ValveFacts(Phase.CLOSED, 3, 0, "", duplicates=1))
     assert (status.level, status.values["other nodes of this name"]) == (Level.WARN, "1")

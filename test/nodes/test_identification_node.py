@@ -145,7 +145,7 @@ def test_a_fit_that_leaves_more_than_noise_is_not_handed_on(probe: Probe, tmp_pa
     live.close()
     applied = json.loads(results[0].data)["applied"]
     assert not applied["is_set"]
-    assert "what is left is more than noise, so the model lacks something" in applied["reason"]
+    assert "the residual is not white, so the model lacks something" in applied["reason"]
     assert "/valve is as it was" in said
     assert not (tmp_path / "before.yaml").exists()
 
@@ -168,7 +168,7 @@ def test_what_was_set_all_the_same_can_be_undone(probe: Probe, tmp_path: Path) -
         process.send_signal(signal.SIGINT)
         assert process.wait(PATIENCE) == 0
         assert process.stderr is not None
-        assert "is given the result although what is left is more than noise" in process.stderr.read()
+        assert "is given the result although the residual is not white" in process.stderr.read()
     with running(tmp_path, ["--ros-args", "--params-file", str(tmp_path / "before.yaml")]):
         assert Probe("/valve").parameters() == before
     live.close()

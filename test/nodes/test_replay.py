@@ -14,7 +14,7 @@ from valve_sim.nodes.diagnostics import Level
 from valve_sim.nodes.identification_parameters import Settings, check_settings
 from valve_sim.nodes.identification_task import Task
 from valve_sim.nodes.realtime import ClockReading
-from valve_sim.nodes.replay import Replay, measured_reading, predict, replay_status, score
+from valve_sim.nodes.replay import Replay, measured_reading, predict, replay_status, timeline
 from valve_sim.traces import Trace
 
 TIMES = np.arange(40) / 1e3
@@ -73,7 +73,7 @@ def play(clock: FakeClock, rate: float) -> tuple[Replay, Notes]:
 
 
 def test_a_command_comes_before_the_sample_of_its_time() -> None:
-    places = score(TRACE, 1.0).places.tolist()
+    places = timeline(TRACE, 1.0).places.tolist()
     assert places[:2] == [-1, 0]
     assert places.index(-2) == places.index(20) + 1 == places.index(21) - 1
 

@@ -64,14 +64,14 @@ class ValveFacts(NamedTuple):
 
     Attributes:
         phase, strokes: now, and full openings in all. failures: how often it was put back to rest.
-        failure: why it was last; empty if it never was. namesakes: other nodes of this node's name.
+        failure: why it was last; empty if it never was. duplicates: other nodes of this name.
     """
 
     phase: Phase
     strokes: int
     failures: int
     failure: str
-    namesakes: int = 0
+    duplicates: int = 0
 
 
 def timing_status(timing: Timing, rate_wanted: float, waiting_for: str) -> Status:
@@ -127,11 +127,11 @@ def valve_status(facts: ValveFacts) -> Status:
         "phase": facts.phase.name.lower(),
         "strokes": str(facts.strokes),
         "failures": str(facts.failures),
-        "other nodes of this name": str(facts.namesakes),
+        "other nodes of this name": str(facts.duplicates),
     }
     if facts.failure:
         return Status("valve", Level.ERROR, f"was put back to rest: {facts.failure}", values)
-    if facts.namesakes:
+    if facts.duplicates:
         return Status("valve", Level.WARN, "another node has this name, and publishes on the same topics", values)
     return Status("valve", Level.OK, facts.phase.name.lower(), values)
 

@@ -25,7 +25,7 @@ class Settings(NamedTuple):
         params: parameter file of the declared valve; empty for the shipped one.
         free: what is refitted.
         rate: seconds of the bag a second of the clock; 0 for as fast as possible. loop: replay it again and again.
-        apply_to: the node that gets the result; empty for none. apply_always: where more than noise is left, too.
+        apply_to: the node that gets the result; empty for none. apply_always: whatever its residual.
         output: folder of the files. linger: stay after the last sample and the result, for ~/undo and late subscribers.
         mode: of MODES. budget: s that a diagnosis may take.
     """
@@ -53,8 +53,8 @@ DESCRIPTIONS: Final = {
     "free": "parameters to refit (mode identify), such as pilot_damping or coulomb_friction.force",
     "rate": "[–] replay: 1 as recorded, 2 twice as fast, 0 as fast as possible",
     "loop": "whether the replay begins anew at its end",
-    "apply_to": "running valve node that is given the result, if that leaves nothing but noise; empty: none",
-    "apply_always": "whether apply_to is given a result that leaves more than noise, too",
+    "apply_to": "running valve node that is given the result, if its residual is white; empty: none",
+    "apply_always": "whether apply_to is given a result whose residual is not white, too",
     "output": "folder of identified.yaml (mode diagnose: corrected.yaml) and before.yaml, what apply_to had",
     "linger": "whether the node stays when all is done, for ~/undo and late subscribers",
     "budget": "[s] time that a diagnosis may take; it says what was left untried",

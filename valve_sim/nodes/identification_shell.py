@@ -207,8 +207,8 @@ class IdentificationShell:
     def _apply(self, outcome: Outcome, recipient: Recipient) -> Applied:
         """Set the whole valve, effects that are off too, at once or not at all; what it had before is kept."""
         logger = self._node.get_logger()
-        if outcome.doubt and not self._settings.apply_always:
-            return Applied(recipient.name, False, f"{outcome.doubt}; apply_always:=true sets it all the same")
+        if outcome.objection and not self._settings.apply_always:
+            return Applied(recipient.name, False, f"{outcome.objection}; apply_always:=true sets it all the same")
         new = valve_parameters(outcome.valve)
         try:
             old = recipient.values(list(new))
@@ -218,8 +218,8 @@ class IdentificationShell:
             return Applied(recipient.name, False, str(error))
         changes = changes_between(old, new, outcome.intervals)
         self._before = {change.name: change.old for change in changes}
-        if outcome.doubt:
-            logger.warning(f"{recipient.name} is given the result although {outcome.doubt} (apply_always)")
+        if outcome.objection:
+            logger.warning(f"{recipient.name} is given the result although {outcome.objection} (apply_always)")
         lines = tuple(change.text() for change in changes)
         for line in lines:
             logger.info(f"{recipient.name}: {line}")

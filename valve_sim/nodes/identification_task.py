@@ -34,7 +34,7 @@ class Outcome(NamedTuple):
         valve: the identified or corrected one. clock_offset: s by which the samples are stamped late.
         report: content of identify.json or report.json. file: where the valve was written.
         summary: one sentence for a person. intervals: by name of each fitted parameter.
-        doubt: why the valve should not be handed on; empty where nothing but noise is left.
+        objection: why the valve should not be handed on; empty where the residual is white.
     """
 
     valve: Valve
@@ -43,7 +43,7 @@ class Outcome(NamedTuple):
     file: Path
     summary: str
     intervals: Mapping[str, Interval]
-    doubt: str
+    objection: str
 
 
 class Applied(NamedTuple):
@@ -100,7 +100,7 @@ def _doubt(result: Identification) -> str:
     if not result.fit.converged:
         return "the fit did not settle"
     if leaves_more_than_noise(result.fit):
-        return "what is left is more than noise, so the model lacks something (mode:=diagnose may name it)"
+        return "the residual is not white, so the model lacks something (mode:=diagnose may name it)"
     bound = next((name for name in result.fit.free if result.fit.on_bound(name) is not None), "")
     return f"{bound} sits on the bound of its range" if bound else ""
 
@@ -119,10 +119,10 @@ def _diagnosed(trace: Trace, declared: Valve, settings: Settings, folder: Path, 
     save_valve(file, result.valve, _provenance(settings, result.verdict.summary))
     offset = result.after.fit.values.get("clock_offset[0]", 0.0)
     after, kind = result.after, result.verdict.kind
-    doubt = "" if kind in _NAMED else f"the verdict is {kind!r}"
-    if not doubt and not after.adequacy.is_white:
-        doubt = "what is left is more than noise"
-    return Outcome(result.valve, offset, to_json(result), file, result.verdict.summary, after.intervals, doubt)
+    objection = "" if kind in _NAMED else f"the verdict is {kind!r}"
+    if not objection and not after.adequacy.is_white:
+        objection = "the residual is not white"
+    return Outcome(result.valve, offset, to_json(result), file, result.verdict.summary, after.intervals, objection)
 
 
 def _provenance(settings: Settings, summary: str) -> str:

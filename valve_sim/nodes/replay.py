@@ -50,7 +50,7 @@ class Prediction(NamedTuple):
         )
 
 
-class Score(NamedTuple):
+class Timeline(NamedTuple):
     """A trace in the order of its replay.
 
     Attributes:
@@ -104,7 +104,7 @@ def measured_reading(trace: Trace, index: int) -> Reading:
     )
 
 
-def score(trace: Trace, rate: float) -> Score:
+def timeline(trace: Trace, rate: float) -> Timeline:
     """When each command and sample is due; a command comes before a sample of its time. All at once at rate 0."""
     times = np.concatenate([trace.drive.times, trace.times])
     commands = len(trace.drive.times)
@@ -112,7 +112,7 @@ def score(trace: Trace, rate: float) -> Score:
     order = np.argsort(times, kind="stable")
     elapsed = times[order] - times[order[0]]
     offsets = np.rint(elapsed * (NANOSECONDS / rate)) if rate > 0.0 else np.zeros(len(elapsed))
-    return Score(offsets.astype(np.int64), places[order])
+    return Timeline(offsets.astype(np.int64), places[order])
 
 
 class Replay(threading.Thread):
@@ -147,7 +147,7 @@ class Replay(threading.Thread):
         self.played = 0
         self.is_done = False
         self._clock = clock
-        self._score = score(trace, rate)
+        self._timeline = timeline(trace, rate)
         self._rate = rate
         self._loop = loop
         self._player = player
@@ -162,7 +162,7 @@ class Replay(threading.Thread):
     @property
     def samples(self) -> int:
         """Commands and samples of one pass."""
-        return len(self._score.offsets)
+        return len(self._timeline.offsets)
 
     def stop(self, timeout: float | None) -> bool:
         """End the thread; whether it has ended within `timeout`, s."""
@@ -204,23 +204,23 @@ class Replay(threading.Thread):
             elif why_restart(last, reading):
                 return False
             last = reading
-            due = int(np.searchsorted(self._score.offsets, reading.nanoseconds - start, side="right"))
+            due = int(np.searchsorted(self._timeline.offsets, reading.nanoseconds - start, side="right"))
             self._hand_out(due, start)
             if self.played < self.samples:
-                self._clock.sleep_until(start + int(self._score.offsets[self.played]))
+                self._clock.sleep_until(start + int(self._timeline.offsets[self.played]))
         return True
 
     def _hand_out(self, until: int, start: int) -> None:
         for index in range(self.played, until):
             if self._stopping.is_set():
                 return
-            place = int(self._score.places[index])
+            place = int(self._timeline.places[index])
             if place < 0:
                 self._player.command(-1 - place)
             else:
                 now = self._clock.read()
                 if now is not None:
-                    self.timing.note(now.nanoseconds - start - int(self._score.offsets[index]), self._period)
+                    self.timing.note(now.nanoseconds - start - int(self._timeline.offsets[index]), self._period)
                 self._player.sample(place)
             self.played = index + 1
 

@@ -26,6 +26,7 @@ from std_srvs.srv import Trigger
 from valve_sim.files.parameter_files import Section, default_valve
 from valve_sim.model import ParameterError, Stepper, Valve
 from valve_sim.nodes.diagnostics import CommandCount, Level, ValveFacts, command_status, timing_status, valve_status
+from valve_sim.nodes.duplicate_nodes import DuplicateNodes
 from valve_sim.nodes.live_valve import LiveValve, Step, self_test
 from valve_sim.nodes.messages import (
     ReadingMessages,
@@ -34,7 +35,6 @@ from valve_sim.nodes.messages import (
     is_open_message,
     phase_message,
 )
-from valve_sim.nodes.namesakes import DuplicateNodes
 from valve_sim.nodes.node_clock import NodeClock
 from valve_sim.nodes.parameters import (
     Settings,
@@ -84,7 +84,7 @@ class ValveShell:
                 max_voltage=self._settings.max_voltage,
             )
             self._commands = CommandCount()
-            self._namesakes = DuplicateNodes(self._node)
+            self._duplicates = DuplicateNodes(self._node)
             self._failure = ""
             self._exit_code = 0
             self._is_ready = False
@@ -263,7 +263,7 @@ class ValveShell:
         statuses = (
             timing,
             command_status(self._commands.look(now, live.last_command, live.volts, live.timed_out)),
-            valve_status(ValveFacts(live.phase, live.strokes, live.failures, self._failure, self._namesakes.look())),
+            valve_status(ValveFacts(live.phase, live.strokes, live.failures, self._failure, self._duplicates.look())),
         )
         name = self._node.get_fully_qualified_name()
         self._diagnostics.publish(diagnostic_array(statuses, name, self._clock.stamp()))

@@ -222,7 +222,7 @@ def remarks(result: Fit, intervals: Mapping[str, Interval]) -> list[str]:
         )
     if leaves_more_than_noise(result):
         said.append(
-            "what is left is more than noise, so the model lacks something and the intervals are too narrow; "
+            "the residual is not white, so the model lacks something and the intervals are too narrow; "
             "`diagnose` may name it."
         )
     if not result.converged:

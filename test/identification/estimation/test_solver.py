@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from identification.recordings import TRUTH, one_opening, recorded
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.estimation.intervals import Interval, covariance_interval, profile_interval
 from valve_sim.identification.estimation.problem import Problem
@@ -15,8 +16,6 @@ from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import from_internal, internal_bounds, to_internal
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import CATALOGUE, DECLARED, SimulationError
-
-from .recordings import TRUTH, one_opening, recorded
 
 BOTH = ("pilot_damping", "main_damping")
 

@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 from plants.recording import Recorder
 
+from identification.recordings import recorded
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.diagnosis.calibration import CALIBRATION, calibrated
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.selection.bootstrap import FalseAlarm, false_alarm
 from valve_sim.identification.selection.hypotheses import DECISIVE, Hypothesis, Search
-
-from .recordings import recorded
 
 LINEAR = ("coulomb_friction", "constant_force", "drive_gain", "eddy_lag", "gap_offset", "sensor_gain")
 """Effects whose real fits the bootstrap is held against."""

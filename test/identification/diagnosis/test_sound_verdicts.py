@@ -12,6 +12,7 @@ import pytest
 from plants.recording import train_profile
 
 from benchmarks.hard_recordings.cases import CAMPAIGN, Case, cases
+from identification.plants.test_axis import made_up_record
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose, diagnose_plant
 from valve_sim.identification.estimation.noise import Noise
@@ -24,9 +25,7 @@ from valve_sim.model import Drive, Parameter
 from valve_sim.traces import Signal, read_trace
 from valve_sim.traces.synthetic import Sensor, record
 
-from .test_emps import made_up_record
-
-BAGS = Path(__file__).parents[2] / "bags"
+BAGS = Path(__file__).parents[3] / "bags"
 
 
 def assert_sound(found: Diagnosis) -> None:

@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-PAGE = Path(__file__).parents[2] / "docs" / "how_to" / "your_own_plant.md"
+PAGE = Path(__file__).parents[3] / "docs" / "how_to" / "your_own_plant.md"
 
 
 def test_the_example_on_the_page_runs(capsys):

@@ -15,7 +15,7 @@ from valve_sim.identification.reporting.diagnosis_json import to_json
 from valve_sim.model import ValveError
 from valve_sim.progress_lines import ProgressLines
 
-from .test_diagnosis import DECLARED, measured
+from .test_run import DECLARED, measured
 
 FRICTION = {"coulomb_friction": {"force": 0.05}}
 

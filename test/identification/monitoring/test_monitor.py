@@ -8,6 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
+from identification.live_strokes import LiveValve, feed
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.monitoring.cusum import MOST, Sums, mean_run, threshold_for
 from valve_sim.identification.monitoring.fault_isolation import trace_cause
@@ -15,8 +16,6 @@ from valve_sim.identification.monitoring.monitor import Monitor
 from valve_sim.identification.monitoring.segmenter import LEAD, StrokeSegmenter
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.monitoring.stroke_monitor import StrokeReport
-
-from .live_strokes import LiveValve, feed
 
 HEALTHY = {"pilot_damping": 1.3, "main_damping": 3.5}
 FIVE_LIMITS = 7.5e-3

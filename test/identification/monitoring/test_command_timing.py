@@ -8,6 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
+from identification.live_strokes import LiveValve, feed
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.identification.monitoring.command_timing import (
@@ -26,8 +27,6 @@ from valve_sim.identification.monitoring.stroke_monitor import UNCERTAIN, WATCHI
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import Drive
 from valve_sim.traces import Trace
-
-from .live_strokes import LiveValve, feed
 
 HEALTHY = {"pilot_damping": 1.3, "main_damping": 3.5}
 QUIET, BUSY = 0.05e-3, 5e-3

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from plants.recording import Recorder
 
+from identification.recordings import FINE, recorded, still
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.estimation.noise import (
     Noise,
@@ -15,8 +16,6 @@ from valve_sim.identification.estimation.noise import (
     still_runs,
 )
 from valve_sim.identification.plants.valve import ValvePlant
-
-from .recordings import FINE, recorded, still
 
 
 def coloured(sigma: float, colour: float, count: int = 40_000, seed: int = 1) -> np.ndarray:

@@ -9,14 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from identification.live_strokes import LiveStroke, LiveValve, feed
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.monitoring.memory import SCHEMA, load_commissioning, save_commissioning
 from valve_sim.identification.monitoring.monitor import Monitor
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.monitoring.stroke_monitor import StrokeReport
 from valve_sim.model import ParameterError
-
-from .live_strokes import LiveStroke, LiveValve, feed
 
 SETTINGS = MonitorSettings(commissioning_strokes=8)
 

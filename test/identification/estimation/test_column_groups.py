@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from plants.recording import Profile, Recorder, train_profile
 
+from identification.recordings import recorded
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.estimation.column_groups import columns_decouple, group_columns
 from valve_sim.identification.estimation.problem import Problem
@@ -15,8 +16,6 @@ from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.identification.plants.valve import ValvePlant
-
-from .recordings import recorded
 
 STEP = 1e-6
 

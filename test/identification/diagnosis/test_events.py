@@ -11,7 +11,7 @@ from valve_sim.identification.diagnosis.events import DAMPINGS, PULLS, diagnose_
 from valve_sim.identification.plants.event_table import EventPlant, reached, read_event_table
 from valve_sim.model import Drive, ParameterError, simulate
 
-CONFIG = Path(__file__).parents[2] / "config"
+CONFIG = Path(__file__).parents[3] / "config"
 
 
 @pytest.fixture(scope="module")
