@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
-import json
 import math
 import os
 import re
@@ -23,6 +22,7 @@ from typing import TYPE_CHECKING, Any, Final, NoReturn
 import click
 
 from valve_sim import __version__
+from valve_sim.files.json_text import json_text, plain
 from valve_sim.files.ledger import keeping_ledger, plan_files
 from valve_sim.invocation import invocation
 
@@ -283,7 +283,7 @@ def info(*, bag: Path, name: str | None, params: Path | None, as_json: bool) -> 
         trace = dataclasses.replace(trace, findings=(*trace.findings, *doubtful_units(trace, parameters)))
         valves.append((describe(trace), events_from_sensors(trace, parameters.pilot_gap)))
     if as_json:
-        _print_json({"valves": [{**_plain(summary), "arrivals": _plain(arrivals)} for summary, arrivals in valves]})
+        _print_json({"valves": [{**plain(summary), "arrivals": plain(arrivals)} for summary, arrivals in valves]})
         return
     for summary, arrivals in valves:
         _print_summary(summary, arrivals)
@@ -346,6 +346,7 @@ def identify(
     from valve_sim.files.parameter_files import save_valve
     from valve_sim.files.whole_files import write_whole
     from valve_sim.identification.estimation.identify import identify as refit
+    from valve_sim.identification.reporting.identification import identification_json, identification_text
 
     written = (output / "identify.json", output / "identified.yaml")
     plan_files(*written)
@@ -356,11 +357,11 @@ def identify(
     traces = _read(bags, name, valve)
     with _progress() as progress:
         result = refit(traces, valve, names, progress)
-    report = result.to_json()
-    write_whole(output / "identify.json", _json_text(report))
+    report = identification_json(result)
+    write_whole(output / "identify.json", json_text(report))
     values = [f"{key}: {interval.value:.6g} ± {interval.stderr:.2g}" for key, interval in result.intervals.items()]
     save_valve(output / "identified.yaml", result.valve, _provenance(params, [f"identified: {', '.join(values)}"]))
-    _print_report(report, result.text(), written, as_json)
+    _print_report(report, identification_text(result), written, as_json)
 
 
 @main.command()
@@ -431,15 +432,17 @@ def diagnose(
 
 
 def _diagnose_events(events: Path, output: Path, as_json: bool) -> None:
-    from valve_sim.identification.diagnosis.events import diagnose_events, write_event_report
+    from valve_sim.identification.diagnosis.events import diagnose_events
     from valve_sim.identification.plants.event_table import read_event_table
+    from valve_sim.identification.reporting.event_files import write_event_report
+    from valve_sim.identification.reporting.event_report import event_json, event_text
 
     table = read_event_table(events)
     _say_when_compiling()
     with _progress() as progress:
         found = diagnose_events(table, progress)
     written = write_event_report(found, output)
-    _print_report(found.to_json(), found.text(), written, as_json)
+    _print_report(event_json(found), event_text(found), written, as_json)
 
 
 @main.command()
@@ -481,6 +484,7 @@ def validate(
     if plot is not None and len(bags) > 1:
         raise click.UsageError("--plot draws one recording; give one BAG", click.get_current_context())
     from valve_sim.files.whole_files import write_whole
+    from valve_sim.identification.reporting.validation import validation_json, validation_junit, validation_text
     from valve_sim.identification.validation.replay import validate as replay
 
     plan_files(*(path for path in (junit, plot) if path))
@@ -490,12 +494,12 @@ def validate(
     with _progress() as progress:
         result = replay(traces, valve, tolerance, command_jitter=command_jitter, progress=progress)
     if junit is not None:
-        write_whole(junit, _shown(result.junit()))  # XML has no place for control characters
+        write_whole(junit, _shown(validation_junit(result)))  # XML has no place for control characters
     if plot is not None:
         from valve_sim.identification.reporting.figures import plot_replay
 
         plot_replay(plot, result.replays[0])
-    _print_report(result.to_json(), result.text(), [path for path in (junit, plot) if path], as_json)
+    _print_report(validation_json(result), validation_text(result), [path for path in (junit, plot) if path], as_json)
     return 0 if result.passed else OUTSIDE
 
 
@@ -530,14 +534,15 @@ def fit_force(
     from valve_sim.files.whole_files import write_whole
     from valve_sim.identification.estimation.static_force import fit_static_force
     from valve_sim.identification.reporting.figures import plot_static_force
+    from valve_sim.identification.reporting.static_force import static_force_json, static_force_text
 
     result = fit_static_force(file, _load(params), degree=degree, voltage=voltage, constant=not no_constant)
     report, picture, parameters = (output / f for f in ("fit-force.json", "fit-force.png", "attraction.yaml"))
     plan_files(report, picture, parameters)
-    write_whole(report, _json_text(result.to_json()))
+    write_whole(report, json_text(static_force_json(result)))
     plot_static_force(picture, result)
     save_valve(parameters, result.valve, _provenance(params, ["attraction_polynomial: fitted", *result.remarks]))
-    _print_report(result.to_json(), result.text(), (report, picture, parameters), as_json)
+    _print_report(static_force_json(result), static_force_text(result), (report, picture, parameters), as_json)
 
 
 # --- in ---
@@ -645,26 +650,7 @@ def _provenance(params: Path | None, lines: Sequence[str]) -> str:
 
 
 def _print_json(report: Mapping[str, Any]) -> None:
-    click.echo(_json_text(report), nl=False)
-
-
-def _json_text(report: Mapping[str, Any]) -> str:
-    return json.dumps(_plain(report), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-
-
-def _plain(value: Any) -> Any:
-    """What JSON has: records become mappings, numbers that are not finite null."""
-    if isinstance(value, float):
-        return float(value) if math.isfinite(value) else None
-    if dataclasses.is_dataclass(value):
-        return {field.name: _plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
-    if hasattr(value, "_asdict"):
-        return _plain(value._asdict())
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    return str(value) if isinstance(value, Path) else value
+    click.echo(json_text(report), nl=False)
 
 
 def _refuse(message: str) -> NoReturn:

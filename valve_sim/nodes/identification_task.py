@@ -13,6 +13,7 @@ from valve_sim.files.parameter_files import save_valve
 from valve_sim.files.recording_map import load_map
 from valve_sim.identification.estimation.identify import Identification, identify, leaves_more_than_noise
 from valve_sim.identification.estimation.intervals import Interval
+from valve_sim.identification.reporting.identification import identification_json
 from valve_sim.model import Valve
 from valve_sim.model.errors import ValveError
 from valve_sim.nodes.diagnostics import Level, Status
@@ -93,7 +94,7 @@ def _identified(result: Identification, settings: Settings, folder: Path) -> Out
     file = folder / IDENTIFIED_FILE
     save_valve(file, result.valve, _provenance(settings, summary))
     offset = result.fit.values["clock_offset[0]"]
-    return Outcome(result.valve, offset, result.to_json(), file, summary, result.intervals, _doubt(result))
+    return Outcome(result.valve, offset, identification_json(result), file, summary, result.intervals, _doubt(result))
 
 
 def _doubt(result: Identification) -> str:

@@ -32,6 +32,7 @@ from valve_sim.identification.monitoring.memory import load_commissioning, save_
 from valve_sim.identification.monitoring.scores import Baseline
 from valve_sim.identification.monitoring.segmenter import Prediction, StrokeSegmenter
 from valve_sim.identification.monitoring.stroke_monitor import StrokeMonitor, StrokeReport
+from valve_sim.identification.reporting.monitoring import finding_json, stroke_json
 from valve_sim.model import ParameterError, Stepper
 from valve_sim.nodes.diagnostics import Level
 from valve_sim.nodes.live_map import LiveInput, live_inputs
@@ -389,7 +390,7 @@ class MonitorShell:
 
     def _report(self, report: StrokeReport) -> None:
         self._last_report = report
-        self._stroke_report.publish(String(data=json.dumps(report.to_json(), ensure_ascii=False)))
+        self._stroke_report.publish(String(data=json.dumps(stroke_json(report), ensure_ascii=False)))
         stamp = (self._epoch or 0) + round(report.record.time * NANOSECONDS)
         name = self._node.get_fully_qualified_name()
         self._stroke_diagnostics.publish(diagnostic_array([stroke_status(report)], name, stamp))
@@ -430,7 +431,7 @@ class MonitorShell:
         self._tracing.begin(strokes, healthy)
 
     def _tell(self, finding: Finding) -> None:
-        self._finding.publish(String(data=json.dumps(finding.to_json(), ensure_ascii=False)))
+        self._finding.publish(String(data=json.dumps(finding_json(finding), ensure_ascii=False)))
         if finding.effects != self._told:
             self._told = finding.effects
             self._node.get_logger().warning(finding.summary)

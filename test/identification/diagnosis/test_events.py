@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from valve_sim.files.parameter_files import default_valve, load_valve
-from valve_sim.identification.diagnosis.events import DAMPINGS, PULLS, diagnose_events, write_event_report
+from valve_sim.identification.diagnosis.events import DAMPINGS, PULLS, diagnose_events
 from valve_sim.identification.plants.event_table import EventPlant, reached, read_event_table
+from valve_sim.identification.reporting.event_files import write_event_report
+from valve_sim.identification.reporting.event_report import event_json, event_text
 from valve_sim.model import Drive, ParameterError, simulate
 
 CONFIG = Path(__file__).parents[3] / "config"
@@ -62,7 +64,7 @@ def test_no_single_effect_closes_the_table_but_many_pairs_do(diagnosis):
     closing = {frozenset(entry.effects) for entry in diagnosis.pairs if entry.closes}
     assert frozenset({"rest_attraction", "coil_lag"}) in closing
     assert len(closing) > 4
-    report = diagnosis.to_json()
+    report = event_json(diagnosis)
     assert report["verdict"]["kind"] == "insufficient"
     assert report["before"]["errors_ms"] == [None, None]
 
@@ -105,7 +107,7 @@ def test_every_member_of_the_region_gives_the_events(table, diagnosis):
 
 def test_it_says_what_would_decide(diagnosis):
     assert diagnosis.questions[0].power > 100.0
-    assert "what would decide" in diagnosis.text()
+    assert "what would decide" in event_text(diagnosis)
 
 
 @pytest.mark.parametrize(

@@ -71,7 +71,7 @@ def test_the_file_to_record_next_is_worth_what_it_promises(recommendation: Recom
     write_profile(tmp_path / "record_next.yaml", recommendation, "by a test")
     drive = read_profile(tmp_path / "record_next.yaml")
     assert len(drive.times) == 2 * (recommendation.repeats + len(STROKE_VOLTS))
-    promised = recommendation.to_json()["separates"][0]["standard_deviations"]
+    promised = recommendation.together[0][1]
     trace = measured(Profile(drive.times, drive.volts, duration_of(drive)), 5)
     plant = ValvePlant([measured(single_opening(), 3), trace], DECLARED)
     assert fitted(plant, "drive_gain").chi2 - fitted(plant, "coulomb_friction").chi2 > 0.5 * promised**2
@@ -83,7 +83,7 @@ def test_a_weak_pulse_is_repeated_until_it_tells_and_a_hopeless_one_is_not_advis
 
     assert separating(20.0).repeats == FEWEST_REPEATS
     assert separating(1.25).repeats == 16
-    assert separating(1.25).to_json()["separates"][0]["standard_deviations"] == pytest.approx(TELLS_APART)
+    assert separating(1.25).together[0][1] == pytest.approx(TELLS_APART)
     assert separating(0.9).repeats > MOST_REPEATS
     assert separating(0.0).repeats > MOST_REPEATS
 

@@ -13,6 +13,7 @@ from identification.recordings import TRUTH, one_opening, recorded, shortened
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.estimation.identify import check_free, identify
 from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.identification.reporting.identification import identification_json, identification_text
 from valve_sim.model import CATALOGUE, ParameterError, Valve
 
 
@@ -49,7 +50,7 @@ def test_one_opening_holds_the_main_damping_and_not_the_pilots() -> None:
     assert len(said) == 1
     assert "loosely" in said[0]
     assert not any(remark.startswith("main_damping is") for remark in result.remarks)
-    profile = result.to_json()["profiles"]["pilot_damping"]
+    profile = identification_json(result)["profiles"]["pilot_damping"]
     assert max(point["rise"] for point in profile) > 3.8
     assert profile[-1]["value"] - profile[0]["value"] > pilot.high - pilot.low - 0.05
 
@@ -78,7 +79,7 @@ def test_a_parameter_on_its_bound_is_said_to_be_there() -> None:
 def test_several_bags_make_one_fit() -> None:
     traces = [recorded(seed=seed) for seed in (1, 2, 3)]
     alone, together = identify(traces[:1], default_valve()), identify(traces, default_valve())
-    assert len(together.to_json()["clock_offsets_us"]) == 3
+    assert len(identification_json(together)["clock_offsets_us"]) == 3
     assert together.sources == ("seed 1", "seed 2", "seed 3")
     for name, truth in TRUTH.items():
         assert together.intervals[name].stderr == pytest.approx(alone.intervals[name].stderr / 3.0**0.5, rel=0.1)
@@ -138,8 +139,10 @@ def test_progress_is_told_and_the_report_is_json() -> None:
     assert fractions == sorted(fractions)
     assert fractions[0] == 0.0
     assert fractions[-1] == 1.0
-    assert json.loads(json.dumps(result.to_json(), allow_nan=False))["schema"] == "valve_sim/identification/1"
-    assert "pilot_damping" in result.text()
+    assert (
+        json.loads(json.dumps(identification_json(result), allow_nan=False))["schema"] == "valve_sim/identification/1"
+    )
+    assert "pilot_damping" in identification_text(result)
 
 
 def test_stamps_of_commands_that_scatter_are_estimated_along() -> None:

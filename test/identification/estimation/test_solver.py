@@ -15,6 +15,7 @@ from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import from_internal, internal_bounds, to_internal
 from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.identification.reporting.interval_json import interval_json
 from valve_sim.model import CATALOGUE, DECLARED, SimulationError
 
 BOTH = ("pilot_damping", "main_damping")
@@ -143,5 +144,5 @@ def test_a_parameter_that_the_data_hardly_hold_costs_no_evidence(problem: Proble
 
 
 def test_infinities_become_null_in_json() -> None:
-    entry = Interval(1.0, math.inf, 0.0, math.inf, "flat").to_json()
+    entry = interval_json(Interval(1.0, math.inf, 0.0, math.inf, "flat"))
     assert entry == {"value": 1.0, "stderr": None, "ci95": [0.0, None], "remark": "flat"}

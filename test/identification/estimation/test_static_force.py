@@ -8,6 +8,7 @@ import pytest
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.files.tables import TableError
 from valve_sim.identification.estimation.static_force import fit_static_force
+from valve_sim.identification.reporting.static_force import static_force_json
 from valve_sim.model import ValveError
 
 TRUTH = np.array([3.0336, 17.096e3, -30.931e6, 24.026e9])
@@ -38,7 +39,7 @@ def test_95_percent_intervals_hold_the_truth_in_95_percent_of_tables(tmp_path: P
 def test_residual_is_the_noise(tmp_path: Path):
     found = fit_static_force(table(tmp_path, points=2000), default_valve())
     assert found.rmse == pytest.approx(NOISE, rel=0.05)
-    assert found.to_json()["samples"] == 2000
+    assert static_force_json(found)["samples"] == 2000
 
 
 def test_force_at_another_voltage_is_scaled_to_the_reference(tmp_path: Path):

@@ -16,6 +16,7 @@ from valve_sim.identification.monitoring.monitor import Monitor
 from valve_sim.identification.monitoring.segmenter import LEAD, StrokeSegmenter
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.monitoring.stroke_monitor import StrokeReport
+from valve_sim.identification.reporting.monitoring import stroke_json
 
 HEALTHY = {"pilot_damping": 1.3, "main_damping": 3.5}
 FIVE_LIMITS = 7.5e-3
@@ -68,7 +69,7 @@ def test_a_healthy_valve_raises_no_alarm(colour: float, rate: float) -> None:
 def test_a_report_tells_the_stroke(commissioned: tuple[Monitor, LiveValve]) -> None:
     monitor, valve = commissioned
     valve.strokes = 0
-    report = strokes(monitor, valve, 2)[-1].to_json()
+    report = stroke_json(strokes(monitor, valve, 2)[-1])
     assert report["opened"] is True
     assert report["closed"] is True
     assert report["fault"] is None

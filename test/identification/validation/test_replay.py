@@ -9,6 +9,7 @@ from plants.declared import DeclaredPlant
 from plants.recording import Recorder, Recording, record, train_profile
 
 from valve_sim.files.parameter_files import default_valve
+from valve_sim.identification.reporting.validation import validation_json, validation_junit, validation_text
 from valve_sim.identification.validation.replay import validate
 from valve_sim.model import Drive, ValveError
 from valve_sim.traces import Trace
@@ -110,7 +111,7 @@ def test_junit_has_a_case_for_each_stroke_and_counts_failures(trace: Trace):
     good = validate([trace], default_valve())
     bad = validate([trace, trace], default_valve().with_values(main_damping=4.8))
     for result, suites in ((good, 1), (bad, 2)):
-        root = ElementTree.fromstring(result.junit().encode())
+        root = ElementTree.fromstring(validation_junit(result).encode())
         assert [suite.tag for suite in root] == ["testsuite"] * suites
         for suite in root:
             cases = suite.findall("testcase")
@@ -122,9 +123,9 @@ def test_junit_has_a_case_for_each_stroke_and_counts_failures(trace: Trace):
 
 def test_report_and_text_say_the_same(trace: Trace):
     result = validate([trace], default_valve().with_values(main_damping=4.8))
-    report = result.to_json()
+    report = validation_json(result)
     assert report["passed"] is False
-    assert [stroke["passed"] for stroke in report["recordings"][0]["strokes"]].count(False) == result.text().count(
-        "  outside"
-    ) - 1  # the recording as a whole is outside too
-    assert result.text().endswith("FAILED")
+    text = validation_text(result)
+    failed = [stroke["passed"] for stroke in report["recordings"][0]["strokes"]].count(False)
+    assert failed == text.count("  outside") - 1  # the recording as a whole is outside too
+    assert text.endswith("FAILED")

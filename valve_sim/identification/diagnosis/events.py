@@ -8,34 +8,26 @@ that fit equally well; and ranks measurements by how far members of that region 
 from __future__ import annotations
 
 import itertools
-import json
 import math
-import re
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
-from scipy import stats
 from scipy.optimize import least_squares
 
-from valve_sim.files.whole_files import write_whole
+from valve_sim.identification.estimation.intervals import CHI2_RISE_95
 from valve_sim.identification.estimation.noise import Noise
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.event_table import EventPlant, EventTable, reached
 from valve_sim.identification.plants.protocol import Array
-from valve_sim.identification.reporting.event_figures import plot_event_diagnosis
-from valve_sim.identification.reporting.units import listed_values
 from valve_sim.identification.selection.hypotheses import Hypothesis, Search
 from valve_sim.model import CATALOGUE, Drive, EventKind, ParameterError, Response, Valve, simulate
 
 Progress = Callable[[str, float], None]
 
-LEVEL: Final = float(stats.chi2.ppf(0.95, 1))
-"""Rise of χ² up to which a value is inside its 95 % interval."""
 DAMPINGS: Final = ("pilot_damping", "main_damping")
 PULLS: Final = ("rest_attraction.force", "coil_lag.time_constant")
 """What is fitted at each pair of dampings, to draw the region in all four."""
@@ -51,7 +43,7 @@ FORCE_ERROR, TIME_ERROR, POSITION_ERROR = 0.05, 0.05, 1.0
 """N (the paper's load cell, ±0.25 % of 19.1 N), ms (the table's own) and µm (a laser sensor's noise): assumed."""
 
 
-def _folded() -> dict[str, tuple[str, str]]:
+def declared_counterparts() -> dict[str, tuple[str, str]]:
     """Effects that are no more than another declared value: file key and declared scalar that they are added to."""
     return {
         f"{effect.name}.{parameter}": ("attraction_polynomial" if declared == "a0" else declared, declared)
@@ -101,7 +93,7 @@ class Region:
     def interval(self, name: str, *, capped: bool) -> tuple[float, float]:
         """The damping's 95 % interval, to the resolution of the grid, N·s/m; infinite where the grid ends first."""
         axis = getattr(self, name)
-        inside = axis[self.profile(name, capped=capped) < LEVEL]
+        inside = axis[self.profile(name, capped=capped) < CHI2_RISE_95]
         return float(inside[0]), math.inf if inside[-1] == axis[-1] else float(inside[-1])
 
 
@@ -141,86 +133,9 @@ class EventDiagnosis:
     region: Region
     questions: tuple[Question, ...]
 
-    def to_json(self) -> dict[str, Any]:
-        """The content of report.json."""
-        return {
-            "schema": "valve_sim/event_diagnosis/1",
-            "source": self.table.source,
-            "events": [vars(event) for event in self.table.events],
-            "verdict": {"kind": "insufficient", "summary": self.summary()},
-            "before": self._candidate_json(self.declared),
-            "after": self._candidate_json(self.shipped),
-            "candidates": [self._candidate_json(entry) for entry in (*self.singles, *self.pairs)],
-            "largest_attraction_n": {"predicted": self.largest_attraction, "measured": self.table.largest_attraction},
-            "intervals": {
-                name: {
-                    "by_events": _finite(self.region.interval(name, capped=False)),
-                    "and_plausible_pull": _finite(self.region.interval(name, capped=True)),
-                }
-                for name in DAMPINGS
-            },
-            "record_next": [{**entry._asdict(), "power": entry.power} for entry in self.questions],
-        }
-
-    def _candidate_json(self, entry: Candidate) -> dict[str, Any]:
-        errors = self.errors(entry)
-        return {
-            "effects": list(entry.effects),
-            "parameters": {name: _finite_or_none(value) for name, value in entry.values.items()},
-            "times_ms": [_finite_or_none(1e3 * time) for time in entry.times],
-            "errors_ms": [_finite_or_none(1e3 * error) for error in errors],
-            "closes": entry.closes,
-        }
-
     def errors(self, entry: Candidate) -> list[float]:
         """Predicted less measured time of each event, s; nan where it does not happen."""
         return [time - event.time for time, event in zip(entry.times, self.table.events, strict=True)]
-
-    def summary(self) -> str:
-        """The verdict in one sentence."""
-        singles, pairs = (sum(entry.closes for entry in found) for found in (self.singles, self.pairs))
-        opens = "never opens" if math.isnan(self.declared.times[-1]) else "opens"
-        return (
-            f"The declared valve {opens}; {singles or 'no'} single effects and {pairs or 'no'} pairs close the table, "
-            "so few numbers can name none of them."
-        )
-
-    def text(self) -> str:
-        """The report for the terminal."""
-        names = [event.name for event in self.table.events]
-        head = "".join(f"{name + ' error, ms':>16}" for name in names)
-        lines = [f"{'added to the declared valve':<38}{head}   values"]
-        closing = [entry for entry in self.pairs if entry.closes]
-        best_of_rest = [entry for entry in self.pairs if not entry.closes][:3]
-        for entry in (self.declared, *self.singles, *closing, *best_of_rest):
-            errors = "".join(f"{'never':>16}" if math.isnan(e) else f"{1e3 * e:>+16.3f}" for e in self.errors(entry))
-            values = listed_values(EventPlant(self.table), entry.values)
-            lines.append(f"{' + '.join(entry.effects) or '(nothing)':<38}{errors}   {values}")
-        lines += ["", self.summary()]
-        for name in DAMPINGS:
-            free, capped = (_interval_words(self.region.interval(name, capped=flag)) for flag in (False, True))
-            lines.append(
-                f"{name}, N·s/m: the events allow {free}; with a pull at rest below the largest measured, {capped}"
-            )
-        shipped = listed_values(EventPlant(self.table), self.shipped.values, 5)
-        errors = ", ".join(
-            f"{name} off by {1e6 * error:+.2f} µs" for name, error in zip(names, self.errors(self.shipped), strict=True)
-        )
-        lines.append(f"written: {shipped} ({errors})")
-        if self.table.largest_attraction is not None:
-            lines.append(
-                f"largest attraction while opening: {self.largest_attraction:.1f} N, measured "
-                f"{self.table.largest_attraction:.1f} N: not fitted"
-            )
-        lines.append(
-            "what would decide, most telling first (what the region predicts, and how well it can be measured):"
-        )
-        lines += [
-            f"    {entry.name:<46}{entry.lowest:>9.3g} to {entry.highest:.3g} {entry.unit} ± {entry.uncertainty:g} "
-            f"({entry.power:.0f} uncertainties)"
-            for entry in self.questions
-        ]
-        return "\n".join(lines)
 
 
 def diagnose_events(table: EventTable, progress: Progress | None = None) -> EventDiagnosis:
@@ -264,78 +179,6 @@ def event_problem(plant: EventPlant) -> Problem:
     return Problem(plant, noises=noises)
 
 
-def write_event_report(result: EventDiagnosis, folder: Path) -> tuple[Path, ...]:
-    """Write report.json, valve.yaml and the pictures.
-
-    Returns:
-        what was written.
-
-    Raises:
-        ValveError: a file cannot be written.
-    """
-    report, valve = folder / "report.json", folder / "valve.yaml"
-    write_whole(report, json.dumps(result.to_json(), indent=2, ensure_ascii=False, allow_nan=False) + "\n")
-    write_valve(valve, result)
-    return report, valve, *plot_event_diagnosis(folder, result)
-
-
-def write_valve(path: Path, result: EventDiagnosis) -> None:
-    """Write the declared valve's file anew, with the shipped values in place: comments and all else as they were.
-
-    Raises:
-        ParameterError: the file cannot be written, or the declared file has not one line for a value.
-    """
-    text = result.table.valve_file.read_text(encoding="utf-8")
-    body = text[text.index("/**:") :]
-    values = result.valve.declared()
-    folded = _folded()
-    for name in result.shipped.values:
-        key, scalar = folded[name]
-        value = f"{values[scalar]:.{ROUNDED}g}"
-        body = _replaced(body, key, value, result.table.source, str(result.table.valve_file))
-    write_whole(path, _header(result) + body)
-
-
-def _replaced(body: str, key: str, value: str, table: str, source: str) -> str:
-    """One line of a parameter file with another first number, and where that is from."""
-    match = re.search(rf"^( *{key}: \[?)([^,\s\]]+)([^\n#]*?) *(?:(# \S+)[^\n]*)?$", body, re.MULTILINE)
-    if match is None:
-        raise ParameterError(f"{source}: valve.{key}: found no line of its own, expected '{key}: value'")
-    before, old, rest, unit = match.groups()
-    words = f"calibrated to {Path(table).name}; {Path(source).name} has {old}"
-    mark = "# a0" if rest else f"{unit or '#'}     "
-    return f"{body[: match.start()]}{before}{value}{rest}  {mark} {words}{body[match.end() :]}"
-
-
-def _header(result: EventDiagnosis) -> str:
-    """Where the file is from, as comments."""
-    table = result.table
-    times = ", ".join(
-        f"{event.name} = {1e3 * time:.4f} ms (measured {1e3 * event.time:g})"
-        for event, time in zip(table.events, result.shipped.times, strict=True)
-    )
-    shipped = ", ".join(f"{name} = {value:.{ROUNDED}g}" for name, value in result.shipped.values.items())
-    return "".join(
-        f"# {line}".rstrip() + "\n"
-        for line in (
-            f"The default valve: {table.valve_file.name}, with two values calibrated to the event times in",
-            f"{Path(table.source).name} and all others kept. Written by",
-            f"    valve-sim diagnose --events config/{Path(table.source).name} --output DIR",
-            "as DIR/valve.yaml; running it again gives this file. Do not edit it by hand.",
-            "",
-            'Source of every published number: Choi, Ahn and Kim, "Modeling the Dynamic Behavior of a Pilot-Operated',
-            'Solenoid Valve for an Ultra-High Pressure Vessel", Appl. Sci. 2021, 11, 2329, converted to SI.',
-            "",
-            "As printed, that valve never opens: its attraction polynomial is 0 at x = 0. Calibrated, in SI units:",
-            f"    {shipped}",
-            f"(added to a0 and to the coil's lag), which gives, at {table.voltage:g} V from rest,",
-            f"    {times}.",
-            "Two event times leave no freedom to check the damping: it is the paper's, and not confirmed.",
-            "docs/theory/paper.md says what else would fit.",
-        )
-    )
-
-
 def _candidate(plant: EventPlant, search: Search, effects: Sequence[str]) -> Candidate:
     """The best fit of some effects, tried again from scattered starts where it misses although the valve opens."""
     hypothesis = Hypothesis(tuple(sorted(effects)))
@@ -370,7 +213,7 @@ def _shipped(plant: EventPlant, candidate: Candidate) -> tuple[Candidate, Valve]
     source, words = plant.table.source, " + ".join(candidate.effects)
     if not candidate.closes:
         raise ParameterError(f"{source}: ship: {words} does not close the table; expected effects that do")
-    folded = _folded()
+    folded = declared_counterparts()
     strange = [name for name in candidate.values if name not in folded]
     if strange:
         known = " or ".join(name.partition(".")[0] for name in folded)
@@ -409,7 +252,7 @@ def _region(plant: EventPlant, progress: Callable[[float], None]) -> Region:
         if j == 0:
             progress(i / len(axis))
     most = plant.table.largest_attraction or math.inf
-    return Region(axis, axis, pull, lag, chi2, (chi2 - chi2.min() < LEVEL) & (pull <= most))
+    return Region(axis, axis, pull, lag, chi2, (chi2 - chi2.min() < CHI2_RISE_95) & (pull <= most))
 
 
 def _questions(plant: EventPlant, region: Region) -> tuple[Question, ...]:
@@ -456,16 +299,3 @@ def _closing(plant: EventPlant, valve: Valve) -> float:
     off = plant.table.horizon
     response = simulate(valve, Drive.of([0.0, off], [plant.table.voltage, 0.0]), np.array([0.0, 3.0 * off]))
     return 1e3 * (response.first(EventKind.SEATED) - off)
-
-
-def _interval_words(interval: tuple[float, float]) -> str:
-    low, high = interval
-    return f"{low:.3g} and above, to the end of the search" if math.isinf(high) else f"{low:.3g} to {high:.3g}"
-
-
-def _finite(interval: tuple[float, float]) -> list[float | None]:
-    return [_finite_or_none(end) for end in interval]
-
-
-def _finite_or_none(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None

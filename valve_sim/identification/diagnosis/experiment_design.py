@@ -12,7 +12,7 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
@@ -50,16 +50,11 @@ class Recommendation:
             return MOST_REPEATS + 1
         return max(FEWEST_REPEATS, math.ceil((TELLS_APART / self.separation) ** 2))
 
-    def to_json(self) -> dict[str, Any]:
-        """What the experiments together are expected to tell apart, the least separated pair first."""
-        return {
-            "experiment": self.experiment.words,
-            "repeats": self.repeats,
-            "separates": [
-                {"candidates": list(pair), "standard_deviations": separation * math.sqrt(self.repeats)}
-                for pair, separation in sorted(self.separations.items(), key=lambda item: item[1])
-            ],
-        }
+    @property
+    def together(self) -> tuple[tuple[tuple[str, str], float], ...]:
+        """Each pair, and by how many standard deviations all repeats together separate it; the least first."""
+        found = ((pair, separation * math.sqrt(self.repeats)) for pair, separation in self.separations.items())
+        return tuple(sorted(found, key=lambda item: item[1]))
 
 
 def recommend(candidates: Mapping[str, Fit], experiments: Sequence[Experiment]) -> Recommendation | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -13,9 +13,9 @@ from valve_sim.identification.estimation.intervals import Interval, profile_inte
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
-from valve_sim.identification.plants.protocol import Array, Nuisance, Plant, judged_channels
+from valve_sim.identification.plants.protocol import Nuisance, Plant, judged_channels
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.reporting.units import limits, measured, quantity
+from valve_sim.identification.root_mean_square import root_mean_square
 from valve_sim.model import CATALOGUE, DECLARED, ParameterError, Valve
 from valve_sim.model.parameters import closest
 from valve_sim.traces import Trace
@@ -55,45 +55,6 @@ class Identification:
     rmse_after: float
     valve: Valve
     sources: tuple[str, ...] = field(default=())
-
-    def to_json(self) -> dict[str, Any]:
-        """The content of identify.json."""
-        noise = self.fit.problem.noises["position"]
-        return {
-            "schema": "valve_sim/identification/1",
-            "sources": list(self.sources),
-            "noise_um": 1e6 * noise.sigma,
-            "noise": {
-                "sigma_um": 1e6 * noise.sigma,
-                "colour": list(noise.coefficients),
-                "quantisation_um": 1e6 * noise.step,
-            },
-            "parameters": {name: interval.to_json() for name, interval in self.intervals.items()},
-            "clock_offsets_us": [1e6 * self.fit.values[nuisance.name] for nuisance in self.fit.problem.plant.nuisances],
-            "rmse_um": {"before": 1e6 * self.rmse_before, "after": 1e6 * self.rmse_after},
-            "chi2_per_sample": self.fit.chi2 / self.fit.problem.effective_samples,
-            "converged": self.fit.converged,
-            "profiles": {
-                name: [{"value": value, "rise": rise} for value, rise in curve if math.isfinite(value)]
-                for name, curve in self.profiles.items()
-            },
-            "remarks": list(self.remarks),
-        }
-
-    def text(self) -> str:
-        """A report for the terminal: value, error, start, and what the data do not hold."""
-        plant = self.fit.problem.plant
-        lines = [f"{'parameter':<28}{'value ± standard error':<30}{'95 % interval':<30}declared"]
-        for name, interval in self.intervals.items():
-            unit, declared = plant.parameter(name).unit, plant.declared(name)
-            found = f"{measured(interval, unit):<30}{limits(interval, unit):<30}"
-            lines.append(f"{name:<28}{found}{quantity(declared, unit)}")
-        noise = self.fit.problem.noises["position"]
-        lines.append(
-            f"residual {1e6 * self.rmse_before:.3g} µm as declared, {1e6 * self.rmse_after:.3g} µm refitted; "
-            f"sensor noise {1e6 * noise.sigma:.3g} µm"
-        )
-        return "\n".join([*lines, *self.remarks])
 
 
 def identify(
@@ -185,9 +146,8 @@ def _best_of_starts(
 def position_rmse(plant: Plant, values: Mapping[str, float]) -> float:
     """Root mean square of measured less predicted position over all samples, m."""
     shown = plant.predict(values)
-    squares = [np.square(plant.channels[index].data - shown[index]) for index in judged_channels(plant)]
-    residual: Array = np.concatenate(squares)
-    return float(np.sqrt(np.mean(residual)))
+    left = [plant.channels[index].data - shown[index] for index in judged_channels(plant)]
+    return root_mean_square(np.concatenate(left))
 
 
 def remarks(result: Fit, intervals: Mapping[str, Interval]) -> list[str]:

@@ -31,16 +31,6 @@ class Interval:
     high: float
     remark: str = ""
 
-    def to_json(self) -> dict[str, object]:
-        """As in report.json; infinities become null, which JSON has."""
-        finite = [bound if math.isfinite(bound) else None for bound in (self.low, self.high)]
-        value = self.value if math.isfinite(self.value) else None
-        stderr = self.stderr if math.isfinite(self.stderr) else None
-        entry: dict[str, object] = {"value": value, "stderr": stderr, "ci95": finite}
-        if self.remark:
-            entry["remark"] = self.remark
-        return entry
-
 
 def covariance_interval(result: Fit, name: str) -> Interval:
     """The 95 % interval from the covariance at the optimum, cut at the parameter's range."""

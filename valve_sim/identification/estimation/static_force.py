@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from scipy.special import stdtrit
 from valve_sim.files.tables import TableError, read_table
 from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.identification.plants.protocol import Array
-from valve_sim.model import DECLARED, Drive, Valve, ValveError, published_times, simulate
+from valve_sim.model import Drive, Valve, ValveError, published_times, simulate
 from valve_sim.model.parameters import POLYNOMIAL_NAMES
 
 HIGHEST_DEGREE: Final = len(POLYNOMIAL_NAMES) - 1
@@ -62,34 +62,6 @@ class StaticForce:
         scale = (self.voltage / self.valve.parameters.reference_voltage) ** 2
         polynomial = np.polynomial.Polynomial(self.valve.parameters.attraction_polynomial)
         return np.asarray(scale * polynomial(self.displacement))
-
-    def to_json(self) -> dict[str, Any]:
-        """The content of fit-force.json."""
-        return {
-            "schema": "valve_sim/static_force/1",
-            "source": self.source,
-            "samples": len(self.force),
-            "voltage": self.voltage,
-            "reference_voltage": self.valve.parameters.reference_voltage,
-            "parameters": {name: interval.to_json() for name, interval in self.intervals.items()},
-            "attraction_polynomial": list(self.valve.parameters.attraction_polynomial),
-            "rmse_n": self.rmse,
-            "maximum_n": float(np.max(np.abs(self.force - self.predicted))),
-            "r_squared": self.r_squared,
-            "remarks": list(self.remarks),
-        }
-
-    def text(self) -> str:
-        """For the terminal."""
-        lines = [f"{self.source}: {len(self.force)} points at {self.voltage:g} V"]
-        lines.append(f"{'':<5}{'value':>12} {'± std. error':>14}   95 % interval")
-        for name, interval in self.intervals.items():
-            lines.append(
-                f"{name:<5}{interval.value:>12.5g} ± {interval.stderr:<12.2g}   "
-                f"[{interval.low:.5g}, {interval.high:.5g}] {DECLARED[name].unit}"
-            )
-        lines.append(f"residual {self.rmse:.3g} N (rms), R² {self.r_squared:.6f}")
-        return "\n".join([*lines, *self.remarks])
 
 
 def fit_static_force(

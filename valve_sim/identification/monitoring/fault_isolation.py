@@ -60,19 +60,6 @@ class Finding(NamedTuple):
     probability: float
     strokes: int
 
-    def to_json(self) -> dict[str, Any]:
-        """Plain values."""
-        return {
-            "schema": "valve_sim/finding/1",
-            "kind": self.kind,
-            "effects": list(self.effects),
-            "summary": self.summary,
-            "confusable_with": {name: list(others) for name, others in self.confusable_with.items()},
-            "parameters": {name: interval.to_json() for name, interval in self.parameters.items()},
-            "probability": self.probability,
-            "strokes": self.strokes,
-        }
-
 
 def trace_cause(strokes: Sequence[Trace], healthy: Baseline, progress: Progress | None = None) -> Finding:
     """Find what has changed in a valve since it was commissioned.

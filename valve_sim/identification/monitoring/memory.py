@@ -11,6 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from valve_sim.files.json_text import finite_or_none
 from valve_sim.files.whole_files import write_whole
 from valve_sim.identification.estimation.identify import DEFAULT_FREE
 from valve_sim.identification.estimation.noise import Noise
@@ -113,7 +114,7 @@ def _to_plain(commissioning: Commissioning) -> dict[str, Any]:
         "noise": noise.__dict__,
         "current": None if healthy.current is None else healthy.current._asdict(),
         "strokes": [
-            [stroke.volts, [_known(shift) for shift in stroke.shifts], _known(stroke.arrival_spread)]
+            [stroke.volts, [finite_or_none(shift) for shift in stroke.shifts], finite_or_none(stroke.arrival_spread)]
             for stroke in commissioning.strokes
         ],
         "baselines": [
@@ -143,10 +144,6 @@ def _from_plain(plain: Mapping[str, Any], declared: Valve) -> Commissioning:
         for level, entries in plain["baselines"]
     }
     return Commissioning(healthy, baselines, strokes)
-
-
-def _known(value: float) -> float | None:
-    return value if math.isfinite(value) else None
 
 
 def _or_nan(value: float | None) -> float:

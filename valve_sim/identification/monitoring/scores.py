@@ -31,6 +31,7 @@ from valve_sim.identification.monitoring.command_timing import UNTIMED
 from valve_sim.identification.plants.commissioned import CommissionedCurrent, commission_current
 from valve_sim.identification.plants.protocol import Array, Nuisance, perturbed
 from valve_sim.identification.plants.valve import CLOCK_SIGMA, ValvePlant
+from valve_sim.identification.root_mean_square import root_mean_square
 from valve_sim.identification.selection.hypotheses import ANNEALING
 from valve_sim.identification.selection.residual_tests import moving_residuals
 from valve_sim.model import Drive, SimulationError, Valve, simulate
@@ -281,7 +282,7 @@ class _Stroke:
     def rms(self, result: Fit) -> float:
         """Root mean square of measured less predicted position, m."""
         (shown,) = self._plant.predict(result.values)
-        return float(np.sqrt(np.mean(np.square(self._trace.pilot_position - shown))))
+        return root_mean_square(self._trace.pilot_position - shown)
 
     def _direction(self, result: Fit, name: str, values: Mapping[str, float]) -> Iterator[tuple[str, Array]]:
         try:

@@ -16,7 +16,7 @@ import math
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -87,36 +87,6 @@ class StrokeReport(NamedTuple):
     cause: str
     sum: float
     threshold: float
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain numbers in SI units; null for what is not known."""
-        loudest = sorted(self.scores.items(), key=lambda item: -abs(item[1]))[:3]
-        return {
-            "schema": "valve_sim/stroke/1",
-            "stroke": self.record.number,
-            "name": self.name,
-            "time": self.record.time,
-            "state": self.state,
-            "remark": self.remark or None,
-            "opened": self.record.opened,
-            "closed": self.record.closed,
-            "fault": self.record.fault or None,
-            "opening_delay": _number(self.opening_delay),
-            "t1": _number(self.t1),
-            "t2": _number(self.t2),
-            "closing_time": _number(self.closing_time),
-            "residual_rms_um": _number(1e6 * self.rms),
-            "noise_um": _number(1e6 * self.noise),
-            "command_scatter": _number(self.command_scatter),
-            "damping": {name: interval.to_json() for name, interval in self.damping.items()},
-            "scores": dict(loudest),
-            "alarm": {
-                "raised": self.alarm is not None,
-                "cause": (self.alarm.cause if self.alarm else self.cause) or None,
-                "sum": _number(self.sum),
-                "threshold": _number(self.threshold),
-            },
-        }
 
 
 class StrokeMonitor:
@@ -383,7 +353,3 @@ def _opening_delay(trace: Trace, valve: Valve, lateness: float) -> float:
     level = 0.25 * valve.parameters.pilot_gap
     late = crossing(times, position, level, rises=True) - crossing(times, shown.pilot_position, level, rises=True)
     return shown.first(EventKind.UNSEATED) - float(drive.times[0]) + late
-
-
-def _number(value: float) -> float | None:
-    return value if math.isfinite(value) else None

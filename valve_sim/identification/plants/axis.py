@@ -25,6 +25,7 @@ from scipy import ndimage, signal
 
 from valve_sim.files.parameter_files import off_value
 from valve_sim.identification.plants.protocol import Array, Channel, EffectChoice, Experiment, ForceMap, Nuisance
+from valve_sim.identification.root_mean_square import root_mean_square
 from valve_sim.model import CATALOGUE, DECLARED, Parameter, Phase, Tag
 from valve_sim.model.compiling import compiled
 from valve_sim.model.effects import FORCE_MAP_KNOTS, FORCE_MAP_VARIABLES, new_record
@@ -112,7 +113,7 @@ class AxisPlant:
                 self._thinned(_repetitions(self.motion)), "N",
             ),
         )  # fmt: skip
-        self._size = float(np.sqrt(np.mean(np.square(force))))
+        self._size = root_mean_square(force)
 
     @property
     def channels(self) -> Sequence[Channel]:
@@ -207,7 +208,7 @@ class AxisPlant:
             self.record.times, 1.0 / self.record.rate, shown,
         )  # fmt: skip
         measured = self.motion.position[starts[:, None] + np.arange(count)]
-        return float(np.sqrt(np.mean(np.square(measured - shown))))
+        return root_mean_square(measured - shown)
 
     def _axis(self, values: Mapping[str, float]) -> Any:
         """The compiled core's record: a pilot plunger without coil, seat and spring, and the effects that are on."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from valve_sim.identification.diagnosis.run import Diagnosis
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.plants.protocol import Array, Channel, judged_channels
+from valve_sim.identification.root_mean_square import root_mean_square
 
 DRAWN_POINTS: Final = 450
 """At most so many points for each stroke: 100 strokes then make a report of some 2 MB."""
@@ -97,12 +97,8 @@ def _stroke(
     before, after = (scale * curve for curve in shown)
     number = int(channel.group[chosen][0]) + 1
     title = f"{channel.name}, stroke {number}" + (", held out" if is_held_out else "")
-    errors = (_root_mean_square(measured - before), _root_mean_square(measured - after))
+    errors = (root_mean_square(measured - before), root_mean_square(measured - after))
     return StrokeCurves(
         title, is_held_out, channel.kind, unit, 1e3 * channel.times[chosen], measured, before, after, scale * sigma,
         errors,
     )  # fmt: skip
-
-
-def _root_mean_square(values: Array) -> float:
-    return math.sqrt(float(np.mean(np.square(values))))

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
+from valve_sim.files.json_text import plain_mapping
+from valve_sim.identification.diagnosis.experiment_design import Recommendation
 from valve_sim.identification.diagnosis.run import Diagnosis, State
 from valve_sim.identification.plants.protocol import judged_channels
 from valve_sim.identification.reporting.force_curves import Motion, force_curve, motion_of
+from valve_sim.identification.reporting.interval_json import interval_json, intervals_json
 from valve_sim.identification.reporting.wording import headline, meanings
 from valve_sim.identification.selection.force_maps import Unexplained
 
@@ -21,7 +23,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
     motion = motion_of(diagnosis)
     problem = diagnosis.before.fit.problem
     scale, unit = problem.plant.channels[judged_channels(problem.plant)[0]].readable
-    return {
+    report = {
         "schema": "valve_sim/diagnosis/1",
         "sources": list(diagnosis.sources),
         "unit": unit,
@@ -43,18 +45,30 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
                 "effect": " + ".join(candidate.effects),
                 "effects": list(candidate.effects),
                 "command_errors": candidate.timing,
-                "delta_bic": _number(candidate.delta_score),
+                "delta_bic": candidate.delta_score,
                 **_errors(candidate.train_rmse, candidate.holdout_rmse, scale, unit),
-                "parameters": {name: interval.to_json() for name, interval in candidate.intervals.items()},
+                "parameters": intervals_json(candidate.intervals),
             }
             for candidate in diagnosis.candidates
         ],
         "unexplained": None if diagnosis.unexplained is None else _unexplained_json(diagnosis.unexplained, motion),
         "force_maps": [_unexplained_json(entry, motion) for entry in diagnosis.maps],
         "record_next": diagnosis.record_next or None,
-        "record_next_gain": None if diagnosis.telling is None else diagnosis.telling.to_json(),
+        "record_next_gain": None if diagnosis.telling is None else recommendation_json(diagnosis.telling),
         "untried": list(diagnosis.untried),
         "false_alarm": diagnosis.false_alarm._asdict(),
+    }
+    return plain_mapping(report)
+
+
+def recommendation_json(telling: Recommendation) -> dict[str, Any]:
+    """What the experiments together are expected to tell apart, the least separated pair first."""
+    return {
+        "experiment": telling.experiment.words,
+        "repeats": telling.repeats,
+        "separates": [
+            {"candidates": list(pair), "standard_deviations": deviations} for pair, deviations in telling.together
+        ],
     }
 
 
@@ -63,12 +77,12 @@ def _in_unit(name: str, value: Any, unit: str) -> dict[str, Any]:
 
 
 def _errors(train: float, holdout: float, scale: float, unit: str) -> dict[str, Any]:
-    return _in_unit("rmse", {"train": scale * train, "holdout": _number(scale * holdout)}, unit)
+    return _in_unit("rmse", {"train": scale * train, "holdout": scale * holdout}, unit)
 
 
 def _state_json(state: State, scale: float, unit: str) -> dict[str, Any]:
     return {
-        "parameters": {name: i.to_json() for name, i in state.intervals.items() if "." not in name},
+        "parameters": intervals_json({name: i for name, i in state.intervals.items() if "." not in name}),
         **_errors(state.train_rmse, state.holdout_rmse, scale, unit),
         "white": state.adequacy.is_white,
         "chi2_per_sample": state.fit.chi2 / state.fit.problem.effective_samples,
@@ -81,7 +95,7 @@ def _effects_json(state: State) -> dict[str, dict[str, Any]]:
     for name, interval in state.intervals.items():
         effect, dot, parameter = name.partition(".")
         if dot:
-            effects.setdefault(effect, {})[parameter] = interval.to_json()
+            effects.setdefault(effect, {})[parameter] = interval_json(interval)
     for name, value in state.fit.values.items():
         effect, dot, parameter = name.partition(".")
         if dot and effect in effects and parameter not in effects[effect]:
@@ -101,7 +115,3 @@ def _unexplained_json(entry: Unexplained, motion: Motion) -> dict[str, Any]:
         "force_stderr": list(entry.stderr),
         "delta_bic": -entry.gain,
     }
-
-
-def _number(value: float) -> float | None:
-    return value if math.isfinite(value) else None

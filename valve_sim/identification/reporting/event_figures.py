@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from valve_sim.identification.estimation.intervals import CHI2_RISE_95
 from valve_sim.identification.plants.event_table import EventPlant
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.identification.reporting.figures import MAIN, PILOT, QUIET, SECOND, save_figure
@@ -108,7 +109,7 @@ def _profiles(result: EventDiagnosis) -> Figure:
             (True, PILOT, "and a0 within the pull measured"),
         ):
             axes.plot(axis, np.minimum(result.region.profile(name, capped=capped), 20.0), color=colour, label=words)
-        axes.axhline(3.84, color=MAIN, linestyle="--", linewidth=0.9, label="95 %")
+        axes.axhline(CHI2_RISE_95, color=MAIN, linestyle="--", linewidth=0.9, label="95 %")
         axes.axvline(result.table.valve.declared()[name], color=SECOND, linestyle=":", label="published")
         axes.set(xscale="log", xlabel=f"{name}, N·s/m", ylim=(-0.5, 12.0))
     figure.axes[0].set_ylabel("profile χ²")

@@ -5,12 +5,10 @@ Of a valve also corrected.yaml, and record_next.yaml where there is something to
 
 from __future__ import annotations
 
-import json
-import math
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
+from valve_sim.files.json_text import json_text
 from valve_sim.files.parameter_files import save_valve
 from valve_sim.files.whole_files import write_whole
 from valve_sim.identification.diagnosis.run import Diagnosis
@@ -39,8 +37,7 @@ def write_diagnosis(diagnosis: Diagnosis, directory: Path | str, provenance: str
     """
     folder = Path(directory)
     data, page, picture, corrected = (folder / name for name in FILES)
-    text = json.dumps(_without_infinities(to_json(diagnosis)), indent=2, ensure_ascii=False, allow_nan=False)
-    write_whole(data, text + "\n")
+    write_whole(data, json_text(to_json(diagnosis)))
     write_report(diagnosis, page, provenance)
     plot_diagnosis(diagnosis, picture)
     if not isinstance(diagnosis.plant, ValvePlant):
@@ -53,14 +50,3 @@ def write_diagnosis(diagnosis: Diagnosis, directory: Path | str, provenance: str
         return data, page, picture, corrected
     write_profile(profile, diagnosis.telling, provenance)
     return data, page, picture, corrected, profile
-
-
-def _without_infinities(value: Any) -> Any:
-    """JSON has no number that is not finite: null."""
-    if isinstance(value, Mapping):
-        return {key: _without_infinities(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_without_infinities(item) for item in value]
-    if isinstance(value, float):
-        return float(value) if math.isfinite(value) else None
-    return value

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from valve_sim.identification.diagnosis.run import Diagnosis
 from valve_sim.identification.plants.protocol import Array, Plant
 from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.identification.root_mean_square import root_mean_square
 from valve_sim.identification.selection.force_maps import Unexplained
 from valve_sim.model import simulate
 
@@ -128,7 +129,7 @@ def force_curve(entry: Unexplained, motion: Motion) -> ForceCurve:
     values = np.where(seen, shown, np.nan)
     name, scale, unit = _AXES.get(entry.variable[0], (entry.variable, 1.0, ""))
     knots = tuple(index for index in range(0, len(drawn), POINTS_A_KNOT) if seen[index])
-    rms = math.sqrt(float(np.mean(np.square(acting)))) if len(acting) else 0.0
+    rms = root_mean_square(acting) if len(acting) else 0.0
     band = np.where(seen, 2.0 * np.interp(drawn, at, _errors(entry)), np.nan)
     return ForceCurve(
         entry.variable, entry.gain, f"{name}, {unit}", _force_label(entry.variable), scale * drawn, values, band, knots,

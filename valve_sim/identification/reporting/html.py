@@ -6,7 +6,7 @@ The page needs no network: its plots are drawn by a few lines of script that it 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -14,6 +14,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader
 
 from valve_sim import __version__
+from valve_sim.files.json_text import finite_or_none
 from valve_sim.files.whole_files import write_whole
 from valve_sim.identification.diagnosis.run import Candidate, Diagnosis, State
 from valve_sim.identification.plants.protocol import judged_channels
@@ -261,9 +262,8 @@ def _gain_rows(diagnosis: Diagnosis) -> list[str]:
     if diagnosis.telling is None:
         return []
     return [
-        f"{' and '.join(titles_of(name.split(' + ')) for name in pair['candidates'])}: "
-        f"{pair['standard_deviations']:.0f} standard deviations"
-        for pair in diagnosis.telling.to_json()["separates"]
+        f"{' and '.join(titles_of(name.split(' + ')) for name in pair)}: {deviations:.0f} standard deviations"
+        for pair, deviations in diagnosis.telling.together
     ]
 
 
@@ -327,9 +327,4 @@ def _curve_plot(curve: ForceCurve) -> dict[str, Any]:
 
 def _rounded(values: np.typing.NDArray[np.float64], digits: int) -> list[float | None]:
     """Short numbers for the page; what is not finite has no place in JSON."""
-    return list(_finite(np.round(values, digits)))
-
-
-def _finite(values: np.typing.NDArray[np.float64]) -> Iterator[float | None]:
-    for value in values.tolist():
-        yield value if math.isfinite(value) else None
+    return [finite_or_none(value) for value in np.round(values, digits).tolist()]

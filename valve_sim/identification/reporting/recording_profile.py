@@ -72,7 +72,6 @@ def _gain_words(telling: Recommendation | None) -> list[str]:
         return ["Full strokes at eight voltages. No single pulse is known to tell the candidates apart."]
     pulses = f"{telling.repeats} pulses of {telling.experiment.words}"
     lines = [f"{pulses}, then full strokes at eight voltages. The pulses separate:"]
-    for pair in telling.to_json()["separates"]:
-        one, other = pair["candidates"]
-        lines.append(f"  {one} and {other} by {pair['standard_deviations']:.0f} standard deviations")
+    for (one, other), deviations in telling.together:
+        lines.append(f"  {one} and {other} by {deviations:.0f} standard deviations")
     return lines

@@ -13,6 +13,7 @@ from valve_sim.identification.estimation.parallel import run_parallel
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Array, ForceMap
+from valve_sim.identification.root_mean_square import root_mean_square
 from valve_sim.identification.selection.hypotheses import Hypothesis, Search
 from valve_sim.model import SimulationError
 
@@ -99,7 +100,7 @@ def describe(choice: ForceMap, result: Fit, base: Fit) -> Unexplained:
     """A fitted force map in words: how large, and where it acts."""
     at, force = _curve(choice, result)
     return Unexplained(
-        float(np.sqrt(np.mean(np.square(force)))), where(choice, result), choice.variable, tuple(at.tolist()),
+        root_mean_square(force), where(choice, result), choice.variable, tuple(at.tolist()),
         tuple(force.tolist()), base.score - result.score,
         tuple(result.stderr(name) if name in result.free else 0.0 for name in choice.all_knots),
     )  # fmt: skip

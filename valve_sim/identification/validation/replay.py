@@ -10,8 +10,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Final, NamedTuple
-from xml.etree import ElementTree
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +19,7 @@ from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.identification.plants.valve import CLOCK_SIGMA, ValvePlant
+from valve_sim.identification.root_mean_square import root_mean_square
 from valve_sim.model import Drive, Event, EventKind, Response, Valve, ValveError, simulate
 from valve_sim.traces import SensorEvent, Stroke, Trace, events_from_sensors, find_strokes
 
@@ -63,16 +63,6 @@ class Errors(NamedTuple):
         """What is held against the tolerance, m: a long rest must not hide a wrong motion."""
         return self.rmse if math.isnan(self.moving_rmse) else max(self.rmse, self.moving_rmse)
 
-    def to_json(self) -> dict[str, Any]:
-        """In µm; null where the model does not move."""
-        moving = None if math.isnan(self.moving_rmse) else MICRO * self.moving_rmse
-        return {
-            "samples": self.samples,
-            "rmse_um": MICRO * self.rmse,
-            "moving_rmse_um": moving,
-            "maximum_um": MICRO * self.maximum,
-        }
-
 
 class Arrival(NamedTuple):
     """When the plungers arrived somewhere, s after the stroke's command: measured, and in the model (nan: never)."""
@@ -82,16 +72,6 @@ class Arrival(NamedTuple):
     measured: float
     uncertainty: float
     model: float
-
-    def to_json(self) -> dict[str, Any]:
-        """In ms."""
-        return {
-            "kind": self.kind,
-            "sensor": self.sensor,
-            "measured_ms": 1e3 * self.measured,
-            "stderr_ms": 1e3 * self.uncertainty,
-            "model_ms": None if math.isnan(self.model) else 1e3 * self.model,
-        }
 
 
 class StrokeCheck(NamedTuple):
@@ -129,52 +109,6 @@ class Replay:
         """Whether every stroke, and the recording as a whole, is within the tolerance."""
         return all(errors.judged <= self.tolerance for errors in (self.errors, *(s.errors for s in self.strokes)))
 
-    def to_json(self) -> dict[str, Any]:
-        """One entry of the report."""
-        return {
-            "source": self.trace.source,
-            "passed": self.passed,
-            "tolerance_um": MICRO * self.tolerance,
-            "noise_um": MICRO * self.noise,
-            "clock_offset_us": MICRO * self.clock_offset,
-            **self.errors.to_json(),
-            "strokes": [
-                {
-                    "name": stroke.name,
-                    "passed": stroke.errors.judged <= self.tolerance,
-                    **stroke.errors.to_json(),
-                    "arrivals": [arrival.to_json() for arrival in stroke.arrivals],
-                }
-                for stroke in self.strokes
-            ],
-        }
-
-    def text(self) -> str:
-        """For the terminal."""
-        lines = [
-            f"{self.trace.source}: {'within' if self.passed else 'OUTSIDE'} {MICRO * self.tolerance:.3g} µm "
-            f"(noise {MICRO * self.noise:.3g} µm, clock offset {MICRO * self.clock_offset:.1f} µs)",
-            f"  {'stroke':<32}{'rmse':>9}{'moving':>9}{'maximum':>9}  µm",
-        ]
-        rows = [*((stroke.name, stroke.errors) for stroke in self.strokes), ("in all", self.errors)]
-        for name, errors in rows:
-            moving = "–" if math.isnan(errors.moving_rmse) else f"{MICRO * errors.moving_rmse:.3g}"
-            lines.append(
-                f"  {name:<32}{MICRO * errors.rmse:>9.3g}{moving:>9}{MICRO * errors.maximum:>9.3g}"
-                f"  {'' if errors.judged <= self.tolerance else 'outside'}".rstrip()
-            )
-        return "\n".join([*lines, *self._arrival_lines()])
-
-    def _arrival_lines(self) -> Iterator[str]:
-        if any(stroke.arrivals for stroke in self.strokes):
-            yield f"  {'arrival after the command':<32}{'measured':>18}{'model':>9}{'apart':>9}  ms"
-        for stroke in self.strokes:
-            for arrival in stroke.arrivals:
-                name = f"{arrival.kind.replace('_', ' ')} ({arrival.sensor})"
-                measured = f"{1e3 * arrival.measured:.3f} ± {1e3 * arrival.uncertainty:.3f}"
-                model, apart = 1e3 * arrival.model, 1e3 * (arrival.measured - arrival.model)
-                yield f"  {name:<32}{measured:>18}{model:>9.3f}{apart:>+9.3f}  {stroke.name}"
-
 
 @dataclass(frozen=True)
 class Validation:
@@ -186,29 +120,6 @@ class Validation:
     def passed(self) -> bool:
         """Whether all are within their tolerance."""
         return all(replay.passed for replay in self.replays)
-
-    def to_json(self) -> dict[str, Any]:
-        """The whole report; lengths in µm, times in ms and µs, as the names say."""
-        return {
-            "schema": "valve_sim/validation/1",
-            "passed": self.passed,
-            "recordings": [replay.to_json() for replay in self.replays],
-        }
-
-    def text(self) -> str:
-        """For the terminal."""
-        return "\n".join([*(replay.text() for replay in self.replays), "passed" if self.passed else "FAILED"])
-
-    def junit(self) -> str:
-        """JUnit XML: a suite for each recording, a test case for each stroke and one for the recording as a whole."""
-        root = ElementTree.Element("testsuites", name="valve-sim validate")
-        for replay in self.replays:
-            _add_suite(root, replay)
-        for key in ("tests", "failures", "errors"):
-            root.set(key, str(sum(int(suite.get(key, "0")) for suite in root)))
-        ElementTree.indent(root)
-        document: bytes = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
-        return document.decode() + "\n"
 
 
 def validate(
@@ -290,14 +201,10 @@ def _moving(trace: Trace, response: Response) -> NDArray[np.bool_]:
 def _errors(residual: Array, moving: NDArray[np.bool_], chosen: NDArray[np.bool_]) -> Errors:
     return Errors(
         int(np.count_nonzero(chosen)),
-        _root_mean_square(residual[chosen]),
-        _root_mean_square(residual[chosen & moving]),
+        root_mean_square(residual[chosen]),
+        root_mean_square(residual[chosen & moving]),
         float(np.max(np.abs(residual[chosen]))),
     )
-
-
-def _root_mean_square(values: Array) -> float:
-    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else math.nan
 
 
 def _stroke_checks(
@@ -323,27 +230,3 @@ def _arrival(event: SensorEvent, stroke: Stroke, events: Sequence[Event], offset
         if found.kind in _ARRIVALS[event.kind] and stroke.start <= found.time < stroke.stop
     )
     return Arrival(event.kind, event.sensor, event.after_command - offset, event.uncertainty, next(modelled, math.nan))
-
-
-def _add_suite(root: ElementTree.Element, replay: Replay) -> None:
-    cases = [*((stroke.name, stroke.errors) for stroke in replay.strokes), ("in all", replay.errors)]
-    failures = sum(errors.judged > replay.tolerance for _, errors in cases)
-    suite = ElementTree.SubElement(
-        root,
-        "testsuite",
-        name=replay.trace.source,
-        tests=str(len(cases)),
-        failures=str(failures),
-        errors="0",
-        skipped="0",
-    )
-    for name, errors in cases:
-        case = ElementTree.SubElement(suite, "testcase", classname=replay.trace.source, name=name)
-        words = (
-            f"rmse {MICRO * errors.rmse:.3g} µm, moving {MICRO * errors.moving_rmse:.3g} µm, maximum "
-            f"{MICRO * errors.maximum:.3g} µm, tolerance {MICRO * replay.tolerance:.3g} µm"
-        )
-        if errors.judged > replay.tolerance:
-            ElementTree.SubElement(case, "failure", message=words, type="outside tolerance")
-        else:
-            ElementTree.SubElement(case, "system-out").text = words

@@ -1,0 +1,95 @@
+"""What an event table says, as JSON and as the terminal shows it."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from valve_sim.files.json_text import plain_mapping
+from valve_sim.identification.diagnosis.events import DAMPINGS, Candidate, EventDiagnosis
+from valve_sim.identification.plants.event_table import EventPlant
+from valve_sim.identification.reporting.units import listed_values
+
+
+def event_json(result: EventDiagnosis) -> dict[str, Any]:
+    """The content of report.json."""
+    report = {
+        "schema": "valve_sim/event_diagnosis/1",
+        "source": result.table.source,
+        "events": [vars(event) for event in result.table.events],
+        "verdict": {"kind": "insufficient", "summary": _summary(result)},
+        "before": _candidate_json(result, result.declared),
+        "after": _candidate_json(result, result.shipped),
+        "candidates": [_candidate_json(result, entry) for entry in (*result.singles, *result.pairs)],
+        "largest_attraction_n": {"predicted": result.largest_attraction, "measured": result.table.largest_attraction},
+        "intervals": {
+            name: {
+                "by_events": result.region.interval(name, capped=False),
+                "and_plausible_pull": result.region.interval(name, capped=True),
+            }
+            for name in DAMPINGS
+        },
+        "record_next": [{**entry._asdict(), "power": entry.power} for entry in result.questions],
+    }
+    return plain_mapping(report)
+
+
+def _candidate_json(result: EventDiagnosis, entry: Candidate) -> dict[str, Any]:
+    return {
+        "effects": list(entry.effects),
+        "parameters": dict(entry.values),
+        "times_ms": [1e3 * time for time in entry.times],
+        "errors_ms": [1e3 * error for error in result.errors(entry)],
+        "closes": entry.closes,
+    }
+
+
+def _summary(result: EventDiagnosis) -> str:
+    """The verdict in one sentence."""
+    singles, pairs = (sum(entry.closes for entry in found) for found in (result.singles, result.pairs))
+    opens = "never opens" if math.isnan(result.declared.times[-1]) else "opens"
+    return (
+        f"The declared valve {opens}; {singles or 'no'} single effects and {pairs or 'no'} pairs close the table, "
+        "so few numbers can name none of them."
+    )
+
+
+def event_text(result: EventDiagnosis) -> str:
+    """The report for the terminal."""
+    names = [event.name for event in result.table.events]
+    head = "".join(f"{name + ' error, ms':>16}" for name in names)
+    lines = [f"{'added to the declared valve':<38}{head}   values"]
+    closing = [entry for entry in result.pairs if entry.closes]
+    best_of_rest = [entry for entry in result.pairs if not entry.closes][:3]
+    for entry in (result.declared, *result.singles, *closing, *best_of_rest):
+        errors = "".join(f"{'never':>16}" if math.isnan(e) else f"{1e3 * e:>+16.3f}" for e in result.errors(entry))
+        values = listed_values(EventPlant(result.table), entry.values)
+        lines.append(f"{' + '.join(entry.effects) or '(nothing)':<38}{errors}   {values}")
+    lines += ["", _summary(result)]
+    for name in DAMPINGS:
+        free, capped = (_interval_words(result.region.interval(name, capped=flag)) for flag in (False, True))
+        lines.append(
+            f"{name}, N·s/m: the events allow {free}; with a pull at rest below the largest measured, {capped}"
+        )
+    shipped = listed_values(EventPlant(result.table), result.shipped.values, 5)
+    errors = ", ".join(
+        f"{name} off by {1e6 * error:+.2f} µs" for name, error in zip(names, result.errors(result.shipped), strict=True)
+    )
+    lines.append(f"written: {shipped} ({errors})")
+    if result.table.largest_attraction is not None:
+        lines.append(
+            f"largest attraction while opening: {result.largest_attraction:.1f} N, measured "
+            f"{result.table.largest_attraction:.1f} N: not fitted"
+        )
+    lines.append("what would decide, most telling first (what the region predicts, and how well it can be measured):")
+    lines += [
+        f"    {entry.name:<46}{entry.lowest:>9.3g} to {entry.highest:.3g} {entry.unit} ± {entry.uncertainty:g} "
+        f"({entry.power:.0f} uncertainties)"
+        for entry in result.questions
+    ]
+    return "\n".join(lines)
+
+
+def _interval_words(interval: tuple[float, float]) -> str:
+    low, high = interval
+    return f"{low:.3g} and above, to the end of the search" if math.isinf(high) else f"{low:.3g} to {high:.3g}"

@@ -1,0 +1,26 @@
+"""Intervals as every report in JSON has them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from valve_sim.files.json_text import plain
+from valve_sim.identification.estimation.intervals import Interval
+
+
+def interval_json(found: Interval) -> dict[str, Any]:
+    """Value, standard error and 95 % interval; null where one is infinite."""
+    entry: dict[str, Any] = {
+        "value": plain(found.value),
+        "stderr": plain(found.stderr),
+        "ci95": plain([found.low, found.high]),
+    }
+    if found.remark:
+        entry["remark"] = found.remark
+    return entry
+
+
+def intervals_json(intervals: Mapping[str, Interval]) -> dict[str, dict[str, Any]]:
+    """By name."""
+    return {name: interval_json(found) for name, found in intervals.items()}

@@ -1,0 +1,43 @@
+"""What `fit-force` found, as JSON and as the terminal shows it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from valve_sim.files.json_text import plain_mapping
+from valve_sim.identification.estimation.static_force import StaticForce
+from valve_sim.identification.reporting.interval_json import intervals_json
+from valve_sim.model import DECLARED
+
+
+def static_force_json(result: StaticForce) -> dict[str, Any]:
+    """The content of fit-force.json."""
+    report = {
+        "schema": "valve_sim/static_force/1",
+        "source": result.source,
+        "samples": len(result.force),
+        "voltage": result.voltage,
+        "reference_voltage": result.valve.parameters.reference_voltage,
+        "parameters": intervals_json(result.intervals),
+        "attraction_polynomial": list(result.valve.parameters.attraction_polynomial),
+        "rmse_n": result.rmse,
+        "maximum_n": float(np.max(np.abs(result.force - result.predicted))),
+        "r_squared": result.r_squared,
+        "remarks": list(result.remarks),
+    }
+    return plain_mapping(report)
+
+
+def static_force_text(result: StaticForce) -> str:
+    """For the terminal."""
+    lines = [f"{result.source}: {len(result.force)} points at {result.voltage:g} V"]
+    lines.append(f"{'':<5}{'value':>12} {'± std. error':>14}   95 % interval")
+    for name, interval in result.intervals.items():
+        lines.append(
+            f"{name:<5}{interval.value:>12.5g} ± {interval.stderr:<12.2g}   "
+            f"[{interval.low:.5g}, {interval.high:.5g}] {DECLARED[name].unit}"
+        )
+    lines.append(f"residual {result.rmse:.3g} N (rms), R² {result.r_squared:.6f}")
+    return "\n".join([*lines, *result.remarks])

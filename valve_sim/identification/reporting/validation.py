@@ -1,0 +1,132 @@
+"""What `validate` found, as JSON, as JUnit XML and as the terminal shows it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+from xml.etree import ElementTree
+
+from valve_sim.files.json_text import plain_mapping
+from valve_sim.identification.validation.replay import MICRO, Arrival, Errors, Replay, Validation
+
+
+def validation_json(result: Validation) -> dict[str, Any]:
+    """The whole report; lengths in µm, times in ms and µs, as the names say."""
+    report = {
+        "schema": "valve_sim/validation/1",
+        "passed": result.passed,
+        "recordings": [_replay_json(replay) for replay in result.replays],
+    }
+    return plain_mapping(report)
+
+
+def validation_text(result: Validation) -> str:
+    """For the terminal."""
+    return "\n".join([*(_replay_text(replay) for replay in result.replays), "passed" if result.passed else "FAILED"])
+
+
+def validation_junit(result: Validation) -> str:
+    """JUnit XML: a suite for each recording, a test case for each stroke and one for the recording as a whole."""
+    root = ElementTree.Element("testsuites", name="valve-sim validate")
+    for replay in result.replays:
+        _add_suite(root, replay)
+    for key in ("tests", "failures", "errors"):
+        root.set(key, str(sum(int(suite.get(key, "0")) for suite in root)))
+    ElementTree.indent(root)
+    document: bytes = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
+    return document.decode() + "\n"
+
+
+def _replay_json(replay: Replay) -> dict[str, Any]:
+    """One entry of the report."""
+    return {
+        "source": replay.trace.source,
+        "passed": replay.passed,
+        "tolerance_um": MICRO * replay.tolerance,
+        "noise_um": MICRO * replay.noise,
+        "clock_offset_us": MICRO * replay.clock_offset,
+        **_errors_json(replay.errors),
+        "strokes": [
+            {
+                "name": stroke.name,
+                "passed": stroke.errors.judged <= replay.tolerance,
+                **_errors_json(stroke.errors),
+                "arrivals": [_arrival_json(arrival) for arrival in stroke.arrivals],
+            }
+            for stroke in replay.strokes
+        ],
+    }
+
+
+def _errors_json(errors: Errors) -> dict[str, Any]:
+    """In µm; the moving error is nan where the model does not move."""
+    return {
+        "samples": errors.samples,
+        "rmse_um": MICRO * errors.rmse,
+        "moving_rmse_um": MICRO * errors.moving_rmse,
+        "maximum_um": MICRO * errors.maximum,
+    }
+
+
+def _arrival_json(arrival: Arrival) -> dict[str, Any]:
+    """In ms."""
+    return {
+        "kind": arrival.kind,
+        "sensor": arrival.sensor,
+        "measured_ms": 1e3 * arrival.measured,
+        "stderr_ms": 1e3 * arrival.uncertainty,
+        "model_ms": 1e3 * arrival.model,
+    }
+
+
+def _replay_text(replay: Replay) -> str:
+    """For the terminal."""
+    lines = [
+        f"{replay.trace.source}: {'within' if replay.passed else 'OUTSIDE'} {MICRO * replay.tolerance:.3g} µm "
+        f"(noise {MICRO * replay.noise:.3g} µm, clock offset {MICRO * replay.clock_offset:.1f} µs)",
+        f"  {'stroke':<32}{'rmse':>9}{'moving':>9}{'maximum':>9}  µm",
+    ]
+    rows = [*((stroke.name, stroke.errors) for stroke in replay.strokes), ("in all", replay.errors)]
+    for name, errors in rows:
+        moving = "–" if math.isnan(errors.moving_rmse) else f"{MICRO * errors.moving_rmse:.3g}"
+        lines.append(
+            f"  {name:<32}{MICRO * errors.rmse:>9.3g}{moving:>9}{MICRO * errors.maximum:>9.3g}"
+            f"  {'' if errors.judged <= replay.tolerance else 'outside'}".rstrip()
+        )
+    return "\n".join([*lines, *_arrival_lines(replay)])
+
+
+def _arrival_lines(replay: Replay) -> Iterator[str]:
+    if any(stroke.arrivals for stroke in replay.strokes):
+        yield f"  {'arrival after the command':<32}{'measured':>18}{'model':>9}{'apart':>9}  ms"
+    for stroke in replay.strokes:
+        for arrival in stroke.arrivals:
+            name = f"{arrival.kind.replace('_', ' ')} ({arrival.sensor})"
+            measured = f"{1e3 * arrival.measured:.3f} ± {1e3 * arrival.uncertainty:.3f}"
+            model, apart = 1e3 * arrival.model, 1e3 * (arrival.measured - arrival.model)
+            yield f"  {name:<32}{measured:>18}{model:>9.3f}{apart:>+9.3f}  {stroke.name}"
+
+
+def _add_suite(root: ElementTree.Element, replay: Replay) -> None:
+    cases = [*((stroke.name, stroke.errors) for stroke in replay.strokes), ("in all", replay.errors)]
+    failures = sum(errors.judged > replay.tolerance for _, errors in cases)
+    suite = ElementTree.SubElement(
+        root,
+        "testsuite",
+        name=replay.trace.source,
+        tests=str(len(cases)),
+        failures=str(failures),
+        errors="0",
+        skipped="0",
+    )
+    for name, errors in cases:
+        case = ElementTree.SubElement(suite, "testcase", classname=replay.trace.source, name=name)
+        words = (
+            f"rmse {MICRO * errors.rmse:.3g} µm, moving {MICRO * errors.moving_rmse:.3g} µm, maximum "
+            f"{MICRO * errors.maximum:.3g} µm, tolerance {MICRO * replay.tolerance:.3g} µm"
+        )
+        if errors.judged > replay.tolerance:
+            ElementTree.SubElement(case, "failure", message=words, type="outside tolerance")
+        else:
+            ElementTree.SubElement(case, "system-out").text = words
