@@ -114,6 +114,17 @@ def test_every_equation_that_is_cited_exists_once() -> None:
     assert [(where, number) for where, number in cited if number not in numbers] == []
 
 
+@pytest.mark.parametrize(
+    ("heading", "package"), [("Inside identification", "identification"), ("Inside the model", "model")]
+)
+def test_every_room_is_described(heading: str, package: str) -> None:
+    section = text_of(ROOT / "docs" / "architecture.md").split(f"## {heading}\n")[1].split("\n## ")[0]
+    listed = set(re.findall(r"`(\w+)/?`", " ".join(re.findall(r"^\| (`.*?) \|", section, re.MULTILINE))))
+    inside = (ROOT / "valve_sim" / package).glob("*")
+    rooms = {path.stem for path in inside if path.is_dir() or path.suffix == ".py"}
+    assert rooms - {"__init__", "__pycache__", "core_types", "errors"} == listed
+
+
 def test_the_notebook_is_kept_without_what_it_printed() -> None:
     cells = [cell for cell in json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"] if cell["cell_type"] == "code"]
     assert len(cells) >= 5
