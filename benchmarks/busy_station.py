@@ -45,6 +45,8 @@ COMPILING = 300.0
 """s for all nodes to be there, on a machine that compiles for all of them at once."""
 LONGEST = 90.0
 """s for reports that are still to come."""
+TRACING = 120.0
+"""s for the cause, which needs seconds of a processor and has a tenth of one here; no figure hangs on it."""
 
 
 class Tally(NamedTuple):
@@ -148,6 +150,14 @@ class Station:
         self.settle(before, count)
         return self.listener.tally(before)
 
+    def finding(self, tank: str) -> str:
+        """What the monitor finds to be the cause, waited for; empty if it comes to none."""
+        start = time.monotonic()
+        while time.monotonic() < start + TRACING and not self.listener.findings[tank]:
+            self.hand.spin_for(0.5)
+        waited = f"{time.monotonic() - start:.0f} s after the last stroke"
+        return f"{waited}: {self.listener.findings[tank][-1]['summary']}" if self.listener.findings[tank] else ""
+
     def seize(self, tank: str, force: float) -> bool:
         """Put stiction on a valve; whether it took it."""
         client = self.hand.node.create_client(SetParameters, f"/{tank}/valve/set_parameters")
@@ -193,8 +203,7 @@ def run(strokes: int, faulty: int, neighbours: int) -> bool:
                     return say(False, f"{FAULTY} did not take the parameter")
                 sticking = station.phase(faulty)
                 show(f"{FORCE} N of stiction on {FAULTY}", sticking)
-            for finding in station.listener.findings[FAULTY]:
-                print(f"      {FAULTY} found: {finding['summary']}")
+                print(f"      {FAULTY}: {station.finding(FAULTY) or 'no cause found'}", flush=True)
         finally:
             station.hand.node.destroy_node()
     return _verdict(healthy, sticking)
