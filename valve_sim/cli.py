@@ -336,7 +336,7 @@ def identify(
 ) -> None:
     """Refit parameters to recordings.
 
-    Every value comes with its 95 % interval, and what the data do not hold is said. Writes DIR/identify.json and
+    Every value comes with its 95 % interval, and what the data do not determine is said. Writes DIR/identify.json and
     DIR/identified.yaml, which valve_node, simulate and validate load.
 
       valve-sim identify strokes.mcap --output results

@@ -99,7 +99,7 @@ def _identified(result: Identification, settings: Settings, folder: Path) -> Out
 
 def _doubt(result: Identification) -> str:
     if not result.fit.converged:
-        return "the fit did not settle"
+        return "the fit did not converge"
     if leaves_more_than_noise(result.fit):
         return "the residual is not white, so the model lacks something (mode:=diagnose may name it)"
     bound = next((name for name in result.fit.free if result.fit.on_bound(name) is not None), "")

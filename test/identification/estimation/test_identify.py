@@ -1,4 +1,4 @@
-"""What `identify` says: values, honest intervals, and what the data do not hold."""
+"""What `identify` says: values, intervals, and what the data do not determine."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def test_several_bags_make_one_fit() -> None:
         assert abs(together.intervals[name].value - truth) < 4.0 * together.intervals[name].stderr
 
 
-def test_several_starts_leave_a_wrong_basin() -> None:
+def test_several_starts_leave_a_local_minimum() -> None:
     far = default_valve().with_values(pilot_damping=40.0, main_damping=0.05)
     result = identify([recorded()], far)
     for name, truth in TRUTH.items():

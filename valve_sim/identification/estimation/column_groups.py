@@ -1,7 +1,7 @@
-"""Nuisances that act on samples of their own share one run of the model for their derivatives.
+"""Nuisance parameters that act on disjoint samples share one simulation for their columns of the Jacobian.
 
-An error of a command's stamp moves its own stroke and no other, so that one run with an error for each stroke has the
-difference quotients of all of them (Curtis, Powell and Reid, J. Inst. Maths Applics 13, 1974, p. 117).
+An error of a command's stamp changes its own stroke and no other, so that one simulation with an error in each stroke
+gives the difference quotients of all of them (Curtis, Powell and Reid, J. Inst. Maths Applics 13, 1974, p. 117).
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from valve_sim.identification.estimation.noise import stretches
 
 LAST: Final = 3
-"""Samples at the end of each stretch in which nothing must be left of what moved it."""
+"""Samples at the end of each stretch in which the effect of its nuisance must have died away."""
 LEFT: Final = 1e-3
-"""Of the largest difference in a stretch that counts as nothing."""
+"""Share of the largest difference in a stretch that counts as zero."""
 
 
 def group_columns(reach: Sequence[NDArray[np.bool_]]) -> list[list[int]]:
-    """Indices of nuisances, those that have no sample in common in one list.
+    """Indices of nuisances in groups: those in one group have no sample in common.
 
     Args:
         reach: for each nuisance, (n,) which samples it acts on.
@@ -43,7 +43,7 @@ def columns_decouple(differences: NDArray[np.float64], reach: Sequence[NDArray[n
     Where it has not, as in strokes that follow each other without rest, it reaches samples that another one acts on.
 
     Args:
-        differences: (n,) what moving all of them has changed.
+        differences: (n,) change of the residuals when all of them are perturbed.
         reach: for each nuisance, (n,) which samples it acts on.
     """
     for mask in reach:

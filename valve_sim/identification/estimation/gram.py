@@ -1,8 +1,8 @@
-"""Products of tall matrices: many samples, few parameters.
+"""Gram matrices of tall matrices: many samples, few parameters.
 
-The linear algebra that NumPy brings spreads a product of twenty thousand rows over all processors. Fits run side by
-side already (`run_parallel`), and threads that wait for each other made a diagnosis nine times as slow. Products of
-this size are therefore made of blocks that are each too small to be spread.
+NumPy's BLAS runs a product of twenty thousand rows in several threads. Fits run in parallel already (`run_parallel`),
+and threads that waited for each other made a diagnosis nine times as slow. Products of this size are therefore computed
+in blocks, each too small for BLAS to start threads.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from valve_sim.identification.plants.protocol import Array
 
 ROWS: Final = 128
-"""Of a block. OpenBLAS keeps a product of up to 2¹⁸ multiplications in one thread: 45 columns by 45."""
+"""Rows of a block. OpenBLAS keeps a product of up to 2¹⁸ multiplications in one thread: 45 columns by 45."""
 
 
 def gram(left: Array, right: Array) -> Array:

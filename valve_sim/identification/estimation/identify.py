@@ -1,4 +1,4 @@
-"""Refit declared parameters to measured strokes, and say honestly what the data hold."""
+"""Refit declared parameters to measured strokes, and say which of them the data determine."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from valve_sim.traces import Trace
 
 DEFAULT_FREE: Final = ("pilot_damping", "main_damping")
 STARTS: Final = (1.0, 4.0, 0.25)
-"""Factors on the declared values from which a fit starts, to leave wrong basins."""
+"""Factors on the declared values from which a fit starts, to avoid local minima."""
 CORRELATED: Final = 0.99
-"""Beyond this correlation two parameters are said to be told apart hardly."""
+"""Beyond this correlation two parameters are said to be hardly distinguishable."""
 WEAK: Final = 0.25
-"""A 95 % interval wider than this share of the value (and of the declared value) holds the parameter only loosely."""
+"""A parameter is loosely determined if its 95 % interval is wider than this share of its value and declared value."""
 
 TOO_MUCH: Final = 5.0
-"""Standard deviations of χ² beyond which a remainder is more than noise."""
+"""Standard deviations of χ² beyond which the residual is larger than the noise."""
 DECISIVE: Final = 10.0
 """A difference of scores, theory, eq. (41): odds of 150 to 1."""
 
@@ -111,8 +111,8 @@ def check_free(free: Sequence[str]) -> None:
 def best_fit(problem: Problem, free: Sequence[str], progress: Callable[[float], None]) -> Fit:
     """The best of fits from several starts.
 
-    Where it leaves more than noise, errors of the commands' stamps are estimated along, and kept if that is decisive:
-    a recorder stamps a command when it hears of it, up to a millisecond beside the time at which it took effect.
+    Where its residual is larger than the noise, errors of the commands' stamps are estimated too, and kept if that is
+    decisive: a recorder stamps a command when it receives it, up to a millisecond off the time at which it took effect.
     """
     plant = problem.plant
     plain = _best_of_starts(problem, free, plant.nuisances, progress)
@@ -125,7 +125,7 @@ def best_fit(problem: Problem, free: Sequence[str], progress: Callable[[float], 
 def leaves_more_than_noise(result: Fit) -> bool:
     """Whether χ² exceeds what noise gives it by 5 %, and by more than `TOO_MUCH` of its standard deviations.
 
-    Those count in that the noise itself is known from a limited number of samples at rest only.
+    These include that the noise itself is known from a limited number of quiet samples only.
     """
     samples, quiet = result.problem.effective_samples, [noise.samples for noise in result.problem.noises.values()]
     left = result.chi2 / result.problem.variance_inflation / samples - 1.0
@@ -151,7 +151,7 @@ def position_rmse(plant: Plant, values: Mapping[str, float]) -> float:
 
 
 def remarks(result: Fit, intervals: Mapping[str, Interval]) -> list[str]:
-    """What a person must know about the freed parameters: flat, on a bound, correlated."""
+    """Warnings about the freed parameters: not identifiable, on a bound, correlated."""
     said = []
     plant = result.problem.plant
     correlation = result.correlation()
@@ -166,8 +166,8 @@ def remarks(result: Fit, intervals: Mapping[str, Interval]) -> list[str]:
             said.append(f"{name} sits on its {bound} bound: the data want it beyond, or something else is missing.")
         elif interval.high - interval.low > WEAK * max(abs(interval.value), abs(plant.declared(name))):
             said.append(
-                f"{name} is held only loosely by these data: anything from {interval.low:.3g} to {interval.high:.3g} "
-                f"{plant.parameter(name).unit} fits."
+                f"{name} is determined only loosely by these data: anything from {interval.low:.3g} to "
+                f"{interval.high:.3g} {plant.parameter(name).unit} fits."
             )
         if strongest[0] > CORRELATED and (name < strongest[1] or strongest[1] not in result.free):
             said.append(
@@ -178,7 +178,7 @@ def remarks(result: Fit, intervals: Mapping[str, Interval]) -> list[str]:
     if timing:
         said.append(
             f"the commands' stamps are off by up to {1e6 * max(timing):.3g} µs, beside the clock offset; each was "
-            "estimated along."
+            "estimated."
         )
     if leaves_more_than_noise(result):
         said.append(
@@ -186,7 +186,7 @@ def remarks(result: Fit, intervals: Mapping[str, Interval]) -> list[str]:
             "`diagnose` may name it."
         )
     if not result.converged:
-        said.append("the fit did not settle; treat the values with care.")
+        said.append("the fit did not converge; treat the values with care.")
     return said
 
 

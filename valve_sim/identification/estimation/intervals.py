@@ -21,7 +21,7 @@ class Interval:
     """A value with its uncertainty, in the parameter's unit.
 
     Attributes:
-        value, stderr: from the covariance. low, high: 95 % interval; infinite where the data do not close it.
+        value, stderr: from the covariance. low, high: 95 % interval; infinite where the data do not bound it.
         remark: why it is wide or one-sided, or empty.
     """
 
@@ -45,7 +45,7 @@ def covariance_interval(result: Fit, name: str) -> Interval:
 
 
 def profile_interval(result: Fit, name: str, *, points: int = 12) -> tuple[Interval, list[tuple[float, float]]]:
-    """The 95 % interval by profile likelihood: where χ², all others refitted, has risen by 3.84.
+    """The 95 % interval by profile likelihood: where χ², all others refitted, has risen by 3.84: theory, eq. (33).
 
     Args:
         result: a converged fit.
@@ -70,7 +70,7 @@ def profile_interval(result: Fit, name: str, *, points: int = 12) -> tuple[Inter
         end, side = _profile_side(walk, sign, bound)
         curve.extend(side)
         if end is None:
-            remark = "the profile stays flat: these data do not hold it"
+            remark = "the profile is flat: these data do not determine it"
             ends.append(sign * math.inf if math.isinf(bound) else bound)
         else:
             ends.append(end)

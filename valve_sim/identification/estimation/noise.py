@@ -17,15 +17,15 @@ Array = NDArray[np.float64]
 LARGEST_ORDER: Final = 3
 """Of the autoregression."""
 SHORTEST_WINDOW: Final = 100
-"""Samples: a shorter quiet window says too little of colour."""
+"""Samples: a shorter quiet window says too little about the noise's colour."""
 SHORT_WINDOW: Final = 25
-"""Samples: what must do where no quiet window is longer. The size of the noise is taken from these, not its colour."""
+"""Samples: the least where no quiet window is longer; then only the size of the noise is estimated, not its colour."""
 BLOCK: Final = 64
 """Samples in a block whose mean shows noise slower than the autoregression."""
 ENOUGH_AT_REST: Final = 500
 """Samples at seat and at stop from which their noise can be compared."""
 PLAINLY_NOISIER: Final = 1.2
-"""Standard deviation at one rest over that at the other, beyond chance for so many samples, coloured ones too."""
+"""Standard deviation at one rest over that at the other, beyond chance for that many samples, of coloured noise too."""
 DIGITS: Final = 1e-6
 """Of a signal's range: data that are printed to six digits, the least that anybody writes."""
 COARSE: Final = 2.0
@@ -41,7 +41,7 @@ class Noise:
         innovation: standard deviation of what whitening leaves.
         coefficients: (p,) φ, p ≤ 3.
         step: quantisation step, 0 for none seen.
-        excess: variance of block means over what white noise gives, ≥ 1: the factor by which evidence is discounted.
+        variance_inflation: variance of block means over that of white noise, ≥ 1; divides all evidence, eq. (24).
         samples: how many quiet samples it rests on.
     """
 
@@ -96,17 +96,17 @@ def estimate_noise(channels: Sequence[Channel]) -> Noise:
         return Noise(floor, floor, (), step, 1.0, samples)
     if not shows_colour:
         white = Noise(spread, spread, (), step, 1.0, samples)
-        return replace(white, variance_inflation=_excess(white, centred, SHORT_WINDOW))
+        return replace(white, variance_inflation=_variance_inflation(white, centred, SHORT_WINDOW))
     coefficients, innovation = _autoregression(centred, samples)
     noise = Noise(spread, innovation, coefficients, step, 1.0, samples)
-    return Noise(spread, innovation, coefficients, step, _excess(noise, centred), samples)
+    return Noise(spread, innovation, coefficients, step, _variance_inflation(noise, centred), samples)
 
 
 def noise_of_residuals(pieces: Sequence[Array], guess: Noise) -> Noise:
     """The noise of a machine that is never still: what a model leaves, with the colour that it has.
 
-    What the model lacks is counted in, so that nothing is claimed too easily. Differences of the data would not do: of
-    smooth data they show a part of the noise, of jagged data the signal itself.
+    What the model lacks counts as noise, so that nothing is claimed too easily. Differences of the data would not do:
+    of smooth data they show a part of the noise, of jagged data the signal itself.
 
     Args:
         pieces: (n,) each, measured less modelled, in a row.
@@ -120,7 +120,7 @@ def noise_of_residuals(pieces: Sequence[Array], guess: Noise) -> Noise:
         return guess
     coefficients, innovation = _autoregression(long, samples)
     noise = Noise(spread, max(innovation, 1e-6 * spread), coefficients, guess.step, 1.0, 0)
-    return replace(noise, variance_inflation=_excess(noise, long))
+    return replace(noise, variance_inflation=_variance_inflation(noise, long))
 
 
 def quiet_windows(channel: Channel, shortest: int = SHORTEST_WINDOW) -> list[Array]:
@@ -135,7 +135,7 @@ def stretches(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 
 def _at_the_quieter_rest(windows: list[Array]) -> list[Array]:
-    """Those at one rest only, seat or stop, where the other is plainly noisier: what rattles there is no noise."""
+    """Windows at one rest only, seat or stop, where the other is plainly noisier: vibration is no sensor noise."""
     if not windows:
         return windows
     levels = [float(window.mean()) for window in windows]
@@ -235,8 +235,8 @@ def _autoregression(windows: Sequence[Array], samples: int) -> tuple[tuple[float
     return tuple(float(value) for value in best[1]), math.sqrt(best[2])
 
 
-def _excess(noise: Noise, windows: Sequence[Array], block: int = BLOCK) -> float:
-    """How much more the means of blocks vary than those of white noise, at least 1; 1 where too few to tell."""
+def _variance_inflation(noise: Noise, windows: Sequence[Array], block: int = BLOCK) -> float:
+    """Variance of block means over that of white noise, at least 1: theory, eq. (24). 1 where blocks are too few."""
     means = []
     for window in windows:
         white = noise.whiten(window)

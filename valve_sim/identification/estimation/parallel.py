@@ -1,4 +1,4 @@
-"""Independent work on all processors: the compiled core lets others run Python while it computes."""
+"""Independent work in parallel threads: the compiled core releases the interpreter lock."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Final, TypeVar
 
 MOST_THREADS: Final = 4
-"""Between two runs of the core a fit holds Python to itself, so that more would wait for each other."""
+"""Between two simulations a fit holds the interpreter lock, so that more threads would wait for each other."""
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -19,11 +19,11 @@ def run_parallel(
     items: Sequence[Item],
     announce: Callable[[Item], None] = lambda item: None,
 ) -> list[Result]:
-    """What the work makes of each item.
+    """The result of `work` for each item, in order, computed in parallel threads.
 
     Args:
         work: is called from several threads at once.
-        items: none may need what is made of another, so that it does not matter which is ready first.
+        items: independent of each other's results, so that the order of execution does not matter.
         announce: told, in the calling thread, which item is waited for; what it raises ends all.
 
     Raises:

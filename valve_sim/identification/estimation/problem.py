@@ -55,13 +55,13 @@ class Problem:
         return Problem(self.plant, takes_part, self.noises, self.budget)
 
     def with_inflated_noise(self, kind: str, factor: float) -> Problem:
-        """The same with the noise of a kind of channel taken to be so many times as large."""
-        doubted = {
+        """The same with the noise of one kind of channel multiplied by a factor."""
+        inflated = {
             name: replace(noise, innovation=factor * noise.innovation)
             for name, noise in self.noises.items()
             if name == kind
         }
-        return self.with_noises(doubted)
+        return self.with_noises(inflated)
 
     def with_noise_left_by(self, values: Mapping[str, float]) -> Problem:
         """The same with the noise of what is never still taken from what these values leave of it."""
@@ -83,7 +83,7 @@ class Problem:
 
     @property
     def noise(self) -> Noise:
-        """That of the response in which errors are reported."""
+        """The noise of the response in which errors are reported."""
         return self.noise_of(judged_channels(self.plant)[0])
 
     def noise_of(self, index: int) -> Noise:
@@ -129,8 +129,8 @@ class Problem:
         noise = self.noise_of(index)
         if noise.step > 0.0 and noise.is_coarse:
             # A coarse sensor at rest repeats one reading; a thousand copies are not a thousand measurements. The runs
-            # are the declared model's: weights by the readings themselves lean on their errors, which with 1 µm of
-            # noise and 5 µm steps puts the dampings 0.16 standard errors off.
+            # are the declared model's: weights by the readings themselves depend on their errors, which with 1 µm
+            # of noise and 5 µm steps biases the dampings by 0.16 standard errors.
             runs = still_runs(np.round(self.plant.predict({})[index] / noise.step))
             weight = np.where(runs > LONGEST_RUN, 1.0 / np.sqrt(runs), weight)
             for start, stop in stretches(channel.quiet):

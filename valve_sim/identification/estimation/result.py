@@ -1,4 +1,4 @@
-"""What a fit found, and what that is worth: errors, correlations, and scores for comparing models.
+"""What a fit found, and how certain it is: standard errors, correlations, and scores for comparing models.
 
 The criterion is χ² = Σ e² + Σ (nuisance / prior)², e the whitened residual. Its score, for comparing models, is
 
@@ -28,16 +28,16 @@ from valve_sim.identification.plants.protocol import (
 )
 
 NO_INFORMATION: Final = 1e-290
-"""Information below which a parameter moves nothing at all."""
+"""Information below which a parameter has no influence at all."""
 SMALLEST_SHARE: Final = 1e-14
-"""Of the information, scaled to ones on its diagonal, that a direction can have and still be told from rounding."""
+"""Smallest eigenvalue of the information, scaled to a unit diagonal, that is not rounding error."""
 COLLINEAR: Final = 100.0
-"""Variance of a parameter over what it would be if all others were known, beyond which directions are nearly flat."""
+"""Variance of a parameter, over that if all others were known, beyond which it is collinear: theory, eq. (34)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """The outcome of one fit; equal to itself only, so that what is worked out of it can be remembered by it.
+    """The outcome of one fit; hashed by identity for caching.
 
     Attributes:
         problem: what was fitted.
@@ -45,7 +45,7 @@ class Fit:
         values: every freed parameter and nuisance at the optimum, in its unit.
         chi2: criterion at the optimum, nuisance priors included.
         residuals: whitened residuals there.
-        jacobian: (n, k + m) d(residuals)/d(search coordinate), nuisances last.
+        jacobian: (n, k + m) d(residuals)/d(internal coordinate), nuisances last.
         information: (k + m, k + m), priors included.
         converged: whether the last step was small enough.
     """
@@ -63,9 +63,10 @@ class Fit:
 
     @property
     def covariance(self) -> Array:
-        """(k + m, k + m) of the search coordinates, slow noise included; directions the data do not hold are huge.
+        """(k + m, k + m) of the internal coordinates, variance inflation included: theory, eq. (31).
 
-        A parameter without any influence has infinite variance and no correlation.
+        Directions that the data do not determine have a huge variance; a parameter without any influence has an
+        infinite one, and no correlation.
         """
         diagonal = np.diag(self.information)
         alive = diagonal > NO_INFORMATION
@@ -78,7 +79,7 @@ class Fit:
 
     @property
     def score(self) -> float:
-        """S of the module's page: smaller is better, by 10 is decisive."""
+        """The score S, theory, eq. (41): smaller is better, a difference of 10 is decisive."""
         occam = 0.0
         for index, nuisance in enumerate(self.nuisances, start=len(self.free)):
             occam += math.log(max(1.0, nuisance.sigma**2 * float(self.information[index, index])))
@@ -87,31 +88,31 @@ class Fit:
 
     @property
     def evidence(self) -> float:
-        """−2 ln of the evidence, but for a constant: χ²/f + ln det(1 + D I D / f) (Laplace).
+        """−2 ln of the evidence, but for a constant: χ²/f + ln det(1 + D I D / f), theory, eq. (42).
 
-        D has the natural sizes of the freed parameters, and σ of the nuisances: how large each may be before the data
-        are seen. A parameter that the data hardly hold costs hardly anything here, and ln N in the score.
+        D has the prior scales of the freed parameters, and σ of the nuisances: how large each may be before the data
+        are seen. A parameter that the data hardly determine costs hardly anything here, and ln N in the score.
         """
         plant, variance_inflation = self.problem.plant, self.problem.variance_inflation
         sizes = [internal_scale(plant.parameter(name)) for name in self.free]
         sigmas = [nuisance.sigma for nuisance in self.nuisances]
         spread = np.array([*sizes, *sigmas])
-        # The priors of the nuisances are the ones of 1 + D I D: I is what the data alone say.
+        # The priors of the nuisances are the ones of 1 + D I D, so that I is the information of the data alone.
         of_data = self.information - np.diag([0.0] * len(sizes) + [1.0 / sigma**2 for sigma in sigmas])
         _, volume = np.linalg.slogdet(np.eye(len(spread)) + of_data * np.outer(spread, spread) / variance_inflation)
         return self.chi2 / variance_inflation + float(volume)
 
     def stderr(self, name: str) -> float:
-        """Standard error of a freed parameter in its own unit; inf where the data do not hold it."""
+        """Standard error of a freed parameter in its own unit; inf where the data do not determine it."""
         index = self.free.index(name)
         error = math.sqrt(max(0.0, float(self.covariance[index, index])))
         slope = internal_slope(self.problem.plant.parameter(name), float(self.coordinates[index]))
         return error * slope
 
     def is_collinear(self, name: str) -> bool:
-        """Whether others can take its place so nearly that a parabola no longer says how far it reaches.
+        """Whether other parameters can nearly take its place, so that a parabola does not describe its interval.
 
-        Dampings are, beside an asymmetric friction that has dampings of its own for both directions.
+        Dampings are collinear with those of an asymmetric friction, which has one for each direction.
         """
         index = self.free.index(name)
         known, variance = float(self.information[index, index]), float(self.covariance[index, index])
@@ -127,7 +128,7 @@ class Fit:
         return correlation
 
     def on_bound(self, name: str) -> str | None:
-        """'lower' or 'upper' if a parameter sits on that bound, by its search coordinate; being endless is no bound."""
+        """'lower' or 'upper' if a parameter is on that bound, in its internal coordinate; infinity is none."""
         parameter = self.problem.plant.parameter(name)
         lower, upper = internal_bounds(parameter)
         at = float(self.coordinates[self.free.index(name)])

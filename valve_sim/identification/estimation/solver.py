@@ -23,16 +23,16 @@ from valve_sim.identification.plants.protocol import (
 from valve_sim.model import SimulationError
 
 DIFFERENCE: Final = 2e-3
-"""Step of a difference quotient, in natural sizes of its parameter."""
+"""Step of a difference quotient, in prior scales of its parameter: theory, eq. (28)."""
 NUISANCE_DIFFERENCE: Final = 1e-6
 """s: likewise for times."""
 MOST_ITERATIONS: Final = 40
 CONVERGED: Final = 1e-2
 """A fit has converged when a step would lower χ² by less than this: a tenth of a standard error."""
 LARGEST_DAMPING: Final = 1e4
-"""Levenberg's, in units of the information: beyond it no step helps and the fit stands still."""
+"""Of λ in theory, eq. (29): beyond it no step lowers the criterion and the fit stops."""
 FEW: Final = 4
-"""So many nuisances have their derivatives renewed in every step; those of more are kept while they serve."""
+"""Up to this many nuisances, derivatives are renewed in every step; of more they are reused while they serve."""
 
 
 def fit(
@@ -52,7 +52,7 @@ def fit(
         start: values to start from, by name; what is missing starts at its declared value (nuisances at 0).
         nuisances: estimated along, with their priors.
         fixed: further values to hold, e.g. an effect's parameter in a profile.
-        robust: scales in σ of a Cauchy loss that is used first, one after the other, to leave wrong basins.
+        robust: scales in σ of a Cauchy loss that is used first, one after the other, to leave local minima.
     """
     search = _Search(problem, tuple(free), tuple(nuisances), dict(fixed or {}))
     at = search.start(start)
@@ -66,7 +66,7 @@ def fit(
 
 
 class _Search:
-    """One minimisation: coordinates in natural sizes, bounds, difference quotients."""
+    """One minimisation in internal coordinates, with their bounds and difference quotients."""
 
     def __init__(
         self, problem: Problem, free: tuple[str, ...], nuisances: tuple[Nuisance, ...], fixed: dict[str, float]
@@ -109,7 +109,7 @@ class _Search:
         return residuals if np.all(np.isfinite(residuals)) else None
 
     def jacobian(self, at: Array, residuals: Array) -> Array:
-        """Forward differences, away from the bound ahead; the columns of many nuisances are kept while they do."""
+        """Forward differences, backward at an upper bound; columns of many nuisances are reused while they serve."""
         columns = [self._column(at, index, residuals) for index in range(len(self.free))]
         if self._nuisance_columns is None:
             self._nuisance_columns = self._columns_of_nuisances(at, residuals)
@@ -123,14 +123,14 @@ class _Search:
         return columns
 
     def _columns_at_once(self, at: Array, indices: list[int], residuals: Array) -> Array:
-        """Of nuisances that have samples of their own, by one run; by one for each where they reach beyond them."""
+        """Columns of nuisances with disjoint samples, from one simulation, or from one each where they overlap."""
         if len(indices) > 1:
-            moved, steps = at.copy(), self.steps[indices]
-            moved[indices] += np.where(at[indices] + steps > self.upper[indices], -steps, steps)
-            there = self.residuals(moved)
+            perturbed, steps = at.copy(), self.steps[indices]
+            perturbed[indices] += np.where(at[indices] + steps > self.upper[indices], -steps, steps)
+            there = self.residuals(perturbed)
             masks = [self._reach[index - len(self.free)] for index in indices]
             if there is not None and columns_decouple(there - residuals, masks):
-                return np.where(np.column_stack(masks), (there - residuals)[:, None] / (moved - at)[indices], 0.0)
+                return np.where(np.column_stack(masks), (there - residuals)[:, None] / (perturbed - at)[indices], 0.0)
         return np.column_stack([self._column(at, index, residuals) for index in indices])
 
     def _column(self, at: Array, index: int, residuals: Array) -> Array:
@@ -138,16 +138,16 @@ class _Search:
         if abs(at[index]) > 0.0 and index < len(self.free):
             step = max(step, 1e-5 * abs(at[index]))
         for size in (step, -step, 0.1 * step, -0.1 * step):
-            moved = at.copy()
-            moved[index] = min(max(at[index] + size, self.lower[index]), self.upper[index])
-            actual = moved[index] - at[index]
-            there = self.residuals(moved) if actual != 0.0 else None
+            perturbed = at.copy()
+            perturbed[index] = min(max(at[index] + size, self.lower[index]), self.upper[index])
+            actual = perturbed[index] - at[index]
+            there = self.residuals(perturbed) if actual != 0.0 else None
             if there is not None:
                 return np.asarray((there - residuals) / actual)
         return np.zeros(len(residuals))
 
     def descend(self, at: Array, cauchy: float) -> tuple[Array, float, Array, Array, Array, bool]:
-        """Gauss–Newton with Levenberg's damping, variables on a bound held while they push outwards."""
+        """Gauss–Newton with Levenberg's damping, variables on a bound held while the gradient points outwards."""
         residuals = self.residuals(at)
         if residuals is None:
             raise SimulationError("the model cannot be simulated at the start of the fit")

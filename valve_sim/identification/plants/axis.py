@@ -34,7 +34,7 @@ from valve_sim.model.equations import dry_friction, force_without_dry_friction
 LOW_PASS: Final = 100.0
 """Hz, of the fourth-order Butterworth filter that position passes forwards and backwards."""
 DECIMATION: Final = 10
-"""One sample in so many is compared: the filtered force is smooth, and neighbours say the same."""
+"""Every tenth sample is compared: the filtered force is smooth, and neighbours are nearly equal."""
 EDGE: Final = 0.05
 """s at both ends of a record, where filters and differences lack neighbours."""
 CRUISE: Final = 0.01
@@ -163,7 +163,7 @@ class AxisPlant:
 
     @property
     def experiments(self) -> Sequence[Experiment]:
-        """None: which trajectory a servo may follow is not for us to say."""
+        """None: which trajectories a servo may follow is not known here."""
         return ()
 
     def parameter(self, name: str) -> Parameter:

@@ -1,7 +1,8 @@
-"""The coil current beside a commissioned valve: how late it is stamped, and what its ampere is.
+"""The coil current beside a commissioned valve: how late it is stamped, and its gain.
 
 A live current has no stamp of its own and is timed by its arrival, and the coil's resistance is an assumption unless it
-was measured. Neither matters for what changes later: both are found with the healthy strokes, and taken out.
+was measured. Neither matters for later changes: both are estimated from the baseline strokes, and
+corrected.
 """
 
 from __future__ import annotations
@@ -17,9 +18,9 @@ from valve_sim.model import Valve, simulate
 from valve_sim.traces import Signal, Trace
 
 LATEST: Final = 5e-3
-"""s: a current is early or late by less."""
+"""s: bound of a current's lateness, either way."""
 EXPLAINED: Final = 0.05
-"""Share of the current, root mean square, that may be left for it to be used at all."""
+"""Residual of the current over the current, root mean square, up to which it is used at all."""
 FEWEST: Final = 20
 """Samples."""
 
@@ -35,15 +36,15 @@ class CommissionedCurrent(NamedTuple):
     gain: float
 
     def as_modelled(self, signal: Signal) -> Signal:
-        """Put back in time, in the model's amperes."""
+        """Corrected for lateness and gain."""
         return Signal(signal.times - self.lateness, signal.values / self.gain)
 
 
 def commission_current(traces: Sequence[Trace], valve: Valve) -> CommissionedCurrent | None:
-    """Hold the healthy strokes' currents against the model.
+    """Compare the baseline strokes' currents with the model.
 
     Args:
-        traces: one healthy stroke each, from rest.
+        traces: one baseline stroke each, from rest.
         valve: as commissioned.
 
     Returns:

@@ -30,7 +30,7 @@ from valve_sim.model import CATALOGUE, Drive, ParameterError, Response, Simulati
 GRID: Final = 5e-5
 """s between the samples in which a crossing is looked for; contacts are found by their events."""
 HORIZON: Final = 4.0
-"""Times the last event: who has not arrived by then has not arrived."""
+"""Times the last event: a displacement not reached by then counts as never reached."""
 AT_CONTACT: Final = 1e-9
 """m: a displacement this close to a contact is reached when the contact is."""
 _FORM: Final = "expected 'event_table:' with valve, voltage, events (name, displacement, time, uncertainty) and ship"
@@ -127,7 +127,7 @@ def reached(response: Response, displacement: float) -> float:
 
 
 class EventPlant(ValvePlant):
-    """The valve behind an event table; no clock is in doubt, because a table's times count from the voltage.
+    """The valve behind an event table; it has no clock offset, because a table's times count from the voltage.
 
     Args:
         table: the measurement; its declared valve is what effects are added to.
@@ -148,12 +148,12 @@ class EventPlant(ValvePlant):
 
     @property
     def base(self) -> Sequence[str]:
-        """Nothing: a handful of numbers holds no more than the effect that is asked about."""
+        """None: a handful of numbers determines no more than the effect in question."""
         return ()
 
     @property
     def force_maps(self) -> Sequence[ForceMap]:
-        """None: a handful of numbers cannot hold a curve."""
+        """None: a handful of numbers cannot determine a curve."""
         return ()
 
     def response(self, values: Mapping[str, float]) -> Response:

@@ -1,7 +1,7 @@
 """What identification sees of a machine: named parameters, effects that may be on, and what sensors would show.
 
-The valve is one plant (`valve_plant`), a servo axis another (`benchmarks/emps`), a user's actuator a third. Fit and
-diagnosis know only this page.
+The valve is one plant (`valve`), a servo axis another (`axis`), a user's actuator a third. Fits and
+diagnoses know only this protocol.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from valve_sim.model.parameters import Parameter
 Array = NDArray[np.float64]
 
 SMALL_MOVE: Final = 0.05
-"""Natural sizes of a parameter: a difference that shows the direction in which it moves the residual."""
+"""Prior scales of a parameter: a perturbation that shows in which direction it changes the residual."""
 
 
 class Nuisance(NamedTuple):
-    """Something that is not the machine's but must be estimated along.
+    """A nuisance parameter: not the machine's, but estimated with it.
 
     Attributes:
         name, unit: what it is. sigma: of its prior N(0, sigma).
@@ -81,7 +81,7 @@ class ForceMap:
         return {**self.fixed, **{name: 0.0 for name in self.all_knots if name not in self.free}}
 
     def at_one_knot(self) -> list[ForceMap]:
-        """The same with only one knot free, for each knot: forces that act at one place alone."""
+        """For each knot, the same with only this knot free: forces that act at one place alone."""
         return [replace(self, one_knot=index) for index in range(len(self.all_knots))]
 
 
@@ -166,7 +166,7 @@ GENERIC_ADVICE: Final = Advice(
 
 
 def advice_of(plant: Plant) -> Advice:
-    """The plant's own `advice`, an optional member, or words that hold for any machine."""
+    """The plant's own `advice`, an optional member, or general advice for any machine."""
     found = getattr(plant, "advice", GENERIC_ADVICE)
     return found if isinstance(found, Advice) else GENERIC_ADVICE
 
@@ -237,12 +237,12 @@ def _is_logarithmic(parameter: Parameter) -> bool:
 
 
 def _is_reciprocal(parameter: Parameter) -> bool:
-    """Whether a parameter is off, or not to be seen, at infinity and therefore searched by its reciprocal."""
+    """Whether a parameter has no effect, or is not visible, at infinity and is therefore searched by its reciprocal."""
     return parameter.infinite_at_upper or (parameter.off is not None and math.isinf(parameter.off))
 
 
 def to_internal(parameter: Parameter, value: float) -> float:
-    """The coordinate in which a parameter is searched: its value, 1/value where infinity is in reach, or ln(value)."""
+    """The coordinate in which a parameter is searched: its value, its reciprocal or its logarithm: theory, eq. (27)."""
     if _is_reciprocal(parameter):
         return 0.0 if math.isinf(value) else 1.0 / value
     return math.log(value) if _is_logarithmic(parameter) else value
@@ -264,7 +264,7 @@ def internal_slope(parameter: Parameter, coordinate: float) -> float:
 
 
 def internal_bounds(parameter: Parameter) -> tuple[float, float]:
-    """The bounds of the search coordinate."""
+    """The bounds of the internal coordinate."""
     if _is_reciprocal(parameter):
         return (1.0 / parameter.upper if parameter.infinite_at_upper else 0.0), 1.0 / parameter.lower
     if _is_logarithmic(parameter):
@@ -273,14 +273,14 @@ def internal_bounds(parameter: Parameter) -> tuple[float, float]:
 
 
 def internal_scale(parameter: Parameter) -> float:
-    """A natural size of the search coordinate."""
+    """The prior scale in the internal coordinate."""
     if _is_reciprocal(parameter):
         return 1.0 / parameter.prior_scale
     return 1.0 if _is_logarithmic(parameter) else abs(parameter.prior_scale)
 
 
 def perturbed(parameter: Parameter, value: float) -> float:
-    """A value a little off, by a share of its natural size, within its range: for the direction that it moves in."""
+    """A value perturbed by a fraction of its prior scale, within its range: for directional derivatives."""
     at = to_internal(parameter, value)
     lower, upper = internal_bounds(parameter)
     step = SMALL_MOVE * internal_scale(parameter)

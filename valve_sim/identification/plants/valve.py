@@ -40,7 +40,7 @@ SETTLING: Final = 0.3
 BEFORE_STROKE: Final = 0.25
 """The part of a rest, at its end, that is counted to the stroke after it, whose command may be earlier than stamped."""
 JITTERED: Final = 0.01
-"""Scatter of a current's sampling interval, over the interval, beyond which its times are those of arrival."""
+"""Relative scatter of a current's sampling interval beyond which its samples are taken to be timed by arrival."""
 STILL: Final = 6.0
 """Standard deviations within which a still sensor stays."""
 PULSE_VOLTS: Final = (7.5, 9.0, 11.0, 14.0)
@@ -234,7 +234,7 @@ class ValvePlant:
 def still_mask(trace: Trace) -> NDArray[np.bool_]:
     """(n,) where the pilot plunger is known to be still: the ends of the intervals between commands.
 
-    An interval's quiet end goes back as far as readings stay within `STILL` standard deviations of its last ones.
+    The quiet end of an interval begins where readings stay within `STILL` standard deviations of its last ones.
     """
     data, times = trace.pilot_position, trace.times
     quiet = np.zeros(len(data), dtype=bool)
@@ -289,7 +289,7 @@ def _stroke_of_each_command(drive: Drive) -> list[tuple[float, float]]:
 
 
 def _fastest(trace: Trace) -> float:
-    """A speed that the plunger exceeds hardly ever, m/s, from the positions."""
+    """A speed that the plunger hardly ever exceeds, m/s, from the positions."""
     stride = max(1, len(trace.times) // 2000)
     speed = np.abs(np.diff(trace.pilot_position[::stride]) / np.diff(trace.times[::stride]))
     return max(float(np.quantile(speed, 0.995)), 0.05)
@@ -301,7 +301,7 @@ def _coarse_step(data: Array) -> float:
 
 
 def _with_usable_current(trace: Trace, *, is_instant: bool) -> Trace:
-    """The trace, less a current timed by its arrival; of a coil without a time constant also less what is in doubt.
+    """The trace, less a current timed by its arrival; of a coil without a time constant also less ambiguous samples.
 
     Such a current jumps with the command, and rounded stamps do not say on which side of the jump a sample is.
     """
@@ -316,7 +316,7 @@ def _with_usable_current(trace: Trace, *, is_instant: bool) -> Trace:
 
 
 def without_jittered_current(trace: Trace) -> Trace:
-    """The trace, less a current whose times are those of its arrival: they scatter, and would drag the clock along."""
+    """The trace, less a current whose times are those of its arrival: they scatter, and would bias the clock offset."""
     if trace.coil_current is None or len(trace.coil_current.times) < 3:
         return trace
     steps = np.diff(trace.coil_current.times)

@@ -38,7 +38,7 @@ def identification_json(result: Identification) -> dict[str, Any]:
 
 
 def identification_text(result: Identification) -> str:
-    """A report for the terminal: value, error, start, and what the data do not hold."""
+    """A report for the terminal: value, error, start, and what the data do not determine."""
     plant = result.fit.problem.plant
     lines = [f"{'parameter':<28}{'value ± standard error':<30}{'95 % interval':<30}declared"]
     for name, interval in result.intervals.items():
