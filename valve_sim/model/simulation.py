@@ -227,11 +227,15 @@ def simulate(
         state = new_states(record, start_time)
         run_record(record, state, drive, Samples(times, rows, times, currents), events, tolerance)
         rows[:, :2] = shown
-    amperes = float(record[0]["reference_voltage"] / record[0]["coil_resistance"])
     return Response(
-        times, rows[:, 0], rows[:, 1], rows[:, 2], currents * amperes, rows[:, 3],
+        times, rows[:, 0], rows[:, 1], rows[:, 2], currents * rated_current(record), rows[:, 3],
         rows[:, 4].astype(np.uint8), event_tuple(events, count),
     )  # fmt: skip
+
+
+def rated_current(record: Any) -> float:
+    """The coil current at u = 1, A, of a (1,) VALVE_RECORD."""
+    return float(record[0]["reference_voltage"] / record[0]["coil_resistance"])
 
 
 def run_record(

@@ -18,6 +18,7 @@ from valve_sim.model.simulation import (
     event_tuple,
     most_steps,
     new_states,
+    rated_current,
 )
 from valve_sim.model.transitions import set_voltage, settle_geometry
 
@@ -99,10 +100,9 @@ class Stepper:
         record = self._record[0]
         lifted = phase in (Phase.MAIN, Phase.OPEN)
         effort = -float(record["spring_preload"] + record["spring_rate"] * x) if lifted else 0.0
-        amperes = float(record["reference_voltage"] / record["coil_resistance"])
         events, self._pending = tuple(self._pending), []
         return Reading(
-            time, pilot, main, velocity, velocity if moves_main else 0.0, current * amperes,
+            time, pilot, main, velocity, velocity if moves_main else 0.0, current * rated_current(self._record),
             attraction, effort, phase, events,
         )  # fmt: skip
 

@@ -140,7 +140,12 @@ def _best_of_starts(
         start = {name: _started(problem.plant, name, factor) for name in free}
         fits.append(fit(problem, free, start, nuisances=nuisances))
         progress((index + 1) / len(STARTS))
-    return min(fits, key=lambda result: result.chi2)
+    best = min(fits, key=lambda result: result.chi2)
+    without_influence = {name: problem.plant.declared(name) for name in free if math.isinf(best.stderr(name))}
+    if not without_influence:
+        return best
+    # Where it started is not what was found: it stays as declared.
+    return fit(problem, free, {**best.values, **without_influence}, nuisances=nuisances)
 
 
 def position_rmse(plant: Plant, values: Mapping[str, float]) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -11,9 +12,13 @@ from scipy.special import chdtri
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import from_internal, internal_bounds, internal_scale
+from valve_sim.model import SimulationError
 
 CHI2_RISE_95: Final = float(chdtri(1, 0.05))
 """By how much χ² rises at the ends of a 95 % interval: 3.84. (scipy.stats would take half a second to load.)"""
+
+FLAT: Final = 0.1
+"""Share of that rise below which a profile is flat."""
 
 
 @dataclass(frozen=True)
@@ -63,22 +68,16 @@ def profile_interval(result: Fit, name: str, *, points: int = 12) -> tuple[Inter
     natural = internal_scale(parameter)
     spread = min(spread, 10.0 * max(natural, abs(at))) if spread > 0 else natural
     walk = _Walk(result, name, at, spread, CHI2_RISE_95 * result.problem.variance_inflation, points)
-    curve = [(at, 0.0)]
-    ends: list[float] = []
+    low, high = _profile_side(walk, -1.0, lower), _profile_side(walk, 1.0, upper)
+    ends = sorted(from_internal(parameter, side.end) for side in (low, high))
     remark = ""
-    for sign, bound in ((-1.0, lower), (1.0, upper)):
-        end, side = _profile_side(walk, sign, bound)
-        curve.extend(side)
-        if end is None:
-            remark = "the profile is flat: these data do not determine it"
-            ends.append(sign * math.inf if math.isinf(bound) else bound)
-        else:
-            ends.append(end)
-    values = sorted(from_internal(parameter, end) for end in ends)
-    if parameter.infinite_at_upper and values[1] >= parameter.upper:
+    if not (low.is_closed or high.is_closed) and (low.is_flat or high.is_flat):
+        remark = "the profile is flat: these data do not determine it"
+    elif parameter.infinite_at_upper and ends[1] >= parameter.upper:
         remark = "it may be too long to be seen in these data"
+    curve = [*low.curve, (at, 0.0), *high.curve]
     pairs = sorted((from_internal(parameter, where), rise) for where, rise in curve)
-    return Interval(result.values[name], result.stderr(name), values[0], values[1], remark), pairs
+    return Interval(result.values[name], result.stderr(name), ends[0], ends[1], remark), pairs
 
 
 class _Walk(NamedTuple):
@@ -92,38 +91,73 @@ class _Walk(NamedTuple):
     points: int
 
 
-def _profile_side(walk: _Walk, sign: float, bound: float) -> tuple[float | None, list[tuple[float, float]]]:
-    """One side of a profile: the coordinate where χ² has risen by `level`, or None if it never does."""
-    result, name, at, spread, level, points = walk
-    parameter = result.problem.plant.parameter(name)
-    others = tuple(other for other in result.free if other != name)
-    warm = dict(result.values)
+class _Side(NamedTuple):
+    """One side of a profile, in the search coordinate.
+
+    Attributes:
+        end: where the interval ends. is_closed: whether χ² has risen by the level there; otherwise it is the end of the
+            range, or of what can be simulated. is_flat: whether χ² has hardly risen there.
+        curve: (coordinate, rise of χ²) pairs.
+    """
+
+    end: float
+    is_closed: bool
+    is_flat: bool
+    curve: list[tuple[float, float]]
+
+
+def _profile_side(walk: _Walk, sign: float, bound: float) -> _Side:
+    """One side of a profile: out until χ² has risen by the level, and back to where it has."""
+    at, spread, level = walk.at, walk.spread, walk.level
+    warm = dict(walk.result.values)
     curve: list[tuple[float, float]] = []
     inside, outside = (at, 0.0), None
     step = 1.96 * spread
-    for _ in range(points):
+    for _ in range(walk.points):
         if outside is None:
             where = inside[0] + sign * step
             step *= 2.0
             if (where - bound) * sign >= 0.0:
                 where = bound
         else:
-            # χ² is nearly a parabola: its root is where the square root of the rise is linear.
-            low, high = math.sqrt(max(inside[1], 0.0)), math.sqrt(outside[1])
-            share = (math.sqrt(level) - low) / (high - low) if high > low else 0.5
-            where = inside[0] + min(max(share, 0.05), 0.95) * (outside[0] - inside[0])
+            where = inside[0] + _share(inside[1], outside[1], level) * (outside[0] - inside[0])
         if where == inside[0]:
-            return (bound if where == bound else None), curve
-        fixed = {name: from_internal(parameter, where)}
-        refit = fit(result.problem, others, warm, nuisances=result.nuisances, fixed=fixed)
-        rise = refit.chi2 - result.chi2
-        curve.append((where, rise))
+            return _Side(where, is_closed=False, is_flat=False, curve=curve)
+        rise, values = _rise(walk, where, warm)
+        if math.isfinite(rise):
+            curve.append((where, rise))
         if rise < level:
-            inside, warm = (where, rise), refit.values
+            inside, warm = (where, rise), values
             if where == bound:
-                return (None if rise < 0.1 * level else bound), curve
+                return _Side(bound, is_closed=False, is_flat=rise < FLAT * level, curve=curve)
         else:
             outside = (where, rise)
         if outside is not None and (abs(rise - level) < 0.02 * level or abs(outside[0] - inside[0]) < 1e-3 * spread):
-            return where, curve
-    return (None if outside is None else outside[0]), curve
+            return _Side(where, math.isfinite(outside[1]), inside[1] < FLAT * level, curve)
+    if outside is None:
+        return _Side(sign * math.inf if math.isinf(bound) else bound, is_closed=False, is_flat=True, curve=curve)
+    return _Side(outside[0], math.isfinite(outside[1]), inside[1] < FLAT * level, curve)
+
+
+def _share(inside: float, outside: float, level: float) -> float:
+    """How far to go from one rise of χ², below the level, to another one, above it.
+
+    χ² is nearly a parabola: its root is where the square root of the rise is linear.
+    """
+    if math.isinf(outside):
+        return 0.5
+    low, high = math.sqrt(max(inside, 0.0)), math.sqrt(outside)
+    share = (math.sqrt(level) - low) / (high - low) if high > low else 0.5
+    return min(max(share, 0.05), 0.95)
+
+
+def _rise(walk: _Walk, where: float, warm: Mapping[str, float]) -> tuple[float, dict[str, float]]:
+    """The rise of χ² with the parameter held, and the other values; infinite where nothing can be simulated."""
+    result, name = walk.result, walk.name
+    others = tuple(other for other in result.free if other != name)
+    fixed = {name: from_internal(result.problem.plant.parameter(name), where)}
+    try:
+        refit = fit(result.problem, others, warm, nuisances=result.nuisances, fixed=fixed)
+    except SimulationError:
+        return math.inf, dict(warm)
+    return refit.chi2 - result.chi2, refit.values

@@ -253,7 +253,9 @@ def from_internal(parameter: Parameter, coordinate: float) -> float:
     if _is_reciprocal(parameter):
         most = parameter.upper if parameter.infinite_at_upper else math.inf
         return most if coordinate <= 0.0 else min(1.0 / coordinate, most)
-    return math.exp(coordinate) if _is_logarithmic(parameter) else coordinate
+    if _is_logarithmic(parameter):
+        return min(max(math.exp(coordinate), parameter.lower), parameter.upper)
+    return coordinate
 
 
 def internal_slope(parameter: Parameter, coordinate: float) -> float:

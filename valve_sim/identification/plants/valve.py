@@ -21,10 +21,10 @@ from valve_sim.identification.plants.protocol import (
     ForceMap,
     Nuisance,
 )
-from valve_sim.model import CATALOGUE, DECLARED, Drive, Parameter, Valve
+from valve_sim.model import CATALOGUE, DECLARED, Drive, Parameter, SimulationError, Valve
 from valve_sim.model.core_types import EVENT_RECORD
 from valve_sim.model.effects import FORCE_MAP_KNOTS, FORCE_MAP_VARIABLES, new_record
-from valve_sim.model.simulation import Samples, new_states, run_record
+from valve_sim.model.simulation import Samples, new_states, rated_current, run_record
 from valve_sim.traces import Signal, Trace
 
 CLOCK_SIGMA: Final = 50e-6
@@ -227,7 +227,9 @@ class ValvePlant:
         run_record(record, state, drive, Samples(times, rows, current_times, currents), _NO_EVENTS, FIT_TOLERANCE)
         shown = [rows[:, 0]]
         if trace.coil_current is not None:
-            shown.append(currents * self._amperes)
+            if record[0]["coil_resistance"] <= 0.0:
+                raise SimulationError("coil_resistance: found 0 Ω, which leaves the current infinite")
+            shown.append(currents * rated_current(record))
         return shown
 
 
