@@ -81,6 +81,14 @@ class LiveValve:
         self.strokes += 1
         return made
 
+    def rest(self, seconds: float) -> LiveStroke:
+        """So long without a command, closed."""
+        first = np.ceil(self._time * self.rate) / self.rate
+        times = np.arange(first, self._time + seconds - 1e-9, 1.0 / self.rate)
+        position = self.noise * self._random.standard_normal(len(times))
+        self._time += seconds
+        return LiveStroke(np.zeros(0), np.zeros(0), times + self.offset, position, np.zeros(len(times)))
+
 
 def feed(monitor: Any, stroke: LiveStroke, current: FloatArray | None = None, late: float = 0.0) -> Iterator[Any]:
     """Hand a stroke over as time goes by, with what an ammeter shows, stamped late; yields the reports."""

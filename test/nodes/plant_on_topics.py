@@ -79,6 +79,18 @@ class PlantOnTopics:
         assert self._probe.until(lambda: self.told >= told + count - 1), "a stroke was not reported"
         return self.take_reports()
 
+    def rest(self, count: int, seconds: float = 0.15) -> list[Any]:
+        """Rest closed, each sample answered: a stroke is over when its valve has rested.
+
+        Returns:
+            The reports that came meanwhile, once there have been `count` in all or patience has ended.
+        """
+        made = self._valve.rest(seconds)
+        for start in range(0, len(made.times), CHUNK):
+            self._send(made, start, min(start + CHUNK, len(made.times)))
+        self._probe.until(lambda: self.told >= count)
+        return self.take_reports()
+
     @property
     def told(self) -> int:
         """How many strokes have been reported."""

@@ -122,7 +122,9 @@ def test_a_valve_with_topics_and_units_of_its_own_is_watched_by_a_map(probe: Pro
         plant.wait_for_monitor()
         before = len(plant.residuals)
         reports = plant.strokes(3)
-        assert [report["opened"] and report["closed"] for report in reports[:2]] == [True, True]
+        assert len(reports) < 3, "a stroke is over when the valve has rested, or strokes again"
+        reports += plant.rest(3)
+        assert [report["opened"] and report["closed"] for report in reports] == [True, True, True]
         residual = np.array([message.data for message in plant.residuals[before:]])
         assert np.sqrt(np.mean(residual**2)) == pytest.approx(1e-6, rel=0.2)
         plant._samples.publish(JointState(position=[-1.0]))
