@@ -33,7 +33,8 @@ from valve_sim.identification.estimation.identify import DEFAULT_FREE
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
-from valve_sim.identification.plants.valve import CLOCK_SIGMA, ValvePlant
+from valve_sim.identification.plants.recording_errors import CLOCK_SIGMA
+from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import Drive, ValveParameters
 from valve_sim.traces import Trace, read_trace, write_bag
 

@@ -177,6 +177,8 @@ def test_oscilloscope_table(tmp_path: Path, made: Recording) -> None:
     assert trace.coil_current is not None and made.coil_current is not None
     np.testing.assert_allclose(trace.coil_current.values, made.coil_current, atol=1e-8)
     assert any("4 steps of the measured voltage" in finding for finding in trace.findings)
+    assert trace.drive_errors is not None
+    assert trace.zero_error > 0.0
 
 
 def test_imu_and_distance(tmp_path: Path, made: Recording) -> None:

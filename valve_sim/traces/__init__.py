@@ -5,13 +5,14 @@ from valve_sim.traces.events import SensorEvent, StrokeEvents, events_from_senso
 from valve_sim.traces.reading import list_valves, read_trace
 from valve_sim.traces.strokes import Stroke, find_strokes
 from valve_sim.traces.summary import Gap, Rate, TraceSummary, describe
-from valve_sim.traces.trace import Signal, Trace
+from valve_sim.traces.trace import DriveErrors, Signal, Trace
 from valve_sim.traces.trouble import doubtful_units, refuse_doubtful_units
 from valve_sim.traces.writing import CSV_COLUMNS, BagRecorder, commanded_voltage, write_bag, write_bags, write_csv
 
 __all__ = [
     "CSV_COLUMNS",
     "BagRecorder",
+    "DriveErrors",
     "Gap",
     "Rate",
     "SensorEvent",

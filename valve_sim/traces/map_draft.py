@@ -12,7 +12,7 @@ from valve_sim.files.recording_map import QUANTITIES, UNITS
 from valve_sim.files.tables import TableError
 from valve_sim.traces.errors import TraceError
 from valve_sim.traces.map_series import Series, bag_series, table_series
-from valve_sim.traces.voltage_steps import find_steps
+from valve_sim.traces.voltage_steps import count_levels
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -154,7 +154,7 @@ def _names(entry: Series, quantity: str) -> bool:
 
 def _voltage_score(entry: Series) -> float:
     """How much a series looks like a voltage that is switched."""
-    levels = _levels(entry)
+    levels = count_levels(entry.values)
     named = _names(entry, "command") or bool(re.search(HINTS["voltage"], entry.words))
     other = any(_names(entry, quantity) for quantity in ("position", "current", "acceleration", "pressure"))
     is_switched = 2 <= levels <= MOST_LEVELS
@@ -171,13 +171,6 @@ def _position_score(entry: Series) -> float:
 
 def _is_main(entry: Series) -> bool:
     return re.search(r"main", entry.words) is not None
-
-
-def _levels(entry: Series) -> int:
-    try:
-        return len(np.unique(find_steps(np.arange(len(entry.values), dtype=np.float64), entry.values, entry.name)[1]))
-    except TraceError:
-        return 0
 
 
 def _voltage_guess(entry: Series, position: Series | None, parameters: ValveParameters) -> Guess:

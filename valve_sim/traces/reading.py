@@ -31,7 +31,7 @@ from valve_sim.traces.message_fields import definitions_of, field_values, has_st
 from valve_sim.traces.message_fields import stamps as header_stamps
 from valve_sim.traces.storage import RawTopic, Recording, read_recording
 from valve_sim.traces.table_reading import read_table_trace, standard_map
-from valve_sim.traces.trace import Signal, Trace
+from valve_sim.traces.trace import DriveErrors, Signal, Trace
 from valve_sim.traces.trouble import LARGEST_POSITION, trouble_in
 from valve_sim.traces.voltage_steps import find_steps
 
@@ -46,6 +46,8 @@ if TYPE_CHECKING:
 MOST_REPEATED = 0.05
 """Share of samples that may have another sample's stamp; beyond it nobody can say which is right."""
 
+ZERO_ERROR = 10e-6
+"""m: how well the zero of a sensor is known that was brought to 0 by a map's offset."""
 BROKEN_READING = 1.0
 """m; what is beyond this among metres is no position, and what is a million times beyond it is none in any unit."""
 MICROMETRES = 1e6
@@ -89,6 +91,11 @@ def read_trace(path: str | PathLike[str], valve: str | None = None, recording_ma
         ValveError: The recording or the map cannot be used; one line says why and what to do.
     """
     path = Path(path)
+    trace = _read(path, valve, recording_map)
+    return trace if recording_map is None else replace(trace, zero_error=ZERO_ERROR)
+
+
+def _read(path: Path, valve: str | None, recording_map: RecordingMap | None) -> Trace:
     if _is_table(path):
         return read_table_trace(path, valve, standard_map(path) if recording_map is None else recording_map)
     plans: list[Plan] = []
@@ -143,7 +150,7 @@ class _Assembly:
         offset, findings = clock_offset(samples.stamps, samples.bag_times + shift, self.positions_topic)
         self.findings += findings
         samples = self.with_main_from_elsewhere(samples, offset - shift)
-        command_times, volts = self.commands(offset - shift)
+        command_times, volts, errors = self.commands(offset - shift)
         epoch = int(min(command_times[0], samples.stamps[0]))
         times = (samples.stamps - epoch) / SECOND
         signals = self.signals(epoch, offset - shift)
@@ -151,6 +158,7 @@ class _Assembly:
         trace = Trace(
             source=f"{self.path} ({self.plan.valve})",
             drive=Drive((command_times - epoch) / SECOND, volts),
+            drive_errors=errors,
             times=times,
             pilot_position=np.ascontiguousarray(pilot),
             main_position=None if np.isnan(main).any() else np.ascontiguousarray(main),
@@ -344,8 +352,8 @@ class _Assembly:
             )
         return samples.take(fresh), ordered.shift
 
-    def commands(self, offset: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Return when the voltage changed, ns, samples' clock, strictly ascending, and volts.
+    def commands(self, offset: int) -> tuple[NDArray[np.int64], NDArray[np.float64], DriveErrors | None]:
+        """Return when the voltage changed, ns, samples' clock, strictly ascending, volts, and errors of a measured one.
 
         Args:
             offset: What to take from bag times to get the samples' clock, ns.
@@ -369,10 +377,11 @@ class _Assembly:
             self.findings.append(f"{topic}: {(~last).sum()} {what} were replaced by another at the same time")
         times, volts = times[last], volts[last]
         if is_command:
-            return times, volts
-        steps, levels = find_steps((times - times[0]) / SECOND, volts, f"{self.path}: topic {topic}")
-        self.findings.append(f"{topic}: {len(steps) - 1} steps of the measured voltage were taken for the commands")
-        return times[0] + np.rint(SECOND * steps).astype(np.int64), levels
+            return times, volts, None
+        steps = find_steps((times - times[0]) / SECOND, volts, f"{self.path}: topic {topic}")
+        self.findings += steps.findings(topic)
+        when = times[0] + np.rint(SECOND * steps.times).astype(np.int64)
+        return when, steps.volts, DriveErrors(steps.time_errors, steps.volt_errors)
 
     @property
     def input(self) -> Source:

@@ -13,9 +13,9 @@ from valve_sim.model import Drive
 from valve_sim.traces.clocks import SECOND
 from valve_sim.traces.errors import TraceError
 from valve_sim.traces.layout import SIGNALS
-from valve_sim.traces.trace import Signal, Trace
+from valve_sim.traces.trace import DriveErrors, Signal, Trace
 from valve_sim.traces.trouble import trouble_in
-from valve_sim.traces.voltage_steps import find_steps
+from valve_sim.traces.voltage_steps import find_steps, held_steps
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -103,9 +103,11 @@ class _TableAssembly:
             self.findings.append(f"{self.sources['main_position'].name}: has empty cells and was left out")
             main = None
         signals = {attribute: self.signal(key, times, kept) for key, attribute in SIGNALS.items()}
+        drive, errors = self.drive(times, kept)
         trace = Trace(
             source=f"{self.path} ({valve})",
-            drive=self.drive(times, kept),
+            drive=drive,
+            drive_errors=errors,
             times=times[use],
             pilot_position=pilot[use],
             main_position=main,
@@ -174,8 +176,8 @@ class _TableAssembly:
             self.findings.append(f"column {axis.column}: dropped {repeated} rows with the time of the row before")
         return times, kept
 
-    def drive(self, times: Array, kept: NDArray[np.bool_]) -> Drive:
-        """The voltage as commands."""
+    def drive(self, times: Array, kept: NDArray[np.bool_]) -> tuple[Drive, DriveErrors]:
+        """The voltage as commands, and how well they are known."""
         name = self.sources[self.input].name
         volts = self.column(self.input)
         use = kept & np.isfinite(volts)
@@ -183,9 +185,9 @@ class _TableAssembly:
             raise TraceError(f"{self.path}: {name}: holds no finite voltage; name another column")
         times, volts = times[use], volts[use]
         if self.input == "voltage":
-            steps, levels = find_steps(times, volts, f"{self.path}: {name}")
-            self.findings.append(f"{name}: {len(steps) - 1} steps of the measured voltage were taken for the commands")
-            return Drive(steps, levels)
+            steps = find_steps(times, volts, f"{self.path}: {name}")
+            self.findings += steps.findings(name)
+            return Drive(steps.times, steps.volts), DriveErrors(steps.time_errors, steps.volt_errors)
         if not np.ptp(volts) and not volts[0]:
             raise TraceError(f"{self.path}: {name}: is 0 V in all rows: there is no command; name another column")
         changes = np.diff(volts, prepend=np.nan) != 0.0
@@ -194,7 +196,8 @@ class _TableAssembly:
                 f"{self.path}: {name}: changes in {changes.sum()} of {len(volts)} rows, as a measured voltage does; "
                 "name it voltage: in place of command:"
             )
-        return Drive(times[changes], volts[changes])
+        steps = held_steps(times, volts)
+        return Drive(steps.times, steps.volts), DriveErrors(steps.time_errors, steps.volt_errors)
 
     def signal(self, quantity: str, times: Array, kept: NDArray[np.bool_]) -> Signal | None:
         """An optional quantity where its cells are filled."""

@@ -26,6 +26,18 @@ class Signal(NamedTuple):
     values: NDArray[np.float64]
 
 
+class DriveErrors(NamedTuple):
+    """How well commands are known that were not recorded as such but read from samples of a voltage.
+
+    Attributes:
+        times: Standard deviation of each command's time, s, shape (k,); 0 where it is exact.
+        volts: Standard deviation of its voltage, V, shape (k,); commands of one voltage share one error.
+    """
+
+    times: NDArray[np.float64]
+    volts: NDArray[np.float64]
+
+
 @dataclass(frozen=True)
 class Trace:
     """One valve in one recording; all times are seconds since `epoch_ns`.
@@ -35,6 +47,8 @@ class Trace:
         drive: Commanded voltage (V), held between commands, 0 V before the first.
         times: Sample times, strictly ascending, s, shape (n,).
         pilot_position: Pilot plunger, m, shape (n,).
+        drive_errors: How well the commands are known; None where they were recorded as they were sent.
+        zero_error: Standard deviation of what the position sensor shows of a closed valve, m; 0 where that is 0.
         main_position: Main plunger, m, shape (n,); None where it was not recorded.
         coil_current: Measured current, A.
         acceleration: Along the axis, m/s².
@@ -52,6 +66,8 @@ class Trace:
     times: NDArray[np.float64]
     pilot_position: NDArray[np.float64]
     main_position: NDArray[np.float64] | None = None
+    drive_errors: DriveErrors | None = None
+    zero_error: float = 0.0
     coil_current: Signal | None = None
     acceleration: Signal | None = None
     inlet_pressure: Signal | None = None

@@ -24,8 +24,6 @@ from valve_sim.model import SimulationError
 
 DIFFERENCE: Final = 2e-3
 """Step of a difference quotient, in prior scales of its parameter: theory, eq. (28)."""
-NUISANCE_DIFFERENCE: Final = 1e-6
-"""s: likewise for times."""
 MOST_ITERATIONS: Final = 40
 CONVERGED: Final = 1e-2
 """A fit has converged when a step would lower χ² by less than this: a tenth of a standard error."""
@@ -77,7 +75,7 @@ class _Search:
         self.lower = np.array([low for low, _ in bounds] + [-20.0 * n.sigma for n in nuisances])
         self.upper = np.array([high for _, high in bounds] + [20.0 * n.sigma for n in nuisances])
         scales = [internal_scale(parameter) for parameter in self.parameters]
-        self.steps = np.array([DIFFERENCE * s for s in scales] + [NUISANCE_DIFFERENCE] * len(nuisances))
+        self.steps = np.array([DIFFERENCE * s for s in scales] + [n.step for n in nuisances])
         self.prior = np.array([0.0] * len(free) + [1.0 / n.sigma**2 for n in nuisances])
         self._reach = [problem.reach(nuisance) for nuisance in nuisances]
         self._groups = group_columns(self._reach)

@@ -21,7 +21,8 @@ from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.identification.monitoring.scores import Baseline
 from valve_sim.identification.plants.commissioned import CommissionedCurrent
 from valve_sim.identification.plants.protocol import Array, EffectChoice, Experiment, Nuisance, Plant
-from valve_sim.identification.plants.valve import CLOCK_SIGMA, ValvePlant
+from valve_sim.identification.plants.recording_errors import CLOCK_SIGMA
+from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import CATALOGUE, DECLARED, Drive, Parameter, Tag, Valve
 from valve_sim.traces import Signal, Trace
 

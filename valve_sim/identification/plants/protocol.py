@@ -29,6 +29,7 @@ class Nuisance(NamedTuple):
         name, unit: what it is. sigma: of its prior N(0, sigma).
         channels: indices of the channels that it acts on; empty: on all.
         during: s, from when to when it acts on them, by their times.
+        step: by how much it is moved for a difference quotient, in `unit`.
     """
 
     name: str
@@ -36,6 +37,7 @@ class Nuisance(NamedTuple):
     unit: str
     channels: tuple[int, ...] = ()
     during: tuple[float, float] = (-math.inf, math.inf)
+    step: float = 1e-6
 
 
 @dataclass(frozen=True)

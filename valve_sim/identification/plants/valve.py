@@ -21,14 +21,20 @@ from valve_sim.identification.plants.protocol import (
     ForceMap,
     Nuisance,
 )
+from valve_sim.identification.plants.recording_errors import (
+    clock_offset,
+    drive_with,
+    reading_errors,
+    stamp_errors,
+    stroke_groups,
+    zero_with,
+)
 from valve_sim.model import CATALOGUE, DECLARED, Drive, Parameter, SimulationError, Valve
 from valve_sim.model.core_types import EVENT_RECORD
 from valve_sim.model.effects import FORCE_MAP_KNOTS, FORCE_MAP_VARIABLES, new_record
 from valve_sim.model.simulation import Samples, new_states, rated_current, run_record
 from valve_sim.traces import Signal, Trace
 
-CLOCK_SIGMA: Final = 50e-6
-"""s: standard deviation of the prior of a bag's clock offset and of the error of each command's stamp."""
 FIT_TOLERANCE: Final = 1e-8
 """Of one step while fitting: a thousandth of the noise at most."""
 STAMPS: Final = math.sqrt(2.0) * 1e-9
@@ -37,8 +43,6 @@ AT_COMMAND: Final = 1e-8
 """s: a sample this near a command may be before or after it, for rounded stamps."""
 SETTLING: Final = 0.3
 """The part of each interval between commands that is never taken for quiet, at its beginning."""
-BEFORE_STROKE: Final = 0.25
-"""The part of a rest, at its end, that is counted to the stroke after it, whose command may be earlier than stamped."""
 JITTERED: Final = 0.01
 """Relative scatter of a current's sampling interval beyond which its samples are taken to be timed by arrival."""
 STILL: Final = 6.0
@@ -93,19 +97,18 @@ class ValvePlant:
 
     @property
     def nuisances(self) -> Sequence[Nuisance]:
-        """A clock offset for each trace: samples are stamped late by it."""
-        return tuple(
-            Nuisance(f"clock_offset[{index}]", CLOCK_SIGMA, "s", self._channels_of(index))
-            for index in range(len(self.traces))
-        )
+        """A clock offset for each trace; errors of commands that were read from a voltage, and of a sensor's zero."""
+        traces = [(trace, index, self._channels_of(index)) for index, trace in enumerate(self.traces)]
+        offsets = [clock_offset(index, channels) for _, index, channels in traces]
+        return (*offsets, *(nuisance for of_trace in traces for nuisance in reading_errors(*of_trace)))
 
     @property
     def timing_errors(self) -> Sequence[Nuisance]:
-        """An error for each command: the voltage changes later than its stamp says."""
+        """An error for each command that was recorded as it was sent: the voltage changes later than its stamp says."""
         return tuple(
-            Nuisance(f"command_error[{index},{command}]", CLOCK_SIGMA, "s", self._channels_of(index), during)
+            nuisance
             for index, trace in enumerate(self.traces)
-            for command, during in enumerate(_stroke_of_each_command(trace.drive))
+            for nuisance in stamp_errors(trace, index, self._channels_of(index))
         )
 
     @property
@@ -216,7 +219,7 @@ class ValvePlant:
         return new_record(declared, effects)
 
     def _predict_trace(self, record: Any, index: int, trace: Trace, values: Mapping[str, float]) -> list[Array]:
-        drive = _shifted(trace.drive, index, values)
+        drive = drive_with(trace, index, values)
         offset = values.get(f"clock_offset[{index}]", 0.0)
         times = trace.times - offset
         current_times = trace.coil_current.times - offset if trace.coil_current is not None else _NO_TIMES
@@ -225,7 +228,7 @@ class ValvePlant:
         start = min(float(drive.times[0]), float(times[0]))
         state = new_states(np.empty(1), start)
         run_record(record, state, drive, Samples(times, rows, current_times, currents), _NO_EVENTS, FIT_TOLERANCE)
-        shown = [rows[:, 0]]
+        shown = [rows[:, 0] + zero_with(index, values)]
         if trace.coil_current is not None:
             if record[0]["coil_resistance"] <= 0.0:
                 raise SimulationError("coil_resistance: found 0 Ω, which leaves the current infinite")
@@ -267,27 +270,6 @@ def _position_resolution(trace: Trace) -> float:
     """
     reach = float(np.max(np.abs(trace.pilot_position), initial=0.0))
     return math.hypot(STAMPS * _fastest(trace), FIT_TOLERANCE * reach, float(np.finfo(np.float64).eps) * reach)
-
-
-def stroke_groups(trace: Trace, times: Array) -> NDArray[np.int64]:
-    """(n,) which stroke each time belongs to: a stroke begins when the voltage leaves zero."""
-    begins = trace.drive.times[_beginnings(trace.drive)]
-    return np.maximum(np.searchsorted(begins, times, side="right") - 1, 0).astype(np.int64)
-
-
-def _beginnings(drive: Drive) -> NDArray[np.int64]:
-    """Indices of the commands at which the voltage leaves zero."""
-    volts = np.concatenate([[0.0], drive.volts])
-    return np.flatnonzero((volts[:-1] == 0.0) & (volts[1:] != 0.0))
-
-
-def _stroke_of_each_command(drive: Drive) -> list[tuple[float, float]]:
-    """From when to when, s, each command's stroke lasts: from late in the rest before it to late in the one after."""
-    later = _beginnings(drive)[1:]
-    rests = drive.times[later] - drive.times[later - 1]
-    edges = [-math.inf, *(drive.times[later] - BEFORE_STROKE * rests).tolist(), math.inf]
-    strokes = np.searchsorted(later, np.arange(len(drive.times)), side="right").tolist()
-    return [(edges[stroke], edges[stroke + 1]) for stroke in strokes]
 
 
 def _fastest(trace: Trace) -> float:
@@ -352,10 +334,3 @@ def _settled(trace: Trace, times: Array) -> NDArray[np.bool_]:
     index = np.clip(np.searchsorted(edges, times, side="right") - 1, 0, len(edges) - 2)
     start, stop = edges[index], edges[index + 1]
     return np.asarray((times - start > (2.0 / 3.0) * (stop - start)) | (index == 0))
-
-
-def _shifted(drive: Drive, index: int, values: Mapping[str, float]) -> Drive:
-    errors = [values.get(f"command_error[{index},{command}]", 0.0) for command in range(len(drive.times))]
-    if not any(errors):
-        return drive
-    return Drive(np.maximum.accumulate(drive.times + np.array(errors)), drive.volts)

@@ -24,7 +24,11 @@ def identification_json(result: Identification) -> dict[str, Any]:
             "quantisation_um": 1e6 * noise.step,
         },
         "parameters": intervals_json(result.intervals),
-        "clock_offsets_us": [1e6 * result.fit.values[nuisance.name] for nuisance in result.fit.problem.plant.nuisances],
+        "clock_offsets_us": [
+            1e6 * result.fit.values[nuisance.name]
+            for nuisance in result.fit.problem.plant.nuisances
+            if nuisance.name.startswith("clock_offset")
+        ],
         "rmse_um": {"before": 1e6 * result.rmse_before, "after": 1e6 * result.rmse_after},
         "chi2_per_sample": result.fit.chi2 / result.fit.problem.effective_samples,
         "converged": result.fit.converged,

@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Array
-from valve_sim.identification.plants.valve import CLOCK_SIGMA, ValvePlant
+from valve_sim.identification.plants.recording_errors import CLOCK_SIGMA, drive_with, zero_with
+from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.root_mean_square import root_mean_square
-from valve_sim.model import Drive, Event, EventKind, Response, Valve, ValveError, simulate
+from valve_sim.model import Event, EventKind, Response, Valve, ValveError, simulate
 from valve_sim.traces import SensorEvent, Stroke, Trace, events_from_sensors, find_strokes
 
 NOISE_FACTOR: Final = 3.0
@@ -168,17 +169,17 @@ def replay_trace(trace: Trace, valve: Valve, tolerance: float | None = None, *, 
     timing = plant.timing_errors if command_jitter else ()
     nuisances = fit(problem, (), {}, nuisances=(*plant.nuisances, *timing)).values
     offset = nuisances["clock_offset[0]"]
-    late = [nuisances.get(nuisance.name, 0.0) for nuisance in plant.timing_errors]
-    drive = Drive(np.maximum.accumulate(trace.drive.times + np.array(late)), trace.drive.volts)
+    drive = drive_with(trace, 0, nuisances)
     noise = problem.noises["position"].sigma
     start = min(float(drive.times.min(initial=math.inf)), float(trace.times[0])) - CLOCK_SIGMA
     response = simulate(valve, drive, np.maximum(trace.times - offset, start), start_time=start)
-    residual = trace.pilot_position - response.pilot_position
+    shown = response.pilot_position + zero_with(0, nuisances)
+    residual = trace.pilot_position - shown
     errors_of = partial(_errors, residual, _moving(trace, response))
     return Replay(
         trace,
         valve,
-        response.pilot_position,
+        shown,
         offset,
         noise,
         max(NOISE_FACTOR * noise, FINEST_TOLERANCE) if tolerance is None else tolerance,

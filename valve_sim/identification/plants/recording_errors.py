@@ -1,0 +1,111 @@
+"""What a recording does not know exactly, estimated beside the valve's parameters: clocks, commands, a sensor's zero.
+
+Commands that were sent are known to the last digit, and their stamps nearly. Commands that were read from samples of a
+voltage are not: a step lies anywhere between two samples, and a level is known as well as its noise averages out. Both
+are nuisances with the errors that the reader of the recording gives.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valve_sim.identification.plants.protocol import Nuisance
+from valve_sim.model import Drive
+from valve_sim.traces import Trace
+
+CLOCK_SIGMA: Final = 50e-6
+"""s: the prior of a bag's clock offset and of each command's stamp."""
+BEFORE_STROKE: Final = 0.25
+"""The part of a rest, at its end, that is counted to the stroke after it, whose command may be earlier than stamped."""
+VOLTAGE_DIFFERENCE: Final = 1e-3
+"""V: by how much a voltage is moved for a difference quotient."""
+
+Channels = tuple[int, ...]
+
+
+def clock_offset(index: int, channels: Channels) -> Nuisance:
+    """Samples are stamped late by it."""
+    return Nuisance(f"clock_offset[{index}]", CLOCK_SIGMA, "s", channels)
+
+
+def stamp_errors(trace: Trace, index: int, channels: Channels) -> list[Nuisance]:
+    """For each command that was recorded as it was sent, how much later than stamped the voltage changes."""
+    if trace.drive_errors is not None:
+        return []
+    return [
+        Nuisance(f"command_error[{index},{command}]", CLOCK_SIGMA, "s", channels, during)
+        for command, during in enumerate(stroke_of_each_command(trace.drive))
+    ]
+
+
+def reading_errors(trace: Trace, index: int, channels: Channels) -> list[Nuisance]:
+    """Of commands that were read from a voltage, their times and levels; the zero of a position sensor.
+
+    Args:
+        trace: the recording. index: of it.
+        channels: of it, the position first.
+    """
+    found: list[Nuisance] = []
+    if trace.zero_error > 0.0:
+        found.append(Nuisance(f"position_zero[{index}]", trace.zero_error, "m", channels[:1]))
+    if trace.drive_errors is None:
+        return found
+    strokes = stroke_of_each_command(trace.drive)
+    found += [
+        Nuisance(f"command_error[{index},{command}]", float(sigma), "s", channels, strokes[command])
+        for command, sigma in enumerate(trace.drive_errors.times)
+        if sigma > 0.0
+    ]
+    levels, first, which = np.unique(trace.drive.volts, return_index=True, return_inverse=True)
+    for level, command in enumerate(first.tolist()):
+        sigma = float(trace.drive_errors.volts[command])
+        if levels[level] != 0.0 and sigma > 0.0:
+            own = [strokes[other] for other in np.flatnonzero(which == level).tolist()]
+            during = min(begin for begin, _ in own), max(end for _, end in own)
+            name = f"voltage_error[{index},{command}]"
+            found.append(Nuisance(name, sigma, "V", channels, during, VOLTAGE_DIFFERENCE))
+    return found
+
+
+def drive_with(trace: Trace, index: int, values: Mapping[str, float]) -> Drive:
+    """The commands as they took effect, by the values of the nuisances."""
+    drive = trace.drive
+    late = np.array([values.get(f"command_error[{index},{command}]", 0.0) for command in range(len(drive.times))])
+    volts = drive.volts
+    if trace.drive_errors is not None:
+        _, first, which = np.unique(volts, return_index=True, return_inverse=True)
+        volts = volts + np.array([values.get(f"voltage_error[{index},{command}]", 0.0) for command in first])[which]
+    if not np.any(late):
+        return Drive(drive.times, volts)
+    return Drive(np.maximum.accumulate(drive.times + late), volts)
+
+
+def zero_with(index: int, values: Mapping[str, float]) -> float:
+    """What the position sensor shows of a closed valve, m."""
+    return values.get(f"position_zero[{index}]", 0.0)
+
+
+def stroke_groups(trace: Trace, times: NDArray[np.float64]) -> NDArray[np.int64]:
+    """(n,) which stroke each time belongs to: a stroke begins when the voltage leaves zero."""
+    begins = trace.drive.times[_beginnings(trace.drive)]
+    return np.maximum(np.searchsorted(begins, times, side="right") - 1, 0).astype(np.int64)
+
+
+def stroke_of_each_command(drive: Drive) -> list[tuple[float, float]]:
+    """From when to when, s, each command's stroke lasts: from late in the rest before it to late in the one after."""
+    later = _beginnings(drive)[1:]
+    rests = drive.times[later] - drive.times[later - 1]
+    edges = [-math.inf, *(drive.times[later] - BEFORE_STROKE * rests).tolist(), math.inf]
+    strokes = np.searchsorted(later, np.arange(len(drive.times)), side="right").tolist()
+    return [(edges[stroke], edges[stroke + 1]) for stroke in strokes]
+
+
+def _beginnings(drive: Drive) -> NDArray[np.int64]:
+    """Indices of the commands at which the voltage leaves zero."""
+    volts = np.concatenate([[0.0], drive.volts])
+    return np.flatnonzero((volts[:-1] == 0.0) & (volts[1:] != 0.0))
