@@ -8,6 +8,7 @@ prior instead of being tried last.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import Final
 
@@ -18,14 +19,15 @@ from valve_sim.identification.diagnosis.conclusion import Conclusion
 from valve_sim.identification.diagnosis.outcome import Candidate, Diagnosis, State, Verdict
 from valve_sim.identification.estimation.budget import Budget, OutOfTimeError
 from valve_sim.identification.estimation.problem import Mask, Problem
+from valve_sim.identification.estimation.result import Fit, rmse
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Plant, strokes_of_plant
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.selection.current_check import current_noise_inflation
 from valve_sim.identification.selection.held_out import HeldOut
-from valve_sim.identification.selection.hypotheses import Hypothesis, Progress, Search
+from valve_sim.identification.selection.hypotheses import Hypothesis, Progress, Search, start_near_off
 from valve_sim.identification.selection.stepwise import Exploration
-from valve_sim.model import Valve
+from valve_sim.model import SimulationError, Valve
 from valve_sim.traces import Trace
 
 __all__ = ["Candidate", "Diagnosis", "State", "Verdict", "diagnose", "diagnose_plant"]
@@ -38,6 +40,9 @@ BEGUN_BY: Final = 0.8
 """The share of the time within which the declared model must be fitted: without it there is nothing to say."""
 EXPLORED_BY: Final = 0.65
 """The share of the time after which no further hypothesis is tried; the rest is for the conclusion."""
+
+SAMPLES_EACH: Final = 10
+"""Samples for each parameter, below which a model with all effects would explain noise, too."""
 
 
 def diagnose(
@@ -80,7 +85,7 @@ def _begun(plant: Plant, holdout: Plant | None, progress: Progress | None, budge
     problem = Problem(plant, train_mask, budget=budget)
     never_still = [kind for kind, noise in problem.noises.items() if noise.samples == 0]
     if never_still:
-        problem = problem.with_noise_left_by(fit(problem, plant.base, {}, nuisances=plant.nuisances).values)
+        problem = problem.with_noise_left_by(_largest_fit(problem).values)
     # Believed to the last milliampere, a current of another form would bend the motion to it.
     actuation = {channel.kind for channel in plant.channels if channel.role == "actuation"}
     with budget.until(DOUBTED_BY):
@@ -101,6 +106,27 @@ def _begun(plant: Plant, holdout: Plant | None, progress: Progress | None, budge
         if Hypothesis(()) not in search.fits:
             raise
     return Exploration(search, HeldOut(plant, held_out))
+
+
+def _largest_fit(problem: Problem) -> Fit:
+    """The declared model with all effects on: what it leaves, no name in the catalogue explains.
+
+    To take what the declared model alone leaves would make noise of the effects that it lacks, in their colour: beside
+    friction a constant force would never be found. (Mallows' Cp takes its variance from the full model, too.)
+    """
+    plant = problem.plant
+    base = fit(problem, plant.base, {}, nuisances=plant.nuisances)
+    free = (*plant.base, *itertools.chain(*(effect.free_names() for effect in plant.effects.values())))
+    if problem.samples < SAMPLES_EACH * len(free):
+        return base
+    start = dict(base.values)
+    for effect in plant.effects.values():
+        start.update(start_near_off(effect))
+    try:
+        largest = fit(problem, free, start, nuisances=plant.nuisances)
+    except SimulationError:
+        return base
+    return min(base, largest, key=rmse)
 
 
 def _split(plant: Plant) -> tuple[Mask | None, Mask | None]:

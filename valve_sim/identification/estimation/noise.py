@@ -105,7 +105,7 @@ def estimate_noise(channels: Sequence[Channel]) -> Noise:
 def noise_of_residuals(pieces: Sequence[Array], guess: Noise) -> Noise:
     """The noise of a machine that is never still: what a model leaves, with the colour that it has.
 
-    What the model lacks counts as noise, so that nothing is claimed too easily. Differences of the data would not do:
+    What that model lacks counts as noise, so that nothing is claimed too easily. Differences of the data would not do:
     of smooth data they show a part of the noise, of jagged data the signal itself.
 
     Args:

@@ -18,6 +18,7 @@ from valve_sim.identification.estimation.parallel import run_parallel
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
+from valve_sim.identification.plants.effect_titles import titles_of
 from valve_sim.identification.plants.protocol import (
     EffectChoice,
     from_internal,
@@ -51,7 +52,8 @@ class Hypothesis(NamedTuple):
     timing: bool = False
 
     def __str__(self) -> str:
-        return " + ".join(self.effects) + (", with errors of the commands' stamps" if self.timing else "")
+        model = titles_of(self.effects) if self.effects else "the declared model"
+        return model + (", with errors of the commands' stamps" if self.timing else "")
 
     def adding(self, effect: str) -> Hypothesis:
         """The same and one effect more."""
@@ -212,7 +214,7 @@ class Search:
 
 def effect_starts(problem: Problem, effect: EffectChoice, warm: Mapping[str, float]) -> list[dict[str, float]]:
     """Where to start an effect's parameters from: near off, and the best of some larger sizes and other shapes."""
-    near = [] if _is_saddle(effect) else [_start(effect, [SMALL] * len(effect.parameters), 1.0)]
+    near = [] if _is_saddle(effect) else [start_near_off(effect)]
     amplitudes = [parameter.off is not None for parameter in effect.parameters]
     choices = [
         _sizes(parameter) if is_amplitude else (1.0,)
@@ -232,6 +234,11 @@ def effect_starts(problem: Problem, effect: EffectChoice, warm: Mapping[str, flo
         return float(np.sum(np.log1p(np.square(residuals / ROBUST))))
 
     return near + sorted(far, key=cost)[: 1 if near and sum(amplitudes) == 1 else 2]
+
+
+def start_near_off(effect: EffectChoice) -> dict[str, float]:
+    """Its parameters where the effect is all but off."""
+    return _start(effect, [SMALL] * len(effect.parameters), 1.0)
 
 
 def _has_lost_its_shape(result: Fit, effect: EffectChoice) -> bool:

@@ -1,0 +1,49 @@
+"""What people call an effect, in the catalogue or a plant's own, and lists of such names within a sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from valve_sim.identification.plants.protocol import Plant
+from valve_sim.model import CATALOGUE
+
+
+def title_of(effect: str) -> str:
+    """The plain name of an effect, whether it is in the catalogue or a plant's own."""
+    plain = effect.replace("_", " ")
+    fallback = plain[:1].upper() + plain[1:]
+    entry = CATALOGUE.get(effect)
+    return fallback if entry is None else entry.title
+
+
+def titles_of(effects: Sequence[str]) -> str:
+    """Plain names of several effects at once."""
+    return " + ".join([title_of(effects[0]), *(inside_sentence(title_of(name)) for name in effects[1:])])
+
+
+def named(effects: Sequence[str], last: str = "and") -> str:
+    """Plain names of effects within a sentence: Coulomb friction, coil lag and squeeze film."""
+    return listed([inside_sentence(title_of(effect)) for effect in effects], last)
+
+
+def named_value(plant: Plant, name: str) -> tuple[str, str]:
+    """What people call a parameter, and its unit: Coulomb friction, friction force."""
+    effect, dot, _ = name.partition(".")
+    parameter = plant.parameter(name)
+    words = f"{title_of(effect)}: {parameter.description}" if dot else name.replace("_", " ")
+    return words, parameter.unit
+
+
+def inside_sentence(title: str) -> str:
+    """A title within a sentence: small, but for a name such as Coulomb."""
+    return title if title.startswith("Coulomb") or title[1:2].isupper() else title[:1].lower() + title[1:]
+
+
+def capitalised(sentence: str) -> str:
+    """The same with a capital at its beginning."""
+    return sentence[:1].upper() + sentence[1:]
+
+
+def listed(parts: Sequence[str], last: str = "and") -> str:
+    """Parts as in a sentence: a, b and c."""
+    return f" {last} ".join(part for part in (", ".join(parts[:-1]), *parts[-1:]) if part)
