@@ -1,13 +1,17 @@
 """The command line: what it writes, prints and returns, in one process and as a real one."""
 
 import csv
+import html
+import itertools
 import json
 import os
 import re
 import subprocess
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from xml.etree import ElementTree
 
@@ -223,6 +227,24 @@ def test_diagnose_of_the_declared_valve_claims_nothing(tmp_path: Path, strokes: 
     assert report["verdict"]["kind"] in ("none", "insufficient")
     assert report["verdict"]["effects"] == []
     assert load_valve(tmp_path / "corrected.yaml").effects == {}
+
+
+def test_diagnose_within_a_small_budget_says_what_it_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    looks = itertools.count()
+    clock = SimpleNamespace(
+        monotonic=lambda: float(next(looks)), perf_counter=lambda: 0.0, process_time=time.process_time
+    )
+    monkeypatch.setattr("valve_sim.cli.time", clock)
+    friction = Path(__file__).parents[1] / "bags" / "friction"
+    output = run_well("diagnose", friction, "--budget", 200, "--output", tmp_path).output
+    report = json.loads((tmp_path / "report.json").read_text())
+    untried = report["untried"]
+    assert untried
+    assert f"The time was used up with {len(untried)} left untried: {untried[0]}" in " ".join(output.split())
+    page = html.unescape((tmp_path / "report.html").read_text())
+    assert all(f"<li>{what}</li>" in page for what in untried)
+    assert report["after"]["rmse_um"]["train"] <= report["before"]["rmse_um"]["train"]
+    assert "from when the recordings are read" in " ".join(run_well("diagnose", "--help").output.split())
 
 
 def test_validate_exits_0_within_and_1_outside(tmp_path: Path, strokes: Path, more_damped: Path):

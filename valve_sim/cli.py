@@ -39,8 +39,6 @@ Progress = Callable[[str, float], None]
 OUTSIDE: Final = 1
 UNUSABLE: Final = 2
 STOPPED: Final = 130
-WRITING_SECONDS, WRITING_SHARE = 5.0, 0.4
-"""s, and at most this share, of a budget that are kept for writing and drawing what was found."""
 COMPLETE_VAR: Final = "_VALVE_SIM_COMPLETE"
 """What a shell sets to ask for completions; however the program is called, it is the same for the scripts that ship."""
 _FILE: Final = click.Path(path_type=Path)
@@ -375,7 +373,7 @@ def identify(
     metavar="SECONDS",
     type=_number(1.0),
     default=120.0,
-    help="Time it may take; says what was left untried.",
+    help="Time that search, report and pictures may take, from when the recordings are read.",
 )
 @_params
 @_valve
@@ -396,7 +394,8 @@ def diagnose(
     """Find the effect that the model lacks.
 
     Refits the declared model, tests whether what is left is more than noise, searches the effects, and reports errors
-    before and after, on the data it was fitted to and on held-out data. Without --holdout, strokes are held out.
+    before and after, on the data it was fitted to and on held-out data. Without --holdout, strokes are held out. What
+    the budget was too short for, it says.
 
     Writes DIR/report.json, report.html and report.png for people, corrected.yaml, which valve_node, simulate and
     validate load, and record_next.yaml, a profile for simulate and command_profile, where there is something to tell
@@ -411,11 +410,12 @@ def diagnose(
     if events is not None:
         _diagnose_events(events, output, as_json)
         return
+    before_wall, before_processor = time.perf_counter(), time.process_time()
     from valve_sim.identification.diagnosis.run import diagnose as trace_residual
-    from valve_sim.identification.estimation.budget import Budget
+    from valve_sim.identification.estimation.budget import Budget, kept_for_writing
     from valve_sim.identification.plants.valve import ValvePlant
     from valve_sim.identification.reporting.diagnosis_json import to_json
-    from valve_sim.identification.reporting.files import FILES, write_diagnosis
+    from valve_sim.identification.reporting.files import FILES, load_drawing, write_diagnosis
     from valve_sim.identification.reporting.text import diagnosis_text
 
     valve = _load(params)
@@ -424,7 +424,9 @@ def diagnose(
     with _progress() as progress:
         # The first prediction after an installation compiles the model, which no budget is meant for.
         ValvePlant(traces, valve).predict({})
-        time_left = Budget(budget - min(WRITING_SECONDS, WRITING_SHARE * budget), time.monotonic)
+        load_drawing()
+        wall, processor = time.perf_counter() - before_wall, time.process_time() - before_processor
+        time_left = Budget(budget - kept_for_writing(budget, wall / processor), time.monotonic)
         result = trace_residual(traces, held_out, valve, progress, time_left)
     report = to_json(result)
     written = write_diagnosis(result, output, _provenance(params, [report["verdict"]["summary"]]))

@@ -10,7 +10,7 @@ import pytest
 from plants.recording import Recorder, train_profile
 
 from valve_sim.identification.diagnosis.run import diagnose
-from valve_sim.identification.estimation.budget import Budget, OutOfTimeError
+from valve_sim.identification.estimation.budget import Budget, OutOfTimeError, kept_for_writing
 from valve_sim.identification.reporting.diagnosis_json import to_json
 from valve_sim.model import ValveError
 from valve_sim.progress_lines import ProgressLines
@@ -77,6 +77,13 @@ def test_a_budget_too_short_for_the_declared_model_is_an_error() -> None:
     trace = measured({}, train_profile(), Recorder(), 1)
     with pytest.raises(OutOfTimeError, match="give it more time"):
         diagnose([trace], [], DECLARED, budget=Budget(4.0, ticking()))
+
+
+def test_more_is_kept_for_writing_on_a_busy_machine_and_never_all() -> None:
+    assert kept_for_writing(120.0, 1.0) == pytest.approx(5.0)
+    assert kept_for_writing(10.0, 1.0) == pytest.approx(4.0)
+    assert kept_for_writing(120.0, 9.0) == pytest.approx(9.0)
+    assert kept_for_writing(10.0, 1000.0) == pytest.approx(7.0)
 
 
 def test_progress_is_a_line_for_each_wait() -> None:

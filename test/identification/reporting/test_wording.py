@@ -9,12 +9,17 @@ import pytest
 
 from identification.recordings import recorded
 from valve_sim.files.parameter_files import default_valve
+from valve_sim.identification.diagnosis.decision import Findings, advise, decide, with_untried
+from valve_sim.identification.diagnosis.experiment_design import Recommendation
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
 from valve_sim.identification.estimation.intervals import Interval
+from valve_sim.identification.plants.effect_titles import title_of
+from valve_sim.identification.plants.protocol import Experiment
 from valve_sim.identification.reporting.diagnosis_json import to_json
 from valve_sim.identification.reporting.text import diagnosis_text
 from valve_sim.identification.reporting.units import limits, measured, quantity
-from valve_sim.identification.reporting.wording import headline, kind_words, meanings, title_of
+from valve_sim.identification.reporting.wording import headline, kind_words, meanings
+from valve_sim.identification.selection.hypotheses import Hypothesis
 from valve_sim.model import CATALOGUE
 
 NAMED = [name for name, entry in CATALOGUE.items() if entry.named]
@@ -76,6 +81,31 @@ def test_headlines_have_no_names_of_code(diagnosis: Diagnosis, kind: str, probab
         assert words.endswith(".")
         if kind != "none":
             assert title_of(name).lower() in words.lower()
+
+
+@pytest.mark.parametrize(("is_unknown", "names_most"), [(False, False), (True, False), (True, True)])
+@pytest.mark.parametrize("strokes", [1, 8])
+@pytest.mark.parametrize("singles_untried", [False, True])
+def test_a_summary_and_its_advice_have_no_names_of_code(
+    diagnosis: Diagnosis, is_unknown: bool, names_most: bool, strokes: int, singles_untried: bool
+) -> None:
+    plant = diagnosis.plant
+    experiment = Experiment("a pulse of 4 ms at 9 V", lambda machine: plant)
+    telling = Recommendation(experiment, {("asymmetric_friction + coil_lag", "stop_bounce"): 7.0})
+    for name in NAMED:
+        best = Hypothesis((name,), timing=True)
+        findings = Findings(
+            plant, best, strokes, is_unknown, names_most, {name: ("eddy_lag", "stroke_offset")}, 0.9, 0.7, [],
+            lambda: advise(plant, strokes, telling), singles_untried,
+        )  # fmt: skip
+        verdict, record_next = decide(findings)
+        untried = [str(best), "sets of more effects", f"the rivals of {best}"]
+        for words in (with_untried(verdict, untried).summary, record_next):
+            assert "_" not in words
+        if record_next:
+            assert "friction that differs by direction and coil lag apart from bounce" in record_next
+        assert verdict.kind == "insufficient" or title_of(name).lower() in verdict.summary.lower()
+        assert verdict.effects == (name,)
 
 
 def test_the_terminal_says_title_amount_unit_and_what_to_do(diagnosis: Diagnosis) -> None:

@@ -18,6 +18,7 @@ from valve_sim.identification.diagnosis.outcome import Candidate, Diagnosis, Sta
 from valve_sim.identification.estimation.budget import OutOfTimeError
 from valve_sim.identification.estimation.intervals import Interval, covariance_interval, profile_interval
 from valve_sim.identification.estimation.result import Fit, rmse
+from valve_sim.identification.plants.effect_titles import named_value
 from valve_sim.identification.plants.protocol import strokes_of_plant
 from valve_sim.identification.selection.bootstrap import NOT_ASKED, FalseAlarm, false_alarm
 from valve_sim.identification.selection.force_maps import (
@@ -334,10 +335,10 @@ class Conclusion:
 
     def interval(self, result: Fit, name: str) -> Interval:
         """By profile likelihood; from the covariance where the time is used up."""
-        return self.in_time(
-            WORDED_BY, f"the interval of {name} by profile likelihood", lambda: profile_interval(result, name)[0],
-            covariance_interval(result, name),
-        )  # fmt: skip
+        what = f"the interval of {named_value(self.plant, name)[0]} by profile likelihood"
+        work = functools.partial(profile_interval, result, name)
+        found = self.in_time(WORDED_BY, what, work, None)
+        return covariance_interval(result, name) if found is None else found[0]
 
     def in_time(self, share: float, what: str, work: Callable[[], Result], otherwise: Result) -> Result:
         """What the work gives if it ends before this share of the time is used up; else it is noted as untried."""

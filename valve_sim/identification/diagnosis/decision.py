@@ -10,6 +10,7 @@ from typing import Final
 from valve_sim.identification.diagnosis.calibration import calibrated
 from valve_sim.identification.diagnosis.experiment_design import Recommendation
 from valve_sim.identification.diagnosis.outcome import Verdict
+from valve_sim.identification.plants.effect_titles import listed, named
 from valve_sim.identification.plants.protocol import Plant, advice_of
 from valve_sim.identification.selection.force_maps import Nameless, where
 from valve_sim.identification.selection.hypotheses import Hypothesis
@@ -84,20 +85,22 @@ def _decided(found: Findings) -> tuple[str, str]:
         return "none", "The declared model with refitted damping explains the data down to the noise."
     others = sorted({other for names in found.confusable.values() for other in names})
     places = [f"a force at {where(entry.choice, entry.fit)} alone" for entry in found.places[:1]]
-    alike = _listed([*others, *places], "or")
+    alike = listed([*(named([other]) for other in others), *places], "or")
     doubt = f"; {alike} would explain the data about as well" if alike else ""
-    return "effects", f"The model lacks {_listed(found.best.effects)}{doubt}."
+    return "effects", f"The model lacks {named(found.best.effects)}{doubt}."
 
 
 def _of_a_remainder(found: Findings) -> tuple[str, str]:
     """Likewise where something is left that has no name."""
-    named, share = _listed(found.best.effects), f"{found.share:.1%} of the squared residual"
+    names = named(found.best.effects)
+    share = f"that explains {100.0 * found.share:.1f} % of the squared residual"
     if found.names_most:
-        return "effects", f"The model lacks {named}, {share}; a remainder is left that no catalogued effect explains."
-    nearest = f"; {named} comes nearest, with {share}" if named else ""
+        remainder = "What is left, no effect of the catalogue explains."
+        return "effects", f"The model lacks {names}; {share}. {remainder}"
+    closest = f" The closest is {names}; {share}." if names else ""
     if found.singles_untried:
-        return "insufficient", f"The time was too short to find what the model lacks{nearest}."
-    return "unknown", f"Something acts that no catalogued effect explains{nearest}."
+        return "insufficient", f"The time was too short to find what the model lacks.{closest}"
+    return "unknown", f"Something acts that no effect of the catalogue explains.{closest}"
 
 
 def advise(plant: Plant, strokes: int, telling: Recommendation | None) -> str:
@@ -105,13 +108,8 @@ def advise(plant: Plant, strokes: int, telling: Recommendation | None) -> str:
     advice = advice_of(plant).first if strokes <= 1 else advice_of(plant).more
     if telling is None:
         return f"{advice}."
-    one, other = telling.pair
+    one, other = (named(candidate.split(" + ")) for candidate in telling.pair)
     return (
-        f"{advice}; of single pulses {telling.experiment.words} tells most: {telling.repeats} of them set {one} and "
-        f"{other} apart by {math.sqrt(telling.repeats) * telling.separation:.0f} standard deviations, others by more."
+        f"{advice}; of single pulses {telling.experiment.words} tells most: {telling.repeats} of them set {one} apart "
+        f"from {other} by {math.sqrt(telling.repeats) * telling.separation:.0f} standard deviations, others by more."
     )
-
-
-def _listed(names: Sequence[str], last: str = "and") -> str:
-    """Names as in a sentence: a, b and c."""
-    return f" {last} ".join(part for part in (", ".join(names[:-1]), *names[-1:]) if part)

@@ -9,14 +9,34 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Final
 
 from valve_sim.model.errors import ValveError
 
 Clock = Callable[[], float]
 
+WRITING: Final = 1.0
+"""s of a processor for the report and its pictures, measured: 0.6."""
+WRITING_AT_LEAST: Final = (5.0, 0.4)
+"""s, or this share of the budget where that is less: a machine may get busy after its speed was seen."""
+WRITING_AT_MOST: Final = 0.7
+"""Share of the budget: the rest is for something to write."""
+
 
 class OutOfTimeError(ValveError):
     """The time for this part of the work is used up."""
+
+
+def kept_for_writing(seconds: float, slowness: float) -> float:
+    """What of a budget to keep for writing and drawing what was found, s.
+
+    Args:
+        seconds: the budget.
+        slowness: s that pass on this machine for each that it gives a processor to this process; 1 where nothing else
+            runs.
+    """
+    least, share = WRITING_AT_LEAST
+    return min(max(WRITING * slowness, min(least, share * seconds)), WRITING_AT_MOST * seconds)
 
 
 class Budget:

@@ -11,10 +11,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from valve_sim.identification.estimation.intervals import CHI2_RISE_95
+from valve_sim.identification.plants.effect_titles import title_of, titles_of
 from valve_sim.identification.plants.event_table import EventPlant
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.identification.reporting.figures import MAIN, PILOT, QUIET, SECOND, save_figure
-from valve_sim.identification.reporting.wording import title_of, titles_of
 
 if TYPE_CHECKING:
     from valve_sim.identification.diagnosis.events import EventDiagnosis, Region

@@ -5,6 +5,7 @@ Of a valve also corrected.yaml, and record_next.yaml where there is something to
 
 from __future__ import annotations
 
+import importlib
 from pathlib import Path
 from typing import Final
 
@@ -50,3 +51,9 @@ def write_diagnosis(diagnosis: Diagnosis, directory: Path | str, provenance: str
         return data, page, picture, corrected
     write_profile(profile, diagnosis.telling, provenance)
     return data, page, picture, corrected, profile
+
+
+def load_drawing() -> None:
+    """Load what draws the pictures, half of what they cost: before a budget begins that must hold them."""
+    importlib.import_module("valve_sim.identification.reporting.figures")
+    importlib.import_module("matplotlib.backends.backend_agg")

@@ -17,6 +17,7 @@ from valve_sim import __version__
 from valve_sim.files.json_text import finite_or_none
 from valve_sim.files.whole_files import write_whole
 from valve_sim.identification.diagnosis.run import Candidate, Diagnosis, State
+from valve_sim.identification.plants.effect_titles import named_value, titles_of
 from valve_sim.identification.plants.protocol import judged_channels
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.curves import StrokeCurves, strokes_of
@@ -26,9 +27,7 @@ from valve_sim.identification.reporting.wording import (
     headline,
     kind_words,
     meanings,
-    named_value,
     probability_words,
-    titles_of,
 )
 
 if TYPE_CHECKING:
@@ -155,6 +154,7 @@ def _content(diagnosis: Diagnosis) -> dict[str, Any]:
         "has_parameters": isinstance(diagnosis.plant, ValvePlant),
         "record_next": diagnosis.record_next,
         "gain": _gain_rows(diagnosis),
+        "untried": diagnosis.untried,
         "version": __version__,
         "sources": diagnosis.sources,
         "noise": f"{_three_digits(sigma)} {unit} rms of the {channel.kind} sensor, read where the machine is still",

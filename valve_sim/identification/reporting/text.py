@@ -5,15 +5,14 @@ from __future__ import annotations
 import math
 
 from valve_sim.identification.diagnosis.run import Diagnosis
+from valve_sim.identification.plants.effect_titles import named_value, title_of
 from valve_sim.identification.plants.protocol import judged_channels
 from valve_sim.identification.reporting.units import measured, quantity
 from valve_sim.identification.reporting.wording import (
     headline,
     kind_words,
     meanings,
-    named_value,
     probability_words,
-    title_of,
 )
 
 _WIDTH = 44

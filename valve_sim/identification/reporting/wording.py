@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
 from valve_sim.identification.diagnosis.run import Diagnosis, Verdict
+from valve_sim.identification.plants.effect_titles import capitalised, named, title_of
 from valve_sim.identification.plants.protocol import Plant
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.units import measured
@@ -46,27 +47,6 @@ class Meaning(NamedTuple):
         }
 
 
-def title_of(effect: str) -> str:
-    """The plain name of an effect, whether it is in the catalogue or a plant's own."""
-    plain = effect.replace("_", " ")
-    fallback = plain[:1].upper() + plain[1:]
-    entry = CATALOGUE.get(effect)
-    return fallback if entry is None else entry.title
-
-
-def titles_of(effects: Sequence[str]) -> str:
-    """Plain names of several effects at once."""
-    return " + ".join([title_of(effects[0]), *(_inside(title_of(name)) for name in effects[1:])])
-
-
-def named_value(plant: Plant, name: str) -> tuple[str, str]:
-    """What people call a parameter, and its unit: Coulomb friction, friction force."""
-    effect, dot, _ = name.partition(".")
-    parameter = plant.parameter(name)
-    words = f"{title_of(effect)}: {parameter.description}" if dot else name.replace("_", " ")
-    return words, parameter.unit
-
-
 def kind_words(verdict: Verdict) -> tuple[str, bool]:
     """The verdict in two words, and whether it is good news about the diagnosis: sure enough to act on."""
     if verdict.kind == "insufficient":
@@ -97,23 +77,23 @@ def headline(diagnosis: Diagnosis) -> str:
             if (isinstance(diagnosis.plant, ValvePlant))
             else "Nothing is missing: the declared model, refitted, does what was measured, down to the noise."
         )
-    named = _listed([_inside(title_of(name)) for name in verdict.effects])
+    missing = named(verdict.effects)
     others = list(dict.fromkeys(other for names in verdict.confusable_with.values() for other in names))
-    alike = _listed([_inside(title_of(other)) for other in others], "or")
+    alike = named(others, "or")
     if verdict.kind == "insufficient":
         start = "These recordings cannot tell what is missing"
         return (
-            f"{start}; {named} fits best, {alike} about as well."
-            if named and alike
-            else (f"{start}; {named} fits best." if named else f"{start}.")
+            f"{start}; {missing} fits best, {alike} about as well."
+            if missing and alike
+            else (f"{start}; {missing} fits best." if missing else f"{start}.")
         )
     if verdict.kind == "unknown":
-        nearest = f" The closest is {named}." if named else ""
+        nearest = f" The closest is {missing}." if missing else ""
         return f"Something acts that no effect of the catalogue explains.{nearest}"
-    claim = f"The model lacks {named}" if verdict.probability >= EVEN else f"Perhaps the model lacks {named}"
+    claim = f"The model lacks {missing}" if verdict.probability >= EVEN else f"Perhaps the model lacks {missing}"
     amounts = [_largest(meaning) for meaning in meanings(diagnosis)]
     much = f": {amounts[0]}" if len(amounts) == 1 and amounts[0] else ""
-    doubt = f" {alike[:1].upper()}{alike[1:]} would explain the data about as well." if alike else ""
+    doubt = f" {capitalised(alike)} would explain the data about as well." if alike else ""
     rest = " Something without a name is left beside it." if diagnosis.unexplained is not None else ""
     return f"{claim}{much}.{doubt}{rest}"
 
@@ -151,12 +131,3 @@ def _severity(entry: Effect | None, values: Mapping[str, float], plant: Plant) -
 def _largest(meaning: Meaning) -> str:
     """The amount that a headline shows: of an effect with one parameter only."""
     return meaning.amounts[0][1] if len(meaning.amounts) == 1 else ""
-
-
-def _listed(names: Sequence[str], last: str = "and") -> str:
-    return f" {last} ".join(part for part in (", ".join(names[:-1]), *names[-1:]) if part)
-
-
-def _inside(title: str) -> str:
-    """A title within a sentence: small, but for a name such as Coulomb."""
-    return title if title.startswith("Coulomb") or title[1:2].isupper() else title[:1].lower() + title[1:]
