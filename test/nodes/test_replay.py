@@ -45,6 +45,11 @@ class Notes:
     def __init__(self, clock: FakeClock) -> None:
         self.clock = clock
         self.played: list[tuple[int, str, int]] = []
+        self.failures: list[Exception] = []
+        self.ends = 0
+
+    def prepare(self) -> None:
+        assert not self.played
 
     def command(self, index: int) -> None:
         self.played.append((self.clock.now, "command", index))
@@ -52,22 +57,19 @@ class Notes:
     def sample(self, index: int) -> None:
         self.played.append((self.clock.now, "sample", index))
 
+    def end(self) -> None:
+        self.ends += 1
+
+    def fail(self, error: Exception) -> None:
+        self.failures.append(error)
+
 
 def play(clock: FakeClock, rate: float) -> tuple[Replay, Notes]:
-    notes, failures, ends = Notes(clock), list[Exception](), list[bool]()
-    replay = Replay(
-        clock,
-        TRACE,
-        rate=rate,
-        loop=False,
-        player=notes,
-        prepare=lambda: None,
-        end=lambda: ends.append(replay.is_done),
-        fail=failures.append,
-    )
+    notes = Notes(clock)
+    replay = Replay(clock, TRACE, rate=rate, loop=False, player=notes)
     replay.run()
-    assert ends == [True]
-    assert failures == []
+    assert notes.ends == 1
+    assert notes.failures == []
     assert replay.is_done
     return replay, notes
 

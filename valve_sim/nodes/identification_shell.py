@@ -83,16 +83,8 @@ class IdentificationShell:
         self._prediction: Prediction | None = None
         self._exit_code = 0
         self._task = Task(self._work, self._report)
-        self._replay = Replay(
-            self._clock,
-            self._trace,
-            rate=self._settings.rate,
-            loop=self._settings.loop,
-            player=self,
-            prepare=self._prepare,
-            end=self._end_if_done,
-            fail=self._fail,
-        )
+        rate, loop = self._settings.rate, self._settings.loop
+        self._replay = Replay(self._clock, self._trace, rate=rate, loop=loop, player=self)
 
     @property
     def exit_code(self) -> int:
@@ -143,7 +135,8 @@ class IdentificationShell:
 
     # --- the replay's thread ---
 
-    def _prepare(self) -> None:
+    def prepare(self) -> None:
+        """Predict what the declared valve would show, and say what is about to be played."""
         self._prediction = predict(self._trace, self._declared, 0.0, "declared")
         self._say_ready()
         self._task.start()
@@ -170,7 +163,8 @@ class IdentificationShell:
         self._predicted.publish(self._messages.joint_states(stamp, predicted))
         self._residual.publish(Float64(data=measured.pilot_position - predicted.pilot_position))
 
-    def _fail(self, error: Exception) -> None:
+    def fail(self, error: Exception) -> None:
+        """End the node: the replay cannot go on."""
         if self._node.context.ok():
             self._exit_code = 1
             self._node.get_logger().fatal(f"the replay ended: {error!r}")
@@ -195,9 +189,9 @@ class IdentificationShell:
         if self._node.context.ok():
             logger = self._node.get_logger()
             (logger.info if is_good else logger.error)(words)
-            self._end_if_done()
+            self.end()
 
-    def _end_if_done(self) -> None:
+    def end(self) -> None:
         """Called at the end of the replay and of the task; the later of the two ends the node."""
         is_done = self._replay.is_done and self._task.is_done
         if is_done and not self._settings.linger and self._node.context.ok():

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable
 from typing import Final, NamedTuple, Protocol
 
 import numpy as np
@@ -63,13 +62,22 @@ class Timeline(NamedTuple):
 
 
 class Player(Protocol):
-    """Where a replay goes."""
+    """Where a replay goes; called from its thread."""
+
+    def prepare(self) -> None:
+        """First of all."""
 
     def command(self, index: int) -> None:
         """One command of the trace."""
 
     def sample(self, index: int) -> None:
         """One sample of the trace."""
+
+    def end(self) -> None:
+        """All has been played."""
+
+    def fail(self, error: Exception) -> None:
+        """What went wrong; the replay has ended."""
 
 
 def predict(trace: Trace, valve: Valve, clock_offset: float, model: str) -> Prediction:
@@ -123,24 +131,10 @@ class Replay(threading.Thread):
         trace: what is played.
         rate: seconds of the trace a second of the clock, 0 for as fast as possible.
         loop: whether to begin anew at the end.
-        player: is told what is due.
-        prepare: called first, in the thread.
-        end: called when all has been played.
-        fail: called with what went wrong, if anything did; the thread then ends.
+        player: is told what is due, when all has been played, and what went wrong.
     """
 
-    def __init__(
-        self,
-        clock: PaceClock,
-        trace: Trace,
-        *,
-        rate: float,
-        loop: bool,
-        player: Player,
-        prepare: Callable[[], None],
-        end: Callable[[], None],
-        fail: Callable[[Exception], None],
-    ) -> None:
+    def __init__(self, clock: PaceClock, trace: Trace, *, rate: float, loop: bool, player: Player) -> None:
         super().__init__(name="replay", daemon=True)
         self.timing = TimingRecord()
         self.passes = 0
@@ -151,9 +145,6 @@ class Replay(threading.Thread):
         self._rate = rate
         self._loop = loop
         self._player = player
-        self._prepare = prepare
-        self._end = end
-        self._fail = fail
         self._stopping = threading.Event()
         span = float(trace.times[-1] - trace.times[0])
         self.samples_a_second = rate * (len(trace.times) - 1) / span if span > 0.0 else 0.0
@@ -175,7 +166,7 @@ class Replay(threading.Thread):
     def run(self) -> None:
         """The thread."""
         try:
-            self._prepare()
+            self._player.prepare()
             self._stopping.wait(LISTENERS_SECONDS)
             while not self._stopping.is_set():
                 is_whole = self._play()
@@ -184,10 +175,10 @@ class Replay(threading.Thread):
                     break
             self.is_done = not self._stopping.is_set()
             if self.is_done:
-                self._end()
+                self._player.end()
         except Exception as error:
             if not self._stopping.is_set():
-                self._fail(error)
+                self._player.fail(error)
 
     def _play(self) -> bool:
         """One pass; False if it was broken off because the clock jumped or the thread is to end."""
