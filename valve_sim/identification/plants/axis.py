@@ -204,8 +204,8 @@ class AxisPlant:
         starts = np.arange(edge, len(self.record.times) - edge - count, round(WINDOW_STEP * self.record.rate))
         shown = np.empty((len(starts), count))
         _simulate_windows(
-            self._axis(values), starts, self.motion.position, self.motion.velocity, self.record.force,
-            self.record.times, 1.0 / self.record.rate, shown,
+            self._axis(values), starts, np.column_stack((self.motion.position, self.motion.velocity))[starts],
+            self.record.force, self.record.times, 1.0 / self.record.rate, shown,
         )  # fmt: skip
         measured = self.motion.position[starts[:, None] + np.arange(count)]
         return root_mean_square(measured - shown)
@@ -272,12 +272,15 @@ def _drive_force(p, position, velocity, acceleration, times):  # type: ignore[no
 
 
 @compiled
-def _simulate_windows(p, starts, position, velocity, force, times, interval, shown):  # type: ignore[no-untyped-def]
-    """Integrate (1) from each start; dry friction takes the velocity towards 0 and, within a step, not beyond."""
+def _simulate_windows(p, starts, states, force, times, interval, shown):  # type: ignore[no-untyped-def]
+    """Integrate (1) from each start, `states` its position and velocity.
+
+    Dry friction takes the velocity towards 0 and, within a step, not beyond.
+    """
     h = interval / SUBSTEPS
     for window in range(len(starts)):
         first = starts[window]
-        x, v = position[first], velocity[first]
+        x, v = states[window]
         for i in range(shown.shape[1]):
             shown[window, i] = x
             for substep in range(SUBSTEPS):
