@@ -1,0 +1,107 @@
+"""`valve-sim diagnose`."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import click
+
+from valve_sim.cli.command_line import Command
+from valve_sim.cli.options import (
+    FILE,
+    finite_number,
+    folder_option,
+    json_option,
+    map_option,
+    params_option,
+    valve_option,
+)
+from valve_sim.cli.printing import print_report, progress_bar, provenance, say_when_compiling
+from valve_sim.cli.reading import declared_valve, read_recordings
+from valve_sim.files.ledger import plan_files
+
+
+@click.command(cls=Command)
+@click.argument("bags", metavar="[BAG...]", type=FILE, nargs=-1)
+@click.option("--events", metavar="FILE", type=FILE, help="Table of events in place of bags, as a paper prints them.")
+@click.option(
+    "--holdout", metavar="BAG", type=FILE, multiple=True, help="Recording to judge by, not to fit. Repeatable."
+)
+@click.option(
+    "--budget",
+    metavar="SECONDS",
+    type=finite_number(1.0),
+    default=120.0,
+    help="Time that search, report and pictures may take, from when the recordings are read.",
+)
+@params_option
+@valve_option
+@map_option
+@folder_option
+@json_option
+def diagnose(
+    *,
+    bags: tuple[Path, ...],
+    events: Path | None,
+    holdout: tuple[Path, ...],
+    budget: float,
+    params: Path | None,
+    name: str | None,
+    output: Path,
+    as_json: bool,
+) -> None:
+    """Find the effect that the model lacks.
+
+    Refits the declared model, tests whether what is left is more than noise, searches the effects, and reports errors
+    before and after, on the data it was fitted to and on held-out data. Without --holdout, strokes are held out. What
+    the budget was too short for, it says.
+
+    Writes DIR/report.json, report.html and report.png for people, corrected.yaml, which valve_node, simulate and
+    validate load, and record_next.yaml, a profile for simulate and command_profile, where there is something to tell
+    apart.
+
+      valve-sim diagnose strokes.mcap --output results
+      valve-sim diagnose day_1 day_2 --holdout day_3 --params my_valve.yaml --output results
+      valve-sim diagnose --events config/paper_events.yaml --output results
+    """
+    if (events is None) == (not bags):
+        raise click.UsageError("diagnose takes either BAG... or --events FILE", click.get_current_context())
+    if events is not None:
+        _diagnose_events(events, output, as_json)
+        return
+    before_wall, before_processor = time.perf_counter(), time.process_time()
+    from valve_sim.identification.diagnosis.run import diagnose as trace_residual
+    from valve_sim.identification.estimation.budget import Budget, kept_for_writing
+    from valve_sim.identification.plants.valve import ValvePlant
+    from valve_sim.identification.reporting.diagnosis_json import to_json
+    from valve_sim.identification.reporting.files import FILES, load_drawing, write_diagnosis
+    from valve_sim.identification.reporting.text import diagnosis_text
+
+    valve = declared_valve(params)
+    plan_files(*(output / file for file in FILES))
+    traces, held_out = read_recordings(bags, name, valve), read_recordings(holdout, name, valve)
+    with progress_bar() as progress:
+        # The first prediction after an installation compiles the model, which no budget is meant for.
+        ValvePlant(traces, valve).predict({})
+        load_drawing()
+        wall, processor = time.perf_counter() - before_wall, time.process_time() - before_processor
+        time_left = Budget(budget - kept_for_writing(budget, wall / processor), time.monotonic)
+        result = trace_residual(traces, held_out, valve, progress, time_left)
+    report = to_json(result)
+    written = write_diagnosis(result, output, provenance(params, [report["verdict"]["summary"]]))
+    print_report(report, diagnosis_text(result), written, as_json)
+
+
+def _diagnose_events(events: Path, output: Path, as_json: bool) -> None:
+    from valve_sim.identification.diagnosis.events import diagnose_events
+    from valve_sim.identification.plants.event_table import read_event_table
+    from valve_sim.identification.reporting.event_files import write_event_report
+    from valve_sim.identification.reporting.event_report import event_json, event_text
+
+    table = read_event_table(events)
+    say_when_compiling()
+    with progress_bar() as progress:
+        found = diagnose_events(table, progress)
+    written = write_event_report(found, output)
+    print_report(event_json(found), event_text(found), written, as_json)

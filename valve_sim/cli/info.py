@@ -1,0 +1,76 @@
+"""`valve-sim info`."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from valve_sim.cli.command_line import Command
+from valve_sim.cli.options import FILE, json_option, map_option, params_option, valve_option
+from valve_sim.cli.printing import print_json, shown
+from valve_sim.cli.reading import chosen_map, declared_valve
+from valve_sim.files.json_text import plain
+
+if TYPE_CHECKING:
+    from valve_sim.traces import StrokeEvents, TraceSummary
+
+
+@click.command(cls=Command)
+@click.argument("bag", type=FILE)
+@valve_option
+@map_option
+@params_option
+@json_option
+def info(*, bag: Path, name: str | None, params: Path | None, as_json: bool) -> None:
+    """Say what a recording holds.
+
+    Valves, signals and their rates, strokes, gaps, trouble with clocks, and what reading it dropped or repaired.
+    Arrivals of each stroke are read from the sensors alone; only the place of the gap is taken from the parameters.
+
+      valve-sim info strokes.mcap
+      valve-sim info station_bag --valve /tank_1/valve --json | jq '.valves[0].strokes'
+    """
+    from valve_sim.traces import describe, doubtful_units, events_from_sensors, list_valves, read_trace
+
+    parameters, recording_map = declared_valve(params).parameters, chosen_map()
+    valves = []
+    for valve in (name,) if name else list_valves(bag, recording_map) or (None,):
+        trace = read_trace(bag, valve, recording_map)
+        trace = dataclasses.replace(trace, findings=(*trace.findings, *doubtful_units(trace, parameters)))
+        valves.append((describe(trace), events_from_sensors(trace, parameters.pilot_gap)))
+    if as_json:
+        print_json({"valves": [{**plain(summary), "arrivals": plain(arrivals)} for summary, arrivals in valves]})
+        return
+    for summary, arrivals in valves:
+        _print_summary(summary, arrivals)
+
+
+def _print_summary(summary: TraceSummary, arrivals: Sequence[StrokeEvents]) -> None:
+    low, high = (1e6 * position for position in summary.position_range)
+    clock = f"{summary.clock} stamps" if summary.clock in ("header", "bag") else f"its {summary.clock}"
+    click.echo(shown(summary.source) + f": {summary.duration:.6g} s, timed by {clock}")
+    for signal, rate in summary.signals.items():
+        click.echo(
+            f"  {signal:<18}{rate.samples:>9} samples{rate.rate:>12.6g} Hz{', in bursts' if rate.in_bursts else ''}"
+        )
+    click.echo(f"  {'commands':<18}{summary.commands:>9} at {', '.join(f'{volts:g}' for volts in summary.voltages)} V")
+    click.echo(
+        f"  pilot plunger from {low:.2f} to {high:.2f} µm, noise {1e6 * summary.noise:.3g} µm; "
+        f"sample interval within {1e6 * summary.jitter:.3f} µs of its median (99 %)"
+    )
+    for gap in summary.gaps[:10]:
+        click.echo(f"  gap at {gap.start:.6f} s: {1e3 * gap.length:.3f} ms without samples")
+    if len(summary.gaps) > 10:
+        click.echo(f"  and {len(summary.gaps) - 10} gaps more")
+    seen = {found.stroke: found.events for found in arrivals}
+    for stroke in summary.strokes:
+        click.echo(f"  {stroke.name}" + ("" if stroke.moved else ": nothing moved"))
+        for event in seen.get(stroke, ()):
+            words = f"{event.kind.replace('_', ' ')} ({event.sensor})"
+            click.echo(f"    {words:<34}{1e3 * event.after_command:9.3f} ± {1e3 * event.uncertainty:.3f} ms")
+    for finding in summary.findings:
+        click.echo(shown(f"  note: {finding}"))

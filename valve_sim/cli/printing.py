@@ -1,0 +1,86 @@
+"""What commands print: reports, progress, provenance, refusals."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NoReturn
+
+import click
+
+from valve_sim.files.json_text import json_text
+
+Progress = Callable[[str, float], None]
+
+
+def say_when_compiling() -> None:
+    """The first use after an installation is slow: say why, on a terminal and in a log alike."""
+    from valve_sim.model.compiling import announce_compiling
+
+    words = "valve-sim: compiling the model for this machine (ten seconds or so, once)"
+    announce_compiling(lambda: click.echo(words, err=True))
+
+
+@contextmanager
+def progress_bar() -> Iterator[Progress]:
+    """A bar on stderr while that is a terminal; a line every ten seconds elsewhere."""
+    if not sys.stderr.isatty():
+        from valve_sim.progress_lines import ProgressLines
+
+        with ProgressLines(sys.stderr) as lines:
+            yield lines
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("starting", total=1.0)
+        yield lambda what, fraction: bar.update(task, description=what, completed=fraction)
+
+
+def print_report(report: Mapping[str, Any], text: str, written: Sequence[Path], as_json: bool) -> None:
+    """Print a report, and which files it was written to."""
+    if as_json:
+        print_json(report)
+        return
+    click.echo(shown(text))
+    if written:
+        click.echo(shown(f"wrote {', '.join(str(path) for path in written)}"))
+
+
+def provenance(params: Path | None, lines: Sequence[str]) -> str:
+    """Where the values of a written parameter file are from."""
+    command = shlex.join(["valve-sim", *sys.argv[1:]])
+    return "\n".join(
+        [f"Written by: {command}", f"From: {params or 'the shipped valve.yaml'}, changed as follows", *lines]
+    )
+
+
+def print_json(report: Mapping[str, Any]) -> None:
+    """Print a report as JSON."""
+    click.echo(json_text(report), nl=False)
+
+
+def refuse(message: str) -> NoReturn:
+    """End the command: what it was given cannot be used.
+
+    Raises:
+        ValveError: always.
+    """
+    from valve_sim.model.errors import ValveError
+
+    raise ValveError(message)
+
+
+def one_line(message: str) -> str:
+    """A message without line breaks, fit for a terminal."""
+    return shown(" ".join(message.split()))
+
+
+def shown(text: str) -> str:
+    """Text with names from bags and files, fit for a terminal and XML: what would steer it becomes a mark."""
+    return "".join(character if character.isprintable() or character == "\n" else "\ufffd" for character in text)

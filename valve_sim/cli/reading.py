@@ -1,0 +1,47 @@
+"""What commands read: parameters, maps, recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from valve_sim.cli.options import MAP_KEY
+from valve_sim.cli.printing import say_when_compiling, shown
+
+if TYPE_CHECKING:
+    from valve_sim.files.recording_map import RecordingMap
+    from valve_sim.model import Valve
+    from valve_sim.traces import Trace
+
+
+def declared_valve(params: Path | None) -> Valve:
+    """The valve of a parameter file, or the shipped one."""
+    from valve_sim.files.parameter_files import default_valve, load_valve
+
+    say_when_compiling()
+    return default_valve() if params is None else load_valve(params)
+
+
+def chosen_map() -> RecordingMap | None:
+    """The map given as --map."""
+    from valve_sim.files.recording_map import load_map
+
+    path: Path | None = click.get_current_context().meta.get(MAP_KEY)
+    return None if path is None else load_map(path)
+
+
+def read_recordings(bags: Sequence[Path], name: str | None, valve: Valve) -> list[Trace]:
+    """Read recordings; what was dropped or repaired is said on stderr, numbers of another unit are refused."""
+    from valve_sim.traces import read_trace, refuse_doubtful_units
+
+    traces, recording_map = [], chosen_map()
+    for bag in bags:
+        trace = read_trace(bag, name, recording_map)
+        refuse_doubtful_units(trace, valve.parameters)
+        for finding in trace.findings:
+            click.echo(shown(f"valve-sim: {bag}: {finding}"), err=True)
+        traces.append(trace)
+    return traces

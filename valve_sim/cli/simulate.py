@@ -1,0 +1,122 @@
+"""`valve-sim simulate`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from valve_sim.cli.command_line import Command
+from valve_sim.cli.options import FILE, finite_number, json_option, params_option
+from valve_sim.cli.printing import print_json, refuse
+from valve_sim.cli.reading import declared_valve
+
+if TYPE_CHECKING:
+    from valve_sim.model import Event, Valve
+    from valve_sim.traces.synthetic import Recording
+
+
+@click.command(cls=Command)
+@params_option
+@click.option("--voltage", metavar="V", type=finite_number(), help="Hold this voltage from time 0 on.")
+@click.option("--profile", metavar="FILE", type=FILE, help="Voltage over time: see below.")
+@click.option("--duration", metavar="S", type=finite_number(0.0, is_open=True), required=True, help="How long, s.")
+@click.option("--rate", metavar="HZ", type=finite_number(0.0, is_open=True), default=20000.0, help="Samples a second.")
+@click.option(
+    "--noise-um", metavar="UM", type=finite_number(0.0), default=0.0, help="Noise of the positions, µm (std. dev.)."
+)
+@click.option(
+    "--quantisation-um", metavar="UM", type=finite_number(0.0), default=0.0, help="Step of the positions, µm."
+)
+@click.option(
+    "--current-noise-ma",
+    metavar="MA",
+    type=finite_number(0.0),
+    show_default="1 with --noise-um, else 0",
+    help="Noise of the coil current, mA.",
+)
+@click.option("--seed", type=click.IntRange(min=0), default=0, help="Of the noise; the same gives the same recording.")
+@click.option("--output", metavar="FILE", type=FILE, required=True, help="x.mcap, x.csv, or x for a rosbag2 folder.")
+@click.option("--plot", metavar="PNG", type=FILE, help="Draw displacement, velocity, current and phase.")
+@json_option
+def simulate(
+    *,
+    params: Path | None,
+    voltage: float | None,
+    profile: Path | None,
+    duration: float,
+    rate: float,
+    noise_um: float,
+    quantisation_um: float,
+    current_noise_ma: float | None,
+    seed: int,
+    output: Path,
+    plot: Path | None,
+    as_json: bool,
+) -> None:
+    """Simulate strokes and record them.
+
+    One opening at 9 V, as a table and a picture:
+      valve-sim simulate --voltage 9 --duration 0.02 --output opening.csv --plot opening.png
+    Strokes with a noisy sensor, as a bag that identify reads back:
+      valve-sim simulate --profile strokes.csv --duration 0.5 --noise-um 1 --output strokes.mcap
+
+    A profile is a CSV file with the columns time (s) and volts (V), each voltage held until the next row:
+      time,volts
+      0.010,9.0
+      0.040,0.0
+    or a YAML file of the same rows: [[0.010, 9.0], [0.040, 0.0]] or [{time: 0.010, volts: 9.0}, ...].
+    A CSV that simulate wrote is a profile too.
+
+    The CSV has the columns time, coil_voltage, coil_current, pilot_position, main_position, pilot_velocity, phase, in
+    SI units. The bag has /valve/coil_voltage, /valve/measured/joint_states and /valve/measured/coil_current, and
+    its stamps begin at 0.
+    """
+    if (voltage is None) == (profile is None):
+        raise click.UsageError("give either --voltage or --profile", click.get_current_context())
+    from valve_sim.model import Drive, published_times
+    from valve_sim.traces import write_bag, write_csv
+    from valve_sim.traces.synthetic import Sensor, read_profile, record
+
+    if output.suffix not in (".csv", ".mcap", ""):
+        refuse(f"--output {output}: expected x.mcap, x.csv, or a name without ending for a rosbag2 folder")
+    drive = Drive.of([0.0], [voltage or 0.0]) if profile is None else read_profile(profile)
+    current_noise = (1.0 if noise_um else 0.0) if current_noise_ma is None else current_noise_ma
+    sensor = Sensor(1e-6 * noise_um, 1e-6 * quantisation_um, 1e-3 * current_noise, seed)
+    valve = declared_valve(params)
+    recording = record(valve, drive, duration, rate, sensor)
+    if output.suffix == ".csv":
+        write_csv(output, recording.columns())
+    else:
+        write_bag(output, recording.trace)
+    if plot is not None:
+        _plot(plot, recording, valve, str(params or "valve.yaml"))
+    if as_json:
+        events = [{**event._asdict(), "kind": event.kind.name.lower()} for event in recording.response.events]
+        t1, t2 = published_times(recording.response)
+        times = {"t1_ms": 1e3 * t1, "t2_ms": 1e3 * t2}
+        print_json({"output": output, "samples": len(recording.trace.times), **times, "events": events})
+        return
+    _print_events(recording.response.events)
+    click.echo(f"wrote {output} ({len(recording.trace.times)} samples)" + (f" and {plot}" if plot else ""))
+
+
+def _plot(path: Path, recording: Recording, valve: Valve, title: str) -> None:
+    from valve_sim.identification.reporting.figures import plot_response
+    from valve_sim.model import published_times
+
+    levels = {"gap": valve.parameters.pilot_gap, "stroke": valve.parameters.stroke}
+    times = zip(("t1", "t2"), published_times(recording.response), strict=True)
+    marks = {name: time for name, time in times if math.isfinite(time)}
+    plot_response(path, recording.response, recording.trace.drive, title, marks=marks, levels=levels)
+
+
+def _print_events(events: Sequence[Event]) -> None:
+    for event in events:
+        words = event.kind.name.lower().replace("_", " ")
+        click.echo(f"{1e3 * event.time:12.6f} ms  {words:<16}{1e6 * event.position:10.3f} µm{event.velocity:12.6f} m/s")
+    if not events:
+        click.echo("the valve stays closed")

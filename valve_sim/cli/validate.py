@@ -1,0 +1,75 @@
+"""`valve-sim validate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+import click
+
+from valve_sim.cli.command_line import Command
+from valve_sim.cli.options import FILE, bags_argument, finite_number, json_option, map_option, valve_option
+from valve_sim.cli.printing import print_report, progress_bar, shown
+from valve_sim.cli.reading import declared_valve, read_recordings
+from valve_sim.files.ledger import plan_files
+
+OUTSIDE: Final = 1
+"""Exit code where a recording is outside the tolerance."""
+
+
+@click.command(cls=Command)
+@bags_argument
+@click.option("--params", metavar="FILE", type=FILE, required=True, help="Parameter file of the valve to check.")
+@click.option(
+    "--tolerance-um",
+    metavar="UM",
+    type=finite_number(0.0, is_open=True),
+    show_default="3 times the noise",
+    help="Largest rms error, µm.",
+)
+@click.option("--command-jitter", is_flag=True, help="Take an error of each command's stamp for granted, N(0, 50 µs).")
+@click.option("--junit", metavar="XML", type=FILE, help="Write a JUnit report, a test case for each stroke.")
+@click.option("--plot", metavar="PNG", type=FILE, help="Draw measured, predicted and what lies between (one BAG).")
+@valve_option
+@map_option
+@json_option
+def validate(
+    *,
+    bags: tuple[Path, ...],
+    params: Path,
+    tolerance_um: float | None,
+    command_jitter: bool,
+    junit: Path | None,
+    plot: Path | None,
+    name: str | None,
+    as_json: bool,
+) -> int:
+    """Check a declared valve against recordings.
+
+    The recorded commands are replayed on it. Exit 0 when it does what was measured, 1 when not. A stroke is within
+    the tolerance when its root-mean-square error is, over all its samples and over those in which
+    the model moves. Nothing is fitted but the offset between the clocks of commands and samples, prior N(0, 50 µs).
+
+      valve-sim validate strokes.mcap --params config/valve.yaml
+      valve-sim validate tests/*.mcap --params results/identified.yaml --tolerance-um 17 --junit replay.xml
+    """
+    if plot is not None and len(bags) > 1:
+        raise click.UsageError("--plot draws one recording; give one BAG", click.get_current_context())
+    from valve_sim.files.whole_files import write_whole
+    from valve_sim.identification.reporting.validation import validation_json, validation_junit, validation_text
+    from valve_sim.identification.validation.replay import validate as replay
+
+    plan_files(*(path for path in (junit, plot) if path))
+    valve = declared_valve(params)
+    traces = read_recordings(bags, name, valve)
+    tolerance = None if tolerance_um is None else 1e-6 * tolerance_um
+    with progress_bar() as progress:
+        result = replay(traces, valve, tolerance, command_jitter=command_jitter, progress=progress)
+    if junit is not None:
+        write_whole(junit, shown(validation_junit(result)))  # XML has no place for control characters
+    if plot is not None:
+        from valve_sim.identification.reporting.figures import plot_replay
+
+        plot_replay(plot, result.replays[0])
+    print_report(validation_json(result), validation_text(result), [path for path in (junit, plot) if path], as_json)
+    return 0 if result.passed else OUTSIDE
