@@ -31,8 +31,8 @@ from valve_sim.identification.monitoring.command_timing import UNTIMED
 from valve_sim.identification.plants.commissioned import CommissionedCurrent, commission_current
 from valve_sim.identification.plants.protocol import Array, Nuisance, perturbed
 from valve_sim.identification.plants.recording_errors import CLOCK_SIGMA
+from valve_sim.identification.plants.root_mean_square import root_mean_square
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.root_mean_square import root_mean_square
 from valve_sim.identification.selection.hypotheses import ANNEALING
 from valve_sim.identification.selection.residual_tests import moving_residuals
 from valve_sim.model import Drive, SimulationError, Valve, simulate

@@ -25,7 +25,7 @@ from scipy import ndimage, signal
 
 from valve_sim.files.parameter_files import off_value
 from valve_sim.identification.plants.protocol import Array, Channel, EffectChoice, Experiment, ForceMap, Nuisance
-from valve_sim.identification.root_mean_square import root_mean_square
+from valve_sim.identification.plants.root_mean_square import root_mean_square
 from valve_sim.model import CATALOGUE, DECLARED, Parameter, Phase, Tag
 from valve_sim.model.compiling import compiled
 from valve_sim.model.effects import FORCE_MAP_KNOTS, FORCE_MAP_VARIABLES, new_record

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from valve_sim.identification.diagnosis.run import Diagnosis
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.plants.protocol import Array, Channel, judged_channels
-from valve_sim.identification.root_mean_square import root_mean_square
+from valve_sim.identification.plants.root_mean_square import root_mean_square
 
 DRAWN_POINTS: Final = 450
 """At most so many points for each stroke: 100 strokes then make a report of some 2 MB."""

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from valve_sim.identification.diagnosis.run import Diagnosis
 from valve_sim.identification.plants.protocol import Array, Plant
+from valve_sim.identification.plants.root_mean_square import root_mean_square
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.root_mean_square import root_mean_square
 from valve_sim.identification.selection.force_maps import Unexplained
 from valve_sim.model import simulate
 

@@ -13,7 +13,7 @@ from valve_sim.identification.estimation.parallel import run_parallel
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Array, ForceMap
-from valve_sim.identification.root_mean_square import root_mean_square
+from valve_sim.identification.plants.root_mean_square import root_mean_square
 from valve_sim.identification.selection.hypotheses import Hypothesis, Search
 from valve_sim.model import SimulationError
 

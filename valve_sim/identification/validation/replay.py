@@ -19,8 +19,8 @@ from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.identification.plants.recording_errors import CLOCK_SIGMA, drive_with, zero_with
+from valve_sim.identification.plants.root_mean_square import root_mean_square
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.root_mean_square import root_mean_square
 from valve_sim.model import Event, EventKind, Response, Valve, ValveError, simulate
 from valve_sim.traces import SensorEvent, Stroke, Trace, events_from_sensors, find_strokes
 
