@@ -18,6 +18,7 @@ from sphinx.util import logging
 
 LABEL = re.compile(r"\(eq-(\d+)\)\s*$", re.MULTILINE)
 COMMAND = re.compile(r"\\\w*")
+FUNCTION = re.compile(r"<mi>(ln|log|exp|sin|cos|tan)</mi>(?=(<mo[^>]*>(?:\(|&#x00028;))?)")
 logger = logging.getLogger(__name__)
 
 
@@ -41,7 +42,13 @@ def converted(node: nodes.math | nodes.math_block, display: str) -> str:
     written: str = convert(node.astext(), display=display)
     if "\\" in written:
         logger.warning("not understood in a formula: %s", ", ".join(COMMAND.findall(written)), location=node)
-    return written
+    return FUNCTION.sub(spaced, written)
+
+
+def spaced(function: re.Match[str]) -> str:
+    """The name of a function, apart from what is before it and, where no bracket follows, from what is after it."""
+    after = "0" if function[2] else "0.17em"
+    return f'<mo lspace="0.17em" rspace="{after}">{function[1]}</mo>'
 
 
 def visit_inline(translator: Any, node: nodes.math) -> None:

@@ -30,9 +30,9 @@ _TEXTS: Final = {
 }
 _COUNTS: Final = {
     "commissioning_strokes": Parameter(
-        "commissioning_strokes", "–", "so many first strokes are taken for healthy", 8, 1000
+        "commissioning_strokes", "–", "number of first strokes, taken as the baseline", 8, 1000
     ),
-    "diagnosis_strokes": Parameter("diagnosis_strokes", "–", "so many last strokes are kept to trace a cause", 6, 200),
+    "diagnosis_strokes": Parameter("diagnosis_strokes", "–", "number of last strokes kept to trace a cause", 6, 200),
 }
 _NUMBERS: Final = {
     "strokes_between_false_alarms": Parameter(

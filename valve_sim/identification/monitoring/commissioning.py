@@ -47,7 +47,7 @@ class ScoreBaseline:
         if count < FEWEST_TO_LEARN:
             return cls(0.0, 1.0, count, False)
         mean, spread = float(np.mean(scores)), float(np.std(scores, ddof=1))
-        # The size hangs on the noise's variance, which is itself an estimate.
+        # The size depends on the noise's variance, which is itself an estimate.
         is_learned = name == SIZE or abs(mean) * math.sqrt(count) > CONTRADICTS or spread > TOO_SPREAD
         return cls(mean, spread, count, is_learned)
 

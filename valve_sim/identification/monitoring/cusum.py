@@ -1,6 +1,6 @@
-"""The alarm of a monitor: cumulated sums over strokes, with a stated rate of false alarms.
+"""The alarm of a monitor: CUSUM over strokes, with a stated rate of false alarms. Theory, eqs. (66) to (69).
 
-Each stroke gives scores that are standard normal while nothing has changed. A cumulated sum after Page (Biometrika 41,
+Each stroke gives scores that are standard normal while nothing has changed. A cumulative sum after Page (Biometrika 41,
 1954, p. 100) watches each, upwards and downwards:
 
     S ← max(0, S + min(score, MOST) − reference)        alarm at S > threshold, after which all sums begin anew.
@@ -24,7 +24,7 @@ CHANGE: Final = 2.0
 MOST: Final = 4.5
 """Standard deviations that one stroke can count: below every threshold."""
 OVERSHOOT: Final = 1.166
-"""Siegmund's correction for a normal walk that is looked at once a stroke only."""
+"""Siegmund's correction for a random walk observed once a stroke only."""
 
 
 class Alarm(NamedTuple):
@@ -56,7 +56,7 @@ def threshold_for(run: float, reference: float) -> float:
 
 
 class Sums:
-    """Cumulated sums, up and down, for each named score.
+    """Cumulative sums, up and down, for each named score.
 
     Args:
         run: wanted mean number of strokes between false alarms, of all sums together.
@@ -97,7 +97,7 @@ class Sums:
 
 @dataclass
 class _Sum:
-    """One cumulated sum, and the stroke with which it began to rise."""
+    """One cumulative sum, and the stroke with which it began to rise."""
 
     height: float = 0.0
     uncut: float = 0.0

@@ -3,7 +3,7 @@
 A diagnosis of a recording must free the dampings, which nobody knows; beside a valve that was commissioned they are
 known. So here they are candidates like any effect, "the main damping has changed" beside "Coulomb friction has
 appeared", and what tells the two apart is not lost to a refit. Their errors of commissioning, and the errors of the
-commands' stamps, are estimated along always, as nuisances: commissioning has shown how large they are.
+commands' stamps, are always estimated too, as nuisances: commissioning has shown how large they are.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from valve_sim.traces import Signal, Trace
 FEWEST: Final = 6
 """Strokes that a tracing begins with: four to fit, two held out."""
 HELD_OUT: Final = 3
-"""Every so manieth stroke is held out."""
+"""Every third stroke is held out."""
 
 NATURAL: Final = 100.0
-"""Typical amounts of an effect beyond which none is believed: 5 N of friction, 30 N of pressure."""
+"""Prior scales of an effect beyond which a value is not credible: 5 N of friction, 30 N of pressure."""
 NOT_TOLD: Final = "the strokes are not those of the commissioned valve, and no effect is known well enough to be named"
 
 _VALUE: Final = "value"

@@ -1,14 +1,14 @@
-"""One stroke held against a commissioned valve: how much more than noise is left of it, and in which direction.
+"""One stroke held against a commissioned valve: is its residual larger than the noise, and in which direction?
 
-A stroke's residual is whitened, and an error of each command's stamp is estimated along, within its prior N(0, jitter):
-that is a nuisance, no fault. What is left is projected on the change that each effect of the catalogue would make. With
+A stroke's residual is whitened, and an error of each command's stamp is estimated too, within its prior N(0, jitter):
+that is a nuisance, no fault. The residual is projected on the change that each effect of the catalogue would make. With
 e the whitened residual, a the whitened change, N what errors of the stamps change and P their prior variance,
 
     score = aᵀ W e / √(aᵀ W a),        W = (I + N P Nᵀ)⁻¹,
 
 is standard normal under noise, jitter and the commissioned valve, and the most powerful statistic for that effect (the
-matched filter; Kay, Fundamentals of Statistical Signal Processing II, 1998, section 4.4). A last score is the size of
-what is left, whatever its direction, for what has no name.
+matched filter; Kay, Fundamentals of Statistical Signal Processing II, 1998, section 4.4): theory, eq. (62). A last
+score is the size of the residual, whatever its direction, for what has no name: eq. (63).
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ class Scored:
     Attributes:
         scores: by name of a direction: each about standard normal while nothing has changed.
         shifts: (commands,) s, estimated errors of the stamps.
-        rms: m, of what is left of the position.
+        rms: m, of the position's residual.
     """
 
     scores: Mapping[str, float]
@@ -118,7 +118,7 @@ def score_stroke(trace: Trace, healthy: Baseline, jitter: float | None = None) -
     result = stroke.fit(())
     shifts = np.array([result.values[nuisance.name] for nuisance in result.nuisances])
     jacobian, prior = result.jacobian, np.array([1.0 / nuisance.sigma**2 for nuisance in result.nuisances])
-    # One step more, in the linear model that the scores are reckoned with: they must not see where the fit stopped.
+    # One step more, in the linear model that the scores are computed with: they must not see where the fit stopped.
     scale = np.sqrt(np.sum(np.square(jacobian), axis=0) + prior)
     inverse = np.linalg.inv((gram(jacobian, jacobian) + np.diag(prior)) / np.outer(scale, scale)) / np.outer(
         scale, scale
@@ -253,7 +253,7 @@ class _Stroke:
         result = fit(self.problem, free, start, nuisances=self._shifts(), fixed=self._fixed)
         if result.chi2 < PLAINLY_MORE * self.problem.effective_samples:
             return result
-        # Something is wrong with the stroke, or with the start: contacts make shallow wrong basins.
+        # Something is wrong with the stroke, or with the start: contacts make shallow local minima.
         again = [
             fit(self.problem, free, other, nuisances=self._shifts(), fixed=self._fixed, robust=ANNEALING)
             for other in (start, {})

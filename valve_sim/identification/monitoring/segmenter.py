@@ -117,7 +117,7 @@ class StrokeSegmenter:
     def uncertainty(self) -> float:
         """Seconds by which a healthy valve may be later than the model, since nobody knows when it got its command.
 
-        Delays of a busy machine have a long tail: so many times as much as has lately been seen.
+        Delays of a busy machine have a long tail: a multiple of the scatter that has lately been seen.
         """
         return TAIL * (FAR * self.scatter + self._arrivals.spread)
 

@@ -9,9 +9,9 @@ class MonitorSettings(NamedTuple):
     """How a valve is watched.
 
     Attributes:
-        commissioning_strokes: so many first strokes, taken for healthy.
+        commissioning_strokes: number of first strokes, which are taken as the baseline.
         strokes_between_false_alarms: mean number, of a healthy valve.
-        diagnosis_strokes: so many last strokes are kept for the tracing.
+        diagnosis_strokes: number of last strokes kept for fault isolation.
         stroke_timeout: s after which a stroke that has not ended is.
         settle: s of rest after which a stroke has ended.
         noise: standard deviation of the position sensor, m; 0 to estimate it.

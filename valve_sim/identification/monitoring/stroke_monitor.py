@@ -1,8 +1,8 @@
 """Each stroke held against the model: an alarm of a stated false-alarm rate. No clock, no ROS.
 
 The first strokes commission the valve: its dampings, the clocks' offset, the scatter of the commands' stamps and the
-sensor's noise are fitted to them all together, and held from then on. `stroke_scores` says how a stroke is held against
-that, `alarm` how many deviations in a row are too many. Scores are standard normal by theory where the commissioning
+sensor's noise are fitted to them all together, and held from then on. `scores` says how a stroke is compared
+with that, `cusum` when deviations raise an alarm. Scores are standard normal by theory where the commissioning
 strokes do not contradict it; where they do, because the declared form is not the valve's, they are counted from the
 mean and spread of those strokes (as Student's t): what is watched is then whether the valve changes, and
 `StrokeMonitor` says so. Where commands' times scatter more than while commissioning, strokes are scored with as much
