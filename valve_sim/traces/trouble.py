@@ -82,8 +82,8 @@ def refuse_doubtful_units(trace: Trace, parameters: ValveParameters) -> None:
     Raises:
         TraceError: One line with the recording, the topic or column, what was found and is expected, and the mend.
     """
-    for doubt in doubtful_units(trace, parameters):
-        raise TraceError(f"{trace.source}: {doubt}")
+    for line in doubtful_units(trace, parameters):
+        raise TraceError(f"{trace.source}: {line}")
 
 
 def _position(trace: Trace, parameters: ValveParameters) -> str:

@@ -99,7 +99,7 @@ def test_a_summary_and_its_advice_have_no_names_of_code(
             lambda: advise(plant, strokes, telling), singles_untried,
         )  # fmt: skip
         verdict, record_next = decide(findings)
-        untried = [str(best), "sets of more effects", f"the rivals of {best}"]
+        untried = [str(best), "sets of more effects", f"models that compete with {best}"]
         for words in (with_untried(verdict, untried).summary, record_next):
             assert "_" not in words
         if record_next:

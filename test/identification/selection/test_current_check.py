@@ -39,11 +39,11 @@ def test_a_current_that_effects_explain_is_believed(effects: dict[str, dict[str,
 
 def test_a_current_of_another_form_is_believed_to_what_is_missed_of_it() -> None:
     made = problem(MismatchedPlant(), BENCH_VALVE, Recorder(with_current=True))
-    doubt = current_noise_inflation(made)
-    assert doubt > 2.0
-    doubtful = made.with_inflated_noise("current", doubt)
-    assert doubtful.noises["current"].innovation == doubt * made.noises["current"].innovation
-    assert doubtful.noises["position"] == made.noises["position"]
+    inflation = current_noise_inflation(made)
+    assert inflation > 2.0
+    inflated = made.with_inflated_noise("current", inflation)
+    assert inflated.noises["current"].innovation == inflation * made.noises["current"].innovation
+    assert inflated.noises["position"] == made.noises["position"]
 
 
 def test_without_a_current_there_is_nothing_to_doubt() -> None:

@@ -1,11 +1,11 @@
-"""What a share of the evidence is worth: probabilities calibrated on the campaign.
+"""Probabilities of verdicts, calibrated on the campaign: theory, eq. (52).
 
-Evidence by scores knows the hypotheses that were tried, and nothing of those that nobody thought of: a share of it is
-no probability yet. How often claims with such shares were right on blind recordings says what it is worth (Platt,
+Evidence compares the hypotheses that were tried and ignores those that nobody thought of: a share of it is no
+probability. How often claims with such shares were right on blind recordings turns it into one (Platt,
 Advances in Large Margin Classifiers, 1999): p = 1 / (1 + exp(−(a + b ln(share / (1 − share))))).
 
-`python -m benchmarks.campaign.calibrate results.jsonl` works a and b out from what
-`python -m benchmarks.campaign --seeds 10 --json results.jsonl` wrote; docs/how_to/diagnosis.md has how well they do.
+`python -m benchmarks.campaign.calibrate results.jsonl` fits a and b to what
+`python -m benchmarks.campaign --seeds 10 --json results.jsonl` wrote; docs/how_to/diagnosis.md shows how good they are.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class Platt(NamedTuple):
 CALIBRATION: Final[Mapping[str, Platt]] = {"none": Platt(2.612, 1.876), "effects": Platt(-0.488, 0.569)}
 """By kind of verdict; from 204 claims that nothing is missing and 167 of effects (2026)."""
 MOST_CERTAIN: Final = 1e-4
-"""Shares are taken to be no nearer to 0 or 1."""
+"""Shares are clipped to this distance from 0 and 1."""
 
 
 def log_odds(share: float) -> float:

@@ -1,6 +1,6 @@
-"""What an exploration comes to: the claim, what it leaves, and the verdict's numbers, all within the budget's rest.
+"""From the explored hypotheses to a diagnosis: the claim, its residual, and the verdict's numbers, within the budget.
 
-One rule stands above all others: what is claimed or written never has a larger error than the refitted declared model,
+One rule precedes all others: what is claimed or written never has a larger error than the refitted declared model,
 neither on fitted nor on held-out data. Where it would, or where the time is too short to tell, the declared model
 stands.
 """
@@ -22,7 +22,7 @@ from valve_sim.identification.plants.effect_titles import named_value
 from valve_sim.identification.plants.protocol import strokes_of_plant
 from valve_sim.identification.selection.bootstrap import NOT_ASKED, FalseAlarm, false_alarm
 from valve_sim.identification.selection.force_maps import (
-    Nameless,
+    NonparametricFit,
     Unexplained,
     describe,
     fit_local_forces,
@@ -34,15 +34,16 @@ from valve_sim.identification.selection.residual_tests import adequacy
 from valve_sim.identification.selection.stepwise import LARGEST_CLASS, LIKELY, Exploration
 
 WEAK_EVIDENCE: Final = 30.0
-"""Gain of S at which a name is still as doubtful as 63 %; at five detection limits the gain is some hundreds."""
-MOSTLY: Final = 0.5
+"""Scale of eq. (51): a gain of S that is this large lowers a claim's share by the factor 0.63; at five detection limits
+the gain is some hundreds."""
+HALVED: Final = 0.5
 """Held-out error with named effects over that without, below which they are named beside an unexplained remainder."""
 MOST_FALSE_ALARMS: Final = 0.01
 """Probability that the search finds as much in noise alone, beyond which nothing is claimed."""
 SAME: Final = 1e-9
-"""Share by which two errors differ that are equal but for rounding."""
-RIVALLED_BY, CLAIMED_BY, MAPPED_BY, WORDED_BY = 0.75, 0.87, 0.92, 0.96
-"""Shares of the time by which a claim's rivals and the claim itself are checked, force maps fitted, and all worded."""
+"""Relative difference up to which two errors are equal but for rounding."""
+COMPARED_BY, CLAIMED_BY, MAPPED_BY, WORDED_BY = 0.75, 0.87, 0.92, 0.96
+"""Shares of the time by which models are compared, the claim is checked, force maps are fitted, and all is written."""
 LISTED: Final = 30
 """Candidates in the report, the best."""
 
@@ -50,7 +51,7 @@ Result = TypeVar("Result")
 
 
 class Conclusion:
-    """Judges the best that was explored.
+    """Draws the conclusion from what was explored.
 
     Args:
         exploration: what was tried.
@@ -65,14 +66,14 @@ class Conclusion:
         self._telling: Recommendation | None = None
 
     def conclude(self, explored: Hypothesis) -> Diagnosis:
-        """Judge the best that was explored, and word it."""
+        """Check the best hypothesis, and describe what it comes to."""
         best, alarm = self.claimed(explored)
         base = Hypothesis((), best.timing)
         base_fit, best_fit = self.search.fit(base), self.search.fit(best)
-        nonparametric = self.nameless_forces(best, base_fit)
+        nonparametric = self.nonparametric_forces(best, base_fit)
         map_wins = bool(nonparametric.best) and nonparametric.best[0].fit.score < best_fit.score - DECISIVE
         is_unknown = map_wins or not self.exploration.is_adequate(best) or self.is_refuted(best)
-        names_most = is_unknown and not map_wins and self.explains_most(base_fit, best_fit)
+        names_most = is_unknown and not map_wins and self.halves_held_out_error(base_fit, best_fit)
         after_fit, unexplained = best_fit, None
         if is_unknown:
             after_fit, unexplained = self.remainder(best_fit, base_fit, nonparametric, names_effects=names_most)
@@ -98,18 +99,18 @@ class Conclusion:
     # -- the claim -----------------------------------------------------------------------------------------------------
 
     def claimed(self, explored: Hypothesis) -> tuple[Hypothesis, FalseAlarm]:
-        """What of the best explored survives rivals, held-out data and the bootstrap; the base where nothing does."""
+        """The best hypothesis after competing models, held-out data and the bootstrap; the base where it fails one."""
         if self.exploration.is_cut_short:
-            explored = self.in_time(RIVALLED_BY, "", self.exploration.best_claimable, Hypothesis(()))
-        competing_models = f"the rivals of {explored}" if explored.effects else ""
-        best = self.in_time(RIVALLED_BY, competing_models, lambda: self.rivalled(explored), explored)
+            explored = self.in_time(COMPARED_BY, "", self.exploration.best_claimable, Hypothesis(()))
+        competing_models = f"models that compete with {explored}" if explored.effects else ""
+        best = self.in_time(COMPARED_BY, competing_models, lambda: self.compared(explored), explored)
         base = Hypothesis((), best.timing)
         if base not in self.search.fits:
-            base = self.in_time(RIVALLED_BY, "", lambda: self.tried(base), Hypothesis(()))
+            base = self.in_time(COMPARED_BY, "", lambda: self.tried(base), Hypothesis(()))
             best = best if base.timing == best.timing else base
         self.search.say("what the same search finds in noise alone", 0.88)
         nothing = (base, NOT_ASKED)
-        # What is left of the time for claims does for this, even where rivals used up their share.
+        # The rest of the time for claims is enough, even where the comparison used up its share.
         return self.in_time(
             CLAIMED_BY, f"whether {best} holds" if best.effects else "", lambda: self.kept(best), nothing
         )
@@ -119,8 +120,8 @@ class Conclusion:
         self.search.fit(hypothesis)
         return hypothesis
 
-    def rivalled(self, best: Hypothesis) -> Hypothesis:
-        """The best after what is not needed is dropped, and what may do as well had the same chance."""
+    def compared(self, best: Hypothesis) -> Hypothesis:
+        """The best after backward elimination, and after its competitors had the same chance."""
         exploration = self.exploration
         if not exploration.is_adequate(best):
             best = exploration.eliminate(exploration.best_on_hold_out(best))
@@ -130,7 +131,7 @@ class Conclusion:
         return best
 
     def kept(self, best: Hypothesis) -> tuple[Hypothesis, FalseAlarm]:
-        """The best if it predicts better, errs nowhere more than the base and is more than noise gives; or the base."""
+        """The best if it predicts better, has no larger error than the base and is no false alarm; else the base."""
         base = Hypothesis((), best.timing)
         base_fit, best_fit = self.search.fit(base), self.search.fit(best)
         timing = self.held_out.needs_timing(best_fit)
@@ -146,7 +147,7 @@ class Conclusion:
         return best, alarm
 
     def is_worse(self, result: Fit, base: Fit, *, timing: bool) -> bool:
-        """Whether a fit has a larger error than the base, on its own data or on held-out data, timed alike."""
+        """Whether a fit has a larger error than the base, on its own or on held-out data, stamps treated alike."""
         if rmse(result) > (1.0 + SAME) * rmse(base):
             return True
         if self.held_out.problem is None:
@@ -155,36 +156,36 @@ class Conclusion:
         return here is None or (there is not None and rmse(here) > (1.0 + SAME) * rmse(there))
 
     def is_refuted(self, hypothesis: Hypothesis) -> bool:
-        """Whether it leaves more than noise of held-out data; dampings of a single stroke are too uncertain to say."""
+        """Whether its residual on held-out data is not white; dampings of a single stroke are too uncertain to tell."""
         is_founded = bool(hypothesis.effects) or self.strokes > 1
         return is_founded and self.in_time(
             WORDED_BY, "", lambda: self.exploration.fails_hold_out(hypothesis), otherwise=False
         )
 
-    def explains_most(self, base: Fit, best: Fit) -> bool:
-        """Whether named effects more than halve the held-out error, so that what is left is a remainder of theirs."""
+    def halves_held_out_error(self, base: Fit, best: Fit) -> bool:
+        """Whether named effects more than halve the held-out error, so that they are claimed beside a remainder."""
         return best is not base and self.in_time(
-            WORDED_BY, "", lambda: self.held_out.error(best) < MOSTLY * self.held_out.error(base), otherwise=False
+            WORDED_BY, "", lambda: self.held_out.error(best) < HALVED * self.held_out.error(base), otherwise=False
         )
 
     # -- what has no name ----------------------------------------------------------------------------------------------
 
-    def nameless_forces(self, best: Hypothesis, base_fit: Fit) -> _NamelessForces:
-        """Forces without a name beside the base, where it does not explain all, and in place of members of the best."""
+    def nonparametric_forces(self, best: Hypothesis, base_fit: Fit) -> _NonparametricForces:
+        """Nonparametric forces on the base, where it does not explain all, and in place of members of the best."""
         base = Hypothesis((), best.timing)
         is_explained = self.exploration.is_adequate(base) and not self.is_refuted(base)
         with self.budget.until(MAPPED_BY):
             maps = [] if is_explained else fit_maps(self.search, base_fit)
             can_tell = self.exploration.is_adequate(best) and self.strokes > 1
-            nothing: list[Nameless] = []
+            nothing: list[NonparametricFit] = []
             find = functools.partial(fit_local_forces, self.search, best)
             local = self.in_time(MAPPED_BY, "forces at one place", find, nothing) if can_tell else nothing
-        return _NamelessForces(maps, local, sorted([*maps, *local], key=lambda entry: entry.fit.score))
+        return _NonparametricForces(maps, local, sorted([*maps, *local], key=lambda entry: entry.fit.score))
 
     def remainder(
-        self, best_fit: Fit, base_fit: Fit, nonparametric: _NamelessForces, *, names_effects: bool
+        self, best_fit: Fit, base_fit: Fit, nonparametric: _NonparametricForces, *, names_effects: bool
     ) -> tuple[Fit, Unexplained | None]:
-        """The corrected model where something has no name, and what it has none for.
+        """The corrected model where something is unexplained, and that remainder.
 
         Where the verdict names effects, the corrected model has these and nothing else. Else it may hold a force map,
         which then is the curve that is described.
@@ -201,7 +202,7 @@ class Conclusion:
         shown = self.in_time(WORDED_BY, "", lambda: on_top(left[0].choice, best_fit), left[0].fit)
         return best_fit, describe(left[0].choice, shown, best_fit)
 
-    def better_map(self, options: Sequence[Nameless], best: Fit, base: Fit) -> Nameless | None:
+    def better_map(self, options: Sequence[NonparametricFit], best: Fit, base: Fit) -> NonparametricFit | None:
         """The map of the least held-out error, if that is less than the best's and none is larger than the base's."""
         sound = [entry for entry in options if not self.is_worse(entry.fit, base, timing=self._reported_timing)]
         chosen = min(sound, key=lambda entry: self.held_out.error(entry.fit), default=None)
@@ -210,11 +211,11 @@ class Conclusion:
         return chosen
 
     def nonparametric_competitors(
-        self, best: Hypothesis, nonparametric: Sequence[Nameless]
-    ) -> list[tuple[Nameless, float]]:
-        """Forces without a name that come near the best in S, and by how much they are worse.
+        self, best: Hypothesis, nonparametric: Sequence[NonparametricFit]
+    ) -> list[tuple[NonparametricFit, float]]:
+        """Nonparametric forces with a score near the best, and by how much they are worse.
 
-        Held-out data are not asked: a force without a name need not predict better to make a name doubtful.
+        Held-out data take no part: a nonparametric force need not predict better to make a name uncertain.
         """
         least = self.search.score(best)
         return [(entry, entry.fit.score - least) for entry in nonparametric if entry.fit.score < least + 2.0 * DECISIVE]
@@ -231,7 +232,7 @@ class Conclusion:
         return found
 
     def alternatives(self, best: Hypothesis, member: str) -> tuple[str, ...]:
-        """Effects that would do in place of a member: rivals, and its look-alikes with more parameters."""
+        """Effects that would do in place of a member: competing models, and its look-alikes with more parameters."""
         rest = best.without(member)
 
         def in_its_place(hypotheses: Sequence[Hypothesis]) -> list[str]:
@@ -246,13 +247,13 @@ class Conclusion:
         return tuple(dict.fromkeys([*competing_models, *in_its_place(likely)]))
 
     def relatives(self, name: str, found: Sequence[str]) -> tuple[str, ...]:
-        """Names beside the best: where the form is wrong, scores mislead, and known confusions count too."""
+        """Names beside the best: where the form is wrong, scores mislead, and known look-alikes are listed too."""
         return tuple(dict.fromkeys([*found, *self.plant.effects[name].confused_with]))[: LARGEST_CLASS - 1]
 
     def evidence(self, best: Hypothesis, nonparametric: Sequence[float]) -> float:
-        """Share of the best set in all evidence but that for sets that merely extend it.
+        """Share of the best set in the evidence, theory, eq. (51), without sets that merely extend it.
 
-        Forces without a name have a share, too; `nonparametric` is by how much each is worse than the best
+        Nonparametric forces have a share, too; `nonparametric` is by how much each is worse than the best
         set. A weak effect without a name is easily taken for a weak one with a name (measured on the campaign:
         at a tenth of a strong one, damping that varies with x passes for spring hardening), so weak evidence is
         never certain.
@@ -275,7 +276,7 @@ class Conclusion:
         return share * -math.expm1(-gain / WEAK_EVIDENCE)
 
     def delta_scores(self, best: Hypothesis) -> dict[Hypothesis, float]:
-        """By how much what comes near the best, or may be meant in its place, is worse."""
+        """By how much competing models and larger alternatives are worse than the best."""
         return {**self.exploration.delta_scores(best), **self.exploration.larger_alternatives(best)}
 
     def share(self, best: Hypothesis) -> float:
@@ -341,7 +342,7 @@ class Conclusion:
         return covariance_interval(result, name) if found is None else found[0]
 
     def in_time(self, share: float, what: str, work: Callable[[], Result], otherwise: Result) -> Result:
-        """What the work gives if it ends before this share of the time is used up; else it is noted as untried."""
+        """The work's result if it ends before this share of the time is used up; else it is noted as untried."""
         try:
             with self.budget.until(share):
                 return work()
@@ -351,9 +352,9 @@ class Conclusion:
             return otherwise
 
 
-class _NamelessForces(NamedTuple):
+class _NonparametricForces(NamedTuple):
     """Maps on top of the base, forces at one place in place of an effect, and both, best score first."""
 
-    maps: list[Nameless]
-    local: list[Nameless]
-    best: list[Nameless]
+    maps: list[NonparametricFit]
+    local: list[NonparametricFit]
+    best: list[NonparametricFit]

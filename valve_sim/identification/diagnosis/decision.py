@@ -12,23 +12,23 @@ from valve_sim.identification.diagnosis.experiment_design import Recommendation
 from valve_sim.identification.diagnosis.outcome import Verdict
 from valve_sim.identification.plants.effect_titles import listed, named
 from valve_sim.identification.plants.protocol import Plant, advice_of
-from valve_sim.identification.selection.force_maps import Nameless, where
+from valve_sim.identification.selection.force_maps import NonparametricFit, where
 from valve_sim.identification.selection.hypotheses import Hypothesis
 from valve_sim.identification.selection.stepwise import LARGEST_CLASS
 
 SHOWN_UNTRIED: Final = 4
-"""So many of what was left untried are named in the summary."""
+"""How many of the untried hypotheses the summary names."""
 
 
 @dataclass(frozen=True)
 class Findings:
-    """What a verdict is decided by.
+    """What a verdict is decided from.
 
     Attributes:
         plant: the machine. best: the hypothesis that is claimed. strokes: how many there are.
         is_unknown: whether something is left that has no name. names_most: whether the effects explain most beside it.
         confusable: of each effect, what else it could be. evidence: share of the claim in all evidence.
-        share: of the base's squared residual that the claim explains. places: forces without a name that do as well.
+        share: of the base's squared residual that the claim explains. places: nonparametric forces that do as well.
         advice: works out what to record next.
         singles_untried: whether not even every single effect was tried.
     """
@@ -41,13 +41,13 @@ class Findings:
     confusable: Mapping[str, tuple[str, ...]]
     evidence: float
     share: float
-    places: Sequence[Nameless]
+    places: Sequence[NonparametricFit]
     advice: Callable[[], str]
     singles_untried: bool
 
     @property
     def is_ambiguous(self) -> bool:
-        """Whether more effects could be meant than make an answer."""
+        """Whether more effects are possible than an answer may list."""
         return any(len(others) + 1 > LARGEST_CLASS for others in self.confusable.values())
 
 
@@ -86,8 +86,8 @@ def _decided(found: Findings) -> tuple[str, str]:
     others = sorted({other for names in found.confusable.values() for other in names})
     places = [f"a force at {where(entry.choice, entry.fit)} alone" for entry in found.places[:1]]
     alike = listed([*(named([other]) for other in others), *places], "or")
-    doubt = f"; {alike} would explain the data about as well" if alike else ""
-    return "effects", f"The model lacks {named(found.best.effects)}{doubt}."
+    alternatives = f"; {alike} would explain the data about as well" if alike else ""
+    return "effects", f"The model lacks {named(found.best.effects)}{alternatives}."
 
 
 def _of_a_remainder(found: Findings) -> tuple[str, str]:

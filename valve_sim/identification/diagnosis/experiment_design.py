@@ -1,9 +1,9 @@
 """What to record next: of the recordings that could be made, the one that tells the candidates apart best.
 
-A recording is simulated as if one hypothesis were the truth, and the other is refitted to it: the root of the χ² that
-is left is by how many standard deviations they differ there, theory, eq. (53). (Linear differences will not do: where a
-pulse only just lifts the valve they promise ten times what a refit leaves.) What is recorded already would hold the
-refit back, so two hypotheses differ by at least that. A recording is worth what separates its least separated pair.
+A recording is simulated as if one hypothesis were the truth, and the other is refitted to it: the root of the minimal
+χ² is the number of standard deviations by which they differ there, theory, eq. (53). (Linear differences will not do:
+where a pulse barely lifts the valve they promise ten times what a refit leaves.) Existing recordings would constrain
+the refit, so two hypotheses differ by at least that. A recording is rated by its least separated pair.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a diagnosis comes to: a verdict, the model before and after, and all that was tried."""
+"""The result of a diagnosis: a verdict, the model before and after, and all that was tried."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Close the loop: trace the residual to the missing effect, add it, report the error before and after.
 
-Base fit, test of what is left, refit of the whole catalogue inside the simulator, forward selection with swaps and
-backward elimination, ambiguity class, hold-out, force maps for what has no name. Effects, timing errors and force maps
+Base fit, test of its residual, refit of the whole catalogue inside the simulator, forward selection with swaps and
+backward elimination, competing models, hold-out, force maps for what has no name. Effects, timing errors and force maps
 are compared on one scale, the score S of `result`, and timing errors of single commands pay the Occam factor of their
 prior instead of being tried last.
 """
@@ -33,9 +33,9 @@ from valve_sim.traces import Trace
 __all__ = ["Candidate", "Diagnosis", "State", "Verdict", "diagnose", "diagnose_plant"]
 
 EVERY_FOURTH: Final = 4
-"""Of the strokes is held out where no hold-out bag is given."""
-DOUBTED_BY: Final = 0.2
-"""The share of the time within which it is asked whether an actuator's form is known."""
+"""Every fourth stroke is held out where no hold-out bag is given."""
+CURRENT_CHECKED_BY: Final = 0.2
+"""The share of the time within which the current is tested: can the effects of the coil explain it?"""
 BEGUN_BY: Final = 0.8
 """The share of the time within which the declared model must be fitted: without it there is nothing to say."""
 EXPLORED_BY: Final = 0.65
@@ -86,18 +86,18 @@ def _begun(plant: Plant, holdout: Plant | None, progress: Progress | None, budge
     never_still = [kind for kind, noise in problem.noises.items() if noise.samples == 0]
     if never_still:
         problem = problem.with_noise_left_by(_largest_fit(problem).values)
-    # Believed to the last milliampere, a current of another form would bend the motion to it.
+    # Weighted by its sensor's noise alone, a current of another form would bias the fit of the motion.
     actuation = {channel.kind for channel in plant.channels if channel.role == "actuation"}
-    with budget.until(DOUBTED_BY):
-        doubt = current_noise_inflation(problem)
+    with budget.until(CURRENT_CHECKED_BY):
+        inflation = current_noise_inflation(problem)
     held_out = None
     if holdout is not None:
         held_out = Problem(holdout, budget=budget).with_noises({kind: problem.noises[kind] for kind in never_still})
     elif holdout_mask is not None:
         held_out = problem.restricted(holdout_mask)
     for kind in sorted(actuation):
-        problem = problem.with_inflated_noise(kind, doubt)
-        held_out = None if held_out is None else held_out.with_inflated_noise(kind, doubt)
+        problem = problem.with_inflated_noise(kind, inflation)
+        held_out = None if held_out is None else held_out.with_inflated_noise(kind, inflation)
     search = Search(problem, progress)
     try:
         search.fit(Hypothesis(()))
@@ -109,9 +109,9 @@ def _begun(plant: Plant, holdout: Plant | None, progress: Progress | None, budge
 
 
 def _largest_fit(problem: Problem) -> Fit:
-    """The declared model with all effects on: what it leaves, no name in the catalogue explains.
+    """The declared model with all effects on: no effect of the catalogue explains its residual.
 
-    To take what the declared model alone leaves would make noise of the effects that it lacks, in their colour: beside
+    The residual of the declared model alone contains the effects that it lacks, and as noise would hide them: beside
     friction a constant force would never be found. (Mallows' Cp takes its variance from the full model, too.)
     """
     plant = problem.plant

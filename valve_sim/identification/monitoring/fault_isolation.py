@@ -240,9 +240,9 @@ def _summary(result: Diagnosis, parameters: Mapping[str, Interval], healthy: Bas
         return verdict.summary
     words = "; ".join(_effect_words(name, parameters, healthy) for name in verdict.effects)
     others = sorted({other for names in verdict.confusable_with.values() for other in names})
-    doubt = f" ({', '.join(_plain(other) for other in others)} would explain it about as well)" if others else ""
+    alternatives = f" ({', '.join(_plain(other) for other in others)} would explain it about as well)" if others else ""
     certainty = "" if verdict.kind == "effects" else f"{verdict.summary.rstrip('.')}: "
-    return f"{certainty}{words}{doubt}"
+    return f"{certainty}{words}{alternatives}"
 
 
 def _effect_words(effect: str, parameters: Mapping[str, Interval], healthy: Baseline) -> str:

@@ -93,9 +93,9 @@ def headline(diagnosis: Diagnosis) -> str:
     claim = f"The model lacks {missing}" if verdict.probability >= EVEN else f"Perhaps the model lacks {missing}"
     amounts = [_largest(meaning) for meaning in meanings(diagnosis)]
     much = f": {amounts[0]}" if len(amounts) == 1 and amounts[0] else ""
-    doubt = f" {capitalised(alike)} would explain the data about as well." if alike else ""
+    alternatives = f" {capitalised(alike)} would explain the data about as well." if alike else ""
     rest = " Something without a name is left beside it." if diagnosis.unexplained is not None else ""
-    return f"{claim}{much}.{doubt}{rest}"
+    return f"{claim}{much}.{alternatives}{rest}"
 
 
 def meanings(diagnosis: Diagnosis) -> list[Meaning]:

@@ -34,23 +34,25 @@ class Unexplained:
     stderr: tuple[float, ...] = ()
 
 
-class Nameless(NamedTuple):
-    """A force without a name, and the fit with it."""
+class NonparametricFit(NamedTuple):
+    """A nonparametric force, and the fit with it."""
 
     choice: ForceMap
     fit: Fit
 
 
-def fit_maps(search: Search, base: Fit) -> list[Nameless]:
+def fit_maps(search: Search, base: Fit) -> list[NonparametricFit]:
     """Force maps on top of a fit, best score first; those for which the time was too short are left out."""
     nuisance_names = {nuisance.name for nuisance in base.nuisances}
     own = {*base.free, *nuisance_names}
     others = {name: value for name, value in base.values.items() if name not in own}
 
-    def fitted(choice: ForceMap) -> list[Nameless]:
+    def fitted(choice: ForceMap) -> list[NonparametricFit]:
         free, fixed = (*base.free, *choice.free), {**others, **choice.held}
         try:
-            return [Nameless(choice, fit(base.problem, free, base.values, nuisances=base.nuisances, fixed=fixed))]
+            return [
+                NonparametricFit(choice, fit(base.problem, free, base.values, nuisances=base.nuisances, fixed=fixed))
+            ]
         except OutOfTimeError:
             return []
 
@@ -62,7 +64,7 @@ def fit_maps(search: Search, base: Fit) -> list[Nameless]:
     return sorted(itertools.chain(*found), key=lambda entry: entry.fit.score)
 
 
-def fit_local_forces(search: Search, best: Hypothesis) -> list[Nameless]:
+def fit_local_forces(search: Search, best: Hypothesis) -> list[NonparametricFit]:
     """A force at one place alone instead of each member of a hypothesis, best score first.
 
     It has as many parameters as the simplest effects. Where it does as well as a name, the data speak of one
@@ -77,7 +79,7 @@ def fit_local_forces(search: Search, best: Hypothesis) -> list[Nameless]:
 
     rests = {member: search.fit(best.without(member)) for member in best.effects}
 
-    def fitted(instead: tuple[str, ForceMap]) -> list[Nameless]:
+    def fitted(instead: tuple[str, ForceMap]) -> list[NonparametricFit]:
         member, choice = instead
         rest = rests[member]
         free = (*rest.free, *choice.free)
@@ -85,7 +87,7 @@ def fit_local_forces(search: Search, best: Hypothesis) -> list[Nameless]:
             held = fit(rest.problem, free, rest.values, nuisances=rest.nuisances, fixed=choice.held)
         except SimulationError:
             return []
-        return [Nameless(choice, held)]
+        return [NonparametricFit(choice, held)]
 
     found = run_parallel(fitted, list(itertools.product(best.effects, places)))
     return sorted(itertools.chain(*found), key=lambda entry: entry.fit.score)
