@@ -125,6 +125,15 @@ def test_every_room_is_described(heading: str, package: str) -> None:
     assert rooms - {"__init__", "__pycache__", "core_types", "errors"} == listed
 
 
+def test_the_glossary_names_what_is_in_the_code() -> None:
+    names = set(
+        re.findall(r"`([A-Za-z]+_\w+|[A-Z][a-z]+[A-Z]\w+)`", (ROOT / "docs" / "glossary.md").read_text("utf-8"))
+    )
+    code = " ".join(path.read_text(encoding="utf-8") for path in (ROOT / "valve_sim").rglob("*.py"))
+    assert len(names) > 15
+    assert names - set(re.findall(r"\w+", code)) == set()
+
+
 def test_the_notebook_is_kept_without_what_it_printed() -> None:
     cells = [cell for cell in json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"] if cell["cell_type"] == "code"]
     assert len(cells) >= 5

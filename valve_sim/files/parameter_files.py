@@ -14,7 +14,7 @@ The nodes leave their files to ROS 2, which refuses a list of both, and say so.
 Two rules make a file complete:
 
 * A valve parameter that is not given has the value of the shipped default, config/valve.yaml.
-* An effect's parameter that is not given has its off-value, or its typical value if it has none. An effect is on when
+* An effect's parameter that is not given has its off-value, or its prior scale if it has none. An effect is on when
   one of its parameters differs from its off-value; so a dump, which lists every effect, switches on only what was on.
 """
 
@@ -151,7 +151,7 @@ def is_on(effect: Effect, values: Mapping[str, float]) -> bool:
 
 
 def off_value(parameter: Parameter) -> float:
-    """What an effect's parameter is while it is not given: its off-value, or a typical one if it has none."""
+    """What an effect's parameter is while it is not given: its off-value, or its prior scale if it has none."""
     return parameter.neutral
 
 

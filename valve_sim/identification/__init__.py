@@ -1,1 +1,1 @@
-"""Fits and diagnoses: what measured strokes say of a machine. Knows plants, not valves, but for `valve_plant`."""
+"""Fits, diagnoses and monitoring of machines from recordings. Its rooms, and why: docs/architecture.md."""

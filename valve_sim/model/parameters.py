@@ -34,7 +34,7 @@ class Parameter(NamedTuple):
 
     @property
     def neutral(self) -> float:
-        """The value at which it changes nothing, or its typical size where it only shapes."""
+        """The value at which it changes nothing, or its prior scale where it only shapes."""
         return self.prior_scale if self.off is None else self.off
 
     def check(self, value: object, where: str) -> float:

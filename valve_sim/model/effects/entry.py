@@ -91,7 +91,7 @@ class Effect(_Words):
         term: plain Python function f(x, v, u, t, *parameters, *also_reads) in SI units, compiled when first used.
         also_reads: declared parameters that the term is handed after its own.
         phase_2_only: the term acts only while the main plunger moves along.
-        confused_with: names of effects that data often cannot tell from this one, the nearest first; listed beside it
+        confused_with: names of effects that data often cannot tell from this one, the closest first; listed beside it
             where no form is right and scores mislead. One of two says so: the catalogue adds it to the other.
         named: whether a diagnosis may claim it; False for shapes without a physical name.
         tags: what kind of effect it is; the first is the main one.
@@ -149,7 +149,7 @@ class Effect(_Words):
         raise KeyError(name)
 
     def neutral_values(self) -> dict[str, float]:
-        """Values at which it changes nothing; what only shapes it is at its typical size."""
+        """Values at which it changes nothing; what only shapes it is at its prior scale."""
         return {parameter.name: parameter.neutral for parameter in self.parameters}
 
     def severity_of(self, values: Values, declared: Values) -> Severity | None:
