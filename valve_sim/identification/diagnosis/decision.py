@@ -95,7 +95,8 @@ def _of_a_remainder(found: Findings) -> tuple[str, str]:
     names = named(found.best.effects)
     share = f"that explains {100.0 * found.share:.1f} % of the squared residual"
     if found.names_most:
-        remainder = "What is left, no effect of the catalogue explains."
+        explains = "nothing that was tried explains" if found.singles_untried else "no effect of the catalogue explains"
+        remainder = f"What is left, {explains}."
         return "effects", f"The model lacks {names}; {share}. {remainder}"
     closest = f" The closest is {names}; {share}." if names else ""
     if found.singles_untried:
