@@ -140,7 +140,9 @@ def as_trace(recording: Recording, source: str) -> Trace:
     """A recording as `read_trace` would give it."""
     current = None if recording.coil_current is None else Signal(recording.times, recording.coil_current)
     drive = Drive(recording.command_times, recording.volts)
-    return Trace(source, drive, recording.times, recording.pilot_position, recording.main_position, current)
+    return Trace(
+        source, drive, recording.times, recording.pilot_position, recording.main_position, coil_current=current
+    )
 
 
 def run_case(family: str, seed: int) -> Outcome:

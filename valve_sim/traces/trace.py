@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
@@ -66,6 +66,7 @@ class Trace:
     times: NDArray[np.float64]
     pilot_position: NDArray[np.float64]
     main_position: NDArray[np.float64] | None = None
+    _: KW_ONLY
     drive_errors: DriveErrors | None = None
     zero_error: float = 0.0
     coil_current: Signal | None = None
