@@ -3,7 +3,7 @@
 from valve_sim.traces.errors import TraceError
 from valve_sim.traces.events import SensorEvent, StrokeEvents, events_from_sensors
 from valve_sim.traces.reading import list_valves, read_trace
-from valve_sim.traces.strokes import Stroke, find_strokes
+from valve_sim.traces.strokes import Stroke, command_strokes, find_strokes, stroke_numbers, stroke_starts
 from valve_sim.traces.summary import Gap, Rate, TraceSummary, describe
 from valve_sim.traces.trace import DriveErrors, Signal, Trace
 from valve_sim.traces.trouble import doubtful_units, refuse_doubtful_units
@@ -22,6 +22,7 @@ __all__ = [
     "Trace",
     "TraceError",
     "TraceSummary",
+    "command_strokes",
     "commanded_voltage",
     "describe",
     "doubtful_units",
@@ -30,6 +31,8 @@ __all__ = [
     "list_valves",
     "read_trace",
     "refuse_doubtful_units",
+    "stroke_numbers",
+    "stroke_starts",
     "write_bag",
     "write_bags",
     "write_csv",

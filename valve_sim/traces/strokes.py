@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -11,9 +12,11 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from valve_sim.model import Drive
     from valve_sim.traces.trace import Trace
 
     Array = NDArray[np.float64]
+    IntArray = NDArray[np.int64]
 
 MAD_TO_SIGMA = 1.4826
 """Median absolute deviation of a normal distribution to its standard deviation."""
@@ -29,6 +32,9 @@ SMALLEST_MOTION = 1e-6
 
 FULL_TRAVEL = 0.9
 """An opening that ends below this share of the trace's travel did not reach the stop: a pulse."""
+
+BEFORE_STROKE = 0.25
+"""The part of a rest, at its end, that is counted to the stroke after it, whose command may be earlier than stamped."""
 
 
 class Stroke(NamedTuple):
@@ -78,6 +84,27 @@ def largest_travel(position: Array) -> float:
         return float(np.ptp(position)) if len(position) else 0.0
     smooth = np.median(np.stack([position[:-2], position[1:-1], position[2:]]), axis=0)
     return float(np.ptp(smooth))
+
+
+def stroke_starts(drive: Drive) -> IntArray:
+    """Indices of the commands at which the voltage leaves zero, which is where a stroke begins."""
+    volts = np.concatenate([[0.0], drive.volts])
+    return np.flatnonzero((volts[:-1] == 0.0) & (volts[1:] != 0.0))
+
+
+def stroke_numbers(drive: Drive, times: Array) -> IntArray:
+    """(n,) which stroke each time belongs to, from 0 on; what comes before the first belongs to it."""
+    starts = drive.times[stroke_starts(drive)]
+    return np.maximum(np.searchsorted(starts, times, side="right") - 1, 0).astype(np.int64)
+
+
+def command_strokes(drive: Drive) -> list[tuple[float, float]]:
+    """From when to when, s, each command's stroke lasts: from late in the rest before it to late in the one after."""
+    later = stroke_starts(drive)[1:]
+    rests = drive.times[later] - drive.times[later - 1]
+    edges = [-math.inf, *(drive.times[later] - BEFORE_STROKE * rests).tolist(), math.inf]
+    strokes = np.searchsorted(later, np.arange(len(drive.times)), side="right").tolist()
+    return [(edges[stroke], edges[stroke + 1]) for stroke in strokes]
 
 
 def find_strokes(trace: Trace) -> tuple[Stroke, ...]:

@@ -15,12 +15,12 @@ from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Nuisance, Plant, judged_channels
 from valve_sim.identification.plants.root_mean_square import root_mean_square
-from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.identification.plants.valve import DAMPINGS, ValvePlant
 from valve_sim.model import CATALOGUE, DECLARED, ParameterError, Valve
 from valve_sim.model.parameters import closest
 from valve_sim.traces import Trace
 
-DEFAULT_FREE: Final = ("pilot_damping", "main_damping")
+DEFAULT_FREE: Final = DAMPINGS
 STARTS: Final = (1.0, 4.0, 0.25)
 """Factors on the declared values from which a fit starts, to avoid local minima."""
 CORRELATED: Final = 0.99

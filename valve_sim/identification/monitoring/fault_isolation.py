@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +19,9 @@ from valve_sim.identification.diagnosis.run import Diagnosis, diagnose_plant
 from valve_sim.identification.estimation.identify import DEFAULT_FREE
 from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.identification.monitoring.scores import Baseline
-from valve_sim.identification.plants.commissioned import CommissionedCurrent
-from valve_sim.identification.plants.protocol import Array, EffectChoice, Experiment, Nuisance, Plant
-from valve_sim.identification.plants.recording_errors import CLOCK_SIGMA
-from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.model import CATALOGUE, DECLARED, Drive, Parameter, Tag, Valve
+from valve_sim.identification.plants.commissioned import CommissionedCurrent, CommissionedPlant
+from valve_sim.identification.plants.protocol import Array, Plant
+from valve_sim.model import CATALOGUE, DECLARED, Drive, Parameter
 from valve_sim.traces import Signal, Trace
 
 FEWEST: Final = 6
@@ -35,10 +33,6 @@ NATURAL: Final = 100.0
 """Prior scales of an effect beyond which a value is not credible: 5 N of friction, 30 N of pressure."""
 NOT_TOLD: Final = "the strokes are not those of the commissioned valve, and no effect is known well enough to be named"
 
-_VALUE: Final = "value"
-_COMMISSIONING: Final = tuple(f"commissioning_error[{index}]" for index in range(len(DEFAULT_FREE)))
-FINEST_SCATTER: Final = 1e-6
-"""s: stamps are not believed any further."""
 
 Progress = Callable[[str, float], None]
 
@@ -75,7 +69,10 @@ def trace_cause(strokes: Sequence[Trace], healthy: Baseline, progress: Progress 
     """
     training = [stroke for index, stroke in enumerate(strokes) if index % HELD_OUT != HELD_OUT - 1]
     held_out = [stroke for index, stroke in enumerate(strokes) if index % HELD_OUT == HELD_OUT - 1]
-    plants = [CommissionedPlant(join(part, healthy), healthy) for part in (training, held_out)]
+    plants = [
+        CommissionedPlant(join(part, healthy), healthy.valve, healthy.scatter, healthy.damping_covariance)
+        for part in (training, held_out)
+    ]
     result = diagnose_plant(plants[0], plants[1], progress)
     verdict, intervals = result.verdict, result.after.intervals
     parameters = {name: interval for name, interval in intervals.items() if name.split(".")[0] in verdict.effects}
@@ -118,80 +115,6 @@ def _is_natural(parameter: Parameter, interval: Interval) -> bool:
         return True
     most = NATURAL * parameter.prior_scale
     return max(abs(bound - parameter.off) for bound in (interval.value, interval.low, interval.high)) <= most
-
-
-class CommissionedPlant(ValvePlant):
-    """A valve whose dampings and clock are known: a change of a damping is one effect among others.
-
-    Args:
-        trace: some strokes, their motion put back by the lateness.
-        healthy: the valve as commissioned.
-    """
-
-    def __init__(self, trace: Trace, healthy: Baseline) -> None:
-        super().__init__([trace], healthy.valve)
-        self._scatter = max(healthy.scatter, FINEST_SCATTER)
-        self._spread = np.linalg.cholesky(healthy.damping_covariance) / CLOCK_SIGMA
-        self._dampings = {name: self._damping(name) for name in DEFAULT_FREE}
-        alike = tuple(entry.name for entry in CATALOGUE.tagged(Tag.LIKE_DAMPING))
-        self._effects = {
-            **{name: EffectChoice(name, (parameter,), alike) for name, parameter in self._dampings.items()},
-            **self._effects,
-        }
-
-    @property
-    def base(self) -> Sequence[str]:
-        """Nothing is refitted before an effect is claimed."""
-        return ()
-
-    @property
-    def nuisances(self) -> Sequence[Nuisance]:
-        """An error for each command's stamp, and what commissioning has left open of the dampings.
-
-        The latter in a unit in which their deviation is that of a clock, so that one difference step suits both.
-        """
-        stamps = [nuisance._replace(sigma=self._scatter) for nuisance in super().timing_errors]
-        return (*stamps, *(Nuisance(name, CLOCK_SIGMA, "–") for name in _COMMISSIONING))
-
-    @property
-    def timing_errors(self) -> Sequence[Nuisance]:
-        """None beside those that are always estimated."""
-        return ()
-
-    @property
-    def experiments(self) -> Sequence[Experiment]:
-        """None: the valve is at work."""
-        return ()
-
-    def parameter(self, name: str) -> Parameter:
-        """As of any valve's plant, and of the dampings, which are off where they were."""
-        effect = name.partition(".")[0]
-        return self._dampings[effect] if effect in self._dampings else super().parameter(name)
-
-    def declared(self, name: str) -> float:
-        """The commissioned value."""
-        return super().declared(name.partition(".")[0] if name.partition(".")[0] in self._dampings else name)
-
-    def record(self, values: Mapping[str, float]) -> Any:
-        """As of any valve's plant."""
-        return super().record(self._plain(values))
-
-    def with_values(self, values: Mapping[str, float]) -> Valve:
-        """As of any valve's plant."""
-        return super().with_values(self._plain(values))
-
-    def _plain(self, values: Mapping[str, float]) -> dict[str, float]:
-        """With the dampings as they are: changed or not, and with the errors of commissioning."""
-        plain = {name: value for name, value in values.items() if name.partition(".")[0] not in self._dampings}
-        errors = self._spread @ np.array([plain.pop(name, 0.0) for name in _COMMISSIONING])
-        for name, error in zip(DEFAULT_FREE, errors.tolist(), strict=True):
-            plain[name] = max(0.0, values.get(f"{name}.{_VALUE}", super().declared(name)) + error)
-        return plain
-
-    def _damping(self, name: str) -> Parameter:
-        known = DECLARED[name]
-        value = super().declared(name)
-        return known._replace(name=_VALUE, off=value, prior_scale=max(value, known.prior_scale))
 
 
 def join(strokes: Sequence[Trace], healthy: Baseline) -> Trace:

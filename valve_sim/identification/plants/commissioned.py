@@ -7,14 +7,24 @@ corrected.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from valve_sim.identification.plants.protocol import Array
-from valve_sim.model import Valve, simulate
+from valve_sim.identification.plants.protocol import (
+    Advice,
+    Array,
+    Channel,
+    EffectChoice,
+    Experiment,
+    ForceMap,
+    Nuisance,
+)
+from valve_sim.identification.plants.recording_errors import CLOCK_SIGMA
+from valve_sim.identification.plants.valve import DAMPINGS, ValvePlant
+from valve_sim.model import CATALOGUE, DECLARED, Parameter, Tag, Valve, simulate
 from valve_sim.traces import Signal, Trace
 
 LATEST: Final = 5e-3
@@ -23,6 +33,11 @@ EXPLAINED: Final = 0.05
 """Residual of the current over the current, root mean square, up to which it is used at all."""
 FEWEST: Final = 20
 """Samples."""
+FINEST_SCATTER: Final = 1e-6
+"""s: stamps are not believed any further."""
+
+_VALUE: Final = "value"
+_COMMISSIONING: Final = tuple(f"commissioning_error[{index}]" for index in range(len(DAMPINGS)))
 
 
 class CommissionedCurrent(NamedTuple):
@@ -82,3 +97,100 @@ def _gain(measured: Array, shown: Array) -> float:
 
 def _start(trace: Trace) -> float:
     return float(min(trace.drive.times[0], trace.times[0])) - 2.0 * LATEST
+
+
+class CommissionedPlant:
+    """A valve whose dampings and clock are known: a change of a damping is one effect among others.
+
+    Args:
+        trace: some strokes, their motion put back by the lateness.
+        valve: as commissioned.
+        scatter: s, standard deviation of the commands' times.
+        covariance: (2, 2) of the commissioned dampings.
+    """
+
+    def __init__(self, trace: Trace, valve: Valve, scatter: float, covariance: Array) -> None:
+        self._plant = ValvePlant([trace], valve)
+        self._scatter = max(scatter, FINEST_SCATTER)
+        self._spread = np.linalg.cholesky(covariance) / CLOCK_SIGMA
+        self._dampings = {name: self._damping(name) for name in DAMPINGS}
+        alike = tuple(entry.name for entry in CATALOGUE.tagged(Tag.LIKE_DAMPING))
+        self._effects = {
+            **{name: EffectChoice(name, (parameter,), alike) for name, parameter in self._dampings.items()},
+            **self._plant.effects,
+        }
+
+    @property
+    def channels(self) -> Sequence[Channel]:
+        """Those of the trace."""
+        return self._plant.channels
+
+    @property
+    def base(self) -> Sequence[str]:
+        """Nothing is refitted before an effect is claimed."""
+        return ()
+
+    @property
+    def nuisances(self) -> Sequence[Nuisance]:
+        """An error for each command's stamp, and what commissioning has left open of the dampings.
+
+        The latter in a unit in which their deviation is that of a clock, so that one difference step suits both.
+        """
+        stamps = [nuisance._replace(sigma=self._scatter) for nuisance in self._plant.timing_errors]
+        return (*stamps, *(Nuisance(name, CLOCK_SIGMA, "–") for name in _COMMISSIONING))
+
+    @property
+    def timing_errors(self) -> Sequence[Nuisance]:
+        """None beside those that are always estimated."""
+        return ()
+
+    @property
+    def effects(self) -> Mapping[str, EffectChoice]:
+        """Changes of the dampings, and those of any valve."""
+        return self._effects
+
+    @property
+    def force_maps(self) -> Sequence[ForceMap]:
+        """As of any valve."""
+        return self._plant.force_maps
+
+    @property
+    def experiments(self) -> Sequence[Experiment]:
+        """None: the valve is at work."""
+        return ()
+
+    @property
+    def advice(self) -> Advice:
+        """As of any valve."""
+        return self._plant.advice
+
+    def parameter(self, name: str) -> Parameter:
+        """As of any valve's plant, and of the dampings, which are off where they were."""
+        effect = name.partition(".")[0]
+        return self._dampings[effect] if effect in self._dampings else self._plant.parameter(name)
+
+    def declared(self, name: str) -> float:
+        """The commissioned value."""
+        effect = name.partition(".")[0]
+        return self._plant.declared(effect if effect in self._dampings else name)
+
+    def predict(self, values: Mapping[str, float]) -> list[Array]:
+        """As of any valve's plant.
+
+        Raises:
+            SimulationError: the simulation could not be carried to its end.
+        """
+        return self._plant.predict(self._plain(values))
+
+    def _plain(self, values: Mapping[str, float]) -> dict[str, float]:
+        """With the dampings as they are: changed or not, and with the errors of commissioning."""
+        plain = {name: value for name, value in values.items() if name.partition(".")[0] not in self._dampings}
+        errors = self._spread @ np.array([plain.pop(name, 0.0) for name in _COMMISSIONING])
+        for name, error in zip(DAMPINGS, errors.tolist(), strict=True):
+            plain[name] = max(0.0, values.get(f"{name}.{_VALUE}", self._plant.declared(name)) + error)
+        return plain
+
+    def _damping(self, name: str) -> Parameter:
+        known = DECLARED[name]
+        value = self._plant.declared(name)
+        return known._replace(name=_VALUE, off=value, prior_scale=max(value, known.prior_scale))

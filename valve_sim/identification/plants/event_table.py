@@ -23,9 +23,16 @@ import numpy as np
 import yaml
 
 from valve_sim.files.parameter_files import load_valve
-from valve_sim.identification.plants.protocol import Array, Channel, ForceMap
-from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.model import CATALOGUE, Drive, ParameterError, Response, SimulationError, Valve, simulate
+from valve_sim.identification.plants.protocol import (
+    Array,
+    Channel,
+    EffectChoice,
+    Experiment,
+    ForceMap,
+    Nuisance,
+)
+from valve_sim.identification.plants.valve_model import ValveModel
+from valve_sim.model import CATALOGUE, Drive, Parameter, ParameterError, Response, SimulationError, Valve, simulate
 
 GRID: Final = 5e-5
 """s between the samples in which a crossing is looked for; contacts are found by their events."""
@@ -126,7 +133,7 @@ def reached(response: Response, displacement: float) -> float:
     return float(times[index - 1] + share * span)
 
 
-class EventPlant(ValvePlant):
+class EventPlant:
     """The valve behind an event table; it has no clock offset, because a table's times count from the voltage.
 
     Args:
@@ -134,8 +141,8 @@ class EventPlant(ValvePlant):
     """
 
     def __init__(self, table: EventTable) -> None:
-        super().__init__((), table.valve)
         self.table = table
+        self._model = ValveModel(table.valve)
         self._grid = np.arange(0.0, table.horizon, GRID)
         # Each event is a channel of a kind of its own, because each has an uncertainty of its own.
         self._channels = [
@@ -147,14 +154,55 @@ class EventPlant(ValvePlant):
         ]  # fmt: skip
 
     @property
+    def channels(self) -> Sequence[Channel]:
+        """One for each event."""
+        return self._channels
+
+    @property
     def base(self) -> Sequence[str]:
         """None: a handful of numbers determines no more than the effect in question."""
         return ()
 
     @property
+    def nuisances(self) -> Sequence[Nuisance]:
+        """None: the times of a table count from the voltage."""
+        return ()
+
+    @property
+    def timing_errors(self) -> Sequence[Nuisance]:
+        """None, likewise."""
+        return ()
+
+    @property
+    def effects(self) -> Mapping[str, EffectChoice]:
+        """The catalogue, less the effects that the declared valve has on."""
+        return self._model.effects
+
+    @property
     def force_maps(self) -> Sequence[ForceMap]:
         """None: a handful of numbers cannot determine a curve."""
         return ()
+
+    @property
+    def experiments(self) -> Sequence[Experiment]:
+        """None: who printed the table does not record."""
+        return ()
+
+    def parameter(self, name: str) -> Parameter:
+        """Unit and range of a declared parameter or of `<effect>.<parameter>`.
+
+        Raises:
+            KeyError: there is none.
+        """
+        return self._model.parameter(name)
+
+    def declared(self, name: str) -> float:
+        """The declared value, or the one at which an effect changes nothing."""
+        return self._model.declared(name)
+
+    def with_values(self, values: Mapping[str, float]) -> Valve:
+        """The valve that freed values describe."""
+        return self._model.with_values(values)
 
     def response(self, values: Mapping[str, float]) -> Response:
         """The opening that these values give.

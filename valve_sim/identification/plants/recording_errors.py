@@ -7,21 +7,17 @@ are nuisances with the errors that the reader of the recording gives.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from valve_sim.identification.plants.protocol import Nuisance
 from valve_sim.model import Drive
-from valve_sim.traces import Trace
+from valve_sim.traces import Trace, command_strokes
 
 CLOCK_SIGMA: Final = 50e-6
 """s: the prior of a bag's clock offset and of each command's stamp."""
-BEFORE_STROKE: Final = 0.25
-"""The part of a rest, at its end, that is counted to the stroke after it, whose command may be earlier than stamped."""
 VOLTAGE_DIFFERENCE: Final = 1e-3
 """V: by how much a voltage is moved for a difference quotient."""
 
@@ -39,7 +35,7 @@ def stamp_errors(trace: Trace, index: int, channels: Channels) -> list[Nuisance]
         return []
     return [
         Nuisance(f"command_error[{index},{command}]", CLOCK_SIGMA, "s", channels, during)
-        for command, during in enumerate(stroke_of_each_command(trace.drive))
+        for command, during in enumerate(command_strokes(trace.drive))
     ]
 
 
@@ -55,7 +51,7 @@ def reading_errors(trace: Trace, index: int, channels: Channels) -> list[Nuisanc
         found.append(Nuisance(f"position_zero[{index}]", trace.zero_error, "m", channels[:1]))
     if trace.drive_errors is None:
         return found
-    strokes = stroke_of_each_command(trace.drive)
+    strokes = command_strokes(trace.drive)
     found += [
         Nuisance(f"command_error[{index},{command}]", float(sigma), "s", channels, strokes[command])
         for command, sigma in enumerate(trace.drive_errors.times)
@@ -88,24 +84,3 @@ def drive_with(trace: Trace, index: int, values: Mapping[str, float]) -> Drive:
 def zero_with(index: int, values: Mapping[str, float]) -> float:
     """What the position sensor shows of a closed valve, m."""
     return values.get(f"position_zero[{index}]", 0.0)
-
-
-def stroke_groups(trace: Trace, times: NDArray[np.float64]) -> NDArray[np.int64]:
-    """(n,) which stroke each time belongs to: a stroke begins when the voltage leaves zero."""
-    begins = trace.drive.times[_beginnings(trace.drive)]
-    return np.maximum(np.searchsorted(begins, times, side="right") - 1, 0).astype(np.int64)
-
-
-def stroke_of_each_command(drive: Drive) -> list[tuple[float, float]]:
-    """From when to when, s, each command's stroke lasts: from late in the rest before it to late in the one after."""
-    later = _beginnings(drive)[1:]
-    rests = drive.times[later] - drive.times[later - 1]
-    edges = [-math.inf, *(drive.times[later] - BEFORE_STROKE * rests).tolist(), math.inf]
-    strokes = np.searchsorted(later, np.arange(len(drive.times)), side="right").tolist()
-    return [(edges[stroke], edges[stroke + 1]) for stroke in strokes]
-
-
-def _beginnings(drive: Drive) -> NDArray[np.int64]:
-    """Indices of the commands at which the voltage leaves zero."""
-    volts = np.concatenate([[0.0], drive.volts])
-    return np.flatnonzero((volts[:-1] == 0.0) & (volts[1:] != 0.0))

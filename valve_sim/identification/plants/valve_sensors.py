@@ -1,0 +1,155 @@
+"""What the sensors of a recorded valve show: channels of a trace, and what the model would show in their place."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valve_sim.identification.plants.protocol import Array, Channel
+from valve_sim.model import Drive, SimulationError
+from valve_sim.model.core_types import EVENT_RECORD
+from valve_sim.model.simulation import Samples, new_states, rated_current, run_record
+from valve_sim.traces import Signal, Trace, stroke_numbers
+
+FIT_TOLERANCE: Final = 1e-8
+"""Of one step while fitting: a thousandth of the noise at most."""
+STAMPS: Final = math.sqrt(2.0) * 1e-9
+"""s: a sample and the command before it are stamped in whole nanoseconds each."""
+AT_COMMAND: Final = 1e-8
+"""s: a sample this near a command may be before or after it, for rounded stamps."""
+SETTLING: Final = 0.3
+"""The part of each interval between commands that is never taken for quiet, at its beginning."""
+JITTERED: Final = 0.01
+"""Relative scatter of a current's sampling interval beyond which its samples are taken to be timed by arrival."""
+STILL: Final = 6.0
+"""Standard deviations within which a still sensor stays."""
+
+_NO_EVENTS: Final = np.empty(0, EVENT_RECORD)
+_NO_TIMES: Final = np.empty(0)
+
+
+def still_mask(trace: Trace) -> NDArray[np.bool_]:
+    """(n,) where the pilot plunger is known to be still: the ends of the intervals between commands.
+
+    The quiet end of an interval begins where readings stay within `STILL` standard deviations of its last ones.
+    """
+    data, times = trace.pilot_position, trace.times
+    quiet = np.zeros(len(data), dtype=bool)
+    bends = np.abs(np.diff(data, 2)) if len(data) > 2 else np.zeros(1)
+    edges = np.searchsorted(times, np.concatenate([[-np.inf], trace.drive.times, [np.inf]]))
+    resting = [bends[max(0, b - (b - a) // 4) : b - 2] for a, b in itertools.pairwise(edges)]
+    spread = [1.4826 * float(np.median(piece)) for piece in resting if len(piece) > 10]
+    sigma = float(np.median(spread)) if spread else 0.0
+    width = STILL * max(sigma, 1e-9) + _coarse_step(data)
+    for index, (start, stop) in enumerate(itertools.pairwise(edges)):
+        if stop - start < 20:
+            continue
+        tail = data[stop - max(10, (stop - start) // 8) : stop]
+        level = float(np.median(tail))
+        moved = np.flatnonzero(np.abs(data[start:stop] - level) > width)
+        first = start + (int(moved[-1]) + 1 if len(moved) else 0)
+        if index > 0 or len(moved):
+            first = max(first + (stop - first) // 10, start + int(SETTLING * (stop - start)))
+        quiet[first:stop] = True
+    return quiet
+
+
+def _position_resolution(trace: Trace) -> float:
+    """By how much a position and its prediction differ for numerical reasons alone, m.
+
+    Stamps of samples and of commands are whole nanoseconds, and a plunger moves on meanwhile; a step of the integrator
+    is accurate to its tolerance, of a full stroke; a float has 16 digits.
+    """
+    reach = float(np.max(np.abs(trace.pilot_position), initial=0.0))
+    return math.hypot(STAMPS * fastest_motion(trace), FIT_TOLERANCE * reach, float(np.finfo(np.float64).eps) * reach)
+
+
+def fastest_motion(trace: Trace) -> float:
+    """A speed that the plunger hardly ever exceeds, m/s, from the positions."""
+    stride = max(1, len(trace.times) // 2000)
+    speed = np.abs(np.diff(trace.pilot_position[::stride]) / np.diff(trace.times[::stride]))
+    return max(float(np.quantile(speed, 0.995)), 0.05)
+
+
+def _coarse_step(data: Array) -> float:
+    levels = np.unique(np.round(data, 12))
+    return float(np.median(np.diff(levels))) if 1 < len(levels) < 0.5 * len(data) else 0.0
+
+
+def with_usable_current(trace: Trace, *, is_instant: bool) -> Trace:
+    """The trace, less a current timed by its arrival; of a coil without a time constant also less ambiguous samples.
+
+    Such a current jumps with the command, and rounded stamps do not say on which side of the jump a sample is.
+    """
+    trace = without_jittered_current(trace)
+    if not is_instant or trace.coil_current is None:
+        return trace
+    times, values = trace.coil_current
+    commands = np.concatenate([[-np.inf], trace.drive.times, [np.inf]])
+    after = np.searchsorted(commands, times)
+    is_clear = np.minimum(times - commands[after - 1], commands[after] - times) > AT_COMMAND
+    return replace(trace, coil_current=Signal(times[is_clear], values[is_clear]))
+
+
+def without_jittered_current(trace: Trace) -> Trace:
+    """The trace, less a current whose times are those of its arrival: they scatter, and would bias the clock offset."""
+    if trace.coil_current is None or len(trace.coil_current.times) < 3:
+        return trace
+    steps = np.diff(trace.coil_current.times)
+    usual = float(np.median(steps))
+    scatter = float(np.median(np.abs(steps - usual)))
+    return replace(trace, coil_current=None) if scatter > JITTERED * usual else trace
+
+
+def channels_of(index: int, trace: Trace) -> list[Channel]:
+    """Pilot position and, where recorded, coil current of the recording of this number."""
+    position = Channel(
+        f"{trace.source}: pilot_position", "position", trace.times, trace.pilot_position, still_mask(trace),
+        stroke_numbers(trace.drive, trace.times), recording=index, resolution=_position_resolution(trace),
+    )  # fmt: skip
+    if trace.coil_current is None:
+        return [position]
+    times, data = trace.coil_current
+    current = Channel(
+        f"{trace.source}: coil_current", "current", times, data, _settled(trace, times),
+        stroke_numbers(trace.drive, times), "A", role="actuation", recording=index, drifts=True,
+        resolution=FIT_TOLERANCE * float(np.max(np.abs(data), initial=0.0)),
+    )  # fmt: skip
+    return [position, current]
+
+
+def predicted(record: Any, trace: Trace, drive: Drive, offset: float) -> list[Array]:
+    """What the channels of a trace would show.
+
+    Args:
+        record: (1,) VALVE_RECORD. trace: whose sample times count. drive: when the voltage changes, s.
+        offset: s by which samples are stamped late.
+
+    Raises:
+        SimulationError: the simulation could not be carried to its end.
+    """
+    times = trace.times - offset
+    current_times = trace.coil_current.times - offset if trace.coil_current is not None else _NO_TIMES
+    rows = np.empty((len(times), 1))
+    currents = np.empty(len(current_times))
+    start = min(float(drive.times[0]), float(times[0]))
+    state = new_states(np.empty(1), start)
+    run_record(record, state, drive, Samples(times, rows, current_times, currents), _NO_EVENTS, FIT_TOLERANCE)
+    if trace.coil_current is None:
+        return [rows[:, 0]]
+    if record[0]["coil_resistance"] <= 0.0:
+        raise SimulationError("coil_resistance: found 0 Ω, which leaves the current infinite")
+    return [rows[:, 0], currents * rated_current(record)]
+
+
+def _settled(trace: Trace, times: Array) -> NDArray[np.bool_]:
+    """(n,) the last third of each interval between commands, where the current has settled."""
+    edges = np.concatenate([[times[0]], trace.drive.times, [times[-1]]])
+    index = np.clip(np.searchsorted(edges, times, side="right") - 1, 0, len(edges) - 2)
+    start, stop = edges[index], edges[index + 1]
+    return np.asarray((times - start > (2.0 / 3.0) * (stop - start)) | (index == 0))
