@@ -1,11 +1,11 @@
-"""How often would a search that finds nothing but noise find as much? A bootstrap of the whole search.
+"""The false-alarm probability of the search: a bootstrap of the whole search on noise, theory, eqs. (49) and (50).
 
-A catalogue of some twenty effects, each with its shapes, finds something in any noise. The noise itself says how much:
-what the best model leaves is cut into blocks, each block is multiplied by a random number, so that size, colour and
-quantisation stay as they are where they are (block wild bootstrap; Shao, J. Am. Stat. Assoc. 105, 2010, p. 218), and
-all effects are fitted to it. The fits are linear, about the declared model: a step of Gauss and Newton beside the
-dampings, the clock and the stamps. The best gain of S over all effects and shapes, over many such noises, is what the
-search finds in nothing. It goes on to a second effect only where the first was decisive, so that the first decides.
+A catalogue of some twenty effects, each with its shapes, finds something in any noise. How much is estimated from the
+residual of the best model: it is cut into blocks, and each block is multiplied by a random number, which keeps size,
+colour and quantisation (block wild bootstrap; Shao, J. Am. Stat. Assoc. 105, 2010, p. 218). All effects are then fitted
+to it, linearly about the declared model: one Gauss–Newton step, together with dampings, clock offset and stamps. The
+largest gain of S over all effects and shapes is what the search finds in that noise. The search goes on to a second
+effect only where the first was decisive, so that the first effect is enough.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from valve_sim.model import SimulationError
 
 RESAMPLES: Final = 2000
 BLOCK: Final = 64
-"""Samples that are multiplied alike: many correlation times of what whitening leaves."""
+"""Samples multiplied by one number: many correlation times of the whitened residual."""
 SHAPES: Final = (1.0, 0.2, 5.0)
-"""Of the natural size of a parameter that shapes an effect but does not switch it."""
+"""In prior scales of a parameter that shapes an effect but does not switch it on."""
 MOVES_NOTHING: Final = 1e-6
-"""Standard deviations, over all samples: a direction that moves the residual by less is none."""
+"""Standard deviations, over all samples: a direction that changes the residual by less is ignored."""
 SMALLEST_SHARE: Final = 1e-8
-"""Of the power of an effect's strongest direction that a further one must add."""
+"""Share of the squared norm of an effect's strongest direction that a further one must have."""
 
 
 class FalseAlarm(NamedTuple):
-    """What the search finds in noise alone.
+    """How much the search finds in noise alone.
 
     Attributes:
-        probability: that it finds as much as it found here. gain: what it found, in S. usual: what it finds in 99 of
-            100 noises at most. resamples: how many were tried.
+        probability: that it finds as much as it found here. gain: what it found, in S. usual: the 99 % quantile of
+            what it finds in noise. resamples: how many were tried.
     """
 
     probability: float
@@ -46,7 +46,7 @@ class FalseAlarm(NamedTuple):
 
 
 NOT_ASKED: Final = FalseAlarm(1.0, 0.0, 0.0, 0)
-"""Where the time was too short to ask."""
+"""Where the time was too short for the bootstrap."""
 
 
 def false_alarm(base: Fit, best: Fit, seed: int = 0) -> FalseAlarm:
@@ -54,7 +54,7 @@ def false_alarm(base: Fit, best: Fit, seed: int = 0) -> FalseAlarm:
 
     Args:
         base: without effects, its nuisances those of `best`.
-        best: the fit that leaves only noise.
+        best: the fit whose residual is white.
         seed: of the random numbers, so that a diagnosis repeats.
     """
     gain = base.score - best.score
@@ -74,7 +74,7 @@ def false_alarm(base: Fit, best: Fit, seed: int = 0) -> FalseAlarm:
 
 
 class _Outside:
-    """What is orthogonal to all that is fitted anyway, the nuisances' priors counted."""
+    """Projection onto what is orthogonal to the base fit's parameters and nuisances, with the nuisances' priors."""
 
     def __init__(self, base: Fit) -> None:
         priors = np.zeros((len(base.nuisances), base.jacobian.shape[1]))
@@ -86,7 +86,7 @@ class _Outside:
         self._fitted, _ = np.linalg.qr(columns[:, size > 0.0] / size[size > 0.0])
 
     def basis(self, directions: Array) -> Array:
-        """(n, q) → (n, p ≤ q): orthonormal but for what the priors hold back."""
+        """(n, q) → (n, p ≤ q): orthonormal but for the part along nuisances with priors."""
         padded = np.vstack([directions, np.zeros((len(self._fitted) - self._samples, directions.shape[1]))])
         left = padded - self._fitted @ (self._fitted.T @ padded)
         axes, sizes, _ = np.linalg.svd(left, full_matrices=False)
@@ -95,7 +95,7 @@ class _Outside:
 
 
 def _directions(base: Fit, effect: EffectChoice) -> Iterator[Array]:
-    """For each shape of an effect, (n, switches): how the residual moves with a little of each switch."""
+    """For each shape of an effect, (n, switches): change of the residual for a small value of each switch."""
     has_shape = any(parameter.off is None for parameter in effect.parameters)
     for shape in SHAPES if has_shape else SHAPES[:1]:
         columns = []

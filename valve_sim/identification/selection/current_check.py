@@ -1,8 +1,8 @@
-"""Can the catalogue explain the coil's current at all? Asked of the current alone, before the motion is looked at.
+"""Can the catalogue explain the coil current? Tested on the current alone, before any fit to the motion.
 
-A current is known to milliamperes and moves the plungers: where its form is none that the catalogue has (back-EMF, an
-inductance that falls with the stroke), a fit of both would bend the motion to it. So it is believed as far only as the
-effects that move it explain it.
+A current is known to milliamperes and drives the plungers: where no effect of the catalogue has its form (back-EMF, an
+inductance that falls with the stroke), a joint fit would bias the motion towards it. So its noise is inflated by what
+the effects that change it leave: theory, eq. (48).
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ UNEXPLAINED: Final = 1.5
 """Standard deviations, root mean square, by which effects miss a current whose form is another: on the campaign's
 plant of the declared form they miss it by at most 1.04, on the one of another form by 2.6 to 11."""
 MOST_EFFECTS: Final = 4
-"""More that act on the coil at once explain anything."""
+"""More effects of the coil at once could explain any current."""
 MOVES_NOTHING: Final = 1e-3
-"""Standard deviations: an effect that moves no sample of the current by more is none of the coil's."""
+"""Standard deviations: an effect that changes no sample of the current by more is no effect of the coil."""
 
 
 def current_noise_inflation(problem: Problem) -> float:
-    """By what to multiply the noise of the current: 1, or what is missed of a current of another form."""
+    """The factor on the noise of the current: 1, or its whitened residual where its form is another."""
     left = current_left(problem)
     return left if left > UNEXPLAINED else 1.0
 
 
 def current_left(problem: Problem) -> float:
-    """Standard deviations of its noise, root mean square, by which the current is missed at best; 0 without one.
+    """Root mean square of the current's whitened residual with the best effects; 0 without a current.
 
     Effects that move the current are added while they are decisive, and errors of the commands' stamps are tried.
     """
@@ -49,16 +49,16 @@ def current_left(problem: Problem) -> float:
     try:
         return _left(search)
     except OutOfTimeError:
-        # What was not tried may explain it: for want of time it is doubted by all that the model misses.
+        # What was not tried may explain it: without time, the noise is inflated by the residual of the declared model.
         return _missed(search.fit(best))
 
 
 def _left(search: Search) -> float:
-    """What is missed beside errors of the stamps, or beside the effects that explain most of the current."""
+    """The residual with errors of the stamps, or with the effects that explain most of the current."""
     best = Hypothesis(())
     if _missed(search.fit(best)) <= UNEXPLAINED:
         return _missed(search.fit(best))
-    # Asked first: to a current without noise every effect is decisive, when it is late stamps that move it.
+    # Tried first: for a current without noise every effect is decisive where late stamps are the cause.
     timed = _missed(search.fit(best._replace(timing=True)))
     if timed <= UNEXPLAINED:
         return timed
@@ -79,7 +79,7 @@ def _missed(result: Fit) -> float:
 
 
 def _of_the_coil(problem: Problem, base: Fit) -> Sequence[str]:
-    """The effects that move the current."""
+    """The effects that change the current."""
     return [
         name for name, effect in problem.plant.effects.items()
         if np.max(np.abs(_with(problem, base, effect) - base.residuals)) > MOVES_NOTHING
@@ -87,7 +87,7 @@ def _of_the_coil(problem: Problem, base: Fit) -> Sequence[str]:
 
 
 def _with(problem: Problem, base: Fit, effect: EffectChoice) -> Array:
-    """Residuals with a little of an effect."""
+    """Residuals with a small amount of an effect."""
     values = {
         f"{effect.name}.{parameter.name}": parameter.prior_scale
         if parameter.off is None

@@ -1,4 +1,4 @@
-"""Forces without a name: free curves over position, velocity or time, and forces at one place of the stroke alone."""
+"""Nonparametric forces: free curves over position, velocity or time, and forces at one place of the stroke alone."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from valve_sim.model import SimulationError
 
 @dataclass(frozen=True)
 class Unexplained:
-    """A remainder that no named effect explains, as the force map that explains most of it.
+    """A residual that no named effect explains, as the force map that explains most of it.
 
-    `stderr`: of the force at each knot; 0 where a knot is held, empty where it is not known.
+    `stderr`: of the force at each knot; 0 where a knot is fixed, empty where it is not known.
     """
 
     force_rms: float
@@ -67,9 +67,9 @@ def fit_maps(search: Search, base: Fit) -> list[NonparametricFit]:
 def fit_local_forces(search: Search, best: Hypothesis) -> list[NonparametricFit]:
     """A force at one place alone instead of each member of a hypothesis, best score first.
 
-    It has as many parameters as the simplest effects. Where it does as well as a name, the data speak of one
-    place only, and the name of the rest of the stroke by hope (on the campaign: a ripple or a vibration of half a
-    millinewton that lifts the pilot plunger off its seat, as a constant force would).
+    It has as few parameters as the simplest effects. Where it does as well as a named effect, the data show a force
+    at one place only, and the named effect is not established for the rest of the stroke (on the campaign: a ripple or
+    a vibration of half a millinewton that lifts the pilot plunger off its seat, as a constant force would).
 
     Raises:
         OutOfTimeError: the time is used up.
@@ -94,7 +94,7 @@ def fit_local_forces(search: Search, best: Hypothesis) -> list[NonparametricFit]
 
 
 def on_top(choice: ForceMap, base: Fit) -> Fit:
-    """A force map with all else held, so that it shows what is left and trades nothing with friction or mass."""
+    """A force map with all else fixed, so that it shows the residual and trades nothing with friction or mass."""
     return fit(base.problem, choice.free, {}, fixed={**base.values, **choice.held})
 
 

@@ -16,11 +16,11 @@ from valve_sim.identification.selection.residual_tests import adequacy
 from valve_sim.model import SimulationError
 
 FAILS_HELD_OUT: Final = 1.2
-"""Held-out error over noise beyond which a name is not believed; what errors of its parameters add stays below."""
+"""Held-out error over noise beyond which an effect is rejected; errors of its parameters add less."""
 
 
 class HeldOut:
-    """Held-out data of a plant, and what fits to its training data make of them.
+    """Held-out data of a plant, and how fits to its training data predict them.
 
     Args:
         plant: with the training data.
@@ -51,41 +51,41 @@ class HeldOut:
     def needs_timing(self, result: Fit) -> bool:
         """Whether held-out data are compared with errors of their stamps estimated.
 
-        They are where training needed them, and where the model is known to be wrong anyway: there a stroke that just
-        lifts the valve, or just does not, would else decide everything.
+        They are where the training data needed them, and where the model is known to be wrong: there a single stroke
+        that barely lifts the valve, or barely does not, would otherwise decide everything.
         """
         timed = any(nuisance in self.plant.timing_errors for nuisance in result.nuisances)
         return bool(self.plant.timing_errors) and (timed or not adequacy(result).is_white)
 
-    def improves_holdout(self, simple: Fit, rich: Fit) -> bool:
-        """Whether the richer model predicts held-out data better by more than 2 standard errors."""
-        timing = self.needs_timing(rich)
-        held_simple, held_rich = self.fit(simple, timing=timing), self.fit(rich, timing=timing)
-        if held_simple is None or held_rich is None:
-            return self.problem is None or held_rich is not None
-        gain = held_simple.chi2 - held_rich.chi2
-        apart = float(np.sum(np.square(held_simple.residuals - held_rich.residuals)))
-        # The gain of the truth is `apart` on average, with standard error 2 √apart.
+    def improves_holdout(self, smaller: Fit, larger: Fit) -> bool:
+        """Whether the larger model predicts held-out data better by more than 2 standard errors: theory, eq. (47)."""
+        timing = self.needs_timing(larger)
+        held_smaller, held_larger = self.fit(smaller, timing=timing), self.fit(larger, timing=timing)
+        if held_smaller is None or held_larger is None:
+            return self.problem is None or held_larger is not None
+        gain = held_smaller.chi2 - held_larger.chi2
+        apart = float(np.sum(np.square(held_smaller.residuals - held_larger.residuals)))
+        # If the larger model is true, the gain is `apart` on average, with standard deviation 2 √apart.
         return gain > 4.0 * math.sqrt(apart)
 
     def fails(self, result: Fit) -> bool:
-        """Whether a fit leaves more than noise of held-out data."""
+        """Whether the residual of a fit on held-out data is larger than the noise."""
         held = self.fit(result, timing=self.needs_timing(result))
         if held is None:
             return self.problem is not None
-        # Plainly too: where noise is coloured, whitening takes most of what is slow out of a residual, wrong or right.
+        # The plain error too: for coloured noise, whitening removes most of the slow part of any residual.
         is_large = rmse(held) > FAILS_HELD_OUT * held.problem.noise.sigma
         return is_large or held.chi2 > FAILS_HELD_OUT**2 * held.problem.effective_samples
 
     def hints_at_more(self, result: Fit) -> bool:
-        """Whether what a fit leaves of held-out data is anything but noise."""
+        """Whether the residual of a fit on held-out data is not white."""
         held = self.fit(result, timing=self.needs_timing(result))
         return self.problem is not None and (held is None or not adequacy(held).is_white)
 
     def score(self, result: Fit, *, timing: bool, residual_is_white: bool) -> float:
-        """S of the training data, and how surprising held-out data are to what was fitted.
+        """The selection criterion, theory, eq. (46): S of the training data plus −2 ln of the predictive density.
 
-        Where the form is wrong, no covariance says how far off it is, and plain χ² has to do.
+        Where the form is wrong, no covariance says how far off it is, and S of the held-out data takes its place.
         """
         if self.problem is None:
             return result.score
@@ -101,7 +101,7 @@ class HeldOut:
         return self._scores[key]
 
     def error(self, result: Fit) -> float:
-        """Plain held-out error; where no form is right, whitening would hide what is slow in it. Else the score."""
+        """Held-out RMSE, for whitening would hide a slow residual; S of the training data if nothing is held out."""
         if self.problem is None:
             return result.score
         held = self.fit(result, timing=self.needs_timing(result))

@@ -32,7 +32,7 @@ from valve_sim.model.parameters import Parameter
 DECISIVE: Final = 10.0
 """Difference of the score S, theory, eq. (41), that decides: odds of 150 to 1."""
 SMALL, LARGE = 0.05, (0.5, 1.5, 3.0)
-"""Starts, in natural sizes of a parameter: one near off, which follows the gradient, and some that leave its basin."""
+"""Starts, in prior scales of a parameter: one near off, which follows the gradient, and some far from it."""
 SHAPES: Final = (1.0, 0.2, 5.0)
 """Likewise for parameters that shape an effect but do not switch it."""
 ANNEALING: Final = (100.0, 20.0, 5.0)
@@ -65,7 +65,7 @@ class Hypothesis(NamedTuple):
 
 
 class Search:
-    """Fits hypotheses to one problem, and remembers.
+    """Fits hypotheses to one problem, and keeps the fits.
 
     Args:
         problem: training data, with the budget of fits to them.
@@ -109,7 +109,7 @@ class Search:
         return self.fits[hypothesis]
 
     def fit_each(self, hypotheses: Sequence[Hypothesis], fractions: tuple[float, float]) -> None:
-        """Fit hypotheses of as many effects side by side: they start from smaller ones, not from each other.
+        """Fit hypotheses of equal size in parallel: they start from smaller ones, not from each other.
 
         Args:
             hypotheses: what to fit.
@@ -130,7 +130,7 @@ class Search:
                     self.fits[hypothesis] = self.fits.pop(hypothesis)
 
     def polish(self, hypothesis: Hypothesis) -> Fit:
-        """Fit again from around the best fit: contacts that come and go make shallow wrong basins beside the right one.
+        """Fit again from around the best fit: contacts that come and go make shallow local minima near the global one.
 
         The starts are scattered by a few standard errors, with a seed of their own, so that a diagnosis repeats.
         """
@@ -175,7 +175,7 @@ class Search:
         return (*plant.base, *itertools.chain(*(plant.effects[name].free_names() for name in hypothesis.effects)))
 
     def _fits(self, hypothesis: Hypothesis) -> Iterable[Fit]:
-        """Fits from each start; a smaller hypothesis that was fitted lends its values."""
+        """Fits from each start; a smaller hypothesis that was fitted gives initial values."""
         if not hypothesis.effects:
             plain = Hypothesis(())
             warm = self.fits[plain].values if plain in self.fits else {}
@@ -242,9 +242,9 @@ def start_near_off(effect: EffectChoice) -> dict[str, float]:
 
 
 def _has_lost_its_shape(result: Fit, effect: EffectChoice) -> bool:
-    """Whether a parameter that shapes an effect has run to a bound, from where no gradient leads back.
+    """Whether a parameter that shapes an effect has run to a bound, where its gradient vanishes.
 
-    A Stribeck velocity does, which then makes plain friction of stiction.
+    A Stribeck velocity does, and stiction is then plain friction.
     """
     return any(
         parameter.off is None and result.on_bound(f"{effect.name}.{parameter.name}") is not None

@@ -1,7 +1,7 @@
-"""What a fitted model makes of data that it was not fitted to: the density that it gives them.
+"""The predictive density of held-out data, given a fit to the training data: theory, eq. (44).
 
-Held-out data are predicted by all that the training data leave possible, not by the best fit alone: a best fit is off
-by its standard errors, and held-out strokes may show just the direction in which it is. About the best fit, to second
+Held-out data are predicted by all parameter values that the training data allow, not by the best fit alone: it is off
+by its standard errors, and held-out strokes may be sensitive to just that direction. About the best fit, to second
 order (Laplace; MacKay 2003, chapter 28),
 
     −2 ln p(held-out | training) = χ² − gᵀ (C⁻¹ + H)⁻¹ g + ln det(1 + C H) + constant
@@ -23,7 +23,7 @@ from valve_sim.identification.plants.protocol import Array, from_internal, inter
 from valve_sim.model import SimulationError
 
 FARTHEST: Final = 10.0
-"""Natural sizes of a parameter: the standard deviation of one that the training data do not hold."""
+"""Prior scales: the standard deviation of a parameter that the training data do not determine."""
 
 
 def neg2_log_predictive(training: Fit, held_out: Fit) -> float:
@@ -48,7 +48,7 @@ def neg2_log_predictive(training: Fit, held_out: Fit) -> float:
 
 
 def _sensitivities(training: Fit, held_out: Fit) -> Array:
-    """(n, k) d(held-out residuals)/d(search coordinate) of the freed parameters."""
+    """(n, k) d(held-out residuals)/d(internal coordinate) of the freed parameters."""
     plant, columns = training.problem.plant, []
     for name, at in zip(training.free, training.coordinates, strict=False):
         parameter = plant.parameter(name)
@@ -63,12 +63,12 @@ def _sensitivities(training: Fit, held_out: Fit) -> Array:
 
 
 def _spread(training: Fit, held_out: Fit) -> Array:
-    """A square root of what is not known before the held-out data are seen: parameters, then nuisances."""
+    """A square root of the covariance before the held-out data are seen: parameters, then nuisances."""
     k = len(training.free)
     farthest = [FARTHEST * internal_scale(training.problem.plant.parameter(name)) for name in training.free]
     covariance = training.covariance[:k, :k]
     shrink = np.minimum(1.0, np.array(farthest) / np.sqrt(np.diag(covariance)))
-    # A parameter of infinite variance has no correlation; others shrink along, so that correlations stay.
+    # A parameter of infinite variance has no correlation; others are scaled alike, which keeps correlations.
     covariance = np.where(np.isfinite(covariance), covariance, 0.0) * np.outer(shrink, shrink)
     covariance[np.diag_indices(k)] = np.minimum(np.diag(training.covariance)[:k], np.square(farthest))
     sizes, directions = np.linalg.eigh(covariance)

@@ -15,14 +15,14 @@ from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.plants.protocol import Array
 
 BLOCKS: Final = (4, 16)
-"""Samples in the blocks whose means would show a slow remainder."""
+"""Samples in the blocks whose means would show a slow residual."""
 SIGNIFICANT: Final = 1e-4
-"""Smaller p-values than this, over all tests together, are more than noise."""
+"""Below this p-value, over all tests together, the residual is not white."""
 
 
 @dataclass(frozen=True)
 class Adequacy:
-    """How a fit's residuals compare with the noise, over the samples in which the machine moves.
+    """Tests of a fit's residuals against the noise, over the samples in which the machine moves.
 
     Attributes:
         p_value: of the most telling test, all tests counted. worst: that test, in words.
@@ -35,7 +35,7 @@ class Adequacy:
 
     @property
     def is_white(self) -> bool:
-        """Whether nothing but noise is left."""
+        """Whether the residual is white."""
         return self.p_value > SIGNIFICANT
 
 

@@ -24,23 +24,23 @@ LARGEST_CLASS: Final = 4
 BEAM: Final = 2
 """How many of the best hypotheses are extended by one more effect."""
 HINT: Final = 0.02
-"""P-value below which the search goes on: it costs seconds, where stopping early costs a wrong name."""
+"""P-value below which the search goes on: that costs seconds, stopping too early a wrong verdict."""
 NEARLY: Final = 40.0
-"""Difference of S within which a better start may turn the tables."""
+"""Difference of S within which a better start may reverse the order."""
 WORTH_A_LOOK: Final = 20
-"""How many of the best hypotheses are tried on held-out data where none leaves only noise."""
+"""How many of the best hypotheses are tried on held-out data where no residual is white."""
 LIKELY: Final = 4.0
-"""Difference of evidence within which a richer look-alike is named, too: odds of 7 to 1. Measured: where friction is
-Coulomb's, stiction is worse by 5 to 8; where it is a stiction too small to be told, by -8 to 3.4."""
+"""Difference of evidence within which a larger look-alike is listed, too: odds of 7 to 1. Measured: where friction is
+Coulomb's, stiction is worse by 5 to 8; where it is a stiction too small to be distinguished, by −8 to 3.4."""
 EXCLUDES_OFF: Final = 1.96
 """Standard errors that an effect must be away from 'off'."""
 
 
 class Exploration:
-    """The hypotheses that were tried on one problem, with what they predict of held-out data.
+    """The hypotheses that were tried on one problem, with their predictions of held-out data.
 
     Args:
-        search: on the training data. held_out: what is asked for predictions.
+        search: on the training data. held_out: what predicts and scores held-out data.
 
     Attributes:
         is_cut_short: whether the time was used up before all was tried.
@@ -90,7 +90,7 @@ class Exploration:
         return self.eliminate(self.best_claimable())
 
     def _drop_idle(self) -> None:
-        """Where the best of all has members that do nothing, the rest was only short of a good start."""
+        """Drop members of the best that have no effect: the smaller hypothesis only lacked a good start."""
         hypothesis = self.search.best(self.tried())
         while idle := [member for member in hypothesis.effects if not self._is_on(hypothesis, member)]:
             start = self.search.fit(hypothesis).values
@@ -98,7 +98,7 @@ class Exploration:
             self.search.refit(hypothesis, start)
 
     def _explore_timing(self, names: Sequence[str]) -> None:
-        """Errors of the commands' stamps, where they explain more than any one effect does, or all that was left."""
+        """Errors of the commands' stamps, where they explain more than any one effect, or make the residual white."""
         if not self.plant.timing_errors:
             return
         search = self.search
@@ -166,13 +166,13 @@ class Exploration:
     def best_claimable(self) -> Hypothesis:
         """The hypothesis that predicts best of those whose effects are away from off and from bounds."""
         claimable = [hypothesis for hypothesis in self.tried() if self.is_claimable(hypothesis)]
-        merits = run_parallel(self.selection_criterion, claimable)
-        return claimable[merits.index(min(merits))]
+        criteria = run_parallel(self.selection_criterion, claimable)
+        return claimable[criteria.index(min(criteria))]
 
     def selection_criterion(self, hypothesis: Hypothesis) -> float:
-        """What a hypothesis is worth to the search: its predictive score.
+        """The selection criterion of a hypothesis: theory, eq. (46).
 
-        Where no form is right, the score of the training data rewards what bends to them most, such as a pressure force
+        Where no form is right, the score of the training data rewards what overfits them most, such as a pressure force
         that only acts there (on the plant of other form: 2.8 µm in training, 11 µm held out, where nothing has 10 µm).
         """
         result = self.search.fit(hypothesis)
@@ -184,24 +184,24 @@ class Exploration:
         return list(self.search.fits)
 
     def is_adequate(self, hypothesis: Hypothesis) -> bool:
-        """Whether nothing but noise is left of it."""
+        """Whether its residual is white."""
         return adequacy(self.search.fit(hypothesis)).is_white
 
     def fails_hold_out(self, hypothesis: Hypothesis) -> bool:
-        """Whether a hypothesis leaves more than noise of held-out data: then it is wrong or not all."""
+        """Whether its residual on held-out data is not white: then it is wrong or incomplete."""
         return self.held_out.fails(self.search.fit(hypothesis))
 
     def needs_larger_model(self, hypothesis: Hypothesis) -> bool:
-        """Whether training or held-out data give any hint that something is left of it."""
+        """Whether training or held-out data give any hint that something is missing."""
         result = self.search.fit(hypothesis)
         if adequacy(result).p_value < HINT:
             return True
         return bool(hypothesis.effects) and self.held_out.hints_at_more(result)
 
     def is_claimable(self, hypothesis: Hypothesis) -> bool:
-        """A parameter on its bound names nothing, nor does an effect that may as well be off.
+        """Whether no parameter is on its bound and every effect is significantly on.
 
-        Errors of the stamps are believed only where they leave nothing but noise: they bend to any mismatch.
+        Errors of the stamps are accepted only where the residual is white: they can fit any mismatch.
         """
         return self._has_effects_on(hypothesis) and (not hypothesis.timing or self.is_adequate(hypothesis))
 
@@ -209,7 +209,7 @@ class Exploration:
         return all(self._is_on(hypothesis, name) for name in hypothesis.effects)
 
     def _is_on(self, hypothesis: Hypothesis, effect: str) -> bool:
-        """Whether an effect is away from off, or would be missed though its parameters trade with each other."""
+        """Whether an effect is significantly on, or decisive although its parameters are collinear."""
         result, away = self.search.fit(hypothesis), []
         for parameter in self.plant.effects[effect].parameters:
             name = f"{effect}.{parameter.name}"
@@ -228,10 +228,10 @@ class Exploration:
         is_missed = rest in self.search.fits and self.search.score(rest) > self.search.score(hypothesis) + DECISIVE
         return any(away) or is_missed
 
-    # -- what comes near the best --------------------------------------------------------------------------------------
+    # -- competing models ----------------------------------------------------------------------------------------------
 
     def delta_scores(self, best: Hypothesis) -> dict[Hypothesis, float]:
-        """By how much each hypothesis of as many effects that comes near the best predicts worse, in S."""
+        """By how much each hypothesis of equal size and a similar score predicts worse than the best, in S."""
         timing = self.held_out.needs_timing(self.search.fit(best))
         limit = self.search.score(best) + 2.0 * DECISIVE
         count = max(1, len(best.effects))
@@ -244,22 +244,22 @@ class Exploration:
         return {h: scores[h] - scores[best] for h in near}
 
     def polish_near(self, best: Hypothesis) -> None:
-        """Give what may do as well as the best, and itself, the same chance: a fit from around each."""
+        """Polish the best and whatever may be as good, so that all have the same chance."""
         limit = self.search.score(best) + NEARLY
         near = [h for h in self.tried() if len(h.effects) == len(best.effects) and self.search.score(h) < limit]
         nearest = {best, *sorted(near, key=self.search.score)[:LARGEST_CLASS]}
         run_parallel(self.search.polish, list(nearest))
 
     def competing_models(self, best: Hypothesis) -> list[Hypothesis]:
-        """What does about as well as the best, itself included where it has effects; best first."""
+        """Hypotheses within a decisive difference of the best, itself included where it has effects; best first."""
         delta_scores = self.delta_scores(best)
         return sorted((h for h, worse in delta_scores.items() if worse < DECISIVE), key=delta_scores.__getitem__)
 
     def larger_alternatives(self, best: Hypothesis) -> dict[Hypothesis, float]:
-        """Look-alikes with more parameters, in place of a member each: by how much their evidence is worse.
+        """Look-alikes with more parameters, each in place of a member: by how much their evidence is worse.
 
-        S charges ln N for a parameter, however little of the effect it can be. That makes a name, and is no reason to
-        say that stiction cannot be where Coulomb friction is named: of these the evidence is asked (`Fit.evidence`).
+        S charges ln N for a parameter, however weakly it is determined. That is right for choosing a name, but no
+        reason to exclude stiction where Coulomb friction is named: `Fit.evidence`, eq. (42), compares these.
         """
         if not self.is_adequate(best):
             return {}
@@ -274,13 +274,13 @@ class Exploration:
         return {hypothesis: self._evidence(hypothesis) - mine for hypothesis in more}
 
     def _evidence(self, hypothesis: Hypothesis) -> float:
-        """−2 ln of the evidence of training data, and how surprising held-out data are."""
+        """−2 ln of the evidence of the training data and of the predictive density of the held-out data."""
         result = self.search.fit(hypothesis)
         timing = self.held_out.needs_timing(result)
         return result.evidence + self.held_out.score(result, timing=timing, residual_is_white=True) - result.score
 
     def best_on_hold_out(self, best: Hypothesis) -> Hypothesis:
-        """Of the few that are worth most, the one of the smallest plain error on held-out data."""
+        """Of the few with the best criterion, the one of the smallest plain error on held-out data."""
         few = sorted(filter(self.is_claimable, self.tried()), key=self.selection_criterion)[:WORTH_A_LOOK]
         if self.held_out.problem is None or not few:
             return best
