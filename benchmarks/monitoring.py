@@ -47,7 +47,7 @@ STROKE_SECONDS = LEAD + OPEN_SECONDS + CLOSED_SECONDS
 
 
 class Baseline(NamedTuple):
-    """Strokes without fault: how many, warnings, m/m residual over noise, s of computing by monitor and plant."""
+    """Strokes without fault: how many, warnings, m/m residual over noise, s of a processor by monitor and plant."""
 
     strokes: int
     warnings: int
@@ -83,11 +83,11 @@ def healthy(seed: int, strokes: int) -> Baseline:
     valve, monitor = valve_of(seed, 50e-6, 0.7 * (seed % 2)), Monitor(default_valve(), refit=False)
     ratios, watched, own, plant = [], 0, 0.0, 0.0
     while watched < strokes:
-        begin = time.perf_counter()
+        begin = time.process_time()
         stroke = valve.stroke()
-        middle = time.perf_counter()
+        middle = time.process_time()
         reports = list(feed(monitor, stroke))
-        plant, own = plant + middle - begin, own + time.perf_counter() - middle
+        plant, own = plant + middle - begin, own + time.process_time() - middle
         ratios += [report.rms / report.noise for report in reports if report.state == "watching"]
         watched = len(ratios)
     return Baseline(watched, monitor.judge.alarms, float(np.mean(ratios)), own, plant)
@@ -104,9 +104,9 @@ def growth(seed: int, jitter: float, force: float, *, trace: bool) -> Growth:
             alarmed = max(0, report.record.number - reached)
         evidence = monitor.judge.take_evidence() if trace else []
         if evidence and monitor.judge.healthy is not None:
-            begin = time.perf_counter()
+            begin = time.process_time()
             found = trace_cause(evidence, monitor.judge.timed())
-            longest = max(longest, time.perf_counter() - begin)
+            longest = max(longest, time.process_time() - begin)
             names, named = found.effects, report.record.number - reached
     return Growth(alarmed, names, named, longest)
 

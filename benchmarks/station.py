@@ -123,7 +123,12 @@ def running_station() -> Iterator[dict[str, int]]:
         for process in processes.values():
             process.send_signal(signal.SIGINT)
         for process in processes.values():
-            process.wait(10.0)
+            try:
+                process.wait(10.0)
+            except subprocess.TimeoutExpired:
+                # A calculation is under way, on a busy machine for minutes.
+                process.kill()
+                process.wait()
 
 
 def measure(hand: Hand, pids: Mapping[str, int], seconds: float) -> Figures:
