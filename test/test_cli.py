@@ -234,7 +234,7 @@ def test_diagnose_within_a_small_budget_says_what_it_left(tmp_path: Path, monkey
     clock = SimpleNamespace(
         monotonic=lambda: float(next(looks)), perf_counter=lambda: 0.0, process_time=time.process_time
     )
-    monkeypatch.setattr("valve_sim.cli.time", clock)
+    monkeypatch.setattr("valve_sim.cli.diagnose.time", clock)
     friction = Path(__file__).parents[1] / "bags" / "friction"
     output = run_well("diagnose", friction, "--budget", 200, "--output", tmp_path).output
     report = json.loads((tmp_path / "report.json").read_text())
