@@ -15,7 +15,7 @@ from valve_sim.demo.model_time import NANOSECONDS, ModelTime
 from valve_sim.demo.process import DemoError, ValveProcess
 from valve_sim.demo.story import Story, comparison
 from valve_sim.model import Phase
-from valve_sim.traces import SensorEvent, Stroke, StrokeEvents, describe, events_from_sensors, read_trace
+from valve_sim.traces import SensorEvent, StrokeEvents, StrokePart, describe, events_from_sensors, read_trace
 
 needs_ros = pytest.mark.skipif(
     importlib.util.find_spec("rclpy") is None, reason="there is no ROS 2 here: rclpy cannot be imported"
@@ -146,7 +146,7 @@ def test_a_line_counts_from_the_command_before_it_even_if_it_is_heard_after_the_
 
 
 def stroke_events(offset: float) -> StrokeEvents:
-    stroke = Stroke("opening", 1.0, 1.03, 9.0, "opening at 1.000 s, 9.0 V", True)
+    stroke = StrokePart("opening", 1.0, 1.03, 9.0, "opening at 1.000 s, 9.0 V", True)
     times = {"pilot_reaches_main": 5.3e-3 + offset, "reaches_stop": 9.9e-3 + offset}
     return StrokeEvents(stroke, tuple(SensorEvent(kind, 1.0 + t, t, 0.0, "position") for kind, t in times.items()))
 

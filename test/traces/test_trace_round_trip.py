@@ -22,8 +22,9 @@ from valve_sim.traces import (
     commanded_voltage,
     describe,
     events_from_sensors,
-    find_strokes,
+    find_stroke_parts,
     read_trace,
+    stroke_numbers,
     write_bag,
     write_bags,
     write_csv,
@@ -183,7 +184,7 @@ def test_csv_has_the_columns_in_order(tmp_path: Path) -> None:
 
 
 def test_strokes_are_found_and_named() -> None:
-    opening, closing = find_strokes(clean_trace())
+    opening, closing = find_stroke_parts(clean_trace())
     assert opening.name == "opening at 0.010 s, 9.0 V"
     assert closing.name == "closing at 0.050 s, 0.0 V"
     assert (opening.start, opening.stop) == (0.010, 0.050)
@@ -195,7 +196,7 @@ def test_strokes_are_found_and_named() -> None:
 def test_repeated_commands_hold_levels_and_idle_steps_start_no_motion() -> None:
     trace = clean_trace()
     times = np.array([0.010, 0.012, 0.030, 0.050, 0.080])
-    strokes = find_strokes(replace(trace, drive=Drive(times, np.array([9.0, 9.0, 3.0, 0.0, 2.0]))))
+    strokes = find_stroke_parts(replace(trace, drive=Drive(times, np.array([9.0, 9.0, 3.0, 0.0, 2.0]))))
     assert [(stroke.kind, stroke.moved) for stroke in strokes] == [
         ("opening", True),
         ("hold", False),
@@ -210,7 +211,9 @@ def test_a_pulse_that_never_reaches_the_stop() -> None:
     part = np.clip(0.4e-3 * np.sin(np.pi * (times[:1000] - 0.02) / 0.04), 0, None) * (times[:1000] < 0.06)
     drive = Drive(np.array([0.010, 0.050, 0.110, 0.140]), np.array([9.0, 0.0, 8.0, 0.0]))
     trace = replace(clean_trace(), drive=drive, times=times, pilot_position=np.concatenate([position, part]))
-    assert [stroke.kind for stroke in find_strokes(trace)] == ["opening", "closing", "pulse", "closing"]
+    assert [stroke.kind for stroke in find_stroke_parts(trace)] == ["opening", "closing", "pulse", "closing"]
+    assert [part.stroke for part in find_stroke_parts(trace)] == [0, 0, 1, 1]
+    assert sorted(set(stroke_numbers(trace.drive, trace.times).tolist())) == [0, 1]
 
 
 def test_no_motion_in_noise_of_any_colour() -> None:
@@ -220,7 +223,7 @@ def test_no_motion_in_noise_of_any_colour() -> None:
         noise[number + 1] = 0.7 * noise[number] + shock
     for still in (noise, np.round(noise / 5e-6) * 5e-6):
         trace = replace(clean_trace(), times=np.arange(20_000) / 1e5, pilot_position=still, main_position=None)
-        assert not any(stroke.moved for stroke in find_strokes(trace))
+        assert not any(stroke.moved for stroke in find_stroke_parts(trace))
 
 
 def test_arrivals_from_positions_hit_the_truth_within_their_uncertainty() -> None:

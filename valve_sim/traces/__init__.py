@@ -3,7 +3,7 @@
 from valve_sim.traces.errors import TraceError
 from valve_sim.traces.events import SensorEvent, StrokeEvents, events_from_sensors
 from valve_sim.traces.reading import list_valves, read_trace
-from valve_sim.traces.strokes import Stroke, command_strokes, find_strokes, stroke_numbers, stroke_starts
+from valve_sim.traces.strokes import StrokePart, command_strokes, find_stroke_parts, stroke_numbers, stroke_starts
 from valve_sim.traces.summary import Gap, Rate, TraceSummary, describe
 from valve_sim.traces.trace import DriveErrors, Signal, Trace
 from valve_sim.traces.trouble import doubtful_units, refuse_doubtful_units
@@ -17,8 +17,8 @@ __all__ = [
     "Rate",
     "SensorEvent",
     "Signal",
-    "Stroke",
     "StrokeEvents",
+    "StrokePart",
     "Trace",
     "TraceError",
     "TraceSummary",
@@ -27,7 +27,7 @@ __all__ = [
     "describe",
     "doubtful_units",
     "events_from_sensors",
-    "find_strokes",
+    "find_stroke_parts",
     "list_valves",
     "read_trace",
     "refuse_doubtful_units",

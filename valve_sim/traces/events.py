@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from valve_sim.traces.strokes import MAD_TO_SIGMA, find_strokes, sample_noise
+from valve_sim.traces.strokes import MAD_TO_SIGMA, find_stroke_parts, sample_noise
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
-    from valve_sim.traces.strokes import Stroke
+    from valve_sim.traces.strokes import StrokePart
     from valve_sim.traces.trace import Signal, Trace
 
     Array = NDArray[np.float64]
@@ -65,7 +65,7 @@ class SensorEvent(NamedTuple):
 class StrokeEvents(NamedTuple):
     """The arrivals of one stroke, in time order."""
 
-    stroke: Stroke
+    stroke: StrokePart
     events: tuple[SensorEvent, ...]
 
 
@@ -76,7 +76,7 @@ def events_from_sensors(trace: Trace, pilot_gap: float) -> tuple[StrokeEvents, .
         trace: A measured trace.
         pilot_gap: Where the pilot plunger meets the main plunger, m above its closed rest.
     """
-    strokes = [stroke for stroke in find_strokes(trace) if stroke.moved and stroke.kind != "hold"]
+    strokes = [stroke for stroke in find_stroke_parts(trace) if stroke.moved and stroke.kind != "hold"]
     if not strokes:
         return ()
     levels = _rest_levels(trace.pilot_position, pilot_gap)
@@ -97,7 +97,7 @@ class _Levels(NamedTuple):
     noise: float
 
 
-def _by_position(trace: Trace, stroke: Stroke, levels: _Levels) -> Iterator[SensorEvent]:
+def _by_position(trace: Trace, stroke: StrokePart, levels: _Levels) -> Iterator[SensorEvent]:
     window = slice(*np.searchsorted(trace.times, [stroke.start, stroke.stop]))
     times, position = trace.times[window], trace.pilot_position[window]
     seat, gap, stop, noise = levels
@@ -184,7 +184,7 @@ def _extrapolate(times: Array, way: Array, length: float) -> tuple[float, float]
     return float(origin + root * scale), float(np.hypot(np.sqrt(spread) / abs(speed) * scale, PARABOLA_ERROR))
 
 
-def _by_acceleration(signal: Signal | None, stroke: Stroke, seen: tuple[SensorEvent, ...]) -> Iterator[SensorEvent]:
+def _by_acceleration(signal: Signal | None, stroke: StrokePart, seen: tuple[SensorEvent, ...]) -> Iterator[SensorEvent]:
     """Yield the largest spike near each arrival that the position shows."""
     if signal is None:
         return

@@ -1,4 +1,8 @@
-"""The strokes of a trace: what each voltage step made the valve do."""
+"""The strokes of a trace, and their parts: what each voltage step made the valve do.
+
+A stroke begins when the voltage leaves zero, and lasts until it leaves zero again (`stroke_starts`). Its parts are the
+steps of the voltage in it: an opening, perhaps a hold, a closing. Whoever counts strokes counts them by this page.
+"""
 
 from __future__ import annotations
 
@@ -37,8 +41,8 @@ BEFORE_STROKE = 0.25
 """The part of a rest, at its end, that is counted to the stroke after it, whose command may be earlier than stamped."""
 
 
-class Stroke(NamedTuple):
-    """One voltage step and what follows until the next.
+class StrokePart(NamedTuple):
+    """One voltage step of a stroke and what follows until the next step.
 
     Attributes:
         kind: "opening", "pulse" (an opening taken back before the stop), "closing" or "hold" (a step that moves nothing
@@ -48,6 +52,7 @@ class Stroke(NamedTuple):
         volts: The new voltage.
         name: For people: "opening at 0.010 s, 9.0 V".
         moved: Whether the pilot plunger was seen to move.
+        stroke: The number of the stroke that it is a part of, from 0 on.
     """
 
     kind: str
@@ -56,6 +61,7 @@ class Stroke(NamedTuple):
     volts: float
     name: str
     moved: bool
+    stroke: int = 0
 
 
 def sample_noise(position: Array) -> float:
@@ -107,8 +113,8 @@ def command_strokes(drive: Drive) -> list[tuple[float, float]]:
     return [(edges[stroke], edges[stroke + 1]) for stroke in strokes]
 
 
-def find_strokes(trace: Trace) -> tuple[Stroke, ...]:
-    """Return the strokes of a trace in time order; commands that repeat the voltage start none."""
+def find_stroke_parts(trace: Trace) -> tuple[StrokePart, ...]:
+    """Return the parts of a trace's strokes in time order; commands that repeat the voltage start none."""
     times, volts = _steps(trace.drive.times, trace.drive.volts)
     if len(times) == 0:
         return ()
@@ -117,16 +123,16 @@ def find_strokes(trace: Trace) -> tuple[Stroke, ...]:
     before = [0.0, *volts[:-1]]
     threshold = motion_threshold(trace.pilot_position)
     closed, opened = _extent(trace.pilot_position)
-    strokes = []
-    for start, stop, old, new in zip(times, stops, before, volts, strict=True):
+    numbers = stroke_numbers(trace.drive, np.array(times)).tolist()
+    parts = []
+    for start, stop, old, new, number in zip(times, stops, before, volts, numbers, strict=True):
         window = trace.pilot_position[np.searchsorted(trace.times, start) : np.searchsorted(trace.times, stop)]
         moved = len(window) > 0 and largest_travel(window) > threshold
         share = (window - closed) / max(opened - closed, threshold) if len(window) else np.zeros(1)
         kind = _kind(abs(old), abs(new), share, moved=moved)
-        strokes.append(
-            Stroke(kind, float(start), float(stop), float(new), f"{kind} at {start:.3f} s, {new:.1f} V", moved)
-        )
-    return tuple(strokes)
+        name = f"{kind} at {start:.3f} s, {new:.1f} V"
+        parts.append(StrokePart(kind, float(start), float(stop), float(new), name, moved, number))
+    return tuple(parts)
 
 
 def _steps(times: Array, volts: Array) -> tuple[Sequence[float], Sequence[float]]:

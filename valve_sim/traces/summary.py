@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from valve_sim.traces.clocks import find_gaps
-from valve_sim.traces.strokes import find_strokes, sample_noise
+from valve_sim.traces.strokes import find_stroke_parts, sample_noise
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from valve_sim.traces.strokes import Stroke
+    from valve_sim.traces.strokes import StrokePart
     from valve_sim.traces.trace import Trace
 
 
@@ -61,7 +61,7 @@ class TraceSummary:
         voltages: The commanded levels, V, ascending.
         position_range: Lowest and highest position of the pilot plunger, m.
         noise: Standard deviation of the position's noise from sample to sample, m.
-        strokes: What the commands did.
+        strokes: What the commands did: the parts of its strokes.
         findings: What reading the trace found.
     """
 
@@ -76,7 +76,7 @@ class TraceSummary:
     voltages: tuple[float, ...]
     position_range: tuple[float, float]
     noise: float
-    strokes: tuple[Stroke, ...]
+    strokes: tuple[StrokePart, ...]
     findings: tuple[str, ...]
 
 
@@ -96,7 +96,7 @@ def describe(trace: Trace) -> TraceSummary:
         voltages=tuple(np.unique(trace.drive.volts).tolist()),
         position_range=(float(trace.pilot_position.min()), float(trace.pilot_position.max())),
         noise=sample_noise(trace.pilot_position),
-        strokes=find_strokes(trace),
+        strokes=find_stroke_parts(trace),
         findings=trace.findings,
     )
 

@@ -85,7 +85,7 @@ def _replay_text(replay: Replay) -> str:
     lines = [
         f"{replay.trace.source}: {'within' if replay.passed else 'OUTSIDE'} {MICRO * replay.tolerance:.3g} µm "
         f"(noise {MICRO * replay.noise:.3g} µm, clock offset {MICRO * replay.clock_offset:.1f} µs)",
-        f"  {'stroke':<32}{'rmse':>9}{'moving':>9}{'maximum':>9}  µm",
+        f"  {'part of a stroke':<32}{'rmse':>9}{'moving':>9}{'maximum':>9}  µm",
     ]
     rows = [*((stroke.name, stroke.errors) for stroke in replay.strokes), ("in all", replay.errors)]
     for name, errors in rows:

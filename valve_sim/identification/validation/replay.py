@@ -22,7 +22,7 @@ from valve_sim.identification.plants.recording_errors import CLOCK_SIGMA, drive_
 from valve_sim.identification.plants.root_mean_square import root_mean_square
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import Event, EventKind, Response, Valve, ValveError, simulate
-from valve_sim.traces import SensorEvent, Stroke, Trace, events_from_sensors, find_strokes
+from valve_sim.traces import SensorEvent, StrokePart, Trace, events_from_sensors, find_stroke_parts
 
 NOISE_FACTOR: Final = 3.0
 """The default tolerance, in standard deviations of the sensor's noise."""
@@ -217,14 +217,14 @@ def _stroke_checks(
 ) -> Iterator[StrokeCheck]:
     """Every stroke that has samples."""
     seen = {found.stroke: found.events for found in events_from_sensors(trace, valve.parameters.pilot_gap)}
-    for stroke in find_strokes(trace):
+    for stroke in find_stroke_parts(trace):
         chosen = (trace.times >= stroke.start) & (trace.times < stroke.stop)
         if chosen.any():
             arrivals = (_arrival(event, stroke, events, offset) for event in seen.get(stroke, ()))
             yield StrokeCheck(stroke.name, errors_of(chosen), tuple(arrivals))
 
 
-def _arrival(event: SensorEvent, stroke: Stroke, events: Sequence[Event], offset: float) -> Arrival:
+def _arrival(event: SensorEvent, stroke: StrokePart, events: Sequence[Event], offset: float) -> Arrival:
     modelled = (
         found.time - stroke.start
         for found in events
