@@ -59,14 +59,26 @@ def publish(words: list[str]) -> int:
 
 
 def echo(words: list[str]) -> int:
-    """ros2 topic echo --once --qos-durability transient_local TOPIC TYPE, of a topic that is latched."""
-    import rclpy
-    from rclpy.qos import DurabilityPolicy, QoSProfile
+    """ros2 topic echo --once OPTIONS TOPIC TYPE, of a topic that is latched.
 
-    topic, kind = words[3:]
+    As the real one: where one quality of service is given, the others are those of sensor data. Who is not reliable
+    hears what comes, but nothing of before.
+    """
+    import rclpy
+    from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--once", action="store_true", required=True)
+    parser.add_argument("--qos-durability", choices=["transient_local"], required=True)
+    parser.add_argument("--qos-reliability", choices=["reliable", "best_effort"], default="best_effort")
+    parser.add_argument("topic")
+    parser.add_argument("kind")
+    given = parser.parse_args(words)
+    topic, kind = given.topic, given.kind
     node = rclpy.create_node("listener")
     heard: list[Any] = []
-    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    reliability = ReliabilityPolicy[given.qos_reliability.upper()]
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL, reliability=reliability)
     node.create_subscription(message_class(kind), topic, heard.append, latched)
     _patient(node, lambda: bool(heard), f"message on {topic}")
     print(f"data: {str(heard[0].data).lower()}\n---")

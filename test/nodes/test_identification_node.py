@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -109,7 +110,18 @@ def test_it_ends_when_the_recording_is_played_and_the_result_is_known(samples: P
         assert process.stderr is not None
         said = process.stderr.read()
     assert f"; see {tmp_path / 'identified.yaml'}" in said
+    assert re.search(r"identified: pilot_damping \d\.\d+ ± \d\.\d+ N·s/m, main_damping", said)
     assert "Traceback" not in said
+
+
+def test_it_says_when_its_model_has_to_be_compiled(probe: Probe, tmp_path: Path) -> None:
+    empty = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    arguments = ["--ros-args", "-p", f"bag:={FRICTION}", "-p", f"output:={tmp_path}"]
+    with running(tmp_path, arguments, "identification_node", **empty) as process:
+        try:
+            assert probe.until(lambda: "compiling the model" in process.output)
+        finally:
+            process.process.kill()
 
 
 def test_a_node_that_is_not_there_is_said_not_to_have_taken_the_result(

@@ -14,6 +14,7 @@ from valve_sim.files.recording_map import load_map
 from valve_sim.identification.estimation.identify import Identification, identify, leaves_more_than_noise
 from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.identification.reporting.identification import identification_json
+from valve_sim.identification.reporting.units import measured
 from valve_sim.model import Valve
 from valve_sim.model.errors import ValveError
 from valve_sim.nodes.diagnostics import Level, Status
@@ -89,7 +90,8 @@ def find_out(trace: Trace, declared: Valve, settings: Settings, folder: Path, pr
 
 
 def _identified(result: Identification, settings: Settings, folder: Path) -> Outcome:
-    values = [f"{name} {interval.value:.6g} ± {interval.stderr:.2g}" for name, interval in result.intervals.items()]
+    plant = result.fit.problem.plant
+    values = [f"{name} {measured(found, plant.parameter(name).unit)}" for name, found in result.intervals.items()]
     summary = f"identified: {', '.join(values)}"
     file = folder / IDENTIFIED_FILE
     save_valve(file, result.valve, _provenance(settings, summary))

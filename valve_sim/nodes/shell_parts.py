@@ -12,6 +12,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from valve_sim.files.parameter_files import Section
 from valve_sim.model import ParameterError
+from valve_sim.model.compiling import announce_compiling
 from valve_sim.nodes.parameters import ROS_OWN, ROS_OWN_PREFIX, files_for_others
 
 RELIABLE: Final = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
@@ -24,16 +25,21 @@ LATCHED: Final = QoSProfile(
 def make_node(name: str) -> Node:
     """A node that has declared all that it was given, known or not: `declare` then says what it is.
 
+    It says when its model has to be compiled, for until then it does nothing.
+
     Raises:
         ParameterError: something was given without a value.
     """
     try:
-        return Node(name, automatically_declare_parameters_from_overrides=True)
+        node = Node(name, automatically_declare_parameters_from_overrides=True)
     except ValueError as error:
         raise ParameterError(
             "a parameter file or the command line gives a name without a value, such as effects: {} or free:=[] "
             f"({error}); take it out"
         ) from error
+    logger = node.get_logger()
+    announce_compiling(lambda: logger.info("compiling the model for this machine; this takes some seconds, once"))
+    return node
 
 
 def declare(node: Node, name: str, value: Any, descriptor: ParameterDescriptor) -> None:

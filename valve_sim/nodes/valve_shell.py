@@ -51,7 +51,6 @@ from valve_sim.nodes.shell_parts import LATCHED, RELIABLE, declare, given_parame
 from valve_sim.nodes.spinning import guarded, spin
 
 _LONGEST_SLEEP: Final = 0.05
-_PATIENCE_SECONDS: Final = 1.5
 _BETWEEN_WARNINGS: Final = 5.0
 """s between lines of the log about the same trouble: it may come a thousand times a second."""
 
@@ -149,7 +148,6 @@ class ValveShell:
         # By the wall: diagnostics must tell, too, that /clock is silent.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         node.create_timer(1.0, guarded(self._diagnose), clock=steady)
-        self._patience = node.create_timer(_PATIENCE_SECONDS, guarded(self._ask_for_patience), clock=steady)
 
     # --- the stepping thread ---
 
@@ -267,11 +265,6 @@ class ValveShell:
         )
         name = self._node.get_fully_qualified_name()
         self._diagnostics.publish(diagnostic_array(statuses, name, self._clock.stamp()))
-
-    def _ask_for_patience(self) -> None:
-        self._patience.cancel()
-        if not self._is_ready:
-            self._node.get_logger().info("compiling the model for this machine; this takes some seconds, once")
 
     # --- parameters ---
 

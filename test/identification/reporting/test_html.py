@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import html
 import json
 import os
 import re
+import shlex
 import shutil
 import subprocess
 from dataclasses import replace
@@ -23,6 +25,7 @@ from valve_sim.identification.reporting.curves import DRAWN_POINTS, StrokeCurves
 from valve_sim.identification.reporting.files import write_diagnosis
 from valve_sim.identification.reporting.recording_profile import STROKE_VOLTS
 from valve_sim.identification.reporting.wording import headline
+from valve_sim.invocation import invocation
 from valve_sim.model import CATALOGUE, ValveError
 from valve_sim.traces.synthetic import read_profile
 
@@ -159,6 +162,12 @@ def test_the_next_recording_is_a_profile_in_the_folder_while_there_is_something_
     assert doubtful[-1].name == "record_next.yaml"
     assert len(read_profile(doubtful[-1]).times) == 2 * len(STROKE_VOLTS)
     assert json.loads(doubtful[0].read_text())["record_next_gain"] is None
+    page, header = doubtful[1].read_text(), doubtful[-1].read_text()
+    for program in ("valve-sim simulate --profile ", "command_profile --ros-args -p profile:="):
+        name, options = program.split(maxsplit=1)
+        typed = f"{invocation(name)} {options}{shlex.quote(str(doubtful[-1]))}"
+        assert typed + " " in header, "works where the diagnosis was started, with ros2 and without"
+        assert typed + " " in html.unescape(page)
     write_diagnosis(diagnosis, tmp_path, "by a test")
     assert not doubtful[-1].exists()
 

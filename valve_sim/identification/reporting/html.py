@@ -6,6 +6,8 @@ The page needs no network: its plots are drawn by a few lines of script that it 
 from __future__ import annotations
 
 import math
+import shlex
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -29,6 +31,7 @@ from valve_sim.identification.reporting.wording import (
     meanings,
     probability_words,
 )
+from valve_sim.invocation import invocation
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -61,8 +64,20 @@ def write_report(diagnosis: Diagnosis, path: Path | str, provenance: str = "") -
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    page = environment.get_template("report.html.j2").render(_content(diagnosis), provenance=provenance)
+    page = environment.get_template("report.html.j2").render(
+        _content(diagnosis), **_typed(Path(path).parent), provenance=provenance
+    )
     write_whole(Path(path), page)
+
+
+def _typed(folder: Path) -> dict[str, Any]:
+    """What the template needs to print commands that work where this process was started."""
+    return {
+        "program": invocation,
+        "has_ros2": shutil.which("ros2") is not None,
+        "profile": shlex.quote(str(folder / "record_next.yaml")),
+        "corrected": shlex.quote(str(folder / "corrected.yaml")),
+    }
 
 
 def plot_diagnosis(diagnosis: Diagnosis, path: Path | str) -> None:

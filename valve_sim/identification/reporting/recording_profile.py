@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Final
 
 from valve_sim.files.whole_files import write_whole
 from valve_sim.identification.diagnosis.experiment_design import Recommendation
+from valve_sim.invocation import invocation
 from valve_sim.model import Drive
 
 STROKE_VOLTS: Final = (7.5, 8.5, 9.5, 10.5, 11.5, 12.5, 13.5, 14.0)
@@ -41,6 +43,8 @@ def duration_of(drive: Drive) -> float:
 def write_profile(path: Path, telling: Recommendation | None, provenance: str) -> None:
     """Write record_next.yaml, whole or not at all.
 
+    The commands in its header can be typed where this process was started.
+
     Args:
         path: of the file.
         telling: the pulse that separates the candidates most; None where none is known to.
@@ -49,7 +53,8 @@ def write_profile(path: Path, telling: Recommendation | None, provenance: str) -
     Raises:
         ValveError: it cannot be written.
     """
-    drive = profile_to_record(telling)
+    drive, file = profile_to_record(telling), shlex.quote(str(path))
+    valve_sim = invocation()
     notes = [
         *provenance.splitlines(),
         "",
@@ -57,9 +62,9 @@ def write_profile(path: Path, telling: Recommendation | None, provenance: str) -
         "",
         "Rows are [time in s, volts]; each voltage holds until the next row. Highest: "
         f"{max(abs(drive.volts)):g} V; leave out what your coil or its driver must not get.",
-        f"Simulate: valve-sim simulate --profile {path.name} --duration {duration_of(drive):.2f} --output next.mcap",
-        f"Command:  ros2 run valve_sim command_profile --ros-args -p profile:={path.name} -p valve:=/valve",
-        "Then diagnose the new recording together with the old one: valve-sim diagnose OLD NEW --output results",
+        f"Simulate: {valve_sim} simulate --profile {file} --duration {duration_of(drive):.2f} --output next.mcap",
+        f"Command:  {invocation('command_profile')} --ros-args -p profile:={file} -p valve:=/valve",
+        f"Then diagnose the new recording together with the old one: {valve_sim} diagnose OLD NEW --output results",
     ]
     rows = [
         f"- [{time:.6g}, {volts:g}]" for time, volts in zip(drive.times.tolist(), drive.volts.tolist(), strict=True)
