@@ -46,7 +46,7 @@ COMMISSIONING, GROWING, STAYING = 25, 50, 20
 STROKE_SECONDS = LEAD + OPEN_SECONDS + CLOSED_SECONDS
 
 
-class Baseline(NamedTuple):
+class HealthyRun(NamedTuple):
     """Strokes without fault: how many, warnings, m/m residual over noise, s of a processor by monitor and plant."""
 
     strokes: int
@@ -78,7 +78,7 @@ def valve_of(seed: int, jitter: float, colour: float = 0.0) -> LiveValve:
     return LiveValve(seed, dampings, jitter=jitter, colour=colour, offset=float(random.normal(0.0, 50e-6)))
 
 
-def healthy(seed: int, strokes: int) -> Baseline:
+def healthy(seed: int, strokes: int) -> HealthyRun:
     """One seed without fault; `strokes` after commissioning."""
     valve, monitor = valve_of(seed, 50e-6, 0.7 * (seed % 2)), Monitor(default_valve(), refit=False)
     ratios, watched, own, plant = [], 0, 0.0, 0.0
@@ -90,7 +90,7 @@ def healthy(seed: int, strokes: int) -> Baseline:
         plant, own = plant + middle - begin, own + time.process_time() - middle
         ratios += [report.rms / report.noise for report in reports if report.state == "watching"]
         watched = len(ratios)
-    return Baseline(watched, monitor.judge.alarms, float(np.mean(ratios)), own, plant)
+    return HealthyRun(watched, monitor.judge.alarms, float(np.mean(ratios)), own, plant)
 
 
 def growth(seed: int, jitter: float, force: float, *, trace: bool) -> Growth:

@@ -44,7 +44,7 @@ TRACING_SECONDS = 180.0
 """By the wall, for a tracing to end after the last stroke."""
 
 
-class Baseline(NamedTuple):
+class HealthyRun(NamedTuple):
     """Strokes that were watched, and alarms in them."""
 
     strokes: int
@@ -112,7 +112,7 @@ def beside(valve: LiveValve, folder: Path) -> Iterator[Beside]:
         probe.close()
 
 
-def healthy(seed: int, strokes: int, folder: Path) -> Baseline:
+def healthy(seed: int, strokes: int, folder: Path) -> HealthyRun:
     """One seed without fault."""
     valve = valve_of(seed, 50e-6, 0.7 * (seed % 2))
     valve.rate = SLOWEST
@@ -121,7 +121,7 @@ def healthy(seed: int, strokes: int, folder: Path) -> Baseline:
             made.stroke()
             made.plant.forget()
         watched = [report for report in made.reports if report["state"] == "watching"]
-        return Baseline(len(watched), sum(report["alarm"]["raised"] for report in watched))
+        return HealthyRun(len(watched), sum(report["alarm"]["raised"] for report in watched))
 
 
 def growth(seed: int, folder: Path) -> Growth:
