@@ -7,12 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from valve_sim.files.parameter_files import default_valve
 from valve_sim.model import Drive, ValveParameters
 from valve_sim.traces import Signal, Trace, TraceError, doubtful_units, refuse_doubtful_units
 
 from .bag_makers import clean_trace
 
 VALVE = ValveParameters()
+OPENS = default_valve().parameters
 
 
 def table(seconds: float) -> Trace:
@@ -72,3 +74,10 @@ def test_other_units_are_refused_with_the_mend(made: Trace, expected: str) -> No
 )
 def test_what_a_valve_can_have_is_read(made: Trace) -> None:
     assert doubtful_units(made, VALVE) == ()
+
+
+def test_a_voltage_behind_a_divider_of_ten_that_opened_a_valve_is_refused() -> None:
+    with pytest.raises(TraceError, match=r"topic /supply: .* reaches 0\.9 V only, though the valve moved; .* divider"):
+        refuse_doubtful_units(trace(volts=0.1), OPENS)
+    assert doubtful_units(trace(volts=0.6), OPENS) == (), "a true valve may need less than the declared one"
+    assert doubtful_units(replace(trace(volts=0.1), pilot_position=trace(position=0.0).pilot_position), OPENS) == ()

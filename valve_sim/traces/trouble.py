@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from valve_sim.model import Drive, Phase, Valve, simulate
 from valve_sim.traces.clocks import find_gaps
 from valve_sim.traces.errors import TraceError
 from valve_sim.traces.strokes import SMALLEST_MOTION, largest_travel, motion_threshold
@@ -33,6 +34,8 @@ MOST_VOLTS = 30.0
 """No voltage is so many reference voltages: a peak-and-hold driver reaches seven."""
 MOST_AMPERES = 30.0
 """No current is so many times what the voltage and the declared resistance allow: that may be off by a few."""
+_LONG_ENOUGH = 0.5
+"""s of a constant voltage, after which a valve that can open has."""
 LEAST_AMPERES = 0.01
 """Of a valve that moved, no current is below this share of it."""
 
@@ -145,12 +148,22 @@ def _voltage(trace: Trace, parameters: ValveParameters) -> str:
             f"{where}: the voltage reaches {highest:.4g} V, {expected} and at most {MOST_VOLTS * reference:g} V; "
             "publish volts, or correct it with --map and unit: mV"
         )
-    if 0.0 < highest < reference / MOST_VOLTS and _has_moved(trace):
+    is_too_low = highest < reference / MOST_VOLTS
+    if not is_too_low and largest_travel(trace.pilot_position) > 0.5 * parameters.stroke:
+        # Behind a divider of ten, say. A valve that cannot open as declared does not tell.
+        is_too_low = not _opens(parameters, ALIKE * highest) and _opens(parameters, reference)
+    if highest > 0.0 and is_too_low and _has_moved(trace):
         return (
             f"{where}: the voltage reaches {highest:.4g} V only, though the valve moved; {expected}; "
             "correct it with --map and unit: or scale: (of a divider)"
         )
     return ""
+
+
+def _opens(parameters: ValveParameters, volts: float) -> bool:
+    """Whether a valve as declared reaches its core when so many volts are held."""
+    response = simulate(Valve(parameters), Drive.of([0.0], [volts]), [0.0, _LONG_ENOUGH])
+    return bool(response.phase[-1] == Phase.OPEN)
 
 
 def _current(trace: Trace, parameters: ValveParameters) -> str:
