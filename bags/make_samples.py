@@ -90,9 +90,8 @@ def make(sample: Sample, folder: Path) -> Path:
 
     pilot, main = measured(shown.pilot_position), measured(shown.main_position)
     current = Signal(times, shown.coil_current + CURRENT_NOISE * random.standard_normal(len(times)))
-    trace = Trace(
-        sample.name, drive, times, pilot, main, current if sample.with_current else None, epoch_ns=EPOCH_NS
-    )  # fmt: skip
+    shown_current = current if sample.with_current else None
+    trace = Trace(sample.name, drive, times, pilot, main, coil_current=shown_current, epoch_ns=EPOCH_NS)
     path = folder / sample.name
     if path.is_dir():
         shutil.rmtree(path)

@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
+from own_domain import own_domain
 from rich.console import Console
 
 from valve_sim.demo.model_time import NANOSECONDS, ModelTime
@@ -194,7 +195,7 @@ def test_a_node_that_ignores_being_asked_is_ended(tmp_path: Path, monkeypatch: p
 def start(folder: Path, *arguments: str, **environment: str) -> subprocess.Popen[str]:
     surroundings = {
         **os.environ,
-        "ROS_DOMAIN_ID": str(20 + os.getpid() % 80),
+        "ROS_DOMAIN_ID": str(own_domain()),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
         **environment,
     }

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import importlib.util
-import os
 from collections.abc import Iterator
 
 import pytest
+from own_domain import own_domain
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -21,9 +21,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def own_domain() -> Iterator[None]:
-    """No neighbour is heard, and none hears us: domains 20 to 99, by process."""
+def in_own_domain() -> Iterator[None]:
+    """No neighbour is heard, and none hears us."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("ROS_DOMAIN_ID", str(20 + os.getpid() % 80))
+        patch.setenv("ROS_DOMAIN_ID", str(own_domain()))
         patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         yield

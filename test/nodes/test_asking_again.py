@@ -36,7 +36,7 @@ ENTRIES = table(default_valve())
 
 
 @pytest.fixture(scope="module", autouse=True)
-def ros(own_domain: None) -> Iterator[None]:
+def ros(in_own_domain: None) -> Iterator[None]:
     rclpy.init()
     yield
     rclpy.try_shutdown()

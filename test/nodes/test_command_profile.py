@@ -29,7 +29,7 @@ LATE = 0.1
 
 
 @pytest.fixture(scope="module")
-def valve(own_domain: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Probe]:
+def valve(in_own_domain: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Probe]:
     """A valve that runs."""
     rclpy.init()
     with running(tmp_path_factory.mktemp("valve"), ["--ros-args", "-p", "publish_rate:=100.0"]):

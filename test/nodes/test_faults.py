@@ -42,7 +42,7 @@ rclpy.spin(node)
 
 
 @pytest.fixture(scope="module", autouse=True)
-def ros(own_domain: None) -> Iterator[None]:
+def ros(in_own_domain: None) -> Iterator[None]:
     rclpy.init()
     yield
     rclpy.try_shutdown()

@@ -34,14 +34,14 @@ MAKER = Path(__file__).resolve().parents[2] / "bags" / "make_samples.py"
 
 
 @pytest.fixture(scope="module", autouse=True)
-def ros(own_domain: None) -> Iterator[None]:
+def ros(in_own_domain: None) -> Iterator[None]:
     rclpy.init()
     yield
     rclpy.try_shutdown()
 
 
 @pytest.fixture(scope="module")
-def samples(own_domain: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def samples(in_own_domain: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The sample bags made anew, with a recording of a valve_node that runs in real time."""
     folder = tmp_path_factory.mktemp("samples")
     subprocess.run([sys.executable, str(MAKER), "--folder", str(folder), "--live"], check=True, timeout=3 * PATIENCE)

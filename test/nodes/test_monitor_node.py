@@ -32,7 +32,7 @@ FEW = 8
 
 
 @pytest.fixture(scope="module", autouse=True)
-def ros(own_domain: None) -> Iterator[None]:
+def ros(in_own_domain: None) -> Iterator[None]:
     rclpy.init()
     yield
     rclpy.try_shutdown()

@@ -64,7 +64,7 @@ def rights_in_use(node: Any, name: str) -> Rights:
 
 
 @pytest.fixture
-def station(own_domain: None, tmp_path: Path) -> Iterator[Probe]:
+def station(in_own_domain: None, tmp_path: Path) -> Iterator[Probe]:
     """A tank, and the sequencer, which waits for the others; on simulated time, which needs a right of its own."""
     plan = read_launch_file(ROOT / "launch" / "station.launch.py")
     sequencer = [sys.executable, str(ROOT / "docs" / "examples" / "sequencer.py"), "--ros-args"]

@@ -48,7 +48,7 @@ class Tank:
 
 
 @pytest.fixture(scope="module")
-def station(own_domain: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[Tank]]:
+def station(in_own_domain: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[Tank]]:
     """Three valves that run."""
     folder = tmp_path_factory.mktemp("station")
     rclpy.init()

@@ -56,7 +56,7 @@ def test_the_page_names_every_argument_with_its_default(plan: LaunchPlan) -> Non
 
 @pytest.mark.ros
 def test_a_fault_in_one_valve_is_reported_by_its_own_monitor(
-    plan: LaunchPlan, own_domain: None, tmp_path: Path
+    plan: LaunchPlan, in_own_domain: None, tmp_path: Path
 ) -> None:
     rclpy = pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
     from diagnostic_msgs.msg import DiagnosticArray

@@ -21,7 +21,7 @@ LIFECYCLE = {"change_state", "get_state", "get_available_states", "get_available
 
 
 @pytest.fixture
-def probe(own_domain: None) -> Iterator[Probe]:
+def probe(in_own_domain: None) -> Iterator[Probe]:
     rclpy.init()
     probe = Probe()
     yield probe

@@ -15,7 +15,7 @@ from benchmarks.topic_fuzz import fuzz  # noqa: E402
 
 
 @pytest.fixture(scope="module", autouse=True)
-def ros(own_domain: None) -> Iterator[None]:
+def ros(in_own_domain: None) -> Iterator[None]:
     rclpy.init()
     yield
     rclpy.try_shutdown()

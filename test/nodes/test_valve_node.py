@@ -32,7 +32,7 @@ from std_srvs.srv import Trigger  # noqa: E402
 
 
 @pytest.fixture(scope="module", autouse=True)
-def ros(own_domain: None) -> Iterator[None]:
+def ros(in_own_domain: None) -> Iterator[None]:
     rclpy.init()
     yield
     rclpy.try_shutdown()
