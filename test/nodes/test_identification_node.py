@@ -166,21 +166,22 @@ def test_what_was_set_all_the_same_can_be_undone(probe: Probe, tmp_path: Path) -
     results = probe.hear("result", String, latched=True)
     live = Probe("/valve")
     given: dict[str, object] = {"apply_to": "valve", "apply_always": "true", "linger": "true", "rate": 0}
-    with running(tmp_path), identifying(tmp_path, bag=FRICTION, **given) as process:
+    with running(tmp_path):
         before = live.parameters()
-        assert probe.until(lambda: results), "no result"
-        assert json.loads(results[0].data)["applied"]["is_set"]
-        wrong = live.parameters()
-        assert wrong["valve.main_damping"] != 4.0
-        assert live.set_parameters(frame_id="tank")[0].successful
-        answer = probe.call("undo", Trigger)
-        assert answer.success, answer.message
-        assert live.parameters() == {**before, "frame_id": "tank"}, "what others set meanwhile stays"
-        assert not probe.call("undo", Trigger).success, "there is nothing left to undo"
-        process.send_signal(signal.SIGINT)
-        assert process.wait(PATIENCE) == 0
-        assert process.stderr is not None
-        assert "is given the result although the residual is not white" in process.stderr.read()
+        with identifying(tmp_path, bag=FRICTION, **given) as process:
+            assert probe.until(lambda: results), "no result"
+            assert json.loads(results[0].data)["applied"]["is_set"]
+            wrong = live.parameters()
+            assert wrong["valve.main_damping"] != 4.0
+            assert live.set_parameters(frame_id="tank")[0].successful
+            answer = probe.call("undo", Trigger)
+            assert answer.success, answer.message
+            assert live.parameters() == {**before, "frame_id": "tank"}, "what others set meanwhile stays"
+            assert not probe.call("undo", Trigger).success, "there is nothing left to undo"
+            process.send_signal(signal.SIGINT)
+            assert process.wait(PATIENCE) == 0
+            assert process.stderr is not None
+            assert "is given the result although the residual is not white" in process.stderr.read()
     with running(tmp_path, ["--ros-args", "--params-file", str(tmp_path / "before.yaml")]):
         assert Probe("/valve").parameters() == before
     live.close()

@@ -82,6 +82,7 @@ class IdentificationShell:
             raise
         self._prediction: Prediction | None = None
         self._exit_code = 0
+        self._refusal = ""
         self._task = Task(self._work, self._report)
         rate, loop = self._settings.rate, self._settings.loop
         self._replay = Replay(self._clock, self._trace, rate=rate, loop=loop, player=self)
@@ -176,11 +177,15 @@ class IdentificationShell:
         outcome = find_out(self._trace, self._declared, self._settings, self._folder, progress)
         self._prediction = predict(self._trace, outcome.valve, outcome.clock_offset, self._settings.mode)
         applied = None if self._recipient is None else self._apply(outcome, self._recipient)
+        text = report_text(outcome, applied)
         if applied is not None and not applied.is_set:
-            self._exit_code = 1  # before anybody hears of it, and ends this node
-        self._result.publish(String(data=report_text(outcome, applied)))
-        if applied is not None and not applied.is_set:
-            raise ParameterError(f"{outcome.summary}; but apply_to: {applied.node} is as it was: {applied.reason}")
+            # Before anybody hears of the result, and ends this node.
+            self._exit_code = 1
+            self._refusal = f"{outcome.summary}; but apply_to: {applied.node} is as it was: {applied.reason}"
+            self._node.get_logger().error(self._refusal)
+            self._result.publish(String(data=text))
+            raise ParameterError(self._refusal)
+        self._result.publish(String(data=text))
         return f"{outcome.summary}; see {outcome.file}"
 
     def _report(self, words: str, is_good: bool) -> None:
@@ -188,7 +193,8 @@ class IdentificationShell:
             self._exit_code = 1
         if self._node.context.ok():
             logger = self._node.get_logger()
-            (logger.info if is_good else logger.error)(words)
+            if words != self._refusal:
+                (logger.info if is_good else logger.error)(words)
             self.end()
 
     def end(self) -> None:
