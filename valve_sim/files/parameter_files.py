@@ -5,17 +5,19 @@
         valve: {pilot_mass: 0.109, ..., attraction_polynomial: [...]}
         effects:
           coulomb_friction: {force: 0.3}
+        tolerances: {spring_rate: 12.8, effects: {coulomb_friction: {force: 0.05}}}
 
 Read are all the forms that ROS 2 itself reads: `/**`, wildcards, node names with and without slash, namespaces nested
 or joined, flat dotted keys (`valve.pilot_mass: 0.109`), and what `ros2 param dump` writes. Beyond these, an integer
 may stand for a double (also among doubles in a list) and 1e-3 is a number.
 The nodes leave their files to ROS 2, which refuses a list of both, and say so.
 
-Two rules make a file complete:
+Three rules make a file complete:
 
 * A valve parameter that is not given has the value of the shipped default, config/valve.yaml.
 * An effect's parameter that is not given has its off-value, or its prior scale if it has none. An effect is on when
   one of its parameters differs from its off-value; so a dump, which lists every effect, switches on only what was on.
+* A tolerance that is not given, or 0, means that the value is exact. Those of the shipped default are its own.
 """
 
 from __future__ import annotations
@@ -42,7 +44,7 @@ DEFAULT_FILE: Final = "valve.yaml"
 LARGEST_INTEGER: Final = 2**63 - 1
 """ROS 2 parameters hold 64 bit."""
 
-_ROOT_KEYS: Final = ("valve", "effects")
+_ROOT_KEYS: Final = ("valve", "effects", "tolerances")
 _FORM: Final = "expected a ROS 2 parameter file: '/**:', below it 'ros__parameters:', below it 'valve:' and 'effects:'"
 
 
@@ -64,7 +66,7 @@ class Section(NamedTuple):
 
     @property
     def is_about_valve(self) -> bool:
-        """Whether a valve or its effects are among the parameters."""
+        """Whether a valve, its effects or its tolerances are among the parameters."""
         return any(name.partition(".")[0] in _ROOT_KEYS for name in self.values)
 
 
@@ -101,7 +103,7 @@ def valve_from_flat(values: Mapping[str, object], source: str, base: Valve | Non
     Args:
         values: such as {"valve.pilot_mass": 0.109, "effects.stiction.force": 0.3}; other nodes' names are passed over.
         source: the file or node they come from, for messages.
-        base: has the values that are not given; default: the shipped config/valve.yaml.
+        base: has the values that are not given, tolerances apart; default: the shipped config/valve.yaml.
 
     Raises:
         ParameterError: as `load_valve`.
@@ -109,6 +111,7 @@ def valve_from_flat(values: Mapping[str, object], source: str, base: Valve | Non
     mapping = (base or default_valve()).to_mapping()
     declared: dict[str, object] = dict(mapping["valve"])
     effects: dict[str, dict[str, object]] = {name: dict(found) for name, found in mapping.get("effects", {}).items()}
+    tolerances: dict[str, Any] = {}
     for name, value in values.items():
         root, _, rest = name.partition(".")
         if root == "valve":
@@ -118,10 +121,12 @@ def valve_from_flat(values: Mapping[str, object], source: str, base: Valve | Non
             effect, _, parameter = rest.partition(".")
             _check_effect_name(effect, parameter, name, value, source)
             effects.setdefault(effect, {})[parameter] = value
+        elif root == "tolerances":
+            _add_tolerance(tolerances, name, value, source)
         else:
             _check_misplaced(name, value, source)
     on = {name: checked for name, found in effects.items() if (checked := complete_effect(name, found, source))}
-    return Valve.from_mapping({"valve": declared, "effects": on}, source)
+    return Valve.from_mapping({"valve": declared, "effects": on, "tolerances": tolerances}, source)
 
 
 def complete_effect(name: str, found: Mapping[str, object], source: str) -> dict[str, float] | None:
@@ -255,7 +260,7 @@ def _find_sections(found: object, prefix: str, path: str) -> Iterator[Section]:
 
 def _flat(found: object, prefix: str, path: str) -> Iterator[tuple[str, object]]:
     """Dotted names and values. An empty mapping has none, unless it stands where an effect's parameters belong."""
-    if found is None and prefix in ("", *_ROOT_KEYS):
+    if found is None and prefix in ("", *_ROOT_KEYS, "tolerances.effects"):
         return
     if not isinstance(found, Mapping):
         if not prefix:
@@ -309,6 +314,27 @@ def _check_effect_name(effect: str, parameter: str, key: str, value: object, sou
     if not parameter:
         raise ParameterError(f"{source}: {key}: found {_short(value)}, expected {{{', '.join(names)}}}")
     _check_name(parameter, names, key, value, source)
+
+
+def _add_tolerance(tolerances: dict[str, Any], key: str, value: object, source: str) -> None:
+    """Put a flat name's tolerance where `Tolerances.from_mapping` looks for it.
+
+    Raises:
+        ParameterError: the name stops short of a value's.
+    """
+    name = key.partition(".")[2]
+    if not name:
+        raise ParameterError(f"{source}: {key}: found {_short(value)}, expected names of declared values below it")
+    of_effects, dot, rest = name.partition(".")
+    if of_effects != "effects":
+        tolerances[name] = value
+        return
+    effect, dot, parameter = rest.partition(".")
+    if not dot:
+        raise ParameterError(
+            f"{source}: {key}: found {_short(value)}, expected tolerances.effects.<effect>.<parameter>"
+        )
+    tolerances.setdefault("effects", {}).setdefault(effect, {})[parameter] = value
 
 
 def _check_misplaced(name: str, value: object, source: str) -> None:

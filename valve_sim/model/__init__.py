@@ -15,10 +15,12 @@ from valve_sim.model.simulation import (
     simulate_many,
 )
 from valve_sim.model.stepper import Reading, Stepper
+from valve_sim.model.tolerances import EXACT, Tolerances
 
 __all__ = [
     "CATALOGUE",
     "DECLARED",
+    "EXACT",
     "TOLERANCE",
     "Drive",
     "Effect",
@@ -33,6 +35,7 @@ __all__ = [
     "SimulationError",
     "Stepper",
     "Tag",
+    "Tolerances",
     "Valve",
     "ValveError",
     "ValveParameters",

@@ -6,7 +6,7 @@ import math
 import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -18,6 +18,7 @@ from valve_sim.model.effects import check_effects, new_record
 from valve_sim.model.errors import ParameterError, SimulationError
 from valve_sim.model.parameters import POLYNOMIAL_NAMES, ValveParameters, check_declared, check_geometry
 from valve_sim.model.sampling import ROW
+from valve_sim.model.tolerances import EXACT, Tolerances
 from valve_sim.model.transitions import FIRST_STEP, set_voltage
 
 Array = NDArray[np.float64]
@@ -87,14 +88,16 @@ class Valve:
     Attributes:
         parameters: the declared valve.
         effects: effect name to its parameters, e.g. {"coulomb_friction": {"force": 0.3}}.
+        tolerances: how well these values are known; changes nothing of the motion.
     """
 
     parameters: ValveParameters = field(default_factory=ValveParameters)
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    tolerances: Tolerances = EXACT
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, Any], source: str) -> Valve:
-        """A checked valve from {"valve": {...}, "effects": {...}}, both optional.
+        """A checked valve from {"valve": {...}, "effects": {...}, "tolerances": {...}}, all optional.
 
         Args:
             values: as found in a parameter file.
@@ -104,7 +107,10 @@ class Valve:
             ParameterError: anything unknown, of the wrong type or out of range; the message names it.
         """
         parameters = check_declared(dict(values.get("valve") or {}), source)
-        valve = cls(parameters, check_effects(values.get("effects") or {}, source))
+        effects = check_effects(values.get("effects") or {}, source)
+        tolerances = Tolerances.from_mapping(values.get("tolerances") or {}, source, effects)
+        tolerances.check_masses(parameters, source)
+        valve = cls(parameters, effects, tolerances)
         record = valve.record()[0]
         check_geometry(float(record["pilot_gap"]), float(record["stroke"]), f"{source} (with effects)")
         return valve
@@ -116,6 +122,8 @@ class Valve:
         mapping: dict[str, dict[str, Any]] = {"valve": declared}
         if self.effects:
             mapping["effects"] = {name: dict(values) for name, values in self.effects.items()}
+        if not self.tolerances.is_exact:
+            mapping["tolerances"] = self.tolerances.to_mapping()
         return mapping
 
     def declared(self) -> dict[str, float]:
@@ -140,7 +148,8 @@ class Valve:
                 raise ParameterError(f"valve.{name}: no such parameter")
             declared[name] = value
         polynomial = tuple(declared.pop(name) for name in POLYNOMIAL_NAMES)
-        return Valve(ValveParameters(**declared, attraction_polynomial=polynomial), self.effects)  # type: ignore[arg-type]
+        parameters = ValveParameters(**declared, attraction_polynomial=polynomial)  # type: ignore[arg-type]
+        return replace(self, parameters=parameters)
 
     def can_open(self) -> bool:
         """Whether the reference voltage, held for ever, would lift the pilot plunger off its seat."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from valve_sim.identification.plants.protocol import EffectChoice
@@ -57,7 +58,7 @@ class ValveModel:
                 effects.setdefault(effect, CATALOGUE[effect].neutral_values())[parameter] = float(value)
             elif name in self._declared:
                 declared[name] = float(value)
-        return Valve(self.valve.with_values(**declared).parameters, effects)
+        return replace(self.valve.with_values(**declared), effects=effects)
 
     def record(self, values: Mapping[str, float]) -> Any:
         """The compiled core's record of the valve that freed values describe."""

@@ -1,0 +1,222 @@
+"""How well the declared values are known: one standard deviation each, and a covariance for the attraction polynomial.
+
+Nothing here changes a motion. Fits read it: a value with a tolerance is a quantity that was measured, not a constant.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+
+from valve_sim.model.effects import CATALOGUE
+from valve_sim.model.errors import ParameterError
+from valve_sim.model.parameters import DECLARED, POLYNOMIAL_NAMES, Parameter, ValveParameters, closest
+
+Matrix = tuple[tuple[float, ...], ...]
+
+TOLERATED: Final = tuple(name for name in ValveParameters._fields if name in DECLARED)
+"""Declared values that may have a tolerance of their own: the scalars, not the polynomial."""
+COVARIANCE_NAME: Final = "attraction_covariance"
+"""Key of the polynomial's covariance, as 16 numbers row by row."""
+COVARIANCE_FORM: Final = "16 numbers, the 4 by 4 covariance of a0 … a3 row by row, N/m^i times N/m^j"
+
+_TERMS: Final = len(POLYNOMIAL_NAMES)
+_LARGEST_COVARIANCE: Final = 1e32
+_ROUNDING: Final = 1e-6
+"""A correlation may be off by so much: the numbers of a file are rounded."""
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """One standard deviation of declared values, in SI units. What is not listed is exact.
+
+    Attributes:
+        declared: name of a declared scalar to its standard deviation, above 0. That of `moving_mass` is of the
+            difference moving_mass − pilot_mass: two bodies are weighed.
+        attraction_covariance: (4, 4), N/m^i times N/m^j, of a0 … a3; symmetric, positive semidefinite.
+        effects: effect name to {parameter: standard deviation}, of effects that the valve has on.
+    """
+
+    declared: Mapping[str, float] = field(default_factory=dict)
+    attraction_covariance: Matrix | None = None
+    effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether nothing has a tolerance."""
+        return not self.declared and self.attraction_covariance is None and not self.effects
+
+    @classmethod
+    def from_mapping(
+        cls, values: Mapping[str, Any], source: str, effects: Mapping[str, Mapping[str, float]]
+    ) -> Tolerances:
+        """Checked tolerances, as found below `tolerances:` in a parameter file. Zero means exact.
+
+        Args:
+            values: scalar names to standard deviations, `attraction_covariance` to its 16 numbers row by row, and
+                `effects` to {effect: {parameter: standard deviation}}; all optional.
+            source: the file or node, for messages.
+            effects: those that the valve has on.
+
+        Raises:
+            ParameterError: an unknown name, a tolerance that is no number at least 0, a matrix that is no covariance,
+                or a tolerance of an effect that is not on; the message names it.
+        """
+        scalars: dict[str, float] = {}
+        for name, value in values.items():
+            if name not in (COVARIANCE_NAME, "effects"):
+                scalars[name] = _scalar_rule(name, value, source).check(value, _where(name, source))
+        covariance = values.get(COVARIANCE_NAME)
+        of_effects = values.get("effects") or {}
+        if not isinstance(of_effects, Mapping):
+            raise ParameterError(f"{_where('effects', source)}: found {of_effects!r}, expected effects and parameters")
+        return cls(
+            {name: scalars[name] for name in TOLERATED if scalars.get(name)},
+            None if covariance is None else _check_covariance(covariance, _where(COVARIANCE_NAME, source)),
+            _check_effects(of_effects, effects, source),
+        )
+
+    def check_masses(self, parameters: ValveParameters, source: str) -> None:
+        """A tolerance of a mass leaves two bodies.
+
+        Raises:
+            ParameterError: the moving mass is not above the pilot's, so that there is no difference to be known.
+        """
+        if {"pilot_mass", "moving_mass"} & set(self.declared) and parameters.moving_mass <= parameters.pilot_mass:
+            raise ParameterError(
+                f"{_where('moving_mass', source)}: is of the difference moving_mass - pilot_mass, found "
+                f"{parameters.moving_mass - parameters.pilot_mass:g} kg, expected above 0"
+            )
+
+    def to_mapping(self) -> dict[str, Any]:
+        """The plain mapping that `from_mapping` takes back; empty where all is exact."""
+        mapping: dict[str, Any] = dict(self.declared)
+        if self.attraction_covariance is not None:
+            mapping[COVARIANCE_NAME] = [value for row in self.attraction_covariance for value in row]
+        if self.effects:
+            mapping["effects"] = {name: dict(values) for name, values in self.effects.items()}
+        return mapping
+
+
+EXACT: Final = Tolerances()
+"""No tolerances: every declared value is taken as it stands."""
+
+
+def tolerance_rule(parameter: Parameter) -> Parameter:
+    """What a parameter's tolerance is called and which values make sense: from 0 (exact) to the width of its range."""
+    return Parameter(
+        parameter.name,
+        parameter.unit,
+        f"one standard deviation of: {parameter.description}; 0: exact",
+        0.0,
+        parameter.upper - parameter.lower,
+        parameter.prior_scale,
+        off=0.0,
+    )
+
+
+def _where(name: str, source: str) -> str:
+    return f"{source}: tolerances.{name}"
+
+
+def _scalar_rule(name: str, value: object, source: str) -> Parameter:
+    """The rule of a declared scalar's tolerance.
+
+    Raises:
+        ParameterError: the name has no tolerance, with the name that was meant.
+    """
+    if name in TOLERATED:
+        return tolerance_rule(DECLARED[name])
+    found = f"{_where(name, source)}: found {value!r}"
+    if name in POLYNOMIAL_NAMES or name == "attraction_polynomial":
+        raise ParameterError(
+            f"{found}; the attraction's coefficients are known together, so give them as {COVARIANCE_NAME}: "
+            f"{COVARIANCE_FORM}; `valve-sim fit-force` writes it"
+        )
+    if name in CATALOGUE:
+        raise ParameterError(f"{found}; expected the tolerances of an effect as tolerances.effects.{name}")
+    likely = closest(name.removeprefix("valve.").partition(".")[0], [*TOLERATED, COVARIANCE_NAME, "effects"])
+    raise ParameterError(f"{found} under an unknown name; did you mean tolerances.{likely}?")
+
+
+def _check_effects(
+    values: Mapping[str, Any], effects: Mapping[str, Mapping[str, float]], source: str
+) -> dict[str, dict[str, float]]:
+    checked: dict[str, dict[str, float]] = {}
+    for name, found in values.items():
+        where = _where(f"effects.{name}", source)
+        if name not in CATALOGUE:
+            raise ParameterError(f"{where}: no such effect; did you mean {closest(name, list(CATALOGUE))}?")
+        names = [parameter.name for parameter in CATALOGUE[name].parameters]
+        if not isinstance(found, Mapping):
+            raise ParameterError(f"{where}: found {found!r}, expected {{{', '.join(names)}}}")
+        for parameter, value in found.items():
+            if parameter not in names:
+                raise ParameterError(
+                    f"{where}.{parameter}: found {value!r} under an unknown name; did you mean "
+                    f"{closest(parameter, names)}? Expected {', '.join(names)}"
+                )
+            rule = tolerance_rule(CATALOGUE[name].parameter(parameter))
+            tolerance = rule.check(value, f"{where}.{parameter}")
+            if tolerance == 0.0:
+                continue
+            if not CATALOGUE[name].named:
+                raise ParameterError(f"{where}.{parameter}: found {value!r}, but {name} has no tolerances; take it out")
+            if name not in effects:
+                raise ParameterError(
+                    f"{where}.{parameter}: found {value!r}, a tolerance of an effect that is not declared on; "
+                    f"declare effects.{name}, or take the line out"
+                )
+            checked.setdefault(name, {})[parameter] = tolerance
+    return {
+        name: {parameter: checked[name][parameter] for parameter in effects[name] if parameter in checked[name]}
+        for name in effects
+        if name in checked
+    }
+
+
+def _check_covariance(value: object, where: str) -> Matrix | None:
+    """The matrix, made symmetric to the last digit; None where all is 0.
+
+    Raises:
+        ParameterError: not 16 numbers, not symmetric, or not positive semidefinite.
+    """
+    if isinstance(value, str) or not isinstance(value, Sequence):
+        raise ParameterError(f"{where}: found {value!r}, expected {COVARIANCE_FORM}")
+    if len(value) != _TERMS * _TERMS:
+        raise ParameterError(f"{where}: found a list of {len(value)}, expected {COVARIANCE_FORM}")
+    rule = Parameter("", "", "", -_LARGEST_COVARIANCE, _LARGEST_COVARIANCE)
+    numbers = [rule.check(item, f"{where}[{index}]") for index, item in enumerate(value)]
+    matrix = np.array(numbers).reshape(_TERMS, _TERMS)
+    variances = np.diag(matrix)
+    for name, variance in zip(POLYNOMIAL_NAMES, variances, strict=True):
+        if variance < 0.0:
+            raise ParameterError(f"{where}: found {variance:g} as the variance of {name}, expected at least 0")
+    sigmas = np.sqrt(variances)
+    for row in range(_TERMS):
+        for column in range(row):
+            pair = f"{POLYNOMIAL_NAMES[column]} and {POLYNOMIAL_NAMES[row]}"
+            above, below = matrix[column, row], matrix[row, column]
+            scale = sigmas[row] * sigmas[column]
+            if abs(above - below) > _ROUNDING * max(scale, abs(above), abs(below)):
+                raise ParameterError(
+                    f"{where}: found {above:g} above and {below:g} below the diagonal for {pair}; "
+                    "expected a symmetric matrix"
+                )
+            if abs(above) > (1.0 + _ROUNDING) * scale:
+                raise ParameterError(
+                    f"{where}: found {above:g} for {pair}, more than their standard deviations allow ({scale:g}); "
+                    "expected a positive semidefinite matrix"
+                )
+    whole = 0.5 * (matrix + matrix.T)
+    safe = np.where(sigmas > 0.0, sigmas, 1.0)
+    smallest = float(np.linalg.eigvalsh(whole / np.outer(safe, safe))[0])
+    if smallest < -_ROUNDING:
+        raise ParameterError(
+            f"{where}: found correlations with the eigenvalue {smallest:.3g}; expected a positive semidefinite matrix"
+        )
+    return tuple(tuple(row) for row in whole.tolist()) if math.fsum(variances) > 0.0 else None
