@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -15,11 +16,11 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from benchmarks.campaign import __doc__ as campaign_words
-from benchmarks.campaign.cases import FAMILIES, NOISES, draw_case, planned
+from benchmarks.campaign.cases import EXACT, FAMILIES, NOISES, WITHIN, draw_case, planned
 from benchmarks.campaign.effects import CATALOGUED, EARLIER_LIMITS
-from benchmarks.campaign.figures import confusion_table, figures, least_demands, reliability_table
-from benchmarks.campaign.limits import detection_limit
-from benchmarks.campaign.running import Outcome, Timing, examine, run_cases, time_cold
+from benchmarks.campaign.figures import confusion_table, figures, least_demands, reliability_table, tolerance_figures
+from benchmarks.campaign.limits import Knowledge, detection_limit
+from benchmarks.campaign.running import Cost, Outcome, Timing, cost_of, examine, run_cases, time_cold
 from valve_sim.identification.diagnosis.run import Diagnosis
 
 TIMED: Final = [
@@ -28,7 +29,12 @@ TIMED: Final = [
     *(("none", seed) for seed in (0, 1, 2)),
 ]
 """Cases that cold processes diagnose, one at a time."""
+COMPARED: Final = [("none_within", 0), ("none_within", 1), *(("single_within", seed) for seed in (0, 5, 11, 12, 17))]
+"""Cases that are diagnosed with and without tolerances, one at a time."""
+MEASURED_APART: Final = ("time", "cost")
 DRAWN_BY_LIMITS: Final = {"single", "pair", "mismatched", "opening"}
+DRAWN_WITHIN: Final = {"single_within", "mismatched_within", "reluctance"}
+"""Families whose amplitudes are in detection limits: of exact values, and of those with tolerances."""
 SHOWN_CANDIDATES: Final = 8
 
 
@@ -38,9 +44,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     if options.case is not None:
         return _run_again(parser, options.case)
-    families = tuple(name.strip() for name in options.only.split(","))
-    if unknown := [name for name in families if name not in (*FAMILIES, "time")]:
-        parser.error(f"--only {unknown[0]}: expected some of {', '.join((*FAMILIES, 'time'))}")
+    usual = (*WITHIN, "uncatalogued", "cost") if options.tolerances else (*EXACT, "time")
+    families = tuple(name.strip() for name in options.only.split(",")) if options.only else usual
+    if unknown := [name for name in families if name not in (*FAMILIES, *MEASURED_APART)]:
+        parser.error(f"--only {unknown[0]}: expected some of {', '.join((*FAMILIES, *MEASURED_APART))}")
     for name in ("seeds", "jobs"):
         if getattr(options, name) < 1:
             parser.error(f"--{name} {getattr(options, name)}: expected at least 1")
@@ -49,9 +56,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.json is not None and not options.json.parent.is_dir():
         parser.error(f"--json {options.json}: expected a file in a folder that exists")
     started = time.perf_counter()
-    outcomes, timings = _measure(options, families)
+    outcomes, timings, costs = _measure(options, families)
     _print_tables(outcomes, is_slice=options.slice)
-    shown = figures(outcomes, timings)
+    shown = tolerance_figures(outcomes, costs) if options.tolerances else figures(outcomes, timings)
     print("\n".join(figure.line(is_judged=not options.slice) for figure in shown))
     judged = shown
     if options.slice:
@@ -59,7 +66,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("\nof a slice it is asked that:", *(figure.line() for figure in judged), sep="\n")
     short = [figure for figure in judged if figure.is_short]
     print(
-        f"\n{len(outcomes)} cases, {len(timings)} cold processes, {time.perf_counter() - started:.0f} s; "
+        f"\n{len(outcomes)} cases, {len(timings)} cold processes, {len(costs)} costs, "
+        f"{time.perf_counter() - started:.0f} s; "
         f"{len(short)} of {len(judged)} figures fall short"
     )
     return 1 if short else 0
@@ -74,8 +82,13 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--first", type=int, default=0, help="the first round (default: 0); others than were run before"
     )
-    everything = ",".join((*FAMILIES, "time"))
-    parser.add_argument("--only", default=everything, help=f"families, with commas (default: {everything})")
+    known = ", ".join((*FAMILIES, *MEASURED_APART))
+    parser.add_argument(
+        "--only", help=f"families, with commas: {known}\n(default: those with tolerances, or all others)"
+    )
+    parser.add_argument(
+        "--tolerances", action="store_true", help="declared values off within their tolerances, and the figures of that"
+    )
     parser.add_argument("--jobs", type=int, default=2, help="processes (default: 2)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write every case as it ends, one line of JSON each")
     parser.add_argument("--slice", action="store_true", help="a few cases of every family, judged by the least demands")
@@ -83,14 +96,16 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _measure(options: argparse.Namespace, families: tuple[str, ...]) -> tuple[list[Outcome], list[Timing]]:
-    """Run the pool, then the cold processes; outcomes in the order of the plan."""
+def _measure(options: argparse.Namespace, families: tuple[str, ...]) -> tuple[list[Outcome], list[Timing], list[Cost]]:
+    """Run the pool, then the cold processes, then what tolerances cost; outcomes in the order of the plan."""
     plan = planned(range(options.first, options.first + options.seeds), families, is_slice=options.slice)
     timed = TIMED if "time" in families and not options.slice else []
+    compared = COMPARED if "cost" in families and not options.slice else []
     outcomes: list[Outcome] = []
     timings: list[Timing] = []
+    costs: list[Cost] = []
     with _lines(options.json) as lines, _progress() as progress:
-        task = progress.add_task("cases", total=len(plan) + len(timed))
+        task = progress.add_task("cases", total=len(plan) + len(timed) + len(compared))
         for outcome in run_cases(plan, options.jobs):
             outcomes.append(outcome)
             _write(lines, outcome.to_json())
@@ -99,8 +114,12 @@ def _measure(options: argparse.Namespace, families: tuple[str, ...]) -> tuple[li
             timings.append(time_cold(family, seed))
             _write(lines, timings[-1].to_json())
             progress.update(task, advance=1, description=f"cold process, {family}")
+        for family, seed in compared:
+            costs.append(cost_of(family, seed))
+            _write(lines, costs[-1].to_json())
+            progress.update(task, advance=1, description=f"cost, {family}")
     order = {case: place for place, case in enumerate(plan)}
-    return sorted(outcomes, key=lambda outcome: order[outcome.case.family, outcome.case.seed]), timings
+    return sorted(outcomes, key=lambda outcome: order[outcome.case.family, outcome.case.seed]), timings, costs
 
 
 @contextmanager
@@ -129,8 +148,11 @@ def _progress() -> Progress:
 
 
 def _print_tables(outcomes: Sequence[Outcome], *, is_slice: bool) -> None:
-    if not is_slice and any(outcome.case.family in DRAWN_BY_LIMITS for outcome in outcomes):
+    families = {outcome.case.family for outcome in outcomes}
+    if not is_slice and families & DRAWN_BY_LIMITS:
         print(_limits_table(), end="\n\n")
+    if not is_slice and families & DRAWN_WITHIN:
+        print(_limits_within_table(), end="\n\n")
     if outcomes:
         print(confusion_table(outcomes), end="\n\n")
         print(reliability_table(outcomes), end="\n\n")
@@ -145,6 +167,18 @@ def _limits_table() -> str:
     return "\n".join(lines)
 
 
+def _limits_within_table() -> str:
+    """The same of the valve with a data sheet: declared exactly, and within its tolerances."""
+    lines = [f"{'detection limit, as a size':<28}{'exact':>12}{'within':>12}{'ratio':>8}"]
+    for name, scale in CATALOGUED.items():
+        exact, within = (
+            detection_limit(name, scale.middle(), NOISES["white"], knowledge)
+            for knowledge in (Knowledge.SHEET, Knowledge.WITHIN)
+        )
+        lines.append(f"{name:<28}{exact:>12.3g}{within:>12.3g}{within / exact:>8.1f}")
+    return "\n".join(lines)
+
+
 def _run_again(parser: argparse.ArgumentParser, name: str) -> int:
     """Diagnose one case and print all that helps to see why."""
     family, colon, seed = name.partition(":")
@@ -154,6 +188,10 @@ def _run_again(parser: argparse.ArgumentParser, name: str) -> int:
     print(f"truth      {case.truth or 'none'}")
     print(f"amplitude  {case.amplitudes} detection limits (µm RMS where uncatalogued)")
     print(f"dampings   {case.dampings}")
+    if case.deviations:
+        print(
+            f"deviations {', '.join(f'{name} {value:+.1f}' for name, value in case.deviations.items())}, in tolerances"
+        )
     print(
         f"recorded   {case.noise}, {'with' if case.with_current else 'without'} current, clocks {case.clock_offsets} s"
     )
@@ -163,6 +201,9 @@ def _run_again(parser: argparse.ArgumentParser, name: str) -> int:
     covered = outcome.is_covered or {}
     print(f"\nlabel      {outcome.label}, noise floor of the second bag {outcome.noise_floor:.4f} µm")
     print(f"covered    {covered}")
+    for value, entry in outcome.answers[0].declared.items():
+        true = case.true_scalars.get(value, math.nan)
+        print(f"    {value:<28} true {true:.6g}, {', '.join(f'{key} {number:.6g}' for key, number in entry.items())}")
     print(f"seconds    {', '.join(f'{answer.seconds:.1f}' for answer in outcome.answers)}")
     return 0
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -14,9 +14,10 @@ from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
 from plants.mismatched import BENCH_VALVE, EFFECTS, MismatchedPlant
 from plants.recording import Recorder, Recording, record, single_opening, train_profile
 from plants.recording import holdout_profile as other_profile
+from plants.tolerances import LENGTHS, SHARES, SHEET_VALVE, Entries, declared_tolerances, deviated, drawn_deviations
 
 from benchmarks.campaign.effects import CATALOGUED, UNCATALOGUED, Effects, are_confusable, log_uniform
-from benchmarks.campaign.limits import detection_limit, size_at, yardstick
+from benchmarks.campaign.limits import Knowledge, detection_limit, effect_distance, size_at, yardstick
 from valve_sim.model import Valve
 
 NOISES: Final[Mapping[str, Recorder]] = {
@@ -40,6 +41,16 @@ STRONG: Final = (2e-6, 8e-6)
 """m RMS by which uncatalogued effects move the valve after a refit of the dampings."""
 WEAK_SHARE: Final = 0.1
 """Amplitude of a weak uncatalogued effect over that of a strong one."""
+WRONG_VALUE: Final = (4.0, 10.0)
+"""Tolerances by which a declared value is wrong, drawn evenly in the logarithm."""
+WRONG: Final = "valve."
+"""Begins the name of a declared value that is wrong, where effects have theirs."""
+LARGEST_WITHIN: Final[Mapping[str, float]] = {
+    "stroke_offset": 100e-6,
+    "gap_offset": 100e-6,
+    "rest_attraction": 1.5,
+}
+"""What physics can be blamed for where tolerances hide what is smaller: a fault of assembly, half the rest force."""
 
 Numbers = dict[str, float]
 
@@ -51,6 +62,7 @@ class Case:
     Attributes:
         truth: the effects that are on. amplitudes: in detection limits, or in µm RMS for uncatalogued effects.
         dampings: true ones, N·s/m; empty where the plant has its own.
+        deviations: of the true values from the declared ones, in tolerances; none where the declared file is exact.
         noise: one of `NOISES`. clock_offsets: s, of the bags in the order in which they are recorded.
     """
 
@@ -63,6 +75,7 @@ class Case:
     with_current: bool
     clock_offsets: tuple[float, float]
     record_seeds: tuple[int, int]
+    deviations: Numbers = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -70,16 +83,54 @@ class Case:
         return f"{self.family}:{self.seed}"
 
     @property
+    def effects(self) -> Effects:
+        """What of the truth is an effect, not a wrong value."""
+        return {name: values for name, values in self.truth.items() if not name.startswith(WRONG)}
+
+    @property
+    def true_values(self) -> Entries:
+        """The true valve's numbers, where it is of the declared form."""
+        if self.family in FORMED_OTHERWISE:
+            return {}
+        declared = SHEET_VALVE if FAMILIES[self.family].has_tolerances else CAMPAIGN_VALVE
+        return {**deviated(declared, self.deviations), **self.dampings}
+
+    @property
+    def true_scalars(self) -> Numbers:
+        """The same, one number a name: the difference of the masses too, and the polynomial's coefficients."""
+        entries = self.true_values
+        scalars = {name: value for name, value in entries.items() if isinstance(value, float)}
+        if scalars:
+            scalars["main_mass"] = scalars["moving_mass"] - scalars["pilot_mass"]
+            coefficients = np.asarray(entries["attraction_polynomial"]).tolist()
+            scalars |= {f"a{power}": value for power, value in enumerate(coefficients)}
+        return scalars
+
+    @property
     def plant(self) -> Plant:
         """The true valve."""
-        if self.family == "mismatched":
-            return MismatchedPlant(self.truth)
-        return DeclaredPlant(self.truth, self.dampings)
+        if self.family in FORMED_OTHERWISE:
+            return MismatchedPlant(self.effects)
+        return DeclaredPlant(self.effects, self.true_values)
 
     @property
     def declared(self) -> Valve:
         """What the diagnosis is told of the valve."""
-        return declared_valve(BENCH_VALVE if self.family == "mismatched" else CAMPAIGN_VALVE)
+        if self.family == "mismatched":
+            return declared_valve(BENCH_VALVE)
+        if not FAMILIES[self.family].has_tolerances:
+            return declared_valve(CAMPAIGN_VALVE)
+        if self.family == "mismatched_within":
+            # This plant's own numbers are fixed: it is the file that is off.
+            sheet = deviated({**CAMPAIGN_VALVE, **BENCH_VALVE}, self.deviations)
+            return declared_valve(sheet, declared_tolerances(sheet))
+        return declared_valve(SHEET_VALVE, declared_tolerances(SHEET_VALVE))
+
+    @property
+    def declared_exactly(self) -> Valve:
+        """The true values but for the dampings, which a fit frees."""
+        dampings = {name: CAMPAIGN_VALVE[name] for name in self.dampings}
+        return declared_valve({**self.true_values, **dampings})
 
     def recorder(self, bag: int) -> Recorder:
         """How a bag, 0 or 1, is recorded."""
@@ -103,10 +154,10 @@ class Case:
         )
 
 
-def declared_valve(entries: Mapping[str, float | tuple[float, ...]]) -> Valve:
-    """The package's valve of a plant's entries."""
+def declared_valve(entries: Entries, tolerances: Mapping[str, float | list[float]] | None = None) -> Valve:
+    """The package's valve of a plant's entries, exact or with tolerances."""
     values = {name: list(value) if isinstance(value, tuple) else value for name, value in entries.items()}
-    return Valve.from_mapping({"valve": values}, "the campaign")
+    return Valve.from_mapping({"valve": values} | ({"tolerances": tolerances} if tolerances else {}), "the campaign")
 
 
 @dataclass(frozen=True)
@@ -116,12 +167,14 @@ class Family:
     Attributes:
         draw: truth and amplitudes of a seed. kinds: over so many seeds every effect takes its turn.
         per_round: cases for each of the campaign's seeds. in_slice: cases of the slice for CI, the quicker ones.
+        has_tolerances: whether the declared file is off within tolerances, which it tells.
     """
 
     draw: Callable[[int, np.random.Generator, Recorder], tuple[Effects, Numbers]]
     kinds: int
     per_round: int
     in_slice: tuple[int, ...]
+    has_tolerances: bool = False
 
 
 def draw_case(family: str, seed: int) -> Case:
@@ -137,29 +190,41 @@ def draw_case(family: str, seed: int) -> Case:
     }
     offsets = CLOCK_OFFSET * random.standard_normal(2)
     seeds = random.integers(2**31, size=2)
+    deviations = drawn_deviations(random) if FAMILIES[family].has_tolerances else {}
     truth, amplitudes = FAMILIES[family].draw(seed, random, NOISES[noise])
     return Case(
         family,
         seed,
         truth,
         amplitudes,
-        {} if family == "mismatched" else dampings,
+        {} if family in FORMED_OTHERWISE else dampings,
         noise,
         with_current,
         (float(offsets[0]), float(offsets[1])),
         (int(seeds[0]), int(seeds[1])),
+        # What is wrong is not within its tolerance.
+        {
+            **deviations,
+            **{name.removeprefix(WRONG): size for name, size in amplitudes.items() if name.startswith(WRONG)},
+        },
     )
 
 
 def _catalogued(
-    name: str, random: np.random.Generator, recorder: Recorder, limits: tuple[float, float] = LIMITS
+    name: str,
+    random: np.random.Generator,
+    recorder: Recorder,
+    limits: tuple[float, float] = LIMITS,
+    knowledge: Knowledge = Knowledge.EXACT,
 ) -> tuple[Effects, Numbers]:
     """One effect of an amplitude between so many detection limits."""
     scale = CATALOGUED[name]
     shape, sign = scale.draw_shape(random), scale.draw_sign(random)
-    limit = detection_limit(name, shape, recorder)
+    limit = detection_limit(name, shape, recorder, knowledge)
     low = limits[0] * limit
     size = min(log_uniform(random, low, max(NARROWEST * low, min(limits[1] * limit, scale.largest))), scale.most)
+    if knowledge is Knowledge.WITHIN:
+        size = min(size, LARGEST_WITHIN.get(name, math.inf))
     return {name: scale.parameters(sign * size, shape)}, {name: size / limit}
 
 
@@ -189,8 +254,9 @@ def _uncatalogued(
     shape, sign = scale.draw_shape(random), scale.draw_sign(random)
     moved = log_uniform(random, *STRONG)
     plain = NOISES["white"]
-    distance = moved / plain.position_noise * math.sqrt(yardstick(plain).samples)
-    size = share * size_at(distance, name, scale, shape, plain, sign)
+    measure = yardstick(plain)
+    distance = moved / plain.position_noise * math.sqrt(measure.samples)
+    size = share * size_at(distance, scale, effect_distance(measure, name, scale, shape, sign))
     return {name: scale.parameters(sign * size, shape)}, {name: share * moved * 1e6}
 
 
@@ -202,7 +268,28 @@ def _mismatched(seed: int, random: np.random.Generator, recorder: Recorder) -> t
     return _catalogued(list(EFFECTS)[seed % len(EFFECTS)], random, recorder, MISMATCHED_LIMITS)
 
 
-FAMILIES: Final[Mapping[str, Family]] = {
+def _single_within(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[Effects, Numbers]:
+    return _catalogued(list(CATALOGUED)[seed % len(CATALOGUED)], random, recorder, knowledge=Knowledge.WITHIN)
+
+
+def _wrong_value(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[Effects, Numbers]:
+    """One scalar that is off by more than its tolerance allows; the true value is what counts as its parameter."""
+    names = (*SHARES, *LENGTHS)
+    name = names[seed % len(names)]
+    sign = 1.0 if random.random() < 0.5 else -1.0
+    size = sign * log_uniform(random, *WRONG_VALUE)
+    true = deviated(SHEET_VALVE, {name: size})
+    own = "moving_mass" if name == "main_mass" else name
+    return {f"{WRONG}{name}": {own: float(np.asarray(true[own]))}}, {f"{WRONG}{name}": size}
+
+
+def _mismatched_within(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[Effects, Numbers]:
+    return _catalogued(list(EFFECTS)[seed % len(EFFECTS)], random, recorder, knowledge=Knowledge.WITHIN)
+
+
+FORMED_OTHERWISE: Final = ("mismatched", "mismatched_within")
+"""Families whose plant is not of the declared form."""
+EXACT: Final[Mapping[str, Family]] = {
     "single": Family(_single, len(CATALOGUED), len(CATALOGUED), (0, 12, 17, 20)),
     "none": Family(_none, 1, 20, (0, 1, 2, 3)),
     "pair": Family(_pair, 1, 5, (2,)),
@@ -211,7 +298,14 @@ FAMILIES: Final[Mapping[str, Family]] = {
     "mismatched": Family(_mismatched, len(EFFECTS), 5, (10,)),
     "opening": Family(_single, len(CATALOGUED), 4, (0,)),
 }
-"""In the order in which they are run and reported."""
+WITHIN: Final[Mapping[str, Family]] = {
+    "none_within": Family(_none, 1, 10, (), has_tolerances=True),
+    "single_within": Family(_single_within, len(CATALOGUED), 10, (), has_tolerances=True),
+    "wrong_value": Family(_wrong_value, len(SHARES) + len(LENGTHS), 4, (), has_tolerances=True),
+    "mismatched_within": Family(_mismatched_within, len(EFFECTS), 3, (), has_tolerances=True),
+}
+FAMILIES: Final[Mapping[str, Family]] = {**EXACT, **WITHIN}
+"""In the order in which they are run and reported; those of `WITHIN` with tolerances."""
 
 
 def planned(rounds: range, families: tuple[str, ...], *, is_slice: bool) -> list[tuple[str, int]]:

@@ -11,7 +11,7 @@ from itertools import pairwise
 from typing import Final
 
 from benchmarks.campaign.cases import STRONG
-from benchmarks.campaign.running import Outcome, Timing
+from benchmarks.campaign.running import DECLARED, Cost, Outcome, Timing
 
 LABELS: Final = ("unique", "class", "unknown", "insufficient", "none", "wrong", "error")
 """Columns of the confusion table."""
@@ -19,6 +19,8 @@ LARGEST_ERROR: Final = 1.2
 """Held-out error after correction over the noise floor."""
 SMALLEST_FALL: Final = 3.0
 """Held-out error of plant (b) before over after."""
+ROUNDING: Final = 1e-6
+"""Share of an error by which it may rise."""
 POOR_COVERAGE: Final = 0.85
 """An effect whose intervals cover less is listed."""
 TIME_TARGETS: Final = {"single": 10.0, "pair": 40.0, "none": 10.0}
@@ -72,11 +74,48 @@ def figures(outcomes: Sequence[Outcome], timings: Sequence[Timing]) -> list[Figu
         _share(2, "nothing missing: none", _of(outcomes, "none"), _says("none"), low=0.98),
         *_combined(outcomes),
         *_corrected(outcomes),
-        *_covered(outcomes),
+        *_covered(_of(outcomes, "single", "pair"), 5, 0.9),
         *_mismatched(_of(outcomes, "mismatched")),
         _share(7, "one opening, then the advised recording: named", _of(outcomes, "opening"), is_resolved, low=0.8),
         *_times(timings),
     ]
+
+
+def tolerance_figures(outcomes: Sequence[Outcome], costs: Sequence[Cost]) -> list[Figure]:
+    """What must be shown where declared values have tolerances, and of what has no name."""
+    singles, wrong = _of(outcomes, "single_within"), _of(outcomes, "wrong_value")
+    nameless = _of(outcomes, "uncatalogued")
+    return [
+        _share(1, "within tolerances: none", _of(outcomes, "none_within"), _says("none"), low=0.97),
+        _share(1, "one effect: in the class", singles, _is_answered, low=0.92),
+        _share(1, "one effect: named uniquely", singles, lambda outcome: outcome.is_named, low=0.85),
+        _share(1, "one effect: another name, confidently", singles, is_confidently_misnamed, high=0.01),
+        _share(1, "a wrong value: named or in the class", wrong, _is_answered, low=0.9),
+        *_covered(_of(outcomes, "none_within", "single_within", "wrong_value"), 2, 0.92),
+        *_other_forms(_of(outcomes, "mismatched_within", "reluctance")),
+        _share(5, f"no name: held-out error ≤ {LARGEST_ERROR:g} × noise", nameless, is_down_to_noise, low=0.8),
+        _share(5, "no name: held-out error is larger after", nameless, has_risen, high=0.0),
+        *_costs(costs),
+    ]
+
+
+def _is_answered(outcome: Outcome) -> bool:
+    return outcome.label in ("unique", "class")
+
+
+def _other_forms(outcomes: Sequence[Outcome]) -> list[Figure]:
+    claims = [outcome for outcome in outcomes if outcome.is_confident and _says("effects")(outcome)]
+    return [
+        _share(4, "other forms: in the class", outcomes, lambda outcome: outcome.is_in_class, low=0.9),
+        _share(4, f"other forms: held-out error falls {SMALLEST_FALL:g} times", outcomes, has_fallen, low=0.9),
+        _share(4, "other forms: confident names that are right", claims, lambda outcome: outcome.is_in_class, low=0.85),
+    ]
+
+
+def _costs(costs: Sequence[Cost]) -> list[Figure]:
+    ratio = statistics.median(cost.ratio for cost in costs) if costs else math.nan
+    shown = ", ".join(f"{cost.exact:.1f} → {cost.within:.1f}" for cost in costs)
+    return [Figure(6, "CPU time with tolerances over without", ratio, len(costs), high=2.0, unit="", detail=shown)]
 
 
 def least_demands(outcomes: Sequence[Outcome]) -> list[Figure]:
@@ -143,6 +182,14 @@ def has_fallen(outcome: Outcome) -> bool:
     return before is not None and after is not None and before >= SMALLEST_FALL * after
 
 
+def has_risen(outcome: Outcome) -> bool:
+    """Whether the held-out error is larger after correction than before, by more than rounding; or it failed."""
+    if not outcome.answers:
+        return True
+    before, after = outcome.answers[0].before_holdout, outcome.answers[0].after_holdout
+    return before is not None and after is not None and after > (1.0 + ROUNDING) * before
+
+
 def _single(singles: Sequence[Outcome]) -> list[Figure]:
     return [
         _share(1, "one effect: named uniquely", singles, lambda outcome: outcome.is_named, low=0.9),
@@ -186,29 +233,27 @@ def _corrected(outcomes: Sequence[Outcome]) -> list[Figure]:
     return [_share(4, words, _of(outcomes, "single", "pair"), is_down_to_noise, low=0.9)]
 
 
-def _covered(outcomes: Sequence[Outcome]) -> list[Figure]:
-    dampings: list[bool] = []
-    parameters: list[bool] = []
-    by_effect: dict[str, list[bool]] = {}
-    for outcome in _of(outcomes, "single", "pair"):
+def _covered(outcomes: Sequence[Outcome], number: int, low: float) -> list[Figure]:
+    """Of what was named rightly: how often 95 % intervals hold the truth."""
+    found: dict[str, list[bool]] = {"c1 and c2": [], "effects' parameters": []}
+    by_name: dict[str, list[bool]] = {}
+    for outcome in outcomes:
         for name, is_covered in (outcome.is_covered or {}).items():
             effect, dot, _ = name.partition(".")
-            (parameters if dot else dampings).append(is_covered)
-            if dot:
-                by_effect.setdefault(effect, []).append(is_covered)
+            kind = "declared values" if name.startswith(DECLARED) else "effects' parameters" if dot else "c1 and c2"
+            found.setdefault(kind, []).append(is_covered)
+            if kind != "c1 and c2":
+                by_name.setdefault(effect, []).append(is_covered)
     poor = [
-        f"{effect} {sum(found)}/{len(found)}"
-        for effect, found in by_effect.items()
-        if sum(found) < POOR_COVERAGE * len(found)
+        f"{name} {sum(held)}/{len(held)}" for name, held in by_name.items() if sum(held) < POOR_COVERAGE * len(held)
     ]
-    return [
-        _coverage("95 % intervals of c1 and c2 hold the truth", dampings),
-        _coverage("95 % intervals of effects' parameters hold the truth", parameters, ", ".join(poor)),
-    ]
-
-
-def _coverage(words: str, found: Sequence[bool], detail: str = "") -> Figure:
-    return Figure(5, words, sum(found) / max(1, len(found)), len(found), 0.9, 0.98, detail=detail)
+    lines = []
+    for kind, held in found.items():
+        words = f"95 % intervals of {kind} hold the truth"
+        detail = ", ".join(text for text in poor if text.startswith(DECLARED) == (kind == "declared values"))
+        share = sum(held) / max(1, len(held))
+        lines.append(Figure(number, words, share, len(held), low, 0.98, detail="" if kind == "c1 and c2" else detail))
+    return lines
 
 
 def _mismatched(outcomes: Sequence[Outcome]) -> list[Figure]:
@@ -254,7 +299,7 @@ def confusion_table(outcomes: Sequence[Outcome]) -> str:
 def _row(outcome: Outcome) -> str:
     """Pairs are too many for a row each."""
     family, names = outcome.case.family, " + ".join(outcome.case.truth)
-    return family if family in ("pair", "none") else f"{family} {names}"
+    return f"{family} {names}" if names and family != "pair" else family
 
 
 def _median_seconds(outcomes: Sequence[Outcome]) -> str:

@@ -2,13 +2,15 @@
 
 One rule for all: the change of the pilot position over the training profile, whitened as the noise of the recording
 asks, has a sum of squares of 3.3² standard deviations after dampings and clock have been refitted to it. Dampings are
-free; the clock offset, and with command jitter every command's stamp, pays for itself by its prior.
+free; the clock offset, and with command jitter every command's stamp, pays for itself by its prior. Where declared
+values have tolerances, each of them is refitted, too, and pays by its tolerance.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from enum import Enum
 from functools import cache
 from typing import Final
 
@@ -16,6 +18,7 @@ import numpy as np
 from plants.common import FloatArray
 from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
 from plants.recording import Recorder, train_profile
+from plants.tolerances import NAMES, SHEET_VALVE, Entries, deviated
 
 from benchmarks.campaign.effects import CATALOGUED, Effects, Scale
 
@@ -25,8 +28,10 @@ CLOCK_PRIOR: Final = 50e-6
 """s: of a bag's clock offset, and of the error of each command's stamp."""
 DAMPINGS: Final = ("pilot_damping", "main_damping")
 DECLARED_DAMPING: Final = {name: float(np.asarray(CAMPAIGN_VALVE[name])) for name in DAMPINGS}
-DAMPING_STEP, TIME_STEP = 2e-3, 0.4e-6
-"""Steps of the central differences, N·s/m and s."""
+DAMPING_STEP, TIME_STEP, DEVIATION_STEP = 2e-3, 0.4e-6, 0.05
+"""Steps of the central differences, N·s/m, s and tolerances."""
+COARSE_STEP: Final = 8e-6
+"""s, of the plant where there are many unknowns; moves positions by less than a thousandth of the noise."""
 REFITS: Final = 10
 """Gauss-Newton steps at most, with the tangents of the declared plant."""
 WORTH_A_REFIT: Final = 0.99
@@ -36,35 +41,59 @@ CLOSE_ENOUGH: Final = 0.02
 MOST_STEPS: Final = 12
 
 
+class Knowledge(Enum):
+    """What is known of the declared values."""
+
+    EXACT = "the campaign's valve, exactly"
+    SHEET = "the valve with a data sheet, exactly"
+    WITHIN = "the valve with a data sheet, within its tolerances"
+
+
 class Yardstick:
-    """Measures how far an effect moves plant (a) away from what dampings and clock can imitate.
+    """Measures how far an effect moves plant (a) away from what dampings, clock and tolerances can imitate.
 
     Args:
         recorder: what the noise is like.
+        knowledge: of the declared values.
     """
 
-    def __init__(self, recorder: Recorder) -> None:
+    def __init__(self, recorder: Recorder, knowledge: Knowledge = Knowledge.EXACT) -> None:
         self._recorder = recorder
         self._profile = train_profile()
         self._sigma = math.hypot(recorder.position_noise, recorder.quantisation / math.sqrt(12.0))
         self._times = np.arange(round(self._profile.duration * recorder.sample_rate)) / recorder.sample_rate
+        self._declared: Entries = CAMPAIGN_VALVE if knowledge is Knowledge.EXACT else SHEET_VALVE
+        self._deviating = NAMES if knowledge is Knowledge.WITHIN else ()
+        self._step = DeclaredPlant.step if knowledge is Knowledge.EXACT else COARSE_STEP
         # Rows: the time by which each command is late for each of the unknown times.
         commands = len(self._profile.times)
         self._delays = np.ones((1, commands))
         if recorder.command_jitter > 0.0:
             self._delays = np.vstack([self._delays, np.eye(commands)])
-        columns = [self._tangent(index) for index in range(len(DAMPINGS) + len(self._delays))]
-        self._imitate = np.linalg.pinv(np.column_stack(columns))
+        # What a step of each unknown is of its prior's standard deviation; dampings are free.
+        self._charges = np.concatenate(
+            [
+                np.zeros(len(DAMPINGS)),
+                np.full(len(self._delays), TIME_STEP / CLOCK_PRIOR),
+                np.full(len(self._deviating), DEVIATION_STEP),
+            ]
+        )
+        self._imitate = np.linalg.pinv(np.column_stack([self._tangent(index) for index in range(self._charges.size)]))
 
     @property
     def samples(self) -> int:
         """Of a recording."""
         return len(self._times)
 
-    def distance(self, effects: Effects) -> float:
-        """Standard deviations by which the change stands out after dampings and clock are refitted."""
-        target = self._position(effects, np.zeros(len(self._imitate)))
-        unknowns = np.zeros(len(self._imitate))
+    def distance(self, effects: Effects, deviations: Mapping[str, float] | None = None) -> float:
+        """Standard deviations by which a change stands out after a refit.
+
+        Args:
+            effects: that the plant has.
+            deviations: of its declared values, in tolerances.
+        """
+        target = self._position(effects, np.zeros(self._charges.size), deviations or {})
+        unknowns = np.zeros(self._charges.size)
         least = math.inf
         for _ in range(REFITS):
             missed = self._whitened(target - self._position({}, unknowns), unknowns)
@@ -75,46 +104,52 @@ class Yardstick:
             unknowns = unknowns + self._imitate @ missed
         return least
 
-    def _position(self, effects: Effects, unknowns: FloatArray) -> FloatArray:
-        """What an ideal sensor shows; `unknowns` are in the units of their steps."""
+    def _position(
+        self, effects: Effects, unknowns: FloatArray, deviations: Mapping[str, float] | None = None
+    ) -> FloatArray:
+        """What an ideal sensor shows; `unknowns` are in the units of their steps, `deviations` take their place."""
+        dampings, times, sheet = np.split(unknowns, np.cumsum([len(DAMPINGS), len(self._delays)]))
         damping = {
             name: max(0.0, DECLARED_DAMPING[name] + DAMPING_STEP * float(unknown))
-            for name, unknown in zip(DAMPINGS, unknowns[: len(DAMPINGS)], strict=True)
+            for name, unknown in zip(DAMPINGS, dampings, strict=True)
         }
-        late = TIME_STEP * (unknowns[len(DAMPINGS) :] @ self._delays)
-        plant = DeclaredPlant(effects=effects, parameters=damping)
+        if deviations is None:
+            deviations = dict(zip(self._deviating, (DEVIATION_STEP * sheet).tolist(), strict=True))
+        plant = DeclaredPlant(
+            effects=effects, parameters={**deviated(self._declared, deviations), **damping}, step=self._step
+        )
+        late = TIME_STEP * (times @ self._delays)
         return plant.simulate(self._profile.times + late, self._profile.volts, self._times).pilot_position
 
     def _tangent(self, index: int) -> FloatArray:
         """Whitened change of the position for one step of an unknown, and of what its prior charges."""
-        step = np.zeros(len(DAMPINGS) + len(self._delays))
+        step = np.zeros(self._charges.size)
         step[index] = 0.5
         return self._whitened(self._position({}, step) - self._position({}, -step), -2.0 * step)
 
     def _whitened(self, change: FloatArray, unknowns: FloatArray) -> FloatArray:
         colour = self._recorder.colour
         white = np.concatenate([change[:1], (change[1:] - colour * change[:-1]) / math.sqrt(1.0 - colour**2)])
-        return np.concatenate([white / self._sigma, -TIME_STEP / CLOCK_PRIOR * unknowns[len(DAMPINGS) :]])
+        return np.concatenate([white / self._sigma, (-self._charges * unknowns)[len(DAMPINGS) :]])
 
 
 @cache
-def yardstick(recorder: Recorder) -> Yardstick:
+def yardstick(recorder: Recorder, knowledge: Knowledge = Knowledge.EXACT) -> Yardstick:
     """The yardstick of a kind of noise, made once in a process."""
-    return Yardstick(recorder)
+    return Yardstick(recorder, knowledge)
 
 
-def size_at(
-    distance: float, name: str, scale: Scale, shape: Mapping[str, float], recorder: Recorder, sign: float = 1.0
-) -> float:
+def size_at(distance: float, scale: Scale, distance_of: Callable[[float], float]) -> float:
     """The size, without its sign, at which an effect stands out by a number of standard deviations.
 
     Secant steps on logarithms: the distance grows with the size, mostly in proportion.
+
+    Args:
+        distance: in standard deviations. scale: of the effect. distance_of: of a size.
     """
-    measure = yardstick(recorder)
 
     def error(log_size: float) -> float:
-        parameters = scale.parameters(sign * math.exp(log_size), shape)
-        return math.log(max(measure.distance({name: parameters}), 1e-6) / distance)
+        return math.log(max(distance_of(math.exp(log_size)), 1e-6) / distance)
 
     before, now = math.log(scale.guess), math.log(0.5 * scale.guess)
     error_before, error_now = error(before), error(now)
@@ -128,13 +163,23 @@ def size_at(
     return math.exp(now)
 
 
-def detection_limit(name: str, shape: Mapping[str, float], recorder: Recorder) -> float:
+def effect_distance(
+    measure: Yardstick, name: str, scale: Scale, shape: Mapping[str, float], sign: float = 1.0
+) -> Callable[[float], float]:
+    """How far an effect stands out, as a function of its size."""
+    return lambda size: measure.distance({name: scale.parameters(sign * size, shape)})
+
+
+def detection_limit(
+    name: str, shape: Mapping[str, float], recorder: Recorder, knowledge: Knowledge = Knowledge.EXACT
+) -> float:
     """The detection limit of an effect, as a size; of both signs the less visible one's."""
-    return _limit(name, tuple(sorted({**shape, **CATALOGUED[name].limit_shape}.items())), recorder)
+    return _limit(name, tuple(sorted({**shape, **CATALOGUED[name].limit_shape}.items())), recorder, knowledge)
 
 
 @cache
-def _limit(name: str, shape: tuple[tuple[str, float], ...], recorder: Recorder) -> float:
+def _limit(name: str, shape: tuple[tuple[str, float], ...], recorder: Recorder, knowledge: Knowledge) -> float:
     scale = CATALOGUED[name]
     signs = (1.0, -1.0) if scale.is_signed else (1.0,)
-    return max(size_at(DETECTABLE, name, scale, dict(shape), recorder, sign) for sign in signs)
+    measure = yardstick(recorder, knowledge)
+    return max(size_at(DETECTABLE, scale, effect_distance(measure, name, scale, dict(shape), sign)) for sign in signs)

@@ -15,6 +15,7 @@ from .common import CATALOGUE, FloatArray, Plant, PlantRun
 from .declared import CAMPAIGN_VALVE, DeclaredPlant
 from .mismatched import MismatchedPlant
 from .recording import Recorder, holdout_profile, record, single_opening, train_profile, write_bag
+from .tolerances import NAMES, SHEET_VALVE, declared_tolerances, deviated, drawn_deviations
 
 Effects = Mapping[str, Mapping[str, float]]
 LOW_POLYNOMIAL = (1.5, 17.096e3, -30.931e6, 24.026e9)
@@ -388,6 +389,48 @@ def test_unknown_names_are_refused() -> None:
         DeclaredPlant(parameters={"mass": 1.0})
     with pytest.raises(ValueError, match="pickup_impact"):
         MismatchedPlant(chosen("pickup_impact"))
+
+
+# --- plant (a) within the tolerances of a data sheet -----------------------------------------------------------------
+
+
+def test_a_plant_without_deviations_is_as_declared() -> None:
+    assert deviated(SHEET_VALVE, {}) == SHEET_VALVE
+
+
+def test_declared_tolerances_are_those_of_what_is_drawn() -> None:
+    random = np.random.default_rng(1)
+    drawn = [deviated(SHEET_VALVE, drawn_deviations(random)) for _ in range(4000)]
+    declared = declared_tolerances(SHEET_VALVE)
+    for name in ("pilot_mass", "spring_rate", "spring_preload", "coil_time_constant", "seat_load", "stroke"):
+        values = np.array([float(np.asarray(valve[name])) for valve in drawn])
+        assert values.std() == pytest.approx(declared[name], rel=0.05)
+        assert values.mean() == pytest.approx(SHEET_VALVE[name], abs=0.1 * values.std())
+    pilot = np.array([float(np.asarray(valve["pilot_mass"])) for valve in drawn])
+    main = np.array([float(np.asarray(valve["moving_mass"])) for valve in drawn]) - pilot
+    assert main.std() == pytest.approx(declared["moving_mass"], rel=0.05) == pytest.approx(0.005 * 0.025, rel=0.05)
+    assert abs(np.corrcoef(pilot, main)[0, 1]) < 0.05
+    powers = np.linspace(0.0, 1.23e-3, 5)[:, np.newaxis] ** np.arange(4)
+    forces = np.array([powers @ np.asarray(valve["attraction_polynomial"]) for valve in drawn])
+    covariance = np.reshape(declared["attraction_covariance"], (4, 4))
+    np.testing.assert_allclose(
+        np.cov(forces.T), powers @ covariance @ powers.T, atol=0.06 * np.var(forces, axis=0).max()
+    )
+    # 1.5 % of the force, and three shapes of 1 % of the mean force, which all end at 1 at the stop.
+    force = powers @ np.asarray(SHEET_VALVE["attraction_polynomial"])
+    mean = np.mean(
+        np.linspace(0.0, 1.23e-3, 10001)[:, np.newaxis] ** np.arange(4) @ SHEET_VALVE["attraction_polynomial"]
+    )
+    np.testing.assert_allclose(forces.std(axis=0)[-1], np.hypot(0.015 * force[-1], 0.01 * mean * 3**0.5), rtol=0.05)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_deviation_shows_and_no_other_name_is_taken(name: str) -> None:
+    plain = one_stroke(DeclaredPlant(parameters=SHEET_VALVE))
+    changed = one_stroke(DeclaredPlant(parameters=deviated(SHEET_VALVE, {name: 1.0})))
+    assert np.abs(plain.pilot_position - changed.pilot_position).max() > 0.5e-6
+    with pytest.raises(ValueError, match="colour"):
+        deviated(SHEET_VALVE, {"colour": 1.0})
 
 
 # --- plant (b) -------------------------------------------------------------------------------------------------------
