@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from valve_sim.files.parameter_files import default_valve
+from valve_sim.identification.estimation.findings import ResidualNotWhite
 from valve_sim.identification.estimation.identify import identify
 from valve_sim.traces import list_valves, read_trace
 
@@ -26,7 +27,7 @@ def test_a_bag_identifies_as_what_it_was_made_with(name: str, pilot: str, main: 
     assert list_valves(BAGS / name) == ("/valve",)
     result = identify([read_trace(BAGS / name)], default_valve())
     if name == "friction/":
-        assert any("the residual is not white" in remark for remark in result.remarks)
+        assert ResidualNotWhite() in result.findings
         return
     for parameter, truth in (("pilot_damping", pilot), ("main_damping", main)):
         interval = result.intervals[parameter]

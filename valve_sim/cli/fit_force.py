@@ -45,6 +45,7 @@ def fit_force(
     from valve_sim.files.whole_files import write_whole
     from valve_sim.identification.estimation.static_force import fit_static_force
     from valve_sim.identification.reporting.figures import plot_static_force
+    from valve_sim.identification.reporting.findings import remarks
     from valve_sim.identification.reporting.static_force import static_force_json, static_force_text
 
     result = fit_static_force(file, declared_valve(params), degree=degree, voltage=voltage, constant=not no_constant)
@@ -52,5 +53,6 @@ def fit_force(
     plan_files(report, picture, parameters)
     write_whole(report, json_text(static_force_json(result)))
     plot_static_force(picture, result)
-    save_valve(parameters, result.valve, provenance(params, ["attraction_polynomial: fitted", *result.remarks]))
+    notes = ["attraction_polynomial: fitted", *remarks(result.findings)]
+    save_valve(parameters, result.valve, provenance(params, notes))
     print_report(static_force_json(result), static_force_text(result), (report, picture, parameters), as_json)

@@ -11,7 +11,16 @@ from plants.recording import Recorder
 from benchmarks.coverage import measure
 from identification.recordings import TRUTH, one_opening, recorded, shortened
 from valve_sim.files.parameter_files import default_valve
+from valve_sim.identification.estimation.findings import (
+    Correlated,
+    LooselyDetermined,
+    NotIdentifiable,
+    OnBound,
+    ResidualNotWhite,
+    StampErrors,
+)
 from valve_sim.identification.estimation.identify import check_free, identify
+from valve_sim.identification.estimation.intervals import Unbounded
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.identification import identification_json, identification_text
 from valve_sim.model import CATALOGUE, ParameterError, Valve
@@ -30,7 +39,7 @@ def test_both_dampings_come_out(recorder: Recorder) -> None:
         assert interval.high - interval.low < 0.1 * truth
         assert result.valve.declared()[name] == interval.value
     assert result.rmse_after < result.rmse_before
-    assert result.remarks == ()
+    assert result.findings == ()
 
 
 def test_a_small_slice_of_the_coverage_benchmark_is_good() -> None:
@@ -46,10 +55,7 @@ def test_one_opening_holds_the_main_damping_and_not_the_pilots() -> None:
     assert pilot.low < TRUTH["pilot_damping"] < pilot.high
     assert main.high - main.low < 0.15 * TRUTH["main_damping"]
     assert pilot.high - pilot.low > 3.0 * (main.high - main.low) / TRUTH["main_damping"] * TRUTH["pilot_damping"]
-    said = [remark for remark in result.remarks if remark.startswith("pilot_damping")]
-    assert len(said) == 1
-    assert "loosely" in said[0]
-    assert not any(remark.startswith("main_damping is") for remark in result.remarks)
+    assert result.findings == (LooselyDetermined("pilot_damping", pilot.low, pilot.high, "N·s/m"),)
     profile = identification_json(result)["profiles"]["pilot_damping"]
     assert max(point["rise"] for point in profile) > 3.8
     assert profile[-1]["value"] - profile[0]["value"] > pilot.high - pilot.low - 0.05
@@ -58,22 +64,21 @@ def test_one_opening_holds_the_main_damping_and_not_the_pilots() -> None:
 def test_a_damping_of_a_phase_that_never_comes_is_not_identifiable() -> None:
     """Cut off in Phase 1, before the main plunger moves."""
     result = identify([shortened(one_opening(), 0.0145)], default_valve())
-    assert any(remark.startswith("main_damping is not identifiable") for remark in result.remarks)
-    assert not any(remark.startswith("pilot_damping is not identifiable") for remark in result.remarks)
+    unbounded = [finding for finding in result.findings if isinstance(finding, NotIdentifiable)]
+    assert unbounded == [NotIdentifiable("main_damping", Unbounded.FLAT_PROFILE)]
 
 
 def test_two_parameters_that_do_the_same_are_named_together() -> None:
     result = identify([one_opening()], default_valve(), ("pilot_damping", "seat_load"))
-    said = [remark for remark in result.remarks if "hardly be told apart" in remark]
-    assert len(said) == 1
-    assert "pilot_damping" in said[0]
-    assert "seat_load" in said[0]
+    (pair,) = (finding for finding in result.findings if isinstance(finding, Correlated))
+    assert {pair.name, pair.other} == {"pilot_damping", "seat_load"}
+    assert pair.correlation > 0.99
 
 
 def test_a_parameter_on_its_bound_is_said_to_be_there() -> None:
     weak = default_valve().with_values(a0=2.95)
     result = identify([recorded(pilot_damping=0.0)], weak, ("pilot_damping",))
-    assert any("sits on its lower bound" in remark for remark in result.remarks)
+    assert OnBound("pilot_damping", "lower") in result.findings
 
 
 def test_several_bags_make_one_fit() -> None:
@@ -151,12 +156,13 @@ def test_stamps_of_commands_that_scatter_are_estimated_along() -> None:
     result = identify([trace], default_valve())
     for name, truth in TRUTH.items():
         assert abs(result.intervals[name].value - truth) < 4.0 * result.intervals[name].stderr
-    assert any("commands' stamps" in remark for remark in result.remarks)
+    (stamps,) = (finding for finding in result.findings if isinstance(finding, StampErrors))
+    assert 20e-6 < stamps.largest < 200e-6
 
 
 def test_a_remainder_that_is_more_than_noise_is_said() -> None:
     result = identify([recorded(effects={"coulomb_friction": {"force": 0.2}})], default_valve())
-    assert any("the residual is not white" in remark for remark in result.remarks)
+    assert ResidualNotWhite() in result.findings
 
 
 @pytest.mark.parametrize("name", [effect.name for effect in CATALOGUE.values() if effect.named])

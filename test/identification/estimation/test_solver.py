@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 
 from identification.recordings import TRUTH, one_opening, recorded
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.estimation.intervals import Interval, covariance_interval, profile_interval
+from valve_sim.identification.estimation.intervals import Interval, Unbounded, covariance_interval, profile_interval
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import from_internal, internal_bounds, to_internal
@@ -84,7 +84,7 @@ def test_a_parameter_without_influence_stays_flat() -> None:
     assert found.stderr("coil_resistance") == math.inf
     assert found.correlation()[0, 1] == 0.0
     interval, _ = profile_interval(found, "coil_resistance")
-    assert "flat" in interval.remark
+    assert interval.unbounded is Unbounded.FLAT_PROFILE
     lower, upper = internal_bounds(DECLARED["coil_resistance"])
     assert (interval.low, interval.high) == pytest.approx(
         (from_internal(DECLARED["coil_resistance"], lower), from_internal(DECLARED["coil_resistance"], upper))
@@ -144,5 +144,10 @@ def test_a_parameter_that_the_data_hardly_hold_costs_no_evidence(problem: Proble
 
 
 def test_infinities_become_null_in_json() -> None:
-    entry = interval_json(Interval(1.0, math.inf, 0.0, math.inf, "flat"))
-    assert entry == {"value": 1.0, "stderr": None, "ci95": [0.0, None], "remark": "flat"}
+    entry = interval_json(Interval(1.0, math.inf, 0.0, math.inf, Unbounded.FLAT_PROFILE))
+    assert entry == {
+        "value": 1.0,
+        "stderr": None,
+        "ci95": [0.0, None],
+        "remark": "the profile is flat: these data do not determine it",
+    }

@@ -1,5 +1,6 @@
 """The attraction polynomial from a static table: values, honest intervals, and what a missing constant term does."""
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +8,8 @@ import pytest
 
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.files.tables import TableError
-from valve_sim.identification.estimation.static_force import fit_static_force
+from valve_sim.identification.estimation.static_force import BeginsLate, EndsEarly, StartOfMotion, fit_static_force
+from valve_sim.identification.reporting.findings import remarks
 from valve_sim.identification.reporting.static_force import static_force_json
 from valve_sim.model import ValveError
 
@@ -15,9 +17,11 @@ TRUTH = np.array([3.0336, 17.096e3, -30.931e6, 24.026e9])
 NOISE = 0.05  # N
 
 
-def table(folder: Path, seed: int = 0, *, scale: float = 1.0, points: int = 60, begin: float = 0.0) -> Path:
+def table(
+    folder: Path, seed: int = 0, *, scale: float = 1.0, points: int = 60, begin: float = 0.0, end: float = 1.23e-3
+) -> Path:
     """A table of the default valve's attraction, as a load cell with noise would show it."""
-    displacement = np.linspace(begin, 1.23e-3, points)
+    displacement = np.linspace(begin, end, points)
     force = scale * np.polynomial.polynomial.polyval(displacement, TRUTH)
     force += NOISE * np.random.default_rng(seed).standard_normal(points)
     path = folder / f"force_{seed}.csv"
@@ -49,22 +53,41 @@ def test_force_at_another_voltage_is_scaled_to_the_reference(tmp_path: Path):
 
 
 def test_constant_term_is_said_to_start_the_motion(tmp_path: Path):
-    remark = fit_static_force(table(tmp_path), default_valve()).remarks[0]
-    assert "starts the motion" in remark
-    assert "without it the valve never opens at 9 V" in remark
+    result = fit_static_force(table(tmp_path), default_valve())
+    (start,) = result.findings
+    assert isinstance(start, StartOfMotion)
+    assert start.constant == result.intervals["a0"]
+    assert start.opening.meets_main == pytest.approx(5.3e-3, rel=0.1)
+    assert start.opening.reaches_stop == pytest.approx(9.9e-3, rel=0.1)
+    assert start.without is not None
+    assert math.isnan(start.without.meets_main)
+    (sentence,) = remarks(result.findings)
+    assert "starts the motion" in sentence
+    assert "without it the valve never opens at 9 V" in sentence
 
 
 def test_without_a_constant_term_the_valve_is_said_never_to_open(tmp_path: Path):
     found = fit_static_force(table(tmp_path), default_valve(), constant=False)
     assert found.valve.parameters.attraction_polynomial[0] == 0.0
     assert set(found.intervals) == {"a1", "a2", "a3"}
-    assert "never opens at 9 V" in found.remarks[0]
+    assert "never opens at 9 V" in remarks(found.findings)[0]
     assert not found.valve.can_open()
 
 
 def test_a_table_that_begins_away_from_the_seat_is_said_to_extrapolate(tmp_path: Path):
-    remarks = fit_static_force(table(tmp_path, begin=2e-4), default_valve()).remarks
-    assert any("begins at 200 µm" in remark for remark in remarks)
+    result = fit_static_force(table(tmp_path, begin=2e-4), default_valve())
+    assert BeginsLate(2e-4) in result.findings
+    assert any("begins at 200 µm" in sentence for sentence in remarks(result.findings))
+
+
+def test_a_table_that_ends_before_the_stroke_is_said_to_extrapolate(tmp_path: Path):
+    result = fit_static_force(table(tmp_path, end=1.0e-3), default_valve())
+    assert EndsEarly(1.0e-3, default_valve().parameters.stroke) in result.findings
+    assert any("ends at 1000 µm of 1230 µm stroke" in sentence for sentence in remarks(result.findings))
+
+
+def test_a_whole_table_needs_no_warning_but_on_the_start(tmp_path: Path):
+    assert [type(finding) for finding in fit_static_force(table(tmp_path), default_valve()).findings] == [StartOfMotion]
 
 
 def test_degree_two_leaves_the_cubic_term_out(tmp_path: Path):

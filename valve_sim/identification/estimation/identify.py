@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from valve_sim.identification.estimation.findings import Finding, findings, leaves_more_than_noise
 from valve_sim.identification.estimation.intervals import Interval, profile_interval
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
@@ -23,13 +24,6 @@ from valve_sim.traces import Trace
 DEFAULT_FREE: Final = DAMPINGS
 STARTS: Final = (1.0, 4.0, 0.25)
 """Factors on the declared values from which a fit starts, to avoid local minima."""
-CORRELATED: Final = 0.99
-"""Beyond this correlation two parameters are said to be hardly distinguishable."""
-WEAK: Final = 0.25
-"""A parameter is loosely determined if its 95 % interval is wider than this share of its value and declared value."""
-
-TOO_MUCH: Final = 5.0
-"""Standard deviations of χ² beyond which the residual is larger than the noise."""
 DECISIVE: Final = 10.0
 """A difference of scores, theory, eq. (41): odds of 150 to 1."""
 
@@ -42,7 +36,8 @@ class Identification:
 
     Attributes:
         fit: the best fit. intervals: by freed parameter, 95 % by profile likelihood.
-        profiles: by freed parameter, (value, rise of χ²) pairs. remarks: one sentence each, for a person.
+        profiles: by freed parameter, (value, rise of χ²) pairs.
+        findings: what the data do not determine, and what else is off.
         rmse_before, rmse_after: m, of the pilot plunger's position, as declared and refitted.
         valve: the identified valve.
     """
@@ -50,7 +45,7 @@ class Identification:
     fit: Fit
     intervals: Mapping[str, Interval]
     profiles: Mapping[str, list[tuple[float, float]]]
-    remarks: tuple[str, ...]
+    findings: tuple[Finding, ...]
     rmse_before: float
     rmse_after: float
     valve: Valve
@@ -89,7 +84,7 @@ def identify(
     say("done", 1.0)
     offsets = {nuisance.name: best.values[nuisance.name] for nuisance in best.nuisances}
     return Identification(
-        best, intervals, profiles, tuple(remarks(best, intervals)), position_rmse(plant, offsets),
+        best, intervals, profiles, findings(best, intervals), position_rmse(plant, offsets),
         position_rmse(plant, best.values), plant.with_values(best.values), tuple(trace.source for trace in traces),
     )  # fmt: skip
 
@@ -122,16 +117,6 @@ def best_fit(problem: Problem, free: Sequence[str], progress: Callable[[float], 
     return timed if timed.score < plain.score - DECISIVE else plain
 
 
-def leaves_more_than_noise(result: Fit) -> bool:
-    """Whether χ² exceeds what noise gives it by 5 %, and by more than `TOO_MUCH` of its standard deviations.
-
-    These include that the noise itself is known from a limited number of quiet samples only.
-    """
-    samples, quiet = result.problem.effective_samples, [noise.samples for noise in result.problem.noises.values()]
-    left = result.chi2 / result.problem.variance_inflation / samples - 1.0
-    return left > max(0.05, TOO_MUCH * math.sqrt(2.0 / samples + 2.0 / max(1, min(quiet))))
-
-
 def _best_of_starts(
     problem: Problem, free: Sequence[str], nuisances: Sequence[Nuisance], progress: Callable[[float], None]
 ) -> Fit:
@@ -153,46 +138,6 @@ def position_rmse(plant: Plant, values: Mapping[str, float]) -> float:
     shown = plant.predict(values)
     left = [plant.channels[index].data - shown[index] for index in judged_channels(plant)]
     return root_mean_square(np.concatenate(left))
-
-
-def remarks(result: Fit, intervals: Mapping[str, Interval]) -> list[str]:
-    """Warnings about the freed parameters: not identifiable, on a bound, correlated."""
-    said = []
-    plant = result.problem.plant
-    correlation = result.correlation()
-    for index, name in enumerate(result.free):
-        interval = intervals[name]
-        others = [(abs(float(correlation[index, j])), other) for j, other in enumerate(result.free) if j != index]
-        strongest = max(others, default=(0.0, ""))
-        bound = result.on_bound(name)
-        if interval.remark:
-            said.append(f"{name} is not identifiable from these data: {interval.remark}.")
-        elif bound is not None:
-            said.append(f"{name} sits on its {bound} bound: the data want it beyond, or something else is missing.")
-        elif interval.high - interval.low > WEAK * max(abs(interval.value), abs(plant.declared(name))):
-            said.append(
-                f"{name} is determined only loosely by these data: anything from {interval.low:.3g} to "
-                f"{interval.high:.3g} {plant.parameter(name).unit} fits."
-            )
-        if strongest[0] > CORRELATED and (name < strongest[1] or strongest[1] not in result.free):
-            said.append(
-                f"{name} and {strongest[1]} can hardly be told apart (correlation {strongest[0]:.4f}); "
-                "strokes at other voltages, or a release, would separate them."
-            )
-    timing = [abs(result.values[nuisance.name]) for nuisance in result.nuisances[len(plant.nuisances) :]]
-    if timing:
-        said.append(
-            f"the commands' stamps are off by up to {1e6 * max(timing):.3g} µs, beside the clock offset; each was "
-            "estimated."
-        )
-    if leaves_more_than_noise(result):
-        said.append(
-            "the residual is not white, so the model lacks something and the intervals are too narrow; "
-            "`diagnose` may name it."
-        )
-    if not result.converged:
-        said.append("the fit did not converge; treat the values with care.")
-    return said
 
 
 def _started(plant: Plant, name: str, factor: float) -> float:

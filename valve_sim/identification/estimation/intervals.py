@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import enum
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -21,20 +22,29 @@ FLAT: Final = 0.1
 """Share of that rise below which a profile is flat."""
 
 
+class Unbounded(enum.Enum):
+    """Why data do not bound a parameter."""
+
+    FLAT_PROFILE = enum.auto()
+    """χ² hardly rises as far as its range goes."""
+    MAY_BE_INFINITE = enum.auto()
+    """It may be infinite, as a time constant that is longer than the recording."""
+
+
 @dataclass(frozen=True)
 class Interval:
     """A value with its uncertainty, in the parameter's unit.
 
     Attributes:
         value, stderr: from the covariance. low, high: 95 % interval; infinite where the data do not bound it.
-        remark: why it is wide or one-sided, or empty.
+        unbounded: why it is wide or one-sided, if it is.
     """
 
     value: float
     stderr: float
     low: float
     high: float
-    remark: str = ""
+    unbounded: Unbounded | None = None
 
 
 def covariance_interval(result: Fit, name: str) -> Interval:
@@ -70,14 +80,14 @@ def profile_interval(result: Fit, name: str, *, points: int = 12) -> tuple[Inter
     walk = _Walk(result, name, at, spread, CHI2_RISE_95 * result.problem.variance_inflation, points)
     low, high = _profile_side(walk, -1.0, lower), _profile_side(walk, 1.0, upper)
     ends = sorted(from_internal(parameter, side.end) for side in (low, high))
-    remark = ""
+    unbounded = None
     if not (low.is_closed or high.is_closed) and (low.is_flat or high.is_flat):
-        remark = "the profile is flat: these data do not determine it"
+        unbounded = Unbounded.FLAT_PROFILE
     elif parameter.infinite_at_upper and ends[1] >= parameter.upper:
-        remark = "it may be too long to be seen in these data"
+        unbounded = Unbounded.MAY_BE_INFINITE
     curve = [*low.curve, (at, 0.0), *high.curve]
     pairs = sorted((from_internal(parameter, where), rise) for where, rise in curve)
-    return Interval(result.values[name], result.stderr(name), ends[0], ends[1], remark), pairs
+    return Interval(result.values[name], result.stderr(name), ends[0], ends[1], unbounded), pairs
 
 
 class _Walk(NamedTuple):

@@ -6,9 +6,10 @@ The paper measured the force at one voltage while a stage moved the plunger, and
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +33,49 @@ _COLUMNS: Final = {
 }
 
 
+class Opening(NamedTuple):
+    """How a valve opens at its reference voltage.
+
+    Attributes:
+        volts: V. meets_main, reaches_stop: s, of the pilot plunger; NaN where it does not within `OPENING_TIME`.
+    """
+
+    volts: float
+    meets_main: float
+    reaches_stop: float
+
+
+@dataclass(frozen=True)
+class StartOfMotion:
+    """What the constant term means for the start of motion.
+
+    Attributes:
+        constant: a0, N; None where it was left out. opening: of the fitted valve. without: of the valve with a0 = 0.
+    """
+
+    constant: Interval | None
+    opening: Opening
+    without: Opening | None
+
+
+@dataclass(frozen=True)
+class BeginsLate:
+    """The table begins at this displacement, m: a0 is extrapolated."""
+
+    displacement: float
+
+
+@dataclass(frozen=True)
+class EndsEarly:
+    """The table ends at this displacement, m, short of the stroke, m: beyond it the polynomial is extrapolated."""
+
+    displacement: float
+    stroke: float
+
+
+StaticFinding: TypeAlias = StartOfMotion | BeginsLate | EndsEarly
+
+
 @dataclass(frozen=True)
 class StaticForce:
     """An attraction polynomial from a static table.
@@ -43,7 +87,7 @@ class StaticForce:
         rmse: of the residuals, N, as measured.
         r_squared: share of the force's variance that the polynomial explains.
         valve: the valve with this polynomial.
-        remarks: one sentence each, on the start of motion first.
+        findings: on the start of motion first.
     """
 
     source: str
@@ -54,7 +98,7 @@ class StaticForce:
     rmse: float
     r_squared: float
     valve: Valve
-    remarks: tuple[str, ...]
+    findings: tuple[StaticFinding, ...]
 
     @property
     def predicted(self) -> Array:
@@ -115,7 +159,7 @@ def fit_static_force(
         rmse,
         1.0 - rmse**2 / variance if variance > 0.0 else 0.0,
         fitted,
-        tuple(_remarks(fitted, intervals.get("a0"), displacement)),
+        tuple(_findings(fitted, intervals.get("a0"), displacement)),
     )
 
 
@@ -148,43 +192,19 @@ def _least_squares(displacement: Array, force: Array, powers: NDArray[np.int_]) 
     return coefficients * units, np.sqrt(np.diag(covariance)) * units, math.sqrt(squares / len(force))
 
 
-def _remarks(valve: Valve, constant: Interval | None, displacement: Array) -> list[str]:
+def _findings(valve: Valve, constant: Interval | None, displacement: Array) -> Iterator[StaticFinding]:
     parameters = valve.parameters
-    said = [_start_of_motion(valve, constant)]
-    if float(np.min(displacement)) > 0.1 * parameters.pilot_gap:
-        said.append(
-            f"the table begins at {1e6 * float(np.min(displacement)):.0f} µm: a0 is extrapolated; measure at x = 0, "
-            "where the motion starts."
-        )
-    if float(np.max(displacement)) < 0.98 * parameters.stroke:
-        said.append(
-            f"the table ends at {1e6 * float(np.max(displacement)):.0f} µm of {1e6 * parameters.stroke:.0f} µm stroke: "
-            "beyond it the polynomial is an extrapolation."
-        )
-    return said
+    begin, end = float(np.min(displacement)), float(np.max(displacement))
+    yield StartOfMotion(
+        constant, opening_of(valve), None if constant is None else opening_of(valve.with_values(a0=0.0))
+    )
+    if begin > 0.1 * parameters.pilot_gap:
+        yield BeginsLate(begin)
+    if end < 0.98 * parameters.stroke:
+        yield EndsEarly(end, parameters.stroke)
 
 
-def _start_of_motion(valve: Valve, constant: Interval | None) -> str:
-    """What the constant term, or its lack, means for the start of motion."""
-    if constant is None:
-        return (
-            f"without a constant term the attraction at x = 0 is 0 N: {_opening(valve)}. Fit with the constant term; a "
-            "magnetised coil pulls at the largest gap too."
-        )
-    without = valve.with_values(a0=0.0)
-    if constant.low <= 0.0 <= constant.high:
-        return (
-            f"a0 = {constant.value:.3g} N is not told from 0 (95 %: {constant.low:.3g} to {constant.high:.3g} N) "
-            f"and a0 alone starts the motion: with it {_opening(valve)}, without it {_opening(without)}. Measure more "
-            "points near x = 0."
-        )
-    return f"a0 = {constant.value:.4g} N starts the motion: with it {_opening(valve)}, without it {_opening(without)}."
-
-
-def _opening(valve: Valve) -> str:
+def opening_of(valve: Valve) -> Opening:
+    """How a valve opens when its reference voltage is switched on."""
     volts = valve.parameters.reference_voltage
-    t1, t2 = published_times(simulate(valve, Drive.of([0.0], [volts]), [OPENING_TIME]))
-    if math.isnan(t1):
-        return f"the valve never opens at {volts:g} V (nothing lifts the pilot plunger off its seat)"
-    reached = "never reaches the stop" if math.isnan(t2) else f"reaches the stop at {1e3 * t2:.2f} ms"
-    return f"the pilot plunger meets the main plunger at {1e3 * t1:.2f} ms and {reached} at {volts:g} V"
+    return Opening(volts, *published_times(simulate(valve, Drive.of([0.0], [volts]), [OPENING_TIME])))

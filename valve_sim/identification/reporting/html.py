@@ -23,6 +23,7 @@ from valve_sim.identification.plants.effect_titles import named_value, titles_of
 from valve_sim.identification.plants.protocol import judged_channels
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.curves import StrokeCurves, strokes_of
+from valve_sim.identification.reporting.findings import remark_on
 from valve_sim.identification.reporting.force_curves import ForceCurve, force_curve, motion_of
 from valve_sim.identification.reporting.units import limits, measured, quantity
 from valve_sim.identification.reporting.wording import (
@@ -262,7 +263,7 @@ def _interval_rows(diagnosis: Diagnosis) -> list[dict[str, str]]:
     for name, found in diagnosis.after.intervals.items():
         if not _is_knot(name):
             words, unit = named_value(diagnosis.plant, name)
-            value, remark = measured(found, unit), found.remark
+            value, remark = measured(found, unit), remark_on(found)
             rows.append({"words": words, "name": name, "value": value, "limits": limits(found, unit), "remark": remark})
     return rows
 

@@ -7,6 +7,7 @@ from typing import Any
 
 from valve_sim.files.json_text import plain_mapping
 from valve_sim.identification.estimation.identify import Identification
+from valve_sim.identification.reporting.findings import remarks
 from valve_sim.identification.reporting.interval_json import intervals_json
 from valve_sim.identification.reporting.units import limits, measured, quantity
 
@@ -36,7 +37,7 @@ def identification_json(result: Identification) -> dict[str, Any]:
             name: [{"value": value, "rise": rise} for value, rise in curve if math.isfinite(value)]
             for name, curve in result.profiles.items()
         },
-        "remarks": list(result.remarks),
+        "remarks": remarks(result.findings),
     }
     return plain_mapping(report)
 
@@ -54,4 +55,4 @@ def identification_text(result: Identification) -> str:
         f"residual {1e6 * result.rmse_before:.3g} µm as declared, {1e6 * result.rmse_after:.3g} µm refitted; "
         f"sensor noise {1e6 * noise.sigma:.3g} µm"
     )
-    return "\n".join([*lines, *result.remarks])
+    return "\n".join([*lines, *remarks(result.findings)])

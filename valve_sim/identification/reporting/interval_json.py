@@ -7,6 +7,7 @@ from typing import Any
 
 from valve_sim.files.json_text import plain
 from valve_sim.identification.estimation.intervals import Interval
+from valve_sim.identification.reporting.findings import remark_on
 
 
 def interval_json(found: Interval) -> dict[str, Any]:
@@ -16,8 +17,8 @@ def interval_json(found: Interval) -> dict[str, Any]:
         "stderr": plain(found.stderr),
         "ci95": plain([found.low, found.high]),
     }
-    if found.remark:
-        entry["remark"] = found.remark
+    if remark := remark_on(found):
+        entry["remark"] = remark
     return entry
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from valve_sim.files.json_text import plain_mapping
 from valve_sim.identification.estimation.static_force import StaticForce
+from valve_sim.identification.reporting.findings import remarks
 from valve_sim.identification.reporting.interval_json import intervals_json
 from valve_sim.model import DECLARED
 
@@ -25,7 +26,7 @@ def static_force_json(result: StaticForce) -> dict[str, Any]:
         "rmse_n": result.rmse,
         "maximum_n": float(np.max(np.abs(result.force - result.predicted))),
         "r_squared": result.r_squared,
-        "remarks": list(result.remarks),
+        "remarks": remarks(result.findings),
     }
     return plain_mapping(report)
 
@@ -40,4 +41,4 @@ def static_force_text(result: StaticForce) -> str:
             f"[{interval.low:.5g}, {interval.high:.5g}] {DECLARED[name].unit}"
         )
     lines.append(f"residual {result.rmse:.3g} N (rms), R² {result.r_squared:.6f}")
-    return "\n".join([*lines, *result.remarks])
+    return "\n".join([*lines, *remarks(result.findings)])
