@@ -11,11 +11,12 @@ import functools
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Collection, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
     from rosbags.typesys.store import Typestore
@@ -27,6 +28,8 @@ ENCAPSULATION_SIZE = 4
 
 LARGEST_PADDING = 3
 """A middleware may pad a message to 4 bytes; more than this after the last field is rubbish."""
+
+STAMP = "header.stamp."
 
 MOST_LAYOUTS = 16
 """Layouts tried on all messages of one length before the rest is read one by one (bounds the work on rubbish)."""
@@ -84,17 +87,15 @@ class Layout(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """Messages of one layout: `places` (n,) in the topic, `matrix` (n, length) their raw bytes."""
+    """Messages of one layout: `places` (n,) in the topic, `columns` the numbers of the fields kept, shape (n, size)."""
 
     places: NDArray[np.intp]
     layout: Layout
-    matrix: NDArray[np.uint8]
+    columns: dict[str, NDArray[Any]]
 
     def column(self, path: str) -> NDArray[Any]:
         """Return the numbers of one field, shape (n, size)."""
-        field = self.layout.fields[path]
-        stop = field.offset + field.size * np.dtype(field.dtype).itemsize
-        return np.ascontiguousarray(self.matrix[:, field.offset : stop]).view(field.dtype)
+        return self.columns[path]
 
 
 class Decoded(NamedTuple):
@@ -201,6 +202,69 @@ def find_layout(payload: bytes, message_type: str, definitions: Definitions | No
     return walker.layout()
 
 
+class Decoder:
+    """Reads the messages of one topic as they come, many at a time, and keeps nothing of them but their numbers.
+
+    Args:
+        message_type: Their type.
+        definitions: Of that type and those in it; None: those of `typestore`.
+        keep: Dotted paths of the fields to keep, stamps apart, which always are; None: all.
+    """
+
+    def __init__(
+        self, message_type: str, definitions: Definitions | None = None, keep: Collection[str] | None = None
+    ) -> None:
+        self.message_type = message_type
+        self.keep = keep
+        self.definitions = typestore().fielddefs if definitions is None else definitions
+        self.count = 0
+        self._malformed = self._trimmed = 0
+        self._grown: dict[bytes, _Growing] = {}
+
+    def take(self, raw: NDArray[np.uint8], starts: NDArray[np.int64], stops: NDArray[np.int64]) -> None:
+        """Read messages out of a block of bytes.
+
+        Args:
+            raw: The block.
+            starts, stops: Where in it each message lies, shape (n,).
+        """
+        lengths = stops - starts
+        for length in np.unique(lengths).tolist():
+            index = np.flatnonzero(lengths == length)
+            if length == 0:
+                self._malformed += len(index)
+                continue
+            matrix = sliding_window_view(raw, length)[starts[index]]
+            for rows in _split_by_layout(matrix, index, self.message_type, self.definitions):
+                if rows is None:
+                    self._malformed += 1
+                    continue
+                if length - rows.layout.end > LARGEST_PADDING:
+                    self._trimmed += len(rows.places)
+                grown = self._grown.setdefault(rows.kind(), _Growing(rows.layout))
+                grown.extend(rows.places + self.count, rows.columns(self.keep))
+        self.count += len(starts)
+
+    def take_messages(self, payloads: Sequence[bytes]) -> None:
+        """Read messages, each in bytes of its own."""
+        stops = np.cumsum(np.fromiter(map(len, payloads), dtype=np.int64, count=len(payloads)))
+        raw = np.frombuffer(b"".join(payloads), np.uint8)
+        self.take(raw, np.concatenate([np.zeros(1, np.int64), stops[:-1]])[: len(stops)], stops)
+
+    def absorb(self, later: Decoder) -> None:
+        """Add what another decoder of the same topic has read after this one."""
+        for kind, grown in later._grown.items():
+            batch = grown.batch()
+            self._grown.setdefault(kind, _Growing(batch.layout)).extend(batch.places + self.count, batch.columns)
+        self._malformed += later._malformed
+        self._trimmed += later._trimmed
+        self.count += later.count
+
+    def decoded(self) -> Decoded:
+        """Return all that was read."""
+        return Decoded(tuple(grown.batch() for grown in self._grown.values()), self._malformed, self._trimmed)
+
+
 def decode_messages(payloads: Sequence[bytes], message_type: str, definitions: Definitions | None = None) -> Decoded:
     """Read all messages of one topic, layout by layout.
 
@@ -209,27 +273,71 @@ def decode_messages(payloads: Sequence[bytes], message_type: str, definitions: D
         message_type: Their type.
         definitions: Of that type and those in it; None: those of `typestore`.
     """
-    lengths = np.fromiter(map(len, payloads), dtype=np.int64, count=len(payloads))
-    batches: list[Batch] = []
-    malformed = trimmed = 0
-    for length in np.unique(lengths):
-        index = np.flatnonzero(lengths == length)
-        same_length = payloads if len(index) == len(payloads) else [payloads[place] for place in index.tolist()]
-        matrix = np.frombuffer(b"".join(same_length), np.uint8).reshape(len(index), int(length))
-        for batch in _split_by_layout(matrix, index, message_type, definitions):
-            if batch is None:
-                malformed += 1
+    decoder = Decoder(message_type, definitions)
+    decoder.take_messages(payloads)
+    return decoder.decoded()
+
+
+class _Growing:
+    """A batch to which messages are added.
+
+    Byte arrays grow where they are, so that nothing is there twice; NumPy's arrays would have to be joined at the end.
+
+    Args:
+        layout: Of the messages.
+    """
+
+    def __init__(self, layout: Layout) -> None:
+        self.layout = layout
+        self._places = bytearray()
+        self._columns: dict[str, bytearray] = {}
+        self._like: dict[str, NDArray[Any]] = {}
+
+    def extend(self, places: NDArray[np.intp], columns: Mapping[str, NDArray[Any]]) -> None:
+        """Add messages."""
+        self._places += places.tobytes()
+        for path, values in columns.items():
+            self._columns.setdefault(path, bytearray()).extend(values.tobytes())
+            self._like.setdefault(path, values[:0])
+
+    def batch(self) -> Batch:
+        """Return all that were added."""
+        places = np.frombuffer(self._places, np.intp)
+        columns = {
+            path: np.frombuffer(raw, self._like[path].dtype).reshape(len(places), self._like[path].shape[1])
+            for path, raw in self._columns.items()
+        }
+        return Batch(places, self.layout, columns)
+
+
+class _Rows(NamedTuple):
+    """Messages of one layout: `places` (n,) in their block, `matrix` (n, length) their raw bytes."""
+
+    places: NDArray[np.intp]
+    layout: Layout
+    matrix: NDArray[np.uint8]
+
+    def columns(self, keep: Collection[str] | None) -> dict[str, NDArray[Any]]:
+        """Return the numbers of the fields to keep, shape (n, size)."""
+        found = {}
+        for path, field in self.layout.fields.items():
+            if keep is not None and path not in keep and not path.startswith(STAMP):
                 continue
-            batches.append(batch)
-            if length - batch.layout.end > LARGEST_PADDING:
-                trimmed += len(batch.places)
-    return Decoded(tuple(batches), malformed, trimmed)
+            stop = field.offset + field.size * np.dtype(field.dtype).itemsize
+            raw = np.ascontiguousarray(self.matrix[:, field.offset : stop])
+            found[path] = raw.view(field.dtype) if field.size else np.empty((len(raw), 0), field.dtype)
+        return found
+
+    def kind(self) -> bytes:
+        """Return what tells this layout from others: its lengths and names, and its end."""
+        fixed = b"".join(self.matrix[0, start:stop].tobytes() for start, stop in self.layout.fixed)
+        return self.layout.end.to_bytes(8, "little") + fixed
 
 
 def _split_by_layout(
-    matrix: NDArray[np.uint8], index: NDArray[np.intp], message_type: str, definitions: Definitions | None
-) -> Iterator[Batch | None]:
-    """Yield batches that share a layout; None for each message that cannot be read."""
+    matrix: NDArray[np.uint8], index: NDArray[np.intp], message_type: str, definitions: Definitions
+) -> Iterator[_Rows | None]:
+    """Yield messages that share a layout; None for each message that cannot be read."""
     layouts = 0
     while len(index):
         try:
@@ -244,9 +352,9 @@ def _split_by_layout(
         if layouts <= MOST_LAYOUTS:
             same = _same_layout(matrix, layout)
         if same.all():
-            yield Batch(index, layout, matrix)
+            yield _Rows(index, layout, matrix)
             return
-        yield Batch(index[same], layout, matrix[same])
+        yield _Rows(index[same], layout, matrix[same])
         # The general way drops one row from the front: a view. Copying what is left each time would be quadratic.
         only_first = layouts > MOST_LAYOUTS
         matrix, index = (matrix[1:], index[1:]) if only_first else (matrix[~same], index[~same])

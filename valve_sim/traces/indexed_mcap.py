@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    Select = Callable[[Mapping[str, str]], Collection[str]]
+    Take = Callable[[str, NDArray[np.int64], NDArray[np.uint8], NDArray[np.int64], NDArray[np.int64]], None]
+
 RECORD_HEAD = 9
 """Bytes of opcode and length before each record."""
 
@@ -33,13 +36,20 @@ class NotIndexed(Exception):  # noqa: N818 -- never leaves this room: the file i
     """The file has no message indexes, or they do not fit the data."""
 
 
-def read_indexed_mcap(
-    path: Path, select: Callable[[Mapping[str, str]], Collection[str]]
-) -> tuple[dict[str, str], list[tuple[str, list[int], list[bytes]]]]:
-    """Read topics' types, and for each channel wanted its topic, bag times in ns, and serialized messages.
+def read_indexed_mcap(path: Path, select: Select, take: Take) -> dict[str, str]:
+    """Read an MCAP file chunk by chunk.
+
+    Args:
+        path: The file.
+        select: Called with all topics and their types; returns those to read.
+        take: Called for each chunk and topic with the topic, bag times in ns (n,), the chunk's bytes, and where in them
+            each message starts and stops, (n,) each.
+
+    Returns:
+        every topic and its type.
 
     Raises:
-        NotIndexed: It cannot be read so; nothing is said about whether it is damaged.
+        NotIndexed: It cannot be read so; nothing is said about whether it is damaged. What was taken is to be dropped.
     """
     with path.open("rb") as stream:
         summary = make_reader(stream).get_summary()
@@ -53,32 +63,28 @@ def read_indexed_mcap(
         if len(types) < len({channel.topic for channel in summary.channels.values()}):
             raise NotIndexed
         wanted = set(select(types))
-        parts: dict[int, tuple[str, list[int], list[bytes]]] = {
-            number: (channel.topic, [], []) for number, channel in summary.channels.items() if channel.topic in wanted
-        }
+        topics = {number: channel.topic for number, channel in summary.channels.items() if channel.topic in wanted}
+        counts = dict.fromkeys(topics, 0)
         for index in summary.chunk_indexes:
-            _read_chunk(stream, index, parts)
-        for number, (_, times, _) in parts.items():
-            if len(times) != summary.statistics.channel_message_counts.get(number, 0):
-                raise NotIndexed
-    return types, list(parts.values())
+            here = topics.keys() & index.message_index_offsets.keys()
+            if here:
+                data = _unpacked(stream, index)
+                for number in sorted(here):
+                    stamps, places = _message_index(stream, index.message_index_offsets[number])
+                    take(topics[number], stamps, *_payload_bounds(data, places, number))
+                    counts[number] += len(stamps)
+        if any(count != summary.statistics.channel_message_counts.get(number, 0) for number, count in counts.items()):
+            raise NotIndexed
+    return types
 
 
-def _read_chunk(stream: BinaryIO, index: ChunkIndex, parts: Mapping[int, tuple[str, list[int], list[bytes]]]) -> None:
-    here = parts.keys() & index.message_index_offsets.keys()
-    if not here:
-        return
+def _unpacked(stream: BinaryIO, index: ChunkIndex) -> NDArray[np.uint8]:
     stream.seek(index.chunk_start_offset + RECORD_HEAD)
     chunk = Chunk.read(ReadDataStream(stream))
     data = unpack_chunk(chunk)
     if not chunk_is_sound(chunk, data):
         raise NotIndexed
-    for number in here:
-        _, times, payloads = parts[number]
-        stamps, places = _message_index(stream, index.message_index_offsets[number])
-        starts, stops = _payload_bounds(data, places, number)
-        times += stamps.tolist()
-        payloads += [data[start:stop] for start, stop in zip(starts.tolist(), stops.tolist(), strict=True)]
+    return np.frombuffer(data, np.uint8)
 
 
 def _message_index(stream: BinaryIO, offset: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -95,16 +101,16 @@ def _message_index(stream: BinaryIO, offset: int) -> tuple[NDArray[np.int64], ND
 
 
 def _payload_bounds(
-    data: bytes, places: NDArray[np.int64], channel: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return where the payloads of the records at `places` start and stop."""
-    raw = np.frombuffer(data, np.uint8)
+    raw: NDArray[np.uint8], places: NDArray[np.int64], channel: int
+) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.int64]]:
+    """Return the bytes, and where in them the payloads of the records at `places` start and stop."""
     if len(places) and not 0 <= places.min() <= places.max() <= len(raw) - MESSAGE_HEAD:
         raise NotIndexed
     heads = raw[places[:, None] + np.arange(RECORD_HEAD + 2)]
     lengths = np.ascontiguousarray(heads[:, 1:RECORD_HEAD]).view("<i8")[:, 0]
     channels = np.ascontiguousarray(heads[:, RECORD_HEAD:]).view("<u2")[:, 0]
     stops = places + RECORD_HEAD + lengths
-    if (heads[:, 0] != Opcode.MESSAGE).any() or (channels != channel).any() or (stops > len(raw)).any():
+    is_no_message = (heads[:, 0] != Opcode.MESSAGE) | (channels != channel) | (lengths < MESSAGE_HEAD - RECORD_HEAD)
+    if is_no_message.any() or (stops > len(raw)).any():
         raise NotIndexed
-    return places + MESSAGE_HEAD, stops
+    return raw, places + MESSAGE_HEAD, stops

@@ -63,9 +63,15 @@ class Plan(NamedTuple):
     map_path: str = ""
 
     @property
-    def topics(self) -> list[str]:
-        """What to read, each once."""
-        return list(dict.fromkeys(source.topic for source in self.sources.values()))
+    def fields(self) -> dict[str, frozenset[str] | None]:
+        """The topics to read, and the fields to keep of each; None: all."""
+        found: dict[str, frozenset[str] | None] = {}
+        for source in self.sources.values():
+            path = source.field or ("position" if source.joint else None)
+            known = found.get(source.topic, frozenset())
+            # A place in a list ("position[0]") is kept with its list.
+            found[source.topic] = None if path is None or known is None else known | {path, path.partition("[")[0]}
+        return found
 
 
 def valves_among(types: Mapping[str, str]) -> tuple[str, ...]:

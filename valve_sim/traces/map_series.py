@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from valve_sim.files.recording_map import Source
-from valve_sim.traces.cdr import decode_messages
-from valve_sim.traces.message_fields import definitions_of, field_values, number_paths
+from valve_sim.traces.message_fields import field_values, number_paths
 from valve_sim.traces.storage import read_recording
+from valve_sim.traces.strokes import medians_of_three
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -97,13 +97,7 @@ class Series:
         """Share of the whole travel that is made in steps of a tenth of the span or more: 1 for what is switched."""
         steps = np.abs(np.diff(self.values))
         large = steps[steps > 0.1 * self.span].sum()
-        return float(large / max(large, np.abs(np.diff(_smooth(self.values))).sum(), 1e-300))
-
-
-def _smooth(values: Array) -> Array:
-    if len(values) < 3:
-        return values
-    return np.asarray(np.median(np.stack([values[:-2], values[1:-1], values[2:]]), axis=0))
+        return float(large / max(large, np.abs(np.diff(medians_of_three(self.values))).sum(), 1e-300))
 
 
 def table_series(table: DataTable, columns: Mapping[str, Array]) -> list[Series]:
@@ -119,18 +113,14 @@ def bag_series(path: Path) -> list[Series]:
         TraceError: Nothing can be read from it.
     """
 
-    def select(types: Mapping[str, str]) -> list[str]:
-        return [topic for topic, message_type in types.items() if not LARGE_TYPES.fullmatch(message_type)]
+    def select(types: Mapping[str, str]) -> dict[str, None]:
+        return {topic: None for topic, message_type in types.items() if not LARGE_TYPES.fullmatch(message_type)}
 
-    recording = read_recording(path, select)
+    recording = read_recording(path, select, most=MOST_MESSAGES)
     result: list[Series] = []
     for topic in sorted(recording.topics):
-        message_type = recording.types[topic]
-        definitions = definitions_of(path, message_type)
-        if definitions is None:
-            continue
-        decoded = decode_messages(recording.topics[topic].payloads[:MOST_MESSAGES], message_type, definitions)
-        if decoded.batches:
+        decoded = recording.topics[topic].decoded
+        if decoded is not None and decoded.batches:
             result += _fields(topic, decoded.batches)
     return result
 

@@ -11,7 +11,6 @@ import numpy as np
 from valve_sim.files.data_tables import TABLE_SUFFIXES
 from valve_sim.files.recording_map import QUANTITIES
 from valve_sim.model import Drive
-from valve_sim.traces.cdr import Batch, Decoded, decode_messages
 from valve_sim.traces.clocks import SECOND, clock_offset, order_samples
 from valve_sim.traces.errors import TraceError
 from valve_sim.traces.layout import (
@@ -27,9 +26,9 @@ from valve_sim.traces.layout import (
     topic_of,
     valves_among,
 )
-from valve_sim.traces.message_fields import definitions_of, field_values, has_stamp, missing_field
+from valve_sim.traces.message_fields import field_values, has_stamp, missing_field
 from valve_sim.traces.message_fields import stamps as header_stamps
-from valve_sim.traces.storage import RawTopic, Recording, read_recording
+from valve_sim.traces.storage import Recording, read_recording
 from valve_sim.traces.table_reading import read_table_trace, standard_map
 from valve_sim.traces.trace import DriveErrors, Signal, Trace
 from valve_sim.traces.trouble import LARGEST_POSITION, trouble_in
@@ -42,6 +41,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from valve_sim.files.recording_map import RecordingMap, Source
+    from valve_sim.traces.cdr import Batch, Decoded
+    from valve_sim.traces.topics import Fields
 
 MOST_REPEATED = 0.05
 """Share of samples that may have another sample's stamp; beyond it nobody can say which is right."""
@@ -76,7 +77,7 @@ def list_valves(path: str | PathLike[str], recording_map: RecordingMap | None = 
         return tuple(sorted(recording_map.valves))
     if _is_table(Path(path)):
         return tuple(standard_map(Path(path)).valves)
-    return valves_among(read_recording(Path(path), lambda _: ()).types)
+    return valves_among(read_recording(Path(path), lambda _: {}).types)
 
 
 def read_trace(path: str | PathLike[str], valve: str | None = None, recording_map: RecordingMap | None = None) -> Trace:
@@ -100,12 +101,12 @@ def _read(path: Path, valve: str | None, recording_map: RecordingMap | None) -> 
         return read_table_trace(path, valve, standard_map(path) if recording_map is None else recording_map)
     plans: list[Plan] = []
 
-    def select(types: Mapping[str, str]) -> list[str]:
+    def select(types: Mapping[str, str]) -> Fields:
         if recording_map is None:
             plans[:] = [standard_plan(path, valve, types)]
         else:
             plans[:] = [mapped_plan(path, valve, recording_map, types)]
-        return plans[0].topics
+        return plans[0].fields
 
     named = {} if recording_map is None else recording_map.choose(valve)[1]
     recording = read_recording(path, select, frozenset(source.topic for source in named.values()))
@@ -140,7 +141,7 @@ class _Assembly:
         self.plan = plan
         self.recording = recording
         self.findings = list(recording.findings)
-        self.decoded: dict[str, Decoded] = {}
+        self._reported: set[str] = set()
         self.positions_topic = plan.sources["position"].topic
 
     def trace(self) -> Trace:
@@ -173,47 +174,41 @@ class _Assembly:
         trouble = trouble_in(trace, self.positions_topic, self.input.topic)
         return replace(trace, findings=(*self.findings, *trouble))
 
-    def raw(self, topic: str) -> RawTopic:
-        """Return a topic's messages, of which there must be some."""
-        raw = self.recording.topics.get(topic)
-        if raw is None or len(raw.times) == 0:
-            raise TraceError(f"{self.path}: topic {topic} holds no message; record it while the valve works")
-        return raw
-
-    def decode(self, source: Source) -> tuple[RawTopic, Decoded]:
-        """Read a topic's messages, once; at least one of them must be readable."""
+    def decoded(self, source: Source) -> tuple[NDArray[np.int64], Decoded]:
+        """Return bag times and numbers of a topic's messages, of which at least one must be readable."""
         topic = source.topic
-        if topic in self.decoded:
-            return self.raw(topic), self.decoded[topic]
-        message_type = source.type or self.recording.types[topic]
-        raw = self.raw(topic)
-        definitions = definitions_of(self.path, message_type)
-        if definitions is None:
+        found = self.recording.topics.get(topic)
+        if found is None:
+            raise TraceError(f"{self.path}: topic {topic} holds no message; record it while the valve works")
+        times, decoded = found
+        message_type = self.recording.types[topic]
+        if decoded is None:
             raise TraceError(
                 f"{self.path}: topic {topic} is {message_type}, whose definition the recording does not hold; "
                 "record it as MCAP, or publish a standard type"
             )
-        decoded = decode_messages(raw.payloads, message_type, definitions)
         if not decoded.batches:
             raise TraceError(
-                f"{self.path}: topic {topic}: none of {len(raw.times)} messages can be read as {message_type}; "
+                f"{self.path}: topic {topic}: none of {len(times)} messages can be read as {message_type}; "
                 "record it again"
             )
+        if topic not in self._reported:
+            self._reported.add(topic)
+            self._report(topic, decoded, len(times))
+        return times, decoded
+
+    def _report(self, topic: str, decoded: Decoded, count: int) -> None:
         if decoded.malformed:
-            self.findings.append(
-                f"{topic}: dropped {decoded.malformed} of {len(raw.times)} messages that cannot be read"
-            )
+            self.findings.append(f"{topic}: dropped {decoded.malformed} of {count} messages that cannot be read")
         if decoded.trimmed:
-            self.findings.append(f"{topic}: trimmed surplus bytes after {decoded.trimmed} of {len(raw.times)} messages")
-        self.decoded[topic] = decoded
-        return raw, decoded
+            self.findings.append(f"{topic}: trimmed surplus bytes after {decoded.trimmed} of {count} messages")
 
     def readings(self, quantity: str) -> Readings:
         """Return what one source recorded, in SI."""
         source = self.plan.sources[quantity]
-        raw, decoded = self.decode(source)
-        values = np.full(len(raw.times), np.nan)
-        stamps, is_stamped = raw.times.copy(), np.zeros(len(raw.times), dtype=bool)
+        times, decoded = self.decoded(source)
+        values = np.full(len(times), np.nan)
+        stamps, is_stamped = times.copy(), np.zeros(len(times), dtype=bool)
         without: Batch | None = None
         for batch in decoded.batches:
             found = field_values(batch, source)
@@ -234,7 +229,7 @@ class _Assembly:
                 f"{self.plan.map_path}: {quantity}: clock: header, but the messages of {source.topic} "
                 f"({self.recording.types[source.topic]}) have no stamp; use clock: bag"
             )
-        return Readings(raw.times, stamps, is_stamped, source.to_si(values, QUANTITIES[quantity].dimension))
+        return Readings(times, stamps, is_stamped, source.to_si(values, QUANTITIES[quantity].dimension))
 
     def _no_field(self, source: Source, batch: Batch) -> str:
         found = missing_field(batch, source)
@@ -292,7 +287,7 @@ class _Assembly:
         except TraceError:
             if self.plan.map_path:
                 raise
-            return np.full(len(self.raw(self.positions_topic).times), np.nan)
+            return np.full(len(self.recording.topics[self.positions_topic].times), np.nan)
 
     def with_main_from_elsewhere(self, samples: Samples, offset: int) -> Samples:
         """Return samples with a main plunger that another topic has, by straight lines between its samples."""

@@ -9,7 +9,6 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-import numpy as np
 from rosbags.rosbag2 import Reader
 
 from valve_sim.traces.errors import TraceError
@@ -19,28 +18,21 @@ from valve_sim.traces.salvage import (
     MCAP_MAGIC,
     SQLITE_MAGIC,
     ZSTD_MAGIC,
-    Salvaged,
     full_type,
     salvage_mcap,
     salvage_sqlite,
     unpack_zstd,
 )
+from valve_sim.traces.topics import Topic, TopicReader, TopicReaders, joined
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping, Sequence
 
-    from numpy.typing import ArrayLike, NDArray
+    from valve_sim.traces.topics import Fields
 
-    Select = Callable[[Mapping[str, str]], Collection[str]]
+    Select = Callable[[Mapping[str, str]], Fields]
 
 STORAGE_SUFFIXES = (".mcap", ".db3")
-
-
-class RawTopic(NamedTuple):
-    """The messages of one topic in bag-time order: `times` int64 ns (n,), `payloads` n serialized messages."""
-
-    times: NDArray[np.int64]
-    payloads: Sequence[bytes]
 
 
 class Recording(NamedTuple):
@@ -48,22 +40,36 @@ class Recording(NamedTuple):
 
     Attributes:
         types: Every topic in the recording and its message type ("std_msgs/msg/Float64").
-        topics: The messages of the topics that were asked for.
+        topics: What the topics that were asked for hold, decoded; none of those without a message.
         findings: What was wrong with the files, and what was kept.
     """
 
     types: Mapping[str, str]
-    topics: Mapping[str, RawTopic]
+    topics: Mapping[str, Topic]
     findings: tuple[str, ...]
 
 
-def read_recording(path: Path, select: Select, wanted: frozenset[str] = frozenset()) -> Recording:
+class _Part(NamedTuple):
+    """What one or more files hold: types by topic, readers of topics, and how much was damaged."""
+
+    types: dict[str, str]
+    topics: TopicReaders
+    messages: int = 0
+    complete: bool = True
+    damaged_chunks: int = 0
+    encodings: frozenset[str] = frozenset()
+
+
+def read_recording(
+    path: Path, select: Select, wanted: frozenset[str] = frozenset(), most: int | None = None
+) -> Recording:
     """Read the messages of some topics.
 
     Args:
         path: A rosbag2 folder, or a bare .mcap or .db3 file.
-        select: Called with all topics and their types; returns those to read.
+        select: Called with all topics and their types; returns those to read, each with the fields to keep (None: all).
         wanted: Topics that a damaged file is searched for beside those of `KEPT_TYPES`.
+        most: About how many messages of each topic are enough; None: all.
 
     Raises:
         TraceError: Nothing can be read from it.
@@ -73,7 +79,8 @@ def read_recording(path: Path, select: Select, wanted: frozenset[str] = frozense
         reason = "metadata.yaml is missing (the recorder writes it when it ends)"
         return _read_storages(path, select, reason, wanted)
     try:
-        return _read_whole(path, select)
+        whole = _read_whole(path, select, most)
+        return Recording(whole.types, _finished(joined([whole.topics])), ())
     except TraceError:
         raise
     except Exception as error:  # a damaged bag makes the readers raise whatever they stumble over
@@ -138,56 +145,51 @@ def _one_line(error: BaseException) -> str:
     return text.rstrip(".")[:200]
 
 
-def _read_whole(path: Path, select: Select) -> Recording:
+def _read_whole(path: Path, select: Select, most: int | None = None) -> _Part:
     if path.suffix == ".mcap" and path.is_file():
         try:
-            types, parts = read_indexed_mcap(path, select)
+            return _read_indexed(path, select, most)
         except TraceError:
             raise
         except Exception:  # no index, or a damaged one: rosbags says what is the matter
-            return _read_by_rosbags(path, select)
-        return Recording(types, _merge(parts), ())
-    return _read_by_rosbags(path, select)
+            return _read_by_rosbags(path, select, most)
+    return _read_by_rosbags(path, select, most)
 
 
-def _read_by_rosbags(path: Path, select: Select) -> Recording:
+def _read_indexed(path: Path, select: Select, most: int | None) -> _Part:
+    types: dict[str, str] = {}
+    keep: dict[str, Collection[str] | None] = {}
+    readers = TopicReaders(path, types, keep, most)
+
+    def chosen(found: Mapping[str, str]) -> Collection[str]:
+        types.update(found)
+        keep.update(select(found))
+        return keep
+
+    read_indexed_mcap(path, chosen, readers.take)
+    return _Part(types, readers)
+
+
+def _read_by_rosbags(path: Path, select: Select, most: int | None) -> _Part:
     with Reader(path) as reader:
         types = {connection.topic: full_type(connection.msgtype) for connection in reader.connections}
-        wanted = set(select(types))
-        if (
-            path.is_dir()
-            and not reader.compression_mode
-            and all(file.suffix == ".mcap" for file in _storage_files(path))
-        ):
-            kept = [_read_whole(file, lambda _: wanted) for file in _storage_files(path)]
-            pieces = [(topic, raw.times, raw.payloads) for part in kept for topic, raw in part.topics.items()]
-            return Recording(types, _merge(pieces), ())
+        wanted = select(types)
+        readers = TopicReaders(path, types, wanted)
+        files = _storage_files(path) if path.is_dir() else []
+        if files and not reader.compression_mode and all(file.suffix == ".mcap" for file in files):
+            parts = [_read_whole(file, lambda _: wanted, most) for file in files]
+            readers.readers = joined(part.topics for part in parts)
+            return _Part(types, readers)
         connections = [connection for connection in reader.connections if connection.topic in wanted]
-        times: dict[int, list[int]] = {connection.id: [] for connection in connections}
-        payloads: dict[int, list[bytes]] = {connection.id: [] for connection in connections}
-        sinks = {number: (times[number].append, payloads[number].append) for number in times}
+        sinks = {connection.id: readers.of(connection.topic).take_message for connection in connections}
         for connection, time, payload in reader.messages(connections) if connections else ():
-            add_time, add_payload = sinks[connection.id]
-            add_time(time)
-            add_payload(payload)
-        parts = [(connection.topic, times[connection.id], payloads[connection.id]) for connection in connections]
-    return Recording(types, _merge(parts), ())
+            sinks[connection.id](time, payload)
+    return _Part(types, readers)
 
 
-def _merge(parts: Sequence[tuple[str, ArrayLike, Sequence[bytes]]]) -> dict[str, RawTopic]:
-    """Join what several files or publishers hold of a topic, in bag-time order."""
-    topics: dict[str, RawTopic] = {}
-    for topic, part_times, part_payloads in parts:
-        times = np.array(part_times, dtype=np.int64)
-        if topic in topics:
-            times = np.concatenate([topics[topic].times, times])
-            part_payloads = [*topics[topic].payloads, *part_payloads]  # noqa: PLW2901 -- joined with what was there
-        if (np.diff(times) < 0).any():
-            order = np.argsort(times, kind="stable")
-            times = times[order]
-            part_payloads = [part_payloads[place] for place in order]  # noqa: PLW2901
-        topics[topic] = RawTopic(times, part_payloads)
-    return topics
+def _finished(readers: Mapping[str, TopicReader]) -> dict[str, Topic]:
+    topics = {name: reader.topic() for name, reader in readers.items()}
+    return {name: topic for name, topic in topics.items() if len(topic.times)}
 
 
 def _storage_files(path: Path) -> list[Path]:
@@ -204,7 +206,7 @@ def _read_storages(path: Path, select: Select, reason: str, also: frozenset[str]
     files = _storage_files(path) if path.is_dir() else [path]
     kept = [_read_storage(file, also, alone=not path.is_dir()) for file in files]
     types = {topic: message_type for part in kept for topic, message_type in part.types.items()}
-    count = sum(part.count for part in kept)
+    count = sum(part.messages for part in kept)
     if not count:
         encodings = sorted(encoding for part in kept for encoding in part.encodings)
         if encodings:
@@ -213,14 +215,11 @@ def _read_storages(path: Path, select: Select, reason: str, also: frozenset[str]
             )
         raise TraceError(f"{path}: no message could be saved ({reason}); record it again")
     wanted = set(select(types))
-    parts = [
-        (topic, part.times[topic], part.payloads[topic]) for part in kept for topic in part.times if topic in wanted
-    ]
-    findings = [_describe_salvage(path, kept, count, reason)]
-    return Recording(types, _merge(parts), tuple(findings))
+    readers = {topic: reader for topic, reader in joined(part.topics for part in kept).items() if topic in wanted}
+    return Recording(types, _finished(readers), (_describe_salvage(path, kept, count, reason),))
 
 
-def _describe_salvage(path: Path, kept: Sequence[Salvaged], count: int, reason: str) -> str:
+def _describe_salvage(path: Path, kept: Sequence[_Part], count: int, reason: str) -> str:
     recorded = _declared_count(path)
     of_all = f" of {recorded}" if recorded and recorded >= count else ""
     complete = all(part.complete for part in kept)
@@ -240,7 +239,7 @@ def _declared_count(path: Path) -> int | None:
     return int(found[1]) if found else None
 
 
-def _read_storage(file: Path, also: frozenset[str], *, alone: bool) -> Salvaged:
+def _read_storage(file: Path, also: frozenset[str], *, alone: bool) -> _Part:
     """Read one file: by rosbags where it is whole and has not been tried, otherwise by salvage."""
     with ExitStack() as stack:
         if file.suffix == ".zstd":
@@ -251,21 +250,19 @@ def _read_storage(file: Path, also: frozenset[str], *, alone: bool) -> Salvaged:
         elif alone:
             return _salvage(file, also)
         try:
-            whole = _read_whole(file, lambda types: [topic for topic in types if _is_kept(types[topic], topic, also)])
+            whole = _read_whole(file, lambda types: _kept(types, also))
         except Exception:  # damaged: see read_recording
             return _salvage(file, also)
-    salvaged = Salvaged(types=dict(whole.types), complete=True, wanted=also)
-    for topic, raw in whole.topics.items():
-        for time, payload in zip(raw.times.tolist(), raw.payloads, strict=True):
-            salvaged.add(topic, time, payload)
-    return salvaged
+    return whole._replace(messages=sum(reader.finished_count() for reader in whole.topics.readers.values()))
 
 
-def _is_kept(message_type: str, topic: str, also: frozenset[str]) -> bool:
-    return message_type in KEPT_TYPES or topic in also
+def _kept(types: Mapping[str, str], also: frozenset[str]) -> dict[str, None]:
+    return {topic: None for topic, message_type in types.items() if message_type in KEPT_TYPES or topic in also}
 
 
-def _salvage(file: Path, also: frozenset[str]) -> Salvaged:
-    if file.suffix == ".mcap":
-        return salvage_mcap(file, also)
-    return salvage_sqlite(file, also)
+def _salvage(file: Path, also: frozenset[str]) -> _Part:
+    found = salvage_mcap(file, also) if file.suffix == ".mcap" else salvage_sqlite(file, also)
+    readers = TopicReaders(file, found.types)
+    for topic, times in found.times.items():
+        readers.take_messages(topic, times, found.payloads[topic])
+    return _Part(found.types, readers, found.count, found.complete, found.damaged_chunks, frozenset(found.encodings))

@@ -84,12 +84,18 @@ def motion_threshold(position: Array) -> float:
     return MOTION_SIGMAS * sample_noise(position) + MOTION_STEPS * _quantisation_step(position) + SMALLEST_MOTION
 
 
+def medians_of_three(values: Array) -> Array:
+    """Return the values, shape (n,), without single outliers, shape (n - 2,); fewer than three as they are."""
+    if len(values) < 3:
+        return values
+    before, here, after = values[:-2], values[1:-1], values[2:]
+    larger = np.maximum(before, after)
+    return np.asarray(np.maximum(np.minimum(before, after), np.minimum(larger, here)))
+
+
 def largest_travel(position: Array) -> float:
-    """Return the span of a position, m, without single outliers (medians of three)."""
-    if len(position) < 3:
-        return float(np.ptp(position)) if len(position) else 0.0
-    smooth = np.median(np.stack([position[:-2], position[1:-1], position[2:]]), axis=0)
-    return float(np.ptp(smooth))
+    """Return the span of a position, m, without single outliers."""
+    return float(np.ptp(medians_of_three(position))) if len(position) else 0.0
 
 
 def stroke_starts(drive: Drive) -> IntArray:
@@ -143,9 +149,7 @@ def _steps(times: Array, volts: Array) -> tuple[Sequence[float], Sequence[float]
 
 def _extent(position: Array) -> tuple[float, float]:
     """Return the closed and the open end of a trace's motion, m."""
-    if len(position) < 3:
-        return float(position.min()), float(position.max())
-    smooth = np.median(np.stack([position[:-2], position[1:-1], position[2:]]), axis=0)
+    smooth = medians_of_three(position)
     return float(smooth.min()), float(smooth.max())
 
 
