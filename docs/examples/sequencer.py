@@ -16,6 +16,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
+from types import FrameType
 from typing import Any, NamedTuple
 
 import rclpy
@@ -31,6 +32,18 @@ REPEAT_SECONDS = 0.1
 
 class SequenceError(Exception):
     """The sequence cannot go on; the message says which valve does not do what."""
+
+
+class StopSignals:
+    """Ctrl-C and SIGTERM only leave a note: an exception could come up anywhere, also within ROS, which may lose it."""
+
+    def __init__(self) -> None:
+        self.has_come = False
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._note)
+
+    def _note(self, number: int, frame: FrameType | None) -> None:
+        self.has_come = True
 
 
 class Settings(NamedTuple):
@@ -79,8 +92,9 @@ class RemoteValve:
 class Sequencer:
     """Opens one after the other; each step waits for the valve to say that it is done."""
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, signals: StopSignals) -> None:
         self._node = node
+        self._signals = signals
         values = [node.declare_parameter(name, default).value for name, default in Settings()._asdict().items()]
         self._settings = Settings(*values)
         self._valves = [RemoteValve(node, f"/{name.strip('/')}/valve") for name in self._settings.namespaces]
@@ -90,7 +104,7 @@ class Sequencer:
         """All cycles.
 
         Raises:
-            SequenceError: a valve is not there, does not open, does not stay open or does not close.
+            SequenceError: a valve is not there, does not open, does not stay open or does not close, or a signal came.
         """
         self._wait_for(self._valves, lambda valve: valve.is_there, self._settings.patience, "not there")
         for cycle in range(self._settings.cycles):
@@ -134,26 +148,23 @@ class Sequencer:
             if remaining <= 0.0:
                 return False
             rclpy.spin_once(self._node, timeout_sec=min(remaining, REPEAT_SECONDS))
+            if self._signals.has_come:
+                raise SequenceError("interrupted")
         return True
 
 
 def main() -> int:
     """Run the sequence; 0 if it went well, 1 if not."""
+    signals = StopSignals()
     # ROS must outlive Ctrl-C here: a context that is shut down sends no 0 V.
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    sequencer = Sequencer(Node("sequencer"))
+    sequencer = Sequencer(Node("sequencer"), signals)
     try:
         sequencer.run()
     except SequenceError as failure:
         print(f"sequencer: {failure}; all valves are commanded closed", file=sys.stderr)
         return 1
-    except KeyboardInterrupt:
-        print("sequencer: interrupted; all valves are commanded closed", file=sys.stderr)
-        return 1
     finally:
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, signal.SIG_IGN)  # whoever is impatient must not leave a valve open
         sequencer.close_all()
         rclpy.try_shutdown()
     return 0

@@ -99,7 +99,7 @@ def test_a_valve_that_sticks_closes_all_and_is_named(station: list[Tank], tmp_pa
     finally:
         assert stuck.probe.set_parameters(valve__seat_load=0.0)[0].successful
     assert code == 1
-    assert words.splitlines()[-1] == "sequencer: after 3 s not open: /tank_2/valve; all valves are commanded closed"
+    assert "sequencer: after 3 s not open: /tank_2/valve; all valves are commanded closed" in words.splitlines()
     assert first.probe.until(lambda: first.openings() == before[0] + 1)
     assert all(tank.is_without_voltage() for tank in station)
     assert [tank.openings() for tank in (stuck, last)] == before[1:], "it went on, or the valve did open"
@@ -113,7 +113,7 @@ def test_a_valve_that_does_not_stay_open_closes_all_and_is_named(station: list[T
         _, words = process.communicate(timeout=PATIENCE)
     assert last.probe.set_parameters(max_voltage=30.0)[0].successful
     assert process.returncode == 1
-    assert words.splitlines()[-1] == "sequencer: closed by itself: /tank_3/valve; all valves are commanded closed"
+    assert "sequencer: closed by itself: /tank_3/valve; all valves are commanded closed" in words.splitlines()
     assert all(tank.is_without_voltage() for tank in station)
 
 
@@ -133,5 +133,5 @@ def test_a_signal_closes_all(station: list[Tank], tmp_path: Path, number: signal
         process.send_signal(number)
         _, words = process.communicate(timeout=PATIENCE)
         assert process.returncode == 1
-        assert words.splitlines()[-1] == "sequencer: interrupted; all valves are commanded closed"
+        assert "sequencer: interrupted; all valves are commanded closed" in words.splitlines()
     assert all(tank.is_without_voltage() for tank in station)
