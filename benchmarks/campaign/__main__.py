@@ -33,7 +33,7 @@ COMPARED: Final = [("none_within", 0), ("none_within", 1), *(("single_within", s
 """Cases that are diagnosed with and without tolerances, one at a time."""
 MEASURED_APART: Final = ("time", "cost")
 DRAWN_BY_LIMITS: Final = {"single", "pair", "mismatched", "opening"}
-DRAWN_WITHIN: Final = {"single_within", "mismatched_within", "reluctance"}
+DRAWN_WITHIN: Final = {"single_within", "folder", "mismatched_within", "reluctance"}
 """Families whose amplitudes are in detection limits: of exact values, and of those with tolerances."""
 SHOWN_CANDIDATES: Final = 8
 
@@ -199,7 +199,7 @@ def _run_again(parser: argparse.ArgumentParser, name: str) -> int:
     for diagnosis in diagnoses:
         print(f"\n{_diagnosis_text(diagnosis)}")
     covered = outcome.is_covered or {}
-    print(f"\nlabel      {outcome.label}, noise floor of the second bag {outcome.noise_floor:.4f} µm")
+    print(f"\nlabel      {outcome.label}, noise of the last bag {outcome.noise_floor:.4f} µm")
     print(f"covered    {covered}")
     for value, entry in outcome.answers[0].declared.items():
         true = case.true_scalars.get(value, math.nan)

@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import math
+import tempfile
 import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 from plants.common import Plant
 from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
 from plants.mismatched import BENCH_VALVE, EFFECTS, MismatchedPlant
-from plants.recording import Recorder, Recording, record, single_opening, train_profile
+from plants.recording import Recorder, Recording, record, single_opening, train_bags, train_profile
 from plants.recording import holdout_profile as other_profile
+from plants.reluctance import DATA_SHEET, ReluctancePlant, built
+from plants.reluctance import EFFECTS as RELUCTANCE_EFFECTS
 from plants.tolerances import LENGTHS, SHARES, SHEET_VALVE, Entries, declared_tolerances, deviated, drawn_deviations
 
 from benchmarks.campaign.effects import CATALOGUED, UNCATALOGUED, Effects, are_confusable, log_uniform
 from benchmarks.campaign.limits import Knowledge, detection_limit, effect_distance, size_at, yardstick
+from valve_sim.identification.estimation.static_force import fit_static_force
 from valve_sim.model import Valve
 
 NOISES: Final[Mapping[str, Recorder]] = {
@@ -41,6 +46,8 @@ STRONG: Final = (2e-6, 8e-6)
 """m RMS by which uncatalogued effects move the valve after a refit of the dampings."""
 WEAK_SHARE: Final = 0.1
 """Amplitude of a weak uncatalogued effect over that of a strong one."""
+FOLDER: Final = 4
+"""Bags to train on in a folder; with clocks of their own, or (odd seeds) all with one."""
 WRONG_VALUE: Final = (4.0, 10.0)
 """Tolerances by which a declared value is wrong, drawn evenly in the logarithm."""
 WRONG: Final = "valve."
@@ -73,8 +80,8 @@ class Case:
     dampings: Numbers
     noise: str
     with_current: bool
-    clock_offsets: tuple[float, float]
-    record_seeds: tuple[int, int]
+    clock_offsets: tuple[float, ...]
+    record_seeds: tuple[int, ...]
     deviations: Numbers = field(default_factory=dict)
 
     @property
@@ -109,6 +116,8 @@ class Case:
     @property
     def plant(self) -> Plant:
         """The true valve."""
+        if self.family == "reluctance":
+            return ReluctancePlant(self.effects, built(deviated(DATA_SHEET, self.deviations)))
         if self.family in FORMED_OTHERWISE:
             return MismatchedPlant(self.effects)
         return DeclaredPlant(self.effects, self.true_values)
@@ -124,7 +133,21 @@ class Case:
             # This plant's own numbers are fixed: it is the file that is off.
             sheet = deviated({**CAMPAIGN_VALVE, **BENCH_VALVE}, self.deviations)
             return declared_valve(sheet, declared_tolerances(sheet))
+        if self.family == "reluctance":
+            return self._from_static_table()
         return declared_valve(SHEET_VALVE, declared_tolerances(SHEET_VALVE))
+
+    def _from_static_table(self) -> Valve:
+        """A rounded data sheet, with the attraction that `fit_static_force` finds in a noisy table."""
+        tolerances = declared_tolerances(DATA_SHEET)
+        scalars = {name: value for name, value in tolerances.items() if name != "attraction_covariance"}
+        sheet = declared_valve(DATA_SHEET, scalars | {"pickup_velocity_ratio": 0.01})
+        plant = ReluctancePlant(build=built(deviated(DATA_SHEET, self.deviations)))
+        table = np.column_stack(plant.static_table(np.random.default_rng(self.record_seeds)))
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "static.csv"
+            np.savetxt(path, table, delimiter=",", header="displacement,force", comments="", fmt="%.6g")
+            return fit_static_force(path, sheet).valve
 
     @property
     def declared_exactly(self) -> Valve:
@@ -133,7 +156,7 @@ class Case:
         return declared_valve({**self.true_values, **dampings})
 
     def recorder(self, bag: int) -> Recorder:
-        """How a bag, 0 or 1, is recorded."""
+        """How a bag, by its place, is recorded."""
         noise = NOISES[self.noise]
         return Recorder(
             colour=noise.colour,
@@ -143,14 +166,15 @@ class Case:
             with_current=self.with_current,
         )
 
-    def recordings(self) -> tuple[Recording, Recording]:
-        """To train on and to hold out; for an opening, the opening and what it is advised to record next."""
-        first, second = (
-            (single_opening(), train_profile()) if self.family == "opening" else (train_profile(), other_profile())
-        )
-        return (
-            record(self.plant, first, self.recorder(0), self.record_seeds[0]),
-            record(self.plant, second, self.recorder(1), self.record_seeds[1]),
+    def recordings(self) -> tuple[Recording, ...]:
+        """To train on, and last what to hold out; for an opening, the opening and what it is advised to record next."""
+        profiles = {
+            "opening": (single_opening(), train_profile()),
+            "folder": (*train_bags(FOLDER), other_profile()),
+        }.get(self.family, (train_profile(), other_profile()))
+        return tuple(
+            record(self.plant, profile, self.recorder(bag), self.record_seeds[bag])
+            for bag, profile in enumerate(profiles)
         )
 
 
@@ -188,9 +212,15 @@ def draw_case(family: str, seed: int) -> Case:
         name: float(np.asarray(CAMPAIGN_VALVE[name])) * log_uniform(random, *DAMPING_FACTOR)
         for name in ("pilot_damping", "main_damping")
     }
-    offsets = CLOCK_OFFSET * random.standard_normal(2)
-    seeds = random.integers(2**31, size=2)
+    bags = FOLDER + 1 if family == "folder" else 2
+    offsets = CLOCK_OFFSET * random.standard_normal(bags)
+    if family == "folder" and seed % 2 == 1:
+        offsets[:] = offsets[0]
+    seeds = random.integers(2**31, size=bags)
     deviations = drawn_deviations(random) if FAMILIES[family].has_tolerances else {}
+    if family == "reluctance":
+        # The pull is measured at rest.
+        deviations = {name: deviations[name] for name in (*SHARES, *LENGTHS)}
     truth, amplitudes = FAMILIES[family].draw(seed, random, NOISES[noise])
     return Case(
         family,
@@ -200,8 +230,8 @@ def draw_case(family: str, seed: int) -> Case:
         {} if family in FORMED_OTHERWISE else dampings,
         noise,
         with_current,
-        (float(offsets[0]), float(offsets[1])),
-        (int(seeds[0]), int(seeds[1])),
+        tuple(offsets.tolist()),
+        tuple(seeds.tolist()),
         # What is wrong is not within its tolerance.
         {
             **deviations,
@@ -287,7 +317,13 @@ def _mismatched_within(seed: int, random: np.random.Generator, recorder: Recorde
     return _catalogued(list(EFFECTS)[seed % len(EFFECTS)], random, recorder, knowledge=Knowledge.WITHIN)
 
 
-FORMED_OTHERWISE: Final = ("mismatched", "mismatched_within")
+def _reluctance(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[Effects, Numbers]:
+    return _catalogued(
+        list(RELUCTANCE_EFFECTS)[seed % len(RELUCTANCE_EFFECTS)], random, recorder, knowledge=Knowledge.WITHIN
+    )
+
+
+FORMED_OTHERWISE: Final = ("mismatched", "mismatched_within", "reluctance")
 """Families whose plant is not of the declared form."""
 EXACT: Final[Mapping[str, Family]] = {
     "single": Family(_single, len(CATALOGUED), len(CATALOGUED), (0, 12, 17, 20)),
@@ -302,7 +338,9 @@ WITHIN: Final[Mapping[str, Family]] = {
     "none_within": Family(_none, 1, 10, (), has_tolerances=True),
     "single_within": Family(_single_within, len(CATALOGUED), 10, (), has_tolerances=True),
     "wrong_value": Family(_wrong_value, len(SHARES) + len(LENGTHS), 4, (), has_tolerances=True),
+    "folder": Family(_single_within, len(CATALOGUED), 2, (), has_tolerances=True),
     "mismatched_within": Family(_mismatched_within, len(EFFECTS), 3, (), has_tolerances=True),
+    "reluctance": Family(_reluctance, len(RELUCTANCE_EFFECTS), 3, (), has_tolerances=True),
 }
 FAMILIES: Final[Mapping[str, Family]] = {**EXACT, **WITHIN}
 """In the order in which they are run and reported; those of `WITHIN` with tolerances."""

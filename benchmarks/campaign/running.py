@@ -205,17 +205,18 @@ def run_case(family: str, seed: int) -> Outcome:
 
 def examine(case: Case) -> tuple[Outcome, tuple[Diagnosis, ...]]:
     """The outcome of a case, and the diagnoses themselves."""
-    first, second = case.recordings()
-    traces = [as_trace(first, "first bag"), as_trace(second, "second bag")]
+    recordings = case.recordings()
+    traces = [as_trace(recording, f"bag {number}") for number, recording in enumerate(recordings, 1)]
+    noise = _noise(recordings[-1])
     if case.family == "opening":
         opening, advised = _timed(traces[:1], [], case.declared), _timed(traces[1:], [], case.declared)
         answers = (_answer(opening), _answer(advised))
         advice = opening.diagnosis.record_next
-        return Outcome(case, answers, _noise(second), None, advice), (opening.diagnosis, advised.diagnosis)
-    timed = _timed(traces[:1], traces[1:], case.declared)
+        return Outcome(case, answers, noise, None, advice), (opening.diagnosis, advised.diagnosis)
+    timed = _timed(traces[:-1], traces[-1:], case.declared)
     answer = _answer(timed)
     covered = _coverage(case, answer, timed.diagnosis) if is_right(case, answer) else None
-    return Outcome(case, (answer,), _noise(second), covered, timed.diagnosis.record_next), (timed.diagnosis,)
+    return Outcome(case, (answer,), noise, covered, timed.diagnosis.record_next), (timed.diagnosis,)
 
 
 class _Timed(NamedTuple):

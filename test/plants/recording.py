@@ -43,6 +43,18 @@ def train_profile() -> Profile:
     return _profile(commands, 0.5)
 
 
+def train_bags(count: int = 4) -> tuple[Profile, ...]:
+    """The strokes of `train_profile` in as many bags (1, 2, 4 or 8), each from rest."""
+    whole = train_profile()
+    strokes = 8 // count
+    bags = []
+    for first in range(0, 8, strokes):
+        inside = slice(2 * first, 2 * (first + strokes))
+        start = 0.060 * first
+        bags.append(Profile(whole.times[inside] - start, whole.volts[inside], 0.060 * strokes + 0.005))
+    return tuple(bags)
+
+
 def holdout_profile() -> Profile:
     """Other voltages and lengths than in training, a peak-and-hold stroke and two pulses that lift it partly."""
     commands = [

@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from rosbags.highlevel import AnyReader
 from scipy.integrate import solve_ivp
 
-from . import declared, mismatched
+from . import declared, mismatched, reluctance
 from .common import CATALOGUE, FloatArray, Plant, PlantRun
 from .declared import CAMPAIGN_VALVE, DeclaredPlant
 from .mismatched import MismatchedPlant
-from .recording import Recorder, holdout_profile, record, single_opening, train_profile, write_bag
+from .recording import Recorder, holdout_profile, record, single_opening, train_bags, train_profile, write_bag
+from .reluctance import Build, ReluctancePlant
 from .tolerances import NAMES, SHEET_VALVE, declared_tolerances, deviated, drawn_deviations
 
 Effects = Mapping[str, Mapping[str, float]]
@@ -389,6 +390,8 @@ def test_unknown_names_are_refused() -> None:
         DeclaredPlant(parameters={"mass": 1.0})
     with pytest.raises(ValueError, match="pickup_impact"):
         MismatchedPlant(chosen("pickup_impact"))
+    with pytest.raises(ValueError, match="pickup_impact"):
+        ReluctancePlant(chosen("pickup_impact"))
 
 
 # --- plant (a) within the tolerances of a data sheet -----------------------------------------------------------------
@@ -483,10 +486,126 @@ def test_every_effect_shows_in_the_mismatched_plant(name: str) -> None:
     assert np.abs(plain.pilot_position - changed.pilot_position).max() > 0.5e-6
 
 
+# --- plant (c) -------------------------------------------------------------------------------------------------------
+
+WITHOUT_FRICTION = Build(friction=0.0, breakaway=0.0, pressure=0.0)
+IDEAL = WITHOUT_FRICTION._replace(eddy_time_constant=0.0, sensor_cutoff=0.0)
+
+
+def test_the_reluctance_plant_agrees_with_scipy_up_to_the_pick_up() -> None:
+    build = IDEAL
+
+    def rates(t: float, y: NDArray[np.float64]) -> list[float]:
+        pull = (1.0 - np.exp(-t / 1.2e-3)) ** 2 * build.reluctance_force / (build.reluctance_gap - y[0]) ** 2
+        return [y[1], (pull - build.return_force - build.pilot_damping * y[1]) / build.pilot_mass]
+
+    def at_gap(t: float, y: NDArray[np.float64]) -> float:
+        return float(y[0] - build.pilot_gap)
+
+    at_gap.terminal = True  # type: ignore[attr-defined]
+    share = np.sqrt(build.return_force * build.reluctance_gap**2 / build.reluctance_force)
+    start = -1.2e-3 * np.log(1.0 - share)
+    found: Any = solve_ivp(rates, (start, 0.02), [0.0, 0.0], "DOP853", events=at_gap, rtol=1e-12, atol=1e-15)
+    run = one_stroke(ReluctancePlant(build=build))
+    assert run.first("unseated") == pytest.approx(start, abs=1e-9)
+    assert run.first("picked_up") == pytest.approx(found.t[-1], abs=1e-9)
+
+
+def test_the_reluctance_plant_loses_no_energy_but_in_its_dampers() -> None:
+    build = WITHOUT_FRICTION._replace(sensor_cutoff=0.0)
+    fine: FloatArray = np.arange(0.0, 0.012, 1e-6)
+    run = one_stroke(ReluctancePlant(build=build), samples=fine)
+    flux = np.zeros(fine.size)
+    current = run.coil_current / 0.9
+    for k in range(
+        fine.size - 1
+    ):  # the eddy-current pole once more, exact for a pole that is constant in a microsecond
+        pole = build.eddy_time_constant * build.reluctance_gap / (build.reluctance_gap - run.pilot_position[k])
+        middle = 0.5 * (current[k] + current[k + 1])
+        flux[k + 1] = middle + (flux[k] - middle) * np.exp(-1e-6 / pole)
+    x, v = run.pilot_position, run.pilot_velocity
+    picked_up, opened = run.first("picked_up"), run.first("opened")
+    pull = flux**2 * build.reluctance_force / (build.reluctance_gap - x) ** 2
+    spring = build.spring_preload + build.spring_rate * x
+    for since, until, mass, force in (
+        (0.0, picked_up, build.pilot_mass, pull - build.return_force - build.pilot_damping * v),
+        (
+            picked_up,
+            opened,
+            build.pilot_mass + build.main_mass,
+            pull - build.return_force - spring - (build.pilot_damping + build.main_damping) * v,
+        ),
+    ):
+        inside = np.flatnonzero((fine > since) & (fine < until))
+        kinetic = 0.5 * mass * (v[inside[-1]] ** 2 - v[inside[0]] ** 2)
+        work = np.sum(0.5 * (force[inside[1:]] * v[inside[1:]] + force[inside[:-1]] * v[inside[:-1]])) * 1e-6
+        assert work == pytest.approx(kinetic, rel=1e-5)
+
+
+def test_pick_up_keeps_the_momentum_of_the_reluctance_plant() -> None:
+    build = IDEAL
+    fine: FloatArray = np.arange(0.0, 0.01, 1e-7)
+    run = one_stroke(ReluctancePlant(build=build), samples=fine)
+    met = next(event for event in run.events if event.kind == "picked_up")
+    after = run.pilot_velocity[np.searchsorted(fine, met.time)]
+    together = build.pilot_mass + build.main_mass
+    assert together * after == pytest.approx(build.pilot_mass * met.velocity, rel=1e-4)
+
+
+def test_the_reluctance_plant_opens_only_where_the_pull_exceeds_the_return_force() -> None:
+    build = IDEAL
+    share = np.sqrt(build.return_force * build.reluctance_gap**2 / build.reluctance_force)
+    assert one_stroke(ReluctancePlant(build=build), 9.0 * share * 0.999).events == ()
+    assert one_stroke(ReluctancePlant(build=build), 9.0 * share * 1.001).events[0].kind == "unseated"
+
+
+def test_the_pressure_of_the_reluctance_plant_leaks_away_and_returns() -> None:
+    """A later start finds it still lower than at time 0; one soon after a stroke finds it drawn down again."""
+
+    def opening_time(commands: list[tuple[float, float]]) -> float:
+        times, volts = np.array(commands).T.copy()
+        run = ReluctancePlant(build=build).simulate(times, volts, np.array([times[-1] + 0.02]))
+        return max(event.time for event in run.events if event.kind == "opened") - float(times[-1])
+
+    build = WITHOUT_FRICTION._replace(pressure=0.5, pressure_at_rest=1.0)
+    at_once, later = opening_time([(0.0, 9.0)]), opening_time([(0.5, 9.0)])
+    again = opening_time([(0.0, 9.0), (0.025, 0.0), (0.075, 9.0)])
+    much_later = opening_time([(0.0, 9.0), (0.025, 0.0), (0.925, 9.0)])
+    assert later < at_once - 20e-6
+    assert again > much_later + 5e-6
+
+
+@pytest.mark.parametrize("effects", [{}, chosen("stiction", "squeeze_film", "stop_bounce", "pressure_force")])
+def test_halving_the_step_of_the_reluctance_plant_changes_nothing(effects: Effects) -> None:
+    profile, times = holdout_profile(), np.arange(6600) / 20e3
+    coarse = ReluctancePlant(effects).simulate(profile.times, profile.volts, times)
+    fine = ReluctancePlant(effects, step=0.5e-6).simulate(profile.times, profile.volts, times)
+    np.testing.assert_allclose(coarse.pilot_position, fine.pilot_position, rtol=0.0, atol=1e-9)
+    assert [event.kind for event in coarse.events] == [event.kind for event in fine.events]
+
+
+@pytest.mark.parametrize("name", list(reluctance.EFFECTS))
+def test_every_effect_shows_in_the_reluctance_plant(name: str) -> None:
+    plain, changed = one_stroke(ReluctancePlant()), one_stroke(ReluctancePlant(chosen(name)))
+    assert np.abs(plain.pilot_position - changed.pilot_position).max() > 0.5e-6
+
+
+def test_the_data_sheet_is_of_the_reluctance_plant_and_its_table_of_its_pull() -> None:
+    build = reluctance.built(reluctance.DATA_SHEET)
+    np.testing.assert_allclose(build, Build(), rtol=1e-12)
+    plant = ReluctancePlant()
+    displacement, force = plant.static_table(np.random.default_rng(1))
+    error = force - plant.static_pull(displacement)
+    assert 0.03 < error.std() < 0.08
+    assert displacement[-1] == pytest.approx(1.2e-3)
+
+
 # --- recordings ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("plant", [DeclaredPlant(), MismatchedPlant()], ids=["declared", "mismatched"])
+@pytest.mark.parametrize(
+    "plant", [DeclaredPlant(), MismatchedPlant(), ReluctancePlant()], ids=["declared", "mismatched", "reluctance"]
+)
 def test_profiles_are_what_they_say(plant: Plant) -> None:
     train = record(plant, train_profile(), Recorder(), 1).truth
     opened = [event.time for event in train.events if event.kind == "opened"]
@@ -497,6 +616,17 @@ def test_profiles_are_what_they_say(plant: Plant) -> None:
     partial = [0.05e-3 < lift.max() < 0.9e-3 for lift in lifts]
     assert partial == [False, False, True, False, True, False]
     assert record(plant, single_opening(), Recorder(), 1).truth.pilot_position[-1] == pytest.approx(1.23e-3, abs=5e-6)
+
+
+def test_bags_hold_the_strokes_of_the_whole() -> None:
+    whole = record(DeclaredPlant(), train_profile(), Recorder(), 1).truth
+    opened = [event.time for event in whole.events if event.kind == "opened"]
+    found = []
+    for bag, profile in enumerate(train_bags(4)):
+        run = record(DeclaredPlant(), profile, Recorder(), 1).truth
+        assert run.pilot_position[-1] == 0.0
+        found += [event.time + 0.120 * bag for event in run.events if event.kind == "opened"]
+    np.testing.assert_allclose(found, opened, rtol=0.0, atol=1e-9)
 
 
 def test_noise_is_what_was_asked_for() -> None:
