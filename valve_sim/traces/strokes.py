@@ -1,6 +1,6 @@
 """The strokes of a trace, and their parts: what each voltage step made the valve do.
 
-A stroke begins when the voltage leaves zero, and lasts until it leaves zero again (`stroke_starts`). Its parts are the
+A stroke begins when the voltage leaves zero, and lasts until it leaves zero again (`begins_stroke`). Its parts are the
 steps of the voltage in it: an opening, perhaps a hold, a closing. Whoever counts strokes counts them by this page.
 """
 
@@ -98,10 +98,16 @@ def largest_travel(position: Array) -> float:
     return float(np.ptp(medians_of_three(position))) if len(position) else 0.0
 
 
+def begins_stroke(before: float, volts: float) -> bool:
+    """Whether a stroke begins with this change of the voltage: it leaves zero. Live strokes are cut by it, too."""
+    return before == 0.0 and volts != 0.0
+
+
 def stroke_starts(drive: Drive) -> IntArray:
-    """Indices of the commands at which the voltage leaves zero, which is where a stroke begins."""
-    volts = np.concatenate([[0.0], drive.volts])
-    return np.flatnonzero((volts[:-1] == 0.0) & (volts[1:] != 0.0))
+    """Indices of the commands at which a stroke begins; before the first command the voltage is zero."""
+    volts = drive.volts.tolist()
+    starts = [begins_stroke(before, after) for before, after in zip([0.0, *volts[:-1]], volts, strict=True)]
+    return np.flatnonzero(starts).astype(np.int64)
 
 
 def stroke_numbers(drive: Drive, times: Array) -> IntArray:

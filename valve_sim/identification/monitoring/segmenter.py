@@ -19,6 +19,7 @@ from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.model import Drive, Phase, Reading, SimulationError, Stepper, Valve
 from valve_sim.traces import Signal, Trace
+from valve_sim.traces.strokes import begins_stroke
 
 LEAD: Final = 0.25
 """s of rest before a stroke that are kept with it: they show the noise."""
@@ -173,7 +174,7 @@ class StrokeSegmenter:
         if before == volts:
             return
         self._last_command, self._rest_since = time, math.inf
-        if before == 0.0:
+        if begins_stroke(before, volts):
             self._begin(time)
         if self._stroke is not None and len(self._stroke.drive) < MOST_COMMANDS:
             self._stroke.drive.append((time, volts))
