@@ -14,6 +14,7 @@ from rich.console import Console
 
 from valve_sim.demo.model_time import NANOSECONDS, ModelTime
 from valve_sim.demo.process import DemoError, ValveProcess
+from valve_sim.demo.stopping import StoppedError, StopSignals
 from valve_sim.demo.story import Story, comparison
 from valve_sim.model import Phase
 from valve_sim.traces import SensorEvent, StrokeEvents, StrokePart, describe, events_from_sensors, read_trace
@@ -189,6 +190,18 @@ def test_a_node_that_ignores_being_asked_is_ended(tmp_path: Path, monkeypatch: p
     assert process._process.returncode == -signal.SIGKILL
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_is_taken_where_it_is_looked_for_and_nowhere_else(number: signal.Signals):
+    before = signal.getsignal(number)
+    with StopSignals() as signals:
+        signals.check()
+        for _ in range(2):
+            signal.raise_signal(number)
+        with pytest.raises(StoppedError):
+            signals.check()
+    assert signal.getsignal(number) is before
+
+
 # --- all of it ---
 
 
@@ -235,7 +248,9 @@ def test_demonstration_shows_records_and_compares(tmp_path: Path):
     assert (rate.rate, rate.in_bursts) == (pytest.approx(50_000, rel=0.05), False)
     (following,) = (line.removeprefix("next: ") for line in output.splitlines() if line.startswith("next: "))
     shown = subprocess.run(["bash", "-c", following], capture_output=True, text=True, timeout=PATIENCE, check=False)
-    assert (shown.returncode, shown.stderr) == (0, "")
+    # Whoever runs this before the model is compiled is told that it is.
+    warnings = [line for line in shown.stderr.splitlines() if "compiling the model" not in line]
+    assert (shown.returncode, warnings) == (0, [])
     assert "50000 Hz" in shown.stdout
 
 
@@ -248,7 +263,9 @@ def test_interrupted_demonstration_leaves_no_half_bag_and_no_node(tmp_path: Path
             break
     demo.send_signal(signal.SIGTERM)
     _, errors = demo.communicate(timeout=PATIENCE)
-    assert (demo.returncode, errors) == (130, "demo: stopped\n")
+    assert demo.returncode == 130, errors
+    assert "demo: stopped" in errors.splitlines()
+    assert "Traceback" not in errors
     assert sorted(path.name for path in (tmp_path / "demo").iterdir()) == ["log", "valve_node.log"]
     assert "Traceback" not in (tmp_path / "demo" / "valve_node.log").read_text()
 

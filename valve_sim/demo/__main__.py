@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import shlex
 import shutil
-import signal
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
-from types import FrameType
-from typing import Final, NoReturn
+from typing import Final
 
 import click
 from rich.console import Console
@@ -20,6 +16,7 @@ from rich.console import Console
 from valve_sim.demo.listener import Listener, message_classes
 from valve_sim.demo.performance import Performance
 from valve_sim.demo.process import DemoError, ValveProcess
+from valve_sim.demo.stopping import StoppedError, StopSignals
 from valve_sim.demo.story import Story, comparison
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.invocation import invocation
@@ -33,11 +30,12 @@ DISCOVERY: Final = 0.4
 """s in which ROS finds out who else is there."""
 
 
-def perform(folder: Path, strokes: int, speed: float, console: Console) -> None:
+def perform(folder: Path, strokes: int, speed: float, console: Console, signals: StopSignals) -> None:
     """Run the demonstration; leaves strokes/ (a rosbag2 bag), stroke.png and valve_node.log in the folder.
 
     Raises:
         DemoError: no ROS 2, or the node failed.
+        StoppedError: a signal came; what it began is put away.
         ValveError: the folder cannot be written to.
     """
     bag = folder / "strokes"
@@ -55,12 +53,13 @@ def perform(folder: Path, strokes: int, speed: float, console: Console) -> None:
     try:
         time.sleep(DISCOVERY)
         listener.expect_valves(0)
+        signals.check()
         console.print(f"starting valve_node at {speed:g} of real time")
         command = [sys.executable, "-m", "valve_sim.nodes.valve_node", "--ros-args", "-p", f"time_scale:={speed!r}"]
         process = ValveProcess(command, log)
         try:
             with BagRecorder(bag) as recorder:
-                performance = Performance(listener, process, recorder, console, speed)
+                performance = Performance(listener, process, recorder, console, speed, signals)
                 performance.wait_for_valve()
                 with performance.shown():
                     performance.rest()
@@ -112,24 +111,6 @@ def _conclude(bag: Path, picture: Path, story: Story, console: Console) -> None:
     console.print(f"next: {invocation()} info {shlex.quote(str(bag))}", highlight=False, soft_wrap=True)
 
 
-@contextlib.contextmanager
-def _stops_once() -> Iterator[None]:
-    """Until this ends, the first SIGINT or SIGTERM raises KeyboardInterrupt, and none disturbs the tidying up."""
-    numbers = (signal.SIGINT, signal.SIGTERM)
-
-    def stop(number: int, frame: FrameType | None) -> NoReturn:
-        for each in numbers:
-            signal.signal(each, signal.SIG_IGN)
-        raise KeyboardInterrupt
-
-    before = {number: signal.signal(number, stop) for number in numbers}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
 @click.command(context_settings={"show_default": True})
 @click.option("--strokes", type=click.IntRange(1, 100), default=3, help="How many.")
 @click.option("--speed", type=click.FloatRange(0.001, 1.0), default=SPEED, help="Model seconds a second.")
@@ -139,12 +120,12 @@ def _stops_once() -> Iterator[None]:
 def main(strokes: int, speed: float, output: Path) -> None:
     """Show a valve at work on ROS 2 topics, record it, and compare it with the paper."""
     try:
-        with _stops_once():
-            perform(output, strokes, speed, Console())
+        with StopSignals() as signals:
+            perform(output, strokes, speed, Console(), signals)
     except ValveError as error:
         click.echo(f"demo: {error}", err=True)
         sys.exit(2)
-    except KeyboardInterrupt:
+    except StoppedError:
         click.echo("demo: stopped", err=True)
         sys.exit(130)
 

@@ -13,6 +13,7 @@ from rich.live import Live
 from valve_sim.demo.listener import COMMAND, TOPICS, Listener, Message
 from valve_sim.demo.model_time import NANOSECONDS, ModelTime
 from valve_sim.demo.process import DemoError, ValveProcess
+from valve_sim.demo.stopping import StopSignals
 from valve_sim.demo.story import ENERGISED, LEAD, RESTING, Story
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.model import Phase
@@ -31,15 +32,22 @@ class Performance:
 
     Args:
         listener: hears the valve. process: is the valve. recorder: takes the bag. console: takes the words.
-        speed: model seconds a second.
+        speed: model seconds a second. signals: may ask it to stop.
     """
 
     def __init__(
-        self, listener: Listener, process: ValveProcess, recorder: BagRecorder, console: Console, speed: float
+        self,
+        listener: Listener,
+        process: ValveProcess,
+        recorder: BagRecorder,
+        console: Console,
+        speed: float,
+        signals: StopSignals,
     ) -> None:
         self.story = Story()
         self._listener, self._process, self._recorder, self._console = listener, process, recorder, console
         self._speed = speed
+        self._signals = signals
         self._clock = ModelTime(speed)
         self._held: list[Message] = []
         self._stroke = default_valve().parameters.stroke
@@ -60,6 +68,7 @@ class Performance:
 
         Raises:
             DemoError: it died, or stays silent.
+            StoppedError: a signal came.
         """
         begin, is_told = time.monotonic(), False
         while not (self._clock.is_set and self._listener.is_heard):
@@ -100,6 +109,7 @@ class Performance:
 
     def _look(self) -> None:
         time.sleep(FRAME)
+        self._signals.check()
         self._process.check()
         self._listener.expect_valves(1)
         while not self._listener.messages.empty():

@@ -53,7 +53,7 @@ def spin(node: Node, pause: Callable[[], float] | None = None) -> None:
                 else:
                     executor.spin_once()
                     time.sleep(pause())
-            except (KeyboardInterrupt, ExternalShutdownException, CallbackError):
+            except (ExternalShutdownException, CallbackError):
                 raise
             except Exception as error:
                 if not node.context.ok():

@@ -54,16 +54,21 @@ def run_node(name: str, make: Callable[[GivenFiles], Shell], args: Sequence[str]
         0 after SIGINT or SIGTERM, 1 if the node failed, 2 after one line on stderr about unusable input.
     """
     arguments = list(sys.argv if args is None else args)
+    signals = _Signals()
     try:
         with _ends_quietly():
             given = read_files(arguments)
             _ensure_log_folder(name)
         rclpy_init(arguments)
-        shell = _made(make, given)
+        with signals.second_ends_at_once():
+            shell = None if signals.have_come else _made(make, given)
     except ValveError as error:
         print(f"{name}: {error}", file=sys.stderr)
         return UNUSABLE_INPUT
-    return 0 if shell is None else _spin(name, shell)
+    if shell is None:
+        rclpy().try_shutdown()
+        return 0
+    return _spin(name, shell)
 
 
 def read_files(arguments: Sequence[str]) -> GivenFiles:
@@ -138,7 +143,7 @@ def _spin(name: str, shell: Shell) -> int:
     shutdown_seen = importlib.import_module("rclpy.executors").ExternalShutdownException
     try:
         shell.spin()
-    except (KeyboardInterrupt, shutdown_seen):
+    except shutdown_seen:
         pass
     except Exception:
         # A signal shuts ROS down under whatever callback is at work, which then fails in a way of its own.
@@ -160,7 +165,35 @@ def _close(name: str, shell: Shell) -> None:
     shell.close(None)
 
 
-def _on_signals(action: signal.Handlers) -> None:
+class _Signals:
+    """SIGINT and SIGTERM as noted here, while ROS, whose handlers call these, shuts itself down.
+
+    Python's own answer to Ctrl-C is an exception at whatever place is reached, also within a callback or a message that
+    ROS is just making: it came up as another error, or not at all.
+    """
+
+    def __init__(self) -> None:
+        self.have_come = False
+        self._second_ends = False
+        _on_signals(self._note)
+
+    @contextlib.contextmanager
+    def second_ends_at_once(self) -> Iterator[None]:
+        """While inside, the second signal ends the process: the first may wait for a long recording to be read."""
+        self._second_ends = True
+        try:
+            yield
+        finally:
+            self._second_ends = False
+
+    def _note(self, number: int, frame: FrameType | None) -> None:
+        if self.have_come and self._second_ends:
+            signal.signal(number, signal.SIG_DFL)
+            os.kill(os.getpid(), number)
+        self.have_come = True
+
+
+def _on_signals(action: signal.Handlers | Callable[[int, FrameType | None], None]) -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, action)
 
