@@ -100,8 +100,14 @@ def _bag_topics() -> Iterator[str]:
 
 def _node_parameters() -> Iterator[str]:
     yield "## valve_node"
-    yield "SI units. Names under `valve.` are also keys of a parameter file, and so are those of [effects](effects.md)."
-    entries = [entry for entry in table(default_valve()).values() if not entry.name.startswith("effects.")]
+    yield (
+        "SI units. Names under `valve.` and `tolerances.` are also keys of a parameter file, and so are those of "
+        "[effects](effects.md). A parameter of an effect has a tolerance as well: "
+        "`tolerances.effects.<effect>.<parameter>`, 0 while the effect is off. Where anything of a valve is given, a "
+        "tolerance that is not is 0: exact. [How well your numbers are known](../how_to/tolerances.md)."
+    )
+    of_effects = ("effects.", "tolerances.effects.")
+    entries = [entry for entry in table(default_valve()).values() if not entry.name.startswith(of_effects)]
     rows = [(f"`{e.name}`", _default(e.default), _range(e), e.description) for e in entries]
     yield _table(("name", "default", "range", "meaning"), rows)
     yield "## identification_node"
@@ -111,7 +117,7 @@ def _node_parameters() -> Iterator[str]:
         [(f"`{name}`", _default(defaults[name]), DESCRIPTIONS[name]) for name in defaults],
     )
     yield "## monitor_node"
-    yield "Beside these: `valve.` and `effects.` as for valve_node, for the valve that it declares."
+    yield "Beside these: `valve.`, `effects.` and `tolerances.` as for valve_node, for the valve that it declares."
     own, words = monitor_parameters.Settings()._asdict(), monitor_parameters.descriptions()
     yield _table(("name", "default", "meaning"), [(f"`{name}`", _default(own[name]), words[name]) for name in own])
     yield "## command_profile"

@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import itertools
 import math
+import tempfile
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, seed, settings
+from hypothesis import strategies as st
 
 from valve_sim.files.parameter_files import (
     Section,
@@ -17,7 +22,8 @@ from valve_sim.files.parameter_files import (
     write_sections,
 )
 from valve_sim.files.resources import config_path
-from valve_sim.model import Drive, ParameterError, Valve, published_times, simulate
+from valve_sim.model import CATALOGUE, DECLARED, EXACT, Drive, ParameterError, Valve, published_times, simulate
+from valve_sim.model.tolerances import TOLERATED
 
 
 def written(folder: Path, text: str) -> Path:
@@ -85,6 +91,22 @@ def test_an_integer_may_stand_for_a_double(tmp_path: Path) -> None:
         ("valve: {pilot_mass: 0.1, pilot_mass: 0.2}", ["line 3", "'pilot_mass'", "second time"]),
         ("valve: {pilot_mass: 0.1", ["line", "expected"]),
         ("publish_rate: 100", ["no parameters of a valve", "ros__parameters"]),
+        ("tolerances: {spring_rat: 12.8}", ["tolerances.spring_rat", "12.8", "did you mean tolerances.spring_rate"]),
+        ("tolerances: {valve: {stroke: 1e-6}}", ["tolerances.valve.stroke", "did you mean tolerances.stroke"]),
+        ("tolerances: {stroke: -4e-6}", ["tolerances.stroke", "-4e-06", "a number from 0 to 0.1 m"]),
+        ("tolerances: {stroke: .nan}", ["tolerances.stroke", "nan", "a number from 0 to 0.1 m"]),
+        ("tolerances: {stroke: 4 um}", ["tolerances.stroke", "'4 um'", "expected a number m"]),
+        ("tolerances: {stroke: }", ["tolerances.stroke", "has no value"]),
+        ("tolerances: 3", ["tolerances", "found 3", "names of declared values"]),
+        ("tolerances: {a1: 30.0}", ["tolerances.a1", "attraction_covariance", "16 numbers"]),
+        ("tolerances: {attraction_polynomial: [0, 1, 2, 3]}", ["attraction_polynomial", "attraction_covariance"]),
+        ("tolerances: {attraction_covariance: [1.0, 2.0]}", ["attraction_covariance", "list of 2", "16 numbers"]),
+        ("tolerances: {effects: {coulomb_friction: {force: 0.1}}}", ["coulomb_friction.force", "not declared on"]),
+        ("tolerances: {effects: {coulomb_friction: 0.1}}", ["effects.coulomb_friction", "<effect>.<parameter>"]),
+        ("tolerances: {effects: 0.1}", ["tolerances.effects", "0.1"]),
+        ("tolerance: {stroke: 1e-6}", ["tolerance.stroke", "1e-06", "expected tolerances:"]),
+        ("attraction_covariance: [1, 2]", ["attraction_covariance", "tolerances.attraction_covariance"]),
+        ("valve: {attraction_covariance: [1, 2]}", ["valve.attraction_covariance", "tolerances.attraction_covariance"]),
     ],
 )
 def test_what_is_wrong_is_said_in_one_line(tmp_path: Path, text: str, named: list[str]) -> None:
@@ -164,6 +186,69 @@ def test_what_is_saved_is_read_back(tmp_path: Path) -> None:
     assert load_valve(path) == valve
     assert path.read_text().startswith("# identified from a bag\n# and so on\n/**:\n")
     assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "effects: {coulomb_friction: {force: 0.3}}\n"
+        "tolerances: {stroke: 4e-6, effects: {coulomb_friction: {force: 0.05}}, pilot_mass: 0}",
+        "effects.coulomb_friction.force: 0.3\n"
+        "tolerances.stroke: 4.0e-6\ntolerances.effects.coulomb_friction.force: 0.05",
+        "effects: {coulomb_friction.force: 0.3}\ntolerances: {stroke: 4.e-6, effects.coulomb_friction.force: 5e-2}",
+    ],
+)
+def test_tolerances_are_read_in_every_form(tmp_path: Path, text: str) -> None:
+    valve = load_valve(written(tmp_path, below_parameters(text)))
+    assert dict(valve.tolerances.declared) == {"stroke": 4e-6}
+    assert valve.tolerances.effects == {"coulomb_friction": {"force": 0.05}}
+    assert valve.tolerances.attraction_covariance is None
+
+
+def test_without_tolerances_a_file_is_exact_and_has_not_those_of_the_default(tmp_path: Path) -> None:
+    path = written(tmp_path, below_parameters("valve: {pilot_damping: 2}\ntolerances:\n  effects:"))
+    assert load_valve(path).tolerances == EXACT
+
+
+def test_a_dump_whose_tolerances_are_zeros_is_exact(tmp_path: Path) -> None:
+    zeros = [f"tolerances.{name}: 0.0" for name in TOLERATED]
+    zeros += [
+        f"tolerances.effects.{effect.name}.{parameter.name}: 0"
+        for effect in CATALOGUE.values()
+        for parameter in effect.parameters
+    ]
+    zeros.append(f"tolerances.attraction_covariance: {16 * [0.0]}")
+    assert load_valve(written(tmp_path, below_parameters("\n".join(zeros)))).tolerances == EXACT
+
+
+def sizes(upper: float) -> st.SearchStrategy[float]:
+    return st.floats(0.0, upper, exclude_min=True, allow_subnormal=False)
+
+
+@seed(16)
+@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+@given(
+    declared=st.fixed_dictionaries(
+        {}, optional={name: sizes(DECLARED[name].upper - DECLARED[name].lower) for name in TOLERATED}
+    ),
+    root=st.none() | st.lists(st.lists(st.integers(-1000, 1000), min_size=4, max_size=4), max_size=4),
+    friction=st.fixed_dictionaries({}, optional={"force": sizes(10.0), "stribeck_velocity": sizes(1.0)}),
+)
+def test_what_is_saved_with_tolerances_is_read_back(
+    declared: dict[str, float], root: list[list[int]] | None, friction: dict[str, float]
+) -> None:
+    tolerances: dict[str, Any] = {**declared, "effects": {"stiction": friction}}
+    if root is not None:
+        scaled = np.array(root).reshape(-1, 4) * (1e-4, 0.1, 1e2, 1e5)
+        tolerances["attraction_covariance"] = [float(value) for value in (scaled.T @ scaled).ravel()]
+    valve = Valve.from_mapping({"effects": {"stiction": stiction()}, "tolerances": tolerances}, "drawn")
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "saved.yaml"
+        save_valve(path, valve, "drawn")
+        assert load_valve(path) == valve
+        copy = Path(folder) / "copy.yaml"
+        write_sections(copy, read_sections(path))
+        assert load_valve(copy) == valve
 
 
 def stiction() -> dict[str, float]:

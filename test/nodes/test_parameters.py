@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 
 from valve_sim.files.parameter_files import Section, default_valve
-from valve_sim.model import CATALOGUE, ParameterError, ValveParameters
+from valve_sim.model import CATALOGUE, EXACT, ParameterError, Tolerances, ValveParameters
 from valve_sim.nodes.parameters import (
     as_declared,
     check_overrides,
+    defaults,
     files_for_others,
+    left_without_effect,
     settings_of,
     sources_of,
     table,
@@ -20,13 +23,66 @@ from valve_sim.nodes.parameters import (
 
 ENTRIES = table(default_valve())
 DEFAULTS = {name: entry.default for name, entry in ENTRIES.items()}
+KNOWN = ((0.01, 2.0, 0.0, 0.0), (2.0, 1e4, 0.0, 0.0), (0.0, 0.0, 1e9, 0.0), (0.0, 0.0, 0.0, 0.0))
+EXACT_VALUES = {name: value for name, value in DEFAULTS.items() if not name.startswith("tolerances.")} | {
+    name: 16 * [0.0] if isinstance(value, list) else 0.0
+    for name, value in DEFAULTS.items()
+    if name.startswith("tolerances.")
+}
 
 
 def test_the_table_holds_the_valve_every_effect_and_the_settings() -> None:
     valve = {f"valve.{name}" for name in ValveParameters._fields}
     effects = {f"effects.{effect.name}.{rule.name}" for effect in CATALOGUE.values() for rule in effect.parameters}
     settings = {"publish_rate", "time_scale", "command_timeout", "max_voltage", "frame_id"}
-    assert ENTRIES.keys() == valve | effects | settings
+    named = [effect for effect in CATALOGUE.values() if effect.named]
+    tolerances = {f"tolerances.{name}" for name in ValveParameters._fields if name != "attraction_polynomial"}
+    tolerances |= {f"tolerances.effects.{effect.name}.{rule.name}" for effect in named for rule in effect.parameters}
+    tolerances.add("tolerances.attraction_covariance")
+    assert ENTRIES.keys() == valve | effects | tolerances | settings
+
+
+@pytest.mark.parametrize(
+    ("given", "keeps"),
+    [({}, True), ({"publish_rate": 100}, True), ({"valve.stroke": 1.2e-3}, False), ({"tolerances.stroke": 1}, False)],
+)
+def test_shipped_tolerances_are_those_of_the_shipped_valve_only(given: dict[str, object], keeps: bool) -> None:
+    shipped = replace(default_valve(), tolerances=Tolerances({"pilot_gap": 4e-6}, KNOWN, {}))
+    found = defaults(table(shipped), given)
+    valve = valve_of(found, "here")
+    assert valve.tolerances == (shipped.tolerances if keeps else EXACT)
+    assert replace(valve, tolerances=EXACT) == default_valve()
+
+
+def test_tolerances_are_checked_as_those_of_a_file() -> None:
+    on = {"effects.coulomb_friction.force": 0.3, "tolerances.effects.coulomb_friction.force": 0.05}
+    values = check_overrides({**on, "tolerances.stroke": 4e-6}, ENTRIES, {})
+    assert valve_of(values, "here").tolerances == Tolerances(
+        {"stroke": 4e-6}, None, {"coulomb_friction": {"force": 0.05}}
+    )
+    assert values["tolerances.attraction_covariance"] == 16 * [0.0]
+    with pytest.raises(ParameterError, match=r"a\.yaml: tolerances\.a0: found 0\.1; .* attraction_covariance"):
+        check_overrides({"tolerances.a0": 0.1}, ENTRIES, {"tolerances.a0": "a.yaml"})
+    with pytest.raises(ParameterError, match=r"tolerances\.effects\.stiction\.force: found 0\.1, .*not declared on"):
+        check_overrides({"tolerances.effects.stiction.force": 0.1}, ENTRIES, {})
+
+
+@pytest.mark.parametrize(
+    ("changes", "left"),
+    [
+        ({"effects.stiction.force": 0.0}, []),
+        ({"effects.stiction.force": 0.0, "effects.stiction.breakaway": 0.0}, ["force", "stribeck_velocity"]),
+        (
+            {"effects.stiction.force": 0.0, "effects.stiction.breakaway": 0.0, "tolerances.effects.stiction.force": 1},
+            ["stribeck_velocity"],
+        ),
+        ({"valve.stroke": 2e-3, "effects.no_such_effect.force": 0.0}, []),
+    ],
+)
+def test_an_effect_that_is_switched_off_leaves_its_tolerances(changes: dict[str, object], left: list[str]) -> None:
+    values = {**DEFAULTS, "effects.stiction.force": 0.3, "effects.stiction.breakaway": 0.1}
+    values |= {f"tolerances.effects.stiction.{name}": 0.01 for name in ("force", "stribeck_velocity")}
+    assert left_without_effect(changes, values) == [f"tolerances.effects.stiction.{name}" for name in left]
 
 
 def test_the_defaults_are_the_default_valve_and_pass_their_own_checks() -> None:
@@ -59,7 +115,7 @@ def test_what_was_given_replaces_defaults_and_integers_become_doubles() -> None:
     given = {"valve.pilot_damping": 3, "publish_rate": 100, "use_sim_time": True, "qos_overrides./a.b": 1}
     values = check_overrides({**given, "valve.attraction_polynomial": [3, 0, 0, 0]}, ENTRIES, {})
     assert values == {
-        **DEFAULTS,
+        **EXACT_VALUES,
         "valve.pilot_damping": 3.0,
         "publish_rate": 100.0,
         "valve.attraction_polynomial": [3.0, 0.0, 0.0, 0.0],

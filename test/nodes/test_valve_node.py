@@ -8,6 +8,7 @@ import math
 import re
 import signal
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ import pytest
 import yaml
 from installed_effect import MAGNET_DRAG, Installed
 
+from valve_sim.files.parameter_files import load_valve
 from valve_sim.files.resources import config_path
 
 from .ros_process import PATIENCE, NodeProcess, Probe, running
@@ -206,25 +208,76 @@ def test_a_coil_without_commands_is_de_energised(rested: Probe) -> None:
 def test_dumped_parameters_can_be_loaded_again(rested: Probe, tmp_path: Path) -> None:
     changes = {"valve__main_damping": 3.5, "effects__magnetic_saturation__current": 2.0, "frame_id": "tank"}
     assert all(result.successful for result in rested.set_parameters(**changes))
-    dumped = {name: plain(value) for name, value in rested.parameters().items()}
+    values = rested.parameters()
     originals = {"valve__main_damping": 4.0, "effects__magnetic_saturation__current": math.inf, "frame_id": ""}
     assert all(result.successful for result in rested.set_parameters(**originals))
-    nested: dict[str, Any] = {}
-    for name, value in dumped.items():
-        *folders, last = name.split(".")
-        place = nested
-        for folder in folders:
-            place = place.setdefault(folder, {})
-        place[last] = value
-    path = tmp_path / "dump.yaml"
-    path.write_text(yaml.dump({"/other": {"ros__parameters": nested}}))
+    path = dump(values, tmp_path / "dump.yaml", "/other")
     arguments = ["--ros-args", "-r", "__node:=other", "--params-file", str(path)]
     other = Probe("/other")
     try:
         with running(tmp_path, arguments):
-            assert {name: plain(value) for name, value in other.parameters().items()} == dumped
+            assert plain_values(other.parameters()) == plain_values(values)
     finally:
         other.close()
+
+
+TOLERATED = """
+/**:
+  ros__parameters:
+    valve: {main_damping: 3.5, attraction_polynomial: [3.0, 17.0e+3, -30.0e+6, 24.0e+9]}
+    effects: {coulomb_friction: {force: 0.3}}
+    tolerances:
+      spring_rate: 12.8
+      stroke: 4.0e-6
+      attraction_covariance: [0.01, 2.0, 0.0, 0.0, 2.0, 1.0e+4, 0.0, 0.0, 0.0, 0.0, 1.0e+9, 0.0, 0.0, 0.0, 0.0, 0.0]
+      effects: {coulomb_friction: {force: 0.05}}
+"""
+
+
+def plain_values(values: dict[str, Any]) -> dict[str, Any]:
+    return {name: plain(value) for name, value in values.items()}
+
+
+def dump(values: dict[str, Any], path: Path, node: str = "/known") -> Path:
+    """As `ros2 param dump` writes it."""
+    nested: dict[str, Any] = {}
+    for name, value in sorted(values.items()):
+        *folders, last = name.split(".")
+        place = nested
+        for folder in folders:
+            place = place.setdefault(folder, {})
+        place[last] = plain(value)
+    path.write_text(yaml.dump({node: {"ros__parameters": nested}}))
+    return path
+
+
+def test_tolerances_are_taken_checked_and_dumped(ros: None, tmp_path: Path) -> None:
+    path = tmp_path / "tolerances.yaml"
+    path.write_text(TOLERATED)
+    declared = load_valve(path)
+    known = Probe("/known")
+    try:
+        with running(tmp_path, ["--ros-args", "-r", "__node:=known", "--params-file", str(path)]):
+            assert load_valve(dump(known.parameters(), tmp_path / "dump.yaml")) == declared
+            refused = {
+                "tolerances__stroke": -1e-6,
+                "tolerances__attraction_covariance": [1.0, 2.0],
+                "tolerances__effects__stiction__force": 0.1,
+            }
+            for name, value in refused.items():
+                (result,) = known.set_parameters(**{name: value})
+                assert not result.successful, name
+                assert name.replace("__", ".") in result.reason
+            changes: dict[str, Any] = {"tolerances__stroke": 0.0, "tolerances__pilot_gap": 2e-6}
+            assert all(result.successful for result in known.set_parameters(**changes))
+            assert known.set_parameters(effects__coulomb_friction__force=0.0)[0].successful
+            left = load_valve(dump(known.parameters(), tmp_path / "later.yaml"))
+    finally:
+        known.close()
+    assert left.effects == {}
+    assert left.tolerances == replace(
+        declared.tolerances, declared={"spring_rate": 12.8, "pilot_gap": 2e-6}, effects={}
+    )
 
 
 def test_an_installed_effect_is_set_on_the_running_node(ros: None, tmp_path: Path) -> None:

@@ -37,6 +37,7 @@ from valve_sim.files.whole_files import write_whole
 from valve_sim.files.yaml_files import read_yaml
 from valve_sim.model import CATALOGUE, Effect, Parameter, ParameterError, Valve, ValveParameters
 from valve_sim.model.parameters import closest
+from valve_sim.model.tolerances import COVARIANCE_NAME
 
 DEFAULT_FILE: Final = "valve.yaml"
 """The shipped parameter file whose values hold where a file gives none."""
@@ -114,6 +115,10 @@ def valve_from_flat(values: Mapping[str, object], source: str, base: Valve | Non
     tolerances: dict[str, Any] = {}
     for name, value in values.items():
         root, _, rest = name.partition(".")
+        if name in (COVARIANCE_NAME, f"valve.{COVARIANCE_NAME}"):
+            raise ParameterError(
+                f"{source}: {name}: found {_short(value)}, expected it as tolerances.{COVARIANCE_NAME}"
+            )
         if root == "valve":
             _check_name(rest, ValveParameters._fields, name, value, source)
             declared[rest] = value

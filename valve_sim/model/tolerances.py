@@ -108,10 +108,11 @@ EXACT: Final = Tolerances()
 
 def tolerance_rule(parameter: Parameter) -> Parameter:
     """What a parameter's tolerance is called and which values make sense: from 0 (exact) to the width of its range."""
+    what = "moving_mass - pilot_mass" if parameter.name == "moving_mass" else parameter.description
     return Parameter(
         parameter.name,
         parameter.unit,
-        f"one standard deviation of: {parameter.description}; 0: exact",
+        f"tolerance, one standard deviation, of: {what}; 0: exact",
         0.0,
         parameter.upper - parameter.lower,
         parameter.prior_scale,

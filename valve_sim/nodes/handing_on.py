@@ -108,12 +108,15 @@ def changes_between(old: Mapping[str, Any], new: Mapping[str, Any], intervals: M
 
 
 def _interval_of(name: str, intervals: Mapping[str, Interval]) -> tuple[float, float] | None:
-    found = intervals.get(name.partition(".")[2])
+    root, _, rest = name.partition(".")
+    found = None if root == "tolerances" else intervals.get(rest)
     return None if found is None else (found.low, found.high)
 
 
 def _unit(name: str) -> str:
     root, _, rest = name.partition(".")
+    if root == "tolerances":
+        return _unit(rest if rest.startswith("effects.") else f"valve.{rest}")
     if root == "valve":
         return DECLARED[rest].unit if rest in DECLARED else ""
     effect, _, parameter = rest.partition(".")

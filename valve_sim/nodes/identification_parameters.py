@@ -10,10 +10,10 @@ from typing import Final, NamedTuple
 from valve_sim.identification.estimation.identify import DEFAULT_FREE, check_free
 from valve_sim.model import ParameterError
 from valve_sim.model.parameters import closest
+from valve_sim.nodes.parameters import VALVE_KEYS
 
 MODES: Final = ("identify", "diagnose")
 _LOWEST: Final = {"rate": 0.0, "budget": 1.0}
-_VALVE_KEYS: Final = ("valve.", "effects.")
 
 
 class Settings(NamedTuple):
@@ -75,7 +75,7 @@ def check_settings(given: Mapping[str, object], sources: Mapping[str, str]) -> S
     values: dict[str, object] = {}
     for name, value in given.items():
         where = f"{sources.get(name, 'command line')}: {name}"
-        if name.startswith(_VALVE_KEYS):
+        if name.startswith(VALVE_KEYS):
             raise ParameterError(f"{where}: belongs to a valve; give the file's name as the parameter params instead")
         if name not in Settings._fields:
             raise ParameterError(

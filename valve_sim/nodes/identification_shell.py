@@ -37,7 +37,7 @@ from valve_sim.nodes.identification_task import (
 )
 from valve_sim.nodes.messages import ReadingMessages, diagnostic_array
 from valve_sim.nodes.node_clock import NodeClock
-from valve_sim.nodes.parameters import sources_of, table
+from valve_sim.nodes.parameters import VALVE_KEYS, sources_of, table
 from valve_sim.nodes.replay import Prediction, Replay, measured_reading, predict, replay_status
 from valve_sim.nodes.shell_parts import LATCHED, declare_read_only, full_name, given_parameters, make_node
 from valve_sim.nodes.spinning import guarded, spin
@@ -205,7 +205,7 @@ class IdentificationShell:
             self._node.context.try_shutdown()
 
     def _apply(self, outcome: Outcome, recipient: Recipient) -> Applied:
-        """Set the whole valve, effects that are off too, at once or not at all; what it had before is kept."""
+        """Set the whole valve, effects that are off and tolerances too, at once or not at all; keep what it had."""
         logger = self._node.get_logger()
         if outcome.objection and not self._settings.apply_always:
             return Applied(recipient.name, False, f"{outcome.objection}; apply_always:=true sets it all the same")
@@ -266,6 +266,4 @@ class IdentificationShell:
 
 def valve_parameters(valve: Valve) -> Values:
     """Every parameter of valve_node that describes its valve, with the values of this one."""
-    return {
-        entry.name: entry.default for entry in table(valve).values() if entry.name.startswith(("valve.", "effects."))
-    }
+    return {entry.name: entry.default for entry in table(valve).values() if entry.name.startswith(VALVE_KEYS)}

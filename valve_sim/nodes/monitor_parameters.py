@@ -9,11 +9,10 @@ from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.model import Parameter, ParameterError, Valve
 from valve_sim.model.parameters import closest
-from valve_sim.nodes.parameters import NodeParameter, Value, table, valve_of
+from valve_sim.nodes.parameters import VALVE_KEYS, NodeParameter, Value, defaults, refuse_tolerance, table, valve_of
 from valve_sim.nodes.parameters import Settings as ValveNodeSettings
 
 _MICRO: Final = 1e-6
-_VALVE_KEYS: Final = ("valve.", "effects.")
 _DEFAULTS: Final = MonitorSettings()
 _OF_VALVE_NODE: Final = ValveNodeSettings._fields
 """One parameter file may serve valve_node and its monitor."""
@@ -108,7 +107,7 @@ def check_given(given: Mapping[str, object], sources: Mapping[str, str], source:
         ParameterError: unknown name, wrong type, out of range, or a valve that cannot be; one line.
     """
     entries = _valve_entries()
-    valve_values: dict[str, Value] = {name: entry.default for name, entry in entries.items()}
+    valve_values = defaults(entries, given)
     own: dict[str, object] = {}
     for name, value in given.items():
         where = sources.get(name, "command line")
@@ -117,6 +116,7 @@ def check_given(given: Mapping[str, object], sources: Mapping[str, str], source:
         elif name in Settings._fields:
             own[name] = _checked(name, value, f"{where}: {name}")
         elif name not in _OF_VALVE_NODE:
+            refuse_tolerance(name, value, where)
             known = [*Settings._fields, *entries]
             raise ParameterError(
                 f"{where}: {name}: found {value!r} under an unknown name; expected a parameter of monitor_node, "
@@ -127,7 +127,7 @@ def check_given(given: Mapping[str, object], sources: Mapping[str, str], source:
 
 
 def _valve_entries() -> dict[str, NodeParameter]:
-    return {name: entry for name, entry in table(default_valve()).items() if name.startswith(_VALVE_KEYS)}
+    return {name: entry for name, entry in table(default_valve()).items() if name.startswith(VALVE_KEYS)}
 
 
 def _checked(name: str, value: object, where: str) -> object:

@@ -1,6 +1,7 @@
 """The one table of valve_node's parameters: names, defaults, units, ranges; declarations and checks follow from it.
 
-Entries `valve.*` come from the model's declared parameters, `effects.*` from its catalogue. Needs no ROS.
+Entries `valve.*` come from the model's declared parameters, `effects.*` from its catalogue, `tolerances.*` from both.
+Needs no ROS.
 """
 
 from __future__ import annotations
@@ -9,13 +10,19 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from typing import Final, NamedTuple
 
-from valve_sim.files.parameter_files import Section, check_with_off, off_value, valve_from_flat
-from valve_sim.model import CATALOGUE, DECLARED, Parameter, ParameterError, Valve, ValveParameters
+from valve_sim.files.parameter_files import Section, check_with_off, complete_effect, off_value, valve_from_flat
+from valve_sim.model import CATALOGUE, DECLARED, Parameter, ParameterError, Tolerances, Valve, ValveParameters
 from valve_sim.model.parameters import closest
+from valve_sim.model.tolerances import COVARIANCE_FORM, COVARIANCE_NAME, TOLERATED, tolerance_rule
 
 Value = float | str | list[float]
 
+VALVE_KEYS: Final = ("valve.", "effects.", "tolerances.")
+"""What the names begin with that describe a valve, and not a node."""
+
 _POLYNOMIAL: Final = "valve.attraction_polynomial"
+_TOLERANCES: Final = "tolerances."
+_EXACT_COVARIANCE: Final = 16 * (0.0,)
 _SETTINGS: Final = (
     (
         Parameter("publish_rate", "Hz", "samples a second of the clock on ~/joint_states and ~/coil_current", 0.1, 1e4),
@@ -100,13 +107,14 @@ def table(default: Valve) -> dict[str, NodeParameter]:
     entries.append(NodeParameter(_FRAME_ID, "", "header.frame_id of the joint states"))
     entries += _declared_entries(default.parameters)
     entries += _effect_entries(default.effects)
+    entries += _tolerance_entries(default.tolerances)
     return {entry.name: entry for entry in entries}
 
 
 def check_overrides(
     overrides: Mapping[str, object], entries: Mapping[str, NodeParameter], sources: Mapping[str, str]
 ) -> dict[str, Value]:
-    """The values to start with: the defaults, and what was given in their place.
+    """The values to start with: those of `defaults`, and what was given in their place.
 
     Args:
         overrides: given names and values; those of ROS itself are passed over.
@@ -116,19 +124,64 @@ def check_overrides(
     Raises:
         ParameterError: unknown name, wrong type, out of range, or a valve that cannot be.
     """
-    values = {name: entry.default for name, entry in entries.items()}
+    values = defaults(entries, overrides)
     for name, value in overrides.items():
         source = sources.get(name, "command line")
         if name in entries:
             values[name] = entries[name].check(value, source)
         elif name not in ROS_OWN and not name.startswith(ROS_OWN_PREFIX):
+            refuse_tolerance(name, value, source)
             raise ParameterError(
                 f"{source}: {name}: found {value!r} under an unknown name; expected a parameter of valve_node, "
                 f"did you mean {closest(name, list(entries))}?"
             )
-    files = [sources[name] for name in overrides if name in sources and name.startswith(("valve.", "effects."))]
+    files = [sources[name] for name in overrides if name in sources and name.startswith(VALVE_KEYS)]
     valve_of(values, files[-1] if files else "command line")
     return values
+
+
+def defaults(entries: Mapping[str, NodeParameter], given: Collection[str]) -> dict[str, Value]:
+    """The value of every parameter that is not given.
+
+    The shipped tolerances are of the shipped valve: where anything of a valve is given, the others are exact, as in a
+    parameter file.
+
+    Args:
+        entries: the table. given: names.
+    """
+    keeps_tolerances = not any(name.startswith(VALVE_KEYS) for name in given)
+    return {
+        name: entry.default if keeps_tolerances or not name.startswith(_TOLERANCES) else _exact(entry.default)
+        for name, entry in entries.items()
+    }
+
+
+def refuse_tolerance(name: str, value: object, source: str) -> None:
+    """Say of a tolerance without a place in the table what a parameter file would be told.
+
+    Raises:
+        ParameterError: the name is that of a tolerance, and unknown.
+    """
+    if name.startswith(_TOLERANCES):
+        valve_from_flat({name: value}, source, Valve())
+
+
+def left_without_effect(changes: Mapping[str, object], values: Mapping[str, object]) -> list[str]:
+    """The tolerances that a change leaves behind, of effects that it switches off; those that it sets itself apart.
+
+    Args:
+        changes: what is about to be set. values: what is set, of the whole table.
+    """
+    after = {**values, **changes}
+    touched = {name.split(".")[1] for name in changes if name.startswith("effects.")} & CATALOGUE.keys()
+    left = []
+    for effect in touched:
+        names = [rule.name for rule in CATALOGUE[effect].parameters]
+        found = {name: after[f"effects.{effect}.{name}"] for name in names}
+        keys = [f"{_TOLERANCES}effects.{effect}.{name}" for name in names]
+        if complete_effect(effect, found, "") is None:
+            left += [key for key in keys if values.get(key) and key not in changes]
+    return left
 
 
 def sources_of(sections: Sequence[tuple[str, Section]], node: str) -> dict[str, str]:
@@ -156,9 +209,8 @@ def valve_of(values: Mapping[str, object], source: str) -> Valve:
     Raises:
         ParameterError: they are no valve, such as a gap beyond the stroke.
     """
-    return valve_from_flat(
-        {name: value for name, value in values.items() if name.startswith(("valve.", "effects."))}, source, Valve()
-    )
+    of_valve = {name: value for name, value in values.items() if name.startswith(VALVE_KEYS)}
+    return valve_from_flat(of_valve, source, Valve())
 
 
 def settings_of(values: Mapping[str, Value]) -> Settings:
@@ -207,6 +259,24 @@ def _effect_entries(on: Mapping[str, Mapping[str, float]]) -> list[NodeParameter
             default = on.get(effect.name, {}).get(rule.name, off_value(rule))
             entries.append(NodeParameter(f"effects.{effect.name}.{rule.name}", default, description, rule))
     return entries
+
+
+def _tolerance_entries(tolerances: Tolerances) -> list[NodeParameter]:
+    rules = {name: (tolerance_rule(DECLARED[name]), tolerances.declared.get(name, 0.0)) for name in TOLERATED}
+    for effect in CATALOGUE.values():
+        known = tolerances.effects.get(effect.name, {})
+        for parameter in effect.parameters if effect.named else ():
+            rules[f"effects.{effect.name}.{parameter.name}"] = tolerance_rule(parameter), known.get(parameter.name, 0.0)
+    entries = [
+        NodeParameter(f"{_TOLERANCES}{name}", value, _describe(rule), rule) for name, (rule, value) in rules.items()
+    ]
+    matrix = tolerances.to_mapping().get(COVARIANCE_NAME, list(_EXACT_COVARIANCE))
+    entries.append(NodeParameter(f"{_TOLERANCES}{COVARIANCE_NAME}", matrix, f"{COVARIANCE_FORM}; zeros: exact"))
+    return entries
+
+
+def _exact(value: Value) -> Value:
+    return len(value) * [0.0] if isinstance(value, list) else 0.0
 
 
 def _describe(rule: Parameter) -> str:

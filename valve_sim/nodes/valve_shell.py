@@ -41,6 +41,7 @@ from valve_sim.nodes.parameters import (
     Value,
     as_declared,
     check_overrides,
+    left_without_effect,
     settings_of,
     sources_of,
     table,
@@ -127,7 +128,7 @@ class ValveShell:
         values = check_overrides(given, self._entries, sources_of(sections, name))
         for key, entry in self._entries.items():
             declare(node, key, values[key], descriptor(entry))
-        node.add_pre_set_parameters_callback(guarded(self._accept_integers))
+        node.add_pre_set_parameters_callback(guarded(self._complete))
         node.add_on_set_parameters_callback(guarded(self._validate))
         node.add_post_set_parameters_callback(guarded(self._apply))
         return settings_of(values)
@@ -268,13 +269,18 @@ class ValveShell:
 
     # --- parameters ---
 
-    def _accept_integers(self, parameters: list[Parameter]) -> list[Parameter]:
-        return [
+    def _complete(self, parameters: list[Parameter]) -> list[Parameter]:
+        """Integers become doubles; an effect that is switched off takes its tolerances along."""
+        given = [
             Parameter(parameter.name, value=as_declared(parameter.name, parameter.value, self._entries))
             if parameter.name in self._entries and parameter.type_ is not Parameter.Type.NOT_SET
             else parameter
             for parameter in parameters
         ]
+        with contextlib.suppress(ParameterError):  # which `_validate` reports
+            changes = self._checked(given, "")
+            given += [Parameter(name, value=0.0) for name in left_without_effect(changes, self._values())]
+        return given
 
     def _validate(self, parameters: list[Parameter]) -> SetParametersResult:
         name = self._node.get_fully_qualified_name()
