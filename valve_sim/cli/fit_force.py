@@ -35,8 +35,8 @@ def fit_force(
     """Fit the attraction to a static table.
 
     FILE is a CSV with the columns displacement (m) and force (N), measured at one voltage with load cell and stage.
-    Writes DIR/fit-force.json, DIR/fit-force.png (force and residuals) and DIR/attraction.yaml, which valve_node,
-    simulate and validate load.
+    Writes DIR/fit-force.json, DIR/fit-force.png (force and residuals) and DIR/attraction.yaml, which valve_node and
+    all commands load: the polynomial, and how well the table knows it (tolerances.attraction_covariance).
 
       valve-sim fit-force force_9V.csv --output results
       valve-sim fit-force force_12V.csv --voltage 12 --params my_valve.yaml --output results

@@ -1,17 +1,18 @@
 """The attraction polynomial from a static table: values, honest intervals, and what a missing constant term does."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from valve_sim.files.parameter_files import default_valve
+from valve_sim.files.parameter_files import default_valve, load_valve, save_valve
 from valve_sim.files.tables import TableError
 from valve_sim.identification.estimation.static_force import BeginsLate, EndsEarly, StartOfMotion, fit_static_force
 from valve_sim.identification.reporting.findings import remarks
 from valve_sim.identification.reporting.static_force import static_force_json
-from valve_sim.model import ValveError
+from valve_sim.model import Tolerances, ValveError
 
 TRUTH = np.array([3.0336, 17.096e3, -30.931e6, 24.026e9])
 NOISE = 0.05  # N
@@ -38,6 +39,51 @@ def test_95_percent_intervals_hold_the_truth_in_95_percent_of_tables(tmp_path: P
         inside += [found[f"a{power}"].low <= TRUTH[power] <= found[f"a{power}"].high for power in range(4)]
     # 95 % of 200 with three standard errors of a proportion.
     assert np.all(np.abs(inside / 200 - 0.95) < 3 * np.sqrt(0.95 * 0.05 / 200))
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3])
+def test_the_covariance_is_that_of_numpys_polyfit(tmp_path: Path, degree: int):
+    path = table(tmp_path)
+    displacement, force = np.loadtxt(path, delimiter=",", skiprows=1).T
+    coefficients, covariance = np.polyfit(displacement * 1e3, force, degree, cov=True)  # in mm: polyfit's rcond
+    units = 1e3 ** np.arange(degree + 1)
+    found = fit_static_force(path, default_valve(), degree=degree).valve
+    matrix = np.array(found.tolerances.attraction_covariance)
+    np.testing.assert_allclose(
+        matrix[: degree + 1, : degree + 1], covariance[::-1, ::-1] * np.outer(units, units), rtol=1e-6
+    )
+    assert not np.any(matrix[degree + 1 :]), "terms that are not fitted are exact"
+    assert not np.any(matrix[:, degree + 1 :])
+    np.testing.assert_allclose(found.parameters.attraction_polynomial[: degree + 1], coefficients[::-1] * units)
+
+
+def test_the_covariance_is_how_tables_scatter(tmp_path: Path):
+    """Measured at 4.5 V, a quarter of the force with the same noise: four times the scatter at the reference."""
+    count = 400
+    fits = [
+        fit_static_force(table(tmp_path, seed, scale=0.25), default_valve(), voltage=4.5).valve for seed in range(count)
+    ]
+    errors = np.array([valve.parameters.attraction_polynomial for valve in fits]) - TRUTH
+    said = np.mean([np.array(valve.tolerances.attraction_covariance) for valve in fits], axis=0)
+    # In coordinates in which what is said is the unit matrix, what is seen is Wishart: 1 ± sqrt(2 / count).
+    coordinates = np.linalg.solve(np.linalg.cholesky(said), errors.T)
+    seen = coordinates @ coordinates.T / count
+    assert np.diag(seen) == pytest.approx(1.0, abs=3.5 * np.sqrt(2.0 / count))
+    assert seen - np.diag(np.diag(seen)) == pytest.approx(np.zeros((4, 4)), abs=3.5 * np.sqrt(1.0 / count))
+
+
+def test_the_file_keeps_the_covariance_and_the_other_tolerances(tmp_path: Path):
+    known = replace(default_valve(), tolerances=Tolerances({"stroke": 4e-6}))
+    found = fit_static_force(table(tmp_path), known, constant=False)
+    save_valve(tmp_path / "attraction.yaml", found.valve, "fitted")
+    again = load_valve(tmp_path / "attraction.yaml")
+    assert again == found.valve
+    assert again.tolerances.declared == {"stroke": 4e-6}
+    matrix = again.tolerances.attraction_covariance
+    assert matrix is not None
+    assert matrix[0] == (0.0, 0.0, 0.0, 0.0)
+    assert np.sqrt(matrix[1][1]) == pytest.approx(found.intervals["a1"].stderr)
+    assert static_force_json(found)["attraction_covariance"] == [value for row in matrix for value in row]
 
 
 def test_residual_is_the_noise(tmp_path: Path):

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, NamedTuple, TypeAlias
 
@@ -86,7 +86,8 @@ class StaticForce:
         intervals: by name a0 … a3, at the reference voltage (u = 1), 95 % by Student's t.
         rmse: of the residuals, N, as measured.
         r_squared: share of the force's variance that the polynomial explains.
-        valve: the valve with this polynomial.
+        valve: the valve with this polynomial, and its covariance at the reference voltage among the tolerances; terms
+            that were not fitted are exact.
         findings: on the start of motion first.
     """
 
@@ -140,7 +141,8 @@ def fit_static_force(
         raise ValveError(f"--voltage {volts:g}: a coil without voltage does not pull; expected the table's voltage")
     displacement, force = _read(path, len(powers))
     at_reference = (reference / volts) ** 2
-    values, errors, rmse = _least_squares(displacement, force, powers)
+    values, covariance, rmse = _least_squares(displacement, force, powers)
+    errors = np.sqrt(np.diag(covariance))
     # Between the 2.5 % quantiles of Student's t, because the noise is estimated from the same residuals.
     quantile = float(stdtrit(len(force) - len(powers), 0.975))
     intervals = {
@@ -148,7 +150,11 @@ def fit_static_force(
         for power, value, error in zip(powers, at_reference * values, at_reference * errors, strict=True)
     }
     polynomial = {name: intervals[name].value if name in intervals else 0.0 for name in POLYNOMIAL_NAMES}
-    fitted = valve.with_values(**polynomial)
+    whole = np.zeros((len(POLYNOMIAL_NAMES), len(POLYNOMIAL_NAMES)))
+    whole[np.ix_(powers, powers)] = at_reference**2 * covariance
+    matrix = tuple(tuple(row) for row in whole.tolist()) if np.any(whole) else None
+    tolerances = replace(valve.tolerances, attraction_covariance=matrix)
+    fitted = replace(valve.with_values(**polynomial), tolerances=tolerances)
     variance = float(np.var(force))
     return StaticForce(
         str(path),
@@ -179,7 +185,7 @@ def _read(path: Path | str, terms: int) -> tuple[Array, Array]:
 
 
 def _least_squares(displacement: Array, force: Array, powers: NDArray[np.int_]) -> tuple[Array, Array, float]:
-    """Coefficients, their standard errors, and the rms of what is left."""
+    """Coefficients, their covariance, and the rms of what is left."""
     # In units of the largest displacement: powers of 1e-3 m would otherwise leave half of the digits.
     scale = float(np.max(np.abs(displacement))) or 1.0
     design = (displacement[:, None] / scale) ** powers
@@ -187,9 +193,10 @@ def _least_squares(displacement: Array, force: Array, powers: NDArray[np.int_]) 
     residual = force - design @ coefficients
     squares = float(residual @ residual)
     variance = squares / (len(force) - len(powers))
-    covariance = variance * np.linalg.pinv(design.T @ design)
+    inverse = np.linalg.pinv(design)
     units = scale ** -powers.astype(np.float64)
-    return coefficients * units, np.sqrt(np.diag(covariance)) * units, math.sqrt(squares / len(force))
+    covariance = variance * (inverse @ inverse.T) * np.outer(units, units)
+    return coefficients * units, covariance, math.sqrt(squares / len(force))
 
 
 def _findings(valve: Valve, constant: Interval | None, displacement: Array) -> Iterator[StaticFinding]:

@@ -11,6 +11,7 @@ from valve_sim.identification.estimation.static_force import StaticForce
 from valve_sim.identification.reporting.findings import remarks
 from valve_sim.identification.reporting.interval_json import intervals_json
 from valve_sim.model import DECLARED
+from valve_sim.model.tolerances import COVARIANCE_NAME
 
 
 def static_force_json(result: StaticForce) -> dict[str, Any]:
@@ -23,6 +24,7 @@ def static_force_json(result: StaticForce) -> dict[str, Any]:
         "reference_voltage": result.valve.parameters.reference_voltage,
         "parameters": intervals_json(result.intervals),
         "attraction_polynomial": list(result.valve.parameters.attraction_polynomial),
+        "attraction_covariance": result.valve.tolerances.to_mapping().get(COVARIANCE_NAME, [0.0] * 16),
         "rmse_n": result.rmse,
         "maximum_n": float(np.max(np.abs(result.force - result.predicted))),
         "r_squared": result.r_squared,
