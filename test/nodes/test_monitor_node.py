@@ -15,6 +15,9 @@ import numpy as np
 import pytest
 from identification.live_strokes import LiveValve
 
+from valve_sim.files.parameter_files import load_valve
+
+from .dumps import TOLERATED, dump
 from .plant_on_topics import PlantOnTopics
 from .ros_process import PATIENCE, Probe, piped, running
 
@@ -241,6 +244,28 @@ def test_a_signal_ends_it_with_code_0(probe: Probe, tmp_path: Path, number: sign
         assert "Traceback" not in process.stderr.read()
 
 
+def test_its_parameters_are_dumped_as_a_file_of_the_same_valve(ros: None, tmp_path: Path) -> None:
+    path = tmp_path / "tolerances.yaml"
+    path.write_text(TOLERATED)
+    declared = load_valve(path)
+    monitor = Probe("/monitor")
+    try:
+        arguments = ["--ros-args", "-p", "valve_node:=/tank_1/valve", "--params-file", str(path)]
+        with running(tmp_path, arguments, "monitor_node") as process:
+            values = monitor.parameters()
+            assert monitor.until(lambda: "hears /tank_1/valve/coil_voltage" in process.output)
+    finally:
+        monitor.close()
+    assert values["valve_node"] == "/tank_1/valve"
+    assert load_valve(dump(values, tmp_path / "dump.yaml", "/monitor")) == declared
+
+
+def test_the_former_name_of_the_watched_node_counts_and_is_warned_of(ros: None, probe: Probe, tmp_path: Path) -> None:
+    with running(tmp_path, ["--ros-args", "-p", "valve:=/tank_1/valve"], "monitor_node") as process:
+        assert probe.until(lambda: "hears /tank_1/valve/coil_voltage" in process.output)
+        assert "parameter valve is called valve_node now" in process.output
+
+
 @pytest.mark.parametrize(
     ("parameters", "says"),
     [
@@ -248,7 +273,9 @@ def test_a_signal_ends_it_with_code_0(probe: Probe, tmp_path: Path, number: sign
         ({"state": "/dev/null"}, "damaged"),
         ({"commissioning_strokes": 2}, "from 8 to 1000"),
         ({"commissioning_strokes": 20.5}, "a whole number"),
-        ({"valve": "no/{such"}, "expected a ROS name"),
+        ({"valve_node": "no/{such"}, "expected a ROS name"),
+        ({"tolerances.strok": 4e-6}, "did you mean tolerances.stroke"),
+        ({"tolerances.effects.stiction.force": 0.1}, "not declared on"),
         ({"valve.pilot_gap": 5e-3}, "pilot_gap"),
         ({"effects.coulomb_fricton.force": 0.1}, "did you mean"),
     ],

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import array
 import itertools
 import math
 import re
@@ -13,12 +12,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 from installed_effect import MAGNET_DRAG, Installed
 
 from valve_sim.files.parameter_files import load_valve
 from valve_sim.files.resources import config_path
 
+from .dumps import TOLERATED, dump, plain_values
 from .ros_process import PATIENCE, NodeProcess, Probe, running
 
 pytestmark = pytest.mark.ros
@@ -80,10 +79,6 @@ def diagnostics(heard: list[Any], name: str) -> Any:
             if status.name == f"valve: {name}":
                 return {**{item.key: item.value for item in status.values}, "level": status.level}
     return {}
-
-
-def plain(value: Any) -> Any:
-    return list(value) if isinstance(value, array.array) else value
 
 
 def test_a_valve_opens_and_closes_on_topics(rested: Probe) -> None:
@@ -221,36 +216,6 @@ def test_dumped_parameters_can_be_loaded_again(rested: Probe, tmp_path: Path) ->
         other.close()
 
 
-TOLERATED = """
-/**:
-  ros__parameters:
-    valve: {main_damping: 3.5, attraction_polynomial: [3.0, 17.0e+3, -30.0e+6, 24.0e+9]}
-    effects: {coulomb_friction: {force: 0.3}}
-    tolerances:
-      spring_rate: 12.8
-      stroke: 4.0e-6
-      attraction_covariance: [0.01, 2.0, 0.0, 0.0, 2.0, 1.0e+4, 0.0, 0.0, 0.0, 0.0, 1.0e+9, 0.0, 0.0, 0.0, 0.0, 0.0]
-      effects: {coulomb_friction: {force: 0.05}}
-"""
-
-
-def plain_values(values: dict[str, Any]) -> dict[str, Any]:
-    return {name: plain(value) for name, value in values.items()}
-
-
-def dump(values: dict[str, Any], path: Path, node: str = "/known") -> Path:
-    """As `ros2 param dump` writes it."""
-    nested: dict[str, Any] = {}
-    for name, value in sorted(values.items()):
-        *folders, last = name.split(".")
-        place = nested
-        for folder in folders:
-            place = place.setdefault(folder, {})
-        place[last] = plain(value)
-    path.write_text(yaml.dump({node: {"ros__parameters": nested}}))
-    return path
-
-
 def test_tolerances_are_taken_checked_and_dumped(ros: None, tmp_path: Path) -> None:
     path = tmp_path / "tolerances.yaml"
     path.write_text(TOLERATED)
@@ -258,7 +223,7 @@ def test_tolerances_are_taken_checked_and_dumped(ros: None, tmp_path: Path) -> N
     known = Probe("/known")
     try:
         with running(tmp_path, ["--ros-args", "-r", "__node:=known", "--params-file", str(path)]):
-            assert load_valve(dump(known.parameters(), tmp_path / "dump.yaml")) == declared
+            assert load_valve(dump(known.parameters(), tmp_path / "dump.yaml", "/known")) == declared
             refused = {
                 "tolerances__stroke": -1e-6,
                 "tolerances__attraction_covariance": [1.0, 2.0],
@@ -271,7 +236,7 @@ def test_tolerances_are_taken_checked_and_dumped(ros: None, tmp_path: Path) -> N
             changes: dict[str, Any] = {"tolerances__stroke": 0.0, "tolerances__pilot_gap": 2e-6}
             assert all(result.successful for result in known.set_parameters(**changes))
             assert known.set_parameters(effects__coulomb_friction__force=0.0)[0].successful
-            left = load_valve(dump(known.parameters(), tmp_path / "later.yaml"))
+            left = load_valve(dump(known.parameters(), tmp_path / "later.yaml", "/known"))
     finally:
         known.close()
     assert left.effects == {}

@@ -16,9 +16,11 @@ _MICRO: Final = 1e-6
 _DEFAULTS: Final = MonitorSettings()
 _OF_VALVE_NODE: Final = ValveNodeSettings._fields
 """One parameter file may serve valve_node and its monitor."""
+FORMER_NAMES: Final = {"valve": "valve_node"}
+"""ROS 2 loses a `valve` given before a file with `valve: {...}`, and cannot dump it beside `valve.pilot_mass`."""
 
 _TEXTS: Final = {
-    "valve": ("valve", "node whose topics are heard, relative to this node's namespace"),
+    "valve_node": ("valve", "node whose topics are heard, relative to this node's namespace"),
     "measured": (
         "measured/joint_states",
         "topic of the measured positions below it; joint_states: a simulated valve's",
@@ -52,7 +54,7 @@ _NUMBERS: Final = {
 class Settings(NamedTuple):
     """The parameters that are the node's own; units as in the table."""
 
-    valve: str = _TEXTS["valve"][0]
+    valve_node: str = _TEXTS["valve_node"][0]
     measured: str = _TEXTS["measured"][0]
     map: str = _TEXTS["map"][0]
     frame_id: str = _TEXTS["frame_id"][0]
@@ -109,8 +111,9 @@ def check_given(given: Mapping[str, object], sources: Mapping[str, str], source:
     entries = _valve_entries()
     valve_values = defaults(entries, given)
     own: dict[str, object] = {}
+    places = {FORMER_NAMES.get(name, name): place for name, place in sources.items()}
     for name, value in given.items():
-        where = sources.get(name, "command line")
+        where = places.get(name, "command line")
         if name in entries:
             valve_values[name] = entries[name].check(value, where)
         elif name in Settings._fields:

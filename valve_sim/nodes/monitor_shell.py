@@ -37,7 +37,7 @@ from valve_sim.model import ParameterError, Stepper
 from valve_sim.nodes.diagnostics import Level
 from valve_sim.nodes.live_map import LiveInput, live_inputs
 from valve_sim.nodes.messages import JOINT_NAMES, ReadingMessages, diagnostic_array
-from valve_sim.nodes.monitor_parameters import Given, check_given, descriptions
+from valve_sim.nodes.monitor_parameters import FORMER_NAMES, Given, check_given, descriptions
 from valve_sim.nodes.monitor_status import (
     HealthLog,
     InputCount,
@@ -88,7 +88,7 @@ class MonitorShell:
         try:
             given = self._declare(sections)
             self._settings = given.settings
-            self._valve = full_name(self._node, given.settings.valve, "valve")
+            self._valve = full_name(self._node, given.settings.valve_node, "valve_node")
             self._measured = full_name(self._node, f"{self._valve}/{given.settings.measured}", "measured")
             self._sensors = self._measured.rpartition("/")[0]
             self._voltage = f"{self._valve}/coil_voltage"
@@ -144,7 +144,7 @@ class MonitorShell:
 
     def _declare(self, sections: Sequence[tuple[str, Section]]) -> Given:
         node, name = self._node, self._node.get_fully_qualified_name()
-        given = check_given(given_parameters(node, sections), sources_of(sections, name), name)
+        given = check_given(given_parameters(node, sections, FORMER_NAMES), sources_of(sections, name), name)
         declare_read_only(node, given.values, descriptions())
         return given
 

@@ -49,15 +49,24 @@ def declare(node: Node, name: str, value: Any, descriptor: ParameterDescriptor) 
     node.declare_parameter(name, value, descriptor, ignore_override=True)
 
 
-def given_parameters(node: Node, sections: Sequence[tuple[str, Section]]) -> dict[str, object]:
+def given_parameters(
+    node: Node, sections: Sequence[tuple[str, Section]], former_names: Mapping[str, str] | None = None
+) -> dict[str, object]:
     """Flat name to value of what was given on the command line and in its files, those of ROS itself left out.
 
     rclpy passes over a misspelt name without a word; `make_node` has declared it. A file that holds nothing for this
-    node is warned about.
+    node is warned about, and so is a name of an earlier release, which still counts (`former_names`: to present ones).
     """
     name = node.get_fully_qualified_name()
     for path, found in files_for_others(sections, name).items():
         node.get_logger().warning(f"{path} has parameters for {', '.join(found)}, and none for {name}")
+    for former, present in (former_names or {}).items():
+        if node.has_parameter(former):
+            node.get_logger().warning(f"parameter {former} is called {present} now; please use that name")
+            value = node.get_parameter(former).value
+            node.undeclare_parameter(former)
+            if not node.has_parameter(present):
+                node.declare_parameter(present, value, ignore_override=True)
     declared: Mapping[str, Any] = node.get_parameters_by_prefix("")
     return {
         key: parameter.value
