@@ -50,7 +50,7 @@ def test_a_monitor_that_is_started_again_says_the_same(monitor: Monitor, tmp_pat
     again = load_commissioning(path, default_valve())
     assert again is not None
     assert again.healthy.valve == kept.healthy.valve
-    np.testing.assert_array_equal(again.healthy.damping_covariance, kept.healthy.damping_covariance)
+    np.testing.assert_array_equal(again.healthy.covariance, kept.healthy.covariance)
     assert again.baselines == kept.baselines
     assert (again.healthy.noise, again.healthy.current) == (kept.healthy.noise, kept.healthy.current)
     first, second = Monitor(default_valve(), SETTINGS, refit=False), Monitor(default_valve(), SETTINGS, refit=False)

@@ -42,7 +42,7 @@ def commissioned() -> tuple[Monitor, LiveValve]:
 def test_what_commissioning_finds_is_true(commissioned: tuple[Monitor, LiveValve]) -> None:
     healthy = commissioned[0].judge.healthy
     assert healthy is not None
-    errors = np.sqrt(np.diag(healthy.damping_covariance))
+    errors = np.sqrt(np.diag(healthy.covariance))
     assert abs(healthy.valve.parameters.pilot_damping - 1.3) < 4 * errors[0]
     assert abs(healthy.valve.parameters.main_damping - 3.5) < 4 * errors[1]
     assert healthy.noise.sigma == pytest.approx(1e-6, rel=0.05)

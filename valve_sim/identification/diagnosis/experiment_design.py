@@ -91,12 +91,18 @@ def _left_of(experiment: Experiment, truth: Fit, rival: Fit) -> float:
     """Standard deviations that are left of a recording of `truth` when `rival` is refitted to it."""
     plant = experiment.simulated(_machine(truth))
     problem = Problem(plant, noises=truth.problem.noises, budget=truth.problem.budget)
-    fixed = {name: value for name, value in _machine(rival).items() if name not in rival.free}
-    refit = fit(problem, rival.free, rival.values, nuisances=plant.nuisances, fixed=fixed)
+    # A declared value with a tolerance may move again, from where the data at hand have left it.
+    nuisances = [
+        nuisance._replace(mean=rival.values.get(nuisance.name, nuisance.mean)) if nuisance.is_of_machine else nuisance
+        for nuisance in plant.nuisances
+    ]
+    movable = {*rival.free, *(nuisance.name for nuisance in nuisances)}
+    fixed = {name: value for name, value in _machine(rival).items() if name not in movable}
+    refit = fit(problem, rival.free, rival.values, nuisances=nuisances, fixed=fixed)
     return math.sqrt(refit.chi2 / problem.variance_inflation)
 
 
 def _machine(result: Fit) -> dict[str, float]:
     """The values of a fit that belong to the machine, not to its recordings."""
-    own = {nuisance.name for nuisance in result.nuisances}
+    own = {nuisance.name for nuisance in result.nuisances if not nuisance.is_of_machine}
     return {name: value for name, value in result.values.items() if name not in own}

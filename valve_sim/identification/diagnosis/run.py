@@ -116,11 +116,12 @@ def _largest_fit(problem: Problem) -> Fit:
     """
     plant = problem.plant
     base = fit(problem, plant.base, {}, nuisances=plant.nuisances)
-    free = (*plant.base, *itertools.chain(*(effect.free_names() for effect in plant.effects.values())))
+    effects = [effect for effect in plant.effects.values() if not effect.is_declared_value]
+    free = (*plant.base, *itertools.chain(*(effect.free_names() for effect in effects)))
     if problem.samples < SAMPLES_EACH * len(free):
         return base
     start = dict(base.values)
-    for effect in plant.effects.values():
+    for effect in effects:
         start.update(start_near_off(effect))
     try:
         largest = fit(problem, free, start, nuisances=plant.nuisances)

@@ -114,7 +114,8 @@ def _on_parameters(result: Fit, intervals: Mapping[str, Interval]) -> Iterator[F
 
 
 def _on_the_whole(result: Fit) -> Iterator[Finding]:
-    timing = [abs(result.values[nuisance.name]) for nuisance in result.nuisances[len(result.problem.plant.nuisances) :]]
+    errors = {nuisance.name for nuisance in result.problem.plant.timing_errors}
+    timing = [abs(result.values[nuisance.name]) for nuisance in result.nuisances if nuisance.name in errors]
     if timing:
         yield StampErrors(max(timing))
     if leaves_more_than_noise(result):

@@ -82,7 +82,7 @@ def identify(
         say(f"interval of {name}", 0.5 + 0.5 * index / len(free))
         intervals[name], profiles[name] = profile_interval(best, name)
     say("done", 1.0)
-    offsets = {nuisance.name: best.values[nuisance.name] for nuisance in best.nuisances}
+    offsets = {nuisance.name: best.values[nuisance.name] for nuisance in best.nuisances if not nuisance.is_of_machine}
     return Identification(
         best, intervals, profiles, findings(best, intervals), position_rmse(plant, offsets),
         position_rmse(plant, best.values), plant.with_values(best.values), tuple(trace.source for trace in traces),

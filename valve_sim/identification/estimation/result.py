@@ -7,24 +7,31 @@ The criterion is χ² = Σ e² + Σ (nuisance / prior)², e the whitened residua
 with k freed parameters, N samples (copies of one reading count once), f the factor by which slow noise discounts
 evidence, and for each nuisance the Occam factor of its prior σ_j and information I_j (Laplace; MacKay 2003, chapter
 28): theory, eqs. (26) and (41). A difference of 10 in S is decisive: odds of 150 to 1.
+
+A declared value that is freed although it has a tolerance σ is one that is taken for wrong. It is no parameter of
+unknown size: its prior is ten times as wide as its tolerance, so that it is charged ln max(1, 100 σ² I) in place of
+ln N. Where the data determine it, this is ln 100 = 4.6 more than the nuisance that it takes the place of, and it is
+decisive from √14.6 = 3.8 tolerances on: theory, eq. (82).
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.plants.protocol import (
+    RELEASED,
     Array,
     Nuisance,
     internal_bounds,
     internal_scale,
     internal_slope,
     judged_channels,
+    released_tolerances,
 )
 
 NO_INFORMATION: Final = 1e-290
@@ -33,6 +40,19 @@ SMALLEST_SHARE: Final = 1e-14
 """Smallest eigenvalue of the information, scaled to a unit diagonal, that is not rounding error."""
 COLLINEAR: Final = 100.0
 """Variance of a parameter, over that if all others were known, beyond which it is collinear: theory, eq. (34)."""
+
+
+class MachineKnowledge(NamedTuple):
+    """What a fit says of the values of a machine, for fits to other data of it.
+
+    Attributes:
+        names: (k,) freed parameters, then declared values with a tolerance.
+        coordinates: (k,) where they are. information: (k, k) about there, their priors included.
+    """
+
+    names: tuple[str, ...]
+    coordinates: Array
+    information: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,13 +98,36 @@ class Fit:
         return covariance
 
     @property
+    def machine(self) -> MachineKnowledge:
+        """What is known of the machine when the errors of the recordings are estimated along: theory, eq. (83)."""
+        is_of_machine = [True] * len(self.free) + [nuisance.is_of_machine for nuisance in self.nuisances]
+        own, others = np.flatnonzero(is_of_machine), np.flatnonzero(~np.array(is_of_machine))
+        between = self.information[np.ix_(own, others)]
+        known = self.information[np.ix_(own, own)]
+        if len(others):
+            known = known - between @ np.linalg.solve(self.information[np.ix_(others, others)], between.T)
+        names = [*self.free, *(nuisance.name for nuisance in self.nuisances)]
+        return MachineKnowledge(tuple(names[index] for index in own), self.coordinates[own], known)
+
+    @property
+    def deviations(self) -> Array:
+        """(m,) by how much each nuisance is off the mean of its prior, in standard deviations of that."""
+        return np.array([(self.values[own.name] - own.mean) / own.sigma for own in self.nuisances])
+
+    @property
     def score(self) -> float:
         """The score S, theory, eq. (41): smaller is better, a difference of 10 is decisive."""
         occam = 0.0
         for index, nuisance in enumerate(self.nuisances, start=len(self.free)):
             occam += math.log(max(1.0, nuisance.sigma**2 * float(self.information[index, index])))
         variance_inflation = self.problem.variance_inflation
-        return self.chi2 / variance_inflation + len(self.free) * math.log(self.problem.effective_samples) + occam
+        released = released_tolerances(self.problem.plant)
+        for index, name in enumerate(self.free):
+            if name in released:
+                width = RELEASED * released[name]
+                occam += math.log(max(1.0, width**2 * float(self.information[index, index])))
+        unknown = sum(name not in released for name in self.free)
+        return self.chi2 / variance_inflation + unknown * math.log(self.problem.effective_samples) + occam
 
     @property
     def evidence(self) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 from valve_sim.identification.estimation.column_groups import columns_decouple, group_columns
 from valve_sim.identification.estimation.gram import gram, sum_squares
 from valve_sim.identification.estimation.problem import Problem
-from valve_sim.identification.estimation.result import NO_INFORMATION, Fit
+from valve_sim.identification.estimation.result import NO_INFORMATION, Fit, MachineKnowledge
 from valve_sim.identification.plants.protocol import (
     Array,
     Nuisance,
@@ -41,24 +41,28 @@ def fit(
     nuisances: Sequence[Nuisance] = (),
     fixed: Mapping[str, float] | None = None,
     robust: Sequence[float] = (),
+    known: MachineKnowledge | None = None,
 ) -> Fit:
     """Minimise χ² from one start.
 
     Args:
         problem: data and noise.
         free: parameters to free.
-        start: values to start from, by name; what is missing starts at its declared value (nuisances at 0).
-        nuisances: estimated along, with their priors.
+        start: values to start from, by name; what is missing starts at its declared value (nuisances at their mean).
+        nuisances: estimated along, with their priors, but for those that are freed or held by name.
         fixed: further values to hold, e.g. an effect's parameter in a profile.
+        known: of what is estimated, from other data of the same machine; it takes the place of priors.
         robust: scales in σ of a Cauchy loss that is used first, one after the other, to leave local minima.
     """
-    search = _Search(problem, tuple(free), tuple(nuisances), dict(fixed or {}))
+    settled = {*free, *(fixed or {})}
+    estimated = tuple(nuisance for nuisance in nuisances if nuisance.name not in settled)
+    search = _Search(problem, tuple(free), estimated, dict(fixed or {}), known)
     at = search.start(start)
     for scale in robust:
         at, *_ = search.descend(at, scale)
     at, chi2, residuals, jacobian, information, converged = search.descend(at, math.inf)
     return Fit(
-        problem, tuple(free), tuple(nuisances), search.values(at), chi2, residuals, jacobian, information,
+        problem, tuple(free), estimated, search.values(at), chi2, residuals, jacobian, information,
         converged, at,
     )  # fmt: skip
 
@@ -67,19 +71,37 @@ class _Search:
     """One minimisation in internal coordinates, with their bounds and difference quotients."""
 
     def __init__(
-        self, problem: Problem, free: tuple[str, ...], nuisances: tuple[Nuisance, ...], fixed: dict[str, float]
+        self,
+        problem: Problem,
+        free: tuple[str, ...],
+        nuisances: tuple[Nuisance, ...],
+        fixed: dict[str, float],
+        known: MachineKnowledge | None = None,
     ) -> None:
         self.problem, self.free, self.nuisances, self.fixed = problem, free, nuisances, fixed
         self.parameters = [problem.plant.parameter(name) for name in free]
         bounds = [internal_bounds(parameter) for parameter in self.parameters]
-        self.lower = np.array([low for low, _ in bounds] + [-20.0 * n.sigma for n in nuisances])
-        self.upper = np.array([high for _, high in bounds] + [20.0 * n.sigma for n in nuisances])
+        bounds += [nuisance.bounds for nuisance in nuisances]
+        self.lower = np.array([low for low, _ in bounds])
+        self.upper = np.array([high for _, high in bounds])
         scales = [internal_scale(parameter) for parameter in self.parameters]
         self.steps = np.array([DIFFERENCE * s for s in scales] + [n.step for n in nuisances])
         self.prior = np.array([0.0] * len(free) + [1.0 / n.sigma**2 for n in nuisances])
+        self.mean = np.array([0.0] * len(free) + [n.mean for n in nuisances])
+        self._known = None if known is None else self._take(known)
         self._reach = [problem.reach(nuisance) for nuisance in nuisances]
         self._groups = group_columns(self._reach)
         self._nuisance_columns: Array | None = None
+
+    def _take(self, known: MachineKnowledge) -> Array:
+        """The information of other data, in the order of this fit; their priors and means are replaced."""
+        names = [*self.free, *(nuisance.name for nuisance in self.nuisances)]
+        order = [names.index(name) for name in known.names]
+        self.prior[order] = 0.0
+        self.mean[order] = known.coordinates
+        matrix = np.zeros((len(names), len(names)))
+        matrix[np.ix_(order, order)] = known.information
+        return matrix
 
     def start(self, values: Mapping[str, float]) -> Array:
         plant = self.problem.plant
@@ -87,7 +109,7 @@ class _Search:
             to_internal(parameter, values.get(name, plant.declared(name)))
             for name, parameter in zip(self.free, self.parameters, strict=True)
         ]
-        coordinates += [values.get(nuisance.name, 0.0) for nuisance in self.nuisances]
+        coordinates += [values.get(nuisance.name, nuisance.mean) for nuisance in self.nuisances]
         return np.clip(np.array(coordinates, dtype=np.float64), self.lower, self.upper)
 
     def values(self, at: Array) -> dict[str, float]:
@@ -190,10 +212,16 @@ class _Search:
             weighted = jacobian / (1.0 + np.square(residuals / cauchy))[:, None]
         else:
             weighted = jacobian
-        return gram(weighted, jacobian) + np.diag(self.prior), gram(weighted, residuals) + self.prior * at
+        information = gram(weighted, jacobian) + np.diag(self.prior)
+        gradient = gram(weighted, residuals) + self.prior * (at - self.mean)
+        if self._known is None:
+            return information, gradient
+        return information + self._known, gradient + self._known @ (at - self.mean)
 
     def _cost(self, at: Array, residuals: Array, cauchy: float) -> float:
-        prior = float(self.prior @ np.square(at))
+        prior = float(self.prior @ np.square(at - self.mean))
+        if self._known is not None:
+            prior += float((at - self.mean) @ self._known @ (at - self.mean))
         if not math.isfinite(cauchy):
             return sum_squares(residuals) + prior
         return float(cauchy**2 * np.sum(np.log1p(np.square(residuals / cauchy)))) + prior

@@ -70,8 +70,7 @@ def trace_cause(strokes: Sequence[Trace], healthy: Baseline, progress: Progress 
     training = [stroke for index, stroke in enumerate(strokes) if index % HELD_OUT != HELD_OUT - 1]
     held_out = [stroke for index, stroke in enumerate(strokes) if index % HELD_OUT == HELD_OUT - 1]
     plants = [
-        CommissionedPlant(join(part, healthy), healthy.valve, healthy.scatter, healthy.damping_covariance)
-        for part in (training, held_out)
+        CommissionedPlant(join(part, healthy), healthy.commissioned, healthy.scatter) for part in (training, held_out)
     ]
     result = diagnose_plant(plants[0], plants[1], progress)
     verdict, intervals = result.verdict, result.after.intervals

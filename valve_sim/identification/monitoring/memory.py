@@ -6,6 +6,7 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,7 +20,8 @@ from valve_sim.identification.monitoring.command_timing import TimedStroke
 from valve_sim.identification.monitoring.commissioning import Commissioning, ScoreBaseline
 from valve_sim.identification.monitoring.scores import Baseline
 from valve_sim.identification.plants.commissioned import CommissionedCurrent
-from valve_sim.model import ParameterError, Valve
+from valve_sim.identification.plants.valve_model import ValveModel
+from valve_sim.model import EXACT, ParameterError, Valve
 
 SCHEMA: Final = "valve_sim/commissioning/1"
 MEND: Final = "name another file, or delete this one to commission anew"
@@ -104,10 +106,13 @@ def _flat(values: Any, prefix: str = "") -> dict[str, Any]:
 
 def _to_plain(commissioning: Commissioning) -> dict[str, Any]:
     healthy = commissioning.healthy
-    declared, noise = healthy.valve.declared(), healthy.noise
+    model, noise = ValveModel(healthy.valve), healthy.noise
+    values = {name: model.declared(name) for name in healthy.estimated}
+    declared_values = {name: value for name, value in values.items() if name not in DEFAULT_FREE}
     return {
-        "dampings": {name: declared[name] for name in DEFAULT_FREE},
-        "damping_covariance": healthy.damping_covariance.tolist(),
+        "dampings": {name: values[name] for name in DEFAULT_FREE},
+        **({"declared_values": declared_values} if declared_values else {}),
+        "damping_covariance": healthy.covariance.tolist(),
         "lateness": healthy.lateness,
         "scatter": healthy.scatter,
         "jitter": healthy.jitter,
@@ -126,14 +131,16 @@ def _to_plain(commissioning: Commissioning) -> dict[str, Any]:
 
 def _from_plain(plain: Mapping[str, Any], declared: Valve) -> Commissioning:
     noise, current = plain["noise"], plain["current"]
+    values = {**plain["dampings"], **plain.get("declared_values", {})}
     healthy = Baseline(
-        declared.with_values(**plain["dampings"]),
+        replace(ValveModel(declared).with_values(values), tolerances=EXACT),
         plain["lateness"],
         plain["scatter"],
         plain["jitter"],
         Noise(**{**noise, "coefficients": tuple(noise["coefficients"])}),
         np.array(plain["damping_covariance"]),
         None if current is None else CommissionedCurrent(**current),
+        tuple(values),
     )
     strokes = tuple(
         TimedStroke(volts, tuple(_or_nan(shift) for shift in shifts), _or_nan(arrival))

@@ -28,14 +28,14 @@ from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.monitoring.command_timing import UNTIMED
-from valve_sim.identification.plants.commissioned import CommissionedCurrent, commission_current
+from valve_sim.identification.plants.commissioned import Commissioned, CommissionedCurrent, commission_current
 from valve_sim.identification.plants.protocol import Array, Nuisance, perturbed
 from valve_sim.identification.plants.recording_errors import CLOCK_SIGMA
 from valve_sim.identification.plants.root_mean_square import root_mean_square
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.selection.hypotheses import ANNEALING
 from valve_sim.identification.selection.residual_tests import moving_residuals
-from valve_sim.model import Drive, SimulationError, Valve, simulate
+from valve_sim.model import EXACT, Drive, SimulationError, Valve, simulate
 from valve_sim.model.parameters import Parameter
 from valve_sim.traces import Trace
 
@@ -70,12 +70,13 @@ class Baseline:
     """A valve as it was commissioned.
 
     Attributes:
-        valve: the declared one with refitted dampings.
+        valve: the declared one with refitted dampings, and with estimates of declared values that have a tolerance.
         lateness: s by which its motion is later than its stamps say: the clock offset, and the mean error of a command.
         scatter: s, standard deviation of a command's own error, as seen. jitter: what is allowed for, never less.
         noise: of the position.
-        damping_covariance: (2, 2) of the refitted dampings, in the order of DEFAULT_FREE.
+        covariance: (k, k) of what was estimated.
         current: how the measured current relates to the model's; None where there is none that can be used.
+        estimated: (k,) names of what was: the dampings, then declared values that have a tolerance.
     """
 
     valve: Valve
@@ -83,8 +84,14 @@ class Baseline:
     scatter: float
     jitter: float
     noise: Noise
-    damping_covariance: Array
+    covariance: Array
     current: CommissionedCurrent | None = None
+    estimated: tuple[str, ...] = DEFAULT_FREE
+
+    @property
+    def commissioned(self) -> Commissioned:
+        """The valve, with what is known of its values."""
+        return Commissioned(self.valve, self.estimated, self.covariance)
 
 
 @dataclass(frozen=True)
@@ -148,6 +155,8 @@ def refitted(trace: Trace, healthy: Baseline, jitter: float | None = None) -> di
 def commission(traces: Sequence[Trace], valve: Valve, noise: float) -> Baseline:
     """Fit dampings, clock and the scatter of the commands to the first strokes, all together.
 
+    Declared values with a tolerance are estimated along; what they come to is how the valve is while healthy.
+
     Args:
         traces: one stroke each.
         valve: the declared valve.
@@ -179,9 +188,11 @@ def commission(traces: Sequence[Trace], valve: Valve, noise: float) -> Baseline:
     ]
     lateness = float(np.median(late))
     scatter = _scatter(np.abs(np.array(late) - lateness))
-    dampings = {name: result.values[name] for name in DEFAULT_FREE}
-    covariance = result.covariance[: len(DEFAULT_FREE), : len(DEFAULT_FREE)]
-    commissioned = plant.with_values(dampings)
+    of_machine = [nuisance.name for nuisance in result.nuisances if nuisance.is_of_machine]
+    names = [*result.free, *of_machine]
+    index = [[*result.free, *(nuisance.name for nuisance in result.nuisances)].index(name) for name in names]
+    estimated, covariance = plant.propagated(names, result.covariance[np.ix_(index, index)])
+    commissioned = replace(plant.with_values({name: result.values[name] for name in names}), tolerances=EXACT)
     return Baseline(
         commissioned,
         lateness,
@@ -190,6 +201,7 @@ def commission(traces: Sequence[Trace], valve: Valve, noise: float) -> Baseline:
         problem.noises["position"],
         covariance,
         commission_current(traces, commissioned),
+        estimated,
     )
 
 
@@ -268,7 +280,7 @@ class _Stroke:
         for effect in plant.effects.values():
             for switch in effect.parameters:
                 if switch.off is not None:
-                    values = {f"{effect.name}.{p.name}": _with_switch(p, switch) for p in effect.parameters}
+                    values = {effect.free_name(p): _with_switch(p, switch) for p in effect.parameters}
                     single = sum(p.off is not None for p in effect.parameters) == 1
                     yield from self._direction(
                         result, effect.name if single else f"{effect.name}.{switch.name}", values

@@ -36,8 +36,9 @@ FEWEST: Final = 20
 FINEST_SCATTER: Final = 1e-6
 """s: stamps are not believed any further."""
 
+SMALLEST_SHARE: Final = 1e-12
+"""Of a covariance, scaled to a unit diagonal: eigenvalues below this share of the largest are rounding."""
 _VALUE: Final = "value"
-_COMMISSIONING: Final = tuple(f"commissioning_error[{index}]" for index in range(len(DAMPINGS)))
 
 
 class CommissionedCurrent(NamedTuple):
@@ -99,20 +100,35 @@ def _start(trace: Trace) -> float:
     return float(min(trace.drive.times[0], trace.times[0])) - 2.0 * LATEST
 
 
+class Commissioned(NamedTuple):
+    """A valve as it was commissioned.
+
+    Attributes:
+        valve: with what was estimated in place of what was declared; nothing has a tolerance beyond that.
+        estimated: (k,) names of what was: the dampings, and declared values that had a tolerance.
+        covariance: (k, k) of their values.
+    """
+
+    valve: Valve
+    estimated: tuple[str, ...]
+    covariance: Array
+
+
 class CommissionedPlant:
     """A valve whose dampings and clock are known: a change of a damping is one effect among others.
 
     Args:
         trace: some strokes, their motion put back by the lateness.
-        valve: as commissioned.
+        commissioned: the valve.
         scatter: s, standard deviation of the commands' times.
-        covariance: (2, 2) of the commissioned dampings.
     """
 
-    def __init__(self, trace: Trace, valve: Valve, scatter: float, covariance: Array) -> None:
-        self._plant = ValvePlant([trace], valve)
+    def __init__(self, trace: Trace, commissioned: Commissioned, scatter: float) -> None:
+        self._plant = ValvePlant([trace], commissioned.valve)
         self._scatter = max(scatter, FINEST_SCATTER)
-        self._spread = np.linalg.cholesky(covariance) / CLOCK_SIGMA
+        self._estimated = commissioned.estimated
+        self._spread = _root(commissioned.covariance) / CLOCK_SIGMA
+        self._errors = tuple(f"commissioning_error[{index}]" for index in range(self._spread.shape[1]))
         self._dampings = {name: self._damping(name) for name in DAMPINGS}
         alike = tuple(entry.name for entry in CATALOGUE.tagged(Tag.LIKE_DAMPING))
         self._effects = {
@@ -132,12 +148,12 @@ class CommissionedPlant:
 
     @property
     def nuisances(self) -> Sequence[Nuisance]:
-        """An error for each command's stamp, and what commissioning has left open of the dampings.
+        """An error for each command's stamp, and what commissioning has left open of what it has estimated.
 
         The latter in a unit in which their deviation is that of a clock, so that one difference step suits both.
         """
         stamps = [nuisance._replace(sigma=self._scatter) for nuisance in self._plant.timing_errors]
-        return (*stamps, *(Nuisance(name, CLOCK_SIGMA, "–") for name in _COMMISSIONING))
+        return (*stamps, *(Nuisance(name, CLOCK_SIGMA, "–") for name in self._errors))
 
     @property
     def timing_errors(self) -> Sequence[Nuisance]:
@@ -183,14 +199,27 @@ class CommissionedPlant:
         return self._plant.predict(self._plain(values))
 
     def _plain(self, values: Mapping[str, float]) -> dict[str, float]:
-        """With the dampings as they are: changed or not, and with the errors of commissioning."""
+        """With what was estimated as it is: a damping changed or not, and all with the errors of commissioning."""
         plain = {name: value for name, value in values.items() if name.partition(".")[0] not in self._dampings}
-        errors = self._spread @ np.array([plain.pop(name, 0.0) for name in _COMMISSIONING])
-        for name, error in zip(DAMPINGS, errors.tolist(), strict=True):
-            plain[name] = max(0.0, values.get(f"{name}.{_VALUE}", self._plant.declared(name)) + error)
+        errors = self._spread @ np.array([plain.pop(name, 0.0) for name in self._errors])
+        for name, error in zip(self._estimated, errors.tolist(), strict=True):
+            value = values.get(f"{name}.{_VALUE}", self._plant.declared(name))
+            plain[name] = max(self._plant.parameter(name).lower, value + error)
         return plain
 
     def _damping(self, name: str) -> Parameter:
         known = DECLARED[name]
         value = self._plant.declared(name)
         return known._replace(name=_VALUE, off=value, prior_scale=max(value, known.prior_scale))
+
+
+def _root(covariance: Array) -> Array:
+    """(k, r) a square root of a (k, k) covariance, of r directions if it is not of full rank."""
+    sigmas = np.sqrt(np.diag(covariance))
+    if len(sigmas) <= len(DAMPINGS):
+        return np.asarray(np.linalg.cholesky(covariance))
+    # The values differ by ten orders of magnitude; scaled by their standard deviations they compare.
+    scale = np.where(sigmas > 0.0, sigmas, 1.0)
+    sizes, directions = np.linalg.eigh(covariance / np.outer(scale, scale))
+    kept = sizes > SMALLEST_SHARE * sizes[-1]
+    return np.asarray(scale[:, None] * directions[:, kept] * np.sqrt(sizes[kept]))

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -32,7 +32,17 @@ from valve_sim.identification.plants.protocol import (
     Nuisance,
 )
 from valve_sim.identification.plants.valve_model import ValveModel
-from valve_sim.model import CATALOGUE, Drive, Parameter, ParameterError, Response, SimulationError, Valve, simulate
+from valve_sim.model import (
+    CATALOGUE,
+    EXACT,
+    Drive,
+    Parameter,
+    ParameterError,
+    Response,
+    SimulationError,
+    Valve,
+    simulate,
+)
 
 GRID: Final = 5e-5
 """s between the samples in which a crossing is looked for; contacts are found by their events."""
@@ -136,13 +146,15 @@ def reached(response: Response, displacement: float) -> float:
 class EventPlant:
     """The valve behind an event table; it has no clock offset, because a table's times count from the voltage.
 
+    Declared values are taken as exact: a handful of numbers determines no more than the effect in question.
+
     Args:
         table: the measurement; its declared valve is what effects are added to.
     """
 
     def __init__(self, table: EventTable) -> None:
         self.table = table
-        self._model = ValveModel(table.valve)
+        self._model = ValveModel(replace(table.valve, tolerances=EXACT))
         self._grid = np.arange(0.0, table.horizon, GRID)
         # Each event is a channel of a kind of its own, because each has an uncertainty of its own.
         self._channels = [

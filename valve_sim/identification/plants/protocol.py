@@ -22,14 +22,22 @@ SMALL_MOVE: Final = 0.05
 """Prior scales of a parameter: a perturbation that shows in which direction it changes the residual."""
 
 
+RELEASED: Final = 10.0
+"""Tolerances by which a declared value is expected to be off, if it is wrong: theory, eq. (82)."""
+FARTHEST: Final = 20.0
+"""Standard deviations of its prior within which a nuisance is searched."""
+
+
 class Nuisance(NamedTuple):
-    """A nuisance parameter: not the machine's, but estimated with it.
+    """A quantity with a prior, estimated in every fit: a recording's error, or a declared value with a tolerance.
 
     Attributes:
-        name, unit: what it is. sigma: of its prior N(0, sigma).
+        name, unit: what it is. sigma: of its prior N(mean, sigma).
         channels: indices of the channels that it acts on; empty: on all.
         during: s, from when to when it acts on them, by their times.
         step: by how much it is moved for a difference quotient, in `unit`.
+        mean: of its prior. lower, upper: its range.
+        is_of_machine: whether it is a value of the machine, the same in each of its recordings.
     """
 
     name: str
@@ -38,19 +46,41 @@ class Nuisance(NamedTuple):
     channels: tuple[int, ...] = ()
     during: tuple[float, float] = (-math.inf, math.inf)
     step: float = 1e-6
+    mean: float = 0.0
+    lower: float = -math.inf
+    upper: float = math.inf
+    is_of_machine: bool = False
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Where an estimate may be: within `FARTHEST` standard deviations and within the range."""
+        return max(self.lower, self.mean - FARTHEST * self.sigma), min(self.upper, self.mean + FARTHEST * self.sigma)
 
 
 @dataclass(frozen=True)
 class EffectChoice:
-    """An effect that a diagnosis may add: its parameters are freed as `<name>.<parameter>`."""
+    """A hypothesis of a diagnosis: an effect that it may add, or a declared value that it may take for wrong.
+
+    Attributes:
+        name: of the effect, or `valve.<name>` of a declared value.
+        parameters: what is freed: of an effect as `<name>.<parameter>`, of a declared value by the plain name, so that
+            the nuisance of that name is dropped; `off` is the declared value then.
+        confused_with: names of others that data often cannot tell from this one.
+        is_declared_value: whether it is a declared value.
+    """
 
     name: str
     parameters: tuple[Parameter, ...]
     confused_with: tuple[str, ...] = ()
+    is_declared_value: bool = False
+
+    def free_name(self, parameter: Parameter) -> str:
+        """The name by which a fit frees one of the parameters."""
+        return parameter.name if self.is_declared_value else f"{self.name}.{parameter.name}"
 
     def free_names(self) -> tuple[str, ...]:
         """The names that a fit frees."""
-        return tuple(f"{self.name}.{parameter.name}" for parameter in self.parameters)
+        return tuple(map(self.free_name, self.parameters))
 
 
 @dataclass(frozen=True)
@@ -201,7 +231,7 @@ class Plant(Protocol):
 
     @property
     def nuisances(self) -> Sequence[Nuisance]:
-        """Always estimated: clock offsets."""
+        """Always estimated: clock offsets, and declared values with a tolerance."""
 
     @property
     def timing_errors(self) -> Sequence[Nuisance]:
@@ -231,6 +261,15 @@ class Plant(Protocol):
         Args:
             values: freed parameters and nuisances by name; the rest is as declared. Effects that appear are on.
         """
+
+
+def released_tolerances(plant: Plant) -> dict[str, float]:
+    """Declared values to their tolerances, of those that not every fit frees: a fit that does takes them for wrong."""
+    return {
+        nuisance.name: nuisance.sigma
+        for nuisance in plant.nuisances
+        if nuisance.is_of_machine and nuisance.name not in plant.base
+    }
 
 
 def _is_logarithmic(parameter: Parameter) -> bool:

@@ -63,7 +63,7 @@ class ValvePlant:
     def __init__(self, traces: Sequence[Trace], valve: Valve) -> None:
         is_instant = valve.parameters.coil_time_constant == 0.0
         self.traces = tuple(with_usable_current(trace, is_instant=is_instant) for trace in traces)
-        self._model = ValveModel(valve)
+        self._model = ValveModel(valve, DAMPINGS)
         self._channels = [channel for index, trace in enumerate(self.traces) for channel in channels_of(index, trace)]
 
     @property
@@ -83,10 +83,14 @@ class ValvePlant:
 
     @property
     def nuisances(self) -> Sequence[Nuisance]:
-        """A clock offset for each trace; errors of commands that were read from a voltage, and of a sensor's zero."""
+        """A clock offset for each trace; errors of commands that were read from a voltage, and of a sensor's zero.
+
+        After them the declared values that have a tolerance: of the valve, and so the same in each trace.
+        """
         traces = [(trace, index, self._channels_of(index)) for index, trace in enumerate(self.traces)]
         offsets = [clock_offset(index, channels) for _, index, channels in traces]
-        return (*offsets, *(nuisance for of_trace in traces for nuisance in reading_errors(*of_trace)))
+        readings = (nuisance for of_trace in traces for nuisance in reading_errors(*of_trace))
+        return (*offsets, *readings, *self._model.nuisances)
 
     @property
     def timing_errors(self) -> Sequence[Nuisance]:
@@ -99,7 +103,7 @@ class ValvePlant:
 
     @property
     def effects(self) -> Mapping[str, EffectChoice]:
-        """The catalogue, less the effects that the declared valve has on."""
+        """The catalogue, less what the declared valve has on, and declared values that may be wrong."""
         return self._model.effects
 
     @property
@@ -163,8 +167,12 @@ class ValvePlant:
         return self._model.declared(name)
 
     def with_values(self, values: Mapping[str, float]) -> Valve:
-        """The valve that freed values describe; nuisances are left out."""
+        """The valve that freed values and estimates of declared values describe; its tolerances stay as declared."""
         return self._model.with_values(values)
+
+    def propagated(self, names: Sequence[str], covariance: Array) -> tuple[tuple[str, ...], Array]:
+        """As of its model: declared scalars, and their covariance, for those of what was estimated."""
+        return self._model.propagated(names, covariance)
 
     def predict(self, values: Mapping[str, float]) -> list[Array]:
         """What each channel would show, in its unit.

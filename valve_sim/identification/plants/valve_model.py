@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from valve_sim.identification.plants.protocol import EffectChoice
+from valve_sim.identification.plants.protocol import Array, EffectChoice, Nuisance
+from valve_sim.identification.plants.tolerances import ToleratedValues
 from valve_sim.model import CATALOGUE, DECLARED, Parameter, Valve
 from valve_sim.model.effects import new_record
 
@@ -16,18 +17,25 @@ class ValveModel:
 
     Args:
         valve: the declared valve; effects that it has on already stay on as they are, unless freed.
+        refitted: declared values that every fit frees.
 
     Attributes:
-        valve: as given. effects: the catalogue, less the effects that the declared valve has on.
+        valve: as given.
+        effects: the catalogue, less the effects that the declared valve has on, and the hypotheses that a declared
+            value with a tolerance is wrong.
+        nuisances: declared values with a tolerance.
     """
 
-    def __init__(self, valve: Valve) -> None:
+    def __init__(self, valve: Valve, refitted: tuple[str, ...] = ()) -> None:
         self.valve = valve
-        self.effects: Mapping[str, EffectChoice] = {
+        self._tolerated = ToleratedValues(valve)
+        self.nuisances: tuple[Nuisance, ...] = self._tolerated.nuisances
+        effects = {
             name: EffectChoice(name, entry.parameters, entry.confused_with)
             for name, entry in CATALOGUE.items()
             if entry.named and name not in valve.effects
         }
+        self.effects: Mapping[str, EffectChoice] = self._tolerated.with_hypotheses(effects, refitted)
         self._declared = valve.declared()
 
     def parameter(self, name: str) -> Parameter:
@@ -37,22 +45,22 @@ class ValveModel:
             KeyError: there is none.
         """
         effect, dot, parameter = name.partition(".")
-        return CATALOGUE[effect].parameter(parameter) if dot else DECLARED[name]
+        return CATALOGUE[effect].parameter(parameter) if dot else self._tolerated.parameter(name) or DECLARED[name]
 
     def declared(self, name: str) -> float:
         """The declared value, or the one at which an effect changes nothing."""
         effect, dot, parameter = name.partition(".")
         if not dot:
-            return self._declared[name]
+            return self._tolerated.declared(name)
         if effect in self.valve.effects:
             return self.valve.effects[effect][parameter]
         return CATALOGUE[effect].parameter(parameter).neutral
 
     def with_values(self, values: Mapping[str, float]) -> Valve:
-        """The valve that freed values describe; nuisances are left out."""
+        """The valve that freed values and estimates of declared values describe; its tolerances stay as declared."""
         effects = {name: dict(parameters) for name, parameters in self.valve.effects.items()}
         declared = {}
-        for name, value in values.items():
+        for name, value in self._tolerated.as_declared(values).items():
             effect, dot, parameter = name.partition(".")
             if dot:
                 effects.setdefault(effect, CATALOGUE[effect].neutral_values())[parameter] = float(value)
@@ -60,11 +68,22 @@ class ValveModel:
                 declared[name] = float(value)
         return replace(self.valve.with_values(**declared), effects=effects)
 
+    def propagated(self, names: Sequence[str], covariance: Array) -> tuple[tuple[str, ...], Array]:
+        """Declared scalars and `<effect>.<parameter>` with their covariance, for those of what was estimated.
+
+        Args:
+            names: (k,) of what was estimated, coordinates of declared values among them. covariance: (k, k) of it.
+
+        Returns:
+            (m,) names, and (m, m).
+        """
+        return self._tolerated.propagated(names, covariance)
+
     def record(self, values: Mapping[str, float]) -> Any:
         """The compiled core's record of the valve that freed values describe."""
         effects = {name: dict(parameters) for name, parameters in self.valve.effects.items()}
         declared = dict(self._declared)
-        for name, value in values.items():
+        for name, value in self._tolerated.as_declared(values).items():
             effect, dot, parameter = name.partition(".")
             if dot:
                 effects.setdefault(effect, {})[parameter] = value

@@ -63,6 +63,9 @@ def false_alarm(base: Fit, best: Fit, seed: int = 0) -> FalseAlarm:
     weights = random.standard_normal((RESAMPLES, -(-len(best.residuals) // BLOCK)))
     outside = _Outside(base)
     for effect in base.problem.plant.effects.values():
+        if effect.is_declared_value:
+            # What noise does to it, its tolerance takes up: its column is one of the base's.
+            continue
         price = len(effect.free_names()) * math.log(base.problem.effective_samples)
         for directions in _directions(base, effect):
             basis = outside.basis(directions)
@@ -103,9 +106,7 @@ def _directions(base: Fit, effect: EffectChoice) -> Iterator[Array]:
             if switch.off is None:
                 continue
             values = {
-                f"{effect.name}.{parameter.name}": min(
-                    max(shape * parameter.prior_scale, parameter.lower), parameter.upper
-                )
+                effect.free_name(parameter): min(max(shape * parameter.prior_scale, parameter.lower), parameter.upper)
                 if parameter.off is None
                 else perturbed(parameter, parameter.off)
                 if parameter is switch

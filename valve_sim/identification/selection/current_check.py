@@ -89,9 +89,9 @@ def _of_the_coil(problem: Problem, base: Fit) -> Sequence[str]:
 def _with(problem: Problem, base: Fit, effect: EffectChoice) -> Array:
     """Residuals with a small amount of an effect."""
     values = {
-        f"{effect.name}.{parameter.name}": parameter.prior_scale
+        effect.free_name(parameter): parameter.prior_scale
         if parameter.off is None
-        else perturbed(parameter, parameter.off)
+        else perturbed(parameter, base.values.get(effect.free_name(parameter), parameter.off))
         for parameter in effect.parameters
     }
     try:

@@ -214,6 +214,9 @@ class Search:
 
 def effect_starts(problem: Problem, effect: EffectChoice, warm: Mapping[str, float]) -> list[dict[str, float]]:
     """Where to start an effect's parameters from: near off, and the best of some larger sizes and other shapes."""
+    if effect.is_declared_value:
+        # Its tolerance has let it move already; there the smaller hypothesis has left it.
+        return [{}]
     near = [] if _is_saddle(effect) else [start_near_off(effect)]
     amplitudes = [parameter.off is not None for parameter in effect.parameters]
     choices = [
@@ -247,7 +250,7 @@ def _has_lost_its_shape(result: Fit, effect: EffectChoice) -> bool:
     A Stribeck velocity does, and stiction is then plain friction.
     """
     return any(
-        parameter.off is None and result.on_bound(f"{effect.name}.{parameter.name}") is not None
+        parameter.off is None and result.on_bound(effect.free_name(parameter)) is not None
         for parameter in effect.parameters
     )
 
@@ -266,7 +269,7 @@ def _sizes(parameter: Parameter) -> list[float]:
 
 def _start(effect: EffectChoice, sizes: Sequence[float], shape: float) -> dict[str, float]:
     return {
-        f"{effect.name}.{parameter.name}": _start_value(parameter, size, shape)
+        effect.free_name(parameter): _start_value(parameter, size, shape)
         for parameter, size in zip(effect.parameters, sizes, strict=True)
     }
 

@@ -8,6 +8,10 @@ order (Laplace; MacKay 2003, chapter 28),
 
 with χ² and half its gradient g and information H = JᵀJ at the best fit, and C the covariance that the training data
 leave (of nuisances: their priors). A model is worth what it predicts: Dawid, J. R. Stat. Soc. A 147, 1984, p. 278.
+
+Where declared values have tolerances, the training data leave so much open that held-out data are fitted within it:
+theory, eq. (83). About that optimum g is 0, and with the information T that the training data have of the machine
+1 + C H is T⁻¹ (T + H).
 """
 
 from __future__ import annotations
@@ -17,7 +21,7 @@ from typing import Final
 import numpy as np
 
 from valve_sim.identification.estimation.gram import gram
-from valve_sim.identification.estimation.result import Fit
+from valve_sim.identification.estimation.result import Fit, MachineKnowledge
 from valve_sim.identification.estimation.solver import DIFFERENCE
 from valve_sim.identification.plants.protocol import Array, from_internal, internal_bounds, internal_scale
 from valve_sim.model import SimulationError
@@ -34,6 +38,8 @@ def neg2_log_predictive(training: Fit, held_out: Fit) -> float:
         held_out: the same values on held-out data, their nuisances fitted.
     """
     variance_inflation = held_out.problem.variance_inflation
+    if held_out.free or any(nuisance.is_of_machine for nuisance in held_out.nuisances):
+        return held_out.chi2 / variance_inflation + _volume(training, held_out)
     jacobian = np.hstack([_sensitivities(training, held_out), held_out.jacobian])
     gradient = gram(jacobian, held_out.residuals)
     gradient[len(training.free) :] += [
@@ -45,6 +51,29 @@ def neg2_log_predictive(training: Fit, held_out: Fit) -> float:
     gained = spread.T @ gradient / variance_inflation
     _, volume = np.linalg.slogdet(within)
     return float(held_out.chi2 / variance_inflation - gained @ np.linalg.solve(within, gained) + volume)
+
+
+def knowledge_for(training: Fit) -> MachineKnowledge:
+    """What a fit says of the machine, where no parameter is more uncertain than it can be for good reasons."""
+    machine, plant = training.machine, training.problem.plant
+    farthest = [FARTHEST * internal_scale(plant.parameter(name)) for name in training.free]
+    least = np.zeros(len(machine.names))
+    least[: len(farthest)] = 1.0 / np.square(farthest)
+    return machine._replace(information=machine.information + np.diag(least))
+
+
+def _volume(training: Fit, held_out: Fit) -> float:
+    """Ln det(1 + C H) of a fit to held-out data within what the training data leave open."""
+    machine = knowledge_for(training)
+    names = [*held_out.free, *(nuisance.name for nuisance in held_out.nuisances)]
+    order = [names.index(name) for name in machine.names]
+    prior = np.diag([0.0] * len(held_out.free) + [1.0 / nuisance.sigma**2 for nuisance in held_out.nuisances])
+    prior[np.ix_(order, order)] = machine.information
+    scale = 1.0 / np.sqrt(np.diag(held_out.information))
+    (_, after), (_, before) = (
+        np.linalg.slogdet(matrix * np.outer(scale, scale)) for matrix in (held_out.information, prior)
+    )
+    return float(after - before)
 
 
 def _sensitivities(training: Fit, held_out: Fit) -> Array:

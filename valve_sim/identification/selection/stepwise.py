@@ -211,8 +211,9 @@ class Exploration:
     def _is_on(self, hypothesis: Hypothesis, effect: str) -> bool:
         """Whether an effect is significantly on, or decisive although its parameters are collinear."""
         result, away = self.search.fit(hypothesis), []
-        for parameter in self.plant.effects[effect].parameters:
-            name = f"{effect}.{parameter.name}"
+        choice = self.plant.effects[effect]
+        for parameter in choice.parameters:
+            name = choice.free_name(parameter)
             index = result.free.index(name)
             at = float(result.coordinates[index])
             if parameter.off is None:

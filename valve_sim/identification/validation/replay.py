@@ -1,7 +1,8 @@
 """Replay validation: does a declared valve, driven as the recorded one was, do what was measured?
 
 Nothing about the valve is fitted. Only nuisance parameters are estimated, within their priors: the offset between the
-clocks of commands and samples and, on request, an error of each command's stamp (theory, eq. (26)).
+clocks of commands and samples and, on request, an error of each command's stamp (theory, eq. (26)). Declared values
+with a tolerance are nuisances, too: of one valve, and so from all its recordings together.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from valve_sim.identification.plants.protocol import Array
 from valve_sim.identification.plants.recording_errors import CLOCK_SIGMA, drive_with, zero_with
 from valve_sim.identification.plants.root_mean_square import root_mean_square
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.model import Event, EventKind, Response, Valve, ValveError, simulate
+from valve_sim.model import EXACT, Event, EventKind, Response, Valve, ValveError, simulate
 from valve_sim.traces import SensorEvent, StrokePart, Trace, events_from_sensors, find_stroke_parts
 
 NOISE_FACTOR: Final = 3.0
@@ -149,6 +150,7 @@ def validate(
     """
     if tolerance is not None and not 0.0 < tolerance < math.inf:
         raise ValveError(f"--tolerance-um {MICRO * tolerance:g}: expected a length above 0")
+    valve = _within_tolerances(traces, valve, command_jitter=command_jitter)
     replays = []
     for index, trace in enumerate(traces):
         if progress is not None:
@@ -158,11 +160,12 @@ def validate(
 
 
 def replay_trace(trace: Trace, valve: Valve, tolerance: float | None = None, *, command_jitter: bool = False) -> Replay:
-    """Replay one recording; arguments as in `validate`.
+    """Replay one recording on a valve as it stands; arguments as in `validate`.
 
     Raises:
         SimulationError: the valve cannot be simulated.
     """
+    valve = replace(valve, tolerances=EXACT)
     # The current takes no part: the declared coil resistance is an assumption, and would pull at the clock offset.
     plant = ValvePlant([replace(trace, coil_current=None)], valve)
     problem = Problem(plant)
@@ -186,6 +189,16 @@ def replay_trace(trace: Trace, valve: Valve, tolerance: float | None = None, *, 
         errors_of(np.ones(len(residual), dtype=bool)),
         tuple(_stroke_checks(trace, valve, response.events, offset, errors_of)),
     )
+
+
+def _within_tolerances(traces: Sequence[Trace], valve: Valve, *, command_jitter: bool) -> Valve:
+    """The valve with declared values where the recordings want them, by their tolerances; itself where all is exact."""
+    if valve.tolerances.is_exact:
+        return valve
+    plant = ValvePlant([replace(trace, coil_current=None) for trace in traces], valve)
+    timing = plant.timing_errors if command_jitter else ()
+    values = fit(Problem(plant), (), {}, nuisances=(*plant.nuisances, *timing)).values
+    return plant.with_values(values)
 
 
 def _moving(trace: Trace, response: Response) -> NDArray[np.bool_]:

@@ -1,0 +1,221 @@
+"""Declared values with a tolerance, as a fit sees them: nuisances with priors, and hypotheses that one is wrong.
+
+Each value moves by itself, but for two: the moving mass is the pilot plunger's and the main plunger's, which are
+weighed one by one, and the attraction polynomial moves along the principal axes of its covariance,
+
+    (a0, a1, a2, a3) = declared + R z,   R Rᵀ = covariance,   z_k ~ N(0, 1):  theory, eq. (81)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from valve_sim.identification.plants.protocol import RELEASED, Array, EffectChoice, Nuisance
+from valve_sim.model import CATALOGUE, DECLARED, Parameter, Tolerances, Valve
+from valve_sim.model.parameters import POLYNOMIAL_NAMES
+
+MAIN_MASS: Final = "main_mass"
+"""Name of the difference moving_mass − pilot_mass, kg."""
+STEP: Final = 0.02
+"""Step of a difference quotient, in tolerances."""
+SMALLEST_SHARE: Final = 1e-12
+"""Of a covariance, scaled to a unit diagonal: eigenvalues below this share of the largest are rounding."""
+SAME_AS: Final[Mapping[str, str]] = {
+    "pilot_gap": "gap_offset",
+    "stroke": "stroke_offset",
+    "coil_time_constant": "coil_lag",
+    "reference_voltage": "drive_gain",
+    "pickup_velocity_ratio": "pickup_impact",
+}
+"""Declared values to the effects that are the same thing: a wrong value bears the effect's name."""
+LOOK_ALIKES: Final[Mapping[str, tuple[str, ...]]] = {
+    "pilot_mass": ("valve.moving_mass", "quadratic_drag"),
+    "moving_mass": ("valve.pilot_mass", "pickup_impact", "quadratic_drag"),
+    "spring_rate": ("valve.spring_preload", "spring_hardening", "valve.attraction_polynomial"),
+    "spring_preload": ("valve.spring_rate", "pressure_force", "constant_force", "valve.attraction_polynomial"),
+    "seat_load": ("constant_force", "rest_attraction", "valve.attraction_polynomial"),
+    "coil_resistance": ("drive_gain",),
+    "attraction_polynomial": ("rest_attraction", "drive_gain", "magnetic_saturation", "spring_hardening"),
+}
+"""What data often cannot tell from a wrong value."""
+
+
+class ToleratedValues:
+    """The values of a valve that are known within a tolerance.
+
+    Args:
+        valve: as declared.
+
+    Attributes:
+        nuisances: one for each value, or principal axis, that has a tolerance.
+    """
+
+    def __init__(self, valve: Valve) -> None:
+        self._declared = valve.declared()
+        self._tolerances = valve.tolerances
+        self._has_masses = bool({"pilot_mass", "moving_mass"} & set(valve.tolerances.declared))
+        self._axes = principal_axes(valve.tolerances)
+        self._axis_names = tuple(f"attraction[{axis}]" for axis in range(self._axes.shape[1]))
+        self.nuisances = self._nuisances(valve)
+        self._own = {nuisance.name: nuisance for nuisance in self.nuisances}
+
+    def _nuisances(self, valve: Valve) -> tuple[Nuisance, ...]:
+        lower, upper = _contacts(valve)
+        found = []
+        for name, sigma in valve.tolerances.declared.items():
+            own = MAIN_MASS if name == "moving_mass" else name
+            rule = self.parameter(own) or DECLARED[name]
+            least = max(rule.lower, lower.get(name, rule.lower))
+            if not rule.lower_is_allowed and least <= rule.lower:
+                least = rule.lower + 1e-6 * min(sigma, self.declared(own))
+            most = min(rule.upper, upper.get(name, rule.upper))
+            found.append(_nuisance(own, sigma, rule.unit, self.declared(own), least, most))
+        found += [_nuisance(name, 1.0, "–", 0.0) for name in self._axis_names]
+        for effect, sigmas in valve.tolerances.effects.items():
+            for name, sigma in sigmas.items():
+                rule = CATALOGUE[effect].parameter(name)
+                mean = valve.effects[effect][name]
+                found.append(_nuisance(f"{effect}.{name}", sigma, rule.unit, mean, rule.lower, rule.upper))
+        return tuple(found)
+
+    def parameter(self, name: str) -> Parameter | None:
+        """Unit and range of what has a tolerance, or of the coordinates that stand for it; None for anything else.
+
+        Its prior scale is that of a wrong value: `RELEASED` tolerances.
+        """
+        if name == MAIN_MASS and self._has_masses:
+            sigma = self._tolerances.declared.get("moving_mass", self.declared(name))
+            return DECLARED["moving_mass"]._replace(
+                name=name, description="mass of the main plunger and what moves with it", prior_scale=RELEASED * sigma
+            )
+        if name in self._axis_names:
+            return Parameter(name, "–", "attraction polynomial along an axis of its covariance", prior_scale=RELEASED)
+        if name in self._tolerances.declared and name != "moving_mass":
+            return DECLARED[name]._replace(prior_scale=RELEASED * self._tolerances.declared[name])
+        return None
+
+    def declared(self, name: str) -> float:
+        """The declared value of any scalar, of the main mass and of the coordinates of the polynomial."""
+        if name == MAIN_MASS:
+            return self._declared["moving_mass"] - self._declared["pilot_mass"]
+        return 0.0 if name in self._axis_names else self._declared[name]
+
+    def knows(self, name: str) -> bool:
+        """Whether a name is a coordinate that stands for declared values without being one."""
+        return name in self._axis_names or (name == MAIN_MASS and self._has_masses)
+
+    def as_declared(self, values: Mapping[str, float]) -> Mapping[str, float]:
+        """Values by the names of declared scalars: the mass and the polynomial in place of their coordinates."""
+        if not (self._has_masses or self._axis_names):
+            return values
+        plain = {name: value for name, value in values.items() if not self.knows(name)}
+        if self._has_masses and (MAIN_MASS in values or "pilot_mass" in values):
+            main = values.get(MAIN_MASS, self.declared(MAIN_MASS))
+            plain.setdefault("moving_mass", values.get("pilot_mass", self._declared["pilot_mass"]) + main)
+        at = np.array([values.get(name, 0.0) for name in self._axis_names])
+        if at.any():
+            for name, change in zip(POLYNOMIAL_NAMES, (self._axes @ at).tolist(), strict=True):
+                plain.setdefault(name, self._declared[name] + change)
+        return plain
+
+    def propagated(self, names: Sequence[str], covariance: Array) -> tuple[tuple[str, ...], Array]:
+        """Declared scalars, and their covariance, in place of the coordinates that stand for them.
+
+        Args:
+            names: (k,) of what was estimated. covariance: (k, k) of it.
+
+        Returns:
+            (m,) names, and (m, m).
+        """
+        slopes: dict[str, Array] = {}
+        for unit, name in zip(np.eye(len(names)), names, strict=True):
+            for own, slope in self._slopes(name):
+                # A scalar that is freed itself does not follow a coordinate.
+                if own == name or own not in names:
+                    slopes[own] = slopes.get(own, np.zeros(len(names))) + slope * unit
+        matrix = np.array(list(slopes.values()))
+        return tuple(slopes), np.asarray(matrix @ covariance @ matrix.T)
+
+    def _slopes(self, name: str) -> list[tuple[str, float]]:
+        """The declared scalars that follow an estimated name, and by how much."""
+        if name in self._axis_names:
+            return list(zip(POLYNOMIAL_NAMES, self._axes[:, self._axis_names.index(name)].tolist(), strict=True))
+        if name == MAIN_MASS:
+            return [("moving_mass", 1.0)]
+        return [(name, 1.0), ("moving_mass", 1.0)] if name == "pilot_mass" and self._has_masses else [(name, 1.0)]
+
+    def with_hypotheses(
+        self, effects: Mapping[str, EffectChoice], refitted: tuple[str, ...]
+    ) -> dict[str, EffectChoice]:
+        """The effects, and the hypotheses that a declared value is wrong; they are confused with each other both ways.
+
+        Args:
+            effects: that a diagnosis may add.
+            refitted: declared values that every fit frees, of which nothing is declared that could be wrong.
+        """
+        wrong = {
+            f"valve.{name}": own
+            for name, own in self._coordinates().items()
+            if name not in refitted and SAME_AS.get(name) not in effects
+        }
+        known = {*effects, *wrong}
+        alike = {f"valve.{name}": tuple(o for o in others if o in known) for name, others in LOOK_ALIKES.items()}
+        found = {}
+        for name, choice in effects.items():
+            others = tuple(value for value in wrong if name in alike.get(value, ()))
+            found[name] = replace(choice, confused_with=(*choice.confused_with, *others)) if others else choice
+        for name, coordinates in wrong.items():
+            others = tuple(value for value in wrong if name in alike.get(value, ()))
+            parameters = tuple(self._released(own) for own in coordinates)
+            both = tuple(dict.fromkeys([*others, *alike.get(name, ())]))
+            found[name] = EffectChoice(name, parameters, both, is_declared_value=True)
+        return found
+
+    def _coordinates(self) -> dict[str, tuple[str, ...]]:
+        """Declared values with a tolerance, and the names by which each is estimated."""
+        found: dict[str, tuple[str, ...]] = {
+            name: (MAIN_MASS if name == "moving_mass" else name,) for name in self._tolerances.declared
+        }
+        return {**found, "attraction_polynomial": self._axis_names} if self._axis_names else found
+
+    def _released(self, name: str) -> Parameter:
+        """A coordinate as a hypothesis frees it: off where it is as declared."""
+        parameter = self.parameter(name)
+        assert parameter is not None
+        nuisance = self._own[name]
+        return parameter._replace(off=nuisance.mean)
+
+
+def principal_axes(tolerances: Tolerances) -> Array:
+    """(4, r) R, a square root of the polynomial's covariance, the widest axis first; theory, eq. (81)."""
+    if tolerances.attraction_covariance is None:
+        return np.empty((len(POLYNOMIAL_NAMES), 0))
+    covariance = np.array(tolerances.attraction_covariance)
+    # The terms differ by ten orders of magnitude; scaled by their standard deviations they compare.
+    sigmas = np.sqrt(np.diag(covariance))
+    scale = np.where(sigmas > 0.0, sigmas, 1.0)
+    sizes, directions = np.linalg.eigh(covariance / np.outer(scale, scale))
+    kept = np.flatnonzero(sizes > SMALLEST_SHARE * sizes[-1])[::-1]
+    return np.asarray(scale[:, None] * directions[:, kept] * np.sqrt(sizes[kept]))
+
+
+def _nuisance(
+    name: str, sigma: float, unit: str, mean: float, lower: float = -np.inf, upper: float = np.inf
+) -> Nuisance:
+    return Nuisance(name, sigma, unit, step=STEP * sigma, mean=mean, lower=lower, upper=upper, is_of_machine=True)
+
+
+def _contacts(valve: Valve) -> tuple[dict[str, float], dict[str, float]]:
+    """The least stroke and the largest gap: the gap stays below the stroke, whatever both are estimated to be."""
+    sigmas = valve.tolerances.declared
+    gap, stroke = valve.parameters.pilot_gap, valve.parameters.stroke
+    of_gap, of_stroke = sigmas.get("pilot_gap", 0.0), sigmas.get("stroke", 0.0)
+    if of_gap + of_stroke == 0.0:
+        return {}, {}
+    room = (stroke - gap) / (of_gap + of_stroke)
+    # In tolerances, both go equally far.
+    return {"stroke": stroke - 0.999 * room * of_stroke}, {"pilot_gap": gap + 0.999 * room * of_gap}
