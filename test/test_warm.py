@@ -11,7 +11,7 @@ SIMULATE = ("-m", "valve_sim", "simulate", "--voltage", "9", "--duration", "0.02
 USE_ALL = """
 from valve_sim.model import CATALOGUE, Drive, Stepper, Valve, simulate_many
 drag = Valve(effects={"quadratic_drag": {"coefficient": 1.0}})
-mapped = Valve(effects={"force_map": {"low": 0.0, "high": 1e-3, "f3": 0.1}})
+mapped = Valve(effects={"force_map": {"low": 0.0, "high": 1e-3, "c3": 0.1}})
 simulate_many([Valve(), drag, mapped], Drive.of([0.0], [9.0]), [0.0, 1e-3])
 stepper = Stepper(drag)
 stepper.command(1e-3, 9.0)

@@ -138,8 +138,12 @@ def _effects() -> Iterator[str]:
             words += " Never claimed as a name."
         yield words
         rows = [
-            (f"`{p.name}`", p.unit, p.description, f"{p.lower:g} … {p.upper:g}", _off(p)) for p in effect.parameters
+            (f"`{p.name}`", p.unit, p.description, f"{p.lower:g} … {p.upper:g}", _off(p))
+            for p in effect.parameters
+            if p.name in effect.given_names
         ]
+        if (whole := effect.given_as_list) is not None:
+            rows.append((f"`{whole.name}`", whole.unit, whole.description, whole.range_words, "all 0"))
         yield _table(("parameter", "unit", "meaning", "range", "off"), rows)
 
 

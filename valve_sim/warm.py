@@ -24,8 +24,7 @@ def warm() -> None:
     stepper.set_valve(valve, 2e-3)
     stepper.advance(3e-3)
     for effect in CATALOGUE.values():
-        if effect.term is not None:
-            effect.address(len(effect.parameters) + len(effect.also_reads))
+        effect.compile_ahead()
 
 
 def main() -> int:

@@ -33,7 +33,7 @@ EXACT_VALUES = {name: value for name, value in DEFAULTS.items() if not name.star
 
 def test_the_table_holds_the_valve_every_effect_and_the_settings() -> None:
     valve = {f"valve.{name}" for name in ValveParameters._fields}
-    effects = {f"effects.{effect.name}.{rule.name}" for effect in CATALOGUE.values() for rule in effect.parameters}
+    effects = {f"effects.{effect.name}.{name}" for effect in CATALOGUE.values() for name in effect.given_names}
     settings = {"publish_rate", "time_scale", "command_timeout", "max_voltage", "frame_id"}
     named = [effect for effect in CATALOGUE.values() if effect.named]
     tolerances = {f"tolerances.{name}" for name in ValveParameters._fields if name != "attraction_polynomial"}
@@ -101,14 +101,29 @@ def test_every_default_lies_in_the_range_that_ros_enforces() -> None:
 
 @pytest.mark.parametrize("effect", [effect for effect in CATALOGUE.values()], ids=lambda effect: effect.name)
 def test_one_parameter_alone_switches_its_effect_on(effect: object) -> None:
+    whole = CATALOGUE[effect.name].given_as_list  # type: ignore[attr-defined]
     for rule in CATALOGUE[effect.name].parameters:  # type: ignore[attr-defined]
-        if rule.off is None:
+        if rule.off is None or (whole is not None and rule.name in whole.members):
             continue
         value = rule.off + rule.prior_scale if math.isfinite(rule.off) else rule.prior_scale
         if not rule.lower <= value <= rule.upper:
             value = rule.off - rule.prior_scale
         valve = valve_of({**DEFAULTS, f"effects.{effect.name}.{rule.name}": value}, "here")  # type: ignore[attr-defined]
         assert valve.effects[effect.name][rule.name] == value  # type: ignore[attr-defined]
+
+
+def test_one_of_a_list_switches_its_effect_on() -> None:
+    given = {"effects.force_map.coefficients": [0, 0, 0.5, 0, 0]}
+    valve = valve_of(check_overrides(given, ENTRIES, {}), "here")
+    assert valve.effects["force_map"]["c3"] == 0.5
+    assert valve.effects["force_map"]["count"] == 5
+    assert not valve_of(check_overrides({}, ENTRIES, {}), "here").effects
+
+
+def test_a_knot_of_an_earlier_version_is_refused_unless_it_was_off() -> None:
+    assert check_overrides({"effects.force_map.f3": 0.0}, ENTRIES, {}) == DEFAULTS
+    with pytest.raises(ParameterError, match=r"old\.yaml: effects\.force_map\.f3: found 0\.1, one of the eight knots"):
+        check_overrides({"effects.force_map.f3": 0.1}, ENTRIES, {"effects.force_map.f3": "old.yaml"})
 
 
 def test_what_was_given_replaces_defaults_and_integers_become_doubles() -> None:

@@ -146,9 +146,10 @@ def complete_effect(name: str, found: Mapping[str, object], source: str) -> dict
         ParameterError: not a number, or out of range.
     """
     effect = CATALOGUE[name]
+    given = effect.unpacked(found, f"{source}: effects.{name}")
     values = {
-        parameter.name: check_with_off(parameter, found[parameter.name], f"{source}: effects.{name}.{parameter.name}")
-        if parameter.name in found
+        parameter.name: check_with_off(parameter, given[parameter.name], f"{source}: effects.{name}.{parameter.name}")
+        if parameter.name in given
         else off_value(parameter)
         for parameter in effect.parameters
     }
@@ -315,10 +316,11 @@ def _check_name(given: str, known: Sequence[str], key: str, value: object, sourc
 
 def _check_effect_name(effect: str, parameter: str, key: str, value: object, source: str) -> None:
     _check_name(effect, list(CATALOGUE), key, value, source)
-    names = [entry.name for entry in CATALOGUE[effect].parameters]
+    names = CATALOGUE[effect].given_names
     if not parameter:
         raise ParameterError(f"{source}: {key}: found {_short(value)}, expected {{{', '.join(names)}}}")
-    _check_name(parameter, names, key, value, source)
+    if parameter not in CATALOGUE[effect].retired:
+        _check_name(parameter, names, key, value, source)
 
 
 def _add_tolerance(tolerances: dict[str, Any], key: str, value: object, source: str) -> None:

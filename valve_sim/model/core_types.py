@@ -13,7 +13,7 @@ import numpy as np
 
 MAXIMUM_TERMS: Final = 8
 """How many compiled force terms can be on at once."""
-MAXIMUM_TERM_PARAMETERS: Final = 16
+MAXIMUM_TERM_PARAMETERS: Final = 48
 """How many numbers one compiled force term can read."""
 
 STATE_RECORD: Final = np.dtype(

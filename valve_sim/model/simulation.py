@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from valve_sim.model import driver
 from valve_sim.model.core_types import EVENT_RECORD, STATE_RECORD, EventKind, Outcome, Phase
-from valve_sim.model.effects import check_effects, new_record
+from valve_sim.model.effects import CATALOGUE, check_effects, new_record
 from valve_sim.model.errors import ParameterError, SimulationError
 from valve_sim.model.parameters import POLYNOMIAL_NAMES, ValveParameters, check_declared, check_geometry
 from valve_sim.model.sampling import ROW
@@ -121,7 +121,7 @@ class Valve:
         declared["attraction_polynomial"] = list(self.parameters.attraction_polynomial)
         mapping: dict[str, dict[str, Any]] = {"valve": declared}
         if self.effects:
-            mapping["effects"] = {name: dict(values) for name, values in self.effects.items()}
+            mapping["effects"] = {name: CATALOGUE[name].packed(values) for name, values in self.effects.items()}
         if not self.tolerances.is_exact:
             mapping["tolerances"] = self.tolerances.to_mapping()
         return mapping

@@ -129,6 +129,8 @@ def check_overrides(
         source = sources.get(name, "command line")
         if name in entries:
             values[name] = entries[name].check(value, source)
+        elif _is_retired(name):
+            complete_effect(name.split(".")[1], {name.split(".")[2]: value}, source)
         elif name not in ROS_OWN and not name.startswith(ROS_OWN_PREFIX):
             refuse_tolerance(name, value, source)
             raise ParameterError(
@@ -176,12 +178,19 @@ def left_without_effect(changes: Mapping[str, object], values: Mapping[str, obje
     touched = {name.split(".")[1] for name in changes if name.startswith("effects.")} & CATALOGUE.keys()
     left = []
     for effect in touched:
-        names = [rule.name for rule in CATALOGUE[effect].parameters]
+        names = CATALOGUE[effect].given_names
         found = {name: after[f"effects.{effect}.{name}"] for name in names}
         keys = [f"{_TOLERANCES}effects.{effect}.{name}" for name in names]
         if complete_effect(effect, found, "") is None:
             left += [key for key in keys if values.get(key) and key not in changes]
     return left
+
+
+def _is_retired(name: str) -> bool:
+    """Whether an effect had this parameter in an earlier version."""
+    root, _, rest = name.partition(".")
+    effect, _, parameter = rest.partition(".")
+    return root == "effects" and effect in CATALOGUE and parameter in CATALOGUE[effect].retired
 
 
 def sources_of(sections: Sequence[tuple[str, Section]], node: str) -> dict[str, str]:
@@ -253,11 +262,18 @@ def _declared_entries(parameters: ValveParameters) -> list[NodeParameter]:
 def _effect_entries(on: Mapping[str, Mapping[str, float]]) -> list[NodeParameter]:
     entries = []
     for effect in CATALOGUE.values():
+        whole, given = effect.given_as_list, on.get(effect.name)
         for rule in effect.parameters:
+            if rule.name not in effect.given_names:
+                continue
             off = "shapes the effect, does not switch it" if rule.off is None else f"off: {rule.off:g}"
             description = f"{_describe(rule)} ({effect.summary}; {off})"
             default = on.get(effect.name, {}).get(rule.name, off_value(rule))
             entries.append(NodeParameter(f"effects.{effect.name}.{rule.name}", default, description, rule))
+        if whole is not None:
+            items = effect.packed(effect.neutral_values() if given is None else given)[whole.name]
+            words = f"[{whole.unit}] {whole.description} ({effect.summary}; off: all 0)"
+            entries.append(NodeParameter(f"effects.{effect.name}.{whole.name}", items, words))
     return entries
 
 

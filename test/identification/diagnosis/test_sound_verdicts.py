@@ -24,6 +24,7 @@ from valve_sim.identification.plants.axis import AxisPlant
 from valve_sim.identification.plants.protocol import Array, Channel, EffectChoice, ForceMap, Nuisance
 from valve_sim.identification.reporting.diagnosis_json import to_json
 from valve_sim.model import Drive, Parameter
+from valve_sim.model.effects import basis
 from valve_sim.traces import Signal, read_trace
 from valve_sim.traces.synthetic import Sensor, record
 
@@ -38,13 +39,17 @@ def assert_sound(found: Diagnosis) -> None:
     assert found.after.train_rmse <= found.before.train_rmse * (1.0 + 1e-9)
     if not np.isnan(found.before.holdout_rmse):
         assert found.after.holdout_rmse <= found.before.holdout_rmse * (1.0 + 1e-9)
-    knots = [value for name, value in found.after.fit.values.items() if name.startswith("force_map.knot")]
+    values = found.after.fit.values
+    count = int(values.get("force_map.count", 0.0))
+    coefficients = [values[f"force_map.c{number}"] for number in range(1, count + 1)]
     if found.verdict.kind in ("none", "effects"):
-        assert not any(knots)
+        assert not coefficients
         assert {name.split(".")[0] for name in found.after.fit.free if "." in name} == set(found.verdict.effects)
-    elif any(knots):
+    elif coefficients:
         assert found.unexplained is not None
-        assert set(found.unexplained.force) <= set(knots)
+        low, high = values["force_map.low"], values["force_map.high"]
+        curve = basis(np.array(found.unexplained.at), low, high, count) @ coefficients
+        assert found.unexplained.force == pytest.approx(curve)
 
 
 @pytest.mark.parametrize("bag", ["live.mcap", "eight_strokes.mcap", "one_opening.mcap", "friction"])

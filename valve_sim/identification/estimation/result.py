@@ -23,6 +23,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from valve_sim.identification.estimation.problem import Problem
+from valve_sim.identification.estimation.smoothing import Smoothness
 from valve_sim.identification.plants.protocol import (
     RELEASED,
     Array,
@@ -68,6 +69,7 @@ class Fit:
         jacobian: (n, k + m) d(residuals)/d(internal coordinate), nuisances last.
         information: (k + m, k + m), priors included.
         converged: whether the last step was small enough.
+        smooth: the curve among what was freed, with its prior, which `chi2` and `information` include.
     """
 
     problem: Problem
@@ -80,6 +82,7 @@ class Fit:
     information: Array
     converged: bool
     coordinates: Array = field(repr=False)
+    smooth: Smoothness | None = None
 
     @property
     def covariance(self) -> Array:
@@ -120,14 +123,40 @@ class Fit:
         occam = 0.0
         for index, nuisance in enumerate(self.nuisances, start=len(self.free)):
             occam += math.log(max(1.0, nuisance.sigma**2 * float(self.information[index, index])))
-        variance_inflation = self.problem.variance_inflation
+        misfit = (self.chi2 - self._penalty) / self.problem.variance_inflation
         released = released_tolerances(self.problem.plant)
         for index, name in enumerate(self.free):
             if name in released:
                 width = RELEASED * released[name]
                 occam += math.log(max(1.0, width**2 * float(self.information[index, index])))
-        unknown = sum(name not in released for name in self.free)
-        return self.chi2 / variance_inflation + unknown * math.log(self.problem.effective_samples) + occam
+        unknown = self.effective_parameters - sum(name in released for name in self.free)
+        return misfit + unknown * math.log(self.problem.effective_samples) + occam
+
+    @property
+    def effective_parameters(self) -> float:
+        """How many parameters were freed; of a smooth curve's, those that the data determine: theory, eq. (75)."""
+        if self.smooth is None:
+            return float(len(self.free))
+        curve = self._curve
+        fitted = self.covariance[np.ix_(curve, curve)] / self.problem.variance_inflation
+        return len(self.free) - float(np.sum(fitted * self.smooth.precision))
+
+    def covariance_of_curve(self) -> Array:
+        """(K, K) of the coefficients of the smooth curve, its prior included: what bands are drawn from."""
+        return self.covariance[np.ix_(self._curve, self._curve)]
+
+    @property
+    def _curve(self) -> list[int]:
+        """Indices of the smooth curve's coefficients; none without a curve."""
+        return [] if self.smooth is None else [self.free.index(name) for name in self.smooth.names]
+
+    @property
+    def _penalty(self) -> float:
+        """What a smooth curve's prior adds to the criterion."""
+        if self.smooth is None:
+            return 0.0
+        at = self.coordinates[self._curve]
+        return float(at @ self.smooth.precision @ at)
 
     @property
     def evidence(self) -> float:
@@ -142,6 +171,8 @@ class Fit:
         spread = np.array([*sizes, *sigmas])
         # The priors of the nuisances are the ones of 1 + D I D, so that I is the information of the data alone.
         of_data = self.information - np.diag([0.0] * len(sizes) + [1.0 / sigma**2 for sigma in sigmas])
+        if self.smooth is not None:
+            of_data[np.ix_(self._curve, self._curve)] -= self.smooth.precision
         _, volume = np.linalg.slogdet(np.eye(len(spread)) + of_data * np.outer(spread, spread) / variance_inflation)
         return self.chi2 / variance_inflation + float(volume)
 

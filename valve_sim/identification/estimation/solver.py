@@ -12,6 +12,7 @@ from valve_sim.identification.estimation.column_groups import columns_decouple, 
 from valve_sim.identification.estimation.gram import gram, sum_squares
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import NO_INFORMATION, Fit, MachineKnowledge
+from valve_sim.identification.estimation.smoothing import Smoothness
 from valve_sim.identification.plants.protocol import (
     Array,
     Nuisance,
@@ -27,6 +28,10 @@ DIFFERENCE: Final = 2e-3
 MOST_ITERATIONS: Final = 40
 CONVERGED: Final = 1e-2
 """A fit has converged when a step would lower χ² by less than this: a tenth of a standard error."""
+CURVE_CONVERGED: Final = 0.3
+"""The same of a fit with a smooth curve, whose many columns are less exact."""
+WEIGHTS_HOLD: Final = 3.0
+"""Decrease of χ² below which the weights of a curve are no longer chosen anew."""
 LARGEST_DAMPING: Final = 1e4
 """Of λ in theory, eq. (29): beyond it no step lowers the criterion and the fit stops."""
 FEW: Final = 4
@@ -42,6 +47,7 @@ def fit(
     fixed: Mapping[str, float] | None = None,
     robust: Sequence[float] = (),
     known: MachineKnowledge | None = None,
+    smooth: Smoothness | None = None,
 ) -> Fit:
     """Minimise χ² from one start.
 
@@ -53,17 +59,18 @@ def fit(
         fixed: further values to hold, e.g. an effect's parameter in a profile.
         known: of what is estimated, from other data of the same machine; it takes the place of priors.
         robust: scales in σ of a Cauchy loss that is used first, one after the other, to leave local minima.
+        smooth: a curve among what is freed; its weight is chosen along.
     """
     settled = {*free, *(fixed or {})}
     estimated = tuple(nuisance for nuisance in nuisances if nuisance.name not in settled)
-    search = _Search(problem, tuple(free), estimated, dict(fixed or {}), known)
+    search = _Search(problem, tuple(free), estimated, dict(fixed or {}), known, smooth)
     at = search.start(start)
     for scale in robust:
         at, *_ = search.descend(at, scale)
     at, chi2, residuals, jacobian, information, converged = search.descend(at, math.inf)
     return Fit(
         problem, tuple(free), estimated, search.values(at), chi2, residuals, jacobian, information,
-        converged, at,
+        converged, at, search.smooth,
     )  # fmt: skip
 
 
@@ -76,9 +83,10 @@ class _Search:
         free: tuple[str, ...],
         nuisances: tuple[Nuisance, ...],
         fixed: dict[str, float],
-        known: MachineKnowledge | None = None,
+        known: MachineKnowledge | None,
+        smooth: Smoothness | None,
     ) -> None:
-        self.problem, self.free, self.nuisances, self.fixed = problem, free, nuisances, fixed
+        self.problem, self.free, self.nuisances, self.fixed, self.smooth = problem, free, nuisances, fixed, smooth
         self.parameters = [problem.plant.parameter(name) for name in free]
         bounds = [internal_bounds(parameter) for parameter in self.parameters]
         bounds += [nuisance.bounds for nuisance in nuisances]
@@ -89,6 +97,11 @@ class _Search:
         self.prior = np.array([0.0] * len(free) + [1.0 / n.sigma**2 for n in nuisances])
         self.mean = np.array([0.0] * len(free) + [n.mean for n in nuisances])
         self._known = None if known is None else self._take(known)
+        self._curve = np.array([free.index(name) for name in smooth.names] if smooth else [], dtype=np.int64)
+        self._small = CONVERGED if smooth is None else CURVE_CONVERGED
+        self._weights_hold = False
+        if smooth is not None:
+            self.lower[self._curve] = np.maximum(self.lower[self._curve], smooth.least)
         self._reach = [problem.reach(nuisance) for nuisance in nuisances]
         self._groups = group_columns(self._reach)
         self._nuisance_columns: Array | None = None
@@ -172,20 +185,21 @@ class _Search:
         if residuals is None:
             raise SimulationError("the model cannot be simulated at the start of the fit")
         damping, converged = 1e-4, False
-        cost = self._cost(at, residuals, cauchy)
         jacobian = self.jacobian(at, residuals)
         is_stale = False
         information, gradient = self._normal(at, residuals, jacobian, cauchy)
+        cost = self._cost(at, residuals, cauchy)  # the weight of a curve is another now
         for _ in range(MOST_ITERATIONS):
             move, gain = self._step(at, information, gradient, damping)
-            if gain < CONVERGED:
+            if gain < self._small:
                 converged = True
                 break
             candidate = np.clip(at + move, self.lower, self.upper)
             there = self.residuals(candidate)
             new_cost = self._cost(candidate, there, cauchy) if there is not None else math.inf
             if there is not None and new_cost < cost:
-                converged = cost - new_cost < CONVERGED
+                converged = cost - new_cost < self._small
+                self._weights_hold = self._weights_hold or cost - new_cost < WEIGHTS_HOLD
                 damping = max(1e-9, damping * (0.1 if cost - new_cost > 0.5 * gain else 0.5))
                 if len(self.nuisances) <= FEW or cost - new_cost > 0.01 * cost:
                     self._nuisance_columns = None
@@ -202,6 +216,7 @@ class _Search:
             if converged:
                 break
             information, gradient = self._normal(at, residuals, jacobian, cauchy)
+            cost = self._cost(at, residuals, cauchy)
         if math.isfinite(cauchy):
             information, _ = self._normal(at, residuals, jacobian, math.inf)
         return at, cost, residuals, jacobian, information, converged
@@ -214,14 +229,23 @@ class _Search:
             weighted = jacobian
         information = gram(weighted, jacobian) + np.diag(self.prior)
         gradient = gram(weighted, residuals) + self.prior * (at - self.mean)
-        if self._known is None:
-            return information, gradient
-        return information + self._known, gradient + self._known @ (at - self.mean)
+        if self._known is not None:
+            information += self._known
+            gradient += self._known @ (at - self.mean)
+        if self.smooth is not None:
+            curve, inflation = self._curve, self.problem.variance_inflation
+            if not self._weights_hold:
+                self.smooth = self.smooth.chosen(information, gradient, at, curve, inflation)
+            information[np.ix_(curve, curve)] += self.smooth.precision
+            gradient[curve] += self.smooth.precision @ at[curve]
+        return information, gradient
 
     def _cost(self, at: Array, residuals: Array, cauchy: float) -> float:
         prior = float(self.prior @ np.square(at - self.mean))
         if self._known is not None:
             prior += float((at - self.mean) @ self._known @ (at - self.mean))
+        if self.smooth is not None:
+            prior += float(at[self._curve] @ self.smooth.precision @ at[self._curve])
         if not math.isfinite(cauchy):
             return sum_squares(residuals) + prior
         return float(cauchy**2 * np.sum(np.log1p(np.square(residuals / cauchy)))) + prior

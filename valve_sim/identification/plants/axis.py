@@ -24,11 +24,12 @@ from numpy.typing import NDArray
 from scipy import ndimage, signal
 
 from valve_sim.files.parameter_files import off_value
+from valve_sim.identification.plants.force_map_choice import force_map_over
 from valve_sim.identification.plants.protocol import Array, Channel, EffectChoice, Experiment, ForceMap, Nuisance
 from valve_sim.identification.plants.root_mean_square import root_mean_square
 from valve_sim.model import CATALOGUE, DECLARED, Parameter, Phase, Tag
 from valve_sim.model.compiling import compiled
-from valve_sim.model.effects import FORCE_MAP_KNOTS, FORCE_MAP_VARIABLES, new_record
+from valve_sim.model.effects import new_record
 from valve_sim.model.equations import dry_friction, force_without_dry_friction
 
 LOW_PASS: Final = 100.0
@@ -152,14 +153,7 @@ class AxisPlant:
             "v": (-fastest, fastest, "m/s"),
             "t": (float(self.record.times[0]), float(self.record.times[-1]), "s"),
         }
-        knots = tuple(f"force_map.{knot}" for knot in FORCE_MAP_KNOTS)
-        maps = []
-        for variable in _MAP_VARIABLES:
-            low, high, unit = spans[variable[0]]
-            index = float(FORCE_MAP_VARIABLES.index(variable))
-            fixed = {"force_map.variable": index, "force_map.low": low, "force_map.high": high}
-            maps.append(ForceMap(variable, knots, fixed, low, high, unit))
-        return maps
+        return [force_map_over(variable, *spans[variable[0]]) for variable in _MAP_VARIABLES]
 
     @property
     def experiments(self) -> Sequence[Experiment]:

@@ -85,36 +85,47 @@ class EffectChoice:
 
 @dataclass(frozen=True)
 class ForceMap:
-    """A force of unknown origin that a fit may add: a curve over one variable, free at its knots.
+    """A force of unknown origin that a fit may add: a curve of B-splines over one variable.
 
     Attributes:
         variable: what it is a function of, e.g. "x" or "t·v".
-        all_knots: names of the knots. fixed: values that place them.
-        low, high: the range of the variable, in `unit`.
-        one_knot: the only knot that is free, or None: all are.
+        coefficients: names of the B-splines' coefficients, from low to high.
+        fixed: values that place them.
+        low, high: the range of the variable, in `unit`; the curve is constant beyond.
+        count: name of the value that says how many coefficients there are.
+        least: value that no coefficient may fall below.
+        only: index of the only coefficient that is free, or None: all are.
     """
 
     variable: str
-    all_knots: tuple[str, ...]
+    coefficients: tuple[str, ...]
     fixed: Mapping[str, float]
     low: float
     high: float
     unit: str
-    one_knot: int | None = None
+    count: str
+    least: float = -math.inf
+    only: int | None = None
 
     @property
     def free(self) -> tuple[str, ...]:
-        """Names of the knots that a fit frees."""
-        return self.all_knots if self.one_knot is None else (self.all_knots[self.one_knot],)
+        """Names of the coefficients that a fit frees."""
+        return self.coefficients if self.only is None else (self.coefficients[self.only],)
 
     @property
     def held(self) -> dict[str, float]:
-        """What a fit holds: the place of the knots, and no force at those that are not free."""
-        return {**self.fixed, **{name: 0.0 for name in self.all_knots if name not in self.free}}
+        """What a fit holds: the place of the B-splines, and no force of those that are not free."""
+        return {
+            **self.fixed,
+            self.count: float(len(self.coefficients)),
+            **{name: 0.0 for name in self.coefficients if name not in self.free},
+        }
 
-    def at_one_knot(self) -> list[ForceMap]:
-        """For each knot, the same with only this knot free: forces that act at one place alone."""
-        return [replace(self, one_knot=index) for index in range(len(self.all_knots))]
+    def at_one_place(self, places: int) -> list[ForceMap]:
+        """Forces that act at one place alone: a single B-spline around each of so many places from low to high."""
+        # Of the B-splines over the intervals between the places, the outermost two lie beyond them.
+        few = replace(self, coefficients=self.coefficients[: places + 2])
+        return [replace(few, only=index) for index in range(1, places + 1)]
 
 
 READABLE_UNITS: Final = {"m": (1e6, "µm")}

@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 
+from valve_sim.identification.plants.force_map_choice import force_map_over
 from valve_sim.identification.plants.protocol import (
     Advice,
     Array,
@@ -34,7 +35,7 @@ from valve_sim.identification.plants.valve_sensors import (
     with_usable_current,
 )
 from valve_sim.model import Drive, Parameter, Valve
-from valve_sim.model.effects import FORCE_MAP_KNOTS, FORCE_MAP_VARIABLES
+from valve_sim.model.effects import FORCE_MAP_VARIABLES
 from valve_sim.traces import Trace
 
 DAMPINGS: Final = ("pilot_damping", "main_damping")
@@ -110,20 +111,14 @@ class ValvePlant:
     def force_maps(self) -> Sequence[ForceMap]:
         """Curves over position, velocity and time, and such curves times v or u²."""
         fastest = max(fastest_motion(trace) for trace in self.traces)
-        longest = max(float(trace.times[-1]) for trace in self.traces)
+        furthest = max(float(np.max(trace.pilot_position)) for trace in self.traces)
+        declared = self.valve.parameters
         spans = {
-            "x": (0.0, self.valve.parameters.stroke, "m"),
+            "x": (0.0, min(max(furthest, declared.pilot_gap), declared.stroke), "m"),
             "v": (-fastest, fastest, "m/s"),
-            "t": (0.0, longest, "s"),
+            "t": (0.0, max(float(trace.times[-1]) for trace in self.traces), "s"),
         }
-        maps = []
-        for index, variable in enumerate(FORCE_MAP_VARIABLES):
-            low, high, unit = spans[variable[0]]
-            fixed = {"force_map.variable": float(index), "force_map.low": low, "force_map.high": high}
-            maps.append(
-                ForceMap(variable, tuple(f"force_map.{knot}" for knot in FORCE_MAP_KNOTS), fixed, low, high, unit)
-            )
-        return maps
+        return [force_map_over(variable, *spans[variable[0]]) for variable in FORCE_MAP_VARIABLES]
 
     @property
     def experiments(self) -> Sequence[Experiment]:

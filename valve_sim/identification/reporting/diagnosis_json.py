@@ -104,7 +104,7 @@ def _effects_json(state: State) -> dict[str, dict[str, Any]]:
 
 
 def _unexplained_json(entry: Unexplained, motion: Motion) -> dict[str, Any]:
-    """As far as the data went: knots beyond hold whatever the fit left there."""
+    """Size and place as far as the data went: beyond, the curve only goes on smoothly."""
     curve = force_curve(entry, motion)
     return {
         "force_rms_n": curve.rms,

@@ -1,10 +1,10 @@
 """A force without a name as far as the data went: where the machine was while it moved, and nowhere else.
 
-A force map has knots over the whole range of its variable. Where the machine never was, or only rested against a stop
-that takes up any force, nothing holds a knot: thousands of newtons may stand there beside a fault of a tenth of one.
-So a curve is drawn, and its size and place are told, from the moments of motion alone. Beside a curve over velocity
-the dampings are free, too, and each takes newtons that the other gives back: the part of such a curve that a damping
-would be is left out.
+A force map spans the whole range of its variable. Where the machine never was, or only rested against a stop that
+takes up any force, nothing but its smoothness holds it: thousands of newtons may stand there beside a fault of a tenth
+of one. So a curve is drawn, and its size and place are told, from the moments of motion alone. Beside a curve of
+damping the machine's own dampings are free, too, and each takes what the other gives back: the part of such a curve
+that a damping would be is left out.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from valve_sim.identification.plants.root_mean_square import root_mean_square
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.selection.force_maps import Unexplained
 from valve_sim.model import simulate
+from valve_sim.model.effects import is_damping
 
-POINTS_A_KNOT: Final = 10
 MOVES: Final = 0.02
 """Share of the fastest speed from which on the machine counts as moving."""
 PULLS: Final = 0.1
@@ -55,11 +55,10 @@ class ForceCurve:
     Attributes:
         variable: what it is a function of, as in `ForceMap`. gain: of the score S against the model without it.
         label: of the axis; force_label: of the force, with unit.
-        at: (n,) in the unit of the axis. force: (n,) in N, or N·s/m for a curve times v; NaN where the data did not go.
+        at: (n,) in the unit of the axis. force: (n,) in N, or N·s/m of a damping; NaN where the data did not go.
         band: (n,) two standard errors of the force; NaN where they are not known.
-        knots: indices of the free knots that the data reached.
         rms: of the force as it acts at the samples of motion, N. where: it is strongest, in words.
-        is_partial: whether knots lie where the data did not go.
+        is_partial: whether the curve goes on where the data did not go.
     """
 
     variable: str
@@ -69,7 +68,6 @@ class ForceCurve:
     at: Array
     force: Array
     band: Array
-    knots: tuple[int, ...]
     rms: float
     where: str
     is_partial: bool
@@ -111,28 +109,19 @@ def _currents(plant: Plant, values: Mapping[str, float], times: Array) -> Array:
 
 def force_curve(entry: Unexplained, motion: Motion) -> ForceCurve:
     """A force map without what the data did not visit; whole where nothing is known of the motion."""
-    # Loaded here because it takes a third of a second, and few diagnoses end in a curve.
-    from scipy.interpolate import CubicHermiteSpline
-
-    at, force = np.array(entry.at), np.array(entry.force)
-    padded = np.concatenate([force[:1], force, force[-1:]])
-    # As the model takes it: Catmull–Rom.
-    curve = CubicHermiteSpline(at, force, 0.5 * (padded[2:] - padded[:-2]) / (at[1] - at[0]))
-    drawn = np.linspace(at[0], at[-1], (len(at) - 1) * POINTS_A_KNOT + 1)
+    drawn, shown = np.array(entry.at), np.array(entry.force)
     samples, factor = _visits(entry.variable, motion)
     is_known = len(motion.position) > 0
     seen = _near(drawn, samples) if is_known else np.ones(len(drawn), bool)
-    acting = curve(np.clip(samples, at[0], at[-1])) * factor if is_known else force
-    shown = curve(drawn)
-    if "v" in entry.variable and is_known:
+    acting = np.interp(samples, drawn, shown) * factor if is_known else shown
+    if is_damping(entry.variable) and is_known:
         acting, shown = _without_damping(entry.variable, motion, acting, drawn, shown)
     values = np.where(seen, shown, np.nan)
     name, scale, unit = _AXES.get(entry.variable[0], (entry.variable, 1.0, ""))
-    knots = tuple(index for index in range(0, len(drawn), POINTS_A_KNOT) if seen[index])
     rms = root_mean_square(acting) if len(acting) else 0.0
-    band = np.where(seen, 2.0 * np.interp(drawn, at, _errors(entry)), np.nan)
+    band = np.where(seen, 2.0 * _errors(entry), np.nan)
     return ForceCurve(
-        entry.variable, entry.gain, f"{name}, {unit}", _force_label(entry.variable), scale * drawn, values, band, knots,
+        entry.variable, entry.gain, f"{name}, {unit}", _force_label(entry.variable), scale * drawn, values, band,
         rms, _where(name, unit, scale * drawn, values), not bool(seen.all()),
     )  # fmt: skip
 
@@ -140,8 +129,8 @@ def force_curve(entry: Unexplained, motion: Motion) -> ForceCurve:
 def _visits(variable: str, motion: Motion) -> tuple[Array, Array]:
     """Where the data went on the axis of a map, and the factor that its curve acts with there."""
     samples = {"x": motion.position, "v": motion.velocity, "t": motion.time}.get(variable[0], np.empty(0))
-    if variable.endswith("·v"):
-        return samples, motion.velocity
+    if is_damping(variable):
+        return samples, -motion.velocity
     if variable.endswith("u²"):
         pulls = motion.current > PULLS
         return samples[pulls], motion.current[pulls] ** 2
@@ -149,20 +138,17 @@ def _visits(variable: str, motion: Motion) -> tuple[Array, Array]:
 
 
 def _without_damping(variable: str, motion: Motion, acting: Array, drawn: Array, shown: Array) -> tuple[Array, Array]:
-    """A curve less what a damping would be: of one over v its slope, of one times v its level, for each damping."""
+    """A curve of damping less its mean while the machine moves: where over x, that of each of its dampings."""
     acting, shown = acting.copy(), shown.copy()
     number = motion.damping if variable == "x·v" else np.zeros(len(acting), np.int64)
     for one in np.unique(number):
         own = number == one
         velocity = motion.velocity[own]
-        damping = float(acting[own] @ velocity / (velocity @ velocity))
-        acting[own] -= damping * velocity
-        if variable == "v":
-            shown -= damping * drawn
-        else:
-            place = motion.position[own]
-            reached = (drawn >= place.min()) & (drawn <= place.max()) if variable == "x·v" else slice(None)
-            shown[reached] -= damping
+        damping = -float(acting[own] @ velocity / (velocity @ velocity))
+        acting[own] += damping * velocity
+        place = motion.position[own]
+        reached = (drawn >= place.min()) & (drawn <= place.max()) if variable == "x·v" else slice(None)
+        shown[reached] -= damping
     return acting, shown
 
 
@@ -184,8 +170,8 @@ def _errors(entry: Unexplained) -> Array:
 
 
 def _force_label(variable: str) -> str:
-    if variable.endswith("·v"):
-        return "force / velocity, N·s/m"
+    if is_damping(variable):
+        return "damping, N·s/m"
     return "force at rated current, N" if variable.endswith("u²") else "force, N"
 
 

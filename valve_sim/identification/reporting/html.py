@@ -124,7 +124,7 @@ def _draw_curve(axes: Axes, curve: ForceCurve, colour: str, quiet: str) -> None:
     axes.fill_between(
         curve.at, curve.force - curve.band, curve.force + curve.band, color=colour, alpha=0.15, linewidth=0
     )
-    axes.plot(curve.at, curve.force, "o-", color=colour, markersize=3.5, markevery=list(curve.knots))
+    axes.plot(curve.at, curve.force, color=colour)
     axes.axhline(0.0, color=quiet, linewidth=0.8)
     axes.set_xlabel(curve.label)
     axes.set_ylabel(curve.force_label)
@@ -210,7 +210,7 @@ def _comparison(diagnosis: Diagnosis, scale: float, unit: str) -> list[tuple[str
         of_both("χ² per sample", lambda state: f"{state.fit.chi2 / state.fit.problem.effective_samples:.4g}"),
     ]
     for name in dict.fromkeys([*before.intervals, *after.intervals]):
-        if not _is_knot(name):
+        if not _is_drawn(name):
             words, parameter_unit = named_value(diagnosis.plant, name)
             rows.append((words, _value(before, name, parameter_unit), _value(after, name, parameter_unit)))
     return rows
@@ -240,7 +240,7 @@ def _candidate_row(candidate: Candidate, diagnosis: Diagnosis, scale: float, uni
     values = [
         f"{diagnosis.plant.parameter(name).description} {quantity(found.value, diagnosis.plant.parameter(name).unit)}"
         for name, found in candidate.intervals.items()
-        if "." in name and not _is_knot(name)
+        if "." in name and not _is_drawn(name)
     ]
     return {
         "title": titles_of(candidate.effects) + (" with errors of the commands' stamps" if candidate.timing else ""),
@@ -261,15 +261,15 @@ def _is_fit(candidate: Candidate, state: State) -> bool:
 def _interval_rows(diagnosis: Diagnosis) -> list[dict[str, str]]:
     rows = []
     for name, found in diagnosis.after.intervals.items():
-        if not _is_knot(name):
+        if not _is_drawn(name):
             words, unit = named_value(diagnosis.plant, name)
             value, remark = measured(found, unit), remark_on(found)
             rows.append({"words": words, "name": name, "value": value, "limits": limits(found, unit), "remark": remark})
     return rows
 
 
-def _is_knot(name: str) -> bool:
-    """Knots of a force map are drawn, not listed."""
+def _is_drawn(name: str) -> bool:
+    """A force map is drawn, its coefficients are not listed."""
     return name.startswith("force_map.")
 
 
@@ -337,7 +337,6 @@ def _curve_plot(curve: ForceCurve) -> dict[str, Any]:
         "force": _rounded(curve.force, 6),
         "low": _rounded(curve.force - curve.band, 6),
         "high": _rounded(curve.force + curve.band, 6),
-        "knots": list(curve.knots),
     }
 
 

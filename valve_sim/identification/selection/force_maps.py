@@ -1,28 +1,43 @@
-"""Nonparametric forces: free curves over position, velocity or time, and forces at one place of the stroke alone."""
+"""Nonparametric forces: smooth curves over position, velocity or time, and forces at one place of the stroke alone.
+
+A curve has many B-splines, and a penalty on its second differences whose weight follows from the data that are fitted
+(`estimation.smoothing`). It is refitted inside the simulator with all that is free beside it.
+"""
 
 from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from valve_sim.identification.estimation.budget import OutOfTimeError
 from valve_sim.identification.estimation.parallel import run_parallel
 from valve_sim.identification.estimation.result import Fit
+from valve_sim.identification.estimation.smoothing import Smoothness
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Array, ForceMap
 from valve_sim.identification.plants.root_mean_square import root_mean_square
 from valve_sim.identification.selection.hypotheses import Hypothesis, Search
 from valve_sim.model import SimulationError
+from valve_sim.model.effects import basis
+
+PLACES: Final = 8
+"""Over so many places of the stroke a force at one of them alone is tried."""
+POINTS_AN_INTERVAL: Final = 4
+"""Points between two knots of a curve in reports."""
 
 
 @dataclass(frozen=True)
 class Unexplained:
     """A residual that no named effect explains, as the force map that explains most of it.
 
-    `stderr`: of the force at each knot; 0 where a knot is fixed, empty where it is not known.
+    Attributes:
+        force_rms: N, over the range of the variable. where: it is strongest, in words. variable: as in `ForceMap`.
+        at: (n,) places, SI. force: (n,) the curve there, N, or N·s/m of a damping. stderr: (n,) of it, from the
+            penalised covariance; empty where it is not known.
+        gain: of the score S against the model without it.
     """
 
     force_rms: float
@@ -51,9 +66,12 @@ def fit_maps(search: Search, base: Fit) -> list[NonparametricFit]:
         free, fixed = (*base.free, *choice.free), {**others, **choice.held}
         try:
             return [
-                NonparametricFit(choice, fit(base.problem, free, base.values, nuisances=base.nuisances, fixed=fixed))
+                NonparametricFit(
+                    choice,
+                    fit(base.problem, free, base.values, nuisances=base.nuisances, fixed=fixed, smooth=_smooth(choice)),
+                )
             ]
-        except OutOfTimeError:
+        except (OutOfTimeError, SimulationError):
             return []
 
     maps = base.problem.plant.force_maps
@@ -75,7 +93,7 @@ def fit_local_forces(search: Search, best: Hypothesis) -> list[NonparametricFit]
         OutOfTimeError: the time is used up.
     """
     maps = search.problem.plant.force_maps
-    places = [one for choice in maps if choice.variable == "x" for one in choice.at_one_knot()]
+    places = [one for choice in maps if choice.variable == "x" for one in choice.at_one_place(PLACES)]
 
     rests = {member: search.fit(best.without(member)) for member in best.effects}
 
@@ -95,16 +113,18 @@ def fit_local_forces(search: Search, best: Hypothesis) -> list[NonparametricFit]
 
 def on_top(choice: ForceMap, base: Fit) -> Fit:
     """A force map with all else fixed, so that it shows the residual and trades nothing with friction or mass."""
-    return fit(base.problem, choice.free, {}, fixed={**base.values, **choice.held})
+    return fit(base.problem, choice.free, {}, fixed={**base.values, **choice.held}, smooth=_smooth(choice))
 
 
 def describe(choice: ForceMap, result: Fit, base: Fit) -> Unexplained:
     """A fitted force map in words: how large, and where it acts."""
     at, force = _curve(choice, result)
+    shapes = _shapes(choice, at)[:, [choice.coefficients.index(name) for name in choice.free]]
+    own = [result.free.index(name) for name in choice.free]
+    variances = np.einsum("ij,jk,ik->i", shapes, result.covariance[np.ix_(own, own)], shapes)
     return Unexplained(
         root_mean_square(force), where(choice, result), choice.variable, tuple(at.tolist()),
-        tuple(force.tolist()), base.score - result.score,
-        tuple(result.stderr(name) if name in result.free else 0.0 for name in choice.all_knots),
+        tuple(force.tolist()), base.score - result.score, tuple(np.sqrt(np.maximum(variances, 0.0)).tolist()),
     )  # fmt: skip
 
 
@@ -118,7 +138,15 @@ def where(choice: ForceMap, result: Fit) -> str:
     return words + (f", times {choice.variable[2:]}" if len(choice.variable) > 1 else "")
 
 
+def _smooth(choice: ForceMap) -> Smoothness:
+    return Smoothness(choice.free, choice.least)
+
+
+def _shapes(choice: ForceMap, at: Array) -> Array:
+    return basis(at, choice.low, choice.high, len(choice.coefficients))
+
+
 def _curve(choice: ForceMap, result: Fit) -> tuple[Array, Array]:
-    """Knots of a fitted force map, and the force there, N."""
-    at = np.linspace(choice.low, choice.high, len(choice.all_knots))
-    return at, np.array([result.values[name] for name in choice.all_knots])
+    """Places along a fitted force map, and the curve there."""
+    at = np.linspace(choice.low, choice.high, POINTS_AN_INTERVAL * (len(choice.coefficients) - 3) + 1)
+    return at, _shapes(choice, at) @ np.array([result.values[name] for name in choice.coefficients])

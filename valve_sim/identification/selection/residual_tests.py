@@ -47,14 +47,13 @@ def adequacy(result: Fit) -> Adequacy:
     if count < 50:
         return Adequacy(1.0, "too few samples in motion to tell", 0.0)
     quiet = max(1, min(noise.samples for noise in problem.noises.values()))
-    tests = {
-        "the residual is larger than the noise": _size_test(moving, problem.variance_inflation, quiet, len(result.free))
-    }
+    fitted = round(result.effective_parameters)
+    tests = {"the residual is larger than the noise": _size_test(moving, problem.variance_inflation, quiet, fitted)}
     for block in BLOCKS:
         whole = count // block * block
         means = moving[:whole].reshape(-1, block).mean(axis=1) * math.sqrt(block)
         tests[f"the residual drifts over {block} samples"] = _size_test(
-            means, problem.variance_inflation, quiet, len(result.free)
+            means, problem.variance_inflation, quiet, fitted
         )
     worst = min(tests, key=lambda name: tests[name])
     lag_one = float(np.sum(moving[1:] * moving[:-1])) / max(sum_squares(moving), 1e-300)

@@ -13,13 +13,13 @@ group `valve_sim.effects`, and what a program registers.
 
 from valve_sim.model.effects.catalogue import CATALOGUE, ENTRY_POINTS, Catalogue, check_effects
 from valve_sim.model.effects.entry import Effect, Severity, Tag, Term, compile_term
-from valve_sim.model.effects.force_map import FORCE_MAP_KNOTS, FORCE_MAP_VARIABLES
+from valve_sim.model.effects.force_map import FORCE_MAP_COEFFICIENTS, FORCE_MAP_VARIABLES, basis, is_damping
 from valve_sim.model.effects.record import VALVE_RECORD, new_record
 
 __all__ = [
     "CATALOGUE",
     "ENTRY_POINTS",
-    "FORCE_MAP_KNOTS",
+    "FORCE_MAP_COEFFICIENTS",
     "FORCE_MAP_VARIABLES",
     "VALVE_RECORD",
     "Catalogue",
@@ -27,7 +27,9 @@ __all__ = [
     "Severity",
     "Tag",
     "Term",
+    "basis",
     "check_effects",
     "compile_term",
+    "is_damping",
     "new_record",
 ]

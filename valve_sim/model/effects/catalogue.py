@@ -158,21 +158,26 @@ def check_effects(values: Mapping[str, object], source: str) -> dict[str, dict[s
         if name not in CATALOGUE:
             raise ParameterError(f"{where}: no such effect; did you mean {closest(name, list(CATALOGUE))}?")
         if not isinstance(found, Mapping):
-            expected = ", ".join(parameter.name for parameter in CATALOGUE[name].parameters)
+            expected = ", ".join(CATALOGUE[name].given_names)
             raise ParameterError(f"{where}: found {found!r}, expected {{{expected}}}")
         checked[name] = _check_effect(CATALOGUE[name], found, where)
     return checked
 
 
 def _check_effect(effect: Effect, found: Mapping[str, object], where: str) -> dict[str, float]:
+    given = effect.unpacked(found, where)
     names = [parameter.name for parameter in effect.parameters]
-    for name in found:
+    expected = ", ".join(effect.given_names)
+    for name in given:
         if name not in names:
-            raise ParameterError(f"{where}.{name}: no such parameter; expected {', '.join(names)}")
-    missing = [name for name in names if name not in found]
+            raise ParameterError(f"{where}.{name}: no such parameter; expected {expected}")
+    missing = [name for name in names if name not in given]
     if missing:
-        raise ParameterError(f"{where}: {missing[0]} is missing; expected {', '.join(names)}")
-    return {
-        parameter.name: parameter.check(found[parameter.name], f"{where}.{parameter.name}")
+        raise ParameterError(f"{where}: {missing[0]} is missing; expected {expected}")
+    values = {
+        parameter.name: parameter.check(given[parameter.name], f"{where}.{parameter.name}")
         for parameter in effect.parameters
     }
+    if effect.expected is not None and (wrong := effect.expected(values)):
+        raise ParameterError(f"{where}: {wrong}")
+    return values

@@ -6,7 +6,7 @@ import dis
 import enum
 import functools
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
 
@@ -61,6 +61,28 @@ class Severity(NamedTuple):
 SeverityOf = Callable[[Values, Values], Severity | None]
 
 
+@dataclass(frozen=True)
+class ListOfParameters:
+    """Parameters of an effect that files and nodes give as one list.
+
+    Attributes:
+        name, unit, description: of the list. members: names of the parameters, in order; the list may hold fewer.
+        count: name of the parameter that says how many it holds, which is not given beside it. fewest: it must hold.
+    """
+
+    name: str
+    unit: str
+    description: str
+    members: tuple[str, ...]
+    count: str
+    fewest: int
+
+    @property
+    def range_words(self) -> str:
+        """How many numbers it holds, for messages."""
+        return f"a list of {self.fewest} to {len(self.members)} numbers {self.unit}"
+
+
 @dataclass(frozen=True, kw_only=True)
 class _Words:
     """What an entry says to people.
@@ -89,6 +111,13 @@ class Effect(_Words):
         source: where the form, and the size, are documented.
         rewrite: changes the core's record, given the record and the effect's values.
         term: plain Python function f(x, v, u, t, *parameters, *also_reads) in SI units, compiled when first used.
+        term_numbers: what the term reads in place of the parameters, given these; the term is then
+            f(x, v, u, t, numbers) with one array.
+        changes_at_rest: whether the term may change while nothing else does, given the parameters; default: where it
+            makes use of t.
+        expected: (checked values) → what is wrong with them together, for a message; empty if nothing is.
+        given_as_list: parameters that files and nodes give as one list.
+        retired: names of parameters that earlier versions had → what they were. Read where they are 0, else refused.
         also_reads: declared parameters that the term is handed after its own.
         phase_2_only: the term acts only while the main plunger moves along.
         confused_with: names of effects that data often cannot tell from this one, the closest first; listed beside it
@@ -109,6 +138,11 @@ class Effect(_Words):
     source: str
     rewrite: Rewrite | None = None
     term: Term | None = None
+    term_numbers: Callable[[Values], list[float]] | None = None
+    changes_at_rest: Callable[[Values], bool] | None = None
+    expected: Callable[[Values], str] | None = None
+    given_as_list: ListOfParameters | None = None
+    retired: Mapping[str, str] = field(default_factory=dict, hash=False)
     also_reads: tuple[str, ...] = ()
     phase_2_only: bool = False
     confused_with: tuple[str, ...] = ()
@@ -148,6 +182,50 @@ class Effect(_Words):
                 return parameter
         raise KeyError(name)
 
+    @property
+    def given_names(self) -> tuple[str, ...]:
+        """The names that files and nodes know: those of the parameters, with a list in place of its members."""
+        names = [parameter.name for parameter in self.parameters]
+        whole = self.given_as_list
+        if whole is None:
+            return tuple(names)
+        return (*(name for name in names if name not in (*whole.members, whole.count)), whole.name)
+
+    def packed(self, values: Values) -> dict[str, float | list[float]]:
+        """Values of all parameters as files and nodes give them."""
+        whole = self.given_as_list
+        if whole is None:
+            return dict(values)
+        single = {name: values[name] for name in self.given_names if name != whole.name}
+        return {**single, whole.name: [values[name] for name in whole.members[: int(values[whole.count])]]}
+
+    def unpacked(self, found: Mapping[str, object], where: str) -> dict[str, object]:
+        """Parameters by name of what files and nodes give; what is not given is left out.
+
+        Args:
+            found: names to values. where: the effect, and the file if there is one, for messages.
+
+        Raises:
+            ParameterError: a list of another form is expected, or a parameter is given that is no longer read.
+        """
+        kept = {name: value for name, value in found.items() if name not in self.retired}
+        for name, was in self.retired.items():
+            if found.get(name, 0.0) != 0.0:
+                raise ParameterError(
+                    f"{where}.{name}: found {found[name]!r}, {was}, which are not read any more; expected "
+                    f"{', '.join(self.given_names)}: run diagnose again"
+                )
+        whole = self.given_as_list
+        if whole is None or whole.name not in kept:
+            return kept
+        items = kept.pop(whole.name)
+        if isinstance(items, str) or not isinstance(items, Sequence):
+            raise ParameterError(f"{where}.{whole.name}: found {items!r}, expected {whole.range_words}")
+        if not whole.fewest <= len(items) <= len(whole.members):
+            raise ParameterError(f"{where}.{whole.name}: found {len(items)} numbers, expected {whole.range_words}")
+        padded = [*items, *[0.0] * (len(whole.members) - len(items))]
+        return {**kept, whole.count: len(items), **dict(zip(whole.members, padded, strict=True))}
+
     def neutral_values(self) -> dict[str, float]:
         """Values at which it changes nothing; what only shapes it is at its prior scale."""
         return {parameter.name: parameter.neutral for parameter in self.parameters}
@@ -174,7 +252,7 @@ class Effect(_Words):
         """Add the compiled force term to the core's record, if this effect has one."""
         if self.term is None:
             return
-        numbers = [values[parameter.name] for parameter in self.parameters]
+        numbers = self._numbers_of_term(values)
         numbers += [float(record[name]) for name in self.also_reads]
         slot = int(record["term_count"])
         if slot == MAXIMUM_TERMS:
@@ -183,7 +261,18 @@ class Effect(_Words):
         record["term_in_phase_2_only"][slot] = int(self.phase_2_only)
         record["term_parameters"][slot, : len(numbers)] = numbers
         record["term_count"] = slot + 1
-        record["terms_read_time"] |= int(reads_time(self.term))
+        may_change = reads_time(self.term) if self.changes_at_rest is None else self.changes_at_rest(values)
+        record["terms_read_time"] |= int(may_change)
+
+    def _numbers_of_term(self, values: Values) -> list[float]:
+        if self.term_numbers is not None:
+            return self.term_numbers(values)
+        return [values[parameter.name] for parameter in self.parameters]
+
+    def compile_ahead(self) -> None:
+        """Compile the term, if there is one, before it is needed."""
+        if self.term is not None:
+            self.address(len(self._numbers_of_term(self.neutral_values())) + len(self.also_reads))
 
     def address(self, count: int) -> int:
         """Address of the compiled term that reads `count` numbers; compiled once a process and cached on disk.
@@ -194,7 +283,7 @@ class Effect(_Words):
         if not self._compiled:
             assert self.term is not None
             try:
-                self._compiled.append(compile_term(self.term, count))
+                self._compiled.append(compile_term(self.term, count, reads_array=self.term_numbers is not None))
             except (NumbaError, TypeError) as error:
                 where = f"effects.{self.name}" + (f" ({self.origin})" if self.origin else "")
                 why = " ".join(str(error).split())[:200]
@@ -233,8 +322,8 @@ def reads_time(term: Term) -> bool:
     return code is None or any(step.argval == code.co_varnames[3] for step in dis.get_instructions(code))
 
 
-def compile_term(term: Term, count: int) -> Any:
-    """Compile f(x, v, u, t, *numbers) to a C callback that reads its `count` numbers from memory.
+def compile_term(term: Term, count: int, *, reads_array: bool = False) -> Any:
+    """Compile f(x, v, u, t, *numbers), or f(x, v, u, t, numbers), to a C callback that reads `count` from memory.
 
     Raises:
         ParameterError: too many numbers.
@@ -249,7 +338,10 @@ def compile_term(term: Term, count: int) -> Any:
     def callback(x: float, v: float, u: float, t: float, numbers: Any) -> float:
         return force(x, v, u, t, *to_fixed_tuple(carray(numbers, (count,)), count))  # type: ignore[no-any-return, call-arg]
 
-    return compiled_callback(_TERM_SIGNATURE, callback)
+    def callback_of_array(x: float, v: float, u: float, t: float, numbers: Any) -> float:
+        return force(x, v, u, t, carray(numbers, (count,)))  # type: ignore[no-any-return]
+
+    return compiled_callback(_TERM_SIGNATURE, callback_of_array if reads_array else callback)
 
 
 FASTEST: Final = 0.2

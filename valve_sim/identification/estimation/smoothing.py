@@ -1,0 +1,144 @@
+"""Smooth curves in a fit: penalised B-splines, their weights by restricted maximum likelihood.
+
+The second differences of a curve's coefficients c have a Gaussian prior, D c ~ N(0, 1/w), with weights w that may
+change along the curve, so that a narrow bump needs no ripples beside it: w = H λ, H hat functions. A small ρ only
+decides where the data say nothing. The criterion then is
+
+    χ²(z) + cᵀ S c,    S = Dᵀ diag(H λ) D + ρ 1
+
+(Eilers and Marx 1996). λ minimises −2 ln of the restricted likelihood of the linearised fit, theory, eq. (73), which
+integrates over all that is fitted (Wood 2011):
+
+    R(λ) = min over z of [χ²(z) + cᵀ S c]/f + ln det(A + S) − Σ ln w
+
+with A the information without S, and f the factor by which slow noise discounts evidence. One weight for all of the
+curve is found among many; from there each follows its own way downhill (Wood and Fasiolo 2017). Each step of
+Gauss–Newton chooses them anew.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass, replace
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valve_sim.identification.plants.protocol import Array
+
+WEIGHTS: Final = tuple(10.0 ** (0.5 * half) for half in range(-8, 21))
+"""λ that are tried: second differences from 10 µN to 100 N, or N·s/m."""
+RIDGE: Final = 1e-4
+"""ρ: each coefficient is within ±100 N, or N·s/m, where nothing else determines it."""
+HATS: Final = 8
+"""So many weights along a curve."""
+MOST_UPDATES: Final = 40
+"""Of the weights in one step of Gauss–Newton."""
+HELD: Final = 1e12
+"""Information on a coefficient that is held at the least value: it counts as known there."""
+SETTLED: Final = 0.05
+"""Weights have settled when none changes by more than this share."""
+
+
+@dataclass(frozen=True)
+class Smoothness:
+    """The prior of a curve in a fit.
+
+    Attributes:
+        names: of the coefficients, in order; all are freed. least: value of each.
+        weights: λ, 1/N² or (m/(N·s))², evenly spaced along the curve.
+    """
+
+    names: tuple[str, ...]
+    least: float
+    weights: tuple[float, ...] = (1.0,) * HATS
+
+    @property
+    def precision(self) -> Array:
+        """(K, K) S."""
+        return _precision(len(self.names), np.array(self.weights))
+
+    def chosen(
+        self, information: Array, gradient: Array, at: Array, where: NDArray[np.int64], inflation: float
+    ) -> Smoothness:
+        """The same with the weights of the greatest restricted likelihood.
+
+        Args:
+            information: (m, m) A of all that is fitted, without S. gradient: (m,) half of that of χ² where the fit is.
+            at: (m,) where the fit is. where: (K,) indices of the coefficients among them. inflation: f.
+        """
+        curve = _Quadratic.of(information, gradient, at, where, inflation)
+        is_held = (at[where] <= self.least) & (gradient[where] > 0.0)
+        curve = curve._replace(information=curve.information + np.diag(np.where(is_held, HELD, 0.0)))
+        common = np.full(HATS, min(WEIGHTS, key=lambda weight: curve.criterion(np.full(HATS, weight))))
+        own = _settled(curve, common)
+        gain = curve.criterion(common) - curve.criterion(own)
+        return replace(self, weights=tuple((own if gain > 2.0 * (HATS - 1) else common).tolist()))
+
+
+def _settled(curve: _Quadratic, weights: Array) -> Array:
+    """The weights that follow from these, downhill."""
+    for _ in range(MOST_UPDATES):
+        updated = np.clip(curve.updated(weights), WEIGHTS[0], WEIGHTS[-1])
+        moved = float(np.max(np.abs(np.log(updated / weights))))
+        weights = updated
+        if moved < SETTLED:
+            break
+    return weights
+
+
+class _Quadratic(NamedTuple):
+    """χ²/f of a linearised fit as a function of a curve's coefficients, all else at its best: cᵀ A c − 2 tᵀ c."""
+
+    information: Array
+    target: Array
+
+    @classmethod
+    def of(
+        cls, information: Array, gradient: Array, at: Array, where: NDArray[np.int64], inflation: float
+    ) -> _Quadratic:
+        rest = np.setdiff1d(np.arange(len(at)), where)
+        mixed = information[np.ix_(where, rest)]
+        right = np.column_stack([mixed.T, gradient[rest]])
+        solved = np.linalg.lstsq(information[np.ix_(rest, rest)], right, rcond=1e-13)[0]
+        own = information[np.ix_(where, where)] - mixed @ solved[:, :-1]
+        slope = gradient[where] - mixed @ solved[:, -1]
+        return cls(own / inflation, (own @ at[where] - slope) / inflation)
+
+    def criterion(self, weights: Array) -> float:
+        """R but for a constant."""
+        normal, scale = self._normal(weights)
+        _, volume = np.linalg.slogdet(normal)
+        fitted = float(self.target * scale @ np.linalg.solve(normal, scale * self.target))
+        rows = _hats(len(self.target)) @ weights
+        return -fitted + float(volume) - 2.0 * float(np.sum(np.log(scale))) - float(np.sum(np.log(rows)))
+
+    def updated(self, weights: Array) -> Array:
+        """Weights of a smaller R: theory, eq. (74)."""
+        count = len(self.target)
+        hats, differences = _hats(count), np.diff(np.eye(count), 2, axis=0)
+        normal, scale = self._normal(weights)
+        variances = np.linalg.inv(normal) * np.outer(scale, scale)
+        bends = differences @ variances @ self.target
+        certain = 1.0 / (hats @ weights) - np.einsum("ij,jk,ik->i", differences, variances, differences)
+        return np.asarray(weights * (hats.T @ np.maximum(certain, 1e-300)) / np.maximum(hats.T @ bends**2, 1e-300))
+
+    def _normal(self, weights: Array) -> tuple[Array, Array]:
+        """A + S scaled to a unit diagonal, and the scale."""
+        normal = self.information + _precision(len(self.target), weights)
+        scale = 1.0 / np.sqrt(np.diag(normal))
+        return normal * np.outer(scale, scale), scale
+
+
+def _precision(count: int, weights: Array) -> Array:
+    differences = np.diff(np.eye(count), 2, axis=0)
+    rows = _hats(count) @ weights
+    return np.asarray(differences.T @ (differences * rows[:, None]) + RIDGE * np.eye(count))
+
+
+@functools.cache
+def _hats(count: int) -> Array:
+    """(K − 2, HATS) hat functions along the second differences; the rows add up to 1."""
+    at = np.linspace(0.0, HATS - 1.0, count - 2)
+    return np.maximum(0.0, 1.0 - np.abs(at[:, None] - np.arange(HATS)))
