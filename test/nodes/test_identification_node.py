@@ -17,7 +17,9 @@ import numpy as np
 import pytest
 
 from valve_sim.files.parameter_files import load_valve
+from valve_sim.identification.reporting.recording_profile import STROKE_VOLTS
 from valve_sim.traces import read_trace
+from valve_sim.traces.synthetic import read_profile
 
 from .ros_process import PATIENCE, Probe, piped, running
 
@@ -221,11 +223,21 @@ def by_stamp(heard: list[Any]) -> dict[int, Any]:
 
 def test_a_diagnosis_is_published_too(samples: Path, probe: Probe, tmp_path: Path) -> None:
     results = probe.hear("result", String, latched=True)
+    heard = probe.hear("/diagnostics", DiagnosticArray)
+    profile = tmp_path / "record_next.yaml"
     with identifying(tmp_path, bag=samples / "one_opening.mcap", mode="diagnose", rate=0, linger="true"):
         assert probe.until(lambda: results, 3 * PATIENCE), "no result"
+        assert probe.until(lambda: is_said(f"and {profile} for what to record next", heard))
     report = json.loads(results[0].data)
     assert report["schema"] == "valve_sim/diagnosis/1"
     assert load_valve(tmp_path / "corrected.yaml").parameters.stroke == 1.23e-3
+    assert report["record_next"], "one stroke tells nothing apart"
+    assert set(STROKE_VOLTS) <= set(read_profile(profile).volts)
+
+
+def is_said(words: str, heard: list[Any]) -> bool:
+    """Whether diagnostics say so."""
+    return any(words in status.message for message in heard for status in message.status)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -55,7 +55,7 @@ DESCRIPTIONS: Final = {
     "loop": "whether the replay begins anew at its end",
     "apply_to": "running valve node that is given the result, if its residual is white; empty: none",
     "apply_always": "whether apply_to is given a result whose residual is not white, too",
-    "output": "folder of identified.yaml (mode diagnose: corrected.yaml) and before.yaml, what apply_to had",
+    "output": "folder of identified.yaml (diagnose: corrected.yaml, record_next.yaml) and before.yaml, as apply_to was",
     "linger": "whether the node stays when all is done, for ~/undo and late subscribers",
     "budget": "[s] time that a diagnosis may take; it says what was left untried",
     "mode": "identify: refit `free`; diagnose: find the effect that the declared valve lacks",

@@ -186,7 +186,7 @@ class IdentificationShell:
             self._result.publish(String(data=text))
             raise ParameterError(self._refusal)
         self._result.publish(String(data=text))
-        return f"{outcome.summary}; see {outcome.file}"
+        return f"{outcome.summary}; see {outcome.files}"
 
     def _report(self, words: str, is_good: bool) -> None:
         if not is_good:

@@ -38,6 +38,7 @@ class Outcome(NamedTuple):
         report: content of identify.json or report.json. file: where the valve was written.
         summary: one sentence for a person. intervals: by name of each fitted parameter.
         objection: why the valve should not be handed on; empty where the residual is white.
+        advice: the profile to record next; None where nothing is to be told apart.
     """
 
     valve: Valve
@@ -47,6 +48,12 @@ class Outcome(NamedTuple):
     summary: str
     intervals: Mapping[str, Interval]
     objection: str
+    advice: Path | None = None
+
+    @property
+    def files(self) -> str:
+        """Where it was written, for a person."""
+        return str(self.file) if self.advice is None else f"{self.file}, and {self.advice} for what to record next"
 
 
 class Applied(NamedTuple):
@@ -80,7 +87,7 @@ def read_recording(settings: Settings, declared: Valve) -> Trace:
 
 
 def find_out(trace: Trace, declared: Valve, settings: Settings, folder: Path, progress: Progress) -> Outcome:
-    """Refit or diagnose, and write the valve that was found into `folder`.
+    """Refit or diagnose, and write the valve that was found, and what to record next, into `folder`.
 
     Raises:
         ValveError: the declared valve cannot be simulated, or the file cannot be written.
@@ -115,18 +122,22 @@ def _diagnosed(trace: Trace, declared: Valve, settings: Settings, folder: Path, 
     from valve_sim.identification.estimation.budget import Budget
     from valve_sim.identification.plants.valve import ValvePlant
     from valve_sim.identification.reporting.diagnosis_json import to_json
+    from valve_sim.identification.reporting.recording_profile import write_record_next
 
     # The first prediction after an installation compiles the model, which no budget is meant for.
     ValvePlant([trace], declared).predict({})
     result = diagnose([trace], [], declared, progress, Budget(settings.budget, time.monotonic))
     file = folder / CORRECTED_FILE
-    save_valve(file, result.valve, _provenance(settings, result.verdict.summary))
+    provenance = _provenance(settings, result.verdict.summary)
+    save_valve(file, result.valve, provenance)
+    advice = write_record_next(folder, result, provenance)
     offset = result.after.fit.values.get("clock_offset[0]", 0.0)
     after, kind = result.after, result.verdict.kind
     objection = "" if kind in _NAMED else f"the verdict is {kind!r}"
     if not objection and not after.adequacy.is_white:
         objection = "the residual is not white"
-    return Outcome(result.valve, offset, to_json(result), file, result.verdict.summary, after.intervals, objection)
+    summary, report = result.verdict.summary, to_json(result)
+    return Outcome(result.valve, offset, report, file, summary, after.intervals, objection, advice)
 
 
 def _provenance(settings: Settings, summary: str) -> str:

@@ -16,7 +16,7 @@ from valve_sim.identification.diagnosis.run import Diagnosis
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.diagnosis_json import to_json
 from valve_sim.identification.reporting.html import plot_diagnosis, write_report
-from valve_sim.identification.reporting.recording_profile import write_profile
+from valve_sim.identification.reporting.recording_profile import write_record_next
 
 FILES: Final = ("report.json", "report.html", "report.png", "corrected.yaml")
 """Of a valve, in the order in which they are written; record_next.yaml follows where there is something to tell."""
@@ -44,13 +44,8 @@ def write_diagnosis(diagnosis: Diagnosis, directory: Path | str, provenance: str
     if not isinstance(diagnosis.plant, ValvePlant):
         return data, page, picture
     save_valve(corrected, diagnosis.valve, provenance)
-    profile = folder / "record_next.yaml"
-    if not diagnosis.record_next:
-        # One from an earlier run into this folder would advise what this diagnosis does not.
-        profile.unlink(missing_ok=True)
-        return data, page, picture, corrected
-    write_profile(profile, diagnosis.telling, provenance)
-    return data, page, picture, corrected, profile
+    profile = write_record_next(folder, diagnosis, provenance)
+    return (data, page, picture, corrected) if profile is None else (data, page, picture, corrected, profile)
 
 
 def load_drawing() -> None:

@@ -8,9 +8,11 @@ from typing import Final
 
 from valve_sim.files.whole_files import write_whole
 from valve_sim.identification.diagnosis.experiment_design import Recommendation
+from valve_sim.identification.diagnosis.outcome import Diagnosis
 from valve_sim.invocation import invocation
 from valve_sim.model import Drive
 
+RECORD_NEXT_FILE: Final = "record_next.yaml"
 STROKE_VOLTS: Final = (7.5, 8.5, 9.5, 10.5, 11.5, 12.5, 13.5, 14.0)
 """V, of the full strokes after the pulses: friction, drag and pull grow differently with the voltage."""
 ON, REST = 30e-3, 65e-3
@@ -38,6 +40,24 @@ def profile_to_record(telling: Recommendation | None) -> Drive:
 def duration_of(drive: Drive) -> float:
     """How long to record it, s."""
     return float(drive.times[-1]) + REST
+
+
+def write_record_next(folder: Path, diagnosis: Diagnosis, provenance: str) -> Path | None:
+    """Write record_next.yaml where a diagnosis advises a recording; its path, None where there is none.
+
+    Args:
+        folder: of the diagnosis' files. diagnosis: of a valve. provenance: how it was made.
+
+    Raises:
+        ValveError: it cannot be written.
+    """
+    path = folder / RECORD_NEXT_FILE
+    if not diagnosis.record_next:
+        # One from an earlier run into this folder would advise what this diagnosis does not.
+        path.unlink(missing_ok=True)
+        return None
+    write_profile(path, diagnosis.telling, provenance)
+    return path
 
 
 def write_profile(path: Path, telling: Recommendation | None, provenance: str) -> None:
