@@ -50,6 +50,8 @@ FOLDER: Final = 4
 """Bags to train on in a folder; with clocks of their own, or (odd seeds) all with one."""
 WRONG_VALUE: Final = (4.0, 10.0)
 """Tolerances by which a declared value is wrong, drawn evenly in the logarithm."""
+SEEN: Final = "seen"
+"""Among a wrong value's amplitudes: standard deviations by which it stands out of noise and other tolerances."""
 WRONG: Final = "valve."
 """Begins the name of a declared value that is wrong, where effects have theirs."""
 LARGEST_WITHIN: Final[Mapping[str, float]] = {
@@ -310,7 +312,8 @@ def _wrong_value(seed: int, random: np.random.Generator, recorder: Recorder) -> 
     size = sign * log_uniform(random, *WRONG_VALUE)
     true = deviated(SHEET_VALVE, {name: size})
     own = "moving_mass" if name == "main_mass" else name
-    return {f"{WRONG}{name}": {own: float(np.asarray(true[own]))}}, {f"{WRONG}{name}": size}
+    seen = abs(size) * yardstick(recorder, Knowledge.WITHIN).distance_of_deviation(name)
+    return {f"{WRONG}{name}": {own: float(np.asarray(true[own]))}}, {f"{WRONG}{name}": size, SEEN: seen}
 
 
 def _mismatched_within(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[Effects, Numbers]:

@@ -28,8 +28,8 @@ CLOCK_PRIOR: Final = 50e-6
 """s: of a bag's clock offset, and of the error of each command's stamp."""
 DAMPINGS: Final = ("pilot_damping", "main_damping")
 DECLARED_DAMPING: Final = {name: float(np.asarray(CAMPAIGN_VALVE[name])) for name in DAMPINGS}
-DAMPING_STEP, TIME_STEP, DEVIATION_STEP = 2e-3, 0.4e-6, 0.05
-"""Steps of the central differences, N·s/m, s and tolerances."""
+DAMPING_STEP, TIME_STEP, DEVIATION_STEP = 2e-3, 0.4e-6, 1e-3
+"""Steps of the central differences, N·s/m, s and tolerances: small, as samples beside a contact bend with it."""
 COARSE_STEP: Final = 8e-6
 """s, of the plant where there are many unknowns; moves positions by less than a thousandth of the noise."""
 REFITS: Final = 10
@@ -78,21 +78,17 @@ class Yardstick:
                 np.full(len(self._deviating), DEVIATION_STEP),
             ]
         )
-        self._imitate = np.linalg.pinv(np.column_stack([self._tangent(index) for index in range(self._charges.size)]))
+        self._tangents = np.column_stack([self._tangent(index) for index in range(self._charges.size)])
+        self._imitate = np.linalg.pinv(self._tangents)
 
     @property
     def samples(self) -> int:
         """Of a recording."""
         return len(self._times)
 
-    def distance(self, effects: Effects, deviations: Mapping[str, float] | None = None) -> float:
-        """Standard deviations by which a change stands out after a refit.
-
-        Args:
-            effects: that the plant has.
-            deviations: of its declared values, in tolerances.
-        """
-        target = self._position(effects, np.zeros(self._charges.size), deviations or {})
+    def distance(self, effects: Effects) -> float:
+        """Standard deviations by which the change stands out after a refit."""
+        target = self._position(effects, np.zeros(self._charges.size))
         unknowns = np.zeros(self._charges.size)
         least = math.inf
         for _ in range(REFITS):
@@ -104,17 +100,21 @@ class Yardstick:
             unknowns = unknowns + self._imitate @ missed
         return least
 
-    def _position(
-        self, effects: Effects, unknowns: FloatArray, deviations: Mapping[str, float] | None = None
-    ) -> FloatArray:
-        """What an ideal sensor shows; `unknowns` are in the units of their steps, `deviations` take their place."""
+    def distance_of_deviation(self, name: str) -> float:
+        """The same where one declared value is off by one tolerance, by the tangents: at most 1, its prior's price."""
+        index = len(DAMPINGS) + len(self._delays) + self._deviating.index(name)
+        change = self._tangents[:, index] / DEVIATION_STEP
+        change[len(self._times) :] = 0.0
+        return float(np.linalg.norm(change - self._tangents @ (self._imitate @ change)))
+
+    def _position(self, effects: Effects, unknowns: FloatArray) -> FloatArray:
+        """What an ideal sensor shows; `unknowns` are in the units of their steps."""
         dampings, times, sheet = np.split(unknowns, np.cumsum([len(DAMPINGS), len(self._delays)]))
         damping = {
             name: max(0.0, DECLARED_DAMPING[name] + DAMPING_STEP * float(unknown))
             for name, unknown in zip(DAMPINGS, dampings, strict=True)
         }
-        if deviations is None:
-            deviations = dict(zip(self._deviating, (DEVIATION_STEP * sheet).tolist(), strict=True))
+        deviations = dict(zip(self._deviating, (DEVIATION_STEP * sheet).tolist(), strict=True))
         plant = DeclaredPlant(
             effects=effects, parameters={**deviated(self._declared, deviations), **damping}, step=self._step
         )
