@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 from valve_sim.files.recording_map import RecordingMap, Source
+from valve_sim.traces.command_log import logs_among
 from valve_sim.traces.errors import TraceError
 
 if TYPE_CHECKING:
@@ -55,17 +56,19 @@ class Plan(NamedTuple):
         sources: Quantity (of a map) to where it is.
         is_live: Whether a node's own output stands in for measured positions.
         map_path: The map that says so; empty for the topics of this package.
+        logs: Topics in which nodes stamped the commands that they sent, to whichever valve.
     """
 
     valve: str
     sources: Mapping[str, Source]
     is_live: bool = False
     map_path: str = ""
+    logs: tuple[str, ...] = ()
 
     @property
     def fields(self) -> dict[str, frozenset[str] | None]:
         """The topics to read, and the fields to keep of each; None: all."""
-        found: dict[str, frozenset[str] | None] = {}
+        found: dict[str, frozenset[str] | None] = {log: frozenset({"voltage"}) for log in self.logs}
         for source in self.sources.values():
             path = source.field or ("position" if source.joint else None)
             known = found.get(source.topic, frozenset())
@@ -117,7 +120,7 @@ def standard_plan(path: Path, valve: str | None, types: Mapping[str, str]) -> Pl
         topic = topic_of(name, channel.topic)
         if topic in types:
             sources[key] = Source(topic, channel.path, type=channel.message_type)
-    return Plan(name, sources, is_live)
+    return Plan(name, sources, is_live, logs=logs_among(types))
 
 
 def mapped_plan(path: Path, valve: str | None, recording_map: RecordingMap, types: Mapping[str, str]) -> Plan:

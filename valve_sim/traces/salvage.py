@@ -34,6 +34,7 @@ KEPT_TYPES = frozenset(
         "sensor_msgs/msg/Imu",
         "sensor_msgs/msg/FluidPressure",
         "sensor_msgs/msg/Temperature",
+        "sensor_msgs/msg/BatteryState",
     }
 )
 """Types this package reads; a salvage holds all it keeps in memory, and a camera beside the valve must not fill it."""
