@@ -1,8 +1,9 @@
 """From the explored hypotheses to a diagnosis: the claim, its residual, and the verdict's numbers, within the budget.
 
-One rule precedes all others: what is claimed or written never has a larger error than the refitted declared model,
-neither on fitted nor on held-out data. Where it would, or where the time is too short to tell, the declared model
-stands.
+The claim is drawn from training strokes alone. Then held-out strokes are opened: they can refute it, and then no other
+name takes its place. One rule precedes all others: what is claimed or written never has a larger error than the
+refitted declared model, neither on fitted nor on held-out data. Where it would, or where the time is too short to tell,
+the declared model stands.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from valve_sim.identification.diagnosis.decision import Findings, advise, decide
 from valve_sim.identification.diagnosis.experiment_design import Recommendation, recommend
 from valve_sim.identification.diagnosis.outcome import Candidate, Diagnosis, State
 from valve_sim.identification.estimation.budget import OutOfTimeError
+from valve_sim.identification.estimation.gram import sum_squares
 from valve_sim.identification.estimation.intervals import Interval, covariance_interval, profile_interval
 from valve_sim.identification.estimation.result import Fit, rmse
 from valve_sim.identification.plants.effect_titles import named_value
@@ -29,6 +31,7 @@ from valve_sim.identification.selection.force_maps import (
     fit_maps,
     on_top,
 )
+from valve_sim.identification.selection.held_out import SAME, HeldOut
 from valve_sim.identification.selection.hypotheses import DECISIVE, Hypothesis
 from valve_sim.identification.selection.residual_tests import adequacy
 from valve_sim.identification.selection.stepwise import LARGEST_CLASS, LIKELY, Exploration
@@ -37,11 +40,10 @@ WEAK_EVIDENCE: Final = 30.0
 """Scale of eq. (51): a gain of S that is this large lowers a claim's share by the factor 0.63; at five detection limits
 the gain is some hundreds."""
 HALVED: Final = 0.5
-"""Held-out error with named effects over that without, below which they are named beside an unexplained remainder."""
+"""Error with named effects over that without, of strokes left out in turn and of held-out ones, below which they are
+named beside an unexplained remainder."""
 MOST_FALSE_ALARMS: Final = 0.01
 """Probability that the search finds as much in noise alone, beyond which nothing is claimed."""
-SAME: Final = 1e-9
-"""Relative difference up to which two errors are equal but for rounding."""
 COMPARED_BY, CLAIMED_BY, MAPPED_BY, WORDED_BY = 0.75, 0.87, 0.92, 0.96
 """Shares of the time by which models are compared, the claim is checked, force maps are fitted, and all is written."""
 LISTED: Final = 30
@@ -54,29 +56,31 @@ class Conclusion:
     """Draws the conclusion from what was explored.
 
     Args:
-        exploration: what was tried.
+        exploration: what was tried. held_out: what judges the claim.
     """
 
-    def __init__(self, exploration: Exploration) -> None:
-        self.exploration, self.search, self.held_out = exploration, exploration.search, exploration.held_out
+    def __init__(self, exploration: Exploration, held_out: HeldOut) -> None:
+        self.exploration, self.search, self.held_out = exploration, exploration.search, held_out
+        self.criteria = exploration.criteria
         self.plant, self.budget = exploration.plant, exploration.search.problem.budget
         self.strokes = len(strokes_of_plant(self.plant))
         self.untried: list[str] = []
+        self.refuted: set[Hypothesis] = set()
         self._reported_timing = False
         self._telling: Recommendation | None = None
 
     def conclude(self, explored: Hypothesis) -> Diagnosis:
         """Check the best hypothesis, and describe what it comes to."""
-        best, alarm = self.claimed(explored)
-        base = Hypothesis((), best.timing)
-        base_fit, best_fit = self.search.fit(base), self.search.fit(best)
-        nonparametric = self.nonparametric_forces(best, base_fit)
-        map_wins = bool(nonparametric.best) and nonparametric.best[0].fit.score < best_fit.score - DECISIVE
-        is_unknown = map_wins or not self.exploration.is_adequate(best) or self.is_refuted(best)
-        names_most = is_unknown and not map_wins and self.halves_held_out_error(base_fit, best_fit)
+        chosen, alarm = self.claimed(explored)
+        base_fit = self.search.fit(Hypothesis((), chosen.timing))
+        nonparametric = self.nonparametric_forces(chosen, base_fit)
+        best, is_unknown, names_most = self.judged(chosen, nonparametric)
+        best_fit = self.search.fit(best)
         after_fit, unexplained = best_fit, None
         if is_unknown:
             after_fit, unexplained = self.remainder(best_fit, base_fit, nonparametric, names_effects=names_most)
+        self._reported_timing = self.held_out.needs_timing(best_fit)
+        base = Hypothesis((), best.timing)
         self.search.say("intervals", 0.99)
         before = self.state(base_fit, profile=False)
         after = before if after_fit is base_fit else self.state(after_fit, profile=not is_unknown)
@@ -93,7 +97,7 @@ class Conclusion:
         return Diagnosis(
             self.plant, before, after, with_untried(verdict, untried), candidates, unexplained,
             tuple(describe(entry.choice, entry.fit, base_fit) for entry in nonparametric.maps), record_next, alarm,
-            tuple(channel.name for channel in self.plant.channels), self._telling, untried,
+            tuple(channel.name for channel in self.plant.channels), self._telling, untried, self.held_out.looks,
         )  # fmt: skip
 
     # -- the claim -----------------------------------------------------------------------------------------------------
@@ -124,56 +128,70 @@ class Conclusion:
         """The best after backward elimination, and after its competitors had the same chance."""
         exploration = self.exploration
         if not exploration.is_adequate(best):
-            best = exploration.eliminate(exploration.best_on_hold_out(best))
+            best = exploration.eliminate(exploration.best_claimable())
         if best.effects:
             exploration.polish_near(best)
             best = next(filter(exploration.is_claimable, exploration.competing_models(best)), best)
         return best
 
     def kept(self, best: Hypothesis) -> tuple[Hypothesis, FalseAlarm]:
-        """The best if it predicts better, has no larger error than the base and is no false alarm; else the base."""
+        """The best if its error is not larger than the base's and it is no false alarm; else the base."""
         base = Hypothesis((), best.timing)
         base_fit, best_fit = self.search.fit(base), self.search.fit(best)
-        timing = self.held_out.needs_timing(best_fit)
-        is_better = self.held_out.improves_holdout(base_fit, best_fit) and not self.is_worse(
-            best_fit, base_fit, timing=timing
-        )
-        if best.effects and not is_better:
+        if rmse(best_fit) > (1.0 + SAME) * rmse(base_fit):
             best, best_fit = base, base_fit
         alarm = false_alarm(base_fit, best_fit)
         if best.effects and self.exploration.is_adequate(best) and alarm.probability > MOST_FALSE_ALARMS:
             best = base
-        self._reported_timing = self.held_out.needs_timing(self.search.fit(best))
         return best, alarm
 
-    def is_worse(self, result: Fit, base: Fit, *, timing: bool) -> bool:
-        """Whether a fit has a larger error than the base, on its own or on held-out data, stamps treated alike."""
-        if rmse(result) > (1.0 + SAME) * rmse(base):
-            return True
-        if self.held_out.problem is None:
+    # -- the judgement -------------------------------------------------------------------------------------------------
+
+    def judged(self, best: Hypothesis, nonparametric: _NonparametricForces) -> tuple[Hypothesis, bool, bool]:
+        """What stands when held-out data are opened; whether something is left; whether names are claimed beside it."""
+        base = Hypothesis((), best.timing)
+        base_fit, best_fit = self.search.fit(base), self.search.fit(best)
+        map_wins = bool(nonparametric.best) and nonparametric.best[0].fit.score < best_fit.score - DECISIVE
+        is_white = self.exploration.is_adequate(best)
+        what = f"whether {best} holds" if best.effects else ""
+        others = self.competing(best) if is_white else []
+        fits = [best_fit, *map(self.search.fit, others)]
+        opened = self.in_time(WORDED_BY, what, lambda: self.held_out.open(base_fit, *fits), None)
+        if opened is None:
+            return base, not self.exploration.is_adequate(base), False
+        of_base, of_best, *of_others = opened
+        self.refuted.update(
+            other for other, judgement in zip(others, of_others, strict=True) if judgement.refutes_names
+        )
+        # Dampings of a single stroke are too uncertain to tell.
+        is_refuted = (bool(best.effects) or self.strokes > 1) and not of_best.is_white
+        if best.effects and not of_best.is_gain:
+            best, is_refuted = base, not of_base.is_white or not self.exploration.is_adequate(base)
+        # What held-out data refute is no claim, however much it explains; a remainder known before may stay beside one.
+        names_most = bool(best.effects) and not map_wins and not is_white and not of_best.ratio >= HALVED
+        names_most = names_most and self.halves_error(base_fit, best_fit)
+        is_unknown = map_wins or not is_white or is_refuted
+        return best, is_unknown, names_most
+
+    def competing(self, best: Hypothesis) -> list[Hypothesis]:
+        """The few nearest to the best: each claims to explain the data about as well, and is judged likewise."""
+        nothing: dict[Hypothesis, float] = {}
+        worse = self.in_time(WORDED_BY, "", functools.partial(self.delta_scores, best), nothing)
+        return sorted((h for h in worse if h != best), key=worse.__getitem__)[: 2 * LARGEST_CLASS]
+
+    def halves_error(self, base: Fit, best: Fit) -> bool:
+        """Whether named effects more than halve the error of training strokes that are left out in turn."""
+        with_names, without = self.criteria.cross_validation(best), self.criteria.cross_validation(base)
+        if with_names is None or without is None:
             return False
-        here, there = (self.held_out.fit(fitted, timing=timing) for fitted in (result, base))
-        return here is None or (there is not None and rmse(here) > (1.0 + SAME) * rmse(there))
-
-    def is_refuted(self, hypothesis: Hypothesis) -> bool:
-        """Whether its residual on held-out data is not white; dampings of a single stroke are too uncertain to tell."""
-        is_founded = bool(hypothesis.effects) or self.strokes > 1
-        return is_founded and self.in_time(
-            WORDED_BY, "", lambda: self.exploration.fails_hold_out(hypothesis), otherwise=False
-        )
-
-    def halves_held_out_error(self, base: Fit, best: Fit) -> bool:
-        """Whether named effects more than halve the held-out error, so that they are claimed beside a remainder."""
-        return best is not base and self.in_time(
-            WORDED_BY, "", lambda: self.held_out.error(best) < HALVED * self.held_out.error(base), otherwise=False
-        )
+        return sum_squares(with_names.residuals) < HALVED**2 * sum_squares(without.residuals)
 
     # -- what has no name ----------------------------------------------------------------------------------------------
 
     def nonparametric_forces(self, best: Hypothesis, base_fit: Fit) -> _NonparametricForces:
         """Nonparametric forces on the base, where it does not explain all, and in place of members of the best."""
         base = Hypothesis((), best.timing)
-        is_explained = self.exploration.is_adequate(base) and not self.is_refuted(base)
+        is_explained = self.exploration.is_adequate(base)
         with self.budget.until(MAPPED_BY):
             maps = [] if is_explained else fit_maps(self.search, base_fit)
             can_tell = self.exploration.is_adequate(best) and self.strokes > 1
@@ -191,31 +209,30 @@ class Conclusion:
         which then is the curve that is described.
         """
         with self.budget.until(MAPPED_BY):
-            left = nonparametric.maps if best_fit is base_fit else fit_maps(self.search, best_fit)
+            left = nonparametric.maps if best_fit is base_fit else []
+            left = left or fit_maps(self.search, best_fit)
         options = [] if names_effects else [*nonparametric.best[:1], *left[:1]]
-        find = functools.partial(self.better_map, options, best_fit, base_fit)
-        better = self.in_time(WORDED_BY, "", find, None)
-        if better is not None:
-            return better.fit, describe(better.choice, better.fit, base_fit)
+        chosen = min(options, key=lambda entry: self.criteria.score(entry.fit), default=None)
+        if chosen is not None and self.is_sound(chosen.fit, best_fit, base_fit):
+            return chosen.fit, describe(chosen.choice, chosen.fit, base_fit)
         if not left:
             return best_fit, None
         shown = self.in_time(WORDED_BY, "", lambda: on_top(left[0].choice, best_fit), left[0].fit)
         return best_fit, describe(left[0].choice, shown, best_fit)
 
-    def better_map(self, options: Sequence[NonparametricFit], best: Fit, base: Fit) -> NonparametricFit | None:
-        """The map of the least held-out error, if that is less than the best's and none is larger than the base's."""
-        sound = [entry for entry in options if not self.is_worse(entry.fit, base, timing=self._reported_timing)]
-        chosen = min(sound, key=lambda entry: self.held_out.error(entry.fit), default=None)
-        if chosen is None or self.held_out.error(chosen.fit) >= self.held_out.error(best):
-            return None
-        return chosen
+    def is_sound(self, result: Fit, best: Fit, base: Fit) -> bool:
+        """Whether a force map explains more than the best, and held-out data do not speak against it."""
+        if self.criteria.score(result) >= self.criteria.score(best) or rmse(result) > (1.0 + SAME) * rmse(base):
+            return False
+        opened = self.in_time(WORDED_BY, "", lambda: self.held_out.open(base, result), None)
+        return opened is not None and not opened[1].is_larger
 
     def nonparametric_competitors(
         self, best: Hypothesis, nonparametric: Sequence[NonparametricFit]
     ) -> list[tuple[NonparametricFit, float]]:
         """Nonparametric forces with a score near the best, and by how much they are worse.
 
-        Held-out data take no part: a nonparametric force need not predict better to make a name uncertain.
+        A nonparametric force need not explain more to make a name uncertain.
         """
         least = self.search.score(best)
         return [(entry, entry.fit.score - least) for entry in nonparametric if entry.fit.score < least + 2.0 * DECISIVE]
@@ -240,11 +257,11 @@ class Conclusion:
             sets = {hypothesis.effects for hypothesis in hypotheses}
             return [name for name in names if name != member and rest.adding(name).effects in sets]
 
-        competing_models = in_its_place(self.exploration.competing_models(best))
         likely = [
             hypothesis for hypothesis, worse in self.exploration.larger_alternatives(best).items() if worse < LIKELY
         ]
-        return tuple(dict.fromkeys([*competing_models, *in_its_place(likely)]))
+        stand = [h for h in (*self.exploration.competing_models(best), *likely) if h not in self.refuted]
+        return tuple(dict.fromkeys(in_its_place(stand)))
 
     def relatives(self, name: str, found: Sequence[str]) -> tuple[str, ...]:
         """Names beside the best: where the form is wrong, scores mislead, and known look-alikes are listed too."""
@@ -263,11 +280,13 @@ class Conclusion:
         delta_scores = self.in_time(WORDED_BY, "", functools.partial(self.delta_scores, best), nothing)
         weight: dict[tuple[str, ...], float] = {}
         for hypothesis in self.exploration.tried():
-            if set(hypothesis.effects) > set(best.effects) and best.effects:
+            if (set(hypothesis.effects) > set(best.effects) and best.effects) or hypothesis in self.refuted:
                 continue
             worse = delta_scores.get(hypothesis, self.search.score(hypothesis) - least)
             evidence = math.exp(-0.5 * min(max(worse, 0.0), 700.0))
             weight[hypothesis.effects] = max(weight.get(hypothesis.effects, 0.0), evidence)
+        for name, gain in self.exploration.screened.items():
+            weight[(name,)] = math.exp(0.5 * gain)
         least_worse = max(min(nonparametric, default=math.inf), 0.0)
         share = weight[best.effects] / (sum(weight.values()) + math.exp(-0.5 * least_worse))
         if not best.effects:
@@ -295,6 +314,7 @@ class Conclusion:
         candidates = {
             " + ".join(hypothesis.effects): self.search.fit(hypothesis)
             for hypothesis in self.exploration.competing_models(best)
+            if hypothesis not in self.refuted
         }
         few = dict(list(candidates.items())[:LARGEST_CLASS])
         return recommend(few, self.plant.experiments) if len(few) > 1 else None

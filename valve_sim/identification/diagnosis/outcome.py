@@ -67,7 +67,7 @@ class Diagnosis:
     """The outcome of `diagnose_plant`.
 
     `telling` is the experiment that `record_next` advises, where one is known; `untried` is what was left to try when
-    the time was used up.
+    the time was used up; `looks` is how often held-out data were opened to judge a choice.
     """
 
     plant: Plant
@@ -82,6 +82,7 @@ class Diagnosis:
     sources: tuple[str, ...] = ()
     telling: Recommendation | None = None
     untried: tuple[str, ...] = ()
+    looks: int = 0
 
     @property
     def valve(self) -> Valve:

@@ -1,9 +1,9 @@
 """Close the loop: trace the residual to the missing effect, add it, report the error before and after.
 
 Base fit, test of its residual, refit of the whole catalogue inside the simulator, forward selection with swaps and
-backward elimination, competing models, hold-out, force maps for what has no name. Effects, timing errors and force maps
-are compared on one scale, the score S of `result`, and timing errors of single commands pay the Occam factor of their
-prior instead of being tried last.
+backward elimination, competing models, force maps for what has no name: all on training strokes alone. Effects, timing
+errors and force maps are compared on one scale, the score S of `result`, and timing errors of single commands pay the
+Occam factor of their prior instead of being tried last. Then held-out strokes are opened, and may refute the choice.
 """
 
 from __future__ import annotations
@@ -73,13 +73,15 @@ def diagnose_plant(
     """The same for any plant; `holdout` is the same machine with other data."""
     budget = budget or Budget.unlimited()
     with budget.until(BEGUN_BY):
-        exploration = _begun(plant, holdout, progress, budget)
+        exploration, held_out = _begun(plant, holdout, progress, budget)
     with budget.until(EXPLORED_BY):
         best = exploration.explore()
-    return Conclusion(exploration).conclude(best)
+    return Conclusion(exploration, held_out).conclude(best)
 
 
-def _begun(plant: Plant, holdout: Plant | None, progress: Progress | None, budget: Budget) -> Exploration:
+def _begun(
+    plant: Plant, holdout: Plant | None, progress: Progress | None, budget: Budget
+) -> tuple[Exploration, HeldOut]:
     """What is fitted and what is held out, with nothing tried yet but the declared model."""
     train_mask, holdout_mask = _split(plant) if holdout is None else (None, None)
     problem = Problem(plant, train_mask, budget=budget)
@@ -105,7 +107,7 @@ def _begun(plant: Plant, holdout: Plant | None, progress: Progress | None, budge
         # From one start it may be fitted all the same.
         if Hypothesis(()) not in search.fits:
             raise
-    return Exploration(search, HeldOut(plant, held_out))
+    return Exploration(search), HeldOut(plant, held_out)
 
 
 def _largest_fit(problem: Problem) -> Fit:

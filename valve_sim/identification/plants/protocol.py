@@ -333,9 +333,9 @@ def internal_scale(parameter: Parameter) -> float:
     return 1.0 if _is_logarithmic(parameter) else abs(parameter.prior_scale)
 
 
-def perturbed(parameter: Parameter, value: float) -> float:
-    """A value perturbed by a fraction of its prior scale, within its range: for directional derivatives."""
+def perturbed(parameter: Parameter, value: float, size: float = SMALL_MOVE) -> float:
+    """A value perturbed by so many of its prior scales, within its range: for directional derivatives."""
     at = to_internal(parameter, value)
     lower, upper = internal_bounds(parameter)
-    step = SMALL_MOVE * internal_scale(parameter)
+    step = size * internal_scale(parameter)
     return from_internal(parameter, min(max(at + step if at + step <= upper else at - step, lower), upper))

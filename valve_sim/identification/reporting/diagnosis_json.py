@@ -57,6 +57,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "record_next_gain": None if diagnosis.telling is None else recommendation_json(diagnosis.telling),
         "untried": list(diagnosis.untried),
         "false_alarm": diagnosis.false_alarm._asdict(),
+        "looks": diagnosis.looks,
     }
     return plain_mapping(report)
 

@@ -29,6 +29,7 @@ from valve_sim.identification.reporting.units import limits, measured, quantity
 from valve_sim.identification.reporting.wording import (
     headline,
     kind_words,
+    looks_words,
     meanings,
     probability_words,
 )
@@ -171,6 +172,7 @@ def _content(diagnosis: Diagnosis) -> dict[str, Any]:
         "record_next": diagnosis.record_next,
         "gain": _gain_rows(diagnosis),
         "untried": diagnosis.untried,
+        "looks": looks_words(diagnosis),
         "version": __version__,
         "sources": diagnosis.sources,
         "noise": f"{_three_digits(sigma)} {unit} rms of the {channel.kind} sensor, read where the machine is still",

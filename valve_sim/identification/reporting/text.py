@@ -11,6 +11,7 @@ from valve_sim.identification.reporting.units import measured, quantity
 from valve_sim.identification.reporting.wording import (
     headline,
     kind_words,
+    looks_words,
     meanings,
     probability_words,
 )
@@ -35,6 +36,7 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
                 f"  {label + ', rms error':<28}{quantity(errors[0], unit)} before, {quantity(errors[1], unit)} after"
             )
     lines.append(f"  {'noise of the sensor':<28}{quantity(noise, unit)}")
+    lines.append(f"  {looks_words(diagnosis)}")
     for meaning in meanings(diagnosis):
         severity = f", {meaning.severity}" if meaning.severity else ""
         amounts = "; ".join(f"{what} {value}" for what, value in meaning.amounts)

@@ -98,6 +98,14 @@ def headline(diagnosis: Diagnosis) -> str:
     return f"{claim}{much}.{alternatives}{rest}"
 
 
+def looks_words(diagnosis: Diagnosis) -> str:
+    """How often held-out strokes were opened, in a sentence."""
+    if diagnosis.looks == 0:
+        return "No strokes were held out: nothing but the fitted ones speaks for this."
+    times = {1: "once", 2: "twice"}.get(diagnosis.looks, f"{diagnosis.looks} times")
+    return f"Held-out strokes were opened {times}, after the choice, to judge it and not to choose."
+
+
 def meanings(diagnosis: Diagnosis) -> list[Meaning]:
     """What each named effect is on a real valve, how much of it there is, and what to do."""
     verdict, after, plant = diagnosis.verdict, diagnosis.after, diagnosis.plant

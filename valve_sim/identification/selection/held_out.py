@@ -1,27 +1,64 @@
-"""What a fit is worth on strokes that it was not fitted to."""
+"""Held-out strokes only judge: they are opened when the choice is made, and can refute it.
+
+No hypothesis is chosen, ordered or dropped by what it predicts of them, so that what they say of the choice is worth as
+much as if they had been recorded afterwards. Every opening is counted, and the report says how many there were.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Final
-
-import numpy as np
+from typing import Final, NamedTuple
 
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit, rmse
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Nuisance, Plant
-from valve_sim.identification.selection.predictive_density import knowledge_for, neg2_log_predictive
-from valve_sim.identification.selection.residual_tests import adequacy
+from valve_sim.identification.selection.hypotheses import DECISIVE
+from valve_sim.identification.selection.predictive_density import Prediction, knowledge_for, predict_held_out
+from valve_sim.identification.selection.residual_tests import adequacy, whiteness
 from valve_sim.model import SimulationError
 
 FAILS_HELD_OUT: Final = 1.2
-"""Held-out error over noise beyond which an effect is rejected; errors of its parameters add less."""
+"""Held-out error over noise beyond which a model is refuted; errors of its parameters add less."""
+SAME: Final = 1e-9
+"""Relative difference up to which two errors are equal but for rounding."""
+
+
+class Judgement(NamedTuple):
+    """What held-out data say of a model, beside the refitted declared model.
+
+    Attributes:
+        is_white: whether its residual there is noise. ratio: its error over the declared model's, root mean squares.
+        predicts_better: whether it makes the held-out data decisively more probable.
+    """
+
+    is_white: bool
+    ratio: float
+    predicts_better: bool
+
+    @property
+    def is_larger(self) -> bool:
+        """Whether its error is larger than the refitted declared model's, but for rounding."""
+        return self.ratio > 1.0 + SAME
+
+    @property
+    def is_gain(self) -> bool:
+        """Whether it is better than the refitted declared model, as far as held-out data can tell."""
+        return self.predicts_better and not self.is_larger
+
+    @property
+    def refutes_names(self) -> bool:
+        """Whether it speaks against a model with named effects."""
+        return not self.is_white or not self.is_gain
+
+
+NOT_HELD_OUT: Final = Judgement(is_white=True, ratio=math.nan, predicts_better=True)
+"""Where there is nothing to judge by."""
 
 
 class HeldOut:
-    """Held-out data of a plant, and how fits to its training data predict them.
+    """Held-out data of a plant, and what they say of fits to its training data.
 
     Clock offsets are of a recording, and are estimated anew. Declared values with a tolerance are of the machine: with
     the freed parameters they stay within what the training data leave open, theory, eq. (83). What this costs is in χ²,
@@ -31,12 +68,15 @@ class HeldOut:
     Args:
         plant: with the training data.
         problem: the same machine with other data, or with other strokes taking part; None where nothing is held out.
+
+    Attributes:
+        looks: how often they were opened to judge a choice.
     """
 
     def __init__(self, plant: Plant, problem: Problem | None) -> None:
         self.plant, self.problem = plant, problem
+        self.looks = 0
         self._fits: dict[tuple[Fit, bool], Fit | None] = {}
-        self._scores: dict[tuple[Fit, bool, bool], float] = {}
 
     def fit(self, result: Fit, *, timing: bool) -> Fit | None:
         """The same machine on held-out data: only its recordings' errors are estimated.
@@ -81,52 +121,34 @@ class HeldOut:
         timed = any(nuisance in self.plant.timing_errors for nuisance in result.nuisances)
         return bool(self.plant.timing_errors) and (timed or not adequacy(result).is_white)
 
-    def improves_holdout(self, smaller: Fit, larger: Fit) -> bool:
-        """Whether the larger model predicts held-out data better by more than 2 standard errors: theory, eq. (47)."""
-        timing = self.needs_timing(larger)
-        held_smaller, held_larger = self.fit(smaller, timing=timing), self.fit(larger, timing=timing)
-        if held_smaller is None or held_larger is None:
-            return self.problem is None or held_larger is not None
-        gain = held_smaller.chi2 - held_larger.chi2
-        apart = float(np.sum(np.square(held_smaller.residuals - held_larger.residuals)))
-        # If the larger model is true, the gain is `apart` on average, with standard deviation 2 √apart.
-        return gain > 4.0 * math.sqrt(apart)
+    def open(self, base: Fit, *chosen: Fit) -> tuple[Judgement, ...]:
+        """Judge the refitted declared model, then what was chosen, all at once: one look.
 
-    def fails(self, result: Fit) -> bool:
-        """Whether the residual of a fit on held-out data is larger than the noise."""
-        held = self.fit(result, timing=self.needs_timing(result))
-        if held is None:
-            return self.problem is not None
-        # The plain error too: for coloured noise, whitening removes most of the slow part of any residual.
-        is_large = rmse(held) > FAILS_HELD_OUT * held.problem.noise.sigma
-        return is_large or held.chi2 > FAILS_HELD_OUT**2 * held.problem.effective_samples
-
-    def hints_at_more(self, result: Fit) -> bool:
-        """Whether the residual of a fit on held-out data is not white."""
-        held = self.fit(result, timing=self.needs_timing(result))
-        return self.problem is not None and (held is None or not adequacy(held).is_white)
-
-    def score(self, result: Fit, *, timing: bool, residual_is_white: bool) -> float:
-        """The selection criterion, theory, eq. (46): S of the training data plus −2 ln of the predictive density.
-
-        Where the form is wrong, no covariance says how far off it is, and S of the held-out data takes its place.
+        Raises:
+            OutOfTimeError: the time is used up.
         """
         if self.problem is None:
-            return result.score
-        key = (result, timing, residual_is_white)
-        if key not in self._scores:
-            held = self.fit(result, timing=timing)
-            if held is None:
-                self._scores[key] = math.inf
-            else:
-                self._scores[key] = result.score + (
-                    neg2_log_predictive(result, held) if residual_is_white else held.score
-                )
-        return self._scores[key]
+            return (NOT_HELD_OUT,) * (1 + len(chosen))
+        self.looks += 1
+        return tuple(self._judge(result, base) for result in (base, *chosen))
 
-    def error(self, result: Fit) -> float:
-        """Held-out RMSE, for whitening would hide a slow residual; S of the training data if nothing is held out."""
-        if self.problem is None:
-            return result.score
-        held = self.fit(result, timing=self.needs_timing(result))
-        return math.inf if held is None else rmse(held)
+    def _judge(self, result: Fit, base: Fit) -> Judgement:
+        timing = self.needs_timing(result)
+        here, there = self.fit(result, timing=timing), self.fit(base, timing=timing)
+        if here is None:
+            return Judgement(is_white=False, ratio=1.0 if there is None else math.inf, predicts_better=False)
+        prediction = predict_held_out(result, here)
+        predicts_better = there is None or (
+            prediction.neg2_log_density < predict_held_out(base, there).neg2_log_density - DECISIVE
+        )
+        error, reference = rmse(here), 0.0 if there is None else rmse(there)
+        ratio = error / reference if reference > 0.0 else 1.0 if there is not None and error == 0.0 else math.inf
+        if there is None:
+            ratio = 0.0
+        return Judgement(self._is_white(here, prediction), ratio, predicts_better)
+
+    @staticmethod
+    def _is_white(held: Fit, prediction: Prediction) -> bool:
+        # The plain error too: for coloured noise, whitening removes most of the slow part of any residual.
+        is_large = rmse(held) > FAILS_HELD_OUT * held.problem.noise.sigma
+        return not is_large and whiteness(held.problem, prediction.residuals, 0).is_white

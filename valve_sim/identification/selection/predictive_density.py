@@ -1,4 +1,4 @@
-"""The predictive density of held-out data, given a fit to the training data: theory, eq. (44).
+"""The predictive density of held-out data, given a fit to the training data: theory, eq. (47).
 
 Held-out data are predicted by all parameter values that the training data allow, not by the best fit alone: it is off
 by its standard errors, and held-out strokes may be sensitive to just that direction. About the best fit, to second
@@ -8,15 +8,14 @@ order (Laplace; MacKay 2003, chapter 28),
 
 with χ² and half its gradient g and information H = JᵀJ at the best fit, and C the covariance that the training data
 leave (of nuisances: their priors). A model is worth what it predicts: Dawid, J. R. Stat. Soc. A 147, 1984, p. 278.
-
 Where declared values have tolerances, the training data leave so much open that held-out data are fitted within it:
 theory, eq. (83). About that optimum g is 0, and with the information T that the training data have of the machine
-1 + C H is T⁻¹ (T + H).
+1 + C H is T⁻¹ (T + H). Held-out data only judge: they are predicted when the choice is made (`held_out`).
 """
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -30,8 +29,26 @@ FARTHEST: Final = 10.0
 """Prior scales: the standard deviation of a parameter that the training data do not determine."""
 
 
+class Prediction(NamedTuple):
+    """What held-out data are, given a fit to the training data.
+
+    Attributes:
+        neg2_log_density: −2 ln p(held-out | training), but for a constant of the held-out data; smaller is better.
+        residuals: (n,) whitened, of the values that are most probable of those that the training data allow: an error
+            of the training fit is no fault of its form.
+    """
+
+    neg2_log_density: float
+    residuals: Array
+
+
 def neg2_log_predictive(training: Fit, held_out: Fit) -> float:
-    """−2 ln p(held-out | training), but for a constant of the held-out data; smaller is better.
+    """−2 ln p(held-out | training): `predict_held_out`."""
+    return predict_held_out(training, held_out).neg2_log_density
+
+
+def predict_held_out(training: Fit, held_out: Fit) -> Prediction:
+    """Predict held-out data.
 
     Args:
         training: the fit to training data.
@@ -39,7 +56,7 @@ def neg2_log_predictive(training: Fit, held_out: Fit) -> float:
     """
     variance_inflation = held_out.problem.variance_inflation
     if held_out.free or any(nuisance.is_of_machine for nuisance in held_out.nuisances):
-        return held_out.chi2 / variance_inflation + _volume(training, held_out)
+        return Prediction(held_out.chi2 / variance_inflation + _volume(training, held_out), held_out.residuals)
     jacobian = np.hstack([_sensitivities(training, held_out), held_out.jacobian])
     gradient = gram(jacobian, held_out.residuals)
     gradient[len(training.free) :] += [
@@ -49,8 +66,10 @@ def neg2_log_predictive(training: Fit, held_out: Fit) -> float:
     spread = _spread(training, held_out)
     within = np.eye(len(spread)) + spread.T @ information @ spread / variance_inflation
     gained = spread.T @ gradient / variance_inflation
+    move = np.linalg.solve(within, gained)
     _, volume = np.linalg.slogdet(within)
-    return float(held_out.chi2 / variance_inflation - gained @ np.linalg.solve(within, gained) + volume)
+    density = float(held_out.chi2 / variance_inflation - gained @ move + volume)
+    return Prediction(density, held_out.residuals - jacobian @ (spread @ move))
 
 
 def knowledge_for(training: Fit) -> MachineKnowledge:

@@ -41,20 +41,21 @@ class Adequacy:
 
 def adequacy(result: Fit) -> Adequacy:
     """Test a fit's residuals: their size, and that of their means over short blocks."""
-    problem = result.problem
-    moving = moving_residuals(problem, result.residuals)
+    return whiteness(result.problem, result.residuals, round(result.effective_parameters))
+
+
+def whiteness(problem: Problem, residuals: Array, free: int) -> Adequacy:
+    """Test whitened residuals to which so many parameters were fitted."""
+    moving = moving_residuals(problem, residuals)
     count = len(moving)
     if count < 50:
         return Adequacy(1.0, "too few samples in motion to tell", 0.0)
     quiet = max(1, min(noise.samples for noise in problem.noises.values()))
-    fitted = round(result.effective_parameters)
-    tests = {"the residual is larger than the noise": _size_test(moving, problem.variance_inflation, quiet, fitted)}
+    tests = {"the residual is larger than the noise": _size_test(moving, problem.variance_inflation, quiet, free)}
     for block in BLOCKS:
         whole = count // block * block
         means = moving[:whole].reshape(-1, block).mean(axis=1) * math.sqrt(block)
-        tests[f"the residual drifts over {block} samples"] = _size_test(
-            means, problem.variance_inflation, quiet, fitted
-        )
+        tests[f"the residual drifts over {block} samples"] = _size_test(means, problem.variance_inflation, quiet, free)
     worst = min(tests, key=lambda name: tests[name])
     lag_one = float(np.sum(moving[1:] * moving[:-1])) / max(sum_squares(moving), 1e-300)
     return Adequacy(min(1.0, len(tests) * tests[worst]), worst, lag_one)

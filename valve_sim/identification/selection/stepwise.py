@@ -1,7 +1,8 @@
 """Which hypotheses are tried, in which order, and which of them may be claimed.
 
 Singles, then pairs, triples and quadruples while each gains; members are swapped through the catalogue, and what is not
-needed is dropped again. Hypotheses are ordered by what they predict of held-out strokes.
+needed is dropped again. Hypotheses are ordered by training strokes alone: by the score S where the residual is white,
+else by what they predict of strokes that are left out.
 """
 
 from __future__ import annotations
@@ -13,9 +14,9 @@ from typing import Final
 from valve_sim.identification.estimation.budget import OutOfTimeError
 from valve_sim.identification.estimation.parallel import run_parallel
 from valve_sim.identification.plants.protocol import to_internal
-from valve_sim.identification.selection.held_out import HeldOut
+from valve_sim.identification.selection.criteria import Criteria
 from valve_sim.identification.selection.hypotheses import DECISIVE, Hypothesis, Search
-from valve_sim.identification.selection.residual_tests import adequacy
+from valve_sim.identification.selection.score_test import score_gains
 
 MOST_EFFECTS: Final = 4
 """In one hypothesis. On the plant of another form, three leave the added effect out in 4 of 10 cases, four in 2."""
@@ -27,8 +28,6 @@ HINT: Final = 0.02
 """P-value below which the search goes on: that costs seconds, stopping too early a wrong verdict."""
 NEARLY: Final = 40.0
 """Difference of S within which a better start may reverse the order."""
-WORTH_A_LOOK: Final = 20
-"""How many of the best hypotheses are tried on held-out data where no residual is white."""
 LIKELY: Final = 4.0
 """Difference of evidence within which a larger look-alike is listed, too: odds of 7 to 1. Measured: where friction is
 Coulomb's, stiction is worse by 5 to 8; where it is a stiction too small to be distinguished, by −8 to 3.4."""
@@ -37,19 +36,22 @@ EXCLUDES_OFF: Final = 1.96
 
 
 class Exploration:
-    """The hypotheses that were tried on one problem, with their predictions of held-out data.
+    """The hypotheses that were tried on one problem, and what they are worth.
 
     Args:
-        search: on the training data. held_out: what predicts and scores held-out data.
+        search: on the training data.
 
     Attributes:
         is_cut_short: whether the time was used up before all was tried.
+        screened: by the score test, by how much each effect would lower the declared model's score, where no effect was
+            tried because the declared model leaves nothing to be found; else empty.
     """
 
-    def __init__(self, search: Search, held_out: HeldOut) -> None:
-        self.search, self.held_out = search, held_out
+    def __init__(self, search: Search) -> None:
+        self.search, self.criteria = search, Criteria()
         self.plant = search.problem.plant
         self.is_cut_short = False
+        self.screened: dict[str, float] = {}
 
     def explore(self) -> Hypothesis:
         """The best claimable hypothesis of all that the time allows to try, beside the declared model's fit."""
@@ -65,12 +67,17 @@ class Exploration:
         return [*self.search.untried, "sets of more effects"] if self.is_cut_short else list(self.search.untried)
 
     def singles_untried(self) -> bool:
-        """Whether not even every single effect was tried."""
-        return any(Hypothesis((name,)) not in self.search.fits for name in self.plant.effects)
+        """Whether not even every single effect was tried, although there was a reason to."""
+        return not self.screened and any(Hypothesis((name,)) not in self.search.fits for name in self.plant.effects)
 
     def _explore(self) -> Hypothesis:
         """Singles, then pairs and triples while something is left; returns the best claimable hypothesis."""
-        search, names = self.search, list(self.plant.effects)
+        search, names, declared = self.search, list(self.plant.effects), Hypothesis(())
+        gains = score_gains(search.fit(declared))
+        # An adequate declared model costs one fit.
+        if max(gains.values(), default=math.inf) < 0.0 and self._is_adequate_without_doubt(declared):
+            self.screened = gains
+            return declared
         search.fit_each([Hypothesis((name,)) for name in names], (0.0, 0.3))
         if self.needs_larger_model(self.best_claimable()):
             self._explore_timing(names)
@@ -154,7 +161,7 @@ class Exploration:
             rest = best.without(member)
             self.search.refit(rest, self.search.fit(best).values)
             costs_little = self.search.score(rest) < self.search.score(best) + DECISIVE
-            if costs_little or not self.held_out.improves_holdout(self.search.fit(rest), self.search.fit(best)):
+            if costs_little or not self.criteria.improves(self.search.fit(rest), self.search.fit(best)):
                 return self.eliminate(rest)
         untimed = best._replace(timing=False)
         if best.timing and self.search.score(untimed) < self.search.score(best):
@@ -164,20 +171,14 @@ class Exploration:
     # -- what a hypothesis is worth ------------------------------------------------------------------------------------
 
     def best_claimable(self) -> Hypothesis:
-        """The hypothesis that predicts best of those whose effects are away from off and from bounds."""
+        """The hypothesis of the best criterion of those whose effects are away from off and from bounds."""
         claimable = [hypothesis for hypothesis in self.tried() if self.is_claimable(hypothesis)]
         criteria = run_parallel(self.selection_criterion, claimable)
         return claimable[criteria.index(min(criteria))]
 
     def selection_criterion(self, hypothesis: Hypothesis) -> float:
-        """The selection criterion of a hypothesis: theory, eq. (46).
-
-        Where no form is right, the score of the training data rewards what overfits them most, such as a pressure force
-        that only acts there (on the plant of other form: 2.8 µm in training, 11 µm held out, where nothing has 10 µm).
-        """
-        result = self.search.fit(hypothesis)
-        timing = self.held_out.needs_timing(result)
-        return self.held_out.score(result, timing=timing, residual_is_white=adequacy(result).is_white)
+        """The selection criterion of a hypothesis: theory, eq. (45)."""
+        return self.criteria.score(self.search.fit(hypothesis))
 
     def tried(self) -> list[Hypothesis]:
         """Every hypothesis that was fitted, in order."""
@@ -185,18 +186,17 @@ class Exploration:
 
     def is_adequate(self, hypothesis: Hypothesis) -> bool:
         """Whether its residual is white."""
-        return adequacy(self.search.fit(hypothesis)).is_white
-
-    def fails_hold_out(self, hypothesis: Hypothesis) -> bool:
-        """Whether its residual on held-out data is not white: then it is wrong or incomplete."""
-        return self.held_out.fails(self.search.fit(hypothesis))
+        return self.criteria.is_white(self.search.fit(hypothesis))
 
     def needs_larger_model(self, hypothesis: Hypothesis) -> bool:
-        """Whether training or held-out data give any hint that something is missing."""
-        result = self.search.fit(hypothesis)
-        if adequacy(result).p_value < HINT:
+        """Whether anything hints that something is missing: the residual, or the score test of an effect."""
+        if not self._is_adequate_without_doubt(hypothesis):
             return True
-        return bool(hypothesis.effects) and self.held_out.hints_at_more(result)
+        gains = score_gains(self.search.fit(hypothesis)) if hypothesis.effects else {}
+        return max(gains.values(), default=0.0) > DECISIVE
+
+    def _is_adequate_without_doubt(self, hypothesis: Hypothesis) -> bool:
+        return self.criteria.adequacy(self.search.fit(hypothesis)).p_value >= HINT
 
     def is_claimable(self, hypothesis: Hypothesis) -> bool:
         """Whether no parameter is on its bound and every effect is significantly on.
@@ -232,23 +232,21 @@ class Exploration:
     # -- competing models ----------------------------------------------------------------------------------------------
 
     def delta_scores(self, best: Hypothesis) -> dict[Hypothesis, float]:
-        """By how much each hypothesis of equal size and a similar score predicts worse than the best, in S."""
-        timing = self.held_out.needs_timing(self.search.fit(best))
-        limit = self.search.score(best) + 2.0 * DECISIVE
-        count = max(1, len(best.effects))
-        near = [h for h in self.tried() if len(h.effects) == count and self.search.score(h) < limit]
-        residual_is_white = self.is_adequate(best)
-        scores = {
-            h: self.held_out.score(self.search.fit(h), timing=timing, residual_is_white=residual_is_white)
-            for h in (best, *near)
+        """By how much each hypothesis of equal size and a similar score is worse than the best, by one criterion."""
+        white, count = self.is_adequate(best), max(1, len(best.effects))
+        least = self.criteria.score_as(self.search.fit(best), residual_is_white=white)
+        worse = {
+            h: self.criteria.score_as(self.search.fit(h), residual_is_white=white) - least
+            for h in self.tried()
+            if len(h.effects) == count
         }
-        return {h: scores[h] - scores[best] for h in near}
+        return {h: by for h, by in worse.items() if by < 2.0 * DECISIVE}
 
     def polish_near(self, best: Hypothesis) -> None:
         """Polish the best and whatever may be as good, so that all have the same chance."""
-        limit = self.search.score(best) + NEARLY
-        near = [h for h in self.tried() if len(h.effects) == len(best.effects) and self.search.score(h) < limit]
-        nearest = {best, *sorted(near, key=self.search.score)[:LARGEST_CLASS]}
+        limit = self.selection_criterion(best) + NEARLY
+        near = [h for h in self.tried() if len(h.effects) == len(best.effects) and self.selection_criterion(h) < limit]
+        nearest = {best, *sorted(near, key=self.selection_criterion)[:LARGEST_CLASS]}
         run_parallel(self.search.polish, list(nearest))
 
     def competing_models(self, best: Hypothesis) -> list[Hypothesis]:
@@ -264,25 +262,14 @@ class Exploration:
         """
         if not self.is_adequate(best):
             return {}
-        size, mine = len(self.search.free_names(best)), self._evidence(best)
+        size, mine = len(self.search.free_names(best)), self.search.fit(best).evidence
         alike = [
             best.without(member).adding(name)
             for member in best.effects
             for name in self.plant.effects[member].confused_with
             if name not in best.effects
         ]
-        more = [h for h in alike if h in self.search.fits and len(self.search.free_names(h)) > size]
-        return {hypothesis: self._evidence(hypothesis) - mine for hypothesis in more}
-
-    def _evidence(self, hypothesis: Hypothesis) -> float:
-        """−2 ln of the evidence of the training data and of the predictive density of the held-out data."""
-        result = self.search.fit(hypothesis)
-        timing = self.held_out.needs_timing(result)
-        return result.evidence + self.held_out.score(result, timing=timing, residual_is_white=True) - result.score
-
-    def best_on_hold_out(self, best: Hypothesis) -> Hypothesis:
-        """Of the few with the best criterion, the one of the smallest plain error on held-out data."""
-        few = sorted(filter(self.is_claimable, self.tried()), key=self.selection_criterion)[:WORTH_A_LOOK]
-        if self.held_out.problem is None or not few:
-            return best
-        return min(few, key=lambda hypothesis: self.held_out.error(self.search.fit(hypothesis)))
+        larger = [h for h in alike if h in self.search.fits and len(self.search.free_names(h)) > size]
+        # What is on a bound names nothing: stiction whose Stribeck velocity is too small to be seen is Coulomb's.
+        more = [h for h in larger if self.is_claimable(h)]
+        return {hypothesis: self.search.fit(hypothesis).evidence - mine for hypothesis in more}

@@ -1,0 +1,115 @@
+"""Rao's score test of every effect that a fit leaves out: what one Gauss–Newton step with it would gain.
+
+An effect's sensitivity is one simulation with a little of it on. What the fit's own parameters and nuisances can do of
+it is projected out, so that the squared projection of the residual on the rest is the gain of χ² that a refit gives, to
+first order. It costs one simulation for each effect and shape: enough to say that nothing is left to be found, and the
+linear fits of the bootstrap.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+
+from valve_sim.identification.estimation.gram import gram, sum_squares
+from valve_sim.identification.estimation.result import Fit
+from valve_sim.identification.plants.protocol import RELEASED, SMALL_MOVE, Array, EffectChoice, perturbed
+from valve_sim.model import SimulationError
+
+SHAPES: Final = (1.0, 0.2, 5.0)
+"""In prior scales of a parameter that shapes an effect but does not switch it on."""
+SIZES: Final = (SMALL_MOVE, 1.0)
+"""In prior scales of a switch: near off, and large enough for a contact that only rebounds above a speed."""
+MOVES_NOTHING: Final = 1e-6
+"""Standard deviations, over all samples: a direction that changes the residual by less is ignored."""
+SMALLEST_SHARE: Final = 1e-8
+"""Share of the squared norm of an effect's strongest direction that a further one must have."""
+
+
+def score_gains(result: Fit) -> dict[str, float]:
+    """By how much each effect that is not in a fit would lower its score S, to first order; largest over its shapes."""
+    problem, outside = result.problem, Outside(result)
+    gains: dict[str, float] = {}
+    for name, effect in problem.plant.effects.items():
+        if set(effect.free_names()) & set(result.free):
+            continue
+        if effect.is_declared_value:
+            gains[name] = sum(_released(result, parameter) for parameter in effect.free_names())
+            continue
+        price = len(effect.free_names()) * math.log(problem.effective_samples)
+        found = [outside.gain(directions) for size in SIZES for directions in directions_of(result, effect, size)]
+        gains[name] = max(found, default=0.0) / problem.variance_inflation - price
+    return gains
+
+
+def _released(result: Fit, name: str) -> float:
+    """What S gains where a declared value is taken for wrong: its tolerance no longer holds it, theory, eq. (82)."""
+    row = next((row for row, nuisance in enumerate(result.nuisances) if nuisance.name == name), None)
+    if row is None:
+        return -math.inf
+    index, inflation = len(result.free) + row, result.problem.variance_inflation
+    variance, sigma = result.covariance[index, index] / inflation, result.nuisances[row].sigma
+    # Of the values that the data alone would have: χ² falls by the square of how far they are off, in standard errors of
+    # the difference between them and what is declared.
+    share = max(1.0 - variance / sigma**2, 0.0)
+    if share == 0.0:
+        return -math.inf
+    known = float(result.information[index, index]) * sigma**2
+    price = math.log(max(1.0, RELEASED**2 * known)) - math.log(max(1.0, known))
+    return float(result.deviations[row] ** 2 / share) / inflation - price
+
+
+class Outside:
+    """Projection onto what is orthogonal to a fit's parameters and nuisances, with the nuisances' priors."""
+
+    def __init__(self, base: Fit) -> None:
+        priors = np.zeros((len(base.nuisances), base.jacobian.shape[1]))
+        for row, nuisance in enumerate(base.nuisances):
+            priors[row, len(base.free) + row] = 1.0 / nuisance.sigma
+        columns = np.vstack([base.jacobian, priors])
+        size = np.sqrt(np.sum(np.square(columns), axis=0))
+        self._residuals = np.concatenate([base.residuals, base.deviations])
+        self._samples = len(base.jacobian)
+        self._fitted, _ = np.linalg.qr(columns[:, size > 0.0] / size[size > 0.0])
+
+    def basis(self, directions: Array) -> Array:
+        """(n, q) → (n, p ≤ q): orthonormal but for the part along nuisances with priors."""
+        return self._axes(directions)[: self._samples]
+
+    def gain(self, directions: Array) -> float:
+        """By how much χ² falls where the fit may move along (n, q) directions, too."""
+        return sum_squares(gram(self._axes(directions), self._residuals))
+
+    def _axes(self, directions: Array) -> Array:
+        padded = np.vstack([directions, np.zeros((len(self._fitted) - self._samples, directions.shape[1]))])
+        left = padded - self._fitted @ (self._fitted.T @ padded)
+        axes, sizes, _ = np.linalg.svd(left, full_matrices=False)
+        is_there = (sizes > MOVES_NOTHING) & (sizes**2 > SMALLEST_SHARE * sizes[0] ** 2)
+        return np.asarray(axes[:, is_there])
+
+
+def directions_of(base: Fit, effect: EffectChoice, size: float = SMALL_MOVE) -> Iterator[Array]:
+    """For each shape of an effect, (n, switches): change of the residual for some prior scales of each switch."""
+    has_shape = any(parameter.off is None for parameter in effect.parameters)
+    for shape in SHAPES if has_shape else SHAPES[:1]:
+        columns = []
+        for switch in effect.parameters:
+            if switch.off is None:
+                continue
+            values = {
+                effect.free_name(parameter): min(max(shape * parameter.prior_scale, parameter.lower), parameter.upper)
+                if parameter.off is None
+                else perturbed(parameter, parameter.off, size)
+                if parameter is switch
+                else parameter.off
+                for parameter in effect.parameters
+            }
+            try:
+                columns.append(base.problem.residuals({**base.values, **values}) - base.residuals)
+            except SimulationError:
+                continue
+        if columns:
+            yield np.column_stack(columns)
