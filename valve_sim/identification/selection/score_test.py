@@ -52,8 +52,8 @@ def _released(result: Fit, name: str) -> float:
         return -math.inf
     index, inflation = len(result.free) + row, result.problem.variance_inflation
     variance, sigma = result.covariance[index, index] / inflation, result.nuisances[row].sigma
-    # Of the values that the data alone would have: χ² falls by the square of how far they are off, in standard errors of
-    # the difference between them and what is declared.
+    # χ² falls by the square of how far the value that the data alone would have is off, in standard errors of the
+    # difference between it and the declared one.
     share = max(1.0 - variance / sigma**2, 0.0)
     if share == 0.0:
         return -math.inf
