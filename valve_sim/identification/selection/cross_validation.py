@@ -108,10 +108,12 @@ def _without(result: Fit, fold: NDArray[np.bool_], shared: NDArray[np.intp]) -> 
     k, plant = len(result.free), result.problem.plant
     columns = result.jacobian[:, shared]
     information = result.information[np.ix_(shared, shared)] - gram(columns[fold], columns[fold])
-    # At the optimum all samples and priors cancel: of freed parameters the others' pull is the fold's, turned round. It
-    # is not taken from the fold, where the rest of a fit's last step would move what the others do not determine.
+    # At the optimum all samples and priors cancel. Where there is no prior the others' pull is not taken from the fold,
+    # turned round: what is left of a fit's last step would move what the others do not determine.
+    curve = () if result.smooth is None else result.smooth.names
     own, others = (gram(columns[chosen], result.residuals[chosen]) for chosen in (fold, ~fold))
-    gradient = np.where(shared < k, others, -own)
+    has_prior = np.array([index >= k or result.free[index] in curve for index in shared])
+    gradient = np.where(has_prior, -own, others)
     at, lower, upper = result.coordinates[shared], np.full(len(shared), -math.inf), np.full(len(shared), math.inf)
     for row, index in enumerate(shared[shared < k]):
         parameter = plant.parameter(result.free[index])
