@@ -13,7 +13,7 @@ integrates over all that is fitted (Wood 2011):
 
 with A the information without S, and f the factor by which slow noise discounts evidence. One weight for all of the
 curve is found among many; from there each follows its own way downhill (Wood and Fasiolo 2017). Each step of
-Gauss–Newton chooses them anew.
+Gauss–Newton chooses them anew, from a curve that is nearly straight on.
 """
 
 from __future__ import annotations
@@ -33,6 +33,10 @@ RIDGE: Final = 1e-4
 """ρ: each coefficient is within ±100 N, or N·s/m, where nothing else determines it."""
 HATS: Final = 8
 """So many weights along a curve."""
+FIRST_WEIGHT: Final = 1e4
+"""λ to begin with: of a curve that is nearly straight."""
+LARGEST_CHANGE: Final = 30.0
+"""Of a weight from one step of Gauss–Newton to the next, as a factor."""
 MOST_UPDATES: Final = 40
 """Of the weights in one step of Gauss–Newton."""
 HELD: Final = 1e12
@@ -52,7 +56,7 @@ class Smoothness:
 
     names: tuple[str, ...]
     least: float
-    weights: tuple[float, ...] = (1.0,) * HATS
+    weights: tuple[float, ...] = (FIRST_WEIGHT,) * HATS
 
     @property
     def precision(self) -> Array:
@@ -62,7 +66,7 @@ class Smoothness:
     def chosen(
         self, information: Array, gradient: Array, at: Array, where: NDArray[np.int64], inflation: float
     ) -> Smoothness:
-        """The same with the weights of the greatest restricted likelihood.
+        """The same with weights that go to those of the greatest restricted likelihood.
 
         Args:
             information: (m, m) A of all that is fitted, without S. gradient: (m,) half of that of χ² where the fit is.
@@ -72,9 +76,10 @@ class Smoothness:
         is_held = (at[where] <= self.least) & (gradient[where] > 0.0)
         curve = curve._replace(information=curve.information + np.diag(np.where(is_held, HELD, 0.0)))
         common = np.full(HATS, min(WEIGHTS, key=lambda weight: curve.criterion(np.full(HATS, weight))))
-        own = _settled(curve, common)
-        gain = curve.criterion(common) - curve.criterion(own)
-        return replace(self, weights=tuple((own if gain > 2.0 * (HATS - 1) else common).tolist()))
+        best, before = _settled(curve, common), np.array(self.weights)
+        # A curve that is far from the best of its weights would be led astray by what is linearised about it.
+        weights = np.clip(best, before / LARGEST_CHANGE, before * LARGEST_CHANGE)
+        return replace(self, weights=tuple(weights.tolist()))
 
 
 def _settled(curve: _Quadratic, weights: Array) -> Array:

@@ -7,6 +7,7 @@ A curve has many B-splines, and a penalty on its second differences whose weight
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -17,9 +18,10 @@ from valve_sim.identification.estimation.parallel import run_parallel
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.smoothing import Smoothness
 from valve_sim.identification.estimation.solver import fit
-from valve_sim.identification.plants.protocol import Array, ForceMap
+from valve_sim.identification.plants.protocol import Array, ForceMap, Nuisance
 from valve_sim.identification.plants.root_mean_square import root_mean_square
 from valve_sim.identification.selection.hypotheses import Hypothesis, Search
+from valve_sim.identification.selection.residual_tests import adequacy
 from valve_sim.model import SimulationError
 from valve_sim.model.effects import basis
 
@@ -57,29 +59,37 @@ class NonparametricFit(NamedTuple):
 
 
 def fit_maps(search: Search, base: Fit) -> list[NonparametricFit]:
-    """Force maps on top of a fit, best score first; those for which the time was too short are left out."""
-    nuisance_names = {nuisance.name for nuisance in base.nuisances}
-    own = {*base.free, *nuisance_names}
-    others = {name: value for name, value in base.values.items() if name not in own}
+    """Force maps on top of a fit, best score first; those for which the time was too short are left out.
+
+    Where none makes the residual white, errors of the commands' stamps are estimated beside each, too: what they leave
+    behind in every stroke is easily taken for a force over time.
+    """
+    plant = base.problem.plant
+    found = _fitted_maps(search, base, base.nuisances)
+    is_timed = set(plant.timing_errors) <= set(base.nuisances)
+    if found and not is_timed and not any(adequacy(entry.fit).is_white for entry in found):
+        found += _fitted_maps(search, base, (*base.nuisances, *plant.timing_errors))
+    return sorted(found, key=lambda entry: entry.fit.score)
+
+
+def _fitted_maps(search: Search, base: Fit, nuisances: Sequence[Nuisance]) -> list[NonparametricFit]:
+    estimated = {*base.free, *(nuisance.name for nuisance in nuisances)}
+    others = {name: value for name, value in base.values.items() if name not in estimated}
 
     def fitted(choice: ForceMap) -> list[NonparametricFit]:
         free, fixed = (*base.free, *choice.free), {**others, **choice.held}
         try:
-            return [
-                NonparametricFit(
-                    choice,
-                    fit(base.problem, free, base.values, nuisances=base.nuisances, fixed=fixed, smooth=_smooth(choice)),
-                )
-            ]
+            held = fit(base.problem, free, base.values, nuisances=nuisances, fixed=fixed, smooth=_smooth(choice))
         except (OutOfTimeError, SimulationError):
             return []
+        return [NonparametricFit(choice, held)]
 
     maps = base.problem.plant.force_maps
     found = run_parallel(fitted, maps, lambda choice: search.say(f"a force over {choice.variable}", 0.9))
     search.untried.extend(
         f"a force over {choice.variable}" for choice, fits in zip(maps, found, strict=True) if not fits
     )
-    return sorted(itertools.chain(*found), key=lambda entry: entry.fit.score)
+    return list(itertools.chain(*found))
 
 
 def fit_local_forces(search: Search, best: Hypothesis) -> list[NonparametricFit]:
