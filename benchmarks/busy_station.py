@@ -45,7 +45,7 @@ COMPILING = 300.0
 """s for all nodes to be there, on a machine that compiles for all of them at once."""
 LONGEST = 90.0
 """s for reports that are still to come."""
-TRACING = 120.0
+ISOLATION_SECONDS = 120.0
 """s for the cause, which needs seconds of a processor and has a tenth of one here; no figure hangs on it."""
 
 
@@ -153,7 +153,7 @@ class Station:
     def finding(self, tank: str) -> str:
         """What the monitor finds to be the cause, waited for; empty if it comes to none."""
         start = time.monotonic()
-        while time.monotonic() < start + TRACING and not self.listener.findings[tank]:
+        while time.monotonic() < start + ISOLATION_SECONDS and not self.listener.findings[tank]:
             self.hand.spin_for(0.5)
         waited = f"{time.monotonic() - start:.0f} s after the last stroke"
         return f"{waited}: {self.listener.findings[tank][-1]['summary']}" if self.listener.findings[tank] else ""

@@ -30,7 +30,7 @@ from typing import NamedTuple
 import numpy as np
 
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.monitoring.fault_isolation import trace_cause
+from valve_sim.identification.monitoring.fault_isolation import isolate_fault
 from valve_sim.identification.monitoring.monitor import Monitor
 from valve_sim.identification.monitoring.stroke_monitor import StrokeReport
 
@@ -61,8 +61,8 @@ class Growth(NamedTuple):
 
     Attributes:
         alarmed_after: strokes from having got to the full force until the alarm; 0 if it came before, None if never.
-        names: what the last tracing within 20 strokes named. named_after: strokes until it did.
-        seconds: the longest tracing.
+        names: what the last isolation within 20 strokes named. named_after: strokes until it did.
+        seconds: the longest isolation.
     """
 
     alarmed_after: int | None
@@ -90,7 +90,7 @@ def healthy(seed: int, strokes: int) -> HealthyRun:
         plant, own = plant + middle - begin, own + time.process_time() - middle
         ratios += [report.rms / report.noise for report in reports if report.state == "watching"]
         watched = len(ratios)
-    return HealthyRun(watched, monitor.judge.alarms, float(np.mean(ratios)), own, plant)
+    return HealthyRun(watched, monitor.stroke_monitor.alarms, float(np.mean(ratios)), own, plant)
 
 
 def growth(seed: int, jitter: float, force: float, *, trace: bool) -> Growth:
@@ -102,10 +102,10 @@ def growth(seed: int, jitter: float, force: float, *, trace: bool) -> Growth:
     for report in _strokes(monitor, valve, forces):
         if report.alarm is not None and alarmed is None and report.record.number >= COMMISSIONING:
             alarmed = max(0, report.record.number - reached)
-        evidence = monitor.judge.take_evidence() if trace else []
-        if evidence and monitor.judge.healthy is not None:
+        evidence = monitor.stroke_monitor.take_evidence() if trace else []
+        if evidence and monitor.stroke_monitor.baseline is not None:
             begin = time.process_time()
-            found = trace_cause(evidence, monitor.judge.timed())
+            found = isolate_fault(evidence, monitor.stroke_monitor.with_present_scatter())
             longest = max(longest, time.process_time() - begin)
             names, named = found.effects, report.record.number - reached
     return Growth(alarmed, names, named, longest)
@@ -146,7 +146,7 @@ def report_growth(seeds: int, jitter: float, pool: Executor) -> bool:
     for row in named:
         if row.names != ("coulomb_friction",):
             print(f"      named {' and '.join(row.names) or 'nothing'}")
-    print(f"      a tracing took at most {max(row.seconds for row in named):.0f} s")
+    print(f"      isolating a fault took at most {max(row.seconds for row in named):.0f} s")
     return soon >= wanted and right >= wanted
 
 

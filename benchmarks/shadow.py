@@ -40,8 +40,8 @@ SOON, NAMED_WITHIN = 5, STAYING
 """Strokes after the full force."""
 SLOWEST = 500.0
 """Hz, of the healthy strokes: 40 samples each."""
-TRACING_SECONDS = 180.0
-"""By the wall, for a tracing to end after the last stroke."""
+ISOLATION_SECONDS = 180.0
+"""By the wall, for fault isolation to end after the last stroke."""
 
 
 class HealthyRun(NamedTuple):
@@ -87,14 +87,14 @@ class Beside:
         del self._diagnostics[:-1]
 
     def finding(self) -> tuple[str, ...]:
-        """The effects of the last finding, once no tracing is under way."""
+        """The effects of the last finding, once no isolation is under way."""
         del self._diagnostics[:]
-        assert self._probe.until(self._says_idle, TRACING_SECONDS), "the tracing does not end"
+        assert self._probe.until(self._says_idle, ISOLATION_SECONDS), "fault isolation does not end"
         return tuple(json.loads(self._findings[-1].data)["effects"]) if self._findings else ()
 
     def _says_idle(self) -> bool:
         statuses = [status for message in self._diagnostics[-1:] for status in message.status]
-        return any(status.name == "monitor: tracing" and status.message == "idle" for status in statuses)
+        return any(status.name == "monitor: fault isolation" and status.message == "idle" for status in statuses)
 
 
 @contextmanager

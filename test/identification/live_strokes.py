@@ -99,7 +99,7 @@ def feed(monitor: Any, stroke: LiveStroke, current: FloatArray | None = None, la
             yield from monitor.command(*commands.pop(0))
         if current is not None:
             for index in range(first, stop):
-                monitor.watch.measure_current(float(stroke.times[index]) + late, float(current[index]))
+                monitor.segmenter.measure_current(float(stroke.times[index]) + late, float(current[index]))
         if stop > first:
             yield from monitor.measure_many(stroke.times[first:stop], stroke.position[first:stop])
 

@@ -154,7 +154,7 @@ def test_friction_that_appears_in_a_real_valve_is_warned_of_and_named(probe: Pro
         reports = plant.strokes(10, {"coulomb_friction": {"force": 0.3}})
         assert any(report["alarm"]["raised"] for report in reports[:5])
         assert probe.until(lambda: ears.is_said("valve", 1, "not those of the commissioned valve"))
-        assert probe.until(lambda: findings, 2 * PATIENCE), "the cause was not traced"
+        assert probe.until(lambda: findings, 2 * PATIENCE), "the fault was not isolated"
         finding = json.loads(findings[0].data)
         assert finding["effects"] == ["coulomb_friction"], finding
         assert finding["summary"].startswith("Coulomb friction 0.3")

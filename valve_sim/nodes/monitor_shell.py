@@ -27,7 +27,7 @@ from std_msgs.msg import Float64, String
 from std_srvs.srv import Trigger
 
 from valve_sim.files.parameter_files import Section
-from valve_sim.identification.monitoring.fault_isolation import Finding
+from valve_sim.identification.monitoring.fault_isolation import FaultFinding
 from valve_sim.identification.monitoring.memory import load_commissioning, save_commissioning
 from valve_sim.identification.monitoring.scores import Baseline
 from valve_sim.identification.monitoring.segmenter import Prediction, StrokeSegmenter
@@ -43,11 +43,11 @@ from valve_sim.nodes.monitor_status import (
     InputCount,
     health_status,
     input_status,
+    isolation_status,
     model_status,
     stroke_status,
-    tracing_status,
 )
-from valve_sim.nodes.monitor_tasks import Judging, Tracing
+from valve_sim.nodes.monitor_tasks import FaultIsolation, MonitorThread
 from valve_sim.nodes.node_clock import NodeClock
 from valve_sim.nodes.parameters import sources_of
 from valve_sim.nodes.realtime import LONGEST_LEAP_SECONDS, NANOSECONDS
@@ -70,11 +70,11 @@ class MonitorShell:
     """The node `monitor`.
 
     Topics of the valve <valve>, in: <valve>/coil_voltage, <valve>/<measured>, and coil_current beside the latter, where
-    there is one: with it the tracing tells a change of the coil from one of the magnetic circuit. Out:
+    there is one: with it fault isolation tells a change of the coil from one of the magnetic circuit. Out:
     ~/predicted/joint_states and ~/residual (m, measured less predicted position of the pilot plunger) with each sample;
     ~/stroke_report (JSON) and ~/stroke_diagnostics (its numbers, to be plotted) with each stroke; ~/finding (JSON,
     latched), what has changed, after an alarm; /diagnostics at 1 Hz. Service: ~/recommission (the next strokes are
-    healthy). Parameters: those of `valve_sim.nodes.monitor_parameters`; they are read once, at the start.
+    the new baseline). Parameters: those of `valve_sim.nodes.monitor_parameters`; they are read once, at the start.
 
     Args:
         sections: (file, section) of the parameter files on the command line.
@@ -107,35 +107,35 @@ class MonitorShell:
         self._next_message = 0
         self._input = InputCount()
         self._declared = given.valve
-        self._watch = StrokeSegmenter(given.valve, given.settings.monitor)
-        self._judge = StrokeMonitor(given.valve, given.settings.monitor)
+        self._segmenter = StrokeSegmenter(given.valve, given.settings.monitor)
+        self._stroke_monitor = StrokeMonitor(given.valve, given.settings.monitor)
         if self._kept is not None:
-            self._judge.use(self._kept)
-        self._tracing = Tracing(self._tell)
+            self._stroke_monitor.use(self._kept)
+        self._isolation = FaultIsolation(self._tell)
         self._health = HealthLog()
         self._told: tuple[str, ...] | None = None
         self._last_report: StrokeReport | None = None
-        self._healthy: Baseline | None = None
+        self._baseline: Baseline | None = None
         self._is_ready = False
         self._waiting: deque[Callable[[], None]] = deque(maxlen=_MOST_WAITING)
-        self._judging = Judging(
-            self._judge, prepare=self._prepare, report=self._report, trace=self._trace, forget=self._forget,
-            fail=self._fail,
+        self._monitor_thread = MonitorThread(
+            self._stroke_monitor, prepare=self._prepare, report=self._report, isolate=self._isolate,
+            forget=self._forget, fail=self._fail,
         )  # fmt: skip
 
     @property
     def exit_code(self) -> int:
-        """0, or 1 if the judging failed."""
+        """0, or 1 if the monitor's thread failed."""
         return self._exit_code
 
     def spin(self) -> None:
-        """Watch, judge and tell until ROS is shut down."""
-        self._judging.start()
+        """Monitor until ROS is shut down."""
+        self._monitor_thread.start()
         spin(self._node, lambda: 0.0 if self._is_simulated() else _PAUSE)
 
     def close(self, timeout: float | None) -> bool:
         """Stop and release everything; whether both threads have ended."""
-        has_ended = self._judging.stop(timeout) and self._tracing.stop(timeout)
+        has_ended = self._monitor_thread.stop(timeout) and self._isolation.stop(timeout)
         if has_ended:
             self._node.destroy_node()
         return has_ended
@@ -224,7 +224,7 @@ class MonitorShell:
 
     def _hear_current(self, message: Float64, info: Any) -> None:
         stamp = self._arrival(info)
-        self._when_ready(lambda: self._watch.measure_current(self._seconds(stamp), message.data))
+        self._when_ready(lambda: self._segmenter.measure_current(self._seconds(stamp), message.data))
 
     def _hear_samples(self, message: JointState, info: Any) -> None:
         """Take all samples that wait, each after the commands that have come in before it."""
@@ -270,9 +270,9 @@ class MonitorShell:
         action()
 
     def _command(self, stamp: int, volts: float) -> None:
-        rejected = self._watch.rejected
-        self._watch.command(self._seconds(stamp), volts)
-        if self._watch.rejected > rejected:
+        rejected = self._segmenter.rejected
+        self._segmenter.command(self._seconds(stamp), volts)
+        if self._segmenter.rejected > rejected:
             self._input.reject(f"{self._voltage}: {volts:g} V")
         else:
             self._input.commands += 1
@@ -293,10 +293,10 @@ class MonitorShell:
         if moved < -_JUMP_SECONDS or moved > LONGEST_LEAP_SECONDS:
             words = f"the stamps jumped by {moved:g} s: the valve is taken to be at rest"
             self._node.get_logger().warning(words, throttle_duration_sec=1.0)
-            self._watch.reset()
+            self._segmenter.reset()
             self._epoch, self._last_stamp, self._next_message = stamp, stamp - 1, 0
         time_of = self._seconds
-        prediction = self._watch.measure(time_of(stamp), position, time_of(received) if received else math.nan)
+        prediction = self._segmenter.measure(time_of(stamp), position, time_of(received) if received else math.nan)
         if prediction is None:
             self._input.reject(f"{self._measured}: {position:g} m at {stamp} ns, the last at {self._last_stamp} ns")
             return
@@ -328,14 +328,14 @@ class MonitorShell:
             self._residual.publish(Float64(data=prediction.residual))
 
     def _hand_over(self) -> None:
-        for record in self._watch.take_finished():
-            self._judging.post(record)
-        scatter = self._judge.command_scatter
-        self._watch.scatter = scatter if math.isfinite(scatter) else 0.0
-        healthy = self._judge.healthy
-        if healthy is not self._healthy and healthy is not None:
-            self._watch.use(healthy.valve, healthy.lateness)
-            self._healthy = healthy
+        for record in self._segmenter.take_finished():
+            self._monitor_thread.post(record)
+        scatter = self._stroke_monitor.command_scatter
+        self._segmenter.scatter = scatter if math.isfinite(scatter) else 0.0
+        baseline = self._stroke_monitor.baseline
+        if baseline is not self._baseline and baseline is not None:
+            self._segmenter.use(baseline.valve, baseline.lateness)
+            self._baseline = baseline
 
     def _seconds(self, stamp: int) -> float:
         """Since the first stamp, so that a double holds nanoseconds."""
@@ -350,9 +350,9 @@ class MonitorShell:
         )
 
     def _recommission(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._judging.recommission()
+        self._monitor_thread.recommission()
         response.success = True
-        response.message = f"the next {self._settings.commissioning_strokes} strokes are taken for healthy"
+        response.message = f"the next {self._settings.commissioning_strokes} strokes are taken as the new baseline"
         return response
 
     def _diagnose(self) -> None:
@@ -363,23 +363,23 @@ class MonitorShell:
             waiting_for = f"samples on {self._measured}"
         elif self._is_ready and not self._input.commands:
             waiting_for = f"a command on {self._voltage}"
-        facts = self._input.look(self._clock.elapsed(), self._judging.lost, waiting_for)
+        facts = self._input.look(self._clock.elapsed(), self._monitor_thread.lost, waiting_for)
         wanted = self._settings.commissioning_strokes
         statuses = (
-            health_status(self._watch.fault, self._judge, self._last_report, wanted, self._tracing),
-            model_status(self._judge),
+            health_status(self._segmenter.fault, self._stroke_monitor, self._last_report, wanted, self._isolation),
+            model_status(self._stroke_monitor),
             input_status(facts),
-            tracing_status(self._tracing),
+            isolation_status(self._isolation),
         )
         name = self._node.get_fully_qualified_name()
         self._diagnostics.publish(diagnostic_array(statuses, name, self._clock.stamp()))
 
-    # --- the judging thread, and the tracing's ---
+    # --- the monitor's thread, and that of fault isolation ---
 
     def _prepare(self) -> None:
         """Load the compiled model, or compile it, before the first sample is looked at."""
-        stepper = Stepper(self._watch.valve)
-        stepper.command(1e-3, self._watch.valve.parameters.reference_voltage)
+        stepper = Stepper(self._segmenter.valve)
+        stepper.command(1e-3, self._segmenter.valve.parameters.reference_voltage)
         stepper.advance(20e-3)
         gc.freeze()
         self._is_ready = True
@@ -395,12 +395,12 @@ class MonitorShell:
         name = self._node.get_fully_qualified_name()
         self._stroke_diagnostics.publish(diagnostic_array([stroke_status(report)], name, stamp))
         self._keep()
-        if change := self._health.look(report, self._judge):
+        if change := self._health.look(report, self._stroke_monitor):
             self._log(*change)
 
     def _keep(self) -> None:
         """Write what commissioning found, once it has."""
-        commissioning = self._judge.commissioning
+        commissioning = self._stroke_monitor.commissioning
         if commissioning is None or commissioning is self._kept or self._state is None:
             return
         self._kept = commissioning
@@ -412,7 +412,7 @@ class MonitorShell:
             self._node.get_logger().info(f"commissioned; kept in {self._state}")
 
     def _forget(self) -> None:
-        self._tracing.forget()
+        self._isolation.forget()
         self._told = self._kept = None
         if self._state is not None:
             with contextlib.suppress(OSError):
@@ -427,10 +427,10 @@ class MonitorShell:
         else:
             self._node.get_logger().info(words)
 
-    def _trace(self, strokes: list[Trace], healthy: Baseline) -> None:
-        self._tracing.begin(strokes, healthy)
+    def _isolate(self, strokes: list[Trace], baseline: Baseline) -> None:
+        self._isolation.begin(strokes, baseline)
 
-    def _tell(self, finding: Finding) -> None:
+    def _tell(self, finding: FaultFinding) -> None:
         self._finding.publish(String(data=json.dumps(finding_json(finding), ensure_ascii=False)))
         if finding.effects != self._told:
             self._told = finding.effects
@@ -439,7 +439,7 @@ class MonitorShell:
     def _fail(self, error: Exception) -> None:
         if self._node.context.ok():
             self._exit_code = 1
-            self._node.get_logger().fatal(f"the judging ended: {error!r}")
+            self._node.get_logger().fatal(f"monitoring ended: {error!r}")
             self._node.context.try_shutdown()
 
 

@@ -1,4 +1,4 @@
-"""What monitor_node says on /diagnostics, without ROS: the valve, the model beside it, the input, the tracing."""
+"""What monitor_node says on /diagnostics, without ROS: the valve, the model beside it, the input, fault isolation."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 
 from valve_sim.identification.monitoring.stroke_monitor import UNCERTAIN, WATCHING, StrokeMonitor, StrokeReport
 from valve_sim.nodes.diagnostics import Level, Status
-from valve_sim.nodes.monitor_tasks import Tracing
+from valve_sim.nodes.monitor_tasks import FaultIsolation
 
 SILENT_SECONDS: Final = 2.0
 """Without samples for so long, the input is a warning."""
@@ -34,49 +34,53 @@ class InputFacts(NamedTuple):
     waiting_for: str
 
 
-def health_status(fault: str, judge: StrokeMonitor, last: StrokeReport | None, wanted: int, tracing: Tracing) -> Status:
+def health_status(
+    fault: str, monitor: StrokeMonitor, last: StrokeReport | None, wanted: int, isolation: FaultIsolation
+) -> Status:
     """Whether the valve does as it did: ERROR where it does not open or close, WARN where it has changed."""
     values = {
         "strokes": "0" if last is None else str(last.record.number + 1),
-        "alarms": str(judge.alarms),
-        "state": _state(judge),
-        "scatter of commands (ms)": _number(1e3 * judge.command_scatter),
+        "alarms": str(monitor.alarms),
+        "state": _state(monitor),
+        "scatter of commands (ms)": _number(1e3 * monitor.command_scatter),
         "highest sum": "none" if last is None or math.isnan(last.sum) else f"{last.sum:.2f} ({last.cause})",
         "threshold": "none" if last is None or math.isnan(last.threshold) else f"{last.threshold:.2f}",
         "residual (µm)": "none" if last is None or math.isnan(last.rms) else f"{1e6 * last.rms:.3f}",
-        "cause": "" if tracing.finding is None else tracing.finding.summary,
+        "cause": "" if isolation.finding is None else isolation.finding.summary,
     }
     if fault:
         return Status("valve", Level.ERROR, fault, values)
-    alarm = judge.alarm
+    alarm = monitor.alarm
     if alarm is not None:
         cause = f"the strokes since number {alarm.began} are not those of the commissioned valve"
-        known = tracing.finding.summary if tracing.finding is not None else f"most in the direction of {alarm.cause}"
+        known = (
+            isolation.finding.summary if isolation.finding is not None else f"most in the direction of {alarm.cause}"
+        )
         return Status("valve", Level.WARN, f"{cause}: {known}", values)
-    if judge.healthy is None:
-        return Status("valve", Level.OK, f"commissioning, {judge.commissioned} of {wanted} strokes", values)
-    if judge.is_timing_uncertain:
+    if monitor.baseline is None:
+        return Status("valve", Level.OK, f"commissioning, {monitor.commissioned} of {wanted} strokes", values)
+    if monitor.is_timing_uncertain:
         words = (
-            f"{UNCERTAIN}: commands are obeyed {1e3 * judge.command_scatter:.1f} ms sooner or later than they come in"
+            f"{UNCERTAIN}: commands are obeyed {1e3 * monitor.command_scatter:.1f} ms sooner or later than they come in"
         )
         return Status("valve", Level.OK, f"{words}; the shape of strokes is as commissioned", values)
     return Status("valve", Level.OK, "as commissioned", values)
 
 
-def model_status(judge: StrokeMonitor) -> Status:
+def model_status(monitor: StrokeMonitor) -> Status:
     """Whether the declared model explains the healthy valve."""
-    healthy = judge.healthy
-    if healthy is None:
+    baseline = monitor.baseline
+    if baseline is None:
         return Status("model", Level.OK, "not commissioned yet", {})
-    parameters = healthy.valve.parameters
+    parameters = baseline.valve.parameters
     values = {
         "pilot_damping (N·s/m)": f"{parameters.pilot_damping:.5g}",
         "main_damping (N·s/m)": f"{parameters.main_damping:.5g}",
-        "noise (µm)": f"{1e6 * healthy.noise.sigma:.3f}",
-        "lateness (µs)": f"{1e6 * healthy.lateness:.1f}",
-        "scatter of commands (µs)": f"{1e6 * healthy.scatter:.1f}",
+        "noise (µm)": f"{1e6 * baseline.noise.sigma:.3f}",
+        "lateness (µs)": f"{1e6 * baseline.lateness:.1f}",
+        "scatter of commands (µs)": f"{1e6 * baseline.scatter:.1f}",
     }
-    against = judge.contradictions
+    against = monitor.contradictions
     if against:
         words = f"the declared valve is not this one, even when healthy (see {', '.join(against[:3])}); `diagnose` it"
         return Status("model", Level.WARN, words, values)
@@ -101,13 +105,13 @@ def input_status(facts: InputFacts) -> Status:
     return Status("input", Level.OK, "arrives", values)
 
 
-def tracing_status(tracing: Tracing) -> Status:
-    """What the tracing is at."""
-    if tracing.failure:
-        return Status("tracing", Level.WARN, tracing.failure, {})
-    if tracing.doing:
-        return Status("tracing", Level.OK, "at work", {"doing": tracing.doing})
-    return Status("tracing", Level.OK, "idle", {})
+def isolation_status(isolation: FaultIsolation) -> Status:
+    """What fault isolation is doing."""
+    if isolation.failure:
+        return Status("fault isolation", Level.WARN, isolation.failure, {})
+    if isolation.doing:
+        return Status("fault isolation", Level.OK, "running", {"doing": isolation.doing})
+    return Status("fault isolation", Level.OK, "idle", {})
 
 
 def stroke_status(report: StrokeReport) -> Status:
@@ -132,10 +136,10 @@ def stroke_status(report: StrokeReport) -> Status:
     return Status("stroke", level, words, {name: f"{value:.6g}" for name, value in values.items()})
 
 
-def _state(judge: StrokeMonitor) -> str:
-    if judge.healthy is None:
+def _state(monitor: StrokeMonitor) -> str:
+    if monitor.baseline is None:
         return "commissioning"
-    return UNCERTAIN if judge.is_timing_uncertain else WATCHING
+    return UNCERTAIN if monitor.is_timing_uncertain else WATCHING
 
 
 def _number(value: float) -> str:
@@ -148,27 +152,27 @@ class HealthLog:
     def __init__(self) -> None:
         self._state = ""
 
-    def look(self, report: StrokeReport, judge: StrokeMonitor) -> tuple[Level, str] | None:
+    def look(self, report: StrokeReport, monitor: StrokeMonitor) -> tuple[Level, str] | None:
         """Level and words after this stroke; None where nothing has changed."""
-        level, state, words = _health(report, judge)
+        level, state, words = _health(report, monitor)
         if state == self._state:
             return None
         self._state = state
         return level, f"{report.name}: {words}"
 
 
-def _health(report: StrokeReport, judge: StrokeMonitor) -> tuple[Level, str, str]:
+def _health(report: StrokeReport, monitor: StrokeMonitor) -> tuple[Level, str, str]:
     """How bad, under what name, and in words."""
     if report.record.fault:
         return Level.ERROR, "fault", report.record.fault
-    alarm = judge.alarm
+    alarm = monitor.alarm
     if alarm is not None:
         words = f"not as commissioned since stroke {alarm.began}, most in the direction of {alarm.cause}"
         return Level.WARN, "alarm", words
-    if judge.healthy is None:
+    if monitor.baseline is None:
         return Level.OK, "commissioning", "commissioning has begun"
-    if judge.is_timing_uncertain:
-        scatter = 1e3 * judge.command_scatter
+    if monitor.is_timing_uncertain:
+        scatter = 1e3 * monitor.command_scatter
         return Level.OK, UNCERTAIN, f"{UNCERTAIN}: commands scatter by {scatter:.1f} ms; shapes are judged"
     return Level.OK, WATCHING, "as commissioned"
 

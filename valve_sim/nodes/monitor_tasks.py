@@ -1,4 +1,4 @@
-"""The monitor's work beside the live path, without ROS: a thread that judges strokes, and one that traces causes."""
+"""The monitor's work beside the live path, without ROS: a thread that scores strokes, and one that isolates faults."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable
 from typing import Final
 
-from valve_sim.identification.monitoring.fault_isolation import Finding, trace_cause
+from valve_sim.identification.monitoring.fault_isolation import FaultFinding, isolate_fault
 from valve_sim.identification.monitoring.scores import Baseline
 from valve_sim.identification.monitoring.segmenter import StrokeRecord
 from valve_sim.identification.monitoring.stroke_monitor import StrokeMonitor, StrokeReport
@@ -15,37 +15,37 @@ from valve_sim.model.errors import ValveError
 from valve_sim.traces import Trace
 
 MOST_WAITING: Final = 100
-"""Strokes that wait to be judged; further ones are left out and counted."""
+"""Strokes that wait to be scored; further ones are left out and counted."""
 
 
-class Judging(threading.Thread):
-    """A thread that judges strokes in the order in which they were made.
+class MonitorThread(threading.Thread):
+    """A thread that compares strokes with the baseline, in order.
 
     Args:
-        judge: does it; belongs to this thread.
+        monitor: does it; belongs to this thread.
         prepare: called first, in the thread.
         report: called with each report.
-        trace: called with the strokes of an alarm, when it is time to look for its cause.
-        forget: called when what commissioning found has been forgotten, because `recommission` was asked for.
-        fail: called with what went wrong, if anything did; the thread then ends.
+        isolate: called with the strokes of an alarm, when it is time to isolate its fault.
+        forget: called when the baseline has been discarded, because `recommission` was called.
+        fail: called with the exception, if there is one; the thread then ends.
     """
 
     def __init__(
         self,
-        judge: StrokeMonitor,
+        monitor: StrokeMonitor,
         *,
         prepare: Callable[[], None],
         report: Callable[[StrokeReport], None],
-        trace: Callable[[list[Trace], Baseline], None],
+        isolate: Callable[[list[Trace], Baseline], None],
         forget: Callable[[], None],
         fail: Callable[[Exception], None],
     ) -> None:
-        super().__init__(name="judging", daemon=True)
+        super().__init__(name="monitor", daemon=True)
         self.lost = 0
-        self._judge = judge
+        self._stroke_monitor = monitor
         self._prepare = prepare
         self._report = report
-        self._trace = trace
+        self._isolate = isolate
         self._forget = forget
         self._fail = fail
         self._anew = threading.Event()
@@ -53,14 +53,14 @@ class Judging(threading.Thread):
         self._stopping = threading.Event()
 
     def post(self, record: StrokeRecord) -> None:
-        """Have a stroke judged; never waits."""
+        """Queue a stroke; never waits."""
         try:
             self._waiting.put_nowait(record)
         except queue.Full:
             self.lost += 1
 
     def recommission(self) -> None:
-        """Take the strokes that follow for healthy; never waits."""
+        """Take the strokes that follow as the new baseline; never waits."""
         self._anew.set()
         self.post_nothing()
 
@@ -87,7 +87,7 @@ class Judging(threading.Thread):
                 record = self._waiting.get()
                 if self._anew.is_set():
                     self._anew.clear()
-                    self._judge.recommission()
+                    self._stroke_monitor.recommission()
                     self._forget()
                 if record is not None and not self._stopping.is_set():
                     self._work(record)
@@ -96,20 +96,20 @@ class Judging(threading.Thread):
                 self._fail(error)
 
     def _work(self, record: StrokeRecord) -> None:
-        self._report(self._judge.judge(record))
-        if evidence := self._judge.take_evidence():
-            self._trace(evidence, self._judge.timed())
+        self._report(self._stroke_monitor.assess(record))
+        if evidence := self._stroke_monitor.take_evidence():
+            self._isolate(evidence, self._stroke_monitor.with_present_scatter())
 
 
-class Tracing:
-    """Traces one cause at a time, each in a thread of its own; what comes meanwhile waits, the latest of it.
+class FaultIsolation:
+    """Isolates one fault at a time, each in a thread of its own; of what arrives meanwhile, the latest waits.
 
     Args:
         tell: called with each finding, in the thread.
     """
 
-    def __init__(self, tell: Callable[[Finding], None]) -> None:
-        self.finding: Finding | None = None
+    def __init__(self, tell: Callable[[FaultFinding], None]) -> None:
+        self.finding: FaultFinding | None = None
         self.doing = ""
         self.failure = ""
         self._tell = tell
@@ -118,21 +118,21 @@ class Tracing:
         self._lock = threading.Lock()
         self._stopping = threading.Event()
 
-    def begin(self, strokes: list[Trace], healthy: Baseline) -> None:
-        """Trace the cause behind these strokes, now or after what is under way."""
+    def begin(self, strokes: list[Trace], baseline: Baseline) -> None:
+        """Isolate the fault in these strokes, now or after the run in progress."""
         with self._lock:
-            self._next = strokes, healthy
+            self._next = strokes, baseline
             if self._thread is None:
-                self._thread = threading.Thread(target=self._run, name="tracing", daemon=True)
+                self._thread = threading.Thread(target=self._run, name="fault isolation", daemon=True)
                 self._thread.start()
 
     def forget(self) -> None:
-        """What was found no longer holds."""
+        """Discard what was found."""
         with self._lock:
             self._next, self.finding, self.failure = None, None, ""
 
     def stop(self, timeout: float | None) -> bool:
-        """End it at its next word of progress; whether it has ended within `timeout`, s."""
+        """Cancel at the next report of progress; whether it has ended within `timeout`, s."""
         self._stopping.set()
         thread = self._thread
         if thread is not None:
@@ -142,11 +142,11 @@ class Tracing:
     def _run(self) -> None:
         while (work := self._take()) is not None:
             try:
-                found = trace_cause(*work, self._say)
+                found = isolate_fault(*work, self._say)
             except _Cancelled:
                 return
             except (ValveError, ArithmeticError, ValueError) as error:
-                self.failure = f"the cause could not be traced: {error}"
+                self.failure = f"the fault could not be isolated: {error}"
             else:
                 self.finding, self.failure = found, ""
                 if not self._stopping.is_set():
@@ -167,4 +167,4 @@ class Tracing:
 
 
 class _Cancelled(Exception):  # noqa: N818 -- not an error: the node ends
-    """The tracing was asked to stop."""
+    """Fault isolation was asked to stop."""

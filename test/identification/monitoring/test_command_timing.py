@@ -12,14 +12,14 @@ from identification.live_strokes import LiveValve, feed
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.identification.monitoring.command_timing import (
-    UNTIMED,
+    UNINFORMATIVE,
     ArrivalSpread,
     CommandScatter,
-    TimedStroke,
-    allowed_for,
-    allowed_scatters,
+    StrokeTiming,
+    level_for,
+    scatter_levels,
 )
-from valve_sim.identification.monitoring.fault_isolation import is_credible, trace_cause
+from valve_sim.identification.monitoring.fault_isolation import is_credible, isolate_fault
 from valve_sim.identification.monitoring.monitor import Monitor
 from valve_sim.identification.monitoring.segmenter import CONFIRMED, StrokeRecord, StrokeSegmenter
 from valve_sim.identification.monitoring.settings import MonitorSettings
@@ -50,10 +50,10 @@ def watched(
 def test_a_healthy_valve_on_a_busy_machine_is_not_accused(commissioned: float) -> None:
     monitor, reports = watched(BUSY, 60, commissioned=commissioned)
     assert len(reports) == 60
-    assert monitor.judge.alarms == 0
+    assert monitor.stroke_monitor.alarms == 0
     assert not [report.record.fault for report in reports if report.record.fault]
     assert {report.state for report in reports[1:]} == {UNCERTAIN}
-    assert monitor.judge.is_timing_uncertain
+    assert monitor.stroke_monitor.is_timing_uncertain
     assert reports[-1].command_scatter == pytest.approx(BUSY, rel=0.5)
 
 
@@ -61,7 +61,7 @@ def test_on_a_quiet_machine_delays_are_judged_and_a_fault_is_found_as_before() -
     monitor, reports = watched(QUIET, 20)
     assert {report.state for report in reports} == {WATCHING}
     assert {"opening delay", "closing delay"} <= reports[-1].scores.keys()
-    assert monitor.judge.alarms == 0
+    assert monitor.stroke_monitor.alarms == 0
     monitor, reports = watched(QUIET, 6, STICTION)
     assert next(report for report in reports if report.alarm).record.number < 25
 
@@ -69,23 +69,23 @@ def test_on_a_quiet_machine_delays_are_judged_and_a_fault_is_found_as_before() -
 def test_what_changes_the_shape_of_a_stroke_is_found_on_a_busy_machine_too() -> None:
     monitor, reports = watched(BUSY, 12, STICTION)
     assert next(report for report in reports if report.alarm).record.number < 26
-    finding = trace_cause(monitor.judge.evidence(), monitor.judge.timed())
+    finding = isolate_fault(monitor.stroke_monitor.evidence(), monitor.stroke_monitor.with_present_scatter())
     assert {"coulomb_friction", "stiction", "asymmetric_friction"} & set(finding.effects), finding.summary
     assert "0.5" in finding.summary or "0.49" in finding.summary
 
 
-def timed(*shifts: float, volts: float = 9.0, arrival: float = math.nan) -> list[TimedStroke]:
-    return [TimedStroke(volts, (shift, shift), arrival) for shift in shifts]
+def timed(*shifts: float, volts: float = 9.0, arrival: float = math.nan) -> list[StrokeTiming]:
+    return [StrokeTiming(volts, (shift, shift), arrival) for shift in shifts]
 
 
 def test_a_lasting_delay_is_no_scatter_and_one_that_comes_and_goes_is() -> None:
-    healthy = timed(*np.random.default_rng(1).normal(0.0, QUIET, 20).tolist())
-    lasting, coming = CommandScatter(QUIET, healthy), CommandScatter(QUIET, healthy)
+    baseline = timed(*np.random.default_rng(1).normal(0.0, QUIET, 20).tolist())
+    established, coming = CommandScatter(QUIET, baseline), CommandScatter(QUIET, baseline)
     for shift in [2e-3] * 10:
-        lasting.add(timed(shift)[0])
-    assert lasting.sigma == pytest.approx(QUIET, rel=0.5)
+        established.add(timed(shift)[0])
+    assert established.sigma == pytest.approx(QUIET, rel=0.5)
     # The first one after the change may have been chance.
-    assert CommandScatter(QUIET, healthy).add(timed(2e-3)[0]) > 5 * QUIET
+    assert CommandScatter(QUIET, baseline).add(timed(2e-3)[0]) > 5 * QUIET
     for shift in [2e-3, 0.0] * 5:
         coming.add(timed(shift)[0])
     assert 0.4e-3 < coming.sigma < 3e-3
@@ -113,46 +113,46 @@ def test_arrivals_know_no_offset_of_clocks_and_forget() -> None:
 
 
 def test_the_next_wider_level_is_allowed_and_nothing_is_said_beyond_the_last() -> None:
-    levels = allowed_scatters(QUIET, 10e-3)
-    assert levels == pytest.approx((0.05e-3, 0.1e-3, 0.2e-3, 0.4e-3, 0.8e-3, UNTIMED))
-    assert allowed_for(QUIET, levels) == QUIET
-    assert allowed_for(0.11e-3, levels) == pytest.approx(0.2e-3)
-    assert allowed_for(0.9e-3, levels) == UNTIMED
-    assert allowed_scatters(2e-3, 10e-3) == (UNTIMED,)
+    levels = scatter_levels(QUIET, 10e-3)
+    assert levels == pytest.approx((0.05e-3, 0.1e-3, 0.2e-3, 0.4e-3, 0.8e-3, UNINFORMATIVE))
+    assert level_for(QUIET, levels) == QUIET
+    assert level_for(0.11e-3, levels) == pytest.approx(0.2e-3)
+    assert level_for(0.9e-3, levels) == UNINFORMATIVE
+    assert scatter_levels(2e-3, 10e-3) == (UNINFORMATIVE,)
 
 
-def stuck(watch: StrokeSegmenter, begin: float, hold: float, position: float, late: float) -> StrokeRecord:
+def stuck(segmenter: StrokeSegmenter, begin: float, hold: float, position: float, late: float) -> StrokeRecord:
     """One stroke of a valve that stays where it is, each second sample late; its record."""
     commands = [(begin + 0.02, 9.0), (begin + 0.02 + hold, 0.0)]
     for index, time in enumerate(np.arange(begin, begin + 1.0, 1e-3).tolist()):
         while commands and commands[0][0] <= time:
-            watch.command(*commands.pop(0))
-        watch.measure(time, position, time + late * (index % 2))
-    (record,) = watch.take_finished()
+            segmenter.command(*commands.pop(0))
+        segmenter.measure(time, position, time + late * (index % 2))
+    (record,) = segmenter.take_finished()
     return record
 
 
 @pytest.mark.parametrize("late", [0.0, 0.1])
 def test_a_short_stroke_is_believed_on_a_quiet_machine_and_on_a_busy_one_when_it_comes_again(late: float) -> None:
-    watch = StrokeSegmenter(default_valve(), MonitorSettings())
-    records = [stuck(watch, float(number), 0.05, 0.0, late) for number in range(CONFIRMED)]
+    segmenter = StrokeSegmenter(default_valve(), MonitorSettings())
+    records = [stuck(segmenter, float(number), 0.05, 0.0, late) for number in range(CONFIRMED)]
     said = [bool(record.fault) for record in records]
     assert said == ([True] * CONFIRMED if late == 0.0 else [False] * (CONFIRMED - 1) + [True])
     assert late == 0.0 or all("timing too uncertain" in record.remark for record in records[:-1])
-    assert "did not open" in watch.fault
+    assert "did not open" in segmenter.fault
 
 
 @pytest.mark.parametrize(("late", "is_said"), [(0.0, True), (0.3, False)])
 def test_a_valve_that_closes_late_is_in_time_where_samples_are_as_late(late: float, is_said: bool) -> None:
-    watch = StrokeSegmenter(default_valve(), MonitorSettings())
-    watch.command(0.1, 9.0)
+    segmenter = StrokeSegmenter(default_valve(), MonitorSettings())
+    segmenter.command(0.1, 9.0)
     for index, time in enumerate(np.arange(0.0, 1.0, 1e-3).tolist()):
         if index == 500:
-            watch.command(time, 0.0)
-        watch.measure(time, 1.23e-3 if 0.11 < time < 0.75 else 0.0, time + late * (index % 2))
-        if watch.fault:
+            segmenter.command(time, 0.0)
+        segmenter.measure(time, 1.23e-3 if 0.11 < time < 0.75 else 0.0, time + late * (index % 2))
+        if segmenter.fault:
             break
-    assert bool(watch.fault) == is_said
+    assert bool(segmenter.fault) == is_said
 
 
 def test_a_valve_that_obeys_before_its_command_comes_in_is_judged_from_its_rest_on() -> None:
@@ -211,4 +211,4 @@ def test_a_valve_that_is_told_to_close_when_it_has_hardly_begun_to_open_is_not_j
     assert [report.state for report in together] == ["not judged"] * 2
     assert all(report.remark.startswith("timing too uncertain") for report in together)
     assert not any(report.record.fault for report in reports)
-    assert monitor.judge.alarms == 0
+    assert monitor.stroke_monitor.alarms == 0

@@ -36,26 +36,26 @@ def next_strokes(seed: int) -> list[LiveStroke]:
 
 
 def reports(monitor: Monitor) -> list[StrokeReport]:
-    monitor.watch.reset()
+    monitor.segmenter.reset()
     return [report for made in next_strokes(9) for report in feed(monitor, made)]
 
 
 def test_a_monitor_that_is_started_again_says_the_same(monitor: Monitor, tmp_path: Path) -> None:
-    kept = monitor.judge.commissioning
+    kept = monitor.stroke_monitor.commissioning
     assert kept is not None
-    assert kept.healthy.current is not None
+    assert kept.baseline.current is not None
     path = tmp_path / "folder" / "state.json"
     assert load_commissioning(path, default_valve()) is None
     save_commissioning(path, kept, default_valve())
     again = load_commissioning(path, default_valve())
     assert again is not None
-    assert again.healthy.valve == kept.healthy.valve
-    np.testing.assert_array_equal(again.healthy.covariance, kept.healthy.covariance)
-    assert again.baselines == kept.baselines
-    assert (again.healthy.noise, again.healthy.current) == (kept.healthy.noise, kept.healthy.current)
+    assert again.baseline.valve == kept.baseline.valve
+    np.testing.assert_array_equal(again.baseline.covariance, kept.baseline.covariance)
+    assert again.score_baselines == kept.score_baselines
+    assert (again.baseline.noise, again.baseline.current) == (kept.baseline.noise, kept.baseline.current)
     first, second = Monitor(default_valve(), SETTINGS, refit=False), Monitor(default_valve(), SETTINGS, refit=False)
-    first.judge.use(kept)
-    second.judge.use(again)
+    first.stroke_monitor.use(kept)
+    second.stroke_monitor.use(again)
     said = [report.scores for report in reports(first)]
     assert said == [report.scores for report in reports(second)]
     assert said[0]
@@ -63,7 +63,7 @@ def test_a_monitor_that_is_started_again_says_the_same(monitor: Monitor, tmp_pat
 
 
 def test_what_is_not_known_is_not_made_up(monitor: Monitor, tmp_path: Path) -> None:
-    kept = monitor.judge.commissioning
+    kept = monitor.stroke_monitor.commissioning
     assert kept is not None
     path = tmp_path / "state.json"
     save_commissioning(path, kept, default_valve())
@@ -75,7 +75,7 @@ def test_what_is_not_known_is_not_made_up(monitor: Monitor, tmp_path: Path) -> N
 
 @pytest.mark.parametrize("damage", ["cut", "digit", "schema", "valve", "text", "list"])
 def test_a_file_that_cannot_be_used_is_refused_in_one_line(monitor: Monitor, tmp_path: Path, damage: str) -> None:
-    kept = monitor.judge.commissioning
+    kept = monitor.stroke_monitor.commissioning
     assert kept is not None
     path, valve = tmp_path / "state.json", default_valve()
     save_commissioning(path, kept, valve)
@@ -105,10 +105,10 @@ def test_a_file_that_cannot_be_used_is_refused_in_one_line(monitor: Monitor, tmp
 
 def test_what_is_asked_to_commission_anew_forgets(monitor: Monitor) -> None:
     fresh = Monitor(default_valve(), SETTINGS, refit=False)
-    assert monitor.judge.commissioning is not None
-    fresh.judge.use(monitor.judge.commissioning)
+    assert monitor.stroke_monitor.commissioning is not None
+    fresh.stroke_monitor.use(monitor.stroke_monitor.commissioning)
     assert {report.state for report in reports(fresh)} == {"watching"}
-    fresh.judge.recommission()
-    assert fresh.judge.healthy is None
-    assert math.isnan(fresh.judge.command_scatter)
+    fresh.stroke_monitor.recommission()
+    assert fresh.stroke_monitor.baseline is None
+    assert math.isnan(fresh.stroke_monitor.command_scatter)
     assert {report.state for report in reports(fresh)} == {"commissioning"}

@@ -10,8 +10,8 @@ import pytest
 
 from identification.live_strokes import LiveValve, feed
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.monitoring.cusum import MOST, Sums, mean_run, threshold_for
-from valve_sim.identification.monitoring.fault_isolation import trace_cause
+from valve_sim.identification.monitoring.cusum import SCORE_LIMIT, Sums, mean_run, threshold_for
+from valve_sim.identification.monitoring.fault_isolation import isolate_fault
 from valve_sim.identification.monitoring.monitor import Monitor
 from valve_sim.identification.monitoring.segmenter import LEAD, StrokeSegmenter
 from valve_sim.identification.monitoring.settings import MonitorSettings
@@ -40,16 +40,16 @@ def commissioned() -> tuple[Monitor, LiveValve]:
 
 
 def test_what_commissioning_finds_is_true(commissioned: tuple[Monitor, LiveValve]) -> None:
-    healthy = commissioned[0].judge.healthy
-    assert healthy is not None
-    errors = np.sqrt(np.diag(healthy.covariance))
-    assert abs(healthy.valve.parameters.pilot_damping - 1.3) < 4 * errors[0]
-    assert abs(healthy.valve.parameters.main_damping - 3.5) < 4 * errors[1]
-    assert healthy.noise.sigma == pytest.approx(1e-6, rel=0.05)
+    baseline = commissioned[0].stroke_monitor.baseline
+    assert baseline is not None
+    errors = np.sqrt(np.diag(baseline.covariance))
+    assert abs(baseline.valve.parameters.pilot_damping - 1.3) < 4 * errors[0]
+    assert abs(baseline.valve.parameters.main_damping - 3.5) < 4 * errors[1]
+    assert baseline.noise.sigma == pytest.approx(1e-6, rel=0.05)
     # The median of forty commands that are off by 50 µs each.
-    assert healthy.lateness == pytest.approx(200e-6, abs=30e-6)
-    assert 25e-6 < healthy.scatter < 80e-6
-    assert not commissioned[0].judge.contradictions
+    assert baseline.lateness == pytest.approx(200e-6, abs=30e-6)
+    assert 25e-6 < baseline.scatter < 80e-6
+    assert not commissioned[0].stroke_monitor.contradictions
 
 
 @pytest.mark.parametrize(("colour", "rate"), [(0.7, 20e3), (0.0, 500.0)])
@@ -58,7 +58,7 @@ def test_a_healthy_valve_raises_no_alarm(colour: float, rate: float) -> None:
     reports = strokes(monitor, LiveValve(3, HEALTHY, colour=colour, rate=rate, offset=-20e-6), 221)
     watched = [report for report in reports if report.state == "watching"]
     assert len(watched) == 200
-    assert monitor.judge.alarms == 0
+    assert monitor.stroke_monitor.alarms == 0
     share = np.mean([report.rms / report.noise for report in watched])
     assert share == pytest.approx(1.0, abs=0.1)
     scores = np.array([list(report.scores.values()) for report in watched if len(report.scores) > 25], dtype=object)
@@ -89,19 +89,19 @@ def test_friction_of_five_limits_is_found_within_five_strokes(colour: float) -> 
     for seed in range(3):
         monitor, valve = Monitor(default_valve(), refit=False), LiveValve(seed, HEALTHY, colour=colour)
         strokes(monitor, valve, 31)
-        assert monitor.judge.alarms == 0
+        assert monitor.stroke_monitor.alarms == 0
         strokes(monitor, valve, 5, {"coulomb_friction": {"force": FIVE_LIMITS}})
         strokes(monitor, valve, 1)  # a stroke is over when the next one begins
-        assert monitor.judge.alarms > 0
+        assert monitor.stroke_monitor.alarms > 0
 
 
-def test_a_cause_is_traced_soon_again_and_then_once_in_a_full_ring() -> None:
+def test_a_fault_is_isolated_soon_again_and_then_once_in_a_full_buffer() -> None:
     monitor, valve = Monitor(default_valve(), refit=False), LiveValve(5, HEALTHY, jitter=0.0)
     strokes(monitor, valve, 25)
     looked, sizes = [], []
     for index in range(60):
         strokes(monitor, valve, 1, {"coulomb_friction": {"force": FIVE_LIMITS}})
-        if evidence := monitor.judge.take_evidence():
+        if evidence := monitor.stroke_monitor.take_evidence():
             looked.append(index)
             sizes.append(len(evidence))
     assert (sizes[0], sizes[-1]) == (6, 19)
@@ -115,9 +115,9 @@ def test_friction_that_grows_is_named() -> None:
     for force in np.linspace(0.0, FIVE_LIMITS, 11)[1:]:
         strokes(monitor, valve, 1, {"coulomb_friction": {"force": float(force)}})
     strokes(monitor, valve, 20, {"coulomb_friction": {"force": FIVE_LIMITS}})
-    healthy = monitor.judge.healthy
-    assert healthy is not None
-    finding = trace_cause(monitor.judge.evidence()[-12:], healthy)
+    baseline = monitor.stroke_monitor.baseline
+    assert baseline is not None
+    finding = isolate_fault(monitor.stroke_monitor.evidence()[-12:], baseline)
     assert finding.kind == "effects"
     assert finding.effects == ("coulomb_friction",)
     interval = finding.parameters["coulomb_friction.force"]
@@ -131,10 +131,10 @@ def test_a_changed_damping_is_said_to_be_one() -> None:
     strokes(monitor, valve, 25)
     for _ in range(9):
         list(feed(monitor, valve.stroke(main_damping=4.2)))
-    assert monitor.judge.alarms > 0
-    healthy = monitor.judge.healthy
-    assert healthy is not None
-    finding = trace_cause(monitor.judge.evidence(), healthy)
+    assert monitor.stroke_monitor.alarms > 0
+    baseline = monitor.stroke_monitor.baseline
+    assert baseline is not None
+    finding = isolate_fault(monitor.stroke_monitor.evidence(), baseline)
     assert finding.effects == ("main_damping",)
     assert finding.parameters["main_damping.value"].value == pytest.approx(4.2, abs=0.05)
     assert "when commissioned" in finding.summary
@@ -152,14 +152,14 @@ def test_with_the_current_a_weaker_coil_is_told_from_a_weaker_magnet() -> None:
 
     for _ in range(22):
         stroke({})
-    healthy = monitor.judge.healthy
-    assert healthy is not None
-    assert healthy.current is not None
-    assert healthy.current.lateness == pytest.approx(2e-3, abs=20e-6)
-    assert healthy.current.gain == pytest.approx(1.2, rel=1e-3)
+    baseline = monitor.stroke_monitor.baseline
+    assert baseline is not None
+    assert baseline.current is not None
+    assert baseline.current.lateness == pytest.approx(2e-3, abs=20e-6)
+    assert baseline.current.gain == pytest.approx(1.2, rel=1e-3)
     for _ in range(9):
         stroke({"drive_gain": {"gain": 0.97}})
-    finding = trace_cause(monitor.judge.evidence(), healthy)
+    finding = isolate_fault(monitor.stroke_monitor.evidence(), baseline)
     assert finding.effects == ("drive_gain",)
     assert finding.parameters["drive_gain.gain"].value == pytest.approx(0.97, abs=1e-3)
     assert not finding.confusable_with.get("drive_gain")
@@ -171,29 +171,29 @@ def test_a_valve_that_does_not_open_is_an_error_at_once() -> None:
     stuck = valve.stroke(seat_load=100.0)
     reports, begin = [], float(stuck.command_times[0])
     for time, position in zip(stuck.times.tolist(), stuck.position.tolist(), strict=True):
-        if time >= begin and monitor.watch.strokes == 2:
+        if time >= begin and monitor.segmenter.strokes == 2:
             reports += monitor.command(begin, float(stuck.volts[0]))
-        monitor.watch.measure(time, position)
-        if monitor.watch.fault:
+        monitor.segmenter.measure(time, position)
+        if monitor.segmenter.fault:
             break
     # The model is open after 10 ms; as long again is the valve's to be late.
     assert time - begin < 0.022
-    assert "did not open" in monitor.watch.fault
+    assert "did not open" in monitor.segmenter.fault
     monitor.command(float(stuck.command_times[1]), 0.0)
     strokes(monitor, valve, 3)
-    assert not monitor.watch.fault
+    assert not monitor.segmenter.fault
 
 
 def test_a_valve_that_does_not_close_is_an_error() -> None:
-    watch, valve = StrokeSegmenter(default_valve(), MonitorSettings(patience=10e-3)), LiveValve(1, HEALTHY)
+    segmenter, valve = StrokeSegmenter(default_valve(), MonitorSettings(patience=10e-3)), LiveValve(1, HEALTHY)
     stroke = valve.stroke()
     held = np.where(stroke.times > stroke.command_times[1], 1.23e-3, stroke.position)
     commands = list(zip(stroke.command_times.tolist(), stroke.volts.tolist(), strict=True))
     for time, position in zip(stroke.times.tolist(), held.tolist(), strict=True):
         while commands and time >= commands[0][0]:
-            watch.command(*commands.pop(0))
-        watch.measure(time, position)
-    assert "did not close" in watch.fault
+            segmenter.command(*commands.pop(0))
+        segmenter.measure(time, position)
+    assert "did not close" in segmenter.fault
 
 
 def test_commands_before_the_first_sample_are_reported_and_harm_nothing() -> None:
@@ -208,45 +208,45 @@ def test_commands_before_the_first_sample_are_reported_and_harm_nothing() -> Non
 
 
 def test_a_stroke_that_does_not_begin_at_rest_is_not_judged() -> None:
-    watch = StrokeSegmenter(default_valve(), MonitorSettings(settle=0.01, patience=0.01))
+    segmenter = StrokeSegmenter(default_valve(), MonitorSettings(settle=0.01, patience=0.01))
     times = np.arange(0.0, 0.2, 1e-3)
     commands = [(0.02, 9.0), (0.05, 0.0), (0.0505, 9.0), (0.1, 0.0)]
     for time in times.tolist():
         while commands and commands[0][0] <= time:
-            watch.command(*commands.pop(0))
-        watch.measure(time, 0.0)
-    finished = watch.take_finished()
+            segmenter.command(*commands.pop(0))
+        segmenter.measure(time, 0.0)
+    finished = segmenter.take_finished()
     assert len(finished) == 2
     assert "did not begin at rest" in finished[1].remark
 
 
 def test_memory_is_bounded() -> None:
     settings = MonitorSettings(settle=0.05)
-    watch = StrokeSegmenter(default_valve(), settings)
-    watch.command(0.0, 0.0)
+    segmenter = StrokeSegmenter(default_valve(), settings)
+    segmenter.command(0.0, 0.0)
     for time in np.arange(0.0, 30.0, 2e-3).tolist():
-        watch.measure(time, 0.0)
-    assert watch.kept <= 2.0 * LEAD / 2e-3 + 2
-    watch.command(30.0, 9.0)
+        segmenter.measure(time, 0.0)
+    assert segmenter.kept <= 2.0 * LEAD / 2e-3 + 2
+    segmenter.command(30.0, 9.0)
     for time in np.arange(30.002, 90.0, 2e-3).tolist():
-        watch.measure(time, 1.23e-3)
-    assert watch.kept < (2.0 * LEAD + 0.2) / 2e-3
+        segmenter.measure(time, 1.23e-3)
+    assert segmenter.kept < (2.0 * LEAD + 0.2) / 2e-3
     monitor, valve = Monitor(default_valve(), MonitorSettings(diagnosis_strokes=4), refit=False), LiveValve(2, HEALTHY)
     strokes(monitor, valve, 27)
-    assert len(monitor.judge.evidence()) <= 4
+    assert len(monitor.stroke_monitor.evidence()) <= 4
 
 
 def test_bad_samples_and_commands_are_counted_and_harm_nothing() -> None:
-    watch = StrokeSegmenter(default_valve(), MonitorSettings())
-    assert watch.measure(0.0, 0.0) is not None
-    assert watch.measure(0.001, math.nan) is None
-    assert watch.measure(math.inf, 0.0) is None
-    assert watch.measure(0.0, 0.0) is None
-    watch.command(0.002, math.nan)
-    watch.command(0.003, 9.0)
-    watch.command(0.001, 0.0)
-    assert watch.rejected == 5
-    prediction = watch.measure(0.020, 1.23e-3)
+    segmenter = StrokeSegmenter(default_valve(), MonitorSettings())
+    assert segmenter.measure(0.0, 0.0) is not None
+    assert segmenter.measure(0.001, math.nan) is None
+    assert segmenter.measure(math.inf, 0.0) is None
+    assert segmenter.measure(0.0, 0.0) is None
+    segmenter.command(0.002, math.nan)
+    segmenter.command(0.003, 9.0)
+    segmenter.command(0.001, 0.0)
+    assert segmenter.rejected == 5
+    prediction = segmenter.measure(0.020, 1.23e-3)
     assert prediction is not None
     assert prediction.reading.pilot_position == 1.23e-3
     assert prediction.residual == 0.0
@@ -275,7 +275,7 @@ def test_the_sums_are_those_that_the_rate_was_worked_out_for() -> None:
     heights, alarms = np.zeros(4), 0
     for index in range(2000):
         scores = random.standard_normal(2) + np.array([0.5, -0.5])
-        heights = np.maximum(0.0, heights + np.minimum(np.concatenate([scores, -scores]), MOST) - sums.reference)
+        heights = np.maximum(0.0, heights + np.minimum(np.concatenate([scores, -scores]), SCORE_LIMIT) - sums.reference)
         is_over = bool(np.any(heights > sums.threshold))
         assert (sums.add(index, {"one": scores[0], "other": scores[1]}) is not None) == is_over
         heights, alarms = (np.zeros(4), alarms + 1) if is_over else (heights, alarms)

@@ -1,4 +1,4 @@
-"""The first strokes of a monitored valve: what it is while healthy, and what its scores are then."""
+"""Commissioning: the baseline of a monitored valve, and of its scores, from its first strokes."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 from scipy.special import ndtri, stdtr
 
-from valve_sim.identification.monitoring.command_timing import TimedStroke, allowed_scatters
-from valve_sim.identification.monitoring.scores import SIZE, Baseline, commission, late_by, score_stroke
+from valve_sim.identification.monitoring.command_timing import StrokeTiming, scatter_levels
+from valve_sim.identification.monitoring.scores import SIZE, Baseline, commission, delays_of, score_stroke
 from valve_sim.identification.monitoring.segmenter import StrokeRecord
 from valve_sim.model import Drive, EventKind, Valve, simulate
 from valve_sim.traces import Trace
@@ -23,17 +23,17 @@ TOO_SPREAD: Final = 1.7
 LONGEST_OPENING: Final = 0.1
 """s: a valve that takes longer is taken to open in this time."""
 LEAST_SPREAD: Final = 1.0
-"""Standard deviation of a score under noise alone. Where the sensor is less noisy than declared, scores spread by less,
-and by nothing but rounding where it is simulated; what they then differ by is no change of the valve."""
-SCORED_MOST: Final = 8.0
-"""Standard deviations: the most that a score says."""
+"""Standard deviation of a score under noise alone. Where the sensor is less noisy than declared, scores spread less (in
+simulation by rounding only), and small differences are no change of the valve."""
+LARGEST_SCORE: Final = 8.0
+"""Standard deviations at which a score is clipped."""
 FEWEST_TO_LEARN: Final = 8
-"""Commissioning strokes that show a direction, from which its mean and spread are learned."""
+"""Number of commissioning strokes with a score, from which its mean and spread are learned."""
 
 
 @dataclass(frozen=True)
 class ScoreBaseline:
-    """What a score was while the valve was commissioned; learned where that contradicts a standard normal one."""
+    """The distribution of a score at commissioning; learned where it contradicts the standard normal one."""
 
     mean: float
     spread: float
@@ -42,7 +42,7 @@ class ScoreBaseline:
 
     @classmethod
     def of(cls, name: str, scores: Sequence[float]) -> ScoreBaseline:
-        """From the scores of one name, of strokes that are taken for healthy."""
+        """From the scores of one name in the commissioning strokes."""
         count = len(scores)
         if count < FEWEST_TO_LEARN:
             return cls(0.0, 1.0, count, False)
@@ -52,46 +52,50 @@ class ScoreBaseline:
         return cls(mean, spread, count, is_learned)
 
     def standard(self, score: float) -> float:
-        """The score as a standard normal one."""
+        """The score, made standard normal."""
         if self.is_learned:
             quotient = (score - self.mean) / (max(self.spread, LEAST_SPREAD) * math.sqrt(1.0 + 1.0 / self.strokes))
             tail = float(stdtr(self.strokes - 1, -abs(quotient)))
             score = math.copysign(float(ndtri(max(tail, 1e-16))), quotient)
-        return min(max(score, -SCORED_MOST), SCORED_MOST)
+        return min(max(score, -LARGEST_SCORE), LARGEST_SCORE)
 
 
 @dataclass(frozen=True)
 class Commissioning:
-    """What the first strokes have shown.
+    """What the first strokes have shown: the reference for all later ones.
 
     Attributes:
-        healthy: the valve.
-        baselines: by the standard deviation that commands' times are allowed, s, then by name: scores while healthy.
-        strokes: when they obeyed their commands.
+        baseline: the valve.
+        score_baselines: by the standard deviation of commands' times, s, then by name of the score.
+        strokes: the delays of their commands.
     """
 
-    healthy: Baseline
-    baselines: Mapping[float, Mapping[str, ScoreBaseline]]
-    strokes: tuple[TimedStroke, ...]
+    baseline: Baseline
+    score_baselines: Mapping[float, Mapping[str, ScoreBaseline]]
+    strokes: tuple[StrokeTiming, ...]
 
     @property
     def levels(self) -> tuple[float, ...]:
         """The standard deviations, s, ascending."""
-        return tuple(self.baselines)
+        return tuple(self.score_baselines)
 
     @property
     def names(self) -> tuple[str, ...]:
         """Of all scores."""
-        return tuple(dict.fromkeys(name for baselines in self.baselines.values() for name in baselines))
+        return tuple(
+            dict.fromkeys(name for score_baselines in self.score_baselines.values() for name in score_baselines)
+        )
 
     def standard(self, scores: Mapping[str, float], level: float) -> dict[str, float]:
-        """Scores made with a level, as standard normal ones; those that commissioning has not seen are left out."""
-        baselines = self.baselines[level]
-        return {name: baselines[name].standard(score) for name, score in scores.items() if name in baselines}
+        """Scores computed at a level, made standard normal; those without a baseline are left out."""
+        score_baselines = self.score_baselines[level]
+        return {
+            name: score_baselines[name].standard(score) for name, score in scores.items() if name in score_baselines
+        }
 
 
 def commission_with(records: Sequence[StrokeRecord], declared: Valve, noise: float) -> Commissioning:
-    """Take strokes for healthy.
+    """Estimate the baseline from strokes of a healthy valve.
 
     Args:
         records: the strokes.
@@ -102,33 +106,33 @@ def commission_with(records: Sequence[StrokeRecord], declared: Valve, noise: flo
         SimulationError: the declared valve cannot be simulated.
     """
     traces = [record.trace for record in records]
-    healthy = commission(traces, declared, noise)
-    levels = allowed_scatters(healthy.jitter, _opening_seconds(healthy.valve))
-    tables = {level: [score_stroke(trace, healthy, level).scores for trace in traces] for level in levels}
-    baselines = {level: _baselines(table) for level, table in tables.items()}
-    return Commissioning(healthy, baselines, tuple(timed_stroke(record, healthy) for record in records))
+    baseline = commission(traces, declared, noise)
+    levels = scatter_levels(baseline.jitter, _opening_seconds(baseline.valve))
+    tables = {level: [score_stroke(trace, baseline, level).scores for trace in traces] for level in levels}
+    score_baselines = {level: _score_baselines(table) for level, table in tables.items()}
+    return Commissioning(baseline, score_baselines, tuple(stroke_timing(record, baseline) for record in records))
 
 
-def _baselines(table: Sequence[Mapping[str, float]]) -> dict[str, ScoreBaseline]:
+def _score_baselines(table: Sequence[Mapping[str, float]]) -> dict[str, ScoreBaseline]:
     names = dict.fromkeys(name for scores in table for name in scores)
     return {name: ScoreBaseline.of(name, [scores[name] for scores in table if name in scores]) for name in names}
 
 
-def timed_stroke(record: StrokeRecord, healthy: Baseline) -> TimedStroke:
-    """When a stroke obeyed its commands."""
+def stroke_timing(record: StrokeRecord, baseline: Baseline) -> StrokeTiming:
+    """The delays of a stroke behind its commands."""
     volts = record.trace.drive.volts
-    shifts = late_by(record.trace, healthy.valve, healthy.lateness)
-    return TimedStroke(float(volts[np.argmax(np.abs(volts))]), shifts, record.arrival_spread)
+    shifts = delays_of(record.trace, baseline.valve, baseline.lateness)
+    return StrokeTiming(float(volts[np.argmax(np.abs(volts))]), shifts, record.arrival_spread)
 
 
-def came_together(trace: Trace, valve: Valve) -> bool:
-    """Whether a stroke was held open for less than half as long as it was commanded.
+def is_held_too_short(trace: Trace, valve: Valve) -> bool:
+    """Whether a stroke was held open for less than half as long as was commanded.
 
-    A valve that is just about to open then may or may not reach its stop: too little is known of when the voltage went.
+    A valve that is just about to open then may or may not reach its stop: it is too uncertain when the voltage was off.
     """
     hold = float(trace.drive.times[-1] - trace.drive.times[0])
-    # What a clock is off by is in both.
-    opening, closing = late_by(trace, valve, 0.0)
+    # An offset of the clock is in both.
+    opening, closing = delays_of(trace, valve, 0.0)
     return opening - closing > 0.5 * hold
 
 

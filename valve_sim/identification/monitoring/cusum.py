@@ -3,11 +3,11 @@
 Each stroke gives scores that are standard normal while nothing has changed. A cumulative sum after Page (Biometrika 41,
 1954, p. 100) watches each, upwards and downwards:
 
-    S ← max(0, S + min(score, MOST) − reference)        alarm at S > threshold, after which all sums begin anew.
+    S ← max(0, S + min(score, SCORE_LIMIT) − reference)        alarm at S > threshold, after which all sums begin anew.
 
 The threshold follows from the wanted mean number of strokes between false alarms by Siegmund's approximation
 (Sequential Analysis, 1985, section 2.6), shared out evenly among all sums (Bonferroni): scores of related effects rise
-together, so that alarms are rarer than stated, not more frequent. A score counts at most `MOST`, so that one bad
+together, so that alarms are rarer than stated, not more frequent. A score is clipped at `SCORE_LIMIT`, so that one bad
 stroke, such as a command that the network held up, never raises an alarm by itself (Lucas and Crosier, Communications
 in Statistics A 11, 1982, p. 2669).
 """
@@ -20,9 +20,9 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 CHANGE: Final = 2.0
-"""Standard deviations a stroke: the change that the sums find soonest."""
-MOST: Final = 4.5
-"""Standard deviations that one stroke can count: below every threshold."""
+"""Standard deviations per stroke: the shift that the sums are tuned to."""
+SCORE_LIMIT: Final = 4.5
+"""Standard deviations at which the score of one stroke is clipped: below every threshold."""
 OVERSHOOT: Final = 1.166
 """Siegmund's correction for a random walk observed once a stroke only."""
 
@@ -60,16 +60,16 @@ class Sums:
 
     Args:
         run: wanted mean number of strokes between false alarms, of all sums together.
-        names: of the scores. one_sided: those of them that mean something upwards only.
-        learned: number of strokes from which a score's zero was learned. What is learned errs by 1/√learned, and by
-            as much in every stroke that follows; the reference value is higher by two such standard errors.
+        names: of the scores. one_sided: those of them of which only a rise matters.
+        learned: number of strokes from which a score's zero was learned. Its standard error 1/√learned
+            is a bias of every later stroke; the reference value is higher by two such standard errors.
     """
 
     def __init__(self, run: float, names: Sequence[str], learned: int, one_sided: Sequence[str] = ()) -> None:
         self.reference = 0.5 * CHANGE + 2.0 / math.sqrt(learned)
         self._sums = {name: _Sum() for name in names}
         self._sums.update({f"{name} −": _Sum() for name in names if name not in one_sided})
-        self.threshold = max(MOST, threshold_for(run * len(self._sums), 0.5 * CHANGE))
+        self.threshold = max(SCORE_LIMIT, threshold_for(run * len(self._sums), 0.5 * CHANGE))
 
     def __contains__(self, name: str) -> bool:
         """Whether a score of this name is watched."""
@@ -77,7 +77,7 @@ class Sums:
 
     @property
     def largest(self) -> tuple[str, float]:
-        """The highest sum, and its name; of several, the one that would be highest if no score were cut."""
+        """Name and height of the highest sum; of equal ones, the one that would be highest if no score were clipped."""
         name = max(self._sums, key=lambda name: (self._sums[name].height, self._sums[name].uncut))
         return name, self._sums[name].height
 
@@ -97,7 +97,7 @@ class Sums:
 
 @dataclass
 class _Sum:
-    """One cumulative sum, and the stroke with which it began to rise."""
+    """One cumulative sum, and the stroke at which it left zero."""
 
     height: float = 0.0
     uncut: float = 0.0
@@ -106,5 +106,5 @@ class _Sum:
     def add(self, index: int, score: float, reference: float) -> None:
         if self.height == 0.0:
             self.began, self.uncut = index, 0.0
-        self.height = max(0.0, self.height + min(score, MOST) - reference)
+        self.height = max(0.0, self.height + min(score, SCORE_LIMIT) - reference)
         self.uncut += score

@@ -1,9 +1,9 @@
-"""From an alarm to its cause: the last strokes diagnosed against the valve as it was commissioned, and worded.
+"""Fault isolation: after an alarm, the last strokes are diagnosed against the baseline to name what has changed.
 
 A diagnosis of a recording must free the dampings, which nobody knows; beside a valve that was commissioned they are
 known. So here they are candidates like any effect, "the main damping has changed" beside "Coulomb friction has
-appeared", and what tells the two apart is not lost to a refit. Their errors of commissioning, and the errors of the
-commands' stamps, are always estimated too, as nuisances: commissioning has shown how large they are.
+appeared", and a refit does not absorb what separates the two. Their errors of commissioning and the errors of the
+commands' stamps are nuisance parameters whose priors commissioning has given.
 """
 
 from __future__ import annotations
@@ -25,26 +25,28 @@ from valve_sim.model import CATALOGUE, DECLARED, Drive, Parameter
 from valve_sim.traces import Signal, Trace
 
 FEWEST: Final = 6
-"""Strokes that a tracing begins with: four to fit, two held out."""
+"""Strokes needed to isolate a fault: four to fit, two held out."""
 HELD_OUT: Final = 3
 """Every third stroke is held out."""
 
-NATURAL: Final = 100.0
-"""Prior scales of an effect beyond which a value is not credible: 5 N of friction, 30 N of pressure."""
-NOT_TOLD: Final = "the strokes are not those of the commissioned valve, and no effect is known well enough to be named"
+MOST_PRIOR_SCALES: Final = 100.0
+"""Multiple of an effect's prior scale beyond which a value is not plausible: 5 N of friction, 30 N of pressure."""
+NOT_ISOLATED: Final = (
+    "the strokes are not those of the commissioned valve, and no effect is known well enough to be named"
+)
 
 
 Progress = Callable[[str, float], None]
 
 
-class Finding(NamedTuple):
-    """What a tracing found.
+class FaultFinding(NamedTuple):
+    """What fault isolation found.
 
     Attributes:
         kind: of verdict, as in report.json: "none", "effects", "unknown" or "insufficient".
         effects: names from the catalogue. summary: one sentence for a person.
-        confusable_with: by effect, names that would explain the strokes about as well.
-        parameters: by `<effect>.<parameter>`, what it has become. probability: of the names. strokes: looked at.
+        confusable_with: by effect, look-alikes that explain the strokes about as well.
+        parameters: by `<effect>.<parameter>`, estimates. probability: of the verdict. strokes: how many were used.
     """
 
     kind: str
@@ -56,11 +58,11 @@ class Finding(NamedTuple):
     strokes: int
 
 
-def trace_cause(strokes: Sequence[Trace], healthy: Baseline, progress: Progress | None = None) -> Finding:
+def isolate_fault(strokes: Sequence[Trace], baseline: Baseline, progress: Progress | None = None) -> FaultFinding:
     """Find what has changed in a valve since it was commissioned.
 
     Args:
-        strokes: one each, at least `FEWEST`; every `HELD_OUT`-th is kept to try the names on.
+        strokes: one each, at least `FEWEST`; every `HELD_OUT`-th is held out.
         healthy: the valve as commissioned.
         progress: told what is being tried, and the fraction done.
 
@@ -70,17 +72,18 @@ def trace_cause(strokes: Sequence[Trace], healthy: Baseline, progress: Progress 
     training = [stroke for index, stroke in enumerate(strokes) if index % HELD_OUT != HELD_OUT - 1]
     held_out = [stroke for index, stroke in enumerate(strokes) if index % HELD_OUT == HELD_OUT - 1]
     plants = [
-        CommissionedPlant(join(part, healthy), healthy.commissioned, healthy.scatter) for part in (training, held_out)
+        CommissionedPlant(join(part, baseline), baseline.commissioned, baseline.scatter)
+        for part in (training, held_out)
     ]
     result = diagnose_plant(plants[0], plants[1], progress)
     verdict, intervals = result.verdict, result.after.intervals
     parameters = {name: interval for name, interval in intervals.items() if name.split(".")[0] in verdict.effects}
     if not all(is_credible(effect, plants[0], parameters) for effect in verdict.effects):
-        return Finding("unknown", (), NOT_TOLD, {}, {}, 0.0, len(strokes))
-    return Finding(
+        return FaultFinding("unknown", (), NOT_ISOLATED, {}, {}, 0.0, len(strokes))
+    return FaultFinding(
         verdict.kind,
         verdict.effects,
-        _summary(result, parameters, healthy),
+        _summary(result, parameters, baseline),
         dict(verdict.confusable_with),
         parameters,
         verdict.probability,
@@ -89,7 +92,7 @@ def trace_cause(strokes: Sequence[Trace], healthy: Baseline, progress: Progress 
 
 
 def is_credible(effect: str, plant: Plant, intervals: Mapping[str, Interval]) -> bool:
-    """Whether an effect is worth a name: some amount of it is not zero, and all amounts are possible.
+    """Whether an effect may be named: at least one parameter differs from neutral, and all values are plausible.
 
     Args:
         effect: its name. plant: whose effect it is.
@@ -99,7 +102,7 @@ def is_credible(effect: str, plant: Plant, intervals: Mapping[str, Interval]) ->
     known = [
         (switch, intervals[f"{effect}.{switch.name}"]) for switch in switches if f"{effect}.{switch.name}" in intervals
     ]
-    return all(_is_natural(switch, interval) for switch, interval in known) and any(
+    return all(_is_plausible(switch, interval) for switch, interval in known) and any(
         not _holds(interval, switch.off) for switch, interval in known if switch.off is not None
     )
 
@@ -108,17 +111,17 @@ def _holds(interval: Interval, neutral: float) -> bool:
     return not interval.low > neutral and not interval.high < neutral
 
 
-def _is_natural(parameter: Parameter, interval: Interval) -> bool:
-    """Whether a value, and what its interval leaves open, is within a hundred times what such an effect amounts to."""
+def _is_plausible(parameter: Parameter, interval: Interval) -> bool:
+    """Whether a value and its whole interval lie within `MOST_PRIOR_SCALES` of the neutral value."""
     if parameter.off is None or not math.isfinite(parameter.off):
         return True
-    most = NATURAL * parameter.prior_scale
+    most = MOST_PRIOR_SCALES * parameter.prior_scale
     return max(abs(bound - parameter.off) for bound in (interval.value, interval.low, interval.high)) <= most
 
 
-def join(strokes: Sequence[Trace], healthy: Baseline) -> Trace:
+def join(strokes: Sequence[Trace], baseline: Baseline) -> Trace:
     """Strokes as one trace, with the rests between them as they were; motion and current put back in time."""
-    lateness = healthy.lateness
+    lateness = baseline.lateness
     epoch = strokes[0].epoch_ns
     starts = [(stroke.epoch_ns - epoch) / 1e9 for stroke in strokes]
     times = np.concatenate([stroke.times + start - lateness for stroke, start in zip(strokes, starts, strict=True)])
@@ -130,7 +133,7 @@ def join(strokes: Sequence[Trace], healthy: Baseline) -> Trace:
         Drive(np.concatenate(commands), np.concatenate([stroke.drive.volts for stroke in strokes])),
         times[is_later],
         np.concatenate([stroke.pilot_position for stroke in strokes])[is_later],
-        coil_current=_join_currents(strokes, starts, healthy.current),
+        coil_current=_join_currents(strokes, starts, baseline.current),
         epoch_ns=epoch,
     )
 
@@ -154,24 +157,24 @@ def _rises(times: Array) -> NDArray[np.bool_]:
     return np.asarray(times > np.concatenate([[-math.inf], np.maximum.accumulate(times)[:-1]]))
 
 
-def _summary(result: Diagnosis, parameters: Mapping[str, Interval], healthy: Baseline) -> str:
+def _summary(result: Diagnosis, parameters: Mapping[str, Interval], baseline: Baseline) -> str:
     verdict = result.verdict
     if verdict.kind == "none":
         return "the last strokes are as those of the commissioned valve"
     if not verdict.effects:
         return verdict.summary
-    words = "; ".join(_effect_words(name, parameters, healthy) for name in verdict.effects)
+    words = "; ".join(_effect_words(name, parameters, baseline) for name in verdict.effects)
     others = sorted({other for names in verdict.confusable_with.values() for other in names})
     alternatives = f" ({', '.join(_plain(other) for other in others)} would explain it about as well)" if others else ""
     certainty = "" if verdict.kind == "effects" else f"{verdict.summary.rstrip('.')}: "
     return f"{certainty}{words}{alternatives}"
 
 
-def _effect_words(effect: str, parameters: Mapping[str, Interval], healthy: Baseline) -> str:
+def _effect_words(effect: str, parameters: Mapping[str, Interval], baseline: Baseline) -> str:
     """Such as "Coulomb friction 0.31 ± 0.04 N, none when commissioned"."""
     own = {name.split(".")[1]: interval for name, interval in parameters.items() if name.split(".")[0] == effect}
     if effect in DEFAULT_FREE:
-        before = f"{healthy.valve.declared()[effect]:.3g} when commissioned"
+        before = f"{baseline.valve.declared()[effect]:.3g} when commissioned"
         values = [_value(interval, DECLARED[effect].unit) for interval in own.values()]
     else:
         before = "none when commissioned"

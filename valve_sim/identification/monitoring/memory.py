@@ -1,4 +1,4 @@
-"""What a commissioning has found, kept in a file: a monitor that is started again goes on with it."""
+"""A commissioning kept in a file, with which a restarted monitor goes on."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from valve_sim.files.json_text import finite_or_none
 from valve_sim.files.whole_files import write_whole
 from valve_sim.identification.estimation.identify import DEFAULT_FREE
 from valve_sim.identification.estimation.noise import Noise
-from valve_sim.identification.monitoring.command_timing import TimedStroke
+from valve_sim.identification.monitoring.command_timing import StrokeTiming
 from valve_sim.identification.monitoring.commissioning import Commissioning, ScoreBaseline
 from valve_sim.identification.monitoring.scores import Baseline
 from valve_sim.identification.plants.commissioned import CommissionedCurrent
@@ -105,26 +105,26 @@ def _flat(values: Any, prefix: str = "") -> dict[str, Any]:
 
 
 def _to_plain(commissioning: Commissioning) -> dict[str, Any]:
-    healthy = commissioning.healthy
-    model, noise = ValveModel(healthy.valve), healthy.noise
-    values = {name: model.declared(name) for name in healthy.estimated}
+    baseline = commissioning.baseline
+    model, noise = ValveModel(baseline.valve), baseline.noise
+    values = {name: model.declared(name) for name in baseline.estimated}
     declared_values = {name: value for name, value in values.items() if name not in DEFAULT_FREE}
     return {
         "dampings": {name: values[name] for name in DEFAULT_FREE},
         **({"declared_values": declared_values} if declared_values else {}),
-        "damping_covariance": healthy.covariance.tolist(),
-        "lateness": healthy.lateness,
-        "scatter": healthy.scatter,
-        "jitter": healthy.jitter,
+        "damping_covariance": baseline.covariance.tolist(),
+        "lateness": baseline.lateness,
+        "scatter": baseline.scatter,
+        "jitter": baseline.jitter,
         "noise": noise.__dict__,
-        "current": None if healthy.current is None else healthy.current._asdict(),
+        "current": None if baseline.current is None else baseline.current._asdict(),
         "strokes": [
             [stroke.volts, [finite_or_none(shift) for shift in stroke.shifts], finite_or_none(stroke.arrival_spread)]
             for stroke in commissioning.strokes
         ],
         "baselines": [
-            [level, {name: baseline.__dict__ for name, baseline in baselines.items()}]
-            for level, baselines in commissioning.baselines.items()
+            [level, {name: score.__dict__ for name, score in score_baselines.items()}]
+            for level, score_baselines in commissioning.score_baselines.items()
         ],
     }
 
@@ -132,7 +132,7 @@ def _to_plain(commissioning: Commissioning) -> dict[str, Any]:
 def _from_plain(plain: Mapping[str, Any], declared: Valve) -> Commissioning:
     noise, current = plain["noise"], plain["current"]
     values = {**plain["dampings"], **plain.get("declared_values", {})}
-    healthy = Baseline(
+    baseline = Baseline(
         replace(ValveModel(declared).with_values(values), tolerances=EXACT),
         plain["lateness"],
         plain["scatter"],
@@ -143,14 +143,14 @@ def _from_plain(plain: Mapping[str, Any], declared: Valve) -> Commissioning:
         tuple(values),
     )
     strokes = tuple(
-        TimedStroke(volts, tuple(_or_nan(shift) for shift in shifts), _or_nan(arrival))
+        StrokeTiming(volts, tuple(_or_nan(shift) for shift in shifts), _or_nan(arrival))
         for volts, shifts, arrival in plain["strokes"]
     )
-    baselines = {
-        level: {name: ScoreBaseline(**baseline) for name, baseline in entries.items()}
+    score_baselines = {
+        level: {name: ScoreBaseline(**score) for name, score in entries.items()}
         for level, entries in plain["baselines"]
     }
-    return Commissioning(healthy, baselines, strokes)
+    return Commissioning(baseline, score_baselines, strokes)
 
 
 def _or_nan(value: float | None) -> float:

@@ -1,8 +1,8 @@
-"""Beside a real valve: each stroke held against the model, an alarm of a stated false-alarm rate. No clock, no ROS.
+"""Monitoring of a real valve: each stroke compared with the model, alarms at a stated false-alarm rate. No ROS.
 
-Two halves, for two threads. A `StrokeSegmenter` is fed commands and samples as they come; it steps the model beside
-them, cuts the stream into strokes, and says at once when the valve does not open or does not close. A `StrokeMonitor`
-takes the strokes, some milliseconds each, whenever there is time. A `Monitor` is both in a row.
+Two parts, for two threads. A `StrokeSegmenter` takes commands and samples as they arrive; it steps the model along,
+cuts the stream into strokes, and reports at once when the valve does not open or close. A `StrokeMonitor` compares each
+stroke with the baseline, in some milliseconds. A `Monitor` runs both in one thread. Time is passed in with the data.
 """
 
 from __future__ import annotations
@@ -17,42 +17,42 @@ from valve_sim.model import Valve
 
 
 class Monitor:
-    """Watch and judge in a row, for callers that have the time.
+    """Segmenter and stroke monitor in one thread, for callers without a deadline.
 
     Args:
         valve: the declared valve.
-        settings: how it is watched.
+        settings: of the monitor.
         refit: whether reports have refitted dampings.
     """
 
     def __init__(self, valve: Valve, settings: MonitorSettings | None = None, *, refit: bool = True) -> None:
         settings = settings or MonitorSettings()
-        self.watch = StrokeSegmenter(valve, settings)
-        self.judge = StrokeMonitor(valve, settings)
+        self.segmenter = StrokeSegmenter(valve, settings)
+        self.stroke_monitor = StrokeMonitor(valve, settings)
         self._refit = refit
         self._is_handed_over = False
 
     def command(self, time: float, volts: float) -> list[StrokeReport]:
         """As `StrokeSegmenter.command`; reports of the strokes that it ended."""
-        self.watch.command(time, volts)
+        self.segmenter.command(time, volts)
         return self._reports()
 
     def measure(self, time: float, position: float, arrival: float = math.nan) -> list[StrokeReport]:
         """As `StrokeSegmenter.measure`."""
-        self.watch.measure(time, position, arrival)
+        self.segmenter.measure(time, position, arrival)
         return self._reports()
 
     def measure_many(self, times: Array, positions: Array) -> list[StrokeReport]:
         """As `StrokeSegmenter.measure_many`."""
-        self.watch.measure_many(times, positions)
+        self.segmenter.measure_many(times, positions)
         return self._reports()
 
     def _reports(self) -> list[StrokeReport]:
-        reports = [self.judge.judge(record, refit=self._refit) for record in self.watch.take_finished()]
-        if reports and math.isfinite(self.judge.command_scatter):
-            self.watch.scatter = self.judge.command_scatter
-        healthy = self.judge.healthy
-        if healthy is not None and not self._is_handed_over:
-            self.watch.use(healthy.valve, healthy.lateness)
+        reports = [self.stroke_monitor.assess(record, refit=self._refit) for record in self.segmenter.take_finished()]
+        if reports and math.isfinite(self.stroke_monitor.command_scatter):
+            self.segmenter.scatter = self.stroke_monitor.command_scatter
+        baseline = self.stroke_monitor.baseline
+        if baseline is not None and not self._is_handed_over:
+            self.segmenter.use(baseline.valve, baseline.lateness)
             self._is_handed_over = True
         return reports

@@ -1,14 +1,14 @@
-"""One stroke held against a commissioned valve: is its residual larger than the noise, and in which direction?
+"""Scores of one stroke against the baseline: is its residual larger than the noise, and in which direction?
 
-A stroke's residual is whitened, and an error of each command's stamp is estimated too, within its prior N(0, jitter):
-that is a nuisance, no fault. The residual is projected on the change that each effect of the catalogue would make. With
+A stroke's residual is whitened, and an error of each command's stamp is estimated too, as a nuisance parameter with
+the prior N(0, jitter). The residual is projected on the change that each effect of the catalogue would make. With
 e the whitened residual, a the whitened change, N what errors of the stamps change and P their prior variance,
 
     score = aᵀ W e / √(aᵀ W a),        W = (I + N P Nᵀ)⁻¹,
 
 is standard normal under noise, jitter and the commissioned valve, and the most powerful statistic for that effect (the
 matched filter; Kay, Fundamentals of Statistical Signal Processing II, 1998, section 4.4): theory, eq. (62). A last
-score is the size of the residual, whatever its direction, for what has no name: eq. (63).
+score is the size of the residual in any direction, for faults that the catalogue lacks: eq. (63).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from valve_sim.identification.estimation.noise import Noise
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
-from valve_sim.identification.monitoring.command_timing import UNTIMED
+from valve_sim.identification.monitoring.command_timing import UNINFORMATIVE
 from valve_sim.identification.plants.commissioned import Commissioned, CommissionedCurrent, commission_current
 from valve_sim.identification.plants.protocol import Array, Nuisance, perturbed
 from valve_sim.identification.plants.recording_errors import CLOCK_SIGMA
@@ -44,25 +44,25 @@ SIZE: Final = "size"
 DELAYS: Final = ("opening delay", "closing delay")
 """Names of the scores of the stamps' errors."""
 FINEST: Final = 0.05e-6
-"""m: noise is taken to be no smaller, the repeatability of the paper's laser; a simulated valve has none at all."""
+"""m: smallest noise that is assumed, the repeatability of the paper's laser; a simulated valve has none."""
 MOST_SHIFTS: Final = 6
-"""Commands of a stroke whose stamps may err; of more (a ramp, a modulated voltage) the first and the last."""
-TELLS_NOTHING: Final = 1e-3
-"""Standard deviations that so large an effect must move a stroke by for its direction to be looked at."""
+"""Largest number of commands whose stamp errors are all estimated; of more (a ramp), only the first and last."""
+LEAST_SENSITIVITY: Final = 1e-3
+"""Standard deviations by which an effect of its prior scale must move a stroke to be scored."""
 STILL: Final = 1e-5
 """m/s: below it the model rests."""
-PLAINLY_MORE: Final = 2.0
-"""χ² a sample beyond which a fit is tried from elsewhere too."""
+POOR_FIT: Final = 2.0
+"""χ² per sample beyond which other starting points are tried too."""
 MEDIAN_OF_NORMAL: Final = 0.6745
-"""Of the size of a standard normal number."""
-LOOKS: Final = 4
-"""How often the shifts of the commands are looked at before a fit."""
-PLAINLY_LATE: Final = 1e-3
-"""s by which a stroke is off after a look, so that it is worth another."""
-FAR: Final = 3.0
-"""Standard deviations at which the furthest of some forty normal numbers is at most, mostly."""
+"""Median absolute value of a standard normal number."""
+SHIFT_ITERATIONS: Final = 4
+"""Iterations that find the delays of the commands before a fit."""
+SHIFT_TOLERANCE: Final = 1e-3
+"""s: iterations end when the delays change by less."""
+EXTREME_SIGMAS: Final = 3.0
+"""Standard deviations that the largest of some forty normal numbers rarely exceeds."""
 FURTHEST: Final = 15.0
-"""Standard deviations of a stamp's error at which an estimate starts at most."""
+"""Standard deviations of a stamp's error to which its starting value is clipped."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Baseline:
     Attributes:
         valve: the declared one with refitted dampings, and with estimates of declared values that have a tolerance.
         lateness: s by which its motion is later than its stamps say: the clock offset, and the mean error of a command.
-        scatter: s, standard deviation of a command's own error, as seen. jitter: what is allowed for, never less.
+        scatter: s, standard deviation of a command's own error, as estimated. jitter: s, as used, never less.
         noise: of the position.
         covariance: (k, k) of what was estimated.
         current: how the measured current relates to the model's; None where there is none that can be used.
@@ -96,10 +96,10 @@ class Baseline:
 
 @dataclass(frozen=True)
 class Scored:
-    """One stroke against a commissioned valve.
+    """One stroke compared with the baseline.
 
     Attributes:
-        scores: by name of a direction: each about standard normal while nothing has changed.
+        scores: by name of a direction, each about standard normal while nothing has changed.
         shifts: (commands,) s, estimated errors of the stamps.
         rms: m, of the position's residual.
     """
@@ -109,46 +109,46 @@ class Scored:
     rms: float
 
 
-def score_stroke(trace: Trace, healthy: Baseline, jitter: float | None = None) -> Scored:
-    """Hold one stroke against the commissioned valve.
+def score_stroke(trace: Trace, baseline: Baseline, jitter: float | None = None) -> Scored:
+    """Compare one stroke with the baseline.
 
     Args:
         trace: one stroke, from rest.
-        healthy: what it is held against.
-        jitter: s, standard deviation that its commands' times are allowed; None: the commissioned one. With `UNTIMED`
-            nothing is said of delays.
+        baseline: the valve as commissioned.
+        jitter: s, standard deviation of its commands' times; None: the commissioned one. With `UNINFORMATIVE` delays
+            are not scored.
 
     Raises:
         SimulationError: the commissioned valve cannot be simulated.
     """
-    stroke = _Stroke(trace, healthy, jitter)
+    stroke = _Stroke(trace, baseline, jitter)
     result = stroke.fit(())
     shifts = np.array([result.values[nuisance.name] for nuisance in result.nuisances])
     jacobian, prior = result.jacobian, np.array([1.0 / nuisance.sigma**2 for nuisance in result.nuisances])
-    # One step more, in the linear model that the scores are computed with: they must not see where the fit stopped.
+    # One more step in the linear model that the scores use: they must not depend on where the fit stopped.
     scale = np.sqrt(np.sum(np.square(jacobian), axis=0) + prior)
     inverse = np.linalg.inv((gram(jacobian, jacobian) + np.diag(prior)) / np.outer(scale, scale)) / np.outer(
         scale, scale
     )
     left = result.residuals - jacobian @ (inverse @ (gram(jacobian, result.residuals) + prior * shifts))
-    slow = math.sqrt(healthy.noise.variance_inflation)
+    slow = math.sqrt(baseline.noise.variance_inflation)
     scores = {SIZE: _size(stroke.problem, left)}
     for name, change in stroke.directions(result):
         seen = change @ jacobian
         power = float(change @ change - seen @ inverse @ seen)
-        if power > TELLS_NOTHING**2:
+        if power > LEAST_SENSITIVITY**2:
             # The fit's residual is measured less predicted, and so is the change of it that an effect makes.
             scores[name] = -float(change @ left) / math.sqrt(power) / slow
     return Scored(scores, shifts, stroke.rms(result))
 
 
-def refitted(trace: Trace, healthy: Baseline, jitter: float | None = None) -> dict[str, Interval]:
+def refitted(trace: Trace, baseline: Baseline, jitter: float | None = None) -> dict[str, Interval]:
     """The dampings by this stroke alone, with 95 % intervals; arguments as of `score_stroke`.
 
     Raises:
         SimulationError: the valve cannot be simulated.
     """
-    result = _Stroke(trace, healthy, jitter).fit(DEFAULT_FREE)
+    result = _Stroke(trace, baseline, jitter).fit(DEFAULT_FREE)
     return {name: covariance_interval(result, name) for name in DEFAULT_FREE}
 
 
@@ -206,14 +206,14 @@ def commission(traces: Sequence[Trace], valve: Valve, noise: float) -> Baseline:
 
 
 def _commissioning_fit(problem: Problem, start: Mapping[str, float], prior: float) -> Fit:
-    """With so wide a prior of the stamps' errors, s, that the latest is within reach: each is well determined."""
+    """With a prior of the stamps' errors, s, wide enough for the largest; each is well determined by its stroke."""
     plant = problem.plant
     errors = [error._replace(sigma=prior) for error in plant.timing_errors]
     return fit(problem, DEFAULT_FREE, start, nuisances=(*plant.nuisances, *errors))
 
 
 def _noise_at_rest(plant: ValvePlant, result: Fit) -> Noise:
-    """White noise, from the residuals where the model neither moves nor is about to."""
+    """White noise, from the residuals where the model rests and does not start within a sample."""
     valve = plant.with_values(result.values)
     squares, count = 0.0, 0
     for index, (trace, shown) in enumerate(zip(plant.traces, plant.predict(result.values), strict=True)):
@@ -229,13 +229,13 @@ def _noise_at_rest(plant: ValvePlant, result: Fit) -> Noise:
 
 
 def _scatter(apart: Array) -> float:
-    """Standard deviation of errors of stamps, by their sizes: the upper end of its 95 % interval (of the median's).
+    """Standard deviation of stamp errors, robust: the upper end of the 95 % interval from their median absolute value.
 
-    A network or a scheduler holds a command up now and then, and will again: the furthest one must not be a surprise.
+    A network or a scheduler delays a command now and then, and will again: the largest must be covered too.
     """
     middle = float(np.median(apart)) / MEDIAN_OF_NORMAL
     bound = middle * (1.0 + 2.0 * 1.17 / math.sqrt(2.0 * len(apart)))
-    return max(bound, float(np.max(apart)) / FAR)
+    return max(bound, float(np.max(apart)) / EXTREME_SIGMAS)
 
 
 def _at_least_finest(noise: Noise) -> Noise:
@@ -245,27 +245,27 @@ def _at_least_finest(noise: Noise) -> Noise:
 
 
 class _Stroke:
-    """One stroke as a problem to fit, its clock held, its stamps free."""
+    """The fit of one stroke: the clock's offset fixed, the stamps' errors free."""
 
-    def __init__(self, trace: Trace, healthy: Baseline, jitter: float | None) -> None:
+    def __init__(self, trace: Trace, baseline: Baseline, jitter: float | None) -> None:
         self._trace = trace
-        self._healthy = healthy
-        self._jitter = healthy.jitter if jitter is None else jitter
-        self._plant = ValvePlant([_position_only(trace)], healthy.valve)
-        self.problem = Problem(self._plant, noises={"position": healthy.noise})
-        self._fixed = {"clock_offset[0]": healthy.lateness}
+        self._baseline = baseline
+        self._jitter = baseline.jitter if jitter is None else jitter
+        self._plant = ValvePlant([_position_only(trace)], baseline.valve)
+        self.problem = Problem(self._plant, noises={"position": baseline.noise})
+        self._fixed = {"clock_offset[0]": baseline.lateness}
 
     def fit(self, free: Sequence[str]) -> Fit:
-        """The stamps' errors, and what is freed beside them."""
-        rough = _rough_shifts(self._trace, self._healthy.valve, self._healthy.lateness)
+        """Estimate the stamps' errors and the parameters in `free`."""
+        rough = _rough_shifts(self._trace, self._baseline.valve, self._baseline.lateness)
         furthest = FURTHEST * self._jitter
         start = {
             f"command_error[0,{index}]": float(np.clip(shift, -furthest, furthest)) for index, shift in enumerate(rough)
         }
         result = fit(self.problem, free, start, nuisances=self._shifts(), fixed=self._fixed)
-        if result.chi2 < PLAINLY_MORE * self.problem.effective_samples:
+        if result.chi2 < POOR_FIT * self.problem.effective_samples:
             return result
-        # Something is wrong with the stroke, or with the start: contacts make shallow local minima.
+        # A fault of the stroke, or a bad starting point: contacts make shallow local minima.
         again = [
             fit(self.problem, free, other, nuisances=self._shifts(), fixed=self._fixed, robust=ANNEALING)
             for other in (start, {})
@@ -285,7 +285,7 @@ class _Stroke:
                     yield from self._direction(
                         result, effect.name if single else f"{effect.name}.{switch.name}", values
                     )
-        if self._jitter >= UNTIMED:
+        if self._jitter >= UNINFORMATIVE:
             return
         for nuisance, column in zip(result.nuisances, result.jacobian.T, strict=True):
             which = 0 if nuisance is result.nuisances[0] else 1
@@ -311,7 +311,7 @@ class _Stroke:
 
 
 def _with_switch(parameter: Parameter, switch: Parameter) -> float:
-    """The value of an effect's parameter where this switch of it alone is a little on."""
+    """The value of an effect's parameter where only this switch differs from neutral, by a little."""
     if parameter.off is None:
         return parameter.prior_scale
     return perturbed(parameter, parameter.off) if parameter is switch else parameter.off
@@ -328,8 +328,8 @@ def _size(problem: Problem, left: Array) -> float:
     return float(np.cbrt(ratio) - 1.0 + narrow) / math.sqrt(narrow)
 
 
-def late_by(trace: Trace, valve: Valve, lateness: float) -> tuple[float, float]:
-    """How late the measured stroke passes its middle after the first and the last command, s; nan where it does not."""
+def delays_of(trace: Trace, valve: Valve, lateness: float) -> tuple[float, float]:
+    """Delays of the measured stroke behind the simulated one at mid-travel, opening and closing, s; nan if not seen."""
     shown = simulate(valve, trace.drive, trace.times - lateness, start_time=_before(trace, lateness)).pilot_position
     middle = 0.5 * valve.parameters.stroke
     opening, closing = (
@@ -341,28 +341,28 @@ def late_by(trace: Trace, valve: Valve, lateness: float) -> tuple[float, float]:
 
 
 def _rough_shifts(trace: Trace, valve: Valve, lateness: float) -> list[float]:
-    """(commands,) s: as `late_by`, 0 for what is not seen and for the commands between.
+    """(commands,) s: as `delays_of`, 0 where not seen and for the commands between.
 
-    Looked at again with the commands so late: a valve that is held open for a shorter time closes sooner, and one that
-    has just begun to open closes otherwise.
+    Iterated with the commands delayed: a valve that is held open for a shorter time closes sooner, and one that has
+    just begun to open closes differently.
     """
     shifts = np.zeros(len(trace.drive.times))
-    for _ in range(LOOKS):
+    for _ in range(SHIFT_ITERATIONS):
         times = trace.drive.times + shifts
         if np.any(np.diff(times) <= 0.0):
             break
-        opening, closing = late_by(replace(trace, drive=Drive(times, trace.drive.volts)), valve, lateness)
+        opening, closing = delays_of(replace(trace, drive=Drive(times, trace.drive.volts)), valve, lateness)
         if len(shifts) > 1 and math.isfinite(closing):
             shifts[-1] += closing
         if math.isfinite(opening):
             shifts[0] += opening
-        if not max(abs(opening), abs(closing)) > PLAINLY_LATE:
+        if not max(abs(opening), abs(closing)) > SHIFT_TOLERANCE:
             break
     return shifts.tolist()
 
 
 def _position_only(trace: Trace) -> Trace:
-    """Without the current, which serves the tracing: its stamps are those of its reception."""
+    """Without the current, which only fault isolation uses: its stamps are those of its reception."""
     return replace(trace, coil_current=None)
 
 

@@ -1,7 +1,7 @@
-"""Beside a real valve, live: a model stepped beside the samples, and the stream cut into strokes. No clock, no ROS.
+"""The live stream of a valve: a model stepped along with the samples, and the stream cut into strokes. No ROS.
 
-A `StrokeSegmenter` says at once when the valve does not open or does not close. All memory is bounded: while nothing
-moves for longer than `settle`, samples are not kept.
+A `StrokeSegmenter` reports at once when the valve does not open or close. Its memory is bounded: while nothing moves
+for longer than `settle`, samples are not kept. Time is passed in with commands and samples.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from valve_sim.identification.monitoring.command_timing import FAR, ArrivalSpread
+from valve_sim.identification.monitoring.command_timing import EXTREME_SIGMAS, ArrivalSpread
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.model import Drive, Phase, Reading, SimulationError, Stepper, Valve
@@ -22,41 +22,41 @@ from valve_sim.traces import Signal, Trace
 from valve_sim.traces.strokes import begins_stroke
 
 LEAD: Final = 0.25
-"""s of rest before a stroke that are kept with it: they show the noise."""
+"""s of rest before a stroke that are kept with it, for the noise."""
 MOST_SAMPLES: Final = 100_000
-"""Of a stroke; one that has more is ended."""
+"""Samples of a stroke; one that has more is ended."""
 MOST_COMMANDS: Final = 1000
-"""Of a stroke; further ones are not kept."""
+"""Commands of a stroke; further ones are not kept."""
 OPENED: Final = 0.9
 """Share of the stroke that counts as open."""
 CLOSED: Final = 0.1
 """Share of the stroke that counts as closed."""
 RESTING: Final = 0.01
-"""Share of the stroke below which a valve has not left its seat for long."""
+"""Share of the stroke below which the valve counts as seated."""
 EARLIEST: Final = 0.05
-"""s by which a command may come in here after the valve has begun to move by it."""
+"""s by which a command may arrive here after the valve has begun to follow it."""
 LIFTING: Final = 5e-3
-"""s before a valve is seen to have left its seat, in which it does."""
+"""s before the first visible motion, in which the valve leaves its seat."""
 STILL: Final = 1e-5
-"""m/s: below it the model rests."""
+"""m/s: below it the model counts as at rest."""
 NO_CURRENT: Final = 1e-3
-"""Share of the reference current that is none."""
+"""Share of the reference current below which there is none."""
 FEWEST_SAMPLES: Final = 4
 """Of a stroke between its first command and its last."""
 MOST_VOLTS: Final = 1e4
-"""V: no coil has more, and stepping the forces of more takes minutes a second."""
+"""V: no coil takes more, and stepping its forces would take minutes per second."""
 LONGEST_GAP: Final = 60.0
 """s without samples, after which the model is not stepped on but begins at rest."""
 TAIL: Final = 3.0
-"""Times the delays that were lately seen, which none exceeds but one in many thousands."""
+"""Multiple of the delays of late that one in many thousands exceeds."""
 STILL_AFTER: Final = 0.01
-"""s after it was last seen open: what then remains of a stroke is less than noise."""
+"""s after it was last seen open: the remaining motion is below the noise."""
 CONFIRMED: Final = 5
-"""Strokes in a row that fail, where the times of commands are too uncertain for one to be believed."""
+"""Failed strokes in a row that make a fault where the times of commands are too uncertain for one to do so."""
 
 
 class Prediction(NamedTuple):
-    """The model beside one sample; the residual is measured less predicted, m."""
+    """The model at the time of one sample; the residual is measured less predicted, m."""
 
     reading: Reading
     residual: float
@@ -67,10 +67,10 @@ class StrokeRecord(NamedTuple):
 
     Attributes:
         number: from 0 on. time: of the opening command, s. trace: times since `trace.epoch_ns`.
-        remark: why it cannot be held against the model; empty if it can.
+        remark: why it cannot be compared with the model; empty if it can.
         opened, closed: whether the valve was seen to; None where the model did not, or where timing was too uncertain.
         fault: empty, or what went wrong.
-        arrival_spread: s by which its samples came in later than the soonest of late; nan where arrivals are not known.
+        arrival_spread: s, largest delay of its samples above the smallest of late; nan where arrivals are not known.
     """
 
     number: int
@@ -84,13 +84,13 @@ class StrokeRecord(NamedTuple):
 
 
 class StrokeSegmenter:
-    """The live half: a model stepped beside the samples, and the stream cut into strokes. Some µs a sample.
+    """Steps a model along with the samples and cuts the stream into strokes. Some µs per sample.
 
-    Times are seconds since any one moment. Samples come in the order of their times, and so do commands.
+    Times are seconds since any fixed moment. Samples come in the order of their times, and so do commands.
 
     Args:
         valve: the declared valve.
-        settings: how it is watched.
+        settings: of the monitor.
     """
 
     def __init__(self, valve: Valve, settings: MonitorSettings) -> None:
@@ -101,12 +101,12 @@ class StrokeSegmenter:
         self.strokes = 0
         self.rejected = 0
         self.scatter = 0.0
-        """s, standard deviation of the commands' times, as the judgement of strokes has last found it."""
+        """s, standard deviation of the commands' times, as the `StrokeMonitor` has last found it."""
         self.reset()
 
     @property
     def valve(self) -> Valve:
-        """What is stepped beside the samples."""
+        """The valve whose model is stepped."""
         return self._valve
 
     @property
@@ -116,16 +116,16 @@ class StrokeSegmenter:
 
     @property
     def uncertainty(self) -> float:
-        """Seconds by which a healthy valve may be later than the model, since nobody knows when it got its command.
+        """Seconds by which a healthy valve may be later than the model, because the time of its command is uncertain.
 
-        Delays of a busy machine have a long tail: a multiple of the scatter that has lately been seen.
+        Delays of a busy machine have a long tail: a multiple of their present scatter.
         """
-        return TAIL * (FAR * self.scatter + self._arrivals.spread)
+        return TAIL * (EXTREME_SIGMAS * self.scatter + self._arrivals.spread)
 
     def reset(self) -> None:
-        """Begin anew, as after a jump of the clock: a valve at rest, of which nothing is known."""
+        """Start again, as after a jump of the clock: with a valve at rest."""
         self.fault = ""
-        """What the valve does not do, in words; empty where it does. Stays until a stroke goes well."""
+        """The fault, in words; empty where there is none. Stays until a stroke without a fault."""
         self._arrivals = ArrivalSpread()
         self._missed = 0
         self._stepper: Stepper | None = None
@@ -146,14 +146,14 @@ class StrokeSegmenter:
         self._finished: deque[StrokeRecord] = deque()
 
     def use(self, valve: Valve, lateness: float) -> None:
-        """Step this valve from the next stroke on, its motion later than the stamps say by `lateness`, s."""
+        """Step this valve from the next stroke on, its motion delayed by `lateness`, s, against the stamps."""
         self._next = valve, lateness
 
     def command(self, time: float, volts: float) -> None:
         """A voltage in force from `time` on, s; one that repeats the voltage in force changes nothing.
 
-        It waits for the first sample of its time or later, so that either may come in late. What is not finite, or of
-        an earlier time than the last, is rejected and counted.
+        It takes effect with the first sample of its time or later, so that either may arrive late. One that is not
+        finite, or earlier than the last, is rejected and counted.
         """
         latest = self._pending[-1][0] if self._pending else self._last_command
         is_possible = math.isfinite(time) and abs(volts) <= MOST_VOLTS
@@ -161,14 +161,14 @@ class StrokeSegmenter:
             self.rejected += 1
             return
         self._pending.append((time, volts))
-        self._obey(self._last)
+        self._apply_due(self._last)
 
-    def _obey(self, until: float) -> None:
-        """The commands whose time has come."""
+    def _apply_due(self, until: float) -> None:
+        """Apply the commands that are due."""
         while self._pending and self._pending[0][0] <= until:
-            self._energise(*self._pending.popleft())
+            self._apply(*self._pending.popleft())
 
-    def _energise(self, time: float, volts: float) -> None:
+    def _apply(self, time: float, volts: float) -> None:
         before = 0.0 if math.isnan(self._volts) else self._volts
         self._volts = volts
         if before == volts:
@@ -181,43 +181,43 @@ class StrokeSegmenter:
         try:
             self._model(time).command(time, volts)
         except SimulationError:
-            # A voltage that no coil has: the model rests without current until the next command.
+            # The voltage cannot be simulated: the model rests without current until the next command.
             self._stepper = Stepper(self._valve, time)
             if self._stroke is not None:
                 self._stroke.is_at_rest = False
 
     def measure(self, time: float, position: float, arrival: float = math.nan) -> Prediction | None:
-        """One sample of the pilot plunger's position.
+        """Take one sample of the pilot plunger's position.
 
         Args:
             time: its stamp, s. position: m.
-            arrival: when it came in, s by the clock that times commands; nan where that is not known.
+            arrival: s, by the clock that times commands; nan where not known.
 
         Returns:
-            the model beside it; None where the sample was rejected.
+            the model at that time; None where the sample was rejected.
         """
         if not (math.isfinite(time) and math.isfinite(position)) or time <= self._last:
             self.rejected += 1
             return None
-        self._obey(time)
+        self._apply_due(time)
         reading = self._step(time)
         self._keep(time, [time], [position])
         self._arrivals.add(time, arrival - time)
         if self._stroke is not None and arrival - time > self._stroke.latest:
             self._stroke.latest = arrival - time
-        self._look(time, position, position, reading)
+        self._observe(time, position, position, reading)
         return Prediction(reading, position - reading.pilot_position)
 
     def measure_many(self, times: Array, positions: Array) -> None:
-        """A batch of some milliseconds, good and in order; the model is stepped to its end only."""
+        """Take a batch of some milliseconds, valid and in order; the model is stepped to its end only."""
         last = float(times[-1])
-        self._obey(last)
+        self._apply_due(last)
         reading = self._step(last)
         self._keep(last, times.tolist(), positions.tolist())
-        self._look(last, float(positions[-1]), float(positions.max()), reading)
+        self._observe(last, float(positions[-1]), float(positions.max()), reading)
 
     def measure_current(self, time: float, current: float) -> None:
-        """One sample of the coil current, A: kept with the stroke for the tracing; rejected as positions are."""
+        """Take one sample of the coil current, A, for fault isolation; rejected as positions are."""
         last = self._current_times[-1] if self._current_times else -math.inf
         if not (math.isfinite(time) and math.isfinite(current)) or time <= last:
             self.rejected += 1
@@ -241,7 +241,7 @@ class StrokeSegmenter:
         return self._stepper
 
     def _step(self, time: float) -> Reading:
-        """The model at a sample; a sample that was stamped before the last command sees it at the command."""
+        """The model at a sample; for one stamped before the last command, the model at that command."""
         at = max(time - self._lateness, self._last_command)
         try:
             return self._model(time).advance(at)
@@ -252,7 +252,7 @@ class StrokeSegmenter:
             return self._stepper.advance(at)
 
     def _keep(self, time: float, times: list[float], positions: list[float]) -> None:
-        """All of a stroke but what comes after a long rest of the model; between strokes, the last moments."""
+        """Keep all of a stroke except after a long rest of the model; between strokes, the last moments."""
         if self._is_kept(time):
             self._times.extend(times)
             self._positions.extend(positions)
@@ -262,10 +262,10 @@ class StrokeSegmenter:
 
     @property
     def _settle(self) -> float:
-        """Seconds of the model's rest after which the valve rests too, although it may have got its command later."""
+        """Seconds of the model's rest after which the valve rests too, even if it received its command later."""
         return self._settings.settle + self.uncertainty / TAIL
 
-    def _look(self, time: float, position: float, highest: float, reading: Reading) -> None:
+    def _observe(self, time: float, position: float, highest: float, reading: Reading) -> None:
         self._last, self._position = time, position
         if not self._is_closed(highest):
             self._last_open = time
@@ -286,7 +286,7 @@ class StrokeSegmenter:
             self._keep_from(time - LEAD)
 
     def _judge_position(self, time: float, position: float) -> None:
-        """Whether the valve is where the model has been for longer than patience allows."""
+        """Compare the valve with a model that has been open, or closed, for longer than `patience`."""
         if math.isnan(self._volts):
             return
         took, patience = self._phase_since - self._last_command, self._settings.patience
@@ -304,7 +304,7 @@ class StrokeSegmenter:
                 stroke.closed, stroke.fault = closed, stroke.fault or ("" if closed else self.fault)
 
     def _is_closed(self, position: float) -> bool:
-        """Of the valve, or of the model, which without seat load floats some picometres above its seat."""
+        """For the valve, and for the model, which without seat load rests some picometres above its seat."""
         return position <= CLOSED * self._valve.parameters.stroke
 
     def _judge_opening(self, stroke: _Stroke) -> None:
@@ -321,10 +321,10 @@ class StrokeSegmenter:
         stroke.fault = self.fault
 
     def _judge_late(self, stroke: _Stroke) -> str:
-        """Of a stroke that is over before patience was; why it cannot be judged, empty if it can.
+        """Of a stroke that ended before `patience` had passed; why it cannot be judged, empty if it can.
 
-        A valve that may have got its opening command when the closing one was there already need not have opened. What
-        timing alone may have done is believed when it happens `CONFIRMED` times in a row.
+        A valve that may have received its opening command together with the closing one need not have opened. What
+        timing alone may explain counts as a fault when it happens `CONFIRMED` times in a row.
         """
         remark = ""
         if stroke.opened is None and stroke.model_opened:
@@ -340,7 +340,7 @@ class StrokeSegmenter:
         return remark
 
     def _begin(self, time: float) -> None:
-        """An opening command: what ran before ends, and a stroke begins."""
+        """An opening command: the stroke before ends, and one begins."""
         left_seat = self._left_seat()
         begins_early = math.isfinite(left_seat)
         if self._stroke is not None:
@@ -359,7 +359,7 @@ class StrokeSegmenter:
             self._stepper = Stepper(self._valve, min(time, at))
 
     def _left_seat(self) -> float:
-        """When the valve was last at rest, s, if it has moved before its command came in; nan if it has not."""
+        """When the valve was last at rest, s, if it moved before its command arrived; nan if it did not."""
         limit = RESTING * self._valve.parameters.stroke
         index = len(self._positions) - 1
         while index >= 0 and self._positions[index] > limit and self._last - self._times[index] <= EARLIEST:
@@ -380,7 +380,7 @@ class StrokeSegmenter:
             self._finish(stroke, "")
 
     def _finish(self, stroke: _Stroke, remark: str, until: float = math.inf) -> None:
-        """Hand the stroke out; its last moments at rest are the next one's first."""
+        """Emit the stroke; its last moments at rest are the first of the next one, too."""
         remark = remark or self._judge_late(stroke)
         if not stroke.fault:
             self.fault = ""
@@ -403,7 +403,7 @@ class StrokeSegmenter:
         self._finished.append(
             StrokeRecord(
                 self.strokes, stroke.drive[0][0], trace, remark, stroke.opened, stroke.closed, stroke.fault,
-                max(0.0, stroke.latest - self._arrivals.soonest) if math.isfinite(stroke.latest) else math.nan,
+                max(0.0, stroke.latest - self._arrivals.earliest) if math.isfinite(stroke.latest) else math.nan,
             )
         )  # fmt: skip
         self.strokes += 1
@@ -416,7 +416,7 @@ class StrokeSegmenter:
         self._keep_from(still if is_closed else math.inf)
 
     def _current_since(self, start: float) -> Signal | None:
-        """Until the last sample: what came in later belongs to the next stroke."""
+        """Until the last sample of the position: later ones belong to the next stroke."""
         stop = bisect.bisect_right(self._current_times, self._last)
         if stop == 0:
             return None
@@ -430,7 +430,7 @@ class StrokeSegmenter:
 
 @dataclass
 class _Stroke:
-    """A stroke that is under way."""
+    """A stroke in progress."""
 
     is_at_rest: bool
     drive: list[tuple[float, float]] = field(default_factory=list)

@@ -1,4 +1,4 @@
-"""How a valve is watched."""
+"""Settings of a monitor."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 
 class MonitorSettings(NamedTuple):
-    """How a valve is watched.
+    """Settings of a monitor.
 
     Attributes:
         commissioning_strokes: number of first strokes, which are taken as the baseline.

@@ -1,12 +1,12 @@
-"""Each stroke held against the model: an alarm of a stated false-alarm rate. No clock, no ROS.
+"""Each stroke compared with the baseline: an alarm at a stated false-alarm rate. No clock, no ROS.
 
 The first strokes commission the valve: its dampings, the clocks' offset, the scatter of the commands' stamps and the
-sensor's noise are fitted to them all together, and held from then on. `scores` says how a stroke is compared
+sensor's noise are fitted to them all together, and fixed from then on. `scores` says how a stroke is compared
 with that, `cusum` when deviations raise an alarm. Scores are standard normal by theory where the commissioning
 strokes do not contradict it; where they do, because the declared form is not the valve's, they are counted from the
 mean and spread of those strokes (as Student's t): what is watched is then whether the valve changes, and
-`StrokeMonitor` says so. Where commands' times scatter more than while commissioning, strokes are scored with as much
-allowed, and beyond a tenth of the opening time nothing is said of delays at all. An effect with a memory beyond one
+`StrokeMonitor` says so. Where commands' times scatter more than at commissioning, strokes are scored with that
+scatter, and beyond a tenth of the opening time delays are not scored. An effect with a memory beyond one
 stroke, such as coil heating, begins anew with each stroke here.
 """
 
@@ -21,12 +21,12 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from valve_sim.identification.estimation.intervals import Interval
-from valve_sim.identification.monitoring.command_timing import PLAINLY_WIDER, UNTIMED, CommandScatter, allowed_for
+from valve_sim.identification.monitoring.command_timing import UNINFORMATIVE, WIDER_SCATTER, CommandScatter, level_for
 from valve_sim.identification.monitoring.commissioning import (
     Commissioning,
-    came_together,
     commission_with,
-    timed_stroke,
+    is_held_too_short,
+    stroke_timing,
 )
 from valve_sim.identification.monitoring.cusum import Alarm, Sums
 from valve_sim.identification.monitoring.scores import (
@@ -44,29 +44,29 @@ from valve_sim.identification.plants.protocol import Array
 from valve_sim.model import Drive, EventKind, SimulationError, Valve, simulate
 from valve_sim.traces import Trace, events_from_sensors
 
-TRACED_FROM: Final = 6
-"""Strokes of an alarm with which its cause is first looked for."""
-FORGETS: Final = 20
-"""Judged strokes without a further alarm, after which one is over."""
+FEWEST_TO_ISOLATE: Final = 6
+"""Strokes of an alarm from which the fault is first isolated."""
+ALARM_ENDS_AFTER: Final = 20
+"""Scored strokes without a further alarm, after which an alarm is over."""
 WATCHING: Final = "watching"
 UNCERTAIN: Final = "timing too uncertain to judge"
-"""State of a stroke of which its shape alone was held against the model: samples carry stamps, commands do not."""
+"""State of a stroke of which only the shape was compared: samples carry stamps, commands do not."""
 
-TOGETHER: Final = "timing too uncertain to judge: its commands were obeyed one soon after the other"
+HELD_TOO_SHORT: Final = "timing too uncertain to judge: it was held open for less than half as long as commanded"
 
 
 class StrokeReport(NamedTuple):
-    """What is said of one stroke; times in s after their command, nan where not seen.
+    """What is reported on one stroke; times in s after their command, nan where not seen.
 
     Attributes:
         record: the stroke. name: for people.
         opening_delay: until the pilot plunger leaves its seat. t1: until it reaches the main plunger. t2: until the
             stop. closing_time: from the closing command until the pilot plunger is back.
-        rms: m, of what the model leaves; nan where it was not held against it.
+        rms: m, of the residual; nan where it was not compared with the model.
         noise: m, of the sensor; nan before commissioning. damping: refitted to this stroke alone, or empty.
-        scores: standard normal while healthy, by direction; empty where the stroke was not judged.
+        scores: standard normal while healthy, by direction; empty where the stroke was not scored.
         state: "commissioning", "watching", "timing too uncertain to judge" or "not judged". remark: why it was not.
-        command_scatter: s, standard deviation that its commands' times were allowed; nan before commissioning.
+        command_scatter: s, standard deviation of its commands' times; nan before commissioning.
         alarm: raised by this stroke. cause, sum: of the highest sum; threshold: at which the alarm is raised.
     """
 
@@ -90,11 +90,11 @@ class StrokeReport(NamedTuple):
 
 
 class StrokeMonitor:
-    """The other half: strokes in, reports out. Some milliseconds a stroke; a second at the end of commissioning.
+    """Strokes in, reports out. Some milliseconds per stroke; a second at the end of commissioning.
 
     Args:
         valve: the declared valve.
-        settings: how it is watched.
+        settings: of the monitor.
     """
 
     def __init__(self, valve: Valve, settings: MonitorSettings) -> None:
@@ -103,11 +103,11 @@ class StrokeMonitor:
         self._first: list[StrokeRecord] = []
         self._scatter: CommandScatter | None = None
         self._sums: Sums | None = None
-        self._recent: deque[_Judged] = deque(maxlen=settings.diagnosis_strokes)
-        self._loudest, self._sum, self._threshold = "", math.nan, math.nan
+        self._recent: deque[_Assessed] = deque(maxlen=settings.diagnosis_strokes)
+        self._leading, self._sum, self._threshold = "", math.nan, math.nan
         self._last_raised = -math.inf
         self._judged = 0
-        self._trace_at = 0
+        self._isolate_at = 0
         self.commissioning: Commissioning | None = None
         """What commissioning has found; None before."""
         self.alarm: Alarm | None = None
@@ -115,79 +115,79 @@ class StrokeMonitor:
         self.alarms = 0
 
     @property
-    def healthy(self) -> Baseline | None:
+    def baseline(self) -> Baseline | None:
         """The valve as commissioned; None before."""
-        return None if self.commissioning is None else self.commissioning.healthy
+        return None if self.commissioning is None else self.commissioning.baseline
 
     @property
     def commissioned(self) -> int:
-        """How many strokes commissioning has had."""
+        """Number of commissioning strokes so far."""
         return len(self._first)
 
     @property
     def contradictions(self) -> tuple[str, ...]:
-        """Directions in which the healthy valve differs from the declared form: empty if that explains it."""
+        """Names of scores whose baseline contradicts the declared model; empty if that explains the valve."""
         if self.commissioning is None:
             return ()
-        baselines = self.commissioning.baselines[self.commissioning.levels[0]]
-        return tuple(name for name, baseline in baselines.items() if baseline.is_learned and name != SIZE)
+        score_baselines = self.commissioning.score_baselines[self.commissioning.levels[0]]
+        return tuple(name for name, score in score_baselines.items() if score.is_learned and name != SIZE)
 
     @property
     def command_scatter(self) -> float:
-        """s, standard deviation that commands' times are allowed now; nan before commissioning."""
+        """s, standard deviation of commands' times at present; nan before commissioning."""
         return math.nan if self._scatter is None else self._scatter.sigma
 
     @property
     def is_timing_uncertain(self) -> bool:
-        """Whether commands' times scatter too much to say anything of delays."""
-        return self._scatter is not None and self._level() >= UNTIMED
+        """Whether commands' times scatter too much to score delays."""
+        return self._scatter is not None and self._level() >= UNINFORMATIVE
 
     def _level(self) -> float:
-        """The standard deviation that commands' times are allowed in the scores, s."""
+        """The standard deviation of commands' times that scores are computed with, s."""
         assert self.commissioning is not None
-        return allowed_for(self.command_scatter, self.commissioning.levels)
+        return level_for(self.command_scatter, self.commissioning.levels)
 
-    def timed(self) -> Baseline:
-        """The valve as commissioned, with the scatter that commands have now, as a tracing wants it."""
-        assert self.healthy is not None
-        scatter = self._lasting
-        return self.healthy if scatter <= self.healthy.jitter else replace(self.healthy, scatter=scatter)
+    def with_present_scatter(self) -> Baseline:
+        """The baseline with the present scatter of commands, for fault isolation."""
+        assert self.baseline is not None
+        scatter = self._established
+        return self.baseline if scatter <= self.baseline.jitter else replace(self.baseline, scatter=scatter)
 
     @property
-    def _lasting(self) -> float:
-        return math.nan if self._scatter is None else self._scatter.lasting
+    def _established(self) -> float:
+        return math.nan if self._scatter is None else self._scatter.established
 
     def evidence(self) -> list[Trace]:
         """The last strokes since the alarm began to rise, at most `diagnosis_strokes`.
 
-        Where commands scatter more than at commissioning, each is put where its stroke shows that it was obeyed.
+        Where commands scatter more than at commissioning, each is moved to where its stroke shows that it took effect.
         """
         began = self.alarm.began if self.alarm is not None else 0
-        is_wider = self.healthy is not None and self._lasting > PLAINLY_WIDER * self.healthy.jitter
+        is_wider = self.baseline is not None and self._established > WIDER_SCATTER * self.baseline.jitter
         found = [
-            _as_obeyed(stroke.trace, stroke.shifts) if is_wider else stroke.trace
+            _retimed(stroke.trace, stroke.shifts) if is_wider else stroke.trace
             for stroke in self._recent
             if stroke.number >= began
         ]
         # The sum may have begun to rise, by chance, one stroke early.
-        return found[1:] if len(found) > TRACED_FROM else found
+        return found[1:] if len(found) > FEWEST_TO_ISOLATE else found
 
     def take_evidence(self) -> list[Trace]:
-        """The evidence, when it is time to trace the cause (again); else none.
+        """The evidence, when it is time to isolate the fault (again); else none.
 
-        That is once there are `TRACED_FROM` strokes of the alarm, at twice as many, and at each full ring of new ones.
+        That is once there are `FEWEST_TO_ISOLATE` strokes of the alarm, twice as many, and at each full buffer of new.
         """
         evidence = self.evidence() if self.alarm is not None else []
-        if len(evidence) < TRACED_FROM or self._judged < self._trace_at:
+        if len(evidence) < FEWEST_TO_ISOLATE or self._judged < self._isolate_at:
             return []
         most = self._settings.diagnosis_strokes
-        # A full ring gives one less, because `evidence` leaves the first out.
+        # A full buffer gives one less, because `evidence` leaves the first out.
         missing = most - 1 - len(evidence)
-        self._trace_at = self._judged + (min(len(evidence), missing) if missing > 0 else most)
+        self._isolate_at = self._judged + (min(len(evidence), missing) if missing > 0 else most)
         return evidence
 
-    def judge(self, record: StrokeRecord, *, refit: bool = True) -> StrokeReport:
-        """Hold a stroke against the commissioned valve, or commission with it.
+    def assess(self, record: StrokeRecord, *, refit: bool = True) -> StrokeReport:
+        """Compare a stroke with the baseline, or commission with it.
 
         Args:
             record: from a `StrokeSegmenter`.
@@ -196,21 +196,21 @@ class StrokeMonitor:
         scored, scores, alarm, state, remark = None, {}, None, "not judged", record.remark
         if not remark:
             try:
-                if self.commissioning is None and came_together(record.trace, self._declared):
-                    remark = TOGETHER
+                if self.commissioning is None and is_held_too_short(record.trace, self._declared):
+                    remark = HELD_TOO_SHORT
                 elif self.commissioning is None:
                     state = "commissioning"
                     self._commission(record)
                 else:
                     level = self._allowed(record, self.commissioning)
-                    if level >= UNTIMED and came_together(record.trace, self.commissioning.healthy.valve):
-                        return self._report(record, None, {}, None, state, TOGETHER, {})
-                    state = UNCERTAIN if level >= UNTIMED else WATCHING
-                    scored = score_stroke(record.trace, self.commissioning.healthy, level)
+                    if level >= UNINFORMATIVE and is_held_too_short(record.trace, self.commissioning.baseline.valve):
+                        return self._report(record, None, {}, None, state, HELD_TOO_SHORT, {})
+                    state = UNCERTAIN if level >= UNINFORMATIVE else WATCHING
+                    scored = score_stroke(record.trace, self.commissioning.baseline, level)
                     scores = self.commissioning.standard(scored.scores, level)
                     alarm = self._add(record, scored, scores)
             except (SimulationError, np.linalg.LinAlgError) as error:
-                state, remark = "not judged", f"the model could not be held against it: {error}"
+                state, remark = "not judged", f"it could not be compared with the model: {error}"
         damping = self._refitted(record.trace) if refit and scored is not None else {}
         return self._report(record, scored, scores, alarm, state, remark, damping)
 
@@ -218,59 +218,59 @@ class StrokeMonitor:
         self._first.append(record)
         if len(self._first) < self._settings.commissioning_strokes:
             return
-        # What could not be commissioned with is not tried again with each stroke that follows.
+        # Where commissioning fails it is not repeated with each stroke that follows.
         records, self._first = self._first, []
         self.use(commission_with(records, self._declared, self._settings.noise))
 
     def use(self, commissioning: Commissioning) -> None:
-        """Watch from now on with what a commissioning has found, this one's or an earlier one's."""
-        healthy, strokes = commissioning.healthy, commissioning.strokes
+        """Use a commissioning from now on, this monitor's or an earlier one's."""
+        baseline, strokes = commissioning.baseline, commissioning.strokes
         run = self._settings.strokes_between_false_alarms
         self._sums = Sums(run, commissioning.names, len(strokes), one_sided=(SIZE,))
-        self._loudest, self._sum, self._threshold = "", math.nan, self._sums.threshold
-        self._scatter = CommandScatter(healthy.jitter, strokes)
+        self._leading, self._sum, self._threshold = "", math.nan, self._sums.threshold
+        self._scatter = CommandScatter(baseline.jitter, strokes)
         self._recent.clear()
-        self._last_raised, self._judged, self._trace_at = -math.inf, 0, 0
+        self._last_raised, self._judged, self._isolate_at = -math.inf, 0, 0
         self._first, self.alarm = [], None
         self.commissioning = commissioning
 
     def recommission(self) -> None:
-        """Forget what healthy was: the next strokes are taken for it."""
+        """Discard the baseline: the next strokes are taken as the new one."""
         self.commissioning = self._sums = self._scatter = self.alarm = None
         self._first = []
         self._recent.clear()
-        self._loudest, self._sum, self._threshold = "", math.nan, math.nan
+        self._leading, self._sum, self._threshold = "", math.nan, math.nan
 
     def _allowed(self, record: StrokeRecord, commissioning: Commissioning) -> float:
-        """The standard deviation that this stroke's commands are allowed, s."""
+        """The standard deviation of this stroke's commands' times, s."""
         assert self._scatter is not None
-        self._scatter.add(timed_stroke(record, commissioning.healthy))
+        self._scatter.add(stroke_timing(record, commissioning.baseline))
         return self._level()
 
     def _add(self, record: StrokeRecord, scored: Scored, scores: Mapping[str, float]) -> Alarm | None:
         assert self._sums is not None
         self._judged += 1
-        self._recent.append(_Judged(record.number, record.trace, scored.shifts))
-        # Of what nothing can be said, nothing that was said before is held against the valve for long.
+        self._recent.append(_Assessed(record.number, record.trace, scored.shifts))
+        # Delays that cannot be scored count as 0, so that earlier ones decay from their sums.
         unknown = {name: 0.0 for name in DELAYS if self.is_timing_uncertain and name in self._sums}
         alarm = self._sums.add(record.number, {**unknown, **scores})
         if alarm is not None:
-            self._loudest, self._sum = alarm.cause, self._sums.threshold
-            # The tracing wants all strokes since the first of a row of alarms began.
+            self._leading, self._sum = alarm.cause, self._sums.threshold
+            # Fault isolation uses all strokes since the first of a row of alarms began.
             began = alarm.began if self.alarm is None else self.alarm.began
             self.alarm = alarm._replace(began=began)
             self.alarms += 1
             self._last_raised = self._judged
         else:
-            self._loudest, self._sum = self._sums.largest
-            if self._judged - self._last_raised > FORGETS:
-                self.alarm, self._trace_at = None, 0
+            self._leading, self._sum = self._sums.largest
+            if self._judged - self._last_raised > ALARM_ENDS_AFTER:
+                self.alarm, self._isolate_at = None, 0
         return alarm
 
     def _refitted(self, trace: Trace) -> Mapping[str, Interval]:
-        assert self.healthy is not None
+        assert self.baseline is not None
         try:
-            return refitted(trace, self.healthy, self._level())
+            return refitted(trace, self.baseline, self._level())
         except SimulationError:
             return {}
 
@@ -284,41 +284,41 @@ class StrokeMonitor:
         remark: str,
         damping: Mapping[str, Interval],
     ) -> StrokeReport:
-        healthy, trace = self.healthy, record.trace
+        baseline, trace = self.baseline, record.trace
         seen = _arrivals(trace, self._declared) if len(trace.times) >= FEWEST_SAMPLES else {}
-        lateness = healthy.lateness if healthy is not None else 0.0
+        lateness = baseline.lateness if baseline is not None else 0.0
         volts = trace.drive.volts
         return StrokeReport(
             record,
             f"stroke {record.number}, {volts[np.argmax(np.abs(volts))]:.1f} V",
-            _opening_delay(trace, healthy.valve if healthy is not None else self._declared, lateness),
+            _opening_delay(trace, baseline.valve if baseline is not None else self._declared, lateness),
             seen.get("pilot_reaches_main", math.nan) - lateness,
             seen.get("reaches_stop", math.nan) - lateness,
             seen.get("reaches_seat", math.nan) - lateness,
             scored.rms if scored is not None else math.nan,
-            healthy.noise.sigma if healthy is not None else math.nan,
+            baseline.noise.sigma if baseline is not None else math.nan,
             damping,
             scores,
             state,
             remark,
             self.command_scatter,
             alarm,
-            self._loudest,
+            self._leading,
             self._sum,
             self._threshold,
         )
 
 
-class _Judged(NamedTuple):
-    """A stroke that was held against the model, and by how much its commands were obeyed late, s."""
+class _Assessed(NamedTuple):
+    """A stroke that was compared with the model, and the delays of its commands, s."""
 
     number: int
     trace: Trace
     shifts: Array
 
 
-def _as_obeyed(trace: Trace, shifts: Array) -> Trace:
-    """The stroke with its commands where it shows that they were obeyed; those between move with the first.
+def _retimed(trace: Trace, shifts: Array) -> Trace:
+    """The stroke with its commands moved to where they took effect; those between move with the first.
 
     Without its current, whose stamps are those of its arrival.
     """
@@ -337,7 +337,7 @@ def _arrivals(trace: Trace, valve: Valve) -> dict[str, float]:
 
 
 def _opening_delay(trace: Trace, valve: Valve, lateness: float) -> float:
-    """When the pilot plunger left its seat, s after the command: the model's time, and how late a low level is passed.
+    """When the pilot plunger left its seat, s after the command: the model's time, and the delay at a low level.
 
     The first micrometres hide in the noise, and grow with the third power of time; the level is a quarter of the gap.
     """

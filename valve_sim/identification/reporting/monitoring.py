@@ -1,18 +1,18 @@
-"""What a monitor says of a stroke, and of a cause, as JSON."""
+"""The report on a stroke, and the finding after an alarm, as JSON."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from valve_sim.files.json_text import plain_mapping
-from valve_sim.identification.monitoring.fault_isolation import Finding
+from valve_sim.identification.monitoring.fault_isolation import FaultFinding
 from valve_sim.identification.monitoring.stroke_monitor import StrokeReport
 from valve_sim.identification.reporting.interval_json import intervals_json
 
 
 def stroke_json(report: StrokeReport) -> dict[str, Any]:
     """Plain numbers in SI units; null for what is not known."""
-    loudest = sorted(report.scores.items(), key=lambda item: -abs(item[1]))[:3]
+    largest = sorted(report.scores.items(), key=lambda item: -abs(item[1]))[:3]
     plain = {
         "schema": "valve_sim/stroke/1",
         "stroke": report.record.number,
@@ -31,7 +31,7 @@ def stroke_json(report: StrokeReport) -> dict[str, Any]:
         "noise_um": 1e6 * report.noise,
         "command_scatter": report.command_scatter,
         "damping": intervals_json(report.damping),
-        "scores": dict(loudest),
+        "scores": dict(largest),
         "alarm": {
             "raised": report.alarm is not None,
             "cause": (report.alarm.cause if report.alarm else report.cause) or None,
@@ -42,8 +42,8 @@ def stroke_json(report: StrokeReport) -> dict[str, Any]:
     return plain_mapping(plain)
 
 
-def finding_json(finding: Finding) -> dict[str, Any]:
-    """Plain values."""
+def finding_json(finding: FaultFinding) -> dict[str, Any]:
+    """As on ~/finding."""
     plain = {
         "schema": "valve_sim/finding/1",
         "kind": finding.kind,
