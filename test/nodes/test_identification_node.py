@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from valve_sim.files.parameter_files import load_valve
-from valve_sim.identification.reporting.recording_profile import STROKE_VOLTS
+from valve_sim.files.parameter_files import default_valve, load_valve
+from valve_sim.identification.plants.valve import volts_at
+from valve_sim.identification.reporting.recording_profile import STROKE_LEVELS
 from valve_sim.traces import read_trace
 from valve_sim.traces.synthetic import read_profile
 
@@ -232,7 +233,7 @@ def test_a_diagnosis_is_published_too(samples: Path, probe: Probe, tmp_path: Pat
     assert report["schema"] == "valve_sim/diagnosis/1"
     assert load_valve(tmp_path / "corrected.yaml").parameters.stroke == 1.23e-3
     assert report["record_next"], "one stroke tells nothing apart"
-    assert set(STROKE_VOLTS) <= set(read_profile(profile).volts)
+    assert set(volts_at(default_valve(), STROKE_LEVELS)) <= set(read_profile(profile).volts)
 
 
 def is_said(words: str, heard: list[Any]) -> bool:

@@ -18,8 +18,8 @@ from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Experiment
-from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.reporting.recording_profile import STROKE_VOLTS, duration_of, write_profile
+from valve_sim.identification.plants.valve import ValvePlant, volts_at
+from valve_sim.identification.reporting.recording_profile import STROKE_LEVELS, duration_of, write_profile
 from valve_sim.model import Drive, EventKind, Valve, simulate
 from valve_sim.traces import Trace
 from valve_sim.traces.synthetic import read_profile
@@ -68,9 +68,9 @@ def test_the_advised_pulse_is_worth_what_it_promises(recommendation: Recommendat
 
 def test_the_file_to_record_next_is_worth_what_it_promises(recommendation: Recommendation, tmp_path: Path) -> None:
     """Recorded for real as the file says it, pulses and strokes reject the wrong one by what was promised, or more."""
-    write_profile(tmp_path / "record_next.yaml", recommendation, "by a test")
+    write_profile(tmp_path / "record_next.yaml", recommendation, DECLARED, "by a test")
     drive = read_profile(tmp_path / "record_next.yaml")
-    assert len(drive.times) == 2 * (recommendation.repeats + len(STROKE_VOLTS))
+    assert len(drive.times) == 2 * (recommendation.repeats + len(STROKE_LEVELS))
     promised = recommendation.together[0][1]
     trace = measured(Profile(drive.times, drive.volts, duration_of(drive)), 5)
     plant = ValvePlant([measured(single_opening(), 3), trace], DECLARED)
@@ -88,13 +88,28 @@ def test_a_weak_pulse_is_repeated_until_it_tells_and_a_hopeless_one_is_not_advis
     assert separating(0.0).repeats > MOST_REPEATS
 
 
-def test_without_a_telling_pulse_the_file_has_full_strokes_that_can_be_simulated(tmp_path: Path) -> None:
-    write_profile(tmp_path / "record_next.yaml", None, "by a test")
+@pytest.mark.parametrize(("reference", "lowest", "highest"), [(9.0, 7.5, 14.0), (24.0, 20.0, 37.33)])
+def test_without_a_telling_pulse_the_file_has_full_strokes_that_can_be_simulated(
+    tmp_path: Path, reference: float, lowest: float, highest: float
+) -> None:
+    """A 24 V coil never opens at what opens one of 9 V."""
+    valve = DECLARED.with_values(reference_voltage=reference)
+    write_profile(tmp_path / "record_next.yaml", None, valve, "by a test")
     drive = read_profile(tmp_path / "record_next.yaml")
-    assert tuple(drive.volts[::2]) == STROKE_VOLTS
-    response = simulate(DECLARED, drive, np.linspace(0.0, duration_of(drive), 2000))
-    assert [event.kind for event in response.events].count(EventKind.REACHED_STOP) == len(STROKE_VOLTS)
+    assert tuple(drive.volts[::2]) == volts_at(valve, STROKE_LEVELS)
+    assert (min(drive.volts[::2]), max(drive.volts)) == (lowest, highest)
+    response = simulate(valve, drive, np.linspace(0.0, duration_of(drive), 2000))
+    assert [event.kind for event in response.events].count(EventKind.REACHED_STOP) == len(STROKE_LEVELS)
     assert response.pilot_position[-1] < 1e-9
+
+
+def test_experiments_and_advice_follow_the_reference_voltage() -> None:
+    plant = ValvePlant([measured(single_opening(), 3)], DECLARED.with_values(reference_voltage=24.0))
+    pulses = {experiment.words.partition(" V")[0] for experiment in plant.experiments}
+    assert pulses == {"20", "24", "29.33", "37.33"}
+    assert "at 20 to 37.33 V" in plant.advice.first
+    pulses = {experiment.words.partition(" V")[0] for experiment in ValvePlant(plant.traces, DECLARED).experiments}
+    assert pulses == {"7.5", "9", "11", "14"}
 
 
 def test_there_is_no_advice_without_rivals() -> None:

@@ -23,7 +23,7 @@ from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
 from valve_sim.identification.reporting import html as report
 from valve_sim.identification.reporting.curves import DRAWN_POINTS, StrokeCurves, keep_extremes, strokes_of
 from valve_sim.identification.reporting.files import write_diagnosis
-from valve_sim.identification.reporting.recording_profile import STROKE_VOLTS
+from valve_sim.identification.reporting.recording_profile import STROKE_LEVELS
 from valve_sim.identification.reporting.wording import headline
 from valve_sim.invocation import invocation
 from valve_sim.model import CATALOGUE, ValveError
@@ -160,7 +160,7 @@ def test_the_next_recording_is_a_profile_in_the_folder_while_there_is_something_
 ) -> None:
     doubtful = write_diagnosis(replace(diagnosis, record_next="Record next: more."), tmp_path, "by a test")
     assert doubtful[-1].name == "record_next.yaml"
-    assert len(read_profile(doubtful[-1]).times) == 2 * len(STROKE_VOLTS)
+    assert len(read_profile(doubtful[-1]).times) == 2 * len(STROKE_LEVELS)
     assert json.loads(doubtful[0].read_text())["record_next_gain"] is None
     page, header = doubtful[1].read_text(), doubtful[-1].read_text()
     for program in ("valve-sim simulate --profile ", "command_profile --ros-args -p profile:="):

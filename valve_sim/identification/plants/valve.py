@@ -40,17 +40,19 @@ from valve_sim.traces import Trace
 
 DAMPINGS: Final = ("pilot_damping", "main_damping")
 """What nobody knows of a valve, and every fit frees."""
-PULSE_VOLTS: Final = (7.5, 9.0, 11.0, 14.0)
-"""V: the range in which such a valve is driven."""
+LOWEST_LEVEL, HIGHEST_LEVEL = 7.5 / 9.0, 14.0 / 9.0
+"""Of the reference voltage: the range in which such a valve is driven, 7.5 to 14 V where the reference is 9 V."""
+PULSE_LEVELS: Final = (LOWEST_LEVEL, 1.0, 11.0 / 9.0, HIGHEST_LEVEL)
+"""Voltages of single pulses, of the reference voltage."""
 PULSE_DURATIONS: Final = (3e-3, 4e-3, 5e-3, 8e-3, 30e-3)
 """s: pulses of 3 to 5 ms lift the valve partly, longer ones fully."""
-ADVICE: Final = Advice(
-    "one stroke at one voltage cannot tell an effect from damping",
-    "Record next: eight strokes with their releases at 7.5 to 14 V, about 30 ms on and 30 ms off, in one bag at 20 kHz",
-    "Record next: strokes at voltages not used yet, a peak-and-hold stroke, and pulses of 3 to 5 ms",
-)
 PULSE_START, PULSE_RECORDING = 5e-3, 70e-3
 """s: when a pulse begins, and when its recording ends."""
+
+
+def volts_at(valve: Valve, levels: Sequence[float]) -> tuple[float, ...]:
+    """Voltages at these shares of a valve's reference voltage, V, rounded to 10 mV."""
+    return tuple(round(level * valve.parameters.reference_voltage, 2) for level in levels)
 
 
 class ValvePlant:
@@ -131,13 +133,19 @@ class ValvePlant:
                 functools.partial(self._recorded, volts, duration, times),
                 ((0.0, volts), (duration, 0.0)),
             )
-            for volts, duration in itertools.product(PULSE_VOLTS, PULSE_DURATIONS)
+            for volts, duration in itertools.product(volts_at(self.valve, PULSE_LEVELS), PULSE_DURATIONS)
         ]
 
     @property
     def advice(self) -> Advice:
         """Releases, several voltages and short pulses tell effects apart (measured on surrogate data)."""
-        return ADVICE
+        lowest, highest = volts_at(self.valve, (LOWEST_LEVEL, HIGHEST_LEVEL))
+        return Advice(
+            "one stroke at one voltage cannot tell an effect from damping",
+            f"Record next: eight strokes with their releases at {lowest:g} to {highest:g} V, about 30 ms on and 30 ms "
+            "off, in one bag at 20 kHz",
+            "Record next: strokes at voltages not used yet, a peak-and-hold stroke, and pulses of 3 to 5 ms",
+        )
 
     def _recorded(self, volts: float, duration: float, times: Array, values: Mapping[str, float]) -> ValvePlant:
         """A pulse recorded from a valve of these values, without noise."""

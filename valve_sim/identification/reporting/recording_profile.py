@@ -9,26 +9,37 @@ from typing import Final
 from valve_sim.files.whole_files import write_whole
 from valve_sim.identification.diagnosis.experiment_design import Recommendation
 from valve_sim.identification.diagnosis.outcome import Diagnosis
+from valve_sim.identification.plants.valve import HIGHEST_LEVEL, LOWEST_LEVEL, volts_at
 from valve_sim.invocation import invocation
-from valve_sim.model import Drive
+from valve_sim.model import Drive, Valve
 
 RECORD_NEXT_FILE: Final = "record_next.yaml"
-STROKE_VOLTS: Final = (7.5, 8.5, 9.5, 10.5, 11.5, 12.5, 13.5, 14.0)
-"""V, of the full strokes after the pulses: friction, drag and pull grow differently with the voltage."""
+STROKE_LEVELS: Final = (
+    LOWEST_LEVEL,
+    8.5 / 9.0,
+    9.5 / 9.0,
+    10.5 / 9.0,
+    11.5 / 9.0,
+    12.5 / 9.0,
+    13.5 / 9.0,
+    HIGHEST_LEVEL,
+)
+"""Voltages of the full strokes after the pulses, of the reference voltage: friction, drag and pull grow differently."""
 ON, REST = 30e-3, 65e-3
 """s: how long the voltage of a full stroke holds, and the rest after each stroke, at whose end nothing moves."""
 LEAD: Final = 0.1
 """s of rest before the first command: the sensor's noise is read from it."""
 
 
-def profile_to_record(telling: Recommendation | None) -> Drive:
+def profile_to_record(telling: Recommendation | None, valve: Valve) -> Drive:
     """The commands of the recording to make next: the telling pulse some times, then full strokes at other voltages.
 
     Args:
         telling: the pulse that separates the candidates most; None where none is known to.
+        valve: what is recorded; its reference voltage scales the full strokes.
     """
     pulses = [telling.experiment.commands] * telling.repeats if telling is not None else []
-    strokes = [((0.0, volts), (ON, 0.0)) for volts in STROKE_VOLTS]
+    strokes = [((0.0, volts), (ON, 0.0)) for volts in volts_at(valve, STROKE_LEVELS)]
     rows, start = [], LEAD
     for commands in [*pulses, *strokes]:
         rows += [(start + time, volts) for time, volts in commands]
@@ -56,11 +67,11 @@ def write_record_next(folder: Path, diagnosis: Diagnosis, provenance: str) -> Pa
         # One from an earlier run into this folder would advise what this diagnosis does not.
         path.unlink(missing_ok=True)
         return None
-    write_profile(path, diagnosis.telling, provenance)
+    write_profile(path, diagnosis.telling, diagnosis.valve, provenance)
     return path
 
 
-def write_profile(path: Path, telling: Recommendation | None, provenance: str) -> None:
+def write_profile(path: Path, telling: Recommendation | None, valve: Valve, provenance: str) -> None:
     """Write record_next.yaml, whole or not at all.
 
     The commands in its header can be typed where this process was started.
@@ -68,12 +79,13 @@ def write_profile(path: Path, telling: Recommendation | None, provenance: str) -
     Args:
         path: of the file.
         telling: the pulse that separates the candidates most; None where none is known to.
+        valve: what is recorded.
         provenance: how the diagnosis was made.
 
     Raises:
         ValveError: it cannot be written.
     """
-    drive, file = profile_to_record(telling), shlex.quote(str(path))
+    drive, file = profile_to_record(telling, valve), shlex.quote(str(path))
     valve_sim = invocation()
     notes = [
         *provenance.splitlines(),
