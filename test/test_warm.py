@@ -9,10 +9,18 @@ from pathlib import Path
 
 SIMULATE = ("-m", "valve_sim", "simulate", "--voltage", "9", "--duration", "0.02", "--output")
 USE_ALL = """
+import numpy as np
+from valve_sim.identification.plants.protocol import Direction
+from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import CATALOGUE, Drive, Stepper, Valve, simulate_many
+from valve_sim.traces import Signal, Trace
 drag = Valve(effects={"quadratic_drag": {"coefficient": 1.0}})
 mapped = Valve(effects={"force_map": {"low": 0.0, "high": 1e-3, "c3": 0.1}})
 simulate_many([Valve(), drag, mapped], Drive.of([0.0], [9.0]), [0.0, 1e-3])
+times = np.arange(0.0, 0.01, 1e-4)
+trace = Trace("made", Drive.of([0.0], [9.0]), times, 0.0 * times, coil_current=Signal(times, 0.0 * times))
+plant = ValvePlant([trace], drag)
+plant.sensitivities({"main_damping": 4.0}, [Direction({"main_damping": 1.0}, 1e-6)])
 stepper = Stepper(drag)
 stepper.command(1e-3, 9.0)
 stepper.set_valve(Valve(), 2e-3)

@@ -8,23 +8,35 @@ from __future__ import annotations
 
 import sys
 
+import numpy as np
+
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.model import CATALOGUE, Drive, Stepper, ValveError, simulate, simulate_many
+from valve_sim.model import CATALOGUE, Drive, Stepper, Valve, ValveError, simulate, simulate_many
 from valve_sim.model.compiling import announce_compiling
+from valve_sim.model.sensitivities import Tangent, numbers_of, run_tangents
+from valve_sim.model.simulation import TOLERANCE, Samples, new_states
 
 
 def warm() -> None:
-    """Have every compiled function of the model at hand: whole runs, many at once, a live valve, terms of effects."""
+    """Have every compiled function at hand: whole runs, derivatives, many at once, a live valve, terms of effects."""
     valve = default_valve()
     drive = Drive.of([0.0], [valve.parameters.reference_voltage])
     simulate(valve, drive, [0.0, 1e-3])
     simulate_many([valve], drive, [0.0, 1e-3], threads=1)
+    _warm_derivatives(valve, drive)
     stepper = Stepper(valve)
     stepper.command(1e-3, valve.parameters.reference_voltage)
     stepper.set_valve(valve, 2e-3)
     stepper.advance(3e-3)
     for effect in CATALOGUE.values():
         effect.compile_ahead()
+
+
+def _warm_derivatives(valve: Valve, drive: Drive) -> None:
+    record, times, none = valve.record(), np.array([0.0, 1e-3]), np.zeros(1)
+    samples = Samples(times, np.empty((2, 1)), times, np.empty(2))
+    nothing_moves = Tangent(np.zeros(len(numbers_of(record))), none, none)
+    run_tangents(record, new_states(record, 0.0), drive, samples, [nothing_moves], TOLERANCE)
 
 
 def main() -> int:

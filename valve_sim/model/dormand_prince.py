@@ -46,35 +46,43 @@ WORK_RECORD: Final = np.dtype(
 
 # The tableau, row by row: when a stage looks (the sixth and the last at the end), and where, from y and the slopes k.
 C2, C3, C4, C5 = 1 / 5, 3 / 10, 4 / 5, 8 / 9
+STAGE_TIMES: Final = (0.0, C2, C3, C4, C5, 1.0, 1.0)
+"""When each stage looks, in steps."""
 
 
 @inlined
-def _at_second(y, h, k1):
+def at_second(y, h, k1):
+    """Where the second stage looks."""
     return y + h * (1 / 5 * k1)
 
 
 @inlined
-def _at_third(y, h, k1, k2):
+def at_third(y, h, k1, k2):
+    """Where the third stage looks."""
     return y + h * (3 / 40 * k1 + 9 / 40 * k2)
 
 
 @inlined
-def _at_fourth(y, h, k1, k2, k3):
+def at_fourth(y, h, k1, k2, k3):
+    """Where the fourth stage looks."""
     return y + h * (44 / 45 * k1 + -56 / 15 * k2 + 32 / 9 * k3)
 
 
 @inlined
-def _at_fifth(y, h, k1, k2, k3, k4):
+def at_fifth(y, h, k1, k2, k3, k4):
+    """Where the fifth stage looks."""
     return y + h * (19372 / 6561 * k1 + -25360 / 2187 * k2 + 64448 / 6561 * k3 + -212 / 729 * k4)
 
 
 @inlined
-def _at_sixth(y, h, k1, k2, k3, k4, k5):
+def at_sixth(y, h, k1, k2, k3, k4, k5):
+    """Where the sixth stage looks."""
     return y + h * (9017 / 3168 * k1 + -355 / 33 * k2 + 46732 / 5247 * k3 + 49 / 176 * k4 + -5103 / 18656 * k5)
 
 
 @inlined
-def _at_end(y, h, k1, k3, k4, k5, k6):
+def at_end(y, h, k1, k3, k4, k5, k6):
+    """The fifth-order end of the step."""
     return y + h * (35 / 384 * k1 + 500 / 1113 * k3 + 125 / 192 * k4 + -2187 / 6784 * k5 + 11 / 84 * k6)
 
 
@@ -85,7 +93,7 @@ def _error(h, k1, k3, k4, k5, k6, k7):
     return h * parts
 
 
-_DENSE = np.array(
+DENSE: Final = np.array(
     [
         [1, -8048581381 / 2820520608, 8663915743 / 2820520608, -12715105075 / 11282082432],
         [0, 0, 0, 0],
@@ -126,19 +134,19 @@ def _try_mechanical_step(p, s, work, h):
     x, v = work.y[0], work.y[1]
     x1, v1 = k[0, 0], k[0, 1]
     u, w = coil_current_between_commands(p, s, t + C2 * h)
-    x2, v2 = mechanical_rates(p, s, t + C2 * h, _at_second(x, h, x1), _at_second(v, h, v1), u, w)
+    x2, v2 = mechanical_rates(p, s, t + C2 * h, at_second(x, h, x1), at_second(v, h, v1), u, w)
     u, w = coil_current_between_commands(p, s, t + C3 * h)
-    x3, v3 = mechanical_rates(p, s, t + C3 * h, _at_third(x, h, x1, x2), _at_third(v, h, v1, v2), u, w)
+    x3, v3 = mechanical_rates(p, s, t + C3 * h, at_third(x, h, x1, x2), at_third(v, h, v1, v2), u, w)
     u, w = coil_current_between_commands(p, s, t + C4 * h)
-    x_stage, v_stage = _at_fourth(x, h, x1, x2, x3), _at_fourth(v, h, v1, v2, v3)
+    x_stage, v_stage = at_fourth(x, h, x1, x2, x3), at_fourth(v, h, v1, v2, v3)
     x4, v4 = mechanical_rates(p, s, t + C4 * h, x_stage, v_stage, u, w)
     u, w = coil_current_between_commands(p, s, t + C5 * h)
-    x_stage, v_stage = _at_fifth(x, h, x1, x2, x3, x4), _at_fifth(v, h, v1, v2, v3, v4)
+    x_stage, v_stage = at_fifth(x, h, x1, x2, x3, x4), at_fifth(v, h, v1, v2, v3, v4)
     x5, v5 = mechanical_rates(p, s, t + C5 * h, x_stage, v_stage, u, w)
     u, w = coil_current_between_commands(p, s, t + h)
-    x_stage, v_stage = _at_sixth(x, h, x1, x2, x3, x4, x5), _at_sixth(v, h, v1, v2, v3, v4, v5)
+    x_stage, v_stage = at_sixth(x, h, x1, x2, x3, x4, x5), at_sixth(v, h, v1, v2, v3, v4, v5)
     x6, v6 = mechanical_rates(p, s, t + h, x_stage, v_stage, u, w)
-    x_new, v_new = _at_end(x, h, x1, x3, x4, x5, x6), _at_end(v, h, v1, v3, v4, v5, v6)
+    x_new, v_new = at_end(x, h, x1, x3, x4, x5, x6), at_end(v, h, v1, v3, v4, v5, v6)
     k[6, 0], k[6, 1] = mechanical_rates(p, s, t + h, x_new, v_new, u, w)
     k[1, 0], k[2, 0], k[3, 0], k[4, 0], k[5, 0] = x2, x3, x4, x5, x6
     k[1, 1], k[2, 1], k[3, 1], k[4, 1], k[5, 1] = v2, v3, v4, v5, v6
@@ -152,22 +160,22 @@ def _try_heated_step(p, s, work, h):
     t = s.time
     k, y, y_stage, y_new = work.k, work.y, work.y_stage, work.y_new
     for j in range(work.states):
-        y_stage[j] = _at_second(y[j], h, k[0, j])
+        y_stage[j] = at_second(y[j], h, k[0, j])
     rates(p, s, work, t + C2 * h, y_stage, SECOND)
     for j in range(work.states):
-        y_stage[j] = _at_third(y[j], h, k[0, j], k[1, j])
+        y_stage[j] = at_third(y[j], h, k[0, j], k[1, j])
     rates(p, s, work, t + C3 * h, y_stage, THIRD)
     for j in range(work.states):
-        y_stage[j] = _at_fourth(y[j], h, k[0, j], k[1, j], k[2, j])
+        y_stage[j] = at_fourth(y[j], h, k[0, j], k[1, j], k[2, j])
     rates(p, s, work, t + C4 * h, y_stage, FOURTH)
     for j in range(work.states):
-        y_stage[j] = _at_fifth(y[j], h, k[0, j], k[1, j], k[2, j], k[3, j])
+        y_stage[j] = at_fifth(y[j], h, k[0, j], k[1, j], k[2, j], k[3, j])
     rates(p, s, work, t + C5 * h, y_stage, FIFTH)
     for j in range(work.states):
-        y_stage[j] = _at_sixth(y[j], h, k[0, j], k[1, j], k[2, j], k[3, j], k[4, j])
+        y_stage[j] = at_sixth(y[j], h, k[0, j], k[1, j], k[2, j], k[3, j], k[4, j])
     rates(p, s, work, t + h, y_stage, SIXTH)
     for j in range(work.states):
-        y_new[j] = _at_end(y[j], h, k[0, j], k[2, j], k[3, j], k[4, j], k[5, j])
+        y_new[j] = at_end(y[j], h, k[0, j], k[2, j], k[3, j], k[4, j], k[5, j])
     rates(p, s, work, t + h, y_new, LAST)
 
 
@@ -198,9 +206,9 @@ def fill_dense(work):
     """Work out the dense-output coefficients of the step just taken."""
     for j in range(work.states):
         for power in range(4):
-            total = _DENSE[0, power] * work.k[0, j]
+            total = DENSE[0, power] * work.k[0, j]
             for i in range(2, STAGES):
-                total += _DENSE[i, power] * work.k[i, j]
+                total += DENSE[i, power] * work.k[i, j]
             work.dense[j, power] = total
 
 

@@ -40,6 +40,15 @@ from valve_sim.model.location import (
 )
 from valve_sim.model.sampling import fill_until, is_filled, show
 from valve_sim.model.transitions import move_off, push_at_rest, set_voltage, touch, turn
+from valve_sim.model.variational import (
+    commit_variations,
+    enter_segment,
+    leave_segment,
+    show_variations,
+    vary_event,
+    vary_release,
+    vary_step,
+)
 
 FINISHED, STEP_TOO_SMALL, TOO_MANY_STEPS, CHATTERING = (int(outcome) for outcome in Outcome)
 
@@ -190,7 +199,7 @@ def _end_step(p, s, work, ends, events, count):
 
 
 @inner
-def _cut_step(p, s, work, t_end):
+def _cut_step(p, s, work, t_end, vary):
     """End a step at t_end, before a command."""
     h = t_end - s.time
     if h <= 0.0:
@@ -198,12 +207,14 @@ def _cut_step(p, s, work, t_end):
     if s.moving or work.states > MECHANICAL_STATES:
         try_step(p, s, work, h)
         fill_dense(work)
+    vary_step(p, s, work, h, vary)
+    commit_variations(vary)
     _commit(p, s, work, h, t_end)
 
 
 @compiled
-def run(valve, state, until, samples, events, count, control):
-    """Step the valve from its state to a time under one voltage.
+def run_varied(valve, state, until, samples, log, control, vary):
+    """Step the valve from its state to a time under one voltage, and derivatives along with it.
 
     Args:
         valve: (1,) valve record. state: (1,) state record, advanced. (Arrays of one and plain tuples, because Numba
@@ -212,8 +223,9 @@ def run(valve, state, until, samples, events, count, control):
             whole step.
         samples: (times, rows, current_times, currents): (i,) ascending times of position samples, s; (i, 1) or
             (i, ROW) their output, see `sample`; (j,) ascending times of current samples, s; (j,) u there, written.
-        events: (e,) event log. count: events noted so far.
+        log: (events, count): (e,) event log; events noted so far.
         control: (tolerance, most_steps): relative error of a step; the steps after which a run is given up.
+        vary: what derivatives are carried along, see `variational`, or None.
 
     Returns:
         (position samples, current samples) written, events counted, Outcome.
@@ -221,9 +233,10 @@ def run(valve, state, until, samples, events, count, control):
     p, s = valve[0], state[0]
     t_end, commit_end = until
     tolerance, most_steps = control
+    events, count = log
     work = np.zeros(1, WORK_RECORD)[0]
     work.states = ALL_STATES if p.temperature_rate != 0.0 else MECHANICAL_STATES
-    done, chatter = (0, 0), 0
+    done, chatter, last_event = (0, 0), 0, s.segment_time
     for _ in range(most_steps):
         _settle_coil(p, s, work)
         _start_from(s, work)
@@ -233,16 +246,20 @@ def run(valve, state, until, samples, events, count, control):
             if push != 0:
                 count = move_off(p, s, push, events, count)
                 work.start_is_known = 0
+                vary_release(p, s, last_event, vary)
+                last_event = s.time
         if s.time >= t_end and is_filled(s.time, samples, done):
             return done, count, FINISHED
         h, ends, following, outcome = _next_step(p, s, work, tolerance)
         if outcome != FINISHED:
             return done, count, outcome
         t_new = s.time + h
-        done = fill_until(p, s, work, h, min(t_new, t_end), samples, done)
+        shown, done = done, fill_until(p, s, work, h, min(t_new, t_end), samples, done)
+        vary_step(p, s, work, h, vary)
+        show_variations(p, s, work, h, samples, (shown, done), vary)
         if t_new > t_end:
             if commit_end:
-                _cut_step(p, s, work, t_end)
+                _cut_step(p, s, work, t_end, vary)
             return done, count, FINISHED
         chatter = chatter + 1 if h < SHORTEST_PROGRESS else 0
         if chatter > LONGEST_CHATTER:
@@ -250,13 +267,23 @@ def run(valve, state, until, samples, events, count, control):
         _commit(p, s, work, h, t_new)
         if ends in (NO_EVENT, MOVED_OFF):
             s.step = following
+        before = (ends, s.mode, s.direction, s.v)
         count = _end_step(p, s, work, ends, events, count)
+        commit_variations(vary)
+        vary_event(p, s, work, before, vary)
+        last_event = s.time if ends in (CONTACT, TURN) else last_event
     return done, count, TOO_MANY_STEPS
 
 
 @compiled
-def run_drive(valve, state, drive, t_end, samples, events, control):
-    """Step the valve through a whole drive; arguments as for `run`.
+def run(valve, state, until, samples, events, count, control):
+    """The same without derivatives."""
+    return run_varied(valve, state, until, samples, (events, count), control, None)
+
+
+@compiled
+def run_drive_varied(valve, state, drive, t_end, samples, events, control, vary):
+    """Step the valve through a whole drive; arguments as for `run` and `run_varied`.
 
     Args:
         drive: (times, volts): (c,) ascending, s; (c,) V.
@@ -271,13 +298,28 @@ def run_drive(valve, state, drive, t_end, samples, events, control):
         is_last = command == len(command_times)
         end = t_end if is_last else min(command_times[command], t_end)
         left = (times[at:], rows[at:], current_times[at_current:], currents[at_current:])
-        done, count, outcome = run(valve, state, (end, not is_last), left, events, count, control)
+        until, log = (end, not is_last), (events, count)
+        if vary is None:
+            done, count, outcome = run_varied(valve, state, until, left, log, control, None)
+        else:
+            tiles, slopes, commands, (positions, of_currents) = vary
+            following = (tiles, slopes, commands, (positions[at:], of_currents[at_current:]))
+            done, count, outcome = run_varied(valve, state, until, left, log, control, following)
         at += done[0]
         at_current += done[1]
         if outcome != FINISHED or is_last or command_times[command] > t_end:
             return count, outcome
+        peak = state[0].peak_current
+        leave_segment(valve[0], state[0], command, vary)
         set_voltage(valve, state, volts[command])
+        enter_segment(valve[0], state[0], command, peak, vary)
     return count, FINISHED
+
+
+@compiled
+def run_drive(valve, state, drive, t_end, samples, events, control):
+    """The same without derivatives."""
+    return run_drive_varied(valve, state, drive, t_end, samples, events, control, None)
 
 
 @compiled

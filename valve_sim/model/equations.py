@@ -132,6 +132,17 @@ def acceleration(p, t, motion, coil, condition):
     return force / (p.moving_mass if mode >= MAIN else p.pilot_mass)
 
 
+@inlined
+def eddy_share(tau, tau_e, elapsed, decay, eddy_decay):
+    """(τ/(τ − τ_e)) (e^{−t/τ} − e^{−t/τ_e}), written so that τ = τ_e is no special case: what (9) makes of (1)."""
+    gap = elapsed / tau_e - elapsed / tau
+    if abs(gap) < 1.0:
+        share = decay * (-np.expm1(-gap) / gap if gap != 0.0 else 1.0)
+    else:
+        share = (decay - eddy_decay) / gap
+    return share * elapsed / tau_e
+
+
 @inner
 def coil_current_between_commands(p, s, t):
     """Solve (1) and (9) at time t for a coil that does not heat: u and w, exactly."""
@@ -147,13 +158,8 @@ def coil_current_between_commands(p, s, t):
     eddy_decay = math.exp(-elapsed / p.eddy_time_constant)
     w = target + (s.segment_w - target) * eddy_decay
     if p.coil_time_constant > 0.0:
-        # (τ/(τ − τ_e)) (e^{−t/τ} − e^{−t/τ_e}), written so that τ = τ_e is no special case.
-        gap = elapsed / p.eddy_time_constant - elapsed / p.coil_time_constant
-        if abs(gap) < 1.0:
-            share = decay * (-np.expm1(-gap) / gap if gap != 0.0 else 1.0)
-        else:
-            share = (decay - eddy_decay) / gap
-        w += (s.segment_u - target) * share * elapsed / p.eddy_time_constant
+        share = eddy_share(p.coil_time_constant, p.eddy_time_constant, elapsed, decay, eddy_decay)
+        w += (s.segment_u - target) * share
     return u, w
 
 

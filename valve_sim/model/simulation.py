@@ -248,7 +248,13 @@ def rated_current(record: Any) -> float:
 
 
 def run_record(
-    record: Any, state: Any, drive: Drive, samples: Samples, events: Any, tolerance: float = TOLERANCE
+    record: Any,
+    state: Any,
+    drive: Drive,
+    samples: Samples,
+    events: Any,
+    tolerance: float = TOLERANCE,
+    vary: Any = None,
 ) -> int:
     """The compiled core on ready-made arrays, for callers that run it ten thousand times.
 
@@ -257,6 +263,7 @@ def run_record(
         samples: what is written down.
         events: (e,) EVENT_RECORD array, written as far as it goes.
         tolerance: relative error of one step.
+        vary: what derivatives are carried along, see `sensitivities`; default none.
 
     Returns:
         how many events there were.
@@ -269,11 +276,12 @@ def run_record(
     if not 0.0 < gap < stroke:
         raise SimulationError(f"the simulation cannot start: pilot_gap {gap:g} m is not inside stroke {stroke:g} m")
     end = max(times[-1] if len(times) else -math.inf, current_times[-1] if len(current_times) else -math.inf)
-    count, outcome = driver.run_drive(
+    run = (
         record, state, (drive.times, drive.volts), end,
         (times - delay if delay else times, rows, current_times, currents),
         events, (tolerance, most_steps(end - state["time"].item())),
     )  # fmt: skip
+    count, outcome = driver.run_drive(*run) if vary is None else driver.run_drive_varied(*run, vary)
     check_outcome(outcome)
     return int(count)
 

@@ -43,9 +43,10 @@ def test_what_is_not_over_at_the_end_of_its_stretch_does_not_stay_apart() -> Non
 
 
 class Counting(ValvePlant):
-    """A plant that counts how often it is asked."""
+    """A plant without derivatives of its own that counts how often it is asked."""
 
     count = 0
+    sensitivities = None  # type: ignore[assignment]
 
     def predict(self, values: Mapping[str, float]) -> list[Array]:
         """As of any valve's plant."""

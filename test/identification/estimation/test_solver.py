@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,11 +13,12 @@ from identification.recordings import TRUTH, one_opening, recorded
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.estimation.intervals import Interval, Unbounded, covariance_interval, profile_interval
 from valve_sim.identification.estimation.problem import Problem
-from valve_sim.identification.estimation.solver import fit
+from valve_sim.identification.estimation.solver import _Search, fit
 from valve_sim.identification.plants.protocol import from_internal, internal_bounds, to_internal
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.interval_json import interval_json
-from valve_sim.model import CATALOGUE, DECLARED, SimulationError
+from valve_sim.model import CATALOGUE, DECLARED, SimulationError, Tolerances, Valve, simulate
+from valve_sim.traces import Signal, Trace
 
 BOTH = ("pilot_damping", "main_damping")
 
@@ -151,3 +153,71 @@ def test_infinities_become_null_in_json() -> None:
         "ci95": [0.0, None],
         "remark": "the profile is flat: these data do not determine it",
     }
+
+
+class ByQuotients(ValvePlant):
+    """The valve without derivatives of its own."""
+
+    sensitivities = None  # type: ignore[assignment]
+
+
+def tolerant() -> Valve:
+    """The default valve, whose declared values are known within tolerances."""
+    declared = {"spring_rate": 4.0, "spring_preload": 0.02, "pilot_gap": 2e-6, "stroke": 2e-6, "moving_mass": 1e-4}
+    covariance = tuple(map(tuple, np.diag([0.03, 100.0, 1e5, 1e8]) ** 2))
+    return replace(default_valve(), tolerances=Tolerances(declared, covariance))
+
+
+def with_current(trace: Trace) -> Trace:
+    """The same recording with a coil current, from the default valve, sampled at no command's own time."""
+    times = trace.times + 13e-6
+    current = simulate(default_valve(), trace.drive, times).coil_current
+    noise = 1e-3 * np.random.default_rng(2).standard_normal(len(current))
+    return replace(trace, coil_current=Signal(times, current + noise))
+
+
+def searched(plant: ValvePlant, effect: str | None) -> tuple[_Search, np.ndarray]:
+    """A search with everything free beside an effect, and where it starts."""
+    parameters = CATALOGUE[effect].parameters if effect else ()
+    start = {f"{effect}.{parameter.name}": parameter.prior_scale for parameter in parameters}
+    nuisances = (*plant.nuisances, *plant.timing_errors)
+    search = _Search(Problem(plant), (*BOTH, "reference_voltage", *start), nuisances, {}, None, None)
+    return search, search.start(start)
+
+
+def residuals(search: _Search, at: np.ndarray) -> np.ndarray:
+    found = search.residuals(at)
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize("effect", [None, "squeeze_film", "eddy_lag", "magnetic_saturation"])
+def test_derivatives_of_the_plant_are_those_of_small_differences(effect: str | None) -> None:
+    trace = with_current(recorded())
+    search, at = searched(ValvePlant([trace, replace(trace, source="again")], tolerant()), effect)
+    jacobian = search.jacobian(at, residuals(search, at))
+    columns = range(len(search.free)) if effect else range(len(at))
+    for column in columns:
+        # So short that no sample lies between an event and where the step moves it.
+        step = 1e-3 * search.steps[column] * (np.arange(len(at)) == column)
+        expected = (residuals(search, at + step) - residuals(search, at - step)) / (2.0 * step[column])
+        assert np.linalg.norm(jacobian[:, column] - expected) < 1e-5 * np.linalg.norm(expected), search.values(at)
+
+
+@pytest.mark.parametrize("effect", ["coil_heating", "sensor_bandwidth"])
+def test_where_the_plant_knows_none_difference_quotients_stand(effect: str) -> None:
+    found = []
+    for kind in (ValvePlant, ByQuotients):
+        search, at = searched(kind([recorded()], default_valve()), effect)
+        found.append(search.jacobian(at, residuals(search, at)))
+    assert np.array_equal(*found)
+
+
+@pytest.mark.parametrize("valve", [default_valve(), tolerant()], ids=["exact", "tolerant"])
+def test_fitted_values_are_those_of_difference_quotients(valve: Valve) -> None:
+    trace = recorded()
+    ours = fit(Problem(ValvePlant([trace], valve)), BOTH, {}, nuisances=ValvePlant([trace], valve).nuisances)
+    theirs = fit(Problem(ByQuotients([trace], valve)), BOTH, {}, nuisances=ours.nuisances)
+    for name in BOTH:
+        assert abs(ours.values[name] - theirs.values[name]) < 0.01 * ours.stderr(name)
+        assert ours.stderr(name) == pytest.approx(theirs.stderr(name), rel=1e-3)

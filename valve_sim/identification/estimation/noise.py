@@ -20,6 +20,8 @@ SHORTEST_WINDOW: Final = 100
 """Samples: a shorter quiet window says too little about the noise's colour."""
 SHORT_WINDOW: Final = 25
 """Samples: the least where no quiet window is longer; then only the size of the noise is estimated, not its colour."""
+ROWS: Final = 512
+"""Rows of a block that is whitened at once."""
 BLOCK: Final = 64
 """Samples in a block whose mean shows noise slower than the autoregression."""
 ENOUGH_AT_REST: Final = 500
@@ -59,6 +61,21 @@ class Noise:
             white[lag:] -= coefficient * residual[:-lag]
         white /= self.innovation
         return white
+
+    def whiten_in_place(self, columns: Array, weight: Array) -> None:
+        """The same of every column, weighted: (n, k), (n,); from the last block on, so that no second array is needed.
+
+        An array of many columns is large, and a new one costs more than the sums.
+        """
+        order, scale = len(self.coefficients), (weight / self.innovation)[:, None]
+        for stop in range(len(columns), 0, -ROWS):
+            start = max(0, stop - ROWS)
+            first = max(0, start - order)
+            before = columns[first:stop].copy() if order else columns
+            for lag, coefficient in enumerate(self.coefficients, start=1):
+                begin = max(start, lag)
+                columns[begin:stop] -= coefficient * before[begin - lag - first : stop - lag - first]
+            columns[start:stop] *= scale[start:stop]
 
     @property
     def is_coarse(self) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -13,7 +13,14 @@ from numpy.typing import NDArray
 
 from valve_sim.identification.estimation.budget import Budget
 from valve_sim.identification.estimation.noise import Noise, estimate_noise, noise_of_residuals, still_runs, stretches
-from valve_sim.identification.plants.protocol import Array, Nuisance, Plant, judged_channels
+from valve_sim.identification.plants.protocol import (
+    Array,
+    Differentiable,
+    Direction,
+    Nuisance,
+    Plant,
+    judged_channels,
+)
 
 Mask = Callable[[int, NDArray[np.int64]], NDArray[np.bool_]]
 
@@ -122,6 +129,23 @@ class Problem:
                 )
             ]
         )
+
+    def sensitivities(
+        self, values: Mapping[str, float], directions: Sequence[Direction]
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        """(n, k) derivatives of the residuals along directions, and (k,) where the plant knows them.
+
+        Raises:
+            OutOfTimeError: the time for fits is used up.
+            SimulationError: the machine cannot be simulated with these values.
+        """
+        self.budget.check()
+        if not directions or not isinstance(self.plant, Differentiable):
+            return np.empty((0, len(directions))), np.zeros(len(directions), dtype=bool)
+        columns, known = self.plant.sensitivities(values, directions)
+        for index, of_channel in enumerate(columns):
+            self.noise_of(index).whiten_in_place(of_channel, -self._weights[index])
+        return columns[0] if len(columns) == 1 else np.concatenate(columns), known
 
     def _weight(self, index: int, takes_part: Mask | None) -> Array:
         channel = self.plant.channels[index]

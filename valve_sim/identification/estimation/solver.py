@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from valve_sim.identification.estimation.column_groups import columns_decouple, group_columns
 from valve_sim.identification.estimation.gram import gram, sum_squares
@@ -15,11 +16,13 @@ from valve_sim.identification.estimation.result import NO_INFORMATION, Fit, Mach
 from valve_sim.identification.estimation.smoothing import Smoothness
 from valve_sim.identification.plants.protocol import (
     Array,
+    Direction,
     Nuisance,
     from_internal,
     internal_bounds,
     internal_scale,
     to_internal,
+    value_slope,
 )
 from valve_sim.model import SimulationError
 
@@ -34,6 +37,10 @@ WEIGHTS_HOLD: Final = 3.0
 """Decrease of χ² below which the weights of a curve are no longer chosen anew."""
 LARGEST_DAMPING: Final = 1e4
 """Of λ in theory, eq. (29): beyond it no step lowers the criterion and the fit stops."""
+FINE: Final = 1e-4
+"""Step along which the rules are differentiated that make a run of values, in steps of a difference quotient."""
+STANDING: Final = Direction({}, 1.0)
+"""In place of one whose derivative is infinite: along which nothing changes."""
 FEW: Final = 4
 """Up to this many nuisances, derivatives are renewed in every step; of more they are reused while they serve."""
 
@@ -142,18 +149,57 @@ class _Search:
         return residuals if np.all(np.isfinite(residuals)) else None
 
     def jacobian(self, at: Array, residuals: Array) -> Array:
-        """Forward differences, backward at an upper bound; columns of many nuisances are reused while they serve."""
-        columns = [self._column(at, index, residuals) for index in range(len(self.free))]
-        if self._nuisance_columns is None:
-            self._nuisance_columns = self._columns_of_nuisances(at, residuals)
-        return np.column_stack([*columns, self._nuisance_columns])
+        """(n, k + m) derivatives; columns of many nuisances are reused while they serve.
 
-    def _columns_of_nuisances(self, at: Array, residuals: Array) -> Array:
-        columns = np.zeros((len(residuals), len(self.nuisances)))
-        for group in self._groups:
-            indices = [len(self.free) + index for index in group]
-            columns[:, group] = self._columns_at_once(at, indices, residuals)
-        return columns
+        By the plant's own derivatives where it knows them, else by forward differences (backward at an upper bound).
+        Nuisances of one group act on disjoint samples: they share a column, which is parted.
+        """
+        count = len(self.free)
+        groups = [[index] for index in range(count)]
+        if self._nuisance_columns is None:
+            groups += [[count + index for index in group] for group in self._groups]
+        shared, known = self._sensitivities(at, groups)
+        if groups and known.all() and all(group == [place] for place, group in enumerate(groups)):
+            columns = shared
+        else:
+            columns = np.empty((len(residuals), sum(map(len, groups))))
+            for place, group in enumerate(groups):
+                found = shared[:, place] if known[place] else None
+                columns[:, group] = self._columns_of_group(at, group, residuals, found)
+        if self._nuisance_columns is None:
+            self._nuisance_columns = columns[:, count:]
+            return columns
+        return np.column_stack([columns, self._nuisance_columns])
+
+    def _sensitivities(self, at: Array, groups: list[list[int]]) -> tuple[Array, NDArray[np.bool_]]:
+        """(n, g) derivatives along the sum of each group, and (g,) where the plant knows them."""
+        directions = [self._direction(at, group) for group in groups]
+        is_inside = np.array([direction is not STANDING for direction in directions], dtype=bool)
+        try:
+            columns, known = self.problem.sensitivities(self.values(at), directions)
+        except SimulationError:
+            return np.empty((0, len(groups))), np.zeros(len(groups), dtype=bool)
+        return columns, known & is_inside
+
+    def _direction(self, at: Array, group: list[int]) -> Direction:
+        step = FINE * float(min(self.steps[group]))
+        if group[0] >= len(self.free):
+            return Direction({self.nuisances[index - len(self.free)].name: 1.0 for index in group}, step)
+        (index,) = group
+        slope = value_slope(self.parameters[index], float(at[index]))
+        return Direction({self.free[index]: slope}, step) if math.isfinite(slope) else STANDING
+
+    def _columns_of_group(self, at: Array, group: list[int], residuals: Array, shared: Array | None) -> Array:
+        """(n, g) columns of the members of one group, from that of its sum if it is known and they decouple."""
+        if shared is None:
+            return self._columns_at_once(at, group, residuals)
+        if len(group) == 1:
+            return shared[:, None]
+        masks = [self._reach[index - len(self.free)] for index in group]
+        if columns_decouple(shared, masks):
+            return np.where(np.column_stack(masks), shared[:, None], 0.0)
+        columns, known = self._sensitivities(at, [[index] for index in group])
+        return columns if known.all() else self._columns_at_once(at, group, residuals)
 
     def _columns_at_once(self, at: Array, indices: list[int], residuals: Array) -> Array:
         """Columns of nuisances with disjoint samples, from one simulation, or from one each where they overlap."""

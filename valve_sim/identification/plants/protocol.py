@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final, Literal, NamedTuple, Protocol
+from typing import Final, Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -229,6 +229,30 @@ def strokes_of_plant(plant: Plant) -> list[tuple[int, int]]:
     return sorted({(channel.recording, int(group)) for channel in responses for group in np.unique(channel.group)})
 
 
+class Direction(NamedTuple):
+    """A way in which values change together.
+
+    Attributes:
+        slopes: name to the derivative of its value to the coordinate along the direction.
+        step: of that coordinate: small against what changes a prediction's derivative.
+    """
+
+    slopes: Mapping[str, float]
+    step: float
+
+
+class Sensitivities(NamedTuple):
+    """Derivatives of a prediction.
+
+    Attributes:
+        columns: for each channel (n, k): along k directions.
+        known: (k,) where they are known; what stands in other columns means nothing.
+    """
+
+    columns: list[Array]
+    known: NDArray[np.bool_]
+
+
 class Plant(Protocol):
     """A machine with its measured data."""
 
@@ -283,6 +307,22 @@ def released_tolerances(plant: Plant) -> dict[str, float]:
     }
 
 
+@runtime_checkable
+class Differentiable(Protocol):
+    """A plant that knows derivatives of its predictions without difference quotients: an optional member."""
+
+    def sensitivities(self, values: Mapping[str, float], directions: Sequence[Direction]) -> Sensitivities:
+        """The derivatives of what `predict` returns.
+
+        Args:
+            values: as of `predict`; every name of a direction is among them.
+            directions: at least one.
+
+        Raises:
+            SimulationError: the machine cannot be simulated with these values.
+        """
+
+
 def _is_logarithmic(parameter: Parameter) -> bool:
     """Whether a parameter is a scale (a time constant, a film) that is searched by its logarithm."""
     return parameter.off is None and parameter.lower > 0.0 and not parameter.infinite_at_upper
@@ -315,6 +355,12 @@ def internal_slope(parameter: Parameter, coordinate: float) -> float:
     if _is_reciprocal(parameter):
         return math.inf if coordinate <= 0.0 else 1.0 / coordinate**2
     return math.exp(coordinate) if _is_logarithmic(parameter) else 1.0
+
+
+def value_slope(parameter: Parameter, coordinate: float) -> float:
+    """The derivative d value / d coordinate, with its sign; infinite where the value is."""
+    slope = internal_slope(parameter, coordinate)
+    return -slope if _is_reciprocal(parameter) else slope
 
 
 def internal_bounds(parameter: Parameter) -> tuple[float, float]:

@@ -84,3 +84,16 @@ def drive_with(trace: Trace, index: int, values: Mapping[str, float]) -> Drive:
 def zero_with(index: int, values: Mapping[str, float]) -> float:
     """What the position sensor shows of a closed valve, m."""
     return values.get(f"position_zero[{index}]", 0.0)
+
+
+def lateness_with(index: int, values: Mapping[str, float]) -> float:
+    """By how much the samples of a recording are stamped late, s."""
+    return values.get(f"clock_offset[{index}]", 0.0)
+
+
+_NAMES: Final = ("clock_offset[", "command_error[", "voltage_error[", "position_zero[")
+
+
+def is_of_recording(name: str) -> bool:
+    """Whether a value is one of those above, which no valve's record depends on."""
+    return name.startswith(_NAMES)

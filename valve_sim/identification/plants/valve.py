@@ -15,19 +15,23 @@ from valve_sim.identification.plants.protocol import (
     Advice,
     Array,
     Channel,
+    Direction,
     EffectChoice,
     Experiment,
     ForceMap,
     Nuisance,
+    Sensitivities,
 )
 from valve_sim.identification.plants.recording_errors import (
     clock_offset,
     drive_with,
+    lateness_with,
     reading_errors,
     stamp_errors,
     zero_with,
 )
 from valve_sim.identification.plants.valve_model import ValveModel
+from valve_sim.identification.plants.valve_sensitivities import sensitivities
 from valve_sim.identification.plants.valve_sensors import (
     channels_of,
     fastest_motion,
@@ -177,6 +181,14 @@ class ValvePlant:
         """As of its model: declared scalars, and their covariance, for those of what was estimated."""
         return self._model.propagated(names, covariance)
 
+    def sensitivities(self, values: Mapping[str, float], directions: Sequence[Direction]) -> Sensitivities:
+        """The derivatives of what `predict` returns, by the model's variational equations.
+
+        Raises:
+            SimulationError: the simulation could not be carried to its end.
+        """
+        return sensitivities(self._model, self.traces, values, directions)
+
     def predict(self, values: Mapping[str, float]) -> list[Array]:
         """What each channel would show, in its unit.
 
@@ -186,7 +198,7 @@ class ValvePlant:
         record = self._model.record(values)
         shown: list[Array] = []
         for index, trace in enumerate(self.traces):
-            offset = values.get(f"clock_offset[{index}]", 0.0)
-            position, *current = predicted(record, trace, drive_with(trace, index, values), offset)
+            drive, lateness = drive_with(trace, index, values), lateness_with(index, values)
+            position, *current = predicted(record, trace, drive, lateness)
             shown.extend([position + zero_with(index, values), *current])
         return shown

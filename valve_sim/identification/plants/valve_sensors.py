@@ -123,6 +123,14 @@ def channels_of(index: int, trace: Trace) -> list[Channel]:
     return [position, current]
 
 
+def prepared(trace: Trace, drive: Drive, offset: float) -> tuple[Any, Samples]:
+    """A state from which to run, and room for what is shown; arguments as of `predicted`."""
+    times = trace.times - offset
+    current_times = trace.coil_current.times - offset if trace.coil_current is not None else _NO_TIMES
+    samples = Samples(times, np.empty((len(times), 1)), current_times, np.empty(len(current_times)))
+    return new_states(np.empty(1), min(float(drive.times[0]), float(times[0]))), samples
+
+
 def predicted(record: Any, trace: Trace, drive: Drive, offset: float) -> list[Array]:
     """What the channels of a trace would show.
 
@@ -133,13 +141,9 @@ def predicted(record: Any, trace: Trace, drive: Drive, offset: float) -> list[Ar
     Raises:
         SimulationError: the simulation could not be carried to its end.
     """
-    times = trace.times - offset
-    current_times = trace.coil_current.times - offset if trace.coil_current is not None else _NO_TIMES
-    rows = np.empty((len(times), 1))
-    currents = np.empty(len(current_times))
-    start = min(float(drive.times[0]), float(times[0]))
-    state = new_states(np.empty(1), start)
-    run_record(record, state, drive, Samples(times, rows, current_times, currents), _NO_EVENTS, FIT_TOLERANCE)
+    state, samples = prepared(trace, drive, offset)
+    run_record(record, state, drive, samples, _NO_EVENTS, FIT_TOLERANCE)
+    rows, currents = samples.rows, samples.currents
     if trace.coil_current is None:
         return [rows[:, 0]]
     if record[0]["coil_resistance"] <= 0.0:

@@ -28,6 +28,15 @@ def damping(p: Any, t: float, motion: Any, coil: Any, condition: Any) -> float:
     return -(p.damping_opening if condition[1] > 0 else p.damping_closing) * motion[1]  # type: ignore[no-any-return]
 
 
+@inlined
+def damping_slopes(p: Any, g: Any, t: float, motion: Any, coil: Any, condition: Any) -> None:
+    """The derivatives of `damping`."""
+    opens = condition[1] > 0
+    g.v -= p.damping_opening if opens else p.damping_closing
+    g.damping_opening = -motion[1] if opens else 0.0
+    g.damping_closing = 0.0 if opens else -motion[1]
+
+
 EFFECT = Effect(
     "asymmetric_friction",
     "friction and extra damping that differ by direction",
@@ -45,6 +54,7 @@ EFFECT = Effect(
     severity=_severity,
     rewrite=_rewrite,
     core_force=damping,
+    core_force_slopes=damping_slopes,
     fields={"friction_opening": 0.0, "friction_closing": 0.0, "damping_opening": 0.0, "damping_closing": 0.0},
     confused_with=("squeeze_film",),
     tags=(Tag.DISSIPATIVE, Tag.ANY_AXIS),

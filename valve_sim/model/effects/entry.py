@@ -128,6 +128,10 @@ class Effect(_Words):
         core_force: part of the compiled equations, f(p, t, motion, coil, condition) in newtons, + opens, for a force
             that asks for more than a term is told; reads its `fields`; see `force_without_dry_friction`.
         core_pull: likewise, what becomes of the square of the current that pulls, f(p, squared).
+        core_force_slopes: f(p, g, t, motion, coil, condition) adds the derivatives of `core_force` to g, where they
+            stand by name, see `linearised`; it writes those to its own `fields`.
+        core_pull_slope: the derivative of `core_pull`, f(p, g, squared, per_pull); it writes that to its own field,
+            times the force `per_pull` that one unit of it makes.
         adds_to: parameter of the effect → declared parameter that it is added to.
         origin: where an installed package names it, for messages.
     """
@@ -151,6 +155,8 @@ class Effect(_Words):
     fields: Values = field(default_factory=dict, hash=False)
     core_force: Any = None
     core_pull: Any = None
+    core_force_slopes: Any = None
+    core_pull_slope: Any = None
     adds_to: Mapping[str, str] = field(default_factory=dict, hash=False)
     origin: str = field(default="", compare=False)
     _compiled: list[Any] = field(default_factory=list, repr=False, compare=False)

@@ -22,6 +22,14 @@ def saturated(p: Any, squared: float) -> float:
     return squared * (1.0 + p.saturation) / (1.0 + squared * p.saturation)  # type: ignore[no-any-return]
 
 
+@inlined
+def saturated_slope(p: Any, g: Any, squared: float, per_pull: float) -> float:
+    """The derivative of `saturated`."""
+    share = 1.0 / (1.0 + squared * p.saturation)
+    g.saturation = per_pull * squared * (1.0 - squared) * share * share
+    return (1.0 + p.saturation) * share * share  # type: ignore[no-any-return]
+
+
 def _rewrite(record: Any, values: Values) -> None:
     record["saturation"] = values["current"] ** -2
 
@@ -38,6 +46,7 @@ EFFECT = Effect(
     severity=_severity,
     rewrite=_rewrite,
     core_pull=saturated,
+    core_pull_slope=saturated_slope,
     fields={"saturation": 0.0},
     tags=(Tag.COIL,),
 )

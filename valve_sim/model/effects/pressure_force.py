@@ -20,6 +20,18 @@ def pressure(p: Any, t: float, motion: Any, coil: Any, condition: Any) -> float:
     return -p.pressure_force * math.exp(-(t - unseated_time) / p.equalisation_time)  # type: ignore[no-any-return]
 
 
+@inlined
+def pressure_slopes(p: Any, g: Any, t: float, motion: Any, coil: Any, condition: Any) -> None:
+    """The derivatives of `pressure`."""
+    mode, _, unseated_time = condition
+    g.pressure_force, g.equalisation_time = 0.0, 0.0
+    if mode >= MAIN and (p.pressure_force != 0.0 or g.asks_shapes != 0):
+        elapsed = (t - unseated_time) / p.equalisation_time
+        g.pressure_force = -math.exp(-elapsed)
+        g.unseated_time += p.pressure_force * g.pressure_force / p.equalisation_time
+        g.equalisation_time = g.unseated_time * elapsed
+
+
 EFFECT = Effect(
     "pressure_force",
     "pressure across the main plunger until the pilot orifice has equalised it",
@@ -37,6 +49,7 @@ EFFECT = Effect(
     severity=share_of_preload("force"),
     rewrite=set_fields(pressure_force="force", equalisation_time="equalisation_time"),
     core_force=pressure,
+    core_force_slopes=pressure_slopes,
     fields={"pressure_force": 0.0, "equalisation_time": 1.0},
     tags=(Tag.FORCE,),
 )

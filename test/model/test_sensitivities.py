@@ -1,0 +1,213 @@
+"""Derivatives by variational equations against central differences of tightly integrated traces."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import strategies as st
+
+from model.random_valves import RANGES, random_valve
+from valve_sim.model import CATALOGUE, Drive, Effect, Event, EventKind, Parameter, Valve, simulate
+from valve_sim.model.effects import new_record
+from valve_sim.model.sensitivities import Tangent, has_sensitivities, numbers_of, run_tangents
+from valve_sim.model.simulation import Samples, new_states
+
+TIGHT, TIGHTEST = 1e-11, 1e-13
+"""Of a step: of the derivatives, whose steps are those of the plain trace, and of what they are held against."""
+ACCURACY = 1e-6
+"""Of a derivative, of its largest value in the trace."""
+TIMES = np.arange(1.0, 600.0) * 1e-4
+"""s: a stroke up, and down to the seat."""
+PULSE = Drive.of([1e-3, 26e-3], [11.0, 0.0])
+BY_QUOTIENT = {"coil_heating", "sensor_bandwidth"}
+"""Effects whose derivatives are not known."""
+SIZES = {"a0": 1.0, "coil_time_constant": 1e-4, "seat_load": 0.1, "pilot_damping": 0.1, "main_damping": 0.1}
+"""Of numbers that may be 0."""
+
+
+class Case(NamedTuple):
+    """A valve under a drive, sampled."""
+
+    valve: Valve
+    drive: Drive
+    times: np.ndarray = TIMES
+
+    def moved(self, name: str, by: float) -> Case:
+        """The same with one of its numbers changed."""
+        valve, (times, volts) = self.valve, self.drive
+        kind, _, which = name.partition(".")
+        if name == "clock":
+            return self._replace(times=self.times - by)
+        if kind == "command":
+            return self._replace(drive=Drive(times + by * (np.arange(len(times)) == int(which)), volts))
+        if kind == "volts":
+            return self._replace(drive=Drive(times, volts + by * (np.arange(len(times)) == int(which))))
+        if not which:
+            return self._replace(valve=valve.with_values(**{name: valve.declared()[name] + by}))
+        changed = {**valve.effects[kind], which: valve.effects[kind][which] + by}
+        return self._replace(valve=replace(valve, effects={**valve.effects, kind: changed}))
+
+    def size(self, name: str) -> float:
+        """How large a number is, or would be."""
+        kind, _, which = name.partition(".")
+        if kind in ("clock", "command", "volts"):
+            return 10.0 if kind == "volts" else 1e-3
+        value = self.valve.effects[kind][which] if which else self.valve.declared()[name]
+        return max(abs(value), SIZES.get(name, 0.0))
+
+    def record(self) -> np.ndarray:
+        return np.asarray(new_record(self.valve.declared(), self.valve.effects))
+
+    def names(self) -> list[str]:
+        """Everything that the trace depends on."""
+        effects = [f"{name}.{parameter}" for name, values in self.valve.effects.items() for parameter in values]
+        commands = [f"{kind}.{index}" for kind in ("command", "volts") for index in range(len(self.drive.times))]
+        return [*self.valve.declared(), *effects, *commands, "clock"]
+
+    def shown(self) -> tuple[np.ndarray, np.ndarray, tuple[Event, ...]]:
+        """Pilot position, normalised current, events."""
+        response = simulate(self.valve, self.drive, self.times, tolerance=TIGHTEST, start_time=0.0)
+        rated = self.valve.record()[0]["reference_voltage"] / self.valve.record()[0]["coil_resistance"]
+        return response.pilot_position, response.coil_current / rated, response.events
+
+    def tangent(self, name: str) -> Tangent:
+        step = 1e-6 * self.size(name)
+        (above, below), width = (self.moved(name, step), self.moved(name, -step)), 2.0 * step
+        return Tangent(
+            (numbers_of(above.record()) - numbers_of(below.record())) / width,
+            (above.drive.times - below.drive.times) / width,
+            (above.drive.volts - below.drive.volts) / width,
+            float((above.times - below.times)[0] / width),
+        )
+
+    def derivatives(self, names: list[str]) -> tuple[np.ndarray, np.ndarray]:
+        """Of positions and of normalised currents, by variational equations."""
+        times = self.times
+        samples = Samples(times, np.empty((len(times), 1)), times, np.empty(len(times)))
+        tangents = [self.tangent(name) for name in names]
+        record = self.record()
+        assert all(has_sensitivities(record, tangent.numbers) for tangent in tangents)
+        return run_tangents(record, new_states(record, 0.0), self.drive, samples, tangents, TIGHT)
+
+
+def quotient(case: Case, name: str, step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """Central differences of fourth order, and which samples no event passes; None where other events happen."""
+    shown = {by: case.moved(name, by * step).shown() for by in (-2, -1, 1, 2)}
+    kinds = [[event.kind for event in events] for _, _, events in shown.values()]
+    if any(found != kinds[0] for found in kinds):
+        return None
+    position, current = (
+        (8.0 * (shown[1][of] - shown[-1][of]) - (shown[2][of] - shown[-2][of])) / (12.0 * step) for of in (0, 1)
+    )
+    delay = case.record()["sensor_delay"].item()
+    first, last = ([event.time for event in shown[by][2]] + list(case.drive.times) for by in (-2, 2))
+    is_clear = np.ones(len(case.times), dtype=bool)
+    reach = 1e-9 + 4.0 * step * (name.startswith(("clock", "command")) or name.endswith("delay"))
+    for one, other in zip(first, last, strict=True):
+        for at in (case.times, case.times - delay):
+            is_clear &= (at < min(one, other) - reach) | (at > max(one, other) + reach)
+    return position, current, is_clear
+
+
+def check(case: Case, names: list[str]) -> None:
+    """Every derivative is that of the central differences."""
+    positions, currents = case.derivatives(names)
+    for index, name in enumerate(names):
+        errors = []
+        # Rounding asks for a long step and curvature for a short one.
+        for relative in (1e-4, 1e-5, 1e-3):
+            found = quotient(case, name, relative * case.size(name))
+            if found is None:
+                continue
+            position, current, is_clear = found
+            assert is_clear.sum() > 0.8 * len(is_clear)
+            sizes = [
+                max(np.abs(of).max(), least / case.size(name)) for of, least in ((position, 1e-7), (current, 1e-3))
+            ]
+            off = [
+                np.abs(of[is_clear, index] - there[is_clear]).max()
+                for of, there in ((positions, position), (currents, current))
+            ]
+            errors.append(max(one / size for one, size in zip(off, sizes, strict=True)))
+            if errors[-1] < ACCURACY:
+                break
+        assert errors, f"{name}: other events happen however small the step"
+        assert min(errors) < ACCURACY, f"{name}: {errors}"
+
+
+def eventful(seed: int) -> Case:
+    """A valve that rubs, sticks or bounces, under four random voltages."""
+    random = np.random.default_rng(seed)
+    valve = Valve().with_values(
+        a0=random.uniform(1, 4), coil_time_constant=random.uniform(2e-4, 1.5e-3), pilot_damping=random.uniform(0, 30),
+        main_damping=random.uniform(0, 8), seat_load=random.uniform(0, 1), pickup_velocity_ratio=random.uniform(0.0, 1),
+        spring_preload=random.uniform(2, 3),
+    )  # fmt: skip
+    effects = {}
+    for name, share in (("stiction", 0.5), ("stop_bounce", 0.4)):
+        if random.random() < share:
+            effects[name] = {key: float(random.uniform(*limits)) for key, limits in EVENTFUL[name].items()}
+    times, volts = np.cumsum(random.uniform(2e-3, 14e-3, 4)), random.uniform(0, 12, 4)
+    volts[-1] = 0.0
+    return Case(replace(valve, effects=effects), Drive.of(times, volts))
+
+
+EVENTFUL = {
+    "stiction": {"force": (0.02, 0.8), "breakaway": (0.02, 0.6), "stribeck_velocity": (0.01, 0.1)},
+    "stop_bounce": RANGES["stop_bounce"],
+}
+SEEDS = (4551, 982, 2106, 2134, 165, 4423, 313, 125, 3821, 94, 1084, 1557)
+"""Of runs that cross every kind of event between them."""
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_every_kind_of_event_is_crossed(seed: int) -> None:
+    case = eventful(seed)
+    check(case, case.names())
+
+
+def test_the_runs_above_cross_every_kind_of_event() -> None:
+    kinds = {event.kind for seed in SEEDS for event in eventful(seed).shown()[2]}
+    assert kinds == set(EventKind)
+
+
+@pytest.mark.parametrize("name", sorted(set(RANGES) - BY_QUOTIENT))
+def test_every_effect_and_every_declared_value(name: str) -> None:
+    values = {key: 0.4 * low + 0.6 * high for key, (low, high) in RANGES[name].items()}
+    case = Case(
+        replace(Valve().with_values(a0=3.0, coil_time_constant=8e-4, seat_load=0.2), effects={name: values}), PULSE
+    )
+    check(case, [found for found in case.names() if found != "pickup_velocity_ratio" or name != "pickup_impact"])
+
+
+@given(seed=st.integers(0, 10_000))
+@settings(max_examples=12, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+def test_any_valve(seed: int) -> None:
+    valve, drive = random_valve(seed)
+    case = Case(valve, drive)
+    assume(not BY_QUOTIENT & set(valve.effects))
+    names = case.names()
+    if valve.parameters.coil_time_constant == 0.0 and "coil_lag" not in valve.effects:
+        names.remove("coil_time_constant")
+    check(case, names)
+
+
+def leaning(x: float, v: float, u: float, t: float, force: float, width: float) -> float:
+    """A user's term: a force that fades with speed and grows with current."""
+    return -force * math.tanh(u * x / width) / (1.0 + (v / 0.1) ** 2)
+
+
+def test_a_users_term_needs_no_derivative() -> None:
+    force, width = Parameter("force", "N", "of a test"), Parameter("width", "m", "of a test")
+    CATALOGUE.register(Effect("leaning", "of a test", (force, width), "a test", term=leaning))
+    try:
+        valve = Valve().with_values(a0=3.0, coil_time_constant=8e-4, seat_load=0.2)
+        case = Case(replace(valve, effects={"leaning": {"force": 0.3, "width": 2e-4}}), PULSE)
+        check(case, case.names())
+    finally:
+        CATALOGUE.unregister("leaning")
