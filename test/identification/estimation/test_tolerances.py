@@ -1,17 +1,21 @@
 """Fits to a valve whose declared values are off within their tolerances; the truth is the independent plant's."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from plants.declared import DeclaredPlant
 from plants.recording import Recorder, holdout_profile, record, train_profile
 from plants.tolerances import SHEET_VALVE, declared_tolerances, deviated
 
+from valve_sim.identification.estimation.declared_values import out_of_tolerance
 from valve_sim.identification.estimation.identify import identify
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.tolerances import principal_axes
 from valve_sim.identification.plants.valve import DAMPINGS, ValvePlant
 from valve_sim.identification.plants.valve_model import ValveModel
+from valve_sim.identification.reporting.declared_values import TAKEN_AS_EXACT, declared_lines
 from valve_sim.identification.selection.held_out import HeldOut
 from valve_sim.identification.validation.replay import validate
 from valve_sim.model import EXACT, Drive, Valve
@@ -149,6 +153,30 @@ def test_held_out_strokes_are_predicted_within_what_training_leaves_open(identif
 
 
 def test_a_replay_passes_within_the_tolerances_and_fails_without(training, identified):
-    refitted = identified.valve.with_values(**{name: SHEET_VALVE[name] for name in ("stroke", "pilot_gap")})
-    assert validate([training], refitted).passed
-    assert not validate([training], Valve(refitted.parameters, tolerances=EXACT)).passed
+    damped = declared_valve(exact=False).with_values(**{name: identified.intervals[name].value for name in DAMPED})
+    assert validate([training], damped).passed
+    assert not validate([training], replace(damped, tolerances=EXACT)).passed
+
+
+def test_the_identified_valve_holds_the_estimates_and_what_is_left_of_the_tolerances(training, identified):
+    declared, found = declared_valve(exact=False), identified.valve
+    rows = {row.name: row for row in identified.declared}
+    assert found.parameters.spring_preload == rows["spring_preload"].estimate
+    assert found.tolerances.declared["spring_preload"] == pytest.approx(rows["spring_preload"].stderr)
+    assert found.tolerances.declared["pilot_damping"] == pytest.approx(identified.fit.stderr("pilot_damping"))
+    # Of the difference, which the data hardly say anything of, not of the sum.
+    assert found.tolerances.declared["moving_mass"] == pytest.approx(
+        declared.tolerances.declared["moving_mass"], rel=0.1
+    )
+    before, after = (np.array(valve.tolerances.attraction_covariance) for valve in (declared, found))
+    assert np.all(np.diag(after) < np.diag(before))
+    assert Valve.from_mapping(found.to_mapping(), "here") == found
+    assert validate([training], found).passed
+
+
+def test_what_is_off_by_more_than_three_tolerances_is_said(identified):
+    assert out_of_tolerance(identified.declared) == []
+    off = identified.declared[0]._replace(deviation=-3.2)
+    assert out_of_tolerance([off, *identified.declared[1:]]) == [off.name]
+    assert "not 0.109: 3.2 tolerances." in "\n".join(declared_lines([off]))
+    assert declared_lines([]) == [TAKEN_AS_EXACT]

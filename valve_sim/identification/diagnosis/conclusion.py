@@ -19,7 +19,7 @@ from valve_sim.identification.diagnosis.outcome import Candidate, Diagnosis, Sta
 from valve_sim.identification.estimation.budget import OutOfTimeError
 from valve_sim.identification.estimation.gram import sum_squares
 from valve_sim.identification.estimation.intervals import Interval, covariance_interval, profile_interval
-from valve_sim.identification.estimation.result import Fit, rmse
+from valve_sim.identification.estimation.result import Fit, is_relief, rmse
 from valve_sim.identification.plants.effect_titles import named_value
 from valve_sim.identification.plants.protocol import strokes_of_plant
 from valve_sim.identification.selection.bootstrap import NOT_ASKED, FalseAlarm, false_alarm
@@ -31,7 +31,7 @@ from valve_sim.identification.selection.force_maps import (
     fit_maps,
     on_top,
 )
-from valve_sim.identification.selection.held_out import SAME, HeldOut
+from valve_sim.identification.selection.held_out import ALIKE, SAME, HeldOut
 from valve_sim.identification.selection.hypotheses import DECISIVE, Hypothesis
 from valve_sim.identification.selection.residual_tests import adequacy
 from valve_sim.identification.selection.stepwise import LARGEST_CLASS, LIKELY, Exploration
@@ -138,7 +138,8 @@ class Conclusion:
         """The best if its error is not larger than the base's and it is no false alarm; else the base."""
         base = Hypothesis((), best.timing)
         base_fit, best_fit = self.search.fit(base), self.search.fit(best)
-        if rmse(best_fit) > (1.0 + SAME) * rmse(base_fit):
+        slack = ALIKE if is_relief(base_fit, best_fit) else SAME
+        if rmse(best_fit) > (1.0 + slack) * rmse(base_fit):
             best, best_fit = base, base_fit
         alarm = false_alarm(base_fit, best_fit)
         if best.effects and self.exploration.is_adequate(best) and alarm.probability > MOST_FALSE_ALARMS:

@@ -10,7 +10,7 @@ from typing import Final
 from valve_sim.identification.diagnosis.calibration import calibrated
 from valve_sim.identification.diagnosis.experiment_design import Recommendation
 from valve_sim.identification.diagnosis.outcome import Verdict
-from valve_sim.identification.plants.effect_titles import listed, named
+from valve_sim.identification.plants.effect_titles import listed, named, what_is_missing
 from valve_sim.identification.plants.protocol import Plant, advice_of
 from valve_sim.identification.selection.force_maps import NonparametricFit, where
 from valve_sim.identification.selection.hypotheses import Hypothesis
@@ -87,7 +87,7 @@ def _decided(found: Findings) -> tuple[str, str]:
     places = [f"a force at {where(entry.choice, entry.fit)} alone" for entry in found.places[:1]]
     alike = listed([*(named([other]) for other in others), *places], "or")
     alternatives = f"; {alike} would explain the data about as well" if alike else ""
-    return "effects", f"The model lacks {named(found.best.effects)}{alternatives}."
+    return "effects", f"The model {what_is_missing(found.best.effects)}{alternatives}."
 
 
 def _of_a_remainder(found: Findings) -> tuple[str, str]:
@@ -97,7 +97,7 @@ def _of_a_remainder(found: Findings) -> tuple[str, str]:
     if found.names_most:
         explains = "nothing that was tried explains" if found.singles_untried else "no effect of the catalogue explains"
         remainder = f"What is left, {explains}."
-        return "effects", f"The model lacks {names}; {share}. {remainder}"
+        return "effects", f"The model {what_is_missing(found.best.effects)}; {share}. {remainder}"
     closest = f" The closest is {names}; {share}." if names else ""
     if found.singles_untried:
         return "insufficient", f"The time was too short to find what the model lacks.{closest}"

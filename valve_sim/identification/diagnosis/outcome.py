@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from valve_sim.identification.diagnosis.experiment_design import Recommendation
+from valve_sim.identification.estimation.declared_values import DeclaredValue, declared_values, estimated_valve
 from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.plants.protocol import Plant
@@ -93,4 +94,9 @@ class Diagnosis:
         """
         if not isinstance(self.plant, ValvePlant):
             raise TypeError("only a diagnosis of a valve has a corrected valve")
-        return self.plant.with_values(self.after.fit.values)
+        return estimated_valve(self.after.fit, self.plant)
+
+    @property
+    def declared(self) -> tuple[DeclaredValue, ...]:
+        """Values that are known within a tolerance, as declared and as the corrected model has them."""
+        return declared_values(self.after.fit)

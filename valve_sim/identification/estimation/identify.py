@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from valve_sim.identification.estimation.declared_values import DeclaredValue, declared_values, estimated_valve
 from valve_sim.identification.estimation.findings import Finding, findings, leaves_more_than_noise
 from valve_sim.identification.estimation.intervals import Interval, profile_interval
 from valve_sim.identification.estimation.problem import Problem
@@ -40,6 +41,7 @@ class Identification:
         findings: what the data do not determine, and what else is off.
         rmse_before, rmse_after: m, of the pilot plunger's position, as declared and refitted.
         valve: the identified valve.
+        declared: values that are known within a tolerance, as declared and as the data see them.
     """
 
     fit: Fit
@@ -50,6 +52,7 @@ class Identification:
     rmse_after: float
     valve: Valve
     sources: tuple[str, ...] = field(default=())
+    declared: tuple[DeclaredValue, ...] = ()
 
 
 def identify(
@@ -85,7 +88,8 @@ def identify(
     offsets = {nuisance.name: best.values[nuisance.name] for nuisance in best.nuisances if not nuisance.is_of_machine}
     return Identification(
         best, intervals, profiles, findings(best, intervals), position_rmse(plant, offsets),
-        position_rmse(plant, best.values), plant.with_values(best.values), tuple(trace.source for trace in traces),
+        position_rmse(plant, best.values), estimated_valve(best, plant), tuple(trace.source for trace in traces),
+        declared_values(best),
     )  # fmt: skip
 
 

@@ -39,6 +39,8 @@ NO_INFORMATION: Final = 1e-290
 """Information below which a parameter has no influence at all."""
 SMALLEST_SHARE: Final = 1e-14
 """Smallest eigenvalue of the information, scaled to a unit diagonal, that is not rounding error."""
+MOSTLY: Final = 0.5
+"""Share of a gain that is most of it."""
 COLLINEAR: Final = 100.0
 """Variance of a parameter, over that if all others were known, beyond which it is collinear: theory, eq. (34)."""
 
@@ -210,6 +212,20 @@ class Fit:
         if parameter.infinite_at_upper and at - lower <= scale:
             return None
         return "lower" if at - lower <= scale else "upper" if upper - at <= scale else None
+
+
+def is_relief(smaller: Fit, larger: Fit) -> bool:
+    """Whether most of what a larger model gains is that declared values stay nearer to what is declared.
+
+    The smaller one predicts as well then, with values that their tolerances make incredible: no prediction of strokes
+    that are left out, or held out, can show the difference.
+    """
+    gain = smaller.chi2 - larger.chi2
+    priors = [
+        sum(d**2 for d, own in zip(fitted.deviations, fitted.nuisances, strict=True) if own.is_of_machine)
+        for fitted in (smaller, larger)
+    ]
+    return bool(priors[0] - priors[1] > MOSTLY * gain > 0.0)
 
 
 def rmse(result: Fit) -> float:

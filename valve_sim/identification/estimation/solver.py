@@ -62,14 +62,14 @@ def fit(
         problem: data and noise.
         free: parameters to free.
         start: values to start from, by name; what is missing starts at its declared value (nuisances at their mean).
-        nuisances: estimated along, with their priors, but for those that are freed or held by name.
+        nuisances: estimated along, with their priors, but for what is freed or held, by name or as the same thing.
         fixed: further values to hold, e.g. an effect's parameter in a profile.
         known: of what is estimated, from other data of the same machine; it takes the place of priors.
         robust: scales in σ of a Cauchy loss that is used first, one after the other, to leave local minima.
         smooth: a curve among what is freed; its weight is chosen along.
     """
     settled = {*free, *(fixed or {})}
-    estimated = tuple(nuisance for nuisance in nuisances if nuisance.name not in settled)
+    estimated = tuple(own for own in nuisances if not {own.name, own.same_as} & settled)
     search = _Search(problem, tuple(free), estimated, dict(fixed or {}), known, smooth)
     at = search.start(start)
     for scale in robust:

@@ -9,7 +9,10 @@ from valve_sim.model import CATALOGUE
 
 
 def title_of(effect: str) -> str:
-    """The plain name of an effect, whether it is in the catalogue or a plant's own."""
+    """The plain name of an effect in the catalogue or of a plant's own, or of a declared value that is wrong."""
+    wrong, dot, name = effect.partition(".")
+    if dot and wrong == "valve":
+        return f"Wrong {name.replace('_', ' ')}"
     plain = effect.replace("_", " ")
     fallback = plain[:1].upper() + plain[1:]
     entry = CATALOGUE.get(effect)
@@ -24,6 +27,14 @@ def titles_of(effects: Sequence[str]) -> str:
 def named(effects: Sequence[str], last: str = "and") -> str:
     """Plain names of effects within a sentence: Coulomb friction, coil lag and squeeze film."""
     return listed([inside_sentence(title_of(effect)) for effect in effects], last)
+
+
+def what_is_missing(effects: Sequence[str]) -> str:
+    """Of a model, within a sentence: lacks Coulomb friction and has a wrong spring rate."""
+    wrong = [effect for effect in effects if effect.startswith("valve.")]
+    lacks = [effect for effect in effects if effect not in wrong]
+    parts = [f"lacks {named(lacks)}"] if lacks else []
+    return " and ".join([*parts, *([f"has a {named(wrong)}"] if wrong else [])])
 
 
 def named_value(plant: Plant, name: str) -> tuple[str, str]:

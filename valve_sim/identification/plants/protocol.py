@@ -38,6 +38,7 @@ class Nuisance(NamedTuple):
         step: by how much it is moved for a difference quotient, in `unit`.
         mean: of its prior. lower, upper: its range.
         is_of_machine: whether it is a value of the machine, the same in each of its recordings.
+        same_as: a parameter of an effect that is the same thing; where that is freed, this one is not needed.
     """
 
     name: str
@@ -50,6 +51,7 @@ class Nuisance(NamedTuple):
     lower: float = -math.inf
     upper: float = math.inf
     is_of_machine: bool = False
+    same_as: str = ""
 
     @property
     def bounds(self) -> tuple[float, float]:
@@ -299,12 +301,12 @@ class Plant(Protocol):
 
 
 def released_tolerances(plant: Plant) -> dict[str, float]:
-    """Declared values to their tolerances, of those that not every fit frees: a fit that does takes them for wrong."""
-    return {
-        nuisance.name: nuisance.sigma
-        for nuisance in plant.nuisances
-        if nuisance.is_of_machine and nuisance.name not in plant.base
-    }
+    """Declared values to their tolerances, of those that not every fit frees: a fit that does takes them for wrong.
+
+    A parameter of an effect that is the same thing as a declared value stands for it.
+    """
+    toleranced = [own for own in plant.nuisances if own.is_of_machine and own.name not in plant.base]
+    return {name: own.sigma for own in toleranced for name in (own.name, own.same_as) if name}
 
 
 @runtime_checkable

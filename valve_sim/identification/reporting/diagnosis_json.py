@@ -8,6 +8,7 @@ from valve_sim.files.json_text import plain_mapping
 from valve_sim.identification.diagnosis.experiment_design import Recommendation
 from valve_sim.identification.diagnosis.run import Diagnosis, State
 from valve_sim.identification.plants.protocol import judged_channels
+from valve_sim.identification.reporting.declared_values import declared_json
 from valve_sim.identification.reporting.force_curves import Motion, force_curve, motion_of
 from valve_sim.identification.reporting.interval_json import interval_json, intervals_json
 from valve_sim.identification.reporting.wording import headline, meanings
@@ -40,6 +41,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         },
         "meaning": {meaning.name: meaning.to_json() for meaning in meanings(diagnosis)},
         "after": {**_state_json(diagnosis.after, scale, unit), "effects": _effects_json(diagnosis.after)},
+        **declared_json(diagnosis.declared),
         "candidates": [
             {
                 "effect": " + ".join(candidate.effects),
@@ -93,6 +95,9 @@ def _state_json(state: State, scale: float, unit: str) -> dict[str, Any]:
 
 def _effects_json(state: State) -> dict[str, dict[str, Any]]:
     effects: dict[str, dict[str, Any]] = {}
+    for wrong in state.fit.problem.plant.effects.values():
+        if wrong.is_declared_value and set(wrong.free_names()) <= set(state.intervals):
+            effects[wrong.name] = {name: interval_json(state.intervals[name]) for name in wrong.free_names()}
     for name, interval in state.intervals.items():
         effect, dot, parameter = name.partition(".")
         if dot:

@@ -23,6 +23,7 @@ from valve_sim.identification.plants.effect_titles import named_value, titles_of
 from valve_sim.identification.plants.protocol import judged_channels
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.curves import StrokeCurves, strokes_of
+from valve_sim.identification.reporting.declared_values import declared_section
 from valve_sim.identification.reporting.findings import remark_on
 from valve_sim.identification.reporting.force_curves import ForceCurve, force_curve, motion_of
 from valve_sim.identification.reporting.units import limits, measured, quantity
@@ -169,6 +170,7 @@ def _content(diagnosis: Diagnosis) -> dict[str, Any]:
         "more_candidates": candidates[SHOWN_CANDIDATES:],
         "intervals": _interval_rows(diagnosis),
         "has_parameters": isinstance(diagnosis.plant, ValvePlant),
+        "declared": declared_section(diagnosis.declared),
         "record_next": diagnosis.record_next,
         "gain": _gain_rows(diagnosis),
         "untried": diagnosis.untried,

@@ -7,6 +7,7 @@ from typing import Any
 
 from valve_sim.files.json_text import plain_mapping
 from valve_sim.identification.estimation.identify import Identification
+from valve_sim.identification.reporting.declared_values import declared_json, declared_lines
 from valve_sim.identification.reporting.findings import remarks
 from valve_sim.identification.reporting.interval_json import intervals_json
 from valve_sim.identification.reporting.units import limits, measured, quantity
@@ -25,6 +26,7 @@ def identification_json(result: Identification) -> dict[str, Any]:
             "quantisation_um": 1e6 * noise.step,
         },
         "parameters": intervals_json(result.intervals),
+        **declared_json(result.declared),
         "clock_offsets_us": [
             1e6 * result.fit.values[nuisance.name]
             for nuisance in result.fit.problem.plant.nuisances
@@ -50,6 +52,7 @@ def identification_text(result: Identification) -> str:
         unit, declared = plant.parameter(name).unit, plant.declared(name)
         found = f"{measured(interval, unit):<30}{limits(interval, unit):<30}"
         lines.append(f"{name:<28}{found}{quantity(declared, unit)}")
+    lines += declared_lines(result.declared)
     noise = result.fit.problem.noises["position"]
     lines.append(
         f"residual {1e6 * result.rmse_before:.3g} µm as declared, {1e6 * result.rmse_after:.3g} µm refitted; "

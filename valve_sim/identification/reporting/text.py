@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 
 from valve_sim.identification.diagnosis.run import Diagnosis
-from valve_sim.identification.plants.effect_titles import named_value, title_of
+from valve_sim.identification.plants.effect_titles import capitalised, named_value, title_of
 from valve_sim.identification.plants.protocol import judged_channels
+from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.identification.reporting.declared_values import summary_words
 from valve_sim.identification.reporting.units import measured, quantity
 from valve_sim.identification.reporting.wording import (
     headline,
@@ -44,6 +46,9 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
         lines += [f"    {words}" for words in (meaning.on_a_real_valve, meaning.what_to_do) if words]
     for name, found in after.intervals.items():
         lines.append(f"  {name:<{_WIDTH}}{measured(found, named_value(diagnosis.plant, name)[1])}")
+    declared = diagnosis.declared
+    if declared or isinstance(diagnosis.plant, ValvePlant):
+        lines.append(f"  {capitalised(summary_words(declared))}.")
     for effect, others in verdict.confusable_with.items():
         if others:
             alike = ", ".join(f"{title_of(other)} ({other})" for other in others)

@@ -6,14 +6,17 @@ from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
 from valve_sim.identification.diagnosis.run import Diagnosis, Verdict
-from valve_sim.identification.plants.effect_titles import capitalised, named, title_of
+from valve_sim.identification.plants.effect_titles import capitalised, named, title_of, what_is_missing
 from valve_sim.identification.plants.protocol import Plant
 from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.identification.reporting.declared_values import amount_words, plain_name
 from valve_sim.identification.reporting.units import measured
 from valve_sim.model import CATALOGUE, Effect
 
 SURE: Final = 0.9
 """Probability from which on a verdict is called found."""
+COORDINATES: Final = {"attraction_polynomial": "attraction"}
+"""A declared value that is estimated by coordinates of another name."""
 EVEN: Final = 0.5
 """Probability below which a verdict is more likely wrong than right."""
 
@@ -90,7 +93,8 @@ def headline(diagnosis: Diagnosis) -> str:
     if verdict.kind == "unknown":
         nearest = f" The closest is {missing}." if missing else ""
         return f"Something acts that no effect of the catalogue explains.{nearest}"
-    claim = f"The model lacks {missing}" if verdict.probability >= EVEN else f"Perhaps the model lacks {missing}"
+    lacks = what_is_missing(verdict.effects)
+    claim = f"The model {lacks}" if verdict.probability >= EVEN else f"Perhaps the model {lacks}"
     amounts = [_largest(meaning) for meaning in meanings(diagnosis)]
     much = f": {amounts[0]}" if len(amounts) == 1 and amounts[0] else ""
     alternatives = f" {capitalised(alike)} would explain the data about as well." if alike else ""
@@ -111,6 +115,9 @@ def meanings(diagnosis: Diagnosis) -> list[Meaning]:
     verdict, after, plant = diagnosis.verdict, diagnosis.after, diagnosis.plant
     found = []
     for effect in verdict.effects:
+        if effect in plant.effects and plant.effects[effect].is_declared_value:
+            found.append(_wrong_value(diagnosis, effect))
+            continue
         own = {name: one for name, one in after.intervals.items() if name.startswith(f"{effect}.")}
         amounts = tuple(
             (plant.parameter(name).description, measured(one, plant.parameter(name).unit)) for name, one in own.items()
@@ -126,6 +133,19 @@ def meanings(diagnosis: Diagnosis) -> list[Meaning]:
             )
         )  # fmt: skip
     return found
+
+
+def _wrong_value(diagnosis: Diagnosis, effect: str) -> Meaning:
+    """A declared value that is not what was declared."""
+    name = effect.partition(".")[2]
+    rows = [row for row in diagnosis.declared if row.name == name or row.name.startswith(f"{COORDINATES.get(name)}[")]
+    words = name.replace("_", " ")
+    return Meaning(
+        effect, title_of(effect), tuple((plain_name(row.name), amount_words(row)) for row in rows), "",
+        f"The {words} is not what was declared: another part was fitted, or the number was copied wrongly.",
+        f"Measure the {words} again, and write what you find into the parameter file with its tolerance.",
+        tuple(title_of(other) for other in diagnosis.verdict.confusable_with.get(effect, ())),
+    )  # fmt: skip
 
 
 def _severity(entry: Effect | None, values: Mapping[str, float], plant: Plant) -> str:

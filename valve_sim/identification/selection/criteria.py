@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from valve_sim.identification.estimation.result import Fit
+from valve_sim.identification.estimation.result import Fit, is_relief
 from valve_sim.identification.selection.cross_validation import CrossValidation, cross_validate, predicts_better
 from valve_sim.identification.selection.residual_tests import Adequacy, adequacy
 
@@ -40,6 +40,11 @@ class Criteria:
         return result.score if held is None else result.score + held.rise / result.problem.variance_inflation
 
     def improves(self, smaller: Fit, larger: Fit) -> bool:
-        """Whether the larger model predicts strokes that are left out better by 2 standard errors."""
+        """Whether the larger model predicts strokes that are left out better by 2 standard errors.
+
+        What only brings declared values back within their tolerances is not asked to: theory, below eq. (83).
+        """
+        if is_relief(smaller, larger):
+            return True
         one, other = self.cross_validation(smaller), self.cross_validation(larger)
         return one is None or other is None or predicts_better(one, other, larger.problem.variance_inflation)

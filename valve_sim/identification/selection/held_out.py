@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
 from valve_sim.identification.estimation.problem import Problem
-from valve_sim.identification.estimation.result import Fit, rmse
+from valve_sim.identification.estimation.result import Fit, is_relief, rmse
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Nuisance, Plant
 from valve_sim.identification.selection.hypotheses import DECISIVE
@@ -24,23 +24,29 @@ FAILS_HELD_OUT: Final = 1.2
 SAME: Final = 1e-9
 """Relative difference up to which two errors are equal but for rounding."""
 
+ALIKE: Final = 0.01
+"""Likewise of models that explain the same motion, one by values that their tolerances make incredible."""
+
 
 class Judgement(NamedTuple):
     """What held-out data say of a model, beside the refitted declared model.
 
     Attributes:
         is_white: whether its residual there is noise. ratio: its error over the declared model's, root mean squares.
-        predicts_better: whether it makes the held-out data decisively more probable.
+        predicts_better: whether it makes the held-out data decisively more probable; of a model that only brings
+            declared values back within their tolerances, the training and the held-out data together.
+        slack: by how much the ratio may exceed 1.
     """
 
     is_white: bool
     ratio: float
     predicts_better: bool
+    slack: float = SAME
 
     @property
     def is_larger(self) -> bool:
         """Whether its error is larger than the refitted declared model's, but for rounding."""
-        return self.ratio > 1.0 + SAME
+        return self.ratio > 1.0 + self.slack
 
     @property
     def is_gain(self) -> bool:
@@ -138,14 +144,17 @@ class HeldOut:
         if here is None:
             return Judgement(is_white=False, ratio=1.0 if there is None else math.inf, predicts_better=False)
         prediction = predict_held_out(result, here)
+        only_credible = is_relief(base, result)
+        known = base.score - result.score if only_credible else 0.0
         predicts_better = there is None or (
-            prediction.neg2_log_density < predict_held_out(base, there).neg2_log_density - DECISIVE
+            prediction.neg2_log_density < predict_held_out(base, there).neg2_log_density - DECISIVE + known
         )
         error, reference = rmse(here), 0.0 if there is None else rmse(there)
         ratio = error / reference if reference > 0.0 else 1.0 if there is not None and error == 0.0 else math.inf
         if there is None:
             ratio = 0.0
-        return Judgement(self._is_white(here, prediction), ratio, predicts_better)
+        slack = ALIKE if only_credible else SAME
+        return Judgement(self._is_white(here, prediction), ratio, predicts_better, slack)
 
     @staticmethod
     def _is_white(held: Fit, prediction: Prediction) -> bool:

@@ -8,7 +8,7 @@ else by what they predict of strokes that are left out.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 from valve_sim.identification.estimation.budget import OutOfTimeError
@@ -75,7 +75,7 @@ class Exploration:
         search, names, declared = self.search, list(self.plant.effects), Hypothesis(())
         gains = score_gains(search.fit(declared))
         # An adequate declared model costs one fit.
-        if max(gains.values(), default=math.inf) < 0.0 and self._is_adequate_without_doubt(declared):
+        if not self._is_promising(gains) and self._is_adequate_without_doubt(declared):
             self.screened = gains
             return declared
         search.fit_each([Hypothesis((name,)) for name in names], (0.0, 0.3))
@@ -95,6 +95,13 @@ class Exploration:
             self._extend_timing(names)
         self._drop_idle()
         return self.eliminate(self.best_claimable())
+
+    def _is_promising(self, gains: Mapping[str, float]) -> bool:
+        """Whether the score test finds anything that a refit might make decisive; that of a declared value is exact."""
+        effects = self.plant.effects
+        return not gains or any(
+            gain > (0.5 * DECISIVE if effects[name].is_declared_value else 0.0) for name, gain in gains.items()
+        )
 
     def _drop_idle(self) -> None:
         """Drop members of the best that have no effect: the smaller hypothesis only lacked a good start."""
