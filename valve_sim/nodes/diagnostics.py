@@ -174,3 +174,34 @@ class CommandCount:
 
 def _number(value: float, form: str) -> str:
     return "none" if math.isnan(value) else format(value, form)
+
+
+class Reminder:
+    """When trouble that lasts is worth another line of the log: at once, then at intervals that grow threefold.
+
+    A time without trouble as long as the next interval ends it: what comes later is said at once again.
+
+    Args:
+        first: s from the first line to the second. longest: s that no interval exceeds.
+    """
+
+    def __init__(self, first: float = 10.0, longest: float = 3600.0) -> None:
+        self._first, self._longest = first, longest
+        self._interval = first
+        self._said = self._last = -math.inf
+        self._count = 0
+
+    def line(self, now: float, message: str) -> str:
+        """The line to write about trouble that is there now, at `now`, s; empty for none."""
+        if now - self._last >= self._interval:
+            self._interval, self._said, self._count = self._first, -math.inf, 0
+        self._last = now
+        self._count += 1
+        if now - self._said < self._interval:
+            return ""
+        is_first = self._said == -math.inf
+        words = message if is_first else f"{message}; seen {self._count} times in the last {now - self._said:.0f} s"
+        if not is_first:
+            self._interval = min(3.0 * self._interval, self._longest)
+        self._said, self._count = now, 0
+        return words

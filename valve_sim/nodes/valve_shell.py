@@ -25,7 +25,15 @@ from std_srvs.srv import Trigger
 
 from valve_sim.files.parameter_files import Section, default_valve
 from valve_sim.model import ParameterError, Stepper, Valve
-from valve_sim.nodes.diagnostics import CommandCount, Level, ValveFacts, command_status, timing_status, valve_status
+from valve_sim.nodes.diagnostics import (
+    CommandCount,
+    Level,
+    Reminder,
+    ValveFacts,
+    command_status,
+    timing_status,
+    valve_status,
+)
 from valve_sim.nodes.duplicate_nodes import DuplicateNodes
 from valve_sim.nodes.live_valve import LiveValve, Step, self_test
 from valve_sim.nodes.messages import (
@@ -47,7 +55,7 @@ from valve_sim.nodes.parameters import (
     table,
     valve_of,
 )
-from valve_sim.nodes.realtime import Restart, Worker
+from valve_sim.nodes.realtime import NANOSECONDS, Restart, Worker
 from valve_sim.nodes.shell_parts import LATCHED, RELIABLE, declare, given_parameters, make_node
 from valve_sim.nodes.spinning import guarded, spin
 
@@ -147,8 +155,9 @@ class ValveShell:
         node.create_service(Trigger, "~/reset", guarded(self._reset))
         node.create_service(Trigger, "~/self_test", guarded(self._self_test))
         # By the wall: diagnostics must tell, too, that /clock is silent.
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        node.create_timer(1.0, guarded(self._diagnose), clock=steady)
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._too_busy = Reminder()
+        node.create_timer(1.0, guarded(self._diagnose), clock=self._steady)
 
     # --- the stepping thread ---
 
@@ -258,7 +267,9 @@ class ValveShell:
         self._was_waiting = bool(waiting_for)
         timing = timing_status(kept, self._settings.publish_rate, waiting_for)
         if self._is_ready and timing.level is Level.WARN:
-            self._node.get_logger().warning(timing.message, throttle_duration_sec=_BETWEEN_WARNINGS)
+            line = self._too_busy.line(self._steady.now().nanoseconds / NANOSECONDS, timing.message)
+            if line:
+                self._node.get_logger().warning(line)
         statuses = (
             timing,
             command_status(self._commands.look(now, live.last_command, live.volts, live.timed_out)),
