@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from valve_sim.traces import Trace, read_trace
-from valve_sim.traces.command_log import Commands, times_by_logs
+from valve_sim.traces.command_log import Commands, commands_by_logs
 
 from .bag_makers import EPOCH, JOINT_STATE, STORE, Message, float_message, good_messages, header, make_mcap
 
@@ -83,25 +83,29 @@ def test_a_log_that_cannot_be_read_changes_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("first", "last"), [(0, 10), (2, 10), (0, 7), (3, 6)])
-@pytest.mark.parametrize("of_log", [True, False])
-def test_what_one_of_both_lacks_leaves_the_rest_in_its_place(first: int, last: int, *, of_log: bool) -> None:
-    recorded, log = Commands(SENT + LATE, VOLTS), Commands(SENT, VOLTS)
+def test_commands_that_the_log_lacks_stay_as_recorded(first: int, last: int) -> None:
     part = slice(first, last)
-    if of_log:
-        found = times_by_logs(recorded, [Commands(SENT[part], VOLTS[part])])
-        expected = SENT + LATE
-        expected[part] = SENT[part]
-    else:
-        found = times_by_logs(Commands(SENT[part] + LATE[part], VOLTS[part]), [log])
-        expected = SENT[part]
+    found = commands_by_logs(Commands(SENT + LATE, VOLTS), [Commands(SENT[part], VOLTS[part])])
+    expected = SENT + LATE
+    expected[part] = SENT[part]
     assert found is not None
-    np.testing.assert_array_equal(found, expected)
+    np.testing.assert_array_equal(found.times, expected)
+    np.testing.assert_array_equal(found.volts, VOLTS)
+
+
+@pytest.mark.parametrize(("first", "last"), [(0, 10), (2, 10), (0, 7), (3, 6)])
+def test_commands_that_the_recorder_missed_are_in_the_log(first: int, last: int) -> None:
+    part = slice(first, last)
+    found = commands_by_logs(Commands(SENT[part] + LATE[part], VOLTS[part]), [Commands(SENT, VOLTS)])
+    assert found is not None
+    np.testing.assert_array_equal(found.times, SENT)
+    np.testing.assert_array_equal(found.volts, VOLTS)
 
 
 def test_equal_pulses_that_are_recorded_a_pulse_late_are_told_apart_by_the_first_and_the_last() -> None:
     sent = EPOCH + np.arange(40, dtype=np.int64) * MS
     volts = np.tile([9.0, 0.0], 20)
-    found = times_by_logs(Commands(sent + 2 * MS + MS // 2, volts), [Commands(sent, volts)])
+    found = commands_by_logs(Commands(sent + 2 * MS + MS // 2, volts), [Commands(sent, volts)])
     assert found is not None
     # A pulse later the way is shorter, and all but the last two commands have the same voltages.
-    np.testing.assert_array_equal(found, sent)
+    np.testing.assert_array_equal(found.times, sent)

@@ -33,26 +33,27 @@ def logs_among(types: Mapping[str, str]) -> tuple[str, ...]:
     return tuple(sorted(topic for topic, kind in types.items() if kind == LOG_TYPE and topic.endswith(f"/{LOG}")))
 
 
-def times_by_logs(recorded: Commands, logs: Iterable[Commands]) -> NDArray[np.int64] | None:
-    """When commands were sent, by the log of who sent them.
+def commands_by_logs(recorded: Commands, logs: Iterable[Commands]) -> Commands | None:
+    """The commands as they were sent, by the log of who sent them.
 
     A log is laid beside the commands so that every voltage agrees. Where several places do, as with equal pulses, or
     several logs, the one holds that covers most commands, then that of the shortest way from stamp to recording.
-    Commands before and after the log stay as they were recorded.
+    Commands before and after the log stay as they were recorded; those that only the log has, since the recorder came
+    late or left early, are taken from it.
 
     Args:
         recorded: the commands, by the times of their recording.
         logs: the same by their stamps, of the same clock; of other valves, too.
 
     Returns:
-        ns, shape (n,); None where no log is of these commands.
+        the commands, shape (n,) or longer; None where no log is of these commands.
     """
     fits = [fit for log in logs for fit in _fits(recorded, log)]
     return min(fits, key=lambda fit: fit[:2])[2] if fits else None
 
 
-def _fits(recorded: Commands, log: Commands) -> Iterator[tuple[int, int, NDArray[np.int64]]]:
-    """Where a log fits: how many commands it lacks, the usual way from stamp to recording, ns, and the times."""
+def _fits(recorded: Commands, log: Commands) -> Iterator[tuple[int, int, Commands]]:
+    """Where a log fits: how many commands it lacks, the usual way from stamp to recording, ns, and the result."""
     count = len(recorded.times)
     beside = np.searchsorted(log.times, recorded.times, side="right") - 1 - np.arange(count)
     for shift in range(int(beside.min()) - SLACK, int(beside.max()) + SLACK + 1):
@@ -61,6 +62,7 @@ def _fits(recorded: Commands, log: Commands) -> Iterator[tuple[int, int, NDArray
         if begin >= end or not np.array_equal(recorded.volts[mine], log.volts[its]):
             continue
         way = int(np.median(np.abs(recorded.times[mine] - log.times[its])))
-        times = np.concatenate([recorded.times[:begin], log.times[its], recorded.times[end:]])
+        times = np.concatenate([recorded.times[:begin], log.times, recorded.times[end:]])
+        volts = np.concatenate([recorded.volts[:begin], log.volts, recorded.volts[end:]])
         if way < LONGEST_WAY and (np.diff(times) >= 0).all():
-            yield count - (end - begin), way, times
+            yield count - (end - begin), way, Commands(times, volts)

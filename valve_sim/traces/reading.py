@@ -12,7 +12,7 @@ from valve_sim.files.data_tables import TABLE_SUFFIXES
 from valve_sim.files.recording_map import QUANTITIES
 from valve_sim.model import Drive
 from valve_sim.traces.clocks import SECOND, clock_offset, order_samples
-from valve_sim.traces.command_log import Commands, times_by_logs
+from valve_sim.traces.command_log import Commands, commands_by_logs
 from valve_sim.traces.errors import TraceError
 from valve_sim.traces.layout import (
     INPUTS,
@@ -369,7 +369,7 @@ class _Assembly:
         order = np.argsort(times[finite], kind="stable")
         times, volts = times[finite][order], volts[finite][order]
         if is_command and self.plan.logs:
-            times = self.sent(Commands(times, volts), offset)
+            times, volts = self.sent(Commands(times, volts), offset)
         last = np.concatenate([np.diff(times) > 0, [True]])
         if not last.all():
             self.findings.append(f"{topic}: {(~last).sum()} {what} were replaced by another at the same time")
@@ -381,23 +381,23 @@ class _Assembly:
         when = times[0] + np.rint(SECOND * steps.times).astype(np.int64)
         return when, steps.volts, DriveErrors(steps.time_errors, steps.volt_errors)
 
-    def sent(self, recorded: Commands, offset: int) -> NDArray[np.int64]:
-        """Return when commands were sent, as far as who sent them logged it; else when they were recorded."""
+    def sent(self, recorded: Commands, offset: int) -> Commands:
+        """Return commands as they were sent, as far as who sent them logged it; else as they were recorded."""
         logs = []
         for topic in self.plan.logs:
-            found = self.recording.topics.get(topic)
-            if found is None or found.decoded is None or not found.decoded.batches:
+            messages = self.recording.topics.get(topic)
+            if messages is None or messages.decoded is None or not messages.decoded.batches:
                 continue
-            stamps = np.concatenate([header_stamps(batch) for batch in found.decoded.batches])
-            volts = np.concatenate([np.ravel(batch.column("voltage")) for batch in found.decoded.batches])
+            stamps = np.concatenate([header_stamps(batch) for batch in messages.decoded.batches])
+            volts = np.concatenate([np.ravel(batch.column("voltage")) for batch in messages.decoded.batches])
             order = np.argsort(stamps, kind="stable")
             # The node's clock is the samples' clock, or the recorder's.
             logs += [Commands(stamps[order] - late, volts[order]) for late in {0, offset}]
-        times = times_by_logs(recorded, logs)
-        if times is None and len(valves_among(self.recording.types)) == 1:
+        found = commands_by_logs(recorded, logs)
+        if found is None and len(valves_among(self.recording.types)) == 1:
             names = ", ".join(self.plan.logs)
             self.findings.append(f"{self.input.topic}: timed as recorded, for {names} logs other commands")
-        return recorded.times if times is None else times
+        return recorded if found is None else found
 
     @property
     def input(self) -> Source:
