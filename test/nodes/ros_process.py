@@ -18,6 +18,17 @@ ASK_AGAIN = 5.0
 """Seconds after which a question counts as lost."""
 
 
+def slowness() -> float:
+    """How many times as long as alone on a core a calculation takes here now; at least 1.
+
+    What has to be done within a time by the wall, has that time as often where others use the cores.
+    """
+    begin, used = time.monotonic(), time.thread_time()
+    while time.thread_time() - used < 0.05:
+        pass
+    return max(1.0, (time.monotonic() - begin) / (time.thread_time() - used))
+
+
 class NodeProcess:
     """valve_node or another program, started as a user does; its stderr goes to a file."""
 
@@ -41,11 +52,13 @@ class NodeProcess:
         return self.process.wait(PATIENCE)
 
     def seconds_to_end(self, number: int) -> float:
-        """How long it takes to end after a signal."""
+        """How long it takes to end after a signal, were it alone here."""
+        before = slowness()
         start = time.monotonic()
         self.process.send_signal(number)
         self.process.wait(PATIENCE)
-        return time.monotonic() - start
+        seconds = time.monotonic() - start
+        return seconds / max(before, slowness())
 
 
 @contextlib.contextmanager

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from .ros_process import PATIENCE, Probe, piped, running
+from .ros_process import PATIENCE, Probe, piped, running, slowness
 
 pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
@@ -25,7 +25,7 @@ from std_msgs.msg import Bool, Float64  # noqa: E402
 STROKES = "[[0.1, 9.0], [0.4, 0.0], [0.7, 12.0], [1.0, 0.0]]"
 ENDLESS = "[[0.1, 9.0], [900.0, 0.0]]"
 LATE = 0.1
-"""s: a busy machine's worst; on a quiet one it is 0.1 ms."""
+"""s, on a machine of its own, where it is 0.1 ms mostly."""
 
 
 @pytest.fixture(scope="module")
@@ -65,17 +65,19 @@ def test_all_is_commanded_in_time_and_written_down(valve: Probe, tmp_path: Path)
         valve.hear("/command_profile/commanded", BatteryState, latched=True),
     )
     is_open = valve.hear("is_open", Bool)
+    before = slowness()
     with commanding(tmp_path, STROKES) as process:
-        assert valve.until(lambda: len(log) == 4 and len(volts) == 4), "not all was commanded"
+        assert valve.until(lambda: len(log) == 4), "not all was commanded"
         code, said = ended(process)
     assert code == 0, said
     assert "ready: /valve/coil_voltage gets 4 commands in 1 s, 12 V at most" in said
     assert "done: 4 commands" in said
-    assert [message.data for message in volts] == [9.0, 0.0, 12.0, 0.0]
+    # Who is found only after the first command has not heard it: not this test's ears, on a busy machine.
+    assert valve.until(lambda: volts and [message.data for message in volts] == [9.0, 0.0, 12.0, 0.0][-len(volts) :])
     assert [message.voltage for message in log] == [9.0, 0.0, 12.0, 0.0]
     table = np.genfromtxt(tmp_path / "commanded.csv", delimiter=",", names=True, dtype=None)
     assert table["stamp_ns"].tolist() == stamps_of(log)
-    assert table["time"] == pytest.approx([0.0, 0.3, 0.6, 0.9], abs=LATE)
+    assert table["time"] == pytest.approx([0.0, 0.3, 0.6, 0.9], abs=LATE * max(before, slowness()))
     # It is said anew with each phase, so False comes more than once in a row.
     assert valve.until(lambda: sum(message.data for message in is_open) == 2 and not is_open[-1].data)
 
@@ -83,13 +85,16 @@ def test_all_is_commanded_in_time_and_written_down(valve: Probe, tmp_path: Path)
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_switches_the_coil_off(valve: Probe, tmp_path: Path, number: signal.Signals) -> None:
     volts = valve.hear("coil_voltage", Float64)
-    with commanding(tmp_path, ENDLESS) as process:
-        assert valve.until(lambda: volts), "nothing was commanded"
+    log = valve.hear("/command_profile/commanded", BatteryState, latched=True)
+    with commanding(tmp_path, ENDLESS, patience=PATIENCE) as process:
+        assert valve.until(lambda: log or process.poll() is not None, 2 * PATIENCE)
         process.send_signal(number)
         code, said = ended(process)
-        assert valve.until(lambda: len(volts) == 2)
+        assert valve.until(lambda: len(log) == 2 and volts and volts[-1].data == 0.0), said
     assert code == 1
-    assert [message.data for message in volts] == [9.0, 0.0]
+    assert [message.voltage for message in log] == [9.0, 0.0]
+    # Who is found only after the first command has not heard it: not this test's ears, on a busy machine.
+    assert [message.data for message in volts] in ([9.0, 0.0], [0.0])
     assert f"broken off after 1 of 2 commands: a signal came ({number.name})" in said
     assert len((tmp_path / "commanded.csv").read_text().splitlines()) == 3
 

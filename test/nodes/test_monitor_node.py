@@ -19,7 +19,7 @@ from valve_sim.files.parameter_files import load_valve
 
 from .dumps import TOLERATED, dump
 from .plant_on_topics import PlantOnTopics
-from .ros_process import PATIENCE, Probe, piped, running
+from .ros_process import PATIENCE, Probe, piped, running, slowness
 
 pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
@@ -239,7 +239,7 @@ def test_a_signal_ends_it_with_code_0(probe: Probe, tmp_path: Path, number: sign
     with monitoring(tmp_path) as process:
         assert probe.until(lambda: heard)
         process.send_signal(number)
-        assert process.wait(5.0) == 0
+        assert process.wait(5.0 * slowness()) == 0
         assert process.stderr is not None
         assert "Traceback" not in process.stderr.read()
 
