@@ -132,7 +132,7 @@ def table(rows: Iterable[Row]) -> str:
 
 def measure(seeds: int) -> list[Row]:
     """All rows: every kind of noise with the seeds 0 to `seeds` − 1."""
-    valve = default_valve()
+    valve = default_valve().exact()
     rows = []
     for noise, recorder in RECORDERS.items():
         rows += summarise(noise, [outcomes(seed, recorder, valve) for seed in range(seeds)])

@@ -64,7 +64,7 @@ from valve_sim.files.parameter_files import default_valve
 from valve_sim.traces import read_trace
 trace = read_trace(sys.argv[1])
 started = time.perf_counter()
-identify([trace], default_valve())
+identify([trace], default_valve().exact())
 print(json.dumps(time.perf_counter() - started))
 """
 
@@ -217,7 +217,7 @@ def compare_fits(trace: Trace) -> float:
     Raises:
         AssertionError: the two are not the same model, or find different values.
     """
-    valve = default_valve()
+    valve = default_valve().exact()
     plant = ValvePlant([trace], valve)
     problem = Problem(plant)
     apart = np.abs(simulate_by_scipy(valve.parameters, trace.drive, trace.times) - plant.predict({})[0]).max()

@@ -80,7 +80,7 @@ def valve_of(seed: int, jitter: float, colour: float = 0.0) -> LiveValve:
 
 def healthy(seed: int, strokes: int) -> HealthyRun:
     """One seed without fault; `strokes` after commissioning."""
-    valve, monitor = valve_of(seed, 50e-6, 0.7 * (seed % 2)), Monitor(default_valve(), refit=False)
+    valve, monitor = valve_of(seed, 50e-6, 0.7 * (seed % 2)), Monitor(default_valve().exact(), refit=False)
     ratios, watched, own, plant = [], 0, 0.0, 0.0
     while watched < strokes:
         begin = time.process_time()
@@ -95,7 +95,7 @@ def healthy(seed: int, strokes: int) -> HealthyRun:
 
 def growth(seed: int, jitter: float, force: float, *, trace: bool) -> Growth:
     """One seed of friction that grows."""
-    valve, monitor = valve_of(seed, jitter), Monitor(default_valve(), refit=False)
+    valve, monitor = valve_of(seed, jitter), Monitor(default_valve().exact(), refit=False)
     alarmed, names, named, longest = None, (), None, 0.0
     forces = [0.0] * COMMISSIONING + [force * (k + 1) / GROWING for k in range(GROWING)] + [force] * (STAYING + 1)
     reached = COMMISSIONING + GROWING - 1

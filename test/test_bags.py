@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from valve_sim.files.parameter_files import default_valve
+from valve_sim.identification.estimation.declared_values import out_of_tolerance
 from valve_sim.identification.estimation.findings import ResidualNotWhite
 from valve_sim.identification.estimation.identify import identify
 from valve_sim.traces import list_valves, read_trace
@@ -27,8 +28,11 @@ def test_a_bag_identifies_as_what_it_was_made_with(name: str, pilot: str, main: 
     assert list_valves(BAGS / name) == ("/valve",)
     result = identify([read_trace(BAGS / name)], default_valve())
     if name == "friction/":
-        assert ResidualNotWhite() in result.findings
+        exact = identify([read_trace(BAGS / name)], default_valve().exact())
+        assert ResidualNotWhite() in exact.findings
+        assert out_of_tolerance(result.declared), "what is missing is no tolerance"
         return
+    assert not out_of_tolerance(result.declared)
     for parameter, truth in (("pilot_damping", pilot), ("main_damping", main)):
         interval = result.intervals[parameter]
         assert abs(interval.value - float(truth)) < 4.0 * interval.stderr

@@ -61,9 +61,17 @@ def strokes(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def more_damped(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A parameter file with 20 % more main damping."""
+    """A parameter file with 20 % more main damping, and no tolerances in which that could hide."""
     path = tmp_path_factory.mktemp("parameters") / "more_damped.yaml"
-    save_valve(path, default_valve().with_values(main_damping=4.8), "a test")
+    save_valve(path, default_valve().exact().with_values(main_damping=4.8), "a test")
+    return path
+
+
+@pytest.fixture
+def exact(tmp_path: Path) -> Path:
+    """A parameter file of the shipped valve without its tolerances."""
+    path = tmp_path / "exact.yaml"
+    save_valve(path, default_valve().exact(), "a test")
     return path
 
 
@@ -250,6 +258,7 @@ def test_diagnose_within_a_small_budget_says_what_it_left(tmp_path: Path, monkey
 def test_validate_exits_0_within_and_1_outside(tmp_path: Path, strokes: Path, more_damped: Path):
     declared = tmp_path / "declared.yaml"
     save_valve(declared, default_valve(), "a test")
+    assert "tolerances:" in declared.read_text()
     assert run("validate", strokes, "--params", declared).exit_code == 0
     outside = run("validate", strokes, "--params", more_damped, "--junit", tmp_path / "replay.xml")
     assert outside.exit_code == 1
@@ -489,7 +498,7 @@ def test_a_map_reads_what_would_be_refused(strokes: Path, tmp_path: Path) -> Non
     )
 
 
-def test_a_table_of_a_logger_from_first_map_to_fit(strokes: Path, tmp_path: Path) -> None:
+def test_a_table_of_a_logger_from_first_map_to_fit(strokes: Path, exact: Path, tmp_path: Path) -> None:
     trace, table, lab = read_trace(strokes), tmp_path / "logger.csv", tmp_path / "lab.yaml"
     places = np.searchsorted(trace.drive.times, trace.times, side="right") - 1
     volts = np.where(places < 0, 0.0, trace.drive.volts[np.maximum(places, 0)])
@@ -497,7 +506,7 @@ def test_a_table_of_a_logger_from_first_map_to_fit(strokes: Path, tmp_path: Path
     np.savetxt(table, rows, delimiter=";", header="t [ms];U;LVDT [mm]", fmt="%.9g")
     assert "wrote" in run_well("map", table, "--output", lab).stdout
     assert run("map", table, "--output", lab).exit_code == 2, "what was corrected by hand must not be lost"
-    run_well("identify", table, "--map", lab, "--output", tmp_path / "results")
+    run_well("identify", table, "--map", lab, "--params", exact, "--output", tmp_path / "results")
     report = json.loads((tmp_path / "results" / "identify.json").read_text())
     for name, truth in (("pilot_damping", 1.0), ("main_damping", 4.0)):
         low, high = report["parameters"][name]["ci95"]

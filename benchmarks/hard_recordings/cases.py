@@ -51,7 +51,7 @@ def cases() -> list[Case]:
     friction = {"coulomb_friction": {"force": 0.2}}
     ripple = {"force_ripple": {"amplitude": 0.1, "wavelength": 0.2e-3, "phase": 1.0}}
     drift = {"damping_drift": {"rate": 4.0}}
-    ours, theirs, declared = _simulated, _measured, default_valve()
+    ours, theirs, declared = _simulated, _measured, default_valve().exact()
     exact, coarse = Recorder(position_noise=0.0), Recorder(quantisation=5e-6)
     plans: list[tuple[str, int, Callable[[int], list[Trace]], Valve, tuple[str, ...]]] = [
         ("noise-free, own", 10, ours(Sensor()), declared, clear),

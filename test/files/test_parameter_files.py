@@ -53,7 +53,8 @@ def below_parameters(text: str) -> str:
     ],
 )
 def test_every_form_that_ros_reads_is_read(tmp_path: Path, text: str) -> None:
-    assert load_valve(written(tmp_path, text)) == default_valve().with_values(pilot_mass=0.2)
+    expected = default_valve().with_values(pilot_mass=0.2).exact()
+    assert load_valve(written(tmp_path, text)) == expected
 
 
 def test_an_integer_may_stand_for_a_double(tmp_path: Path) -> None:
@@ -279,20 +280,46 @@ def test_plain_copies_mean_the_same(tmp_path: Path) -> None:
 def test_shipped_files_say_where_each_value_is_from() -> None:
     for name in ("valve.yaml", "published.yaml"):
         lines = config_path(name).read_text().splitlines()
-        sourced = ("published", "calibrated", "assumed")
+        sourced = ("published", "calibrated", "assumed", "rounding")
+        seen = []
         for before, line in itertools.pairwise(lines):
             key, colon, _ = line.partition(":")
-            if colon and key.strip() in Valve().parameters._fields:
-                assert any(word in line + before for word in sourced), f"{name}: {line}"
+            if colon and key.strip() in (*Valve().parameters._fields, "attraction_covariance"):
+                about = lines[lines.index(line) - 4 : lines.index(line)] if "covariance" in key else [before]
+                assert any(word in line + "".join(about) for word in sourced), f"{name}: {line}"
+                seen.append(key.strip())
+        assert len(seen) == len(Valve().parameters._fields) + 8, f"{name}: {seen}"
 
 
 def test_the_default_opens_at_the_published_times_and_the_published_one_never() -> None:
     response = simulate(default_valve(), Drive.of([0.0], [9.0]), [0.02])
     assert published_times(response) == pytest.approx((5.3e-3, 9.9e-3), abs=1e-6)
     published = load_valve(config_path("published.yaml"))
-    assert published == Valve()
+    assert published.exact() == Valve()
     assert not published.can_open()
     assert all(math.isnan(time) for time in published_times(simulate(published, Drive.of([0.0], [9.0]), [1.0])))
+
+
+def test_shipped_tolerances_are_what_their_comments_say() -> None:
+    declared = default_valve().parameters
+    for name in ("published.yaml", "valve.yaml"):
+        tolerances = load_valve(config_path(name)).tolerances
+        known = tolerances.declared
+        assert known["pilot_mass"] == pytest.approx(1e-3 / math.sqrt(12), rel=0.01)
+        assert known["moving_mass"] == pytest.approx(1e-3 / math.sqrt(6), rel=0.01)
+        assert known["spring_rate"] == pytest.approx(0.03 * declared.spring_rate, rel=0.01)
+        assert known["spring_preload"] == pytest.approx(0.03 * declared.spring_preload, rel=0.01)
+        assert known["pilot_gap"] == known["stroke"] == pytest.approx(10e-6 / math.sqrt(12), rel=0.01)
+        displacement = np.linspace(0.0, declared.stroke, 200)
+        powers = displacement[:, None] ** np.arange(4)
+        force = powers @ Valve().parameters.attraction_polynomial
+        shapes = [np.polynomial.Legendre.basis(n, [0.0, declared.stroke])(displacement) for n in (1, 2, 3)]
+        sizes = [0.015 * force, *(0.01 * np.trapezoid(force, displacement) / declared.stroke * s for s in shapes)]
+        expected = sum(size**2 for size in sizes) + (0.18**2 if name == "valve.yaml" else 0.0)
+        found = np.einsum("ij,jk,ik->i", powers, np.array(tolerances.attraction_covariance), powers)
+        np.testing.assert_allclose(found, expected, rtol=2e-3)
+    assert "coil_time_constant" in known
+    assert "coil_time_constant" not in load_valve(config_path("published.yaml")).tolerances.declared
 
 
 @pytest.mark.parametrize("tank", [1, 2, 3])

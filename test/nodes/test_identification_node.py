@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 from valve_sim.files.parameter_files import default_valve, load_valve
+from valve_sim.files.resources import config_path
 from valve_sim.identification.plants.valve import volts_at
 from valve_sim.identification.reporting.recording_profile import STROKE_LEVELS
 from valve_sim.traces import read_trace
@@ -144,12 +145,24 @@ def test_a_node_that_is_not_there_is_said_not_to_have_taken_the_result(
 
 FRICTION = Path(__file__).parents[2] / "bags" / "friction"
 """A recording of a valve with Coulomb friction, which the declared one lacks."""
+EXACT = config_path("tank_1.yaml")
+"""The shipped valve, its values taken as exact."""
 
 
-def test_a_fit_that_leaves_more_than_noise_is_not_handed_on(probe: Probe, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("declared", "reason"),
+    [
+        ({"params": EXACT}, "the residual is not white, so the model lacks something"),
+        ({}, "tolerances off, so the model lacks something"),
+    ],
+    ids=["exact", "with tolerances"],
+)
+def test_a_fit_that_leaves_more_than_noise_or_tolerances_is_not_handed_on(
+    probe: Probe, tmp_path: Path, declared: dict[str, object], reason: str
+) -> None:
     results = probe.hear("result", String, latched=True)
     live = Probe("/valve")
-    given: dict[str, object] = {"apply_to": "valve", "linger": "true", "rate": 0}
+    given: dict[str, object] = {"apply_to": "valve", "linger": "true", "rate": 0, **declared}
     with running(tmp_path), identifying(tmp_path, bag=FRICTION, **given) as process:
         assert probe.until(lambda: results), "no result"
         process.send_signal(signal.SIGINT)
@@ -160,7 +173,7 @@ def test_a_fit_that_leaves_more_than_noise_is_not_handed_on(probe: Probe, tmp_pa
     live.close()
     applied = json.loads(results[0].data)["applied"]
     assert not applied["is_set"]
-    assert "the residual is not white, so the model lacks something" in applied["reason"]
+    assert reason in applied["reason"]
     assert "/valve is as it was" in said
     assert not (tmp_path / "before.yaml").exists()
 
@@ -168,7 +181,13 @@ def test_a_fit_that_leaves_more_than_noise_is_not_handed_on(probe: Probe, tmp_pa
 def test_what_was_set_all_the_same_can_be_undone(probe: Probe, tmp_path: Path) -> None:
     results = probe.hear("result", String, latched=True)
     live = Probe("/valve")
-    given: dict[str, object] = {"apply_to": "valve", "apply_always": "true", "linger": "true", "rate": 0}
+    given: dict[str, object] = {
+        "apply_to": "valve",
+        "apply_always": "true",
+        "linger": "true",
+        "rate": 0,
+        "params": EXACT,
+    }
     with running(tmp_path):
         before = live.parameters()
         with identifying(tmp_path, bag=FRICTION, **given) as process:

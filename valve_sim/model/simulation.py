@@ -151,6 +151,10 @@ class Valve:
         parameters = ValveParameters(**declared, attraction_polynomial=polynomial)  # type: ignore[arg-type]
         return replace(self, parameters=parameters)
 
+    def exact(self) -> Valve:
+        """The same valve with its values taken as exact: without tolerances."""
+        return replace(self, tolerances=EXACT)
+
     def can_open(self) -> bool:
         """Whether the reference voltage, held for ever, would lift the pilot plunger off its seat."""
         record = self.record()

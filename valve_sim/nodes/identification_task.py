@@ -11,6 +11,7 @@ from typing import Any, Final, NamedTuple
 
 from valve_sim.files.parameter_files import save_valve
 from valve_sim.files.recording_map import load_map
+from valve_sim.identification.estimation.declared_values import out_of_tolerance
 from valve_sim.identification.estimation.findings import leaves_more_than_noise
 from valve_sim.identification.estimation.identify import Identification, identify
 from valve_sim.identification.estimation.intervals import Interval
@@ -112,6 +113,11 @@ def _doubt(result: Identification) -> str:
         return "the fit did not converge"
     if leaves_more_than_noise(result.fit):
         return "the residual is not white, so the model lacks something (mode:=diagnose may name it)"
+    if off := out_of_tolerance(result.declared):
+        return (
+            f"{', '.join(off)} would be more than three tolerances off, so the model lacks something "
+            "(mode:=diagnose may name it)"
+        )
     bound = next((name for name in result.fit.free if result.fit.on_bound(name) is not None), "")
     return f"{bound} sits on the bound of its range" if bound else ""
 

@@ -1,15 +1,17 @@
 """Event tables: what the paper printed, the effects that close it, and what it leaves open."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.optimize import fsolve
 
 from valve_sim.files.parameter_files import default_valve, load_valve
 from valve_sim.identification.diagnosis.events import DAMPINGS, PULLS, diagnose_events
 from valve_sim.identification.plants.event_table import EventPlant, reached, read_event_table
-from valve_sim.identification.reporting.event_files import write_event_report
+from valve_sim.identification.reporting.event_files import write_event_report, write_valve
 from valve_sim.identification.reporting.event_report import event_json, event_text
 from valve_sim.model import Drive, ParameterError, simulate
 
@@ -76,6 +78,36 @@ def test_the_shipped_valve_meets_both_events_with_the_published_dampings(table, 
     assert [declared[name] for name in DAMPINGS] == [1.0, 4.0]
     assert declared["a0"] == pytest.approx(3.0336, abs=1e-4)
     assert declared["coil_time_constant"] == pytest.approx(0.9934e-3, abs=1e-7)
+
+
+def test_the_calibrated_values_have_the_standard_errors_that_the_events_give_them(table, diagnosis):
+    """By solving the two events anew, each moved by its uncertainty in turn: no derivative of the model."""
+    plant, errors = EventPlant(table), {}
+    for moved in range(2):
+        times = [
+            event.time + (event.uncertainty if index == moved else 0.0) for index, event in enumerate(table.events)
+        ]
+        found = fsolve(
+            lambda values, times=times: 1e3 * (np.array(plant.times({PULLS[0]: values[0], PULLS[1]: 1e-3 * values[1]}))
+                                               - times), [3.0, 1.0])  # fmt: skip
+        for name, value in zip(PULLS, (found[0], 1e-3 * found[1]), strict=True):
+            errors[name] = errors.get(name, 0.0) + (value - diagnosis.shipped.values[name]) ** 2
+    for name, square in errors.items():
+        assert diagnosis.standard_errors[name] == pytest.approx(math.sqrt(square), rel=0.1)
+    tolerances, published = diagnosis.valve.tolerances, table.valve.tolerances
+    assert tolerances.declared["coil_time_constant"] == diagnosis.standard_errors["coil_lag.time_constant"]
+    added = np.array(tolerances.attraction_covariance) - np.array(published.attraction_covariance)
+    assert added[0, 0] == pytest.approx(diagnosis.standard_errors["rest_attraction.force"] ** 2, rel=1e-4)
+    assert np.count_nonzero(added) == 1
+
+
+def test_a_declared_file_without_tolerances_gives_one_without(tmp_path, table, diagnosis):
+    exact = replace(diagnosis, valve=diagnosis.valve.exact())
+    path = tmp_path / "exact.yaml"
+    text = table.valve_file.read_text()
+    path.write_text(text[: text.index("    # One standard deviation")])
+    write_valve(tmp_path / "valve.yaml", replace(exact, table=replace(table, valve_file=path)))
+    assert load_valve(tmp_path / "valve.yaml") == exact.valve
 
 
 def test_running_it_again_gives_the_shipped_file(tmp_path, diagnosis):

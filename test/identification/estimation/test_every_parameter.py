@@ -45,7 +45,7 @@ def recording(noise: str, profile: str = "two strokes", **changed: float) -> Tra
 
 
 def freed(trace: Trace, name: str) -> Identification:
-    return identify([trace], default_valve(), tuple(dict.fromkeys((*DEFAULT_FREE, name))))
+    return identify([trace], default_valve().exact(), tuple(dict.fromkeys((*DEFAULT_FREE, name))))
 
 
 def change(result: Identification, name: str) -> float:

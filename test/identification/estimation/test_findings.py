@@ -16,7 +16,9 @@ NAMES = ("a", "b", "c")
 
 def made_up(correlation: list[list[float]], **changes: Any) -> Fit:
     """A fit of three parameters without any other finding, but for what is changed."""
-    plant = SimpleNamespace(declared=lambda name: 1.0, nuisances=("clock_offset[0]",))
+    stamps = (SimpleNamespace(name="stamp[0]"), SimpleNamespace(name="stamp[1]"))
+    clock = SimpleNamespace(name="clock_offset[0]")
+    plant = SimpleNamespace(declared=lambda name: 1.0, nuisances=(clock,), timing_errors=stamps)
     noises = {"position": SimpleNamespace(samples=1000)}
     problem = SimpleNamespace(plant=plant, effective_samples=1000, noises=noises, variance_inflation=1.0)
     content = {
@@ -44,6 +46,6 @@ def test_each_pair_is_named_once_and_a_partner_of_a_pair_is_not_left_out() -> No
 
 
 def test_stamps_and_lack_of_convergence_are_findings() -> None:
-    nuisances = ("clock_offset[0]", SimpleNamespace(name="stamp[0]"), SimpleNamespace(name="stamp[1]"))
+    nuisances = tuple(SimpleNamespace(name=name) for name in ("clock_offset[0]", "stamp[0]", "stamp[1]"))
     changes = {"nuisances": nuisances, "values": {"stamp[0]": 2e-6, "stamp[1]": -5e-6}, "converged": False}
     assert found(NONE, **changes) == (StampErrors(5e-6), NotConverged())

@@ -25,6 +25,8 @@ from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.identification import identification_json, identification_text
 from valve_sim.model import CATALOGUE, ParameterError, Valve
 
+EXACT_VALVE = default_valve().exact()
+
 
 @pytest.mark.parametrize(
     "recorder",
@@ -32,7 +34,7 @@ from valve_sim.model import CATALOGUE, ParameterError, Valve
     ids=["white", "coloured", "coarse"],
 )
 def test_both_dampings_come_out(recorder: Recorder) -> None:
-    result = identify([recorded(recorder)], default_valve())
+    result = identify([recorded(recorder)], EXACT_VALVE)
     for name, truth in TRUTH.items():
         interval = result.intervals[name]
         assert abs(interval.value - truth) < 4.0 * interval.stderr
@@ -49,7 +51,7 @@ def test_a_small_slice_of_the_coverage_benchmark_is_good() -> None:
 
 
 def test_one_opening_holds_the_main_damping_and_not_the_pilots() -> None:
-    result = identify([one_opening()], default_valve())
+    result = identify([one_opening()], EXACT_VALVE)
     main, pilot = result.intervals["main_damping"], result.intervals["pilot_damping"]
     assert main.low < TRUTH["main_damping"] < main.high
     assert pilot.low < TRUTH["pilot_damping"] < pilot.high
@@ -63,27 +65,27 @@ def test_one_opening_holds_the_main_damping_and_not_the_pilots() -> None:
 
 def test_a_damping_of_a_phase_that_never_comes_is_not_identifiable() -> None:
     """Cut off in Phase 1, before the main plunger moves."""
-    result = identify([shortened(one_opening(), 0.0145)], default_valve())
+    result = identify([shortened(one_opening(), 0.0145)], EXACT_VALVE)
     unbounded = [finding for finding in result.findings if isinstance(finding, NotIdentifiable)]
     assert unbounded == [NotIdentifiable("main_damping", Unbounded.FLAT_PROFILE)]
 
 
 def test_two_parameters_that_do_the_same_are_named_together() -> None:
-    result = identify([one_opening()], default_valve(), ("pilot_damping", "seat_load"))
+    result = identify([one_opening()], EXACT_VALVE, ("pilot_damping", "seat_load"))
     (pair,) = (finding for finding in result.findings if isinstance(finding, Correlated))
     assert {pair.name, pair.other} == {"pilot_damping", "seat_load"}
     assert pair.correlation > 0.99
 
 
 def test_a_parameter_on_its_bound_is_said_to_be_there() -> None:
-    weak = default_valve().with_values(a0=2.95)
+    weak = EXACT_VALVE.with_values(a0=2.95)
     result = identify([recorded(pilot_damping=0.0)], weak, ("pilot_damping",))
     assert OnBound("pilot_damping", "lower") in result.findings
 
 
 def test_several_bags_make_one_fit() -> None:
     traces = [recorded(seed=seed) for seed in (1, 2, 3)]
-    alone, together = identify(traces[:1], default_valve()), identify(traces, default_valve())
+    alone, together = identify(traces[:1], EXACT_VALVE), identify(traces, EXACT_VALVE)
     assert len(identification_json(together)["clock_offsets_us"]) == 3
     assert together.sources == ("seed 1", "seed 2", "seed 3")
     for name, truth in TRUTH.items():
@@ -92,7 +94,7 @@ def test_several_bags_make_one_fit() -> None:
 
 
 def test_several_starts_leave_a_local_minimum() -> None:
-    far = default_valve().with_values(pilot_damping=40.0, main_damping=0.05)
+    far = EXACT_VALVE.with_values(pilot_damping=40.0, main_damping=0.05)
     result = identify([recorded()], far)
     for name, truth in TRUTH.items():
         assert abs(result.intervals[name].value - truth) < 4.0 * result.intervals[name].stderr
@@ -112,7 +114,7 @@ def test_any_parameter_can_be_freed_by_name(
     name: str, effects: dict[str, dict[str, float]], parameters: dict[str, float], truth: float
 ) -> None:
     trace = recorded(effects=effects, **parameters)
-    result = identify([trace], default_valve(), ("pilot_damping", "main_damping", name))
+    result = identify([trace], EXACT_VALVE, ("pilot_damping", "main_damping", name))
     interval = result.intervals[name]
     assert interval.low - 0.5 * interval.stderr < truth < interval.high + 0.5 * interval.stderr
     assert interval.high - interval.low < 0.2 * truth
@@ -122,7 +124,7 @@ def test_any_parameter_can_be_freed_by_name(
 
 
 def test_an_effect_that_is_declared_stays_on() -> None:
-    valve = Valve(default_valve().parameters, {"coulomb_friction": {"force": 0.2}})
+    valve = Valve(EXACT_VALVE.parameters, {"coulomb_friction": {"force": 0.2}})
     result = identify([recorded(effects={"coulomb_friction": {"force": 0.2}})], valve)
     assert result.valve.effects == {"coulomb_friction": {"force": 0.2}}
     for name, truth in TRUTH.items():
@@ -139,7 +141,7 @@ def test_a_misspelt_name_is_refused_with_the_nearest(name: str, meant: str) -> N
 
 def test_progress_is_told_and_the_report_is_json() -> None:
     told: list[tuple[str, float]] = []
-    result = identify([one_opening()], default_valve(), progress=lambda what, done: told.append((what, done)))
+    result = identify([one_opening()], EXACT_VALVE, progress=lambda what, done: told.append((what, done)))
     fractions = [fraction for _, fraction in told]
     assert fractions == sorted(fractions)
     assert fractions[0] == 0.0
@@ -153,7 +155,7 @@ def test_progress_is_told_and_the_report_is_json() -> None:
 def test_stamps_of_commands_that_scatter_are_estimated_along() -> None:
     """A recorder hears commands late; whoever believes it gets a wrong damping."""
     trace = recorded(Recorder(quantisation=0.1e-6, command_jitter=50e-6))
-    result = identify([trace], default_valve())
+    result = identify([trace], EXACT_VALVE)
     for name, truth in TRUTH.items():
         assert abs(result.intervals[name].value - truth) < 4.0 * result.intervals[name].stderr
     (stamps,) = (finding for finding in result.findings if isinstance(finding, StampErrors))
@@ -161,13 +163,13 @@ def test_stamps_of_commands_that_scatter_are_estimated_along() -> None:
 
 
 def test_a_remainder_that_is_more_than_noise_is_said() -> None:
-    result = identify([recorded(effects={"coulomb_friction": {"force": 0.2}})], default_valve())
+    result = identify([recorded(effects={"coulomb_friction": {"force": 0.2}})], EXACT_VALVE)
     assert ResidualNotWhite() in result.findings
 
 
 @pytest.mark.parametrize("name", [effect.name for effect in CATALOGUE.values() if effect.named])
 def test_any_parameter_of_an_effect_can_be_freed_alone(name: str) -> None:
-    plant = ValvePlant([one_opening()], default_valve())
+    plant = ValvePlant([one_opening()], EXACT_VALVE)
     declared = plant.predict({})
     for parameter in CATALOGUE[name].parameters:
         alone = f"{name}.{parameter.name}"
@@ -178,7 +180,7 @@ def test_any_parameter_of_an_effect_can_be_freed_alone(name: str) -> None:
 
 
 def test_a_bandwidth_freed_on_positions_without_a_filter_is_out_of_reach() -> None:
-    interval = identify([recorded()], default_valve(), ["sensor_bandwidth.cutoff_frequency"]).intervals[
+    interval = identify([recorded()], EXACT_VALVE, ["sensor_bandwidth.cutoff_frequency"]).intervals[
         "sensor_bandwidth.cutoff_frequency"
     ]
     assert interval.low > 1e4

@@ -79,7 +79,7 @@ def test_what_is_not_on_a_grid_has_no_step() -> None:
 
 def test_a_coarse_sensor_is_no_better_than_its_step() -> None:
     trace = recorded(Recorder(quantisation=5e-6))
-    channels = ValvePlant([trace], default_valve()).channels
+    channels = ValvePlant([trace], default_valve().exact()).channels
     noise = estimate_noise(channels)
     assert noise.step == pytest.approx(5e-6)
     assert noise.is_coarse
@@ -89,7 +89,7 @@ def test_a_coarse_sensor_is_no_better_than_its_step() -> None:
 
 def test_a_recording_shows_its_noise_at_rest() -> None:
     for recorder, colour in ((FINE, 0.0), (Recorder(quantisation=0.1e-6, colour=0.7), 0.7)):
-        channel = ValvePlant([recorded(recorder)], default_valve()).channels[0]
+        channel = ValvePlant([recorded(recorder)], default_valve().exact()).channels[0]
         noise = estimate_noise([channel])
         assert noise.sigma == pytest.approx(1e-6, rel=0.1)
         assert (noise.coefficients or (0.0,))[0] == pytest.approx(colour, abs=0.06)

@@ -20,12 +20,14 @@ from valve_sim.identification.reporting.interval_json import interval_json
 from valve_sim.model import CATALOGUE, DECLARED, SimulationError, Tolerances, Valve, simulate
 from valve_sim.traces import Signal, Trace
 
+EXACT_VALVE = default_valve().exact()
+
 BOTH = ("pilot_damping", "main_damping")
 
 
 @pytest.fixture(scope="module")
 def problem() -> Problem:
-    return Problem(ValvePlant([recorded()], default_valve()))
+    return Problem(ValvePlant([recorded()], EXACT_VALVE))
 
 
 def test_it_finds_the_optimum_that_scipy_finds(problem: Problem) -> None:
@@ -71,7 +73,7 @@ def test_profile_and_covariance_agree_where_the_data_hold_a_parameter(problem: P
 def test_a_bound_is_kept_and_named() -> None:
     """A valve without pilot damping, and a model that is too weak: less than none would fit best."""
     trace = recorded(pilot_damping=0.0, main_damping=4.0)
-    problem = Problem(ValvePlant([trace], default_valve().with_values(a0=2.95)))
+    problem = Problem(ValvePlant([trace], EXACT_VALVE.with_values(a0=2.95)))
     found = fit(problem, ("pilot_damping",), {}, nuisances=problem.plant.nuisances)
     assert found.values["pilot_damping"] == 0.0
     assert found.on_bound("pilot_damping") == "lower"
@@ -81,7 +83,7 @@ def test_a_bound_is_kept_and_named() -> None:
 
 def test_a_parameter_without_influence_stays_flat() -> None:
     """The current is not measured, so its scale moves nothing."""
-    problem = Problem(ValvePlant([one_opening()], default_valve()))
+    problem = Problem(ValvePlant([one_opening()], EXACT_VALVE))
     found = fit(problem, ("coil_resistance", "main_damping"), {}, nuisances=problem.plant.nuisances)
     assert found.stderr("coil_resistance") == math.inf
     assert found.correlation()[0, 1] == 0.0
@@ -89,7 +91,10 @@ def test_a_parameter_without_influence_stays_flat() -> None:
     assert interval.unbounded is Unbounded.FLAT_PROFILE
     lower, upper = internal_bounds(DECLARED["coil_resistance"])
     assert (interval.low, interval.high) == pytest.approx(
-        (from_internal(DECLARED["coil_resistance"], lower), from_internal(DECLARED["coil_resistance"], upper))
+        (
+            from_internal(DECLARED["coil_resistance"], lower),
+            from_internal(DECLARED["coil_resistance"], upper),
+        )
     )
 
 
@@ -97,7 +102,7 @@ def test_a_clock_offset_is_a_nuisance_with_a_prior() -> None:
     """Samples that are stamped 80 µs late move no damping."""
     trace = recorded()
     late = type(trace)(trace.source, trace.drive, trace.times + 80e-6, trace.pilot_position)
-    problem = Problem(ValvePlant([late], default_valve()))
+    problem = Problem(ValvePlant([late], EXACT_VALVE))
     found = fit(problem, BOTH, {}, nuisances=problem.plant.nuisances)
     assert found.values["clock_offset[0]"] == pytest.approx(80e-6, abs=1e-6)
     for name, truth in TRUTH.items():
@@ -109,7 +114,10 @@ def test_held_out_samples_take_no_part() -> None:
     spoiled = trace.pilot_position.copy()
     spoiled[trace.times > 0.25] += 1e-4
     broken = type(trace)(trace.source, trace.drive, trace.times, spoiled)
-    whole = Problem(ValvePlant([broken], default_valve()), noises=Problem(ValvePlant([trace], default_valve())).noises)
+    whole = Problem(
+        ValvePlant([broken], EXACT_VALVE),
+        noises=Problem(ValvePlant([trace], EXACT_VALVE)).noises,
+    )
     first = whole.restricted(lambda channel, group: group < 4)
     found = fit(first, BOTH, {}, nuisances=first.plant.nuisances)
     assert 0 < first.samples < whole.samples

@@ -28,6 +28,8 @@ from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import Drive
 from valve_sim.traces import Trace
 
+EXACT_VALVE = default_valve().exact()
+
 HEALTHY = {"pilot_damping": 1.3, "main_damping": 3.5}
 QUIET, BUSY = 0.05e-3, 5e-3
 """s: by how much commands come in here sooner or later than the valve obeys them."""
@@ -38,7 +40,7 @@ def watched(
     scatter: float, count: int, effects: Mapping[str, Mapping[str, float]] | None = None, commissioned: float = QUIET
 ) -> tuple[Monitor, list[StrokeReport]]:
     """A monitor commissioned with one scatter of commands, and its reports of `count` strokes with another."""
-    monitor = Monitor(default_valve(), refit=False)
+    monitor = Monitor(EXACT_VALVE, refit=False)
     valve = LiveValve(11, HEALTHY, rate=2e3, levels=(9.0, 12.0), jitter=commissioned)
     for _ in range(21):
         list(feed(monitor, valve.stroke()))
@@ -134,7 +136,7 @@ def stuck(segmenter: StrokeSegmenter, begin: float, hold: float, position: float
 
 @pytest.mark.parametrize("late", [0.0, 0.1])
 def test_a_short_stroke_is_believed_on_a_quiet_machine_and_on_a_busy_one_when_it_comes_again(late: float) -> None:
-    segmenter = StrokeSegmenter(default_valve(), MonitorSettings())
+    segmenter = StrokeSegmenter(EXACT_VALVE, MonitorSettings())
     records = [stuck(segmenter, float(number), 0.05, 0.0, late) for number in range(CONFIRMED)]
     said = [bool(record.fault) for record in records]
     assert said == ([True] * CONFIRMED if late == 0.0 else [False] * (CONFIRMED - 1) + [True])
@@ -144,7 +146,7 @@ def test_a_short_stroke_is_believed_on_a_quiet_machine_and_on_a_busy_one_when_it
 
 @pytest.mark.parametrize(("late", "is_said"), [(0.0, True), (0.3, False)])
 def test_a_valve_that_closes_late_is_in_time_where_samples_are_as_late(late: float, is_said: bool) -> None:
-    segmenter = StrokeSegmenter(default_valve(), MonitorSettings())
+    segmenter = StrokeSegmenter(EXACT_VALVE, MonitorSettings())
     segmenter.command(0.1, 9.0)
     for index, time in enumerate(np.arange(0.0, 1.0, 1e-3).tolist()):
         if index == 500:
@@ -157,7 +159,7 @@ def test_a_valve_that_closes_late_is_in_time_where_samples_are_as_late(late: flo
 
 def test_a_valve_that_obeys_before_its_command_comes_in_is_judged_from_its_rest_on() -> None:
     valve = LiveValve(3, HEALTHY, rate=2e3, levels=(9.0,), jitter=0.0)
-    monitor = Monitor(default_valve(), refit=False)
+    monitor = Monitor(EXACT_VALVE, refit=False)
     for _ in range(3):
         made = valve.stroke()
         reports = list(feed(monitor, made._replace(command_times=made.command_times + 0.008)))
@@ -187,13 +189,13 @@ def test_what_holds_zero_or_is_beyond_nature_is_no_finding(
     effect: str, name: str, value: float, low: float, high: float, is_one: bool
 ) -> None:
     trace = Trace("", Drive.of([0.0], [9.0]), np.linspace(0.0, 0.01, 50), np.zeros(50))
-    plant = ValvePlant([trace], default_valve())
+    plant = ValvePlant([trace], EXACT_VALVE)
     assert is_credible(effect, plant, {f"{effect}.{name}": Interval(value, 1.0, low, high)}) == is_one
 
 
 def test_a_valve_that_is_told_to_close_when_it_has_hardly_begun_to_open_is_not_judged() -> None:
     """Both commands were held up, the first one by more: the valve may or may not reach its stop."""
-    monitor = Monitor(default_valve(), MonitorSettings(commissioning_strokes=8), refit=False)
+    monitor = Monitor(EXACT_VALVE, MonitorSettings(commissioning_strokes=8), refit=False)
     valve = LiveValve(11, rate=2e3, levels=(9.0,), jitter=1e-3)
     made = valve.stroke(open_seconds=0.014)
     list(feed(monitor, made._replace(command_times=made.command_times - np.array([0.016, 0.0]))))

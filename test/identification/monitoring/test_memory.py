@@ -17,13 +17,15 @@ from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.monitoring.stroke_monitor import StrokeReport
 from valve_sim.model import ParameterError
 
+EXACT_VALVE = default_valve().exact()
+
 SETTINGS = MonitorSettings(commissioning_strokes=8)
 
 
 @pytest.fixture(scope="module")
 def monitor() -> Monitor:
     """Commissioned, with a current."""
-    monitor, valve = Monitor(default_valve(), SETTINGS, refit=False), LiveValve(4, rate=2e3, levels=(9.0, 12.0))
+    monitor, valve = Monitor(EXACT_VALVE, SETTINGS, refit=False), LiveValve(4, rate=2e3, levels=(9.0, 12.0))
     for _ in range(9):
         made = valve.stroke()
         list(feed(monitor, made, made.current))
@@ -45,15 +47,18 @@ def test_a_monitor_that_is_started_again_says_the_same(monitor: Monitor, tmp_pat
     assert kept is not None
     assert kept.baseline.current is not None
     path = tmp_path / "folder" / "state.json"
-    assert load_commissioning(path, default_valve()) is None
-    save_commissioning(path, kept, default_valve())
-    again = load_commissioning(path, default_valve())
+    assert load_commissioning(path, EXACT_VALVE) is None
+    save_commissioning(path, kept, EXACT_VALVE)
+    again = load_commissioning(path, EXACT_VALVE)
     assert again is not None
     assert again.baseline.valve == kept.baseline.valve
     np.testing.assert_array_equal(again.baseline.covariance, kept.baseline.covariance)
     assert again.score_baselines == kept.score_baselines
     assert (again.baseline.noise, again.baseline.current) == (kept.baseline.noise, kept.baseline.current)
-    first, second = Monitor(default_valve(), SETTINGS, refit=False), Monitor(default_valve(), SETTINGS, refit=False)
+    first, second = (
+        Monitor(EXACT_VALVE, SETTINGS, refit=False),
+        Monitor(EXACT_VALVE, SETTINGS, refit=False),
+    )
     first.stroke_monitor.use(kept)
     second.stroke_monitor.use(again)
     said = [report.scores for report in reports(first)]
@@ -66,8 +71,8 @@ def test_what_is_not_known_is_not_made_up(monitor: Monitor, tmp_path: Path) -> N
     kept = monitor.stroke_monitor.commissioning
     assert kept is not None
     path = tmp_path / "state.json"
-    save_commissioning(path, kept, default_valve())
-    again = load_commissioning(path, default_valve())
+    save_commissioning(path, kept, EXACT_VALVE)
+    again = load_commissioning(path, EXACT_VALVE)
     assert again is not None
     assert all(math.isnan(stroke.arrival_spread) for stroke in again.strokes)
     assert again.strokes[0].shifts == kept.strokes[0].shifts
@@ -77,7 +82,7 @@ def test_what_is_not_known_is_not_made_up(monitor: Monitor, tmp_path: Path) -> N
 def test_a_file_that_cannot_be_used_is_refused_in_one_line(monitor: Monitor, tmp_path: Path, damage: str) -> None:
     kept = monitor.stroke_monitor.commissioning
     assert kept is not None
-    path, valve = tmp_path / "state.json", default_valve()
+    path, valve = tmp_path / "state.json", EXACT_VALVE
     save_commissioning(path, kept, valve)
     text = path.read_text()
     found = json.loads(text)
@@ -104,7 +109,7 @@ def test_a_file_that_cannot_be_used_is_refused_in_one_line(monitor: Monitor, tmp
 
 
 def test_what_is_asked_to_commission_anew_forgets(monitor: Monitor) -> None:
-    fresh = Monitor(default_valve(), SETTINGS, refit=False)
+    fresh = Monitor(EXACT_VALVE, SETTINGS, refit=False)
     assert monitor.stroke_monitor.commissioning is not None
     fresh.stroke_monitor.use(monitor.stroke_monitor.commissioning)
     assert {report.state for report in reports(fresh)} == {"watching"}

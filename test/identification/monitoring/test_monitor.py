@@ -18,6 +18,8 @@ from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.monitoring.stroke_monitor import StrokeReport
 from valve_sim.identification.reporting.monitoring import stroke_json
 
+EXACT_VALVE = default_valve().exact()
+
 HEALTHY = {"pilot_damping": 1.3, "main_damping": 3.5}
 FIVE_LIMITS = 7.5e-3
 """N: five times the detection limit of Coulomb friction, 1.5 mN."""
@@ -33,7 +35,7 @@ def strokes(
 @pytest.fixture(scope="module")
 def commissioned() -> tuple[Monitor, LiveValve]:
     """A monitor that has seen 40 healthy strokes."""
-    monitor, valve = Monitor(default_valve()), LiveValve(7, HEALTHY, offset=200e-6)
+    monitor, valve = Monitor(EXACT_VALVE), LiveValve(7, HEALTHY, offset=200e-6)
     reports = strokes(monitor, valve, 41)
     assert [report.state for report in reports] == 20 * ["commissioning"] + 20 * ["watching"]
     return monitor, valve
@@ -54,7 +56,7 @@ def test_what_commissioning_finds_is_true(commissioned: tuple[Monitor, LiveValve
 
 @pytest.mark.parametrize(("colour", "rate"), [(0.7, 20e3), (0.0, 500.0)])
 def test_a_healthy_valve_raises_no_alarm(colour: float, rate: float) -> None:
-    monitor = Monitor(default_valve(), refit=False)
+    monitor = Monitor(EXACT_VALVE, refit=False)
     reports = strokes(monitor, LiveValve(3, HEALTHY, colour=colour, rate=rate, offset=-20e-6), 221)
     watched = [report for report in reports if report.state == "watching"]
     assert len(watched) == 200
@@ -87,7 +89,7 @@ def test_a_report_tells_the_stroke(commissioned: tuple[Monitor, LiveValve]) -> N
 @pytest.mark.parametrize("colour", [0.0, 0.7])
 def test_friction_of_five_limits_is_found_within_five_strokes(colour: float) -> None:
     for seed in range(3):
-        monitor, valve = Monitor(default_valve(), refit=False), LiveValve(seed, HEALTHY, colour=colour)
+        monitor, valve = Monitor(EXACT_VALVE, refit=False), LiveValve(seed, HEALTHY, colour=colour)
         strokes(monitor, valve, 31)
         assert monitor.stroke_monitor.alarms == 0
         strokes(monitor, valve, 5, {"coulomb_friction": {"force": FIVE_LIMITS}})
@@ -96,7 +98,7 @@ def test_friction_of_five_limits_is_found_within_five_strokes(colour: float) -> 
 
 
 def test_a_fault_is_isolated_soon_again_and_then_once_in_a_full_buffer() -> None:
-    monitor, valve = Monitor(default_valve(), refit=False), LiveValve(5, HEALTHY, jitter=0.0)
+    monitor, valve = Monitor(EXACT_VALVE, refit=False), LiveValve(5, HEALTHY, jitter=0.0)
     strokes(monitor, valve, 25)
     looked, sizes = [], []
     for index in range(60):
@@ -110,7 +112,7 @@ def test_a_fault_is_isolated_soon_again_and_then_once_in_a_full_buffer() -> None
 
 
 def test_friction_that_grows_is_named() -> None:
-    monitor, valve = Monitor(default_valve(), refit=False), LiveValve(5, HEALTHY, jitter=0.0)
+    monitor, valve = Monitor(EXACT_VALVE, refit=False), LiveValve(5, HEALTHY, jitter=0.0)
     strokes(monitor, valve, 25)
     for force in np.linspace(0.0, FIVE_LIMITS, 11)[1:]:
         strokes(monitor, valve, 1, {"coulomb_friction": {"force": float(force)}})
@@ -127,7 +129,7 @@ def test_friction_that_grows_is_named() -> None:
 
 
 def test_a_changed_damping_is_said_to_be_one() -> None:
-    monitor, valve = Monitor(default_valve(), refit=False), LiveValve(6, HEALTHY, jitter=0.0)
+    monitor, valve = Monitor(EXACT_VALVE, refit=False), LiveValve(6, HEALTHY, jitter=0.0)
     strokes(monitor, valve, 25)
     for _ in range(9):
         list(feed(monitor, valve.stroke(main_damping=4.2)))
@@ -142,7 +144,7 @@ def test_a_changed_damping_is_said_to_be_one() -> None:
 
 def test_with_the_current_a_weaker_coil_is_told_from_a_weaker_magnet() -> None:
     """A live current: stamped 2 ms late, by an ammeter that shows a fifth too much."""
-    monitor, valve = Monitor(default_valve(), refit=False), LiveValve(8, HEALTHY, jitter=0.0)
+    monitor, valve = Monitor(EXACT_VALVE, refit=False), LiveValve(8, HEALTHY, jitter=0.0)
     noise = np.random.default_rng(8)
 
     def stroke(effects: Mapping[str, Mapping[str, float]]) -> None:
@@ -166,7 +168,7 @@ def test_with_the_current_a_weaker_coil_is_told_from_a_weaker_magnet() -> None:
 
 
 def test_a_valve_that_does_not_open_is_an_error_at_once() -> None:
-    monitor, valve = Monitor(default_valve(), MonitorSettings(patience=10e-3)), LiveValve(1, HEALTHY)
+    monitor, valve = Monitor(EXACT_VALVE, MonitorSettings(patience=10e-3)), LiveValve(1, HEALTHY)
     strokes(monitor, valve, 3)
     stuck = valve.stroke(seat_load=100.0)
     reports, begin = [], float(stuck.command_times[0])
@@ -185,7 +187,7 @@ def test_a_valve_that_does_not_open_is_an_error_at_once() -> None:
 
 
 def test_a_valve_that_does_not_close_is_an_error() -> None:
-    segmenter, valve = StrokeSegmenter(default_valve(), MonitorSettings(patience=10e-3)), LiveValve(1, HEALTHY)
+    segmenter, valve = StrokeSegmenter(EXACT_VALVE, MonitorSettings(patience=10e-3)), LiveValve(1, HEALTHY)
     stroke = valve.stroke()
     held = np.where(stroke.times > stroke.command_times[1], 1.23e-3, stroke.position)
     commands = list(zip(stroke.command_times.tolist(), stroke.volts.tolist(), strict=True))
@@ -198,7 +200,7 @@ def test_a_valve_that_does_not_close_is_an_error() -> None:
 
 def test_commands_before_the_first_sample_are_reported_and_harm_nothing() -> None:
     """Strokes are commanded while the model is still being compiled, say."""
-    monitor = Monitor(default_valve())
+    monitor = Monitor(EXACT_VALVE)
     reports = []
     for time, volts in ((0.0, 9.0), (0.05, 0.0), (0.2, 9.0)):
         reports += monitor.command(time, volts)
@@ -208,7 +210,7 @@ def test_commands_before_the_first_sample_are_reported_and_harm_nothing() -> Non
 
 
 def test_a_stroke_that_does_not_begin_at_rest_is_not_judged() -> None:
-    segmenter = StrokeSegmenter(default_valve(), MonitorSettings(settle=0.01, patience=0.01))
+    segmenter = StrokeSegmenter(EXACT_VALVE, MonitorSettings(settle=0.01, patience=0.01))
     times = np.arange(0.0, 0.2, 1e-3)
     commands = [(0.02, 9.0), (0.05, 0.0), (0.0505, 9.0), (0.1, 0.0)]
     for time in times.tolist():
@@ -222,7 +224,7 @@ def test_a_stroke_that_does_not_begin_at_rest_is_not_judged() -> None:
 
 def test_memory_is_bounded() -> None:
     settings = MonitorSettings(settle=0.05)
-    segmenter = StrokeSegmenter(default_valve(), settings)
+    segmenter = StrokeSegmenter(EXACT_VALVE, settings)
     segmenter.command(0.0, 0.0)
     for time in np.arange(0.0, 30.0, 2e-3).tolist():
         segmenter.measure(time, 0.0)
@@ -231,13 +233,16 @@ def test_memory_is_bounded() -> None:
     for time in np.arange(30.002, 90.0, 2e-3).tolist():
         segmenter.measure(time, 1.23e-3)
     assert segmenter.kept < (2.0 * LEAD + 0.2) / 2e-3
-    monitor, valve = Monitor(default_valve(), MonitorSettings(diagnosis_strokes=4), refit=False), LiveValve(2, HEALTHY)
+    monitor, valve = (
+        Monitor(EXACT_VALVE, MonitorSettings(diagnosis_strokes=4), refit=False),
+        LiveValve(2, HEALTHY),
+    )
     strokes(monitor, valve, 27)
     assert len(monitor.stroke_monitor.evidence()) <= 4
 
 
 def test_bad_samples_and_commands_are_counted_and_harm_nothing() -> None:
-    segmenter = StrokeSegmenter(default_valve(), MonitorSettings())
+    segmenter = StrokeSegmenter(EXACT_VALVE, MonitorSettings())
     assert segmenter.measure(0.0, 0.0) is not None
     assert segmenter.measure(0.001, math.nan) is None
     assert segmenter.measure(math.inf, 0.0) is None

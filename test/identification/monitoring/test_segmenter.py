@@ -15,8 +15,10 @@ from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.model import Drive
 from valve_sim.traces import command_strokes, stroke_starts
 
+EXACT_VALVE = default_valve().exact()
+
 Commands = Sequence[tuple[float, float]]
-VALVE = default_valve()
+VALVE = EXACT_VALVE
 NEXT = 0.2
 """s after the last command, at which another stroke begins and ends the one before, which may still be closing."""
 

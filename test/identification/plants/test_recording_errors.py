@@ -56,7 +56,7 @@ def test_95_percent_intervals_hold_the_truth_as_often_as_they_say(
     errors, held = [], []
     for seed in range(1000, 1000 + RECORDINGS):
         trace = bench(tmp_path, seed, quantity, noise=noise, step=step, current=current)
-        intervals = identify([trace], default_valve()).intervals
+        intervals = identify([trace], default_valve().exact()).intervals
         errors.append([intervals[name].value - truth for name, truth in TRUTH.items()])
         held.append([intervals[name].low <= truth <= intervals[name].high for name, truth in TRUTH.items()])
     share, off_by = np.mean(held, axis=0), np.array(errors)
@@ -70,7 +70,7 @@ def test_commands_of_one_reading_share_its_error_and_others_have_their_own() -> 
     errors = DriveErrors(np.array([0.0, 1e-5, 1e-5, 1e-5, 1e-5, 1e-5]), 1e-3 * (volts > 0.0))
     samples = np.linspace(0.0, 0.12, 200)
     trace = Trace("made", Drive(times, volts), samples, np.zeros(200), drive_errors=errors, zero_error=1e-5)
-    plant = ValvePlant([trace], default_valve())
+    plant = ValvePlant([trace], default_valve().exact())
     names = [nuisance.name for nuisance in plant.nuisances]
     dates = [f"command_error[0,{command}]" for command in range(1, 6)]
     assert names == ["clock_offset[0]", "position_zero[0]", *dates, "voltage_error[0,1]", "voltage_error[0,5]"]

@@ -66,7 +66,7 @@ def browse(page: Path, folder: Path, *settings: str) -> subprocess.CompletedProc
 def diagnosis() -> Diagnosis:
     friction = {"coulomb_friction": {"force": 0.1}}
     trace, other = recorded(seed=1, effects=friction), recorded(seed=2, effects=friction)
-    return diagnose([trace], [other], default_valve())
+    return diagnose([trace], [other], default_valve().exact())
 
 
 @pytest.fixture

@@ -28,7 +28,7 @@ UNITS = sorted({parameter.unit for entry in CATALOGUE.values() for parameter in 
 
 @pytest.fixture(scope="module")
 def diagnosis() -> Diagnosis:
-    return diagnose([recorded(effects={"coulomb_friction": {"force": 0.1}})], [], default_valve())
+    return diagnose([recorded(effects={"coulomb_friction": {"force": 0.1}})], [], default_valve().exact())
 
 
 @pytest.mark.parametrize(

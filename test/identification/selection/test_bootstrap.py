@@ -23,7 +23,7 @@ LINEAR = ("coulomb_friction", "constant_force", "drive_gain", "eddy_lag", "gap_o
 def problem(
     effects: dict[str, dict[str, float]], recorder: Recorder, seed: int, *, take_for_white: bool = False
 ) -> Problem:
-    plant = ValvePlant([recorded(recorder, seed=seed, effects=effects)], default_valve())
+    plant = ValvePlant([recorded(recorder, seed=seed, effects=effects)], default_valve().exact())
     if not take_for_white:
         return Problem(plant)
     noise = Problem(plant).noises["position"]

@@ -14,6 +14,8 @@ from valve_sim.identification.validation.replay import validate
 from valve_sim.model import Drive, ValveError
 from valve_sim.traces import Trace
 
+EXACT_VALVE = default_valve().exact()
+
 
 def measured(seed: int = 3, **changes: float) -> Recording:
     """Eight strokes of the independent plant, 20 kHz, 1 µm noise."""
@@ -36,7 +38,7 @@ def trace() -> Trace:
 
 
 def test_declared_valve_passes_at_three_times_the_noise(trace: Trace):
-    result = validate([trace], default_valve())
+    result = validate([trace], EXACT_VALVE)
     replay = result.replays[0]
     assert result.passed
     assert replay.noise == pytest.approx(1e-6, rel=0.05)
@@ -47,7 +49,7 @@ def test_declared_valve_passes_at_three_times_the_noise(trace: Trace):
 
 @pytest.mark.parametrize("change", [{"main_damping": 4.8}, {"main_damping": 3.2}, {"a0": 3.2}, {"stroke": 1.235e-3}])
 def test_another_valve_fails_in_most_openings(trace: Trace, change: dict[str, float]):
-    result = validate([trace], default_valve().with_values(**change))
+    result = validate([trace], EXACT_VALVE.with_values(**change))
     openings = [stroke for stroke in result.replays[0].strokes if stroke.name.startswith("opening")]
     outside = [stroke for stroke in openings if stroke.errors.judged > result.replays[0].tolerance]
     assert not result.passed
@@ -64,32 +66,30 @@ def test_a_long_rest_does_not_hide_a_wrong_motion(trace: Trace):
         pilot_position=np.concatenate([trace.pilot_position, noise[0]]),
         main_position=np.concatenate([trace.main_position, noise[1]]),
     )
-    result = validate([padded], default_valve().with_values(main_damping=4.8))
+    result = validate([padded], EXACT_VALVE.with_values(main_damping=4.8))
     last = result.replays[0].strokes[-1]
     assert last.errors.rmse < result.replays[0].tolerance < last.errors.moving_rmse
     assert not result.passed
 
 
 def test_clock_offset_within_its_prior_is_estimated_and_forgiven():
-    result = validate([as_trace(measured(clock_offset=-60e-6))], default_valve())
+    result = validate([as_trace(measured(clock_offset=-60e-6))], EXACT_VALVE)
     assert result.passed
     assert result.replays[0].clock_offset == pytest.approx(60e-6, abs=2e-6)
 
 
 def test_clock_offset_far_beyond_its_prior_is_not_forgiven():
-    assert not validate([as_trace(measured(clock_offset=-5e-3))], default_valve()).passed
+    assert not validate([as_trace(measured(clock_offset=-5e-3))], EXACT_VALVE).passed
 
 
 def test_command_jitter_is_forgiven_only_on_request():
     jittered = as_trace(measured(command_jitter=50e-6))
-    assert not validate([jittered], default_valve()).passed
-    assert validate([jittered], default_valve(), command_jitter=True).passed
+    assert not validate([jittered], EXACT_VALVE).passed
+    assert validate([jittered], EXACT_VALVE, command_jitter=True).passed
 
 
 def test_arrivals_agree_with_the_model_within_their_error(trace: Trace):
-    arrivals = [
-        arrival for stroke in validate([trace], default_valve()).replays[0].strokes for arrival in stroke.arrivals
-    ]
+    arrivals = [arrival for stroke in validate([trace], EXACT_VALVE).replays[0].strokes for arrival in stroke.arrivals]
     kinds = {arrival.kind for arrival in arrivals}
     assert kinds == {"pilot_reaches_main", "reaches_stop", "main_seats", "reaches_seat"}
     deviations = [(arrival.measured - arrival.model) / arrival.uncertainty for arrival in arrivals]
@@ -97,19 +97,19 @@ def test_arrivals_agree_with_the_model_within_their_error(trace: Trace):
 
 
 def test_tolerance_decides(trace: Trace):
-    assert validate([trace], default_valve(), 2e-6).passed
-    assert not validate([trace], default_valve(), 0.5e-6).passed
+    assert validate([trace], EXACT_VALVE, 2e-6).passed
+    assert not validate([trace], EXACT_VALVE, 0.5e-6).passed
 
 
 @pytest.mark.parametrize("tolerance", [0.0, -1e-6, np.nan, np.inf])
 def test_tolerance_without_sense_is_refused(trace: Trace, tolerance: float):
     with pytest.raises(ValveError, match="--tolerance-um"):
-        validate([trace], default_valve(), tolerance)
+        validate([trace], EXACT_VALVE, tolerance)
 
 
 def test_junit_has_a_case_for_each_stroke_and_counts_failures(trace: Trace):
-    good = validate([trace], default_valve())
-    bad = validate([trace, trace], default_valve().with_values(main_damping=4.8))
+    good = validate([trace], EXACT_VALVE)
+    bad = validate([trace, trace], EXACT_VALVE.with_values(main_damping=4.8))
     for result, suites in ((good, 1), (bad, 2)):
         root = ElementTree.fromstring(validation_junit(result).encode())
         assert [suite.tag for suite in root] == ["testsuite"] * suites
@@ -122,7 +122,7 @@ def test_junit_has_a_case_for_each_stroke_and_counts_failures(trace: Trace):
 
 
 def test_report_and_text_say_the_same(trace: Trace):
-    result = validate([trace], default_valve().with_values(main_damping=4.8))
+    result = validate([trace], EXACT_VALVE.with_values(main_damping=4.8))
     report = validation_json(result)
     assert report["passed"] is False
     text = validation_text(result)

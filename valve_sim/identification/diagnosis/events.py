@@ -11,7 +11,7 @@ import itertools
 import math
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -24,7 +24,7 @@ from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.event_table import EventPlant, EventTable, reached
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.identification.selection.hypotheses import Hypothesis, Search
-from valve_sim.model import CATALOGUE, Drive, EventKind, ParameterError, Response, Valve, simulate
+from valve_sim.model import CATALOGUE, Drive, EventKind, ParameterError, Response, Tolerances, Valve, simulate
 
 Progress = Callable[[str, float], None]
 
@@ -33,6 +33,10 @@ PULLS: Final = ("rest_attraction.force", "coil_lag.time_constant")
 """What is fitted at each pair of dampings, to draw the region in all four."""
 DAMPING_AXIS: Final = np.concatenate([[0.0], np.logspace(-1.0, 3.0, 33)])
 """N·s/m: 0, and 0.1 to 1000 in steps of a third."""
+SHARE: Final = 1e-3
+"""Of a value, by which it is moved for a difference quotient."""
+COVARIANCE_DIGITS: Final = 6
+"""Significant digits of a variance in the parameter file."""
 ROUNDED: Final = 5
 """Significant digits that go into the parameter file: far finer than any table's uncertainty."""
 CLOSE: Final = 1e-5
@@ -119,6 +123,8 @@ class EventDiagnosis:
     Attributes:
         declared: the declared valve as it stands. singles, pairs: best first, only those in which an event happens.
         shipped: the candidate whose values go into the parameter file, rounded. valve: the valve with them.
+        standard_errors: of these values by the table's uncertainties, the dampings taken as declared; they are
+            tolerances of the valve, where the declared one has any.
         largest_attraction: N, of that valve while it opens.
         region: what fits equally well. questions: most telling first.
     """
@@ -128,6 +134,7 @@ class EventDiagnosis:
     singles: tuple[Candidate, ...]
     pairs: tuple[Candidate, ...]
     shipped: Candidate
+    standard_errors: Mapping[str, float]
     valve: Valve
     largest_attraction: float
     region: Region
@@ -159,14 +166,14 @@ def diagnose_events(table: EventTable, progress: Progress | None = None) -> Even
     for index, pair in enumerate(itertools.combinations(names, 2)):
         say(" + ".join(pair), 0.3 * index / (len(names) * (len(names) - 1) / 2))
         pairs.append(_candidate(plant, search, pair))
-    shipped, valve = _shipped(plant, _candidate(plant, search, table.ship))
+    shipped, errors, valve = _shipped(plant, _candidate(plant, search, table.ship))
     say("what stays open", 0.3)
     region = _region(plant, lambda fraction: say("what stays open", 0.3 + 0.6 * fraction))
     say("what would decide", 0.95)
     response = simulate(valve, table.drive, np.arange(0.0, table.horizon, 1e-5))
     return EventDiagnosis(
-        table, declared, _happening(singles), _happening(pairs), shipped, valve, float(np.max(response.attraction)),
-        region, _questions(plant, region),
+        table, declared, _happening(singles), _happening(pairs), shipped, errors, valve,
+        float(np.max(response.attraction)), region, _questions(plant, region),
     )  # fmt: skip
 
 
@@ -204,8 +211,8 @@ def _happening(candidates: Sequence[Candidate]) -> tuple[Candidate, ...]:
     return tuple(sorted((c for c in candidates if not any(map(math.isnan, c.times))), key=lambda c: c.chi2))
 
 
-def _shipped(plant: EventPlant, candidate: Candidate) -> tuple[Candidate, Valve]:
-    """The candidate with rounded values, and the declared valve with them folded in.
+def _shipped(plant: EventPlant, candidate: Candidate) -> tuple[Candidate, dict[str, float], Valve]:
+    """The candidate with rounded values, their standard errors, and the declared valve with both folded in.
 
     Raises:
         ParameterError: it does not close the table, or is more than another declared value.
@@ -221,7 +228,35 @@ def _shipped(plant: EventPlant, candidate: Candidate) -> tuple[Candidate, Valve]
     rounded = {name: float(f"{value:.{ROUNDED}g}") for name, value in _refined(plant, candidate.values).items()}
     declared = plant.table.valve.declared()
     values = {folded[name][1]: declared[folded[name][1]] + value for name, value in rounded.items()}
-    return _as_candidate(plant, candidate.effects, rounded), plant.table.valve.with_values(**values)
+    errors = _standard_errors(plant, rounded)
+    valve = plant.table.valve.with_values(**values)
+    tolerances = _calibrated(valve.tolerances, {folded[name][1]: error for name, error in errors.items()})
+    return _as_candidate(plant, candidate.effects, rounded), errors, replace(valve, tolerances=tolerances)
+
+
+def _standard_errors(plant: EventPlant, values: Mapping[str, float]) -> dict[str, float]:
+    """Of values that meet the events, by the uncertainties of these, to two digits."""
+    problem = event_problem(plant)
+    columns = []
+    for name, value in values.items():
+        above, below = (problem.residuals({**values, name: value * factor}) for factor in (1.0 + SHARE, 1.0 - SHARE))
+        columns.append((above - below) / (2.0 * SHARE * value))
+    sigmas = np.sqrt(np.diag(np.linalg.inv(np.transpose(columns).T @ np.transpose(columns))))
+    return {name: float(f"{sigma:.2g}") for name, sigma in zip(values, sigmas, strict=True)}
+
+
+def _calibrated(tolerances: Tolerances, errors: Mapping[str, float]) -> Tolerances:
+    """With the standard errors of calibrated scalars; that of a0 adds to what is known of the attraction.
+
+    A file without tolerances stays exact.
+    """
+    if tolerances.is_exact:
+        return tolerances
+    scalars = {name: error for name, error in errors.items() if name != "a0"}
+    matrix = np.array(tolerances.attraction_covariance or np.zeros((4, 4)))
+    matrix[0, 0] = float(f"{matrix[0, 0] + errors.get('a0', 0.0) ** 2:.{COVARIANCE_DIGITS}g}")
+    covariance = tuple(tuple(row) for row in matrix.tolist()) if matrix.any() else None
+    return replace(tolerances, declared={**tolerances.declared, **scalars}, attraction_covariance=covariance)
 
 
 def _refined(plant: EventPlant, values: Mapping[str, float]) -> dict[str, float]:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -34,7 +34,6 @@ from valve_sim.identification.plants.protocol import (
 from valve_sim.identification.plants.valve_model import ValveModel
 from valve_sim.model import (
     CATALOGUE,
-    EXACT,
     Drive,
     Parameter,
     ParameterError,
@@ -154,7 +153,7 @@ class EventPlant:
 
     def __init__(self, table: EventTable) -> None:
         self.table = table
-        self._model = ValveModel(replace(table.valve, tolerances=EXACT))
+        self._model = ValveModel(table.valve.exact())
         self._grid = np.arange(0.0, table.horizon, GRID)
         # Each event is a channel of a kind of its own, because each has an uncertainty of its own.
         self._channels = [

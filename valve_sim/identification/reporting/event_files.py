@@ -7,10 +7,16 @@ from pathlib import Path
 
 from valve_sim.files.json_text import json_text
 from valve_sim.files.whole_files import write_whole
-from valve_sim.identification.diagnosis.events import ROUNDED, EventDiagnosis, declared_counterparts
+from valve_sim.identification.diagnosis.events import (
+    COVARIANCE_DIGITS,
+    ROUNDED,
+    EventDiagnosis,
+    declared_counterparts,
+)
 from valve_sim.identification.reporting.event_figures import plot_event_diagnosis
 from valve_sim.identification.reporting.event_report import event_json
 from valve_sim.model import ParameterError
+from valve_sim.model.tolerances import COVARIANCE_NAME
 
 
 def write_event_report(result: EventDiagnosis, folder: Path) -> tuple[Path, ...]:
@@ -42,7 +48,27 @@ def write_valve(path: Path, result: EventDiagnosis) -> None:
         key, scalar = folded[name]
         value = f"{values[scalar]:.{ROUNDED}g}"
         body = _replaced(body, key, value, result.table.source, str(result.table.valve_file))
+    if not result.valve.tolerances.is_exact:
+        body = _with_tolerances(body, result)
     write_whole(path, _header(result) + body)
+
+
+def _with_tolerances(body: str, result: EventDiagnosis) -> str:
+    """The tolerances of the values in place, below `tolerances:` on a line of its own."""
+    source = str(result.table.valve_file)
+    match = re.search(r"^ *tolerances:", body, re.MULTILINE)
+    if match is None:
+        raise ParameterError(f"{source}: tolerances: found no line of its own, expected 'tolerances:'")
+    before, below = body[: match.start()], body[match.start() :]
+    tolerances, folded = result.valve.tolerances, declared_counterparts()
+    for name in result.shipped.values:
+        scalar = folded[name][1]
+        if scalar != "a0":
+            below = _replaced(below, scalar, f"{tolerances.declared[scalar]:g}", result.table.source, source)
+        elif tolerances.attraction_covariance is not None:
+            variance = f"{tolerances.attraction_covariance[0][0]:.{COVARIANCE_DIGITS}g}"
+            below = _replaced(below, COVARIANCE_NAME, variance, result.table.source, source)
+    return before + below
 
 
 def _replaced(body: str, key: str, value: str, table: str, source: str) -> str:

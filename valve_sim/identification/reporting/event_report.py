@@ -19,7 +19,7 @@ def event_json(result: EventDiagnosis) -> dict[str, Any]:
         "events": [vars(event) for event in result.table.events],
         "verdict": {"kind": "insufficient", "summary": _summary(result)},
         "before": _candidate_json(result, result.declared),
-        "after": _candidate_json(result, result.shipped),
+        "after": {**_candidate_json(result, result.shipped), "standard_errors": dict(result.standard_errors)},
         "candidates": [_candidate_json(result, entry) for entry in (*result.singles, *result.pairs)],
         "largest_attraction_n": {"predicted": result.largest_attraction, "measured": result.table.largest_attraction},
         "intervals": {
