@@ -142,6 +142,19 @@ def test_it_says_what_would_decide(diagnosis):
     assert "what would decide" in event_text(diagnosis)
 
 
+def test_the_closing_time_covers_valves_that_touch_their_seat_and_lift_off_it(diagnosis):
+    """A strong pull at rest holds heavily damped ones, which take longest, just off their seat."""
+    (closing,) = (question for question in diagnosis.questions if question.name.startswith("closing time"))
+    assert (closing.lowest, closing.highest) == pytest.approx((11.74, 23.02), abs=0.01)
+
+
+def test_the_page_on_the_paper_lists_what_would_decide(diagnosis):
+    page = (CONFIG.parent / "docs" / "theory" / "paper.md").read_text()
+    rows = [line for line in page.splitlines() if line.startswith("| ") and line.count("|") == 5]
+    listed = [int(cells[4]) for row in rows if (cells := [cell.strip() for cell in row.split("|")])[4].isdigit()]
+    assert listed == [pytest.approx(question.power, abs=0.51) for question in diagnosis.questions]
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
