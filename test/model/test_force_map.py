@@ -75,6 +75,17 @@ def test_each_variable_has_its_factor(variable: str, place: tuple[float, ...], f
     assert force_map(*place, numbers(variable)) == pytest.approx(expected, abs=1e-14)
 
 
+@pytest.mark.parametrize("place", [-3.3, 0.0, 0.31, 7.9])
+def test_a_periodic_curve_repeats_itself_without_a_seam(place: float) -> None:
+    repeated = numbers("x, periodic")
+    here, again = (force_map(place + shift, 0.0, 0.0, 0.0, repeated) for shift in (0.0, HIGH - LOW))
+    assert here == pytest.approx(again, abs=1e-12)
+    expected = basis(np.array([place]), LOW, HIGH, COUNT, periodic=True) @ COEFFICIENTS
+    assert here == pytest.approx(float(expected[0]), abs=1e-12)
+    before, after = (force_map(HIGH + side, 0.0, 0.0, 0.0, repeated) for side in (-1e-7, 1e-7))
+    assert before == pytest.approx(after, abs=1e-5)
+
+
 def test_beyond_the_data_the_curve_is_constant() -> None:
     first, last = (force_map(x, 0.0, 0.0, 0.0, numbers("x")) for x in (LOW, HIGH))
     assert force_map(LOW - 5.0, 0.0, 0.0, 0.0, numbers("x")) == first

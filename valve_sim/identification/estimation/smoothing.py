@@ -52,16 +52,18 @@ class Smoothness:
     Attributes:
         names: of the coefficients, in order; all are freed. least: value of each.
         weights: λ, 1/N² or (m/(N·s))², evenly spaced along the curve.
+        repeats: whether the first coefficient follows the last.
     """
 
     names: tuple[str, ...]
     least: float
     weights: tuple[float, ...] = (FIRST_WEIGHT,) * HATS
+    repeats: bool = False
 
     @property
     def precision(self) -> Array:
         """(K, K) S."""
-        return _precision(len(self.names), np.array(self.weights))
+        return _Roughness.of(len(self.names), repeats=self.repeats).precision(np.array(self.weights))
 
     def chosen(
         self, information: Array, gradient: Array, at: Array, where: NDArray[np.int64], inflation: float
@@ -72,7 +74,8 @@ class Smoothness:
             information: (m, m) A of all that is fitted, without S. gradient: (m,) half of that of χ² where the fit is.
             at: (m,) where the fit is. where: (K,) indices of the coefficients among them. inflation: f.
         """
-        curve = _Quadratic.of(information, gradient, at, where, inflation)
+        roughness = _Roughness.of(len(where), repeats=self.repeats)
+        curve = _Quadratic.of(information, gradient, at, where, inflation, roughness)
         is_held = (at[where] <= self.least) & (gradient[where] > 0.0)
         curve = curve._replace(information=curve.information + np.diag(np.where(is_held, HELD, 0.0)))
         common = np.full(HATS, min(WEIGHTS, key=lambda weight: curve.criterion(np.full(HATS, weight))))
@@ -93,36 +96,64 @@ def _settled(curve: _Quadratic, weights: Array) -> Array:
     return weights
 
 
+class _Roughness(NamedTuple):
+    """Second differences D (d, K) of a curve's coefficients, and hat functions H (d, HATS) along them."""
+
+    differences: Array
+    hats: Array
+
+    @classmethod
+    @functools.cache
+    def of(cls, count: int, *, repeats: bool) -> _Roughness:
+        if repeats:
+            differences = np.roll(np.eye(count), -1, axis=1) - 2.0 * np.eye(count) + np.roll(np.eye(count), 1, axis=1)
+            # A curve that repeats itself has no place of its own where it would be rougher.
+            return cls(differences, np.full((count, HATS), 1.0 / HATS))
+        at = np.linspace(0.0, HATS - 1.0, count - 2)
+        hats = np.maximum(0.0, 1.0 - np.abs(at[:, None] - np.arange(HATS)))
+        return cls(np.diff(np.eye(count), 2, axis=0), hats)
+
+    def precision(self, weights: Array) -> Array:
+        """(K, K) S: theory, eq. (72)."""
+        rows = self.hats @ weights
+        scaled = self.differences * rows[:, None]
+        return np.asarray(self.differences.T @ scaled + RIDGE * np.eye(self.differences.shape[1]))
+
+
 class _Quadratic(NamedTuple):
     """χ²/f of a linearised fit as a function of a curve's coefficients, all else at its best: cᵀ A c − 2 tᵀ c."""
 
     information: Array
     target: Array
+    roughness: _Roughness
 
     @classmethod
     def of(
-        cls, information: Array, gradient: Array, at: Array, where: NDArray[np.int64], inflation: float
-    ) -> _Quadratic:
+        cls, information: Array, gradient: Array, at: Array, where: NDArray[np.int64], inflation: float,
+        roughness: _Roughness,
+    ) -> _Quadratic:  # fmt: skip
         rest = np.setdiff1d(np.arange(len(at)), where)
         mixed = information[np.ix_(where, rest)]
         right = np.column_stack([mixed.T, gradient[rest]])
         solved = np.linalg.lstsq(information[np.ix_(rest, rest)], right, rcond=1e-13)[0]
         own = information[np.ix_(where, where)] - mixed @ solved[:, :-1]
         slope = gradient[where] - mixed @ solved[:, -1]
-        return cls(own / inflation, (own @ at[where] - slope) / inflation)
+        return cls(own / inflation, (own @ at[where] - slope) / inflation, roughness)
 
     def criterion(self, weights: Array) -> float:
         """R but for a constant."""
         normal, scale = self._normal(weights)
         _, volume = np.linalg.slogdet(normal)
         fitted = float(self.target * scale @ np.linalg.solve(normal, scale * self.target))
-        rows = _hats(len(self.target)) @ weights
-        return -fitted + float(volume) - 2.0 * float(np.sum(np.log(scale))) - float(np.sum(np.log(rows)))
+        rows = self.roughness.hats @ weights
+        # Of second differences that go around, one follows from the others.
+        rank = len(self.target) - 1 if len(rows) == len(self.target) else len(rows)
+        certain = float(np.mean(np.log(rows))) * rank
+        return -fitted + float(volume) - 2.0 * float(np.sum(np.log(scale))) - certain
 
     def updated(self, weights: Array) -> Array:
         """Weights of a smaller R: theory, eq. (74)."""
-        count = len(self.target)
-        hats, differences = _hats(count), np.diff(np.eye(count), 2, axis=0)
+        differences, hats = self.roughness
         normal, scale = self._normal(weights)
         variances = np.linalg.inv(normal) * np.outer(scale, scale)
         bends = differences @ variances @ self.target
@@ -131,19 +162,6 @@ class _Quadratic(NamedTuple):
 
     def _normal(self, weights: Array) -> tuple[Array, Array]:
         """A + S scaled to a unit diagonal, and the scale."""
-        normal = self.information + _precision(len(self.target), weights)
+        normal = self.information + self.roughness.precision(weights)
         scale = 1.0 / np.sqrt(np.diag(normal))
         return normal * np.outer(scale, scale), scale
-
-
-def _precision(count: int, weights: Array) -> Array:
-    differences = np.diff(np.eye(count), 2, axis=0)
-    rows = _hats(count) @ weights
-    return np.asarray(differences.T @ (differences * rows[:, None]) + RIDGE * np.eye(count))
-
-
-@functools.cache
-def _hats(count: int) -> Array:
-    """(K − 2, HATS) hat functions along the second differences; the rows add up to 1."""
-    at = np.linspace(0.0, HATS - 1.0, count - 2)
-    return np.maximum(0.0, 1.0 - np.abs(at[:, None] - np.arange(HATS)))

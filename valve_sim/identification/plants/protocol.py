@@ -97,6 +97,8 @@ class ForceMap:
         count: name of the value that says how many coefficients there are.
         least: value that no coefficient may fall below.
         only: index of the only coefficient that is free, or None: all are.
+        end: of a curve that repeats itself, name of the value that says where a period that begins at `low` ends. Its
+            range is then that of the data, and the period is looked for. Empty: it does not repeat itself.
     """
 
     variable: str
@@ -108,6 +110,7 @@ class ForceMap:
     count: str
     least: float = -math.inf
     only: int | None = None
+    end: str = ""
 
     @property
     def free(self) -> tuple[str, ...]:
@@ -122,6 +125,10 @@ class ForceMap:
             self.count: float(len(self.coefficients)),
             **{name: 0.0 for name in self.coefficients if name not in self.free},
         }
+
+    def with_period(self, period: float) -> ForceMap:
+        """The same over one period, of a curve that repeats itself."""
+        return replace(self, high=self.low + period, fixed={**self.fixed, self.end: self.low + period})
 
     def at_one_place(self, places: int) -> list[ForceMap]:
         """Forces that act at one place alone: a single B-spline around each of so many places from low to high."""

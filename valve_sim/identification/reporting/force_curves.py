@@ -23,7 +23,7 @@ from valve_sim.identification.plants.root_mean_square import root_mean_square
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.selection.force_maps import Unexplained
 from valve_sim.model import simulate
-from valve_sim.model.effects import is_damping
+from valve_sim.model.effects import is_damping, is_periodic
 
 MOVES: Final = 0.02
 """Share of the fastest speed from which on the machine counts as moving."""
@@ -111,6 +111,8 @@ def force_curve(entry: Unexplained, motion: Motion) -> ForceCurve:
     """A force map without what the data did not visit; whole where nothing is known of the motion."""
     drawn, shown = np.array(entry.at), np.array(entry.force)
     samples, factor = _visits(entry.variable, motion)
+    if is_periodic(entry.variable):
+        samples = drawn[0] + np.mod(samples - drawn[0], drawn[-1] - drawn[0])
     is_known = len(motion.position) > 0
     seen = _near(drawn, samples) if is_known else np.ones(len(drawn), bool)
     acting = np.interp(samples, drawn, shown) * factor if is_known else shown

@@ -44,7 +44,11 @@ SHOWN_STROKES: Final = 6
 FIRST_STROKES: Final = 2
 """So many stay with their heading on paper."""
 PICTURED_STROKES: Final = 3
-_FACTOR_WORDS: Final = {"·v": ", times velocity", "·u²": ", with the current squared"}
+_FACTOR_WORDS: Final = {
+    ", periodic": ", over one period",
+    "·v": ", times velocity",
+    "·u²": ", with the current squared",
+}
 SHOWN_CANDIDATES: Final = 8
 _SMALLEST_PROBABILITY: Final = 1e-6
 """Below it a p-value says nothing more."""

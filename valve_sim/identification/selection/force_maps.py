@@ -6,6 +6,7 @@ A curve has many B-splines, and a penalty on its second differences whose weight
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,12 +22,15 @@ from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Array, ForceMap, Nuisance
 from valve_sim.identification.plants.root_mean_square import root_mean_square
 from valve_sim.identification.selection.hypotheses import Hypothesis, Search
+from valve_sim.identification.selection.periods import likely_periods
 from valve_sim.identification.selection.residual_tests import adequacy
 from valve_sim.model import SimulationError
 from valve_sim.model.effects import basis
 
 PLACES: Final = 8
 """Over so many places of the stroke a force at one of them alone is tried."""
+PERIOD_STEP: Final = 0.01
+"""Step of a difference quotient, in standard deviations of a period."""
 POINTS_AN_INTERVAL: Final = 4
 """Points between two knots of a curve in reports."""
 
@@ -65,31 +69,73 @@ def fit_maps(search: Search, base: Fit) -> list[NonparametricFit]:
     behind in every stroke is easily taken for a force over time.
     """
     plant = base.problem.plant
-    found = _fitted_maps(search, base, base.nuisances)
+    found = _fitted_maps(search, base)
     is_timed = set(plant.timing_errors) <= set(base.nuisances)
     if found and not is_timed and not any(adequacy(entry.fit).is_white for entry in found):
-        found += _fitted_maps(search, base, (*base.nuisances, *plant.timing_errors))
+        with contextlib.suppress(OutOfTimeError, SimulationError):
+            found += _fitted_maps(search, _with_timing(base))
     return sorted(found, key=lambda entry: entry.fit.score)
 
 
-def _fitted_maps(search: Search, base: Fit, nuisances: Sequence[Nuisance]) -> list[NonparametricFit]:
-    estimated = {*base.free, *(nuisance.name for nuisance in nuisances)}
-    others = {name: value for name, value in base.values.items() if name not in estimated}
+def _with_timing(base: Fit) -> Fit:
+    """The same model with errors of the commands' stamps estimated along."""
+    nuisances = (*base.nuisances, *base.problem.plant.timing_errors)
+    return fit(base.problem, base.free, base.values, nuisances=nuisances, fixed=_held(base))
+
+
+def _held(base: Fit) -> dict[str, float]:
+    """What a fit holds."""
+    estimated = {*base.free, *(nuisance.name for nuisance in base.nuisances)}
+    return {name: value for name, value in base.values.items() if name not in estimated}
+
+
+def _fitted_maps(search: Search, base: Fit) -> list[NonparametricFit]:
+    """Every force map beside what a fit estimates."""
 
     def fitted(choice: ForceMap) -> list[NonparametricFit]:
-        free, fixed = (*base.free, *choice.free), {**others, **choice.held}
         try:
-            held = fit(base.problem, free, base.values, nuisances=nuisances, fixed=fixed, smooth=_smooth(choice))
+            if choice.end:
+                return _periodic(choice, base)
+            return [_beside(choice, base, base.nuisances)]
         except (OutOfTimeError, SimulationError):
             return []
-        return [NonparametricFit(choice, held)]
+
+    def fitted_each(maps: Sequence[ForceMap]) -> list[NonparametricFit]:
+        found = run_parallel(fitted, maps, lambda choice: search.say(f"a force over {choice.variable}", 0.9))
+        search.untried.extend(
+            f"a force over {choice.variable}" for choice, fits in zip(maps, found, strict=True) if not fits
+        )
+        return list(itertools.chain(*found))
 
     maps = base.problem.plant.force_maps
-    found = run_parallel(fitted, maps, lambda choice: search.say(f"a force over {choice.variable}", 0.9))
-    search.untried.extend(
-        f"a force over {choice.variable}" for choice, fits in zip(maps, found, strict=True) if not fits
+    long = [choice for choice in maps if choice.end and choice.unit == "s"]
+    found = fitted_each([choice for choice in maps if choice not in long])
+    # Hundreds of periods fit into a recording, so they are tried last.
+    return found if any(adequacy(entry.fit).is_white for entry in found) else [*found, *fitted_each(long)]
+
+
+def _beside(choice: ForceMap, base: Fit, nuisances: Sequence[Nuisance]) -> NonparametricFit:
+    free, fixed = (*base.free, *choice.free), {**_held(base), **choice.held}
+    smooth = _smooth(choice)
+    for nuisance in nuisances:
+        fixed.pop(nuisance.name, None)
+    return NonparametricFit(
+        choice, fit(base.problem, free, base.values, nuisances=nuisances, fixed=fixed, smooth=smooth)
     )
-    return list(itertools.chain(*found))
+
+
+def _periodic(choice: ForceMap, base: Fit) -> list[NonparametricFit]:
+    """A force that repeats itself, with the period of the best fit; the period is estimated along."""
+    found = []
+    for period in likely_periods(choice, base):
+        length = Nuisance(
+            choice.end, period.sigma, choice.unit, step=PERIOD_STEP * period.sigma, mean=choice.low + period.length,
+            is_of_machine=True,
+        )  # fmt: skip
+        entry = _beside(choice.with_period(period.length), base, (*base.nuisances, length))
+        fitted = choice.with_period(entry.fit.values[choice.end] - choice.low)
+        found.append(NonparametricFit(fitted, entry.fit))
+    return sorted(found, key=lambda entry: entry.fit.score)[:1]
 
 
 def fit_local_forces(search: Search, best: Hypothesis) -> list[NonparametricFit]:
@@ -145,15 +191,17 @@ def where(choice: ForceMap, result: Fit) -> str:
     low, high = at[max(0, strong[0] - 1)], at[min(len(at) - 1, strong[-1] + 1)]
     scale, unit = (1e3, "mm") if choice.unit == "m" else (1e3, "ms") if choice.unit == "s" else (1.0, "m/s")
     words = f"{choice.variable[0]} {scale * low:.3g} to {scale * high:.3g} {unit}"
+    if choice.end:
+        return f"{words}, again every {scale * (choice.high - choice.low):.4g} {unit}"
     return words + (f", times {choice.variable[2:]}" if len(choice.variable) > 1 else "")
 
 
 def _smooth(choice: ForceMap) -> Smoothness:
-    return Smoothness(choice.free, choice.least)
+    return Smoothness(choice.free, choice.least, repeats=bool(choice.end))
 
 
 def _shapes(choice: ForceMap, at: Array) -> Array:
-    return basis(at, choice.low, choice.high, len(choice.coefficients))
+    return basis(at, choice.low, choice.high, len(choice.coefficients), periodic=bool(choice.end))
 
 
 def _curve(choice: ForceMap, result: Fit) -> tuple[Array, Array]:

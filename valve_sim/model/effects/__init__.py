@@ -13,7 +13,13 @@ group `valve_sim.effects`, and what a program registers.
 
 from valve_sim.model.effects.catalogue import CATALOGUE, ENTRY_POINTS, Catalogue, check_effects
 from valve_sim.model.effects.entry import Effect, Severity, Tag, Term, compile_term
-from valve_sim.model.effects.force_map import FORCE_MAP_COEFFICIENTS, FORCE_MAP_VARIABLES, basis, is_damping
+from valve_sim.model.effects.force_map import (
+    FORCE_MAP_COEFFICIENTS,
+    FORCE_MAP_VARIABLES,
+    basis,
+    is_damping,
+    is_periodic,
+)
 from valve_sim.model.effects.record import VALVE_RECORD, new_record
 
 __all__ = [
@@ -31,5 +37,6 @@ __all__ = [
     "check_effects",
     "compile_term",
     "is_damping",
+    "is_periodic",
     "new_record",
 ]

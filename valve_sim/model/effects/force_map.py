@@ -5,13 +5,14 @@ place y of the variable (de Boor 1978):
 
     f(y) = [(1 − s)³ c_i + (3 s³ − 6 s² + 4) c_{i+1} + (1 + 3 s + 3 s² − 3 s³) c_{i+2} + s³ c_{i+3}]/6
 
-Below `low` and above `high` f keeps its value there. Over x and t the force is f, over x·u² it is f(x) u². Where the
-velocity takes part, over v, x·v and t·v, f ≥ 0 is a damping and the force is −f v: it can only take energy out. A
-B-spline whose coefficients are none of them negative is nowhere negative.
+Below `low` and above `high` f keeps its value there, or repeats itself over a period of x or t. Over x and t the force
+is f, over x·u² it is f(x) u². Where the velocity takes part, over v, x·v and t·v, f ≥ 0 is a damping and the force is
+−f v: it can only take energy out. A B-spline whose coefficients are none of them negative is nowhere negative.
 """
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 import numpy as np
@@ -20,15 +21,16 @@ from numpy.typing import NDArray
 from valve_sim.model.effects.entry import Effect, ListOfParameters, Tag, Values
 from valve_sim.model.parameters import Parameter
 
-FORCE_MAP_VARIABLES: Final = ("x", "v", "t", "x·v", "x·u²", "t·v")
-"""What a force map is a function of; a second factor multiplies it."""
+FORCE_MAP_VARIABLES: Final = ("x", "v", "t", "x·v", "x·u²", "t·v", "x, periodic", "t, periodic")
+"""What a force map is a function of; a second factor multiplies it, and a periodic one repeats from low to high."""
 MOST_COEFFICIENTS: Final = 40
 """So many B-splines a force map may have."""
 FEWEST_COEFFICIENTS: Final = 4
 """The B-splines of a single cubic."""
 FORCE_MAP_COEFFICIENTS: Final = tuple(f"c{number}" for number in range(1, MOST_COEFFICIENTS + 1))
 """The coefficients of a force map's B-splines, from `low` to `high`; the first of them are used."""
-_HEAD: Final = 4
+_PERIODIC: Final = 6
+"""Variables from this one on are periodic."""
 
 
 def is_damping(variable: str) -> bool:
@@ -36,20 +38,29 @@ def is_damping(variable: str) -> bool:
     return "v" in variable
 
 
+def is_periodic(variable: str) -> bool:
+    """Whether a force map over this variable repeats itself."""
+    return FORCE_MAP_VARIABLES.index(variable) >= _PERIODIC
+
+
 def force_map(x: float, v: float, u: float, t: float, numbers: NDArray[np.float64]) -> float:
     """The curve at the place that the variable names, times the factor that it names, N.
 
     Args:
         x, v, u, t: m, m/s, –, s.
-        numbers: (4 + K,) index of the variable, low, knots a unit of the variable, intervals, coefficients.
+        numbers: (4 + K,) index of the variable, low, knots a unit of the variable, intervals, coefficients; of a
+            periodic curve the first three again behind the last.
     """
     variable = numbers[0]
     at = x
     if variable == 1.0:
         at = v
-    elif variable in (2.0, 5.0):
+    elif variable in (2.0, 5.0, 7.0):
         at = t
-    place = min(max((at - numbers[1]) * numbers[2], 0.0), numbers[3])
+    place = (at - numbers[1]) * numbers[2]
+    if variable >= 6.0:
+        place -= math.floor(place / numbers[3]) * numbers[3]
+    place = min(max(place, 0.0), numbers[3])
     left = min(int(place), int(numbers[3]) - 1)
     s = place - left
     rest = 1.0 - s
@@ -64,20 +75,28 @@ def force_map(x: float, v: float, u: float, t: float, numbers: NDArray[np.float6
         )
         * (1.0 / 6.0)
     )
-    if variable in (0.0, 2.0):
+    if variable in (0.0, 2.0) or variable >= 6.0:
         return value
     return value * u * u if variable == 4.0 else -value * v
 
 
-def basis(places: NDArray[np.float64], low: float, high: float, count: int) -> NDArray[np.float64]:
+def basis(
+    places: NDArray[np.float64], low: float, high: float, count: int, *, periodic: bool = False
+) -> NDArray[np.float64]:
     """The B-splines of a force map at places of its variable.
 
     Args:
         places: (n,) in the unit of the variable. low, high: as the map's. count: of coefficients.
+        periodic: whether the curve repeats itself.
 
     Returns:
         (n, count); the rows add up to 1.
     """
+    if periodic:
+        folded = low + np.mod(np.asarray(places, dtype=np.float64) - low, high - low)
+        unfolded = basis(folded, low, high, count + 3)
+        unfolded[:, :3] += unfolded[:, count:]
+        return unfolded[:, :count]
     intervals = count - 3
     z = np.clip((np.asarray(places, dtype=np.float64) - low) / (high - low) * intervals, 0.0, intervals)
     left = np.minimum(z.astype(np.int64), intervals - 1)
@@ -93,14 +112,18 @@ def basis(places: NDArray[np.float64], low: float, high: float, count: int) -> N
 def _numbers(values: Values) -> list[float]:
     """What the compiled term reads."""
     count = int(values["count"])
-    intervals = float(count - 3)
-    scale = intervals / (values["high"] - values["low"])
     coefficients = [values[name] for name in FORCE_MAP_COEFFICIENTS]
+    if values["variable"] >= _PERIODIC:
+        coefficients = [*coefficients[:count], *coefficients[:3], *coefficients[count:]]
+    else:
+        coefficients += [0.0] * 3
+    intervals = float(count if values["variable"] >= _PERIODIC else count - 3)
+    scale = intervals / (values["high"] - values["low"])
     return [values["variable"], values["low"], scale, intervals, *coefficients]
 
 
 def _changes_at_rest(values: Values) -> bool:
-    return FORCE_MAP_VARIABLES[int(values["variable"])] == "t"
+    return FORCE_MAP_VARIABLES[int(values["variable"])] in ("t", "t, periodic")
 
 
 def _expected(values: Values) -> str:
@@ -108,7 +131,7 @@ def _expected(values: Values) -> str:
     if values["low"] >= values["high"]:
         return f"found low {values['low']:g} and high {values['high']:g}, expected low below high"
     if values["variable"] != int(values["variable"]):
-        return f"found variable {values['variable']:g}, expected a whole number from 0 to 5"
+        return f"found variable {values['variable']:g}, expected a whole number from 0 to 7"
     variable = FORCE_MAP_VARIABLES[int(values["variable"])]
     least = min(values[name] for name in FORCE_MAP_COEFFICIENTS[: int(values["count"])])
     if is_damping(variable) and least < 0.0:
@@ -125,9 +148,9 @@ EFFECT = Effect(
     "force_map",
     "a force of unknown origin, as a smooth curve of cubic B-splines",
     (
-        Parameter("variable", "–", f"index into {', '.join(FORCE_MAP_VARIABLES)}", 0, 5, 0.0),
-        Parameter("low", "m, m/s or s", "where the curve begins; constant below", -1e6, 1e6, 0.0),
-        Parameter("high", "m, m/s or s", "where the curve ends; constant above", -1e6, 1e6, 1.0),
+        Parameter("variable", "–", f"from 0 on: {'; '.join(FORCE_MAP_VARIABLES)}", 0, 7, 0.0),
+        Parameter("low", "m, m/s or s", "where the curve begins; constant below, or periodic", -1e6, 1e6, 0.0),
+        Parameter("high", "m, m/s or s", "where the curve ends; constant above, or periodic", -1e6, 1e6, 1.0),
         Parameter("count", "–", "of the coefficients", FEWEST_COEFFICIENTS, MOST_COEFFICIENTS, FEWEST_COEFFICIENTS),
         *(
             Parameter(name, _COEFFICIENTS.unit, f"coefficient {name[1:]} of the B-splines", -1e5, 1e5, 0.05, 0.0)

@@ -1,0 +1,79 @@
+"""Penalised curves in a fit: the weights follow from the data, and the curve is the one behind them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from valve_sim.identification.estimation.smoothing import Smoothness
+from valve_sim.model.effects import basis
+
+COUNT = 40
+NOISE = 0.1
+
+
+def fitted(truth: np.ndarray, places: np.ndarray, seed: int, *, repeats: bool = False) -> tuple[np.ndarray, np.ndarray]:
+    """A curve through noisy values of a function, by the weights that the data choose; and its standard errors."""
+    measured = truth + NOISE * np.random.default_rng(seed).standard_normal(len(places))
+    count = 12 if repeats else COUNT
+    shapes = basis(places, 0.0, 1.0, count, periodic=repeats) / NOISE
+    # A level beside the curve, held near 0, as other parameters of a fit are.
+    columns = np.column_stack([np.ones(len(places)) / NOISE, shapes])
+    information = columns.T @ columns
+    information[0, 0] += 1e6
+    where, at = np.arange(1, count + 1), np.zeros(count + 1)
+    smooth = Smoothness(tuple(f"c{number}" for number in where), -np.inf, repeats=repeats)
+    gradient = -columns.T @ (measured / NOISE)
+    for _ in range(12):
+        smooth = smooth.chosen(information, gradient + information @ at, at, where, 1.0)
+        normal = information.copy()
+        normal[np.ix_(where, where)] += smooth.precision
+        at = np.linalg.solve(normal, -gradient)
+    covariance = np.linalg.inv(normal)[np.ix_(where, where)]
+    own = shapes * NOISE
+    return own @ at[where], np.sqrt(np.einsum("ij,jk,ik->i", own, covariance, own))
+
+
+PLACES = np.linspace(0.0, 1.0, 400)
+BUMP = np.exp(-(((PLACES - 0.4) / 0.07) ** 2))
+WAVES = np.sin(2 * np.pi * 3 * PLACES)
+
+
+@pytest.mark.parametrize("truth", [BUMP, WAVES, 0.3 * PLACES], ids=["bump", "waves", "line"])
+def test_a_known_curve_comes_back_from_noisy_data(truth: np.ndarray) -> None:
+    errors, covered = [], []
+    for seed in range(8):
+        curve, stderr = fitted(truth, PLACES, seed)
+        errors.append(float(np.sqrt(np.mean((curve - truth) ** 2))))
+        covered.append(float(np.mean(np.abs(curve - truth) < 2.0 * stderr)))
+    # Forty coefficients without a penalty leave NOISE * sqrt(40 / 400), a third of the noise.
+    assert max(errors) < 0.3 * NOISE
+    assert np.mean(covered) > 0.85
+
+
+def test_where_a_curve_is_flat_it_is_flatter_than_where_it_bends() -> None:
+    curve, _ = fitted(BUMP, PLACES, 1)
+    flat = PLACES > 0.7
+    assert np.sqrt(np.mean((curve - BUMP)[flat] ** 2)) < 0.15 * NOISE
+    assert curve.max() == pytest.approx(1.0, abs=NOISE)
+
+
+def test_without_a_curve_behind_the_data_hardly_anything_is_fitted() -> None:
+    curve, _ = fitted(np.zeros(len(PLACES)), PLACES, 3)
+    assert np.sqrt(np.mean(curve**2)) < 0.15 * NOISE
+
+
+def test_a_curve_that_repeats_itself_has_no_seam() -> None:
+    truth = np.sin(2 * np.pi * PLACES + 1.0)
+    curve, _ = fitted(truth, PLACES, 2, repeats=True)
+    assert np.sqrt(np.mean((curve - truth) ** 2)) < 0.3 * NOISE
+    assert curve[0] == pytest.approx(curve[-1], abs=1e-9)
+
+
+def test_a_weight_changes_by_little_in_one_step() -> None:
+    information = 1e8 * np.eye(COUNT)
+    smooth = Smoothness(tuple(f"c{number}" for number in range(COUNT)), -np.inf)
+    gradient = 1e8 * np.random.default_rng(0).standard_normal(COUNT)
+    once = smooth.chosen(information, gradient, np.zeros(COUNT), np.arange(COUNT), 1.0)
+    assert max(once.weights) / min(smooth.weights) <= 30.0 * (1 + 1e-9)
+    assert min(once.weights) / max(smooth.weights) == pytest.approx(1 / 30.0)
