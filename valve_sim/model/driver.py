@@ -282,16 +282,16 @@ def run(valve, state, until, samples, events, count, control):
 
 
 @compiled
-def run_drive_varied(valve, state, drive, t_end, samples, events, control, vary):
+def run_drive_varied(valve, state, course, samples, events, control, vary):
     """Step the valve through a whole drive; arguments as for `run` and `run_varied`.
 
     Args:
-        drive: (times, volts): (c,) ascending, s; (c,) V.
+        course: (times, volts, t_end): (c,) ascending, s; (c,) V; s.
 
     Returns:
         events counted, Outcome.
     """
-    command_times, volts = drive
+    command_times, volts, t_end = course
     times, rows, current_times, currents = samples
     at, at_current, count = 0, 0, 0
     for command in range(len(command_times) + 1):
@@ -318,8 +318,9 @@ def run_drive_varied(valve, state, drive, t_end, samples, events, control, vary)
 
 @compiled
 def run_drive(valve, state, drive, t_end, samples, events, control):
-    """The same without derivatives."""
-    return run_drive_varied(valve, state, drive, t_end, samples, events, control, None)
+    """The same without derivatives; drive: (times, volts)."""
+    times, volts = drive
+    return run_drive_varied(valve, state, (times, volts, t_end), samples, events, control, None)
 
 
 @compiled

@@ -281,11 +281,11 @@ def run_record(
         raise SimulationError(f"the simulation cannot start: pilot_gap {gap:g} m is not inside stroke {stroke:g} m")
     end = max(times[-1] if len(times) else -math.inf, current_times[-1] if len(current_times) else -math.inf)
     run = (
-        record, state, (drive.times, drive.volts), end,
+        record, state, (drive.times, drive.volts, end),
         (times - delay if delay else times, rows, current_times, currents),
         events, (tolerance, most_steps(end - state["time"].item())),
     )  # fmt: skip
-    count, outcome = driver.run_drive(*run) if vary is None else driver.run_drive_varied(*run, vary)
+    count, outcome = driver.run_drive_varied(*run, vary)
     check_outcome(outcome)
     return int(count)
 

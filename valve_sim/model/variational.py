@@ -256,7 +256,7 @@ def vary_event(p, s, work, before, vary):
                 guard = _guard(tile, mode, direction, lane)
                 dt = (guard - x) / v_before
                 x = guard
-                v = _velocity_after(p, s, tile, mode, direction, v_before, v + a_before * dt, lane)
+                v = _velocity_after(p, s, tile, before, v + a_before * dt, lane)
             tile.x[lane] = x - s.v * dt
             tile.v[lane] = v - a_after * dt
             tile.event_time[lane] = dt
@@ -273,8 +273,9 @@ def _guard(tile, mode, direction, lane):
 
 
 @inlined
-def _velocity_after(p, s, tile, mode, direction, v_before, dv, lane):
+def _velocity_after(p, s, tile, before, dv, lane):
     """By how much the velocity after a contact changes, for dv before it."""
+    _, mode, direction, v_before = before
     if s.v == 0.0:
         return 0.0
     if mode == MAIN and direction > 0:

@@ -24,7 +24,7 @@ from valve_sim.identification.plants.protocol import (
     to_internal,
     value_slope,
 )
-from valve_sim.model import SimulationError
+from valve_sim.model import Parameter, SimulationError
 
 DIFFERENCE: Final = 2e-3
 """Step of a difference quotient, in prior scales of its parameter: theory, eq. (28)."""
@@ -79,6 +79,12 @@ def fit(
         problem, tuple(free), estimated, search.values(at), chi2, residuals, jacobian, information,
         converged, at, search.smooth,
     )  # fmt: skip
+
+
+def along(name: str, parameter: Parameter, coordinate: float) -> Direction:
+    """The direction of a parameter's internal coordinate, or `STANDING` where it has none."""
+    slope = value_slope(parameter, coordinate)
+    return Direction({name: slope}, FINE * DIFFERENCE * internal_scale(parameter)) if math.isfinite(slope) else STANDING
 
 
 class _Search:
@@ -182,12 +188,11 @@ class _Search:
         return columns, known & is_inside
 
     def _direction(self, at: Array, group: list[int]) -> Direction:
-        step = FINE * float(min(self.steps[group]))
-        if group[0] >= len(self.free):
-            return Direction({self.nuisances[index - len(self.free)].name: 1.0 for index in group}, step)
-        (index,) = group
-        slope = value_slope(self.parameters[index], float(at[index]))
-        return Direction({self.free[index]: slope}, step) if math.isfinite(slope) else STANDING
+        if group[0] < len(self.free):
+            (index,) = group
+            return along(self.free[index], self.parameters[index], float(at[index]))
+        names = [self.nuisances[index - len(self.free)].name for index in group]
+        return Direction(dict.fromkeys(names, 1.0), FINE * float(min(self.steps[group])))
 
     def _columns_of_group(self, at: Array, group: list[int], residuals: Array, shared: Array | None) -> Array:
         """(n, g) columns of the members of one group, from that of its sum if it is known and they decouple."""

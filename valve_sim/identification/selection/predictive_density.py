@@ -21,9 +21,9 @@ import numpy as np
 
 from valve_sim.identification.estimation.gram import gram
 from valve_sim.identification.estimation.result import Fit, MachineKnowledge
-from valve_sim.identification.estimation.solver import DIFFERENCE
+from valve_sim.identification.estimation.solver import DIFFERENCE, STANDING, along
 from valve_sim.identification.plants.protocol import Array, from_internal, internal_bounds, internal_scale
-from valve_sim.model import SimulationError
+from valve_sim.model import Parameter, SimulationError
 
 FARTHEST: Final = 10.0
 """Prior scales: the standard deviation of a parameter that the training data do not determine."""
@@ -96,18 +96,30 @@ def _volume(training: Fit, held_out: Fit) -> float:
 
 
 def _sensitivities(training: Fit, held_out: Fit) -> Array:
-    """(n, k) d(held-out residuals)/d(internal coordinate) of the freed parameters."""
-    plant, columns = training.problem.plant, []
-    for name, at in zip(training.free, training.coordinates, strict=False):
-        parameter = plant.parameter(name)
-        step = DIFFERENCE * internal_scale(parameter)
-        moved = at + step if at + step <= internal_bounds(parameter)[1] else at - step
-        try:
-            there = held_out.problem.residuals({**held_out.values, name: from_internal(parameter, float(moved))})
-        except SimulationError:
-            there = held_out.residuals
-        columns.append((there - held_out.residuals) / (moved - at))
-    return np.column_stack(columns) if columns else np.empty((len(held_out.residuals), 0))
+    """(n, k) d(held-out residuals)/d(internal coordinate) of the freed parameters, as far as they are known there."""
+    plant = training.problem.plant
+    at = [(name, plant.parameter(name), float(c)) for name, c in zip(training.free, training.coordinates, strict=False)]
+    directions = [along(*parameter) for parameter in at]
+    try:
+        found, known = held_out.problem.sensitivities(held_out.values, directions)
+    except SimulationError:
+        return np.zeros((len(held_out.residuals), len(at)))
+    columns = np.empty((len(held_out.residuals), len(at)))
+    for place, parameter in enumerate(at):
+        is_known = known[place] and directions[place] is not STANDING
+        columns[:, place] = found[:, place] if is_known else _quotient(held_out, *parameter)
+    return columns
+
+
+def _quotient(held_out: Fit, name: str, parameter: Parameter, at: float) -> Array:
+    """(n,) the same of one of them, by a difference quotient; 0 where the machine cannot be simulated."""
+    step = DIFFERENCE * internal_scale(parameter)
+    moved = at + step if at + step <= internal_bounds(parameter)[1] else at - step
+    try:
+        there = held_out.problem.residuals({**held_out.values, name: from_internal(parameter, moved)})
+    except SimulationError:
+        return np.zeros(len(held_out.residuals))
+    return np.asarray((there - held_out.residuals) / (moved - at))
 
 
 def _spread(training: Fit, held_out: Fit) -> Array:
