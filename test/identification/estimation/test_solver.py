@@ -216,12 +216,12 @@ def test_derivatives_of_the_plant_are_those_of_small_differences(effect: str | N
 def test_where_the_plant_knows_none_difference_quotients_stand(effect: str) -> None:
     found = []
     for kind in (ValvePlant, ByQuotients):
-        search, at = searched(kind([recorded()], default_valve()), effect)
+        search, at = searched(kind([recorded()], EXACT_VALVE), effect)
         found.append(search.jacobian(at, residuals(search, at)))
     assert np.array_equal(*found)
 
 
-@pytest.mark.parametrize("valve", [default_valve(), tolerant()], ids=["exact", "tolerant"])
+@pytest.mark.parametrize("valve", [EXACT_VALVE, tolerant()], ids=["exact", "tolerant"])
 def test_fitted_values_are_those_of_difference_quotients(valve: Valve) -> None:
     trace = recorded()
     ours = fit(Problem(ValvePlant([trace], valve)), BOTH, {}, nuisances=ValvePlant([trace], valve).nuisances)
