@@ -267,6 +267,24 @@ def test_validate_exits_0_within_and_1_outside(tmp_path: Path, strokes: Path, mo
     assert run("validate", strokes, "--params", more_damped, "--tolerance-um", 50).exit_code == 0
 
 
+def test_validate_fails_where_a_declared_value_has_to_be_out_of_its_tolerance(tmp_path: Path, strokes: Path):
+    declared = tmp_path / "declared.yaml"
+    save_valve(declared, default_valve().with_values(main_damping=4.8), "a test")
+    settings = ("--params", declared, "--tolerance-um", 50, "--junit", tmp_path / "replay.xml", "--json")
+    outside = run("validate", strokes, *settings)
+    report = json.loads(outside.stdout)
+    assert (outside.exit_code, report["passed"]) == (1, False)
+    assert all(recording["passed"] for recording in report["recordings"])
+    assert report["out_of_tolerance"]
+    failed = [
+        case.attrib["name"]
+        for case in ElementTree.parse(tmp_path / "replay.xml").iter("testcase")
+        if len(case) and case[0].tag == "failure"
+    ]
+    assert failed == report["out_of_tolerance"]
+    assert "tolerances" in run("validate", strokes, "--params", declared).output
+
+
 def test_validate_takes_several_bags(strokes: Path, more_damped: Path):
     result = run("validate", strokes, strokes, "--params", more_damped, "--json")
     assert [recording["passed"] for recording in json.loads(result.stdout)["recordings"]] == [False, False]

@@ -48,7 +48,8 @@ def validate(
 
     The recorded commands are replayed on it. Exit 0 when it does what was measured, 1 when not. A stroke is within
     the tolerance when its root-mean-square error is, over all its samples and over those in which
-    the model moves. Nothing is fitted but the offset between the clocks of commands and samples, prior N(0, 50 µs).
+    the model moves. Nothing is fitted but the offset between the clocks of commands and samples, prior N(0, 50 µs),
+    and values that the file gives a tolerance; one that has to be off by more than three of these fails.
 
       valve-sim validate strokes.mcap --params config/valve.yaml
       valve-sim validate tests/*.mcap --params results/identified.yaml --tolerance-um 17 --junit replay.xml

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 from xml.etree import ElementTree
 
 from valve_sim.files.json_text import plain_mapping
+from valve_sim.identification.reporting.declared_values import amount_words, declared_json, summary_words
 from valve_sim.identification.validation.replay import MICRO, Arrival, Errors, Replay, Validation
 
 
@@ -17,20 +18,30 @@ def validation_json(result: Validation) -> dict[str, Any]:
         "schema": "valve_sim/validation/1",
         "passed": result.passed,
         "recordings": [_replay_json(replay) for replay in result.replays],
+        **declared_json(result.declared),
     }
     return plain_mapping(report)
 
 
 def validation_text(result: Validation) -> str:
     """For the terminal."""
-    return "\n".join([*(_replay_text(replay) for replay in result.replays), "passed" if result.passed else "FAILED"])
+    lines = [_replay_text(replay) for replay in result.replays]
+    if result.declared:
+        lines.append(f"declared values: {summary_words(result.declared)}")
+    return "\n".join([*lines, "passed" if result.passed else "FAILED"])
 
 
 def validation_junit(result: Validation) -> str:
-    """JUnit XML: a suite for each recording, a test case for each stroke and one for the recording as a whole."""
+    """JUnit XML: a suite for each recording, a test case for each stroke and one for the recording as a whole.
+
+    Declared values with a tolerance are a suite of their own.
+    """
     root = ElementTree.Element("testsuites", name="valve-sim validate")
     for replay in result.replays:
-        _add_suite(root, replay)
+        _add_recording(root, replay)
+    if result.declared:
+        cases = {found.name: (amount_words(found), found.is_out) for found in result.declared}
+        _add_suite(root, "declared values", cases)
     for key in ("tests", "failures", "errors"):
         root.set(key, str(sum(int(suite.get(key, "0")) for suite in root)))
     ElementTree.indent(root)
@@ -108,25 +119,24 @@ def _arrival_lines(replay: Replay) -> Iterator[str]:
             yield f"  {name:<32}{measured:>18}{model:>9.3f}{apart:>+9.3f}  {stroke.name}"
 
 
-def _add_suite(root: ElementTree.Element, replay: Replay) -> None:
-    cases = [*((stroke.name, stroke.errors) for stroke in replay.strokes), ("in all", replay.errors)]
-    failures = sum(errors.judged > replay.tolerance for _, errors in cases)
-    suite = ElementTree.SubElement(
-        root,
-        "testsuite",
-        name=replay.trace.source,
-        tests=str(len(cases)),
-        failures=str(failures),
-        errors="0",
-        skipped="0",
-    )
-    for name, errors in cases:
-        case = ElementTree.SubElement(suite, "testcase", classname=replay.trace.source, name=name)
+def _add_recording(root: ElementTree.Element, replay: Replay) -> None:
+    cases = {}
+    for name, errors in (*((stroke.name, stroke.errors) for stroke in replay.strokes), ("in all", replay.errors)):
         words = (
             f"rmse {MICRO * errors.rmse:.3g} µm, moving {MICRO * errors.moving_rmse:.3g} µm, maximum "
             f"{MICRO * errors.maximum:.3g} µm, tolerance {MICRO * replay.tolerance:.3g} µm"
         )
-        if errors.judged > replay.tolerance:
+        cases[name] = words, errors.judged > replay.tolerance
+    _add_suite(root, replay.trace.source, cases)
+
+
+def _add_suite(root: ElementTree.Element, name: str, cases: Mapping[str, tuple[str, bool]]) -> None:
+    """A suite of test cases, each with its words and whether it failed."""
+    counts = {"failures": str(sum(is_outside for _, is_outside in cases.values())), "errors": "0", "skipped": "0"}
+    suite = ElementTree.SubElement(root, "testsuite", {"name": name, "tests": str(len(cases)), **counts})
+    for case_name, (words, is_outside) in cases.items():
+        case = ElementTree.SubElement(suite, "testcase", classname=name, name=case_name)
+        if is_outside:
             ElementTree.SubElement(case, "failure", message=words, type="outside tolerance")
         else:
             ElementTree.SubElement(case, "system-out").text = words

@@ -16,6 +16,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from valve_sim.identification.estimation.declared_values import DeclaredValue, declared_values, out_of_tolerance
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Array
@@ -114,14 +115,20 @@ class Replay:
 
 @dataclass(frozen=True)
 class Validation:
-    """Recordings replayed against one declared valve."""
+    """Recordings replayed against one declared valve.
+
+    Attributes:
+        replays: one for each recording, on the valve as all of them together want it within its tolerances.
+        declared: its values that have a tolerance, as declared and as wanted.
+    """
 
     replays: tuple[Replay, ...]
+    declared: tuple[DeclaredValue, ...] = ()
 
     @property
     def passed(self) -> bool:
-        """Whether all are within their tolerance."""
-        return all(replay.passed for replay in self.replays)
+        """Whether all are within their tolerance, and no declared value has to be out of its own for that."""
+        return all(replay.passed for replay in self.replays) and not out_of_tolerance(self.declared)
 
 
 def validate(
@@ -135,7 +142,7 @@ def validate(
     """Replay recordings on a declared valve.
 
     A stroke passes when the root mean square of its error, over all its samples and over those in which the model
-    moves, is within the tolerance.
+    moves, is within the tolerance. A declared value that has to be off by more than three of its own for that fails.
 
     Args:
         traces: measured strokes.
@@ -150,13 +157,13 @@ def validate(
     """
     if tolerance is not None and not 0.0 < tolerance < math.inf:
         raise ValveError(f"--tolerance-um {MICRO * tolerance:g}: expected a length above 0")
-    valve = _within_tolerances(traces, valve, command_jitter=command_jitter)
+    valve, declared = _within_tolerances(traces, valve, command_jitter=command_jitter)
     replays = []
     for index, trace in enumerate(traces):
         if progress is not None:
             progress(f"replaying {trace.source}", index / len(traces))
         replays.append(replay_trace(trace, valve, tolerance, command_jitter=command_jitter))
-    return Validation(tuple(replays))
+    return Validation(tuple(replays), declared)
 
 
 def replay_trace(trace: Trace, valve: Valve, tolerance: float | None = None, *, command_jitter: bool = False) -> Replay:
@@ -191,14 +198,16 @@ def replay_trace(trace: Trace, valve: Valve, tolerance: float | None = None, *, 
     )
 
 
-def _within_tolerances(traces: Sequence[Trace], valve: Valve, *, command_jitter: bool) -> Valve:
+def _within_tolerances(
+    traces: Sequence[Trace], valve: Valve, *, command_jitter: bool
+) -> tuple[Valve, tuple[DeclaredValue, ...]]:
     """The valve with declared values where the recordings want them, by their tolerances; itself where all is exact."""
     if valve.tolerances.is_exact:
-        return valve
+        return valve, ()
     plant = ValvePlant([replace(trace, coil_current=None) for trace in traces], valve)
     timing = plant.timing_errors if command_jitter else ()
-    values = fit(Problem(plant), (), {}, nuisances=(*plant.nuisances, *timing)).values
-    return plant.with_values(values)
+    found = fit(Problem(plant), (), {}, nuisances=(*plant.nuisances, *timing))
+    return plant.with_values(found.values), declared_values(found)
 
 
 def _moving(trace: Trace, response: Response) -> NDArray[np.bool_]:
