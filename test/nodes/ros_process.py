@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-PATIENCE = 30.0
+PATIENCE = 90.0
 """Seconds after which something that should happen counts as not happening: a busy machine compiles for long."""
 ASK_AGAIN = 5.0
 """Seconds after which a question counts as lost."""

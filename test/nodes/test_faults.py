@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from .ros_process import PATIENCE, NodeProcess, Probe, running
+from .ros_process import NodeProcess, Probe, running
 
 pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
@@ -145,7 +145,7 @@ def test_a_subscriber_that_stops_reading_holds_nobody_up(probe: Probe, tmp_path:
             probe.spin_for(1.0)
             streak = Streak(ears)
             # Other work on this machine makes it lose steps now and then; a reader that held it up would all the time.
-            assert probe.until(lambda: streak.longest() >= 2000, 2 * PATIENCE), f"{streak.longest()} in a row"
+            assert probe.until(lambda: streak.longest() > 1500), f"{streak.longest()} in a row"
             command = probe.talker("coil_voltage", Float64)
             assert probe.until(command.get_subscription_count)
             command.publish(Float64(data=9.0))

@@ -187,12 +187,13 @@ class CommandProfileShell:
             )
 
     def _switch_off(self) -> None:
-        """0 V, and wait until it is heard: a process that ends at once takes its unsent messages along."""
+        """0 V, and wait until it and its log are heard: a process that ends at once takes its unsent messages along."""
         if not self._commanded:
             return
         if self._commanded[-1].volts != 0.0:
             self._commanded.append(Commanded(self._command(0.0), 0.0, 0.0))
-        self._voltage.wait_for_all_acked(Duration(seconds=_HEARD_SECONDS))
+        for publisher in (self._voltage, self._log):
+            publisher.wait_for_all_acked(Duration(seconds=_HEARD_SECONDS))
 
     def _write(self) -> None:
         if not self._commanded:
