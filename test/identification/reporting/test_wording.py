@@ -83,6 +83,17 @@ def test_headlines_have_no_names_of_code(diagnosis: Diagnosis, kind: str, probab
             assert title_of(name).lower() in words.lower()
 
 
+@pytest.mark.parametrize(("probability", "words"), [(0.33, "Perhaps"), (0.7, "Probably"), (0.99, "Nothing")])
+def test_that_nothing_is_missing_is_said_once_and_as_sure_as_it_is(
+    diagnosis: Diagnosis, probability: float, words: str
+) -> None:
+    verdict = replace(diagnosis.verdict, kind="none", effects=(), probability=probability, confusable_with={})
+    text = diagnosis_text(replace(diagnosis, verdict=verdict))
+    assert text.startswith(f"none: {words} ")
+    assert text.lower().count("nothing is missing") == 1
+    assert f"Probability {100 * probability:.0f} %." in text
+
+
 @pytest.mark.parametrize(("is_unknown", "names_most"), [(False, False), (True, False), (True, True)])
 @pytest.mark.parametrize("strokes", [1, 8])
 @pytest.mark.parametrize("singles_untried", [False, True])

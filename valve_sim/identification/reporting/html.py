@@ -50,6 +50,8 @@ _FACTOR_WORDS: Final = {
     "·u²": ", with the current squared",
 }
 SHOWN_CANDIDATES: Final = 8
+_SPACES: Final = str.maketrans("._", "  ")
+"""Names of parameters as people read them."""
 _SMALLEST_PROBABILITY: Final = 1e-6
 """Below it a p-value says nothing more."""
 
@@ -246,7 +248,8 @@ def _three_digits(value: float) -> str:
 
 def _candidate_row(candidate: Candidate, diagnosis: Diagnosis, scale: float, unit: str) -> dict[str, Any]:
     values = [
-        f"{diagnosis.plant.parameter(name).description} {quantity(found.value, diagnosis.plant.parameter(name).unit)}"
+        # By name: a description, such as "C in −C v |v|", is half a sentence beside a number.
+        f"{name.partition('.')[2].translate(_SPACES)} {quantity(found.value, diagnosis.plant.parameter(name).unit)}"
         for name, found in candidate.intervals.items()
         if "." in name and not _is_drawn(name)
     ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from valve_sim.identification.diagnosis.run import Diagnosis
+from valve_sim.identification.diagnosis.run import Diagnosis, Verdict
 from valve_sim.identification.plants.effect_titles import capitalised, named_value, title_of
 from valve_sim.identification.plants.protocol import judged_channels
 from valve_sim.identification.plants.valve import ValvePlant
@@ -26,7 +26,7 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
     verdict, before, after = diagnosis.verdict, diagnosis.before, diagnosis.after
     lines = [
         f"{verdict.kind}: {headline(diagnosis)}",
-        f"  {kind_words(verdict)[0]} (probability {probability_words(verdict)}). {verdict.summary}",
+        f"  {_certainty(verdict)} {verdict.summary}",
     ]
     unit, noise = _unit_and_noise(diagnosis)
     for label, errors in (
@@ -56,6 +56,12 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
     if diagnosis.record_next:
         lines.append(f"  {diagnosis.record_next}")
     return "\n".join(lines)
+
+
+def _certainty(verdict: Verdict) -> str:
+    """How sure the verdict is; that of `none` has been said in the headline."""
+    probability = f"probability {probability_words(verdict)}"
+    return f"{capitalised(probability)}." if verdict.kind == "none" else f"{kind_words(verdict)[0]} ({probability})."
 
 
 def _unit_and_noise(diagnosis: Diagnosis) -> tuple[str, float]:

@@ -75,11 +75,9 @@ def headline(diagnosis: Diagnosis) -> str:
     """The verdict in a sentence or two without names of code."""
     verdict = diagnosis.verdict
     if verdict.kind == "none":
-        return (
-            "Nothing is missing: the declared valve with refitted damping does what was measured, down to the noise."
-            if (isinstance(diagnosis.plant, ValvePlant))
-            else "Nothing is missing: the declared model, refitted, does what was measured, down to the noise."
-        )
+        is_valve = isinstance(diagnosis.plant, ValvePlant)
+        model = "the declared valve with refitted damping" if is_valve else "the declared model, refitted,"
+        return f"{kind_words(verdict)[0]}: {model} does what was measured, down to the noise."
     missing = named(verdict.effects)
     others = list(dict.fromkeys(other for names in verdict.confusable_with.values() for other in names))
     alike = named(others, "or")
