@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from valve_sim.identification.estimation.gram import gram, sum_squares
+from valve_sim.identification.estimation.gram import gram, orthonormal, sum_squares
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.plants.protocol import RELEASED, SMALL_MOVE, Array, EffectChoice, perturbed
 from valve_sim.model import SimulationError
@@ -73,7 +73,7 @@ class Outside:
         size = np.sqrt(np.sum(np.square(columns), axis=0))
         self._residuals = np.concatenate([base.residuals, base.deviations])
         self._samples = len(base.jacobian)
-        self._fitted, _ = np.linalg.qr(columns[:, size > 0.0] / size[size > 0.0])
+        self._fitted = orthonormal(columns[:, size > 0.0] / size[size > 0.0])
 
     def basis(self, directions: Array) -> Array:
         """(n, q) → (n, p ≤ q): orthonormal but for the part along nuisances with priors."""
