@@ -1,0 +1,78 @@
+"""A bump of force without a name: found, drawn, written, stepped; the same curve everywhere."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from plants.recording import Recorder, holdout_profile, train_profile
+
+from valve_sim.files.parameter_files import load_valve, save_valve
+from valve_sim.identification.diagnosis.conclusion import Conclusion
+from valve_sim.identification.diagnosis.run import Diagnosis, _begun
+from valve_sim.identification.estimation.budget import Budget
+from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.identification.reporting.diagnosis_json import to_json
+from valve_sim.identification.selection.hypotheses import Hypothesis
+from valve_sim.model import Drive, Stepper, simulate
+from valve_sim.model.effects import FORCE_MAP_VARIABLES, basis
+
+from .test_run import DECLARED, measured
+
+BUMP = {"amplitude": -1.2, "centre": 0.55e-3, "width": 0.1e-3}
+
+
+@pytest.fixture(scope="module")
+def found() -> Diagnosis:
+    train, held_out = (
+        measured({"force_bump": BUMP}, profile, Recorder(), seed)
+        for profile, seed in ((train_profile(), 3), (holdout_profile(), 4))
+    )
+    budget = Budget.unlimited()
+    exploration, judge = _begun(ValvePlant([train], DECLARED), ValvePlant([held_out], DECLARED), None, budget)
+    # As if no effect of the catalogue explained it; trying them all takes a minute.
+    return Conclusion(exploration, judge).conclude(Hypothesis(()))
+
+
+def test_it_closes_the_loop(found: Diagnosis) -> None:
+    assert found.verdict.effects == ()
+    assert found.before.holdout_rmse > 2e-6
+    assert found.after.holdout_rmse < 1.2e-6
+    assert found.after.holdout_rmse < 0.5 * found.before.holdout_rmse
+
+
+def test_the_curve_is_the_bump(found: Diagnosis) -> None:
+    assert found.unexplained is not None
+    assert found.unexplained.variable == "x"
+    at, force = np.array(found.unexplained.at), np.array(found.unexplained.force)
+    truth = BUMP["amplitude"] * np.exp(-(((at - BUMP["centre"]) / BUMP["width"]) ** 2))
+    assert np.sqrt(np.mean((force - truth) ** 2)) < 0.1 * abs(BUMP["amplitude"])
+    assert at[np.argmin(force)] == pytest.approx(BUMP["centre"], abs=0.05e-3)
+
+
+def test_the_report_describes_one_curve(found: Diagnosis) -> None:
+    report = to_json(found)
+    unexplained, after = report["unexplained"], report["after"]["effects"]["force_map"]
+    assert unexplained["variable"] == FORCE_MAP_VARIABLES[int(after["variable"]["value"])]
+    count = int(after["count"]["value"])
+    coefficients = [after[f"c{number}"]["value"] for number in range(1, count + 1)]
+    curve = basis(np.array(unexplained["at"]), after["low"]["value"], after["high"]["value"], count) @ coefficients
+    assert unexplained["force"] == pytest.approx(curve)
+    assert len(unexplained["force_stderr"]) == len(curve)
+    assert all(math.isfinite(value) and value >= 0.0 for value in unexplained["force_stderr"])
+
+
+def test_a_live_valve_steps_the_corrected_file(found: Diagnosis, tmp_path: Path) -> None:
+    path = tmp_path / "corrected.yaml"
+    save_valve(path, found.valve, "test")
+    corrected = load_valve(path)
+    times = np.arange(0.0, 0.03, 1e-3)
+    stepper = Stepper(corrected)
+    stepper.command(0.0, 9.0)
+    stepped = [stepper.advance(float(time)).pilot_position for time in times]
+    whole = simulate(corrected, Drive.of([0.0], [9.0]), times)
+    assert stepped == pytest.approx(whole.pilot_position, abs=1e-9)
+    without = simulate(DECLARED, Drive.of([0.0], [9.0]), times)
+    assert np.max(np.abs(whole.pilot_position - without.pilot_position)) > 10e-6
