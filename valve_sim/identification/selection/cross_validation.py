@@ -99,7 +99,7 @@ def own_nuisances(result: Fit, fold: NDArray[np.bool_]) -> NDArray[np.intp]:
 def _movable(result: Fit) -> NDArray[np.bool_]:
     """Which coordinates a refit could move: those that the data show, and not held by a bound."""
     alive = np.diag(result.information) > 1e-290
-    alive[: len(result.free)] &= [result.on_bound(name) is None for name in result.free]
+    alive[: len(result.free)] &= np.array([result.on_bound(name) is None for name in result.free], dtype=bool)
     return alive
 
 
