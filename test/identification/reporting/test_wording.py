@@ -9,9 +9,10 @@ import pytest
 
 from identification.recordings import recorded
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.diagnosis.decision import Findings, advise, decide, with_untried
+from valve_sim.identification.diagnosis.decision import Standing
 from valve_sim.identification.diagnosis.experiment_design import Recommendation
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
+from valve_sim.identification.diagnosis.words import Findings, advise, with_untried, worded
 from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.identification.plants.effect_titles import title_of
 from valve_sim.identification.plants.protocol import Experiment
@@ -19,7 +20,7 @@ from valve_sim.identification.reporting.diagnosis_json import to_json
 from valve_sim.identification.reporting.text import diagnosis_text
 from valve_sim.identification.reporting.units import limits, measured, quantity
 from valve_sim.identification.reporting.wording import headline, kind_words, meanings
-from valve_sim.identification.selection.hypotheses import Hypothesis
+from valve_sim.identification.selection.table import Hypothesis
 from valve_sim.model import CATALOGUE
 
 NAMED = [name for name, entry in CATALOGUE.items() if entry.named]
@@ -106,10 +107,10 @@ def test_a_summary_and_its_advice_have_no_names_of_code(
     for name in NAMED:
         best = Hypothesis((name,), timing=True)
         findings = Findings(
-            plant, best, strokes, is_unknown, names_most, {name: ("eddy_lag", "stroke_offset")}, 0.9, 0.7, [],
-            lambda: advise(plant, strokes, telling), singles_untried,
+            plant, Standing(best, is_unknown, names_most), strokes, {name: ("eddy_lag", "stroke_offset")}, 0.9, 0.7, [],
+            singles_untried,
         )  # fmt: skip
-        verdict, record_next = decide(findings)
+        verdict, record_next = worded(findings, lambda: advise(plant, strokes, telling))
         untried = [str(best), "sets of more effects", f"models that compete with {best}"]
         for words in (with_untried(verdict, untried).summary, record_next):
             assert "_" not in words

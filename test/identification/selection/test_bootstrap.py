@@ -14,7 +14,8 @@ from valve_sim.identification.diagnosis.calibration import CALIBRATION, calibrat
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.selection.bootstrap import FalseAlarm, false_alarm
-from valve_sim.identification.selection.hypotheses import DECISIVE, Hypothesis, Search
+from valve_sim.identification.selection.hypotheses import Search
+from valve_sim.identification.selection.table import DECISIVE, Hypothesis
 
 LINEAR = ("coulomb_friction", "constant_force", "drive_gain", "eddy_lag", "gap_offset", "sensor_gain")
 """Effects whose real fits the bootstrap is held against."""

@@ -1,23 +1,33 @@
-"""From the explored hypotheses to a diagnosis: the claim, its residual, and the verdict's numbers, within the budget.
+"""From the explored hypotheses to a diagnosis, within the budget.
 
-The claim is drawn from training strokes alone. Then held-out strokes are opened: they can refute it, and then no other
-name takes its place. One rule precedes all others: what is claimed or written never has a larger error than the
-refitted declared model, neither on fitted nor on held-out data. Where it would, or where the time is too short to tell,
-the declared model stands.
+The search is settled, its log of fits is closed, and everything that follows is drawn from the table of scores: the
+choice, by training strokes alone; the judgement, for which held-out strokes are opened; the verdict; its words. One
+rule precedes all others: what is claimed or written never has a larger error than the refitted declared model, neither
+on fitted nor on held-out data. Where it would, or where the time is too short to tell, the declared model stands.
 """
 
 from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Final, NamedTuple, TypeVar
 
-from valve_sim.identification.diagnosis.decision import Findings, advise, decide, with_untried
+from valve_sim.identification.diagnosis.decision import (
+    LARGEST_CLASS,
+    Choice,
+    Standing,
+    choice_of,
+    competitors,
+    look_alikes,
+    share_of_evidence,
+    stand,
+    withstands,
+)
 from valve_sim.identification.diagnosis.experiment_design import Recommendation, recommend
-from valve_sim.identification.diagnosis.outcome import Candidate, Diagnosis, State
+from valve_sim.identification.diagnosis.outcome import Candidate, Diagnosis, State, Verdict
+from valve_sim.identification.diagnosis.words import Findings, advise, with_untried, worded
 from valve_sim.identification.estimation.budget import OutOfTimeError
-from valve_sim.identification.estimation.gram import sum_squares
 from valve_sim.identification.estimation.intervals import Interval, covariance_interval, profile_interval
 from valve_sim.identification.estimation.result import Fit, is_relief, rmse
 from valve_sim.identification.plants.effect_titles import named_value
@@ -30,26 +40,34 @@ from valve_sim.identification.selection.force_maps import (
     fit_local_forces,
     fit_maps,
     on_top,
+    where,
 )
 from valve_sim.identification.selection.held_out import ALIKE, SAME, HeldOut
-from valve_sim.identification.selection.hypotheses import DECISIVE, Hypothesis
 from valve_sim.identification.selection.residual_tests import adequacy
-from valve_sim.identification.selection.stepwise import LARGEST_CLASS, LIKELY, Exploration
+from valve_sim.identification.selection.stepwise import Exploration
+from valve_sim.identification.selection.table import DECISIVE, Hypothesis, ScoreTable, choose
 
-WEAK_EVIDENCE: Final = 30.0
-"""Scale of eq. (51): a gain of S that is this large lowers a claim's share by the factor 0.63; at five detection limits
-the gain is some hundreds."""
-HALVED: Final = 0.5
-"""Error with named effects over that without, of strokes left out in turn and of held-out ones, below which they are
-named beside an unexplained remainder."""
-MOST_FALSE_ALARMS: Final = 0.01
-"""Probability that the search finds as much in noise alone, beyond which nothing is claimed."""
 COMPARED_BY, CLAIMED_BY, MAPPED_BY, WORDED_BY = 0.75, 0.87, 0.92, 0.96
 """Shares of the time by which models are compared, the claim is checked, force maps are fitted, and all is written."""
 LISTED: Final = 30
 """Candidates in the report, the best."""
 
 Result = TypeVar("Result")
+
+
+class _Curves(NamedTuple):
+    """Nonparametric forces on the declared model, and at one place in place of an effect; best score first."""
+
+    maps: list[NonparametricFit]
+    local: list[NonparametricFit]
+
+    @property
+    def all(self) -> list[NonparametricFit]:
+        return sorted([*self.maps, *self.local], key=lambda entry: entry.fit.score)
+
+    @property
+    def scores(self) -> list[float]:
+        return [entry.fit.score for entry in self.all]
 
 
 class Conclusion:
@@ -61,159 +79,96 @@ class Conclusion:
 
     def __init__(self, exploration: Exploration, held_out: HeldOut) -> None:
         self.exploration, self.search, self.held_out = exploration, exploration.search, held_out
-        self.criteria = exploration.criteria
         self.plant, self.budget = exploration.plant, exploration.search.problem.budget
         self.strokes = len(strokes_of_plant(self.plant))
         self.untried: list[str] = []
-        self.refuted: set[Hypothesis] = set()
-        self._reported_timing = False
-        self._telling: Recommendation | None = None
 
-    def conclude(self, explored: Hypothesis) -> Diagnosis:
-        """Check the best hypothesis, and describe what it comes to."""
-        chosen, alarm = self.claimed(explored)
-        base_fit = self.search.fit(Hypothesis((), chosen.timing))
-        nonparametric = self.nonparametric_forces(chosen, base_fit)
-        best, is_unknown, names_most = self.judged(chosen, nonparametric)
-        best_fit = self.search.fit(best)
-        after_fit, unexplained = best_fit, None
-        if is_unknown:
-            after_fit, unexplained = self.remainder(best_fit, base_fit, nonparametric, names_effects=names_most)
-        self._reported_timing = self.held_out.needs_timing(best_fit)
-        base = Hypothesis((), best.timing)
+    def conclude(self) -> Diagnosis:
+        """Choose, judge, decide, and describe what it comes to."""
+        table = self.closed_table()
+        best, alarm = self.claimed(table)
+        curves = self.curves(table, best)
+        choice = choice_of(table, best, curves.scores)
+        standing = self.judged(table, choice)
+        after_fit, unexplained = self.corrected(standing, curves)
         self.search.say("intervals", 0.99)
-        before = self.state(base_fit, profile=False)
-        after = before if after_fit is base_fit else self.state(after_fit, profile=not is_unknown)
-        competing_models = self.nonparametric_competitors(best, nonparametric.best)
-        findings = Findings(
-            self.plant, best, self.strokes, is_unknown, names_most, self.confusable(best, is_unknown),
-            self.evidence(best, [worse for _, worse in competing_models]), self.share(best),
-            [entry for entry, worse in competing_models if worse < DECISIVE], functools.partial(self.advice, best),
-            self.exploration.singles_untried(),
-        )  # fmt: skip
-        verdict, record_next = decide(findings)
-        candidates = tuple(self.candidates(base))
+        timing = self.held_out.needs_timing(self.fit(standing.best))
+        base_fit = self.fit(standing.best.base)
+        before = self.state(base_fit, profile=False, timing=timing)
+        is_declared = after_fit is base_fit
+        after = before if is_declared else self.state(after_fit, profile=not standing.is_unknown, timing=timing)
+        verdict, record_next, telling = self.verdict(table, standing, curves)
+        candidates = self.candidates(table, standing.best.base, timing=timing)
         untried = tuple(dict.fromkeys([*self.exploration.untried, *self.untried]))
         return Diagnosis(
             self.plant, before, after, with_untried(verdict, untried), candidates, unexplained,
-            tuple(describe(entry.choice, entry.fit, base_fit) for entry in nonparametric.maps), record_next, alarm,
-            tuple(channel.name for channel in self.plant.channels), self._telling, untried, self.held_out.looks,
+            tuple(describe(entry.choice, entry.fit, base_fit) for entry in curves.maps), record_next, alarm,
+            tuple(channel.name for channel in self.plant.channels), telling, untried, self.held_out.looks,
         )  # fmt: skip
 
-    # -- the claim -----------------------------------------------------------------------------------------------------
+    def fit(self, hypothesis: Hypothesis) -> Fit:
+        """The best row of a hypothesis."""
+        return self.search.log[hypothesis]
 
-    def claimed(self, explored: Hypothesis) -> tuple[Hypothesis, FalseAlarm]:
-        """The best hypothesis after competing models, held-out data and the bootstrap; the base where it fails one."""
-        if self.exploration.is_cut_short:
-            explored = self.in_time(COMPARED_BY, "", self.exploration.best_claimable, Hypothesis(()))
-        competing_models = f"models that compete with {explored}" if explored.effects else ""
-        best = self.in_time(COMPARED_BY, competing_models, lambda: self.compared(explored), explored)
-        base = Hypothesis((), best.timing)
-        if base not in self.search.fits:
-            base = self.in_time(COMPARED_BY, "", lambda: self.tried(base), Hypothesis(()))
-            best = best if base.timing == best.timing else base
+    # -- the choice, by training strokes alone -------------------------------------------------------------------------
+
+    def closed_table(self) -> ScoreTable:
+        """The scores of all that was tried, which no further fit changes."""
+        competing = "models that compete with the best"
+        self.in_time(COMPARED_BY, "" if self.exploration.screened else competing, self.exploration.settle, None)
+        self.search.log.close()
+        return self.exploration.table()
+
+    def claimed(self, table: ScoreTable) -> tuple[Hypothesis, FalseAlarm]:
+        """What training strokes speak for, if it is no false alarm; else the declared model."""
+        best = choose(table)
         self.search.say("what the same search finds in noise alone", 0.88)
-        nothing = (base, NOT_ASKED)
+        what = f"whether {best} holds" if best.effects else ""
         # The rest of the time for claims is enough, even where the comparison used up its share.
-        return self.in_time(
-            CLAIMED_BY, f"whether {best} holds" if best.effects else "", lambda: self.kept(best), nothing
-        )
+        return self.in_time(CLAIMED_BY, what, lambda: self.kept(table, best), (best.base, NOT_ASKED))
 
-    def tried(self, hypothesis: Hypothesis) -> Hypothesis:
-        """The hypothesis, fitted."""
-        self.search.fit(hypothesis)
-        return hypothesis
-
-    def compared(self, best: Hypothesis) -> Hypothesis:
-        """The best after backward elimination, and after its competitors had the same chance."""
-        exploration = self.exploration
-        if not exploration.is_adequate(best):
-            best = exploration.eliminate(exploration.best_claimable())
-        if best.effects:
-            exploration.polish_near(best)
-            best = next(filter(exploration.is_claimable, exploration.competing_models(best)), best)
-        return best
-
-    def kept(self, best: Hypothesis) -> tuple[Hypothesis, FalseAlarm]:
-        """The best if its error is not larger than the base's and it is no false alarm; else the base."""
-        base = Hypothesis((), best.timing)
-        base_fit, best_fit = self.search.fit(base), self.search.fit(best)
-        slack = ALIKE if is_relief(base_fit, best_fit) else SAME
-        if rmse(best_fit) > (1.0 + slack) * rmse(base_fit):
-            best, best_fit = base, base_fit
+    def kept(self, table: ScoreTable, best: Hypothesis) -> tuple[Hypothesis, FalseAlarm]:
+        """The best, if training strokes leave it standing."""
+        base_fit, best_fit = self.fit(best.base), self.fit(best)
         alarm = false_alarm(base_fit, best_fit)
-        if best.effects and self.exploration.is_adequate(best) and alarm.probability > MOST_FALSE_ALARMS:
-            best = base
-        return best, alarm
+        is_kept = withstands(table, best, alarm.probability, is_larger=is_larger(best_fit, base_fit))
+        return (best if is_kept else best.base), alarm
+
+    def curves(self, table: ScoreTable, best: Hypothesis) -> _Curves:
+        """Nonparametric forces on the base, where it does not explain all, and in place of members of the best."""
+        with self.budget.until(MAPPED_BY):
+            maps = [] if table[best.base].is_white else fit_maps(self.search, self.fit(best.base))
+            has_rests = all(best.without(member) in table for member in best.effects)
+            nothing: list[NonparametricFit] = []
+            if not (table[best].is_white and has_rests and self.strokes > 1):
+                return _Curves(maps, nothing)
+            find = functools.partial(fit_local_forces, self.search, best)
+            return _Curves(maps, self.in_time(MAPPED_BY, "forces at one place", find, nothing))
 
     # -- the judgement -------------------------------------------------------------------------------------------------
 
-    def judged(self, best: Hypothesis, nonparametric: _NonparametricForces) -> tuple[Hypothesis, bool, bool]:
-        """What stands when held-out data are opened; whether something is left; whether names are claimed beside it."""
-        base = Hypothesis((), best.timing)
-        base_fit, best_fit = self.search.fit(base), self.search.fit(best)
-        map_wins = bool(nonparametric.best) and nonparametric.best[0].fit.score < best_fit.score - DECISIVE
-        is_white = self.exploration.is_adequate(best)
-        what = f"whether {best} holds" if best.effects else ""
-        others = self.competing(best) if is_white else []
-        fits = [best_fit, *map(self.search.fit, others)]
-        opened = self.in_time(WORDED_BY, what, lambda: self.held_out.open(base_fit, *fits), None)
-        if opened is None:
-            return base, not self.exploration.is_adequate(base), False
-        of_base, of_best, *of_others = opened
-        self.refuted.update(
-            other for other, judgement in zip(others, of_others, strict=True) if judgement.refutes_names
-        )
-        # Dampings of a single stroke are too uncertain to tell.
-        is_refuted = (bool(best.effects) or self.strokes > 1) and not of_best.is_white
-        if best.effects and not of_best.is_gain:
-            best, is_refuted = base, not of_base.is_white or not self.exploration.is_adequate(base)
-        # What held-out data refute is no claim, however much it explains; a remainder known before may stay beside one.
-        names_most = bool(best.effects) and not map_wins and not is_white and not of_best.ratio >= HALVED
-        names_most = names_most and self.halves_error(base_fit, best_fit)
-        is_unknown = map_wins or not is_white or is_refuted
-        return best, is_unknown, names_most
+    def judged(self, table: ScoreTable, choice: Choice) -> Standing:
+        """What stands when held-out data are opened."""
+        best = choice.best
+        fits = [self.fit(hypothesis) for hypothesis in (best, *choice.competing)]
+        judge = functools.partial(self.held_out.open, self.fit(best.base), *fits)
+        judgements = self.in_time(WORDED_BY, f"whether {best} holds" if best.effects else "", judge, None)
+        return stand(table, choice, judgements, self.strokes)
 
-    def competing(self, best: Hypothesis) -> list[Hypothesis]:
-        """The few nearest to the best: each claims to explain the data about as well, and is judged likewise."""
-        nothing: dict[Hypothesis, float] = {}
-        worse = self.in_time(WORDED_BY, "", functools.partial(self.delta_scores, best), nothing)
-        return sorted((h for h in worse if h != best), key=worse.__getitem__)[: 2 * LARGEST_CLASS]
+    def corrected(self, standing: Standing, curves: _Curves) -> tuple[Fit, Unexplained | None]:
+        """The corrected model, and what it leaves unexplained.
 
-    def halves_error(self, base: Fit, best: Fit) -> bool:
-        """Whether named effects more than halve the error of training strokes that are left out in turn."""
-        with_names, without = self.criteria.cross_validation(best), self.criteria.cross_validation(base)
-        if with_names is None or without is None:
-            return False
-        return sum_squares(with_names.residuals) < HALVED**2 * sum_squares(without.residuals)
-
-    # -- what has no name ----------------------------------------------------------------------------------------------
-
-    def nonparametric_forces(self, best: Hypothesis, base_fit: Fit) -> _NonparametricForces:
-        """Nonparametric forces on the base, where it does not explain all, and in place of members of the best."""
-        base = Hypothesis((), best.timing)
-        is_explained = self.exploration.is_adequate(base)
-        with self.budget.until(MAPPED_BY):
-            maps = [] if is_explained else fit_maps(self.search, base_fit)
-            can_tell = self.exploration.is_adequate(best) and self.strokes > 1
-            nothing: list[NonparametricFit] = []
-            find = functools.partial(fit_local_forces, self.search, best)
-            local = self.in_time(MAPPED_BY, "forces at one place", find, nothing) if can_tell else nothing
-        return _NonparametricForces(maps, local, sorted([*maps, *local], key=lambda entry: entry.fit.score))
-
-    def remainder(
-        self, best_fit: Fit, base_fit: Fit, nonparametric: _NonparametricForces, *, names_effects: bool
-    ) -> tuple[Fit, Unexplained | None]:
-        """The corrected model where something is unexplained, and that remainder.
-
-        Where the verdict names effects, the corrected model has these and nothing else. Else it may hold a force map,
-        which then is the curve that is described.
+        Where the verdict names effects, it has these and nothing else. Else it may hold a force map, which then is the
+        curve that is described.
         """
+        best_fit, base_fit = self.fit(standing.best), self.fit(standing.best.base)
+        if not standing.is_unknown:
+            return best_fit, None
         with self.budget.until(MAPPED_BY):
-            left = nonparametric.maps if best_fit is base_fit else []
-            left = left or fit_maps(self.search, best_fit)
-        options = [] if names_effects else [*nonparametric.best[:1], *left[:1]]
-        chosen = min(options, key=lambda entry: self.criteria.score(entry.fit), default=None)
+            left = (curves.maps if best_fit is base_fit else []) or fit_maps(self.search, best_fit)
+        options = [] if standing.names_most else [*curves.all[:1], *left[:1]]
+        criteria = self.exploration.criteria
+        chosen = min(options, key=lambda entry: criteria.score(entry.fit), default=None)
         if chosen is not None and self.is_sound(chosen.fit, best_fit, base_fit):
             return chosen.fit, describe(chosen.choice, chosen.fit, base_fit)
         if not left:
@@ -223,130 +178,69 @@ class Conclusion:
 
     def is_sound(self, result: Fit, best: Fit, base: Fit) -> bool:
         """Whether a force map explains more than the best, and held-out data do not speak against it."""
-        if self.criteria.score(result) >= self.criteria.score(best) or rmse(result) > (1.0 + SAME) * rmse(base):
+        criteria = self.exploration.criteria
+        if criteria.score(result) >= criteria.score(best) or is_larger(result, base):
             return False
         opened = self.in_time(WORDED_BY, "", lambda: self.held_out.open(base, result), None)
         return opened is not None and not opened[1].is_larger
 
-    def nonparametric_competitors(
-        self, best: Hypothesis, nonparametric: Sequence[NonparametricFit]
-    ) -> list[tuple[NonparametricFit, float]]:
-        """Nonparametric forces with a score near the best, and by how much they are worse.
+    # -- the verdict ---------------------------------------------------------------------------------------------------
 
-        A nonparametric force need not explain more to make a name uncertain.
-        """
-        least = self.search.score(best)
-        return [(entry, entry.fit.score - least) for entry in nonparametric if entry.fit.score < least + 2.0 * DECISIVE]
+    def verdict(
+        self, table: ScoreTable, standing: Standing, curves: _Curves
+    ) -> tuple[Verdict, str, Recommendation | None]:
+        """The verdict in words, what to record next, and what that would tell apart."""
+        telling: list[Recommendation | None] = []
 
-    # -- numbers of the verdict ----------------------------------------------------------------------------------------
+        def advice() -> str:
+            find = functools.partial(self.telling_experiment, table, standing)
+            telling.append(self.in_time(WORDED_BY, "what to record next", find, None))
+            return advise(self.plant, self.strokes, telling[0])
 
-    def confusable(self, best: Hypothesis, is_unknown: bool) -> dict[str, tuple[str, ...]]:
-        """Of each named effect, what else it could be."""
-        found: dict[str, tuple[str, ...]] = {}
-        for name in best.effects:
-            known = tuple(self.plant.effects[name].confused_with)
-            others = self.in_time(WORDED_BY, "", functools.partial(self.alternatives, best, name), known)
-            found[name] = self.relatives(name, others) if is_unknown else others
-        return found
-
-    def alternatives(self, best: Hypothesis, member: str) -> tuple[str, ...]:
-        """Effects that would do in place of a member: competing models, and its look-alikes with more parameters."""
-        rest = best.without(member)
-
-        def in_its_place(hypotheses: Sequence[Hypothesis]) -> list[str]:
-            names = [name for hypothesis in hypotheses for name in hypothesis.effects]
-            sets = {hypothesis.effects for hypothesis in hypotheses}
-            return [name for name in names if name != member and rest.adding(name).effects in sets]
-
-        likely = [
-            hypothesis for hypothesis, worse in self.exploration.larger_alternatives(best).items() if worse < LIKELY
-        ]
-        stand = [h for h in (*self.exploration.competing_models(best), *likely) if h not in self.refuted]
-        return tuple(dict.fromkeys(in_its_place(stand)))
-
-    def relatives(self, name: str, found: Sequence[str]) -> tuple[str, ...]:
-        """Names beside the best: where the form is wrong, scores mislead, and known look-alikes are listed too."""
-        return tuple(dict.fromkeys([*found, *self.plant.effects[name].confused_with]))[: LARGEST_CLASS - 1]
-
-    def evidence(self, best: Hypothesis, nonparametric: Sequence[float]) -> float:
-        """Share of the best set in the evidence, theory, eq. (51), without sets that merely extend it.
-
-        Nonparametric forces have a share, too; `nonparametric` is by how much each is worse than the best
-        set. A weak effect without a name is easily taken for a weak one with a name (measured on the campaign:
-        at a tenth of a strong one, damping that varies with x passes for spring hardening), so weak evidence is
-        never certain.
-        """
-        least = self.search.score(best)
-        nothing: dict[Hypothesis, float] = {}
-        delta_scores = self.in_time(WORDED_BY, "", functools.partial(self.delta_scores, best), nothing)
-        weight: dict[tuple[str, ...], float] = {}
-        for hypothesis in self.exploration.tried():
-            if (set(hypothesis.effects) > set(best.effects) and best.effects) or hypothesis in self.refuted:
-                continue
-            worse = delta_scores.get(hypothesis, self.search.score(hypothesis) - least)
-            evidence = math.exp(-0.5 * min(max(worse, 0.0), 700.0))
-            weight[hypothesis.effects] = max(weight.get(hypothesis.effects, 0.0), evidence)
-        for name, gain in self.exploration.screened.items():
-            weight[(name,)] = math.exp(0.5 * gain)
-        least_worse = max(min(nonparametric, default=math.inf), 0.0)
-        share = weight[best.effects] / (sum(weight.values()) + math.exp(-0.5 * least_worse))
-        if not best.effects:
-            return share
-        gain = self.search.score(Hypothesis((), best.timing)) - least
-        return share * -math.expm1(-gain / WEAK_EVIDENCE)
-
-    def delta_scores(self, best: Hypothesis) -> dict[Hypothesis, float]:
-        """By how much competing models and larger alternatives are worse than the best."""
-        return {**self.exploration.delta_scores(best), **self.exploration.larger_alternatives(best)}
+        limit = table[standing.best].score + DECISIVE
+        found = Findings(
+            self.plant, standing, self.strokes, look_alikes(table, standing),
+            share_of_evidence(table, standing, curves.scores), self.share(standing.best),
+            [where(entry.choice, entry.fit) for entry in curves.all if entry.fit.score < limit],
+            self.exploration.singles_untried(),
+        )  # fmt: skip
+        verdict, record_next = worded(found, advice)
+        return verdict, record_next, telling[0] if telling else None
 
     def share(self, best: Hypothesis) -> float:
         """How much of the squared residual of the base a hypothesis explains, from 0 to 1."""
-        before = rmse(self.search.fit(Hypothesis((), best.timing)))
-        return 1.0 - (rmse(self.search.fit(best)) / before) ** 2 if before > 0.0 else 0.0
+        before = rmse(self.fit(best.base))
+        return 1.0 - (rmse(self.fit(best)) / before) ** 2 if before > 0.0 else 0.0
 
-    def advice(self, best: Hypothesis) -> str:
-        """What to record next."""
-        what = "what to record next"
-        self._telling = self.in_time(WORDED_BY, what, lambda: self.telling_experiment(best), None)
-        return advise(self.plant, self.strokes, self._telling)
-
-    def telling_experiment(self, best: Hypothesis) -> Recommendation | None:
+    def telling_experiment(self, table: ScoreTable, standing: Standing) -> Recommendation | None:
         """The recording that would tell the best hypothesis best from those of its size that do about as well."""
-        candidates = {
-            " + ".join(hypothesis.effects): self.search.fit(hypothesis)
-            for hypothesis in self.exploration.competing_models(best)
-            if hypothesis not in self.refuted
-        }
-        few = dict(list(candidates.items())[:LARGEST_CLASS])
-        return recommend(few, self.plant.experiments) if len(few) > 1 else None
+        few = competitors(table, standing)[:LARGEST_CLASS]
+        candidates = {" + ".join(hypothesis.effects): self.fit(hypothesis) for hypothesis in few}
+        return recommend(candidates, self.plant.experiments) if len(candidates) > 1 else None
 
-    # -- tables --------------------------------------------------------------------------------------------------------
+    # -- tables, when all is decided -----------------------------------------------------------------------------------
 
-    def candidates(self, base: Hypothesis) -> list[Candidate]:
+    def candidates(self, table: ScoreTable, base: Hypothesis, *, timing: bool) -> tuple[Candidate, ...]:
         """Everything tried, best first, at most thirty; fewer where the time is used up."""
-        reference = self.search.score(base)
-        found = []
-        for hypothesis in sorted((h for h in self.exploration.tried() if h.effects), key=self.search.score)[:LISTED]:
-            result = self.search.fit(hypothesis)
-            held = self.in_time(WORDED_BY, "", functools.partial(self.on_holdout, result), None)
+        found: list[Candidate] = []
+        tried = sorted((one for one in table.scores.values() if one.hypothesis.effects), key=lambda one: one.score)
+        for one in tried[:LISTED]:
+            result = self.fit(one.hypothesis)
+            held = self.in_time(WORDED_BY, "", functools.partial(self.held_out.fit, result, timing=timing), None)
             if held is None and self.budget.spent > WORDED_BY * self.budget.seconds:
                 break
             found.append(
                 Candidate(
-                    hypothesis.effects, hypothesis.timing, self.search.score(hypothesis) - reference, rmse(result),
+                    one.hypothesis.effects, one.hypothesis.timing, one.score - table[base].score, rmse(result),
                     math.nan if held is None else rmse(held),
                     {name: covariance_interval(result, name) for name in result.free},
                 )
             )  # fmt: skip
-        return found
+        return tuple(found)
 
-    def on_holdout(self, result: Fit) -> Fit | None:
-        """A fit on held-out data, with stamps as in the report."""
-        return self.held_out.fit(result, timing=self._reported_timing)
-
-    def state(self, result: Fit, *, profile: bool) -> State:
+    def state(self, result: Fit, *, profile: bool, timing: bool) -> State:
         """A fit with all that a report says of it."""
-        held = self.in_time(WORDED_BY, "", lambda: self.on_holdout(result), None)
+        held = self.in_time(WORDED_BY, "", functools.partial(self.held_out.fit, result, timing=timing), None)
         intervals = {
             name: self.interval(result, name)
             if profile and ("." in name or result.is_collinear(name))
@@ -373,9 +267,7 @@ class Conclusion:
             return otherwise
 
 
-class _NonparametricForces(NamedTuple):
-    """Maps on top of the base, forces at one place in place of an effect, and both, best score first."""
-
-    maps: list[NonparametricFit]
-    local: list[NonparametricFit]
-    best: list[NonparametricFit]
+def is_larger(result: Fit, base: Fit) -> bool:
+    """Whether a fit's error on training strokes is larger than the base's, but for rounding."""
+    slack = ALIKE if is_relief(base, result) else SAME
+    return rmse(result) > (1.0 + slack) * rmse(base)

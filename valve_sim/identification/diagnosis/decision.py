@@ -1,116 +1,232 @@
-"""From what was found to the verdict and its words."""
+"""What is claimed: functions of a closed table of scores, of what held-out data say, and of nothing else.
+
+`choose` finds what training strokes speak for, held-out data judge it (`stand`), and the verdict's numbers follow from
+the table. Nothing here fits, simulates or words anything.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Final
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, NamedTuple
 
 from valve_sim.identification.diagnosis.calibration import calibrated
-from valve_sim.identification.diagnosis.experiment_design import Recommendation
-from valve_sim.identification.diagnosis.outcome import Verdict
-from valve_sim.identification.plants.effect_titles import listed, named, what_is_missing
-from valve_sim.identification.plants.protocol import Plant, advice_of
-from valve_sim.identification.selection.force_maps import NonparametricFit, where
-from valve_sim.identification.selection.hypotheses import Hypothesis
-from valve_sim.identification.selection.stepwise import LARGEST_CLASS
+from valve_sim.identification.selection.held_out import Judgement
+from valve_sim.identification.selection.table import (
+    DECISIVE,
+    Hypothesis,
+    ScoreTable,
+    competing_models,
+    delta_scores,
+    larger_alternatives,
+)
 
-SHOWN_UNTRIED: Final = 4
-"""How many of the untried hypotheses the summary names."""
+LARGEST_CLASS: Final = 4
+"""More names than this are no answer."""
+LIKELY: Final = 4.0
+"""Difference of evidence within which a larger look-alike is listed, too: odds of 7 to 1. Measured: where friction is
+Coulomb's, stiction is worse by 5 to 8; where it is a stiction too small to be distinguished, by −8 to 3.4."""
+JUDGED: Final = 2 * LARGEST_CLASS
+"""How many competing models are judged by held-out data, beside the best."""
+WEAK_EVIDENCE: Final = 30.0
+"""Scale of eq. (51): a gain of S that is this large lowers a claim's share by the factor 0.63; at five detection limits
+the gain is some hundreds."""
+HALVED: Final = 0.5
+"""Error with named effects over that without, of strokes left out in turn and of held-out ones, below which they are
+named beside an unexplained remainder."""
+MOST_FALSE_ALARMS: Final = 0.01
+"""Probability that the search finds as much in noise alone, beyond which nothing is claimed."""
+EVEN: Final = 0.5
+"""Most probable that a claim with a remainder, or of an unfinished search, may be."""
 
 
 @dataclass(frozen=True)
-class Findings:
-    """What a verdict is decided from.
+class Choice:
+    """What training strokes speak for, before held-out data are opened.
 
     Attributes:
-        plant: the machine. best: the hypothesis that is claimed. strokes: how many there are.
-        is_unknown: whether something is left that has no name. names_most: whether the effects explain most beside it.
-        confusable: of each effect, what else it could be. evidence: share of the claim in all evidence.
-        share: of the base's squared residual that the claim explains. places: nonparametric forces that do as well.
-        advice: works out what to record next.
-        singles_untried: whether not even every single effect was tried.
+        best: the hypothesis. is_white: whether its residual is. curve_wins: whether a nonparametric force is decisively
+            better. halves_error: whether it more than halves the error of strokes that are left out in turn.
+        competing: what explains the training strokes about as well, nearest first; it is judged with the best.
     """
 
-    plant: Plant
     best: Hypothesis
-    strokes: int
+    is_white: bool
+    curve_wins: bool
+    halves_error: bool
+    competing: tuple[Hypothesis, ...]
+
+
+@dataclass(frozen=True)
+class Standing:
+    """What stands when held-out data have been opened.
+
+    Attributes:
+        best: the choice, or the declared model where it was refuted. refuted: what competed and was refuted.
+        is_unknown: whether something is left that has no name. names_most: whether names are claimed beside it.
+    """
+
+    best: Hypothesis
     is_unknown: bool
     names_most: bool
-    confusable: Mapping[str, tuple[str, ...]]
-    evidence: float
-    share: float
-    places: Sequence[NonparametricFit]
-    advice: Callable[[], str]
-    singles_untried: bool
-
-    @property
-    def is_ambiguous(self) -> bool:
-        """Whether more effects are possible than an answer may list."""
-        return any(len(others) + 1 > LARGEST_CLASS for others in self.confusable.values())
+    refuted: frozenset[Hypothesis] = frozenset()
 
 
-def decide(found: Findings) -> tuple[Verdict, str]:
-    """The verdict, and what to record next."""
-    kind, sentence = _decided(found)
-    is_ambiguous = found.is_unknown or any(found.confusable.values())
-    advice = found.advice() if kind in ("unknown", "insufficient") or (kind == "effects" and is_ambiguous) else ""
-    if kind == "insufficient" and advice:
-        sentence += f" {advice}"
-    is_sure = not found.is_unknown and not found.singles_untried and kind in ("none", "effects")
-    probability = calibrated(kind, found.evidence) if is_sure else min(found.evidence, 0.5)
-    effects = () if kind == "none" else found.best.effects
-    return Verdict(kind, effects, dict(found.confusable), found.evidence, probability, sentence), advice
+class Decision(NamedTuple):
+    """The verdict without its words: kind, effects that it names, and the probability that it is right."""
+
+    kind: str
+    effects: tuple[str, ...]
+    probability: float
 
 
-def with_untried(verdict: Verdict, untried: Sequence[str]) -> Verdict:
-    """The verdict, saying what was left to try when the time was used up."""
-    if not untried:
-        return verdict
-    few = ", ".join(untried[:SHOWN_UNTRIED]) + (", ..." if len(untried) > SHOWN_UNTRIED else "")
-    return replace(verdict, summary=f"{verdict.summary} The time was used up with {len(untried)} left untried: {few}.")
+def withstands(table: ScoreTable, best: Hypothesis, false_alarm: float, *, is_larger: bool) -> bool:
+    """Whether training strokes alone leave a claim of effects standing.
+
+    Args:
+        table: of all that was tried. best: what would be claimed.
+        false_alarm: probability that the search finds as much in noise.
+        is_larger: whether its plain error is larger than the refitted declared model's.
+    """
+    return not is_larger and not (table[best].is_white and false_alarm > MOST_FALSE_ALARMS)
 
 
-def _decided(found: Findings) -> tuple[str, str]:
-    """The kind of verdict, and its sentence."""
-    if found.is_unknown:
-        return _of_a_remainder(found)
-    if found.strokes <= 1:
-        return "insufficient", f"{advice_of(found.plant).ambiguous}."
-    if found.is_ambiguous:
-        count = 1 + max(len(others) for others in found.confusable.values())
-        return "insufficient", f"{count} effects explain the data about equally well."
-    if not found.best.effects:
-        return "none", "The declared model with refitted damping explains the data down to the noise."
-    others = sorted({other for names in found.confusable.values() for other in names})
-    places = [f"a force at {where(entry.choice, entry.fit)} alone" for entry in found.places[:1]]
-    alike = listed([*(named([other]) for other in others), *places], "or")
-    alternatives = f"; {alike} would explain the data about as well" if alike else ""
-    return "effects", f"The model {what_is_missing(found.best.effects)}{alternatives}."
+def choice_of(table: ScoreTable, best: Hypothesis, curves: Sequence[float]) -> Choice:
+    """The best, what competes with it, and whether something without a name does better.
+
+    Args:
+        table: of all that was tried. best: what is claimed. curves: S of each nonparametric force.
+    """
+    one = table[best]
+    competing: list[Hypothesis] = []
+    if one.is_white and best.effects:
+        worse = {**delta_scores(table, best), **larger_alternatives(table, best)}
+        competing = sorted((other for other in worse if other != best), key=worse.__getitem__)[:JUDGED]
+    return Choice(
+        best, one.is_white, min(curves, default=math.inf) < one.score - DECISIVE, _halves_error(table, best),
+        tuple(competing),
+    )  # fmt: skip
 
 
-def _of_a_remainder(found: Findings) -> tuple[str, str]:
-    """Likewise where something is left that has no name."""
-    names = named(found.best.effects)
-    share = f"that explains {100.0 * found.share:.1f} % of the squared residual"
-    if found.names_most:
-        explains = "nothing that was tried explains" if found.singles_untried else "no effect of the catalogue explains"
-        remainder = f"What is left, {explains}."
-        return "effects", f"The model {what_is_missing(found.best.effects)}; {share}. {remainder}"
-    closest = f" The closest is {names}; {share}." if names else ""
-    if found.singles_untried:
-        return "insufficient", f"The time was too short to find what the model lacks.{closest}"
-    return "unknown", f"Something acts that no effect of the catalogue explains.{closest}"
+def _halves_error(table: ScoreTable, best: Hypothesis) -> bool:
+    with_names, without = table[best].cross_validation(), table[best.base].cross_validation()
+    if not best.effects or with_names is None or without is None:
+        return False
+    return with_names.sum_squares < HALVED**2 * without.sum_squares
 
 
-def advise(plant: Plant, strokes: int, telling: Recommendation | None) -> str:
-    """What to record next to tell effects apart: and the single pulse that tells most."""
-    advice = advice_of(plant).first if strokes <= 1 else advice_of(plant).more
-    if telling is None:
-        return f"{advice}."
-    one, other = (named(candidate.split(" + ")) for candidate in telling.pair)
-    return (
-        f"{advice}; of single pulses {telling.experiment.words} tells most: {telling.repeats} of them set {one} apart "
-        f"from {other} by {math.sqrt(telling.repeats) * telling.separation:.0f} standard deviations, others by more."
+def stand(table: ScoreTable, choice: Choice, judgements: Sequence[Judgement] | None, strokes: int) -> Standing:
+    """What held-out data leave of a choice. They can refute it; nothing else takes its place.
+
+    Args:
+        table: of all that was tried. choice: what is judged. strokes: how many the machine made.
+        judgements: of the refitted declared model, of the best and of each that competes; None where the time was too
+            short to open held-out data: then no effect is claimed.
+    """
+    best, base = choice.best, choice.best.base
+    if judgements is None:
+        return Standing(base, is_unknown=not table[base].is_white, names_most=False)
+    of_base, of_best, *of_others = judgements
+    refuted = frozenset(
+        other for other, judgement in zip(choice.competing, of_others, strict=True) if judgement.refutes_names
     )
+    if best.effects and not of_best.is_gain:
+        is_adequate = table[base].is_white and of_base.is_white
+        return Standing(base, is_unknown=not is_adequate, names_most=False, refuted=refuted)
+    # Dampings of a single stroke are too uncertain to tell.
+    is_refuted = (bool(best.effects) or strokes > 1) and not of_best.is_white
+    # What held-out data refute is no claim, however much it explains; a remainder known before may stay beside one.
+    is_most = choice.halves_error and not of_best.ratio >= HALVED
+    names_most = bool(best.effects) and is_most and not choice.is_white and not choice.curve_wins
+    return Standing(best, choice.curve_wins or not choice.is_white or is_refuted, names_most, refuted)
+
+
+def share_of_evidence(table: ScoreTable, standing: Standing, curves: Sequence[float]) -> float:
+    """Share of what stands in the evidence, theory, eq. (51), without sets that merely extend it.
+
+    Nonparametric forces have a share, too; `curves` is S of each. A weak effect without a name is easily taken for a
+    weak one with a name (measured on the campaign: at a tenth of a strong one, damping that varies with x passes for
+    spring hardening), so weak evidence is never certain.
+    """
+    best, least = standing.best, table[standing.best].score
+    near = {**delta_scores(table, best), **larger_alternatives(table, best)}
+    weight: dict[tuple[str, ...], float] = {}
+    for other, one in table.scores.items():
+        extends = bool(best.effects) and set(other.effects) > set(best.effects)
+        if extends or other in standing.refuted:
+            continue
+        evidence = _weight(near.get(other, one.score - least))
+        weight[other.effects] = max(weight.get(other.effects, 0.0), evidence)
+    if not best.effects:
+        weight.update({(name,): _weight(-gain) for name, gain in table.screened.items() if (name,) not in weight})
+    share = weight[best.effects] / (sum(weight.values()) + math.exp(-0.5 * _nearest(curves, least)))
+    if not best.effects:
+        return share
+    gain = table[best.base].score - least
+    return share * -math.expm1(-gain / WEAK_EVIDENCE)
+
+
+def _weight(worse: float) -> float:
+    return math.exp(-0.5 * min(max(worse, 0.0), 700.0))
+
+
+def _nearest(curves: Sequence[float], least: float) -> float:
+    """By how much the best nonparametric force is worse; those that are far take no part."""
+    near = [score - least for score in curves if score < least + 2.0 * DECISIVE]
+    return max(min(near, default=math.inf), 0.0)
+
+
+def look_alikes(table: ScoreTable, standing: Standing) -> dict[str, tuple[str, ...]]:
+    """Of each named effect, what else it could be.
+
+    Where the form is wrong, scores mislead, and known look-alikes are listed too.
+    """
+    found: dict[str, tuple[str, ...]] = {}
+    for name in standing.best.effects:
+        others = _in_place_of(table, standing, name)
+        if standing.is_unknown:
+            others = tuple(dict.fromkeys([*others, *table.look_alikes.get(name, ())]))[: LARGEST_CLASS - 1]
+        found[name] = others
+    return found
+
+
+def _in_place_of(table: ScoreTable, standing: Standing, member: str) -> tuple[str, ...]:
+    """Effects that would do in place of a member: competing models, and its look-alikes with more parameters."""
+    best = standing.best
+    rest = best.without(member)
+    likely = [other for other, worse in larger_alternatives(table, best).items() if worse < LIKELY]
+    stand_too = [other for other in (*competing_models(table, best), *likely) if other not in standing.refuted]
+    sets = {other.effects for other in stand_too}
+    names = [name for other in stand_too for name in other.effects]
+    return tuple(dict.fromkeys(name for name in names if name != member and rest.adding(name).effects in sets))
+
+
+def competitors(table: ScoreTable, standing: Standing) -> list[Hypothesis]:
+    """What stands and what competes with it, nearest first: what a further recording should tell apart."""
+    return [other for other in competing_models(table, standing.best) if other not in standing.refuted]
+
+
+def decide(
+    standing: Standing, alike: Mapping[str, Sequence[str]], evidence: float, strokes: int, *, singles_untried: bool
+) -> Decision:
+    """The verdict.
+
+    Args:
+        standing: what held-out data leave. alike: of each effect, what else it could be. evidence: its share.
+        strokes: how many the machine made. singles_untried: whether not even every single effect was tried.
+    """
+    kind = _kind(standing, alike, strokes, singles_untried=singles_untried)
+    is_sure = not standing.is_unknown and not singles_untried and kind in ("none", "effects")
+    probability = calibrated(kind, evidence) if is_sure else min(evidence, EVEN)
+    return Decision(kind, () if kind == "none" else standing.best.effects, probability)
+
+
+def _kind(standing: Standing, alike: Mapping[str, Sequence[str]], strokes: int, *, singles_untried: bool) -> str:
+    if standing.is_unknown:
+        unnamed = "insufficient" if singles_untried else "unknown"
+        return "effects" if standing.names_most else unnamed
+    is_ambiguous = any(len(others) + 1 > LARGEST_CLASS for others in alike.values())
+    if strokes <= 1 or is_ambiguous:
+        return "insufficient"
+    return "effects" if standing.best.effects else "none"

@@ -23,7 +23,8 @@ from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.event_table import EventPlant, EventTable, reached
 from valve_sim.identification.plants.protocol import Array
-from valve_sim.identification.selection.hypotheses import Hypothesis, Search
+from valve_sim.identification.selection.hypotheses import Search
+from valve_sim.identification.selection.table import Hypothesis
 from valve_sim.model import CATALOGUE, Drive, EventKind, ParameterError, Response, Tolerances, Valve, simulate
 
 Progress = Callable[[str, float], None]

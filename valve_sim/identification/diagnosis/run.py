@@ -25,8 +25,9 @@ from valve_sim.identification.plants.protocol import Plant, strokes_of_plant
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.selection.current_check import current_noise_inflation
 from valve_sim.identification.selection.held_out import HeldOut
-from valve_sim.identification.selection.hypotheses import Hypothesis, Progress, Search, start_near_off
+from valve_sim.identification.selection.hypotheses import Progress, Search, start_near_off
 from valve_sim.identification.selection.stepwise import Exploration
+from valve_sim.identification.selection.table import Hypothesis
 from valve_sim.model import SimulationError, Valve
 from valve_sim.traces import Trace
 
@@ -75,8 +76,8 @@ def diagnose_plant(
     with budget.until(BEGUN_BY):
         exploration, held_out = _begun(plant, holdout, progress, budget)
     with budget.until(EXPLORED_BY):
-        best = exploration.explore()
-    return Conclusion(exploration, held_out).conclude(best)
+        exploration.explore()
+    return Conclusion(exploration, held_out).conclude()
 
 
 def _begun(
@@ -105,7 +106,7 @@ def _begun(
         search.fit(Hypothesis(()))
     except OutOfTimeError:
         # From one start it may be fitted all the same.
-        if Hypothesis(()) not in search.fits:
+        if Hypothesis(()) not in search.log:
             raise
     return Exploration(search), HeldOut(plant, held_out)
 

@@ -120,6 +120,12 @@ class Fit:
         return np.array([(self.values[own.name] - own.mean) / own.sigma for own in self.nuisances])
 
     @property
+    def chi2_of_declared(self) -> float:
+        """What declared values off their tolerances add to the criterion."""
+        pairs = zip(self.deviations, self.nuisances, strict=True)
+        return float(sum(deviation**2 for deviation, own in pairs if own.is_of_machine))
+
+    @property
     def score(self) -> float:
         """The score S, theory, eq. (41): smaller is better, a difference of 10 is decisive."""
         occam = 0.0
@@ -221,11 +227,7 @@ def is_relief(smaller: Fit, larger: Fit) -> bool:
     that are left out, or held out, can show the difference.
     """
     gain = smaller.chi2 - larger.chi2
-    priors = [
-        sum(d**2 for d, own in zip(fitted.deviations, fitted.nuisances, strict=True) if own.is_of_machine)
-        for fitted in (smaller, larger)
-    ]
-    return bool(priors[0] - priors[1] > MOSTLY * gain > 0.0)
+    return smaller.chi2_of_declared - larger.chi2_of_declared > MOSTLY * gain > 0.0
 
 
 def rmse(result: Fit) -> float:

@@ -46,6 +46,11 @@ class CrossValidation:
     rise: float
     folds: int
 
+    @property
+    def sum_squares(self) -> float:
+        """Of the residuals."""
+        return sum_squares(self.residuals)
+
 
 def folds_of(problem: Problem) -> list[NDArray[np.bool_]]:
     """For each stroke that takes part, (n,) which residuals are its own; of many strokes, several in a fold."""

@@ -17,7 +17,8 @@ from valve_sim.identification.estimation.budget import OutOfTimeError
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.plants.protocol import Array, EffectChoice, perturbed
-from valve_sim.identification.selection.hypotheses import DECISIVE, Hypothesis, Search
+from valve_sim.identification.selection.hypotheses import Search
+from valve_sim.identification.selection.table import DECISIVE, Hypothesis
 from valve_sim.model import SimulationError
 
 UNEXPLAINED: Final = 1.5

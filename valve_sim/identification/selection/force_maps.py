@@ -21,9 +21,10 @@ from valve_sim.identification.estimation.smoothing import Smoothness
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Array, ForceMap, Nuisance
 from valve_sim.identification.plants.root_mean_square import root_mean_square
-from valve_sim.identification.selection.hypotheses import Hypothesis, Search
+from valve_sim.identification.selection.hypotheses import Search
 from valve_sim.identification.selection.periods import likely_periods
 from valve_sim.identification.selection.residual_tests import adequacy
+from valve_sim.identification.selection.table import Hypothesis
 from valve_sim.model import SimulationError
 from valve_sim.model.effects import basis
 

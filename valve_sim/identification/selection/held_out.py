@@ -14,9 +14,9 @@ from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit, is_relief, rmse
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Nuisance, Plant
-from valve_sim.identification.selection.hypotheses import DECISIVE
 from valve_sim.identification.selection.predictive_density import Prediction, knowledge_for, predict_held_out
 from valve_sim.identification.selection.residual_tests import adequacy, whiteness
+from valve_sim.identification.selection.table import DECISIVE
 from valve_sim.model import SimulationError
 
 FAILS_HELD_OUT: Final = 1.2

@@ -1,15 +1,15 @@
 """The search over named effects: every candidate is refitted inside the simulator.
 
-A hypothesis is a set of effects, with or without errors in each command's stamp. Hypotheses are compared by the
-score S of `result`; the best of each is kept, so that asking twice costs nothing.
+A hypothesis is a set of effects, with or without errors in each command's stamp. Every fit is a row of `FitLog`, and
+the best row of a hypothesis is its fit, so that asking twice costs nothing.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Final, NamedTuple
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import Final
 
 import numpy as np
 
@@ -18,7 +18,6 @@ from valve_sim.identification.estimation.parallel import run_parallel
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
-from valve_sim.identification.plants.effect_titles import titles_of
 from valve_sim.identification.plants.protocol import (
     EffectChoice,
     from_internal,
@@ -26,11 +25,10 @@ from valve_sim.identification.plants.protocol import (
     internal_scale,
     to_internal,
 )
+from valve_sim.identification.selection.table import FitLog, Hypothesis, Row
 from valve_sim.model import SimulationError
 from valve_sim.model.parameters import Parameter
 
-DECISIVE: Final = 10.0
-"""Difference of the score S, theory, eq. (41), that decides: odds of 150 to 1."""
 SMALL, LARGE = 0.05, (0.5, 1.5, 3.0)
 """Starts, in prior scales of a parameter: one near off, which follows the gradient, and some far from it."""
 SHAPES: Final = (1.0, 0.2, 5.0)
@@ -45,40 +43,21 @@ SCATTER: Final = (1.0, 3.0, 3.0, 10.0, 10.0, 30.0)
 Progress = Callable[[str, float], None]
 
 
-class Hypothesis(NamedTuple):
-    """A set of effects, in alphabetical order, and whether each command's stamp may err."""
-
-    effects: tuple[str, ...]
-    timing: bool = False
-
-    def __str__(self) -> str:
-        model = titles_of(self.effects) if self.effects else "the declared model"
-        return model + (", with errors of the commands' stamps" if self.timing else "")
-
-    def adding(self, effect: str) -> Hypothesis:
-        """The same and one effect more."""
-        return Hypothesis(tuple(sorted((*self.effects, effect))), self.timing)
-
-    def without(self, effect: str) -> Hypothesis:
-        """The same less one effect."""
-        return Hypothesis(tuple(name for name in self.effects if name != effect), self.timing)
-
-
 class Search:
-    """Fits hypotheses to one problem, and keeps the fits.
+    """Fits hypotheses to one problem, and logs the fits.
 
     Args:
         problem: training data, with the budget of fits to them.
         progress: told what is being tried, and the fraction done.
 
     Attributes:
-        fits: the best fit of every hypothesis that was tried.
+        log: every fit, a row each.
         untried: what was to be tried when the time was used up, in words.
     """
 
     def __init__(self, problem: Problem, progress: Progress | None = None) -> None:
         self.problem = problem
-        self.fits: dict[Hypothesis, Fit] = {}
+        self.log = FitLog()
         self._progress = progress or (lambda what, fraction: None)
         self.untried: list[str] = []
         self._annealed: set[Hypothesis] = set()
@@ -93,20 +72,17 @@ class Search:
 
         Raises:
             OutOfTimeError: the time is used up; what was fitted by then is kept.
+            SimulationError: the machine cannot be simulated from any start.
         """
-        if hypothesis in self.fits and (not anneal or hypothesis in self._annealed):
-            return self.fits[hypothesis]
-        fits = [self.fits[hypothesis]] if hypothesis in self.fits else []
-        try:
-            if not fits:
-                fits.extend(self._fits(hypothesis))
-            if anneal:
-                self._annealed.add(hypothesis)
-                fits.extend(self._attempt(hypothesis, dict(fits[0].values), ANNEALING))
-        finally:
-            if fits:
-                self.fits[hypothesis] = min(fits, key=lambda result: result.chi2)
-        return self.fits[hypothesis]
+        if hypothesis not in self.log:
+            for start, found in self._fits(hypothesis):
+                self.log.append(Row(hypothesis, start, found))
+            if hypothesis not in self.log:
+                raise SimulationError(f"{hypothesis}: the model cannot be simulated from any start of the fit")
+        if anneal and hypothesis not in self._annealed:
+            self._annealed.add(hypothesis)
+            self._append(hypothesis, "annealed", dict(self.log[hypothesis].values), ANNEALING)
+        return self.log[hypothesis]
 
     def fit_each(self, hypotheses: Sequence[Hypothesis], fractions: tuple[float, float]) -> None:
         """Fit hypotheses of equal size in parallel: they start from smaller ones, not from each other.
@@ -116,18 +92,14 @@ class Search:
             fractions: of the diagnosis that are done before and after.
         """
         before, after = fractions
-        new = [hypothesis for hypothesis in dict.fromkeys(hypotheses) if hypothesis not in self.fits]
+        new = [hypothesis for hypothesis in dict.fromkeys(hypotheses) if hypothesis not in self.log]
         done = {hypothesis: index / len(new) for index, hypothesis in enumerate(new)}
+        self.log.expect(new)
         try:
             run_parallel(self.fit, new, lambda h: self.say(str(h), before + (after - before) * done[h]))
         except OutOfTimeError:
-            self.untried.extend(str(hypothesis) for hypothesis in new if hypothesis not in self.fits)
+            self.untried.extend(str(hypothesis) for hypothesis in new if hypothesis not in self.log)
             raise
-        finally:
-            for hypothesis in new:
-                # Ties go to what was fitted first, which must not depend on what was ready first.
-                if hypothesis in self.fits:
-                    self.fits[hypothesis] = self.fits.pop(hypothesis)
 
     def polish(self, hypothesis: Hypothesis) -> Fit:
         """Fit again from around the best fit: contacts that come and go make shallow local minima near the global one.
@@ -141,6 +113,7 @@ class Search:
         random = np.random.default_rng(len(hypothesis.effects))
         plant = self.problem.plant
         for spread in SCATTER:
+            best = self.log[hypothesis]
             start = dict(best.values)
             for name in best.free:
                 parameter = plant.parameter(name)
@@ -149,17 +122,14 @@ class Search:
                 at = float(best.coordinates[index]) + spread * error * float(random.standard_normal())
                 lower, upper = internal_bounds(parameter)
                 start[name] = from_internal(parameter, min(max(at, lower), upper))
-            for result in self._attempt(hypothesis, start):
-                if result.chi2 < best.chi2:
-                    best = result
-        self.fits[hypothesis] = best
-        return best
+            self._append(hypothesis, "scattered", start)
+        return self.log[hypothesis]
 
     def refit(self, hypothesis: Hypothesis, start: Mapping[str, float]) -> Fit:
-        """Fit once more, from these values, and keep what is better."""
-        fits = [self.fit(hypothesis), *self._attempt(hypothesis, start)]
-        self.fits[hypothesis] = min(fits, key=lambda result: result.chi2)
-        return self.fits[hypothesis]
+        """Fit once more, from these values; the best fit of the hypothesis."""
+        self.fit(hypothesis)
+        self._append(hypothesis, "from a larger model", start)
+        return self.log[hypothesis]
 
     def score(self, hypothesis: Hypothesis) -> float:
         """S of a hypothesis."""
@@ -174,36 +144,51 @@ class Search:
         plant = self.problem.plant
         return (*plant.base, *itertools.chain(*(plant.effects[name].free_names() for name in hypothesis.effects)))
 
-    def _fits(self, hypothesis: Hypothesis) -> Iterable[Fit]:
-        """Fits from each start; a smaller hypothesis that was fitted gives initial values."""
+    def _append(
+        self, hypothesis: Hypothesis, kind: str, start: Mapping[str, float], robust: Sequence[float] = ()
+    ) -> None:
+        for found in self._attempt(hypothesis, start, robust):
+            self.log.append(Row(hypothesis, kind, found))
+
+    def _fits(self, hypothesis: Hypothesis) -> Iterator[tuple[str, Fit]]:
+        """Fits from each start, with its kind; a smaller hypothesis that was fitted gives initial values."""
         if not hypothesis.effects:
             plain = Hypothesis(())
-            warm = self.fits[plain].values if plain in self.fits else {}
-            starts: list[Mapping[str, float]] = [warm]
-            if not warm:
-                starts.append({name: 3.0 * self.problem.plant.declared(name) for name in self.problem.plant.base})
-            for start in starts:
-                yield from self._attempt(hypothesis, start)
+            starts: list[tuple[str, Mapping[str, float]]] = (
+                [("declared model", self.log[plain].values)]
+                if plain in self.log
+                else [
+                    ("declared", {}),
+                    ("declared, tripled", {name: 3.0 * self.problem.plant.declared(name) for name in self._base}),
+                ]
+            )
+            for kind, start in starts:
+                yield from ((kind, found) for found in self._attempt(hypothesis, start))
             return
         untimed = hypothesis._replace(timing=False)
-        if hypothesis.timing and untimed in self.fits:
-            yield from self._attempt(hypothesis, self.fits[untimed].values)
-        known = [name for name in hypothesis.effects if hypothesis.without(name) in self.fits]
+        if hypothesis.timing and untimed in self.log:
+            yield from (("untimed", found) for found in self._attempt(hypothesis, self.log[untimed].values))
+        known = [name for name in hypothesis.effects if hypothesis.without(name) in self.log]
         added = min(known, key=lambda name: self.score(hypothesis.without(name))) if known else hypothesis.effects[-1]
         warm = self.fit(hypothesis.without(added)).values
         effect = self.problem.plant.effects[added]
         fits: list[Fit] = []
         for start in effect_starts(self.problem, effect, warm):
-            fits.extend(self._attempt(hypothesis, {**warm, **start}))
+            for found in self._attempt(hypothesis, {**warm, **start}):
+                fits.append(found)
+                yield "sizes", found
         if fits and _has_lost_its_shape(min(fits, key=lambda result: result.chi2), effect):
             for shape in SHAPES:
                 start = _start(effect, [SMALL] * len(effect.parameters), shape)
-                fits.extend(self._attempt(hypothesis, {**warm, **start}))
-        yield from fits
+                yield from (("shapes", found) for found in self._attempt(hypothesis, {**warm, **start}))
+
+    @property
+    def _base(self) -> Sequence[str]:
+        return self.problem.plant.base
 
     def _attempt(
         self, hypothesis: Hypothesis, start: Mapping[str, float], robust: Sequence[float] = ()
-    ) -> Iterable[Fit]:
+    ) -> Iterator[Fit]:
         plant = self.problem.plant
         nuisances = (*plant.nuisances, *(plant.timing_errors if hypothesis.timing else ()))
         try:

@@ -1,36 +1,48 @@
 """Which hypotheses are tried, in which order, and which of them may be claimed.
 
-Singles, then pairs, triples and quadruples while each gains; members are swapped through the catalogue, and what is not
-needed is dropped again. Hypotheses are ordered by training strokes alone: by the score S where the residual is white,
-else by what they predict of strokes that are left out.
+Singles, then pairs, triples and quadruples while each gains; members are swapped through the catalogue. In the end the
+best and what is near it are polished alike. Hypotheses are ordered by training strokes alone: by the score S where the
+residual is white, else by what they predict of strokes that are left out. What is claimed is chosen from the table of
+scores (`table.choose`).
 """
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Mapping, Sequence
 from typing import Final
 
+import numpy as np
+
 from valve_sim.identification.estimation.budget import OutOfTimeError
 from valve_sim.identification.estimation.parallel import run_parallel
+from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.plants.protocol import to_internal
 from valve_sim.identification.selection.criteria import Criteria
-from valve_sim.identification.selection.hypotheses import DECISIVE, Hypothesis, Search
+from valve_sim.identification.selection.hypotheses import Search
 from valve_sim.identification.selection.score_test import score_gains
+from valve_sim.identification.selection.table import (
+    DECISIVE,
+    Hypothesis,
+    Score,
+    ScoreTable,
+    best_claimable,
+    choose,
+)
 
 MOST_EFFECTS: Final = 4
 """In one hypothesis. On the plant of another form, three leave the added effect out in 4 of 10 cases, four in 2."""
-LARGEST_CLASS: Final = 4
-"""More names than this are no answer."""
 BEAM: Final = 2
 """How many of the best hypotheses are extended by one more effect."""
 HINT: Final = 0.02
 """P-value below which the search goes on: that costs seconds, stopping too early a wrong verdict."""
 NEARLY: Final = 40.0
 """Difference of S within which a better start may reverse the order."""
-LIKELY: Final = 4.0
-"""Difference of evidence within which a larger look-alike is listed, too: odds of 7 to 1. Measured: where friction is
-Coulomb's, stiction is worse by 5 to 8; where it is a stiction too small to be distinguished, by −8 to 3.4."""
+POLISHED: Final = 4
+"""How many of the nearest competitors are polished with the best."""
+MOST_ROUNDS: Final = 4
+"""In which another best may come of polishing, and is polished in turn."""
 EXCLUDES_OFF: Final = 1.96
 """Standard errors that an effect must be away from 'off'."""
 
@@ -52,14 +64,32 @@ class Exploration:
         self.plant = search.problem.plant
         self.is_cut_short = False
         self.screened: dict[str, float] = {}
+        self._away: dict[tuple[Fit, str], bool | None] = {}
 
-    def explore(self) -> Hypothesis:
-        """The best claimable hypothesis of all that the time allows to try, beside the declared model's fit."""
+    def explore(self) -> None:
+        """Try all that the time allows, beside the declared model."""
         try:
-            return self._explore()
+            self._explore()
         except OutOfTimeError:
             self.is_cut_short = True
-            return Hypothesis(())
+
+    def settle(self) -> None:
+        """Give the best and its competitors the same chance, until that brings up no other best.
+
+        Raises:
+            OutOfTimeError: the time is used up.
+        """
+        settled: Hypothesis | None = None
+        for _ in range(MOST_ROUNDS):
+            best = choose(self.table())
+            if best == settled:
+                return
+            settled = best
+            self.search.fit(best.base)
+            for rest in (best.without(member) for member in best.effects):
+                self.search.refit(rest, self.search.fit(best).values)
+            if choose(self.table()) == best and best.effects:
+                self.polish_near(best)
 
     @property
     def untried(self) -> list[str]:
@@ -68,16 +98,16 @@ class Exploration:
 
     def singles_untried(self) -> bool:
         """Whether not even every single effect was tried, although there was a reason to."""
-        return not self.screened and any(Hypothesis((name,)) not in self.search.fits for name in self.plant.effects)
+        return not self.screened and any(Hypothesis((name,)) not in self.search.log for name in self.plant.effects)
 
-    def _explore(self) -> Hypothesis:
-        """Singles, then pairs and triples while something is left; returns the best claimable hypothesis."""
+    def _explore(self) -> None:
+        """Singles, then pairs and triples while something is left."""
         search, names, declared = self.search, list(self.plant.effects), Hypothesis(())
         gains = score_gains(search.fit(declared))
         # An adequate declared model costs one fit.
         if not self._is_promising(gains) and self._is_adequate_without_doubt(declared):
             self.screened = gains
-            return declared
+            return
         search.fit_each([Hypothesis((name,)) for name in names], (0.0, 0.3))
         if self.needs_larger_model(self.best_claimable()):
             self._explore_timing(names)
@@ -94,7 +124,6 @@ class Exploration:
         if not self.is_adequate(self.best_claimable()):
             self._extend_timing(names)
         self._drop_idle()
-        return self.eliminate(self.best_claimable())
 
     def _is_promising(self, gains: Mapping[str, float]) -> bool:
         """Whether the score test finds anything that a refit might make decisive; that of a declared value is exact."""
@@ -162,26 +191,26 @@ class Exploration:
         self.search.fit_each(swapped, (done, done))
         return self.best_claimable()
 
-    def eliminate(self, best: Hypothesis) -> Hypothesis:
-        """Backward: drop every effect whose loss costs less than a decisive difference."""
-        for member in best.effects:
-            rest = best.without(member)
-            self.search.refit(rest, self.search.fit(best).values)
-            costs_little = self.search.score(rest) < self.search.score(best) + DECISIVE
-            if costs_little or not self.criteria.improves(self.search.fit(rest), self.search.fit(best)):
-                return self.eliminate(rest)
-        untimed = best._replace(timing=False)
-        if best.timing and self.search.score(untimed) < self.search.score(best):
-            return untimed
-        return best
-
     # -- what a hypothesis is worth ------------------------------------------------------------------------------------
 
     def best_claimable(self) -> Hypothesis:
         """The hypothesis of the best criterion of those whose effects are away from off and from bounds."""
-        claimable = [hypothesis for hypothesis in self.tried() if self.is_claimable(hypothesis)]
-        criteria = run_parallel(self.selection_criterion, claimable)
-        return claimable[criteria.index(min(criteria))]
+        return best_claimable(self.table())
+
+    def table(self) -> ScoreTable:
+        """The scores of all that was tried so far."""
+        fits = self.search.log.best
+        scores = run_parallel(self._score, list(fits))
+        alike = {name: effect.confused_with for name, effect in self.plant.effects.items()}
+        return ScoreTable(dict(zip(fits, scores, strict=True)), alike, dict(self.screened))
+
+    def _score(self, hypothesis: Hypothesis) -> Score:
+        result = self.search.log[hypothesis]
+        return Score(
+            hypothesis, result.score, self.criteria.evidence(result), len(result.free), self.criteria.is_white(result),
+            self.is_claimable(hypothesis), result.problem.variance_inflation, result.chi2, result.chi2_of_declared,
+            functools.partial(self.criteria.cross_validation, result),
+        )  # fmt: skip
 
     def selection_criterion(self, hypothesis: Hypothesis) -> float:
         """The selection criterion of a hypothesis: theory, eq. (45)."""
@@ -189,7 +218,7 @@ class Exploration:
 
     def tried(self) -> list[Hypothesis]:
         """Every hypothesis that was fitted, in order."""
-        return list(self.search.fits)
+        return list(self.search.log.best)
 
     def is_adequate(self, hypothesis: Hypothesis) -> bool:
         """Whether its residual is white."""
@@ -217,66 +246,37 @@ class Exploration:
 
     def _is_on(self, hypothesis: Hypothesis, effect: str) -> bool:
         """Whether an effect is significantly on, or decisive although its parameters are collinear."""
-        result, away = self.search.fit(hypothesis), []
-        choice = self.plant.effects[effect]
+        result = self.search.fit(hypothesis)
+        key = (result, effect)
+        if key not in self._away:
+            self._away[key] = self._is_away_from_off(result, effect)
+        is_away = self._away[key]
+        if is_away is not None and not is_away:
+            rest = hypothesis.without(effect)
+            return rest in self.search.log and self.search.score(rest) > self.search.score(hypothesis) + DECISIVE
+        return bool(is_away)
+
+    def _is_away_from_off(self, result: Fit, effect: str) -> bool | None:
+        """Whether a parameter of an effect is significantly away from off; None where one is on a bound."""
+        choice, away = self.plant.effects[effect], False
+        errors = np.sqrt(np.maximum(np.diag(result.covariance), 0.0))
         for parameter in choice.parameters:
             name = choice.free_name(parameter)
             index = result.free.index(name)
             at = float(result.coordinates[index])
             if parameter.off is None:
                 if result.on_bound(name) is not None:
-                    return False
+                    return None
                 continue
             off = to_internal(parameter, parameter.off)
             if result.on_bound(name) is not None and not math.isclose(at, off, abs_tol=1e-12):
-                return False
-            error = math.sqrt(max(0.0, float(result.covariance[index, index])))
-            away.append(abs(at - off) > EXCLUDES_OFF * error and at != off)
-        rest = hypothesis.without(effect)
-        is_missed = rest in self.search.fits and self.search.score(rest) > self.search.score(hypothesis) + DECISIVE
-        return any(away) or is_missed
-
-    # -- competing models ----------------------------------------------------------------------------------------------
-
-    def delta_scores(self, best: Hypothesis) -> dict[Hypothesis, float]:
-        """By how much each hypothesis of equal size and a similar score is worse than the best, by one criterion."""
-        white, count = self.is_adequate(best), max(1, len(best.effects))
-        least = self.criteria.score_as(self.search.fit(best), residual_is_white=white)
-        worse = {
-            h: self.criteria.score_as(self.search.fit(h), residual_is_white=white) - least
-            for h in self.tried()
-            if len(h.effects) == count
-        }
-        return {h: by for h, by in worse.items() if by < 2.0 * DECISIVE}
+                return None
+            away = away or (abs(at - off) > EXCLUDES_OFF * float(errors[index]) and at != off)
+        return away
 
     def polish_near(self, best: Hypothesis) -> None:
         """Polish the best and whatever may be as good, so that all have the same chance."""
         limit = self.selection_criterion(best) + NEARLY
         near = [h for h in self.tried() if len(h.effects) == len(best.effects) and self.selection_criterion(h) < limit]
-        nearest = {best, *sorted(near, key=self.selection_criterion)[:LARGEST_CLASS]}
+        nearest = {best, *sorted(near, key=self.selection_criterion)[:POLISHED]}
         run_parallel(self.search.polish, list(nearest))
-
-    def competing_models(self, best: Hypothesis) -> list[Hypothesis]:
-        """Hypotheses within a decisive difference of the best, itself included where it has effects; best first."""
-        delta_scores = self.delta_scores(best)
-        return sorted((h for h, worse in delta_scores.items() if worse < DECISIVE), key=delta_scores.__getitem__)
-
-    def larger_alternatives(self, best: Hypothesis) -> dict[Hypothesis, float]:
-        """Look-alikes with more parameters, each in place of a member: by how much their evidence is worse.
-
-        S charges ln N for a parameter, however weakly it is determined. That is right for choosing a name, but no
-        reason to exclude stiction where Coulomb friction is named: `Fit.evidence`, eq. (42), compares these.
-        """
-        if not self.is_adequate(best):
-            return {}
-        size, mine = len(self.search.free_names(best)), self.search.fit(best).evidence
-        alike = [
-            best.without(member).adding(name)
-            for member in best.effects
-            for name in self.plant.effects[member].confused_with
-            if name not in best.effects
-        ]
-        larger = [h for h in alike if h in self.search.fits and len(self.search.free_names(h)) > size]
-        # What is on a bound names nothing: stiction whose Stribeck velocity is too small to be seen is Coulomb's.
-        more = [h for h in larger if self.is_claimable(h)]
-        return {hypothesis: self.search.fit(hypothesis).evidence - mine for hypothesis in more}
