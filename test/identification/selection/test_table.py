@@ -1,0 +1,123 @@
+"""What is chosen from a table of scores, and that no fit changes one that decisions were drawn from."""
+
+from __future__ import annotations
+
+import pytest
+
+from identification.selection.made_up_scores import BASE, of, scored, table
+from identification.selection.test_held_out import recorded
+from valve_sim.identification.estimation.problem import Problem
+from valve_sim.identification.selection.hypotheses import Search
+from valve_sim.identification.selection.stepwise import Exploration
+from valve_sim.identification.selection.table import (
+    backward,
+    best_claimable,
+    choose,
+    competing_models,
+    delta_scores,
+    larger_alternatives,
+)
+
+
+def test_the_best_score_is_chosen_of_what_may_be_claimed() -> None:
+    found = table(
+        scored(BASE, 100.0), scored(of("a"), 50.0, claimable=False), scored(of("b"), 60.0), scored(of("c"), 70.0)
+    )
+    assert best_claimable(found) == of("b")
+    assert choose(found) == of("b")
+
+
+def test_without_a_declared_model_to_compare_with_nothing_is_claimed() -> None:
+    late = of("a", timing=True)
+    assert choose(table(scored(BASE, 100.0), scored(late, 10.0))) == BASE
+    assert choose(table(scored(BASE, 100.0), scored(BASE._replace(timing=True), 90.0), scored(late, 10.0))) == late
+
+
+def test_equal_scores_go_to_what_was_asked_for_first() -> None:
+    assert best_claimable(table(scored(BASE, 100.0), scored(of("b"), 50.0), scored(of("a"), 50.0))) == of("b")
+
+
+@pytest.mark.parametrize(("worse", "chosen"), [(9.9, of("a")), (10.1, of("a", "c"))])
+def test_a_member_whose_loss_costs_little_is_dropped(worse: float, chosen: tuple[str, ...]) -> None:
+    found = table(
+        scored(BASE, 200.0), scored(of("a"), 50.0 + worse), scored(of("c"), 150.0), scored(of("a", "c"), 50.0)
+    )
+    assert backward(found, of("a", "c")) == chosen
+
+
+@pytest.mark.parametrize(("left_out", "chosen"), [(1.0, of("a")), (3.0, of("a", "c"))])
+def test_where_no_form_is_right_a_member_must_predict_other_strokes_better(
+    left_out: float, chosen: tuple[str, ...]
+) -> None:
+    found = table(
+        scored(BASE, 200.0, white=False, left_out=9.0),
+        scored(of("a"), 90.0, white=False, left_out=left_out),
+        scored(of("a", "c"), 50.0, white=False, left_out=1.0),
+    )
+    assert backward(found, of("a", "c")) == chosen
+
+
+def test_stamps_that_err_are_dropped_where_they_cost_more_than_they_explain() -> None:
+    timed = of("a", timing=True)
+    found = table(
+        scored(BASE, 200.0), scored(BASE._replace(timing=True), 190.0), scored(of("a"), 50.0), scored(timed, 55.0)
+    )
+    assert backward(found, timed) == of("a")
+
+
+def test_where_no_form_is_right_what_is_left_out_decides() -> None:
+    bends = scored(of("a"), 40.0, white=False, left_out=5.0)
+    found = table(
+        scored(BASE, 300.0, white=False, left_out=9.0), bends, scored(of("b"), 60.0, white=False, left_out=1.0)
+    )
+    assert best_claimable(found) == of("b")
+    # A white residual needs none of this.
+    assert best_claimable(table(*found.scores.values(), scored(of("c"), 50.0, left_out=9.0))) == of("c")
+
+
+def test_competitors_are_of_equal_size_and_near() -> None:
+    found = table(
+        scored(BASE, 300.0),
+        scored(of("a"), 50.0),
+        scored(of("b"), 58.0),
+        scored(of("c"), 65.0),
+        scored(of("a", "b"), 50.0),
+    )
+    assert delta_scores(found, of("a")) == {of("a"): 0.0, of("b"): 8.0, of("c"): 15.0}
+    assert competing_models(found, of("a")) == [of("a"), of("b")]
+
+
+@pytest.mark.parametrize(
+    ("parameters", "claimable", "white", "listed"),
+    [(5, True, True, True), (3, True, True, False), (5, False, True, False), (5, True, False, False)],
+)
+def test_look_alikes_of_more_parameters_are_compared_by_evidence(
+    parameters: int, claimable: bool, white: bool, listed: bool
+) -> None:
+    found = table(
+        scored(BASE, 300.0), scored(of("a"), 50.0, evidence=55.0, white=white),
+        scored(of("b"), 70.0, evidence=57.5, parameters=parameters, claimable=claimable),
+        scored(of("c"), 51.0, parameters=9),
+    )  # fmt: skip
+    assert larger_alternatives(found, of("a")) == ({of("b"): 2.5} if listed else {})
+
+
+def test_rows_are_appended_and_the_best_counts_until_the_log_is_closed() -> None:
+    search = Search(Problem(recorded(3, ramp_slope=2.0)))
+    exploration = Exploration(search)
+    search.fit(BASE)
+    exploration.explore()
+    before = search.log.rows
+    scores = {name: one.score for name, one in exploration.table().scores.items()}
+    exploration.settle()
+    assert search.log.rows[: len(before)] == before
+    assert len(search.log.rows) > len(before)
+    assert {"declared", "scattered", "annealed"} <= {row.start for row in search.log.rows}
+    search.log.close()
+    closed = exploration.table()
+    assert all(closed[name].score <= score for name, score in scores.items())
+    for name, fit in search.log.best.items():
+        assert fit.chi2 == min(row.fit.chi2 for row in search.log.rows if row.hypothesis == name)
+    assert choose(closed) == of("ramp")
+    with pytest.raises(RuntimeError, match="after the table of scores was closed"):
+        search.refit(of("ramp"), {})
