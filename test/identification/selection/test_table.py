@@ -88,15 +88,21 @@ def test_competitors_are_of_equal_size_and_near() -> None:
 
 
 @pytest.mark.parametrize(
-    ("parameters", "claimable", "white", "listed"),
-    [(5, True, True, True), (3, True, True, False), (5, False, True, False), (5, True, False, False)],
+    ("parameters", "chi2", "claimable", "white", "listed"),
+    [
+        (5, 47.5, True, True, True),
+        (5, 48.5, True, True, False),
+        (3, 47.5, True, True, False),
+        (5, 47.5, False, True, False),
+        (5, 47.5, True, False, False),
+    ],
 )
 def test_look_alikes_of_more_parameters_are_compared_by_evidence(
-    parameters: int, claimable: bool, white: bool, listed: bool
+    parameters: int, chi2: float, claimable: bool, white: bool, listed: bool
 ) -> None:
     found = table(
         scored(BASE, 300.0), scored(of("a"), 50.0, evidence=55.0, white=white),
-        scored(of("b"), 70.0, evidence=57.5, parameters=parameters, claimable=claimable),
+        scored(of("b"), 70.0, evidence=57.5, parameters=parameters, claimable=claimable, chi2=chi2),
         scored(of("c"), 51.0, parameters=9),
     )  # fmt: skip
     assert larger_alternatives(found, of("a")) == ({of("b"): 2.5} if listed else {})

@@ -221,7 +221,8 @@ def larger_alternatives(table: ScoreTable, best: Hypothesis) -> dict[Hypothesis,
 
     S charges ln N for a parameter, however weakly it is determined. That is right for choosing a name, but no reason to
     exclude stiction where Coulomb friction is named: the evidence, eq. (42), compares these. What is on a bound names
-    nothing: stiction whose Stribeck velocity is too small to be seen is Coulomb's.
+    nothing: stiction whose Stribeck velocity is too small to be seen is Coulomb's. Nor is it a hypothesis of its own
+    where its further parameters explain no more than their number, as they would of noise.
     """
     if not table[best].is_white:
         return {}
@@ -234,5 +235,11 @@ def larger_alternatives(table: ScoreTable, best: Hypothesis) -> dict[Hypothesis,
     return {
         other: table[other].evidence - table[best].evidence
         for other in alike
-        if other in table and table[other].is_claimable and table[other].parameters > table[best].parameters
+        if other in table and table[other].is_claimable and _explains_more(table[best], table[other])
     }
+
+
+def _explains_more(smaller: Score, larger: Score) -> bool:
+    """Whether a larger model explains more than as many parameters would explain of noise."""
+    further = larger.parameters - smaller.parameters
+    return further > 0 and (smaller.chi2 - larger.chi2) / smaller.variance_inflation > further
