@@ -47,8 +47,9 @@ from valve_sim.identification.selection.residual_tests import adequacy
 from valve_sim.identification.selection.stepwise import Exploration
 from valve_sim.identification.selection.table import DECISIVE, Hypothesis, ScoreTable, choose
 
-COMPARED_BY, CLAIMED_BY, MAPPED_BY, WORDED_BY = 0.75, 0.87, 0.92, 0.96
-"""Shares of the time by which models are compared, the claim is checked, force maps are fitted, and all is written."""
+COMPARED_BY, CLAIMED_BY, MAPPED_BY, WORDED_BY, SHOWN_BY = 0.75, 0.87, 0.9, 0.96, 0.98
+"""Shares of the time by which models are compared, the claim is checked, force maps are fitted, all is worded, and what
+is left unexplained is worked out."""
 LISTED: Final = 30
 """Candidates in the report, the best."""
 
@@ -173,7 +174,7 @@ class Conclusion:
             return chosen.fit, describe(chosen.choice, chosen.fit, base_fit)
         if not left:
             return best_fit, None
-        shown = self.in_time(WORDED_BY, "", lambda: on_top(left[0].choice, best_fit), left[0].fit)
+        shown = self.in_time(SHOWN_BY, "", lambda: on_top(left[0].choice, best_fit), left[0].fit)
         return best_fit, describe(left[0].choice, shown, best_fit)
 
     def is_sound(self, result: Fit, best: Fit, base: Fit) -> bool:

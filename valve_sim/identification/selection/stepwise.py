@@ -103,11 +103,12 @@ class Exploration:
     def _explore(self) -> None:
         """Singles, then pairs and triples while something is left."""
         search, names, declared = self.search, list(self.plant.effects), Hypothesis(())
-        gains = score_gains(search.fit(declared))
-        # An adequate declared model costs one fit.
-        if not self._is_promising(gains) and self._is_adequate_without_doubt(declared):
-            self.screened = gains
-            return
+        if self._is_adequate_without_doubt(declared):
+            gains = score_gains(search.fit(declared))
+            # An adequate declared model costs one fit.
+            if not self._is_promising(gains):
+                self.screened = gains
+                return
         search.fit_each([Hypothesis((name,)) for name in names], (0.0, 0.3))
         if self.needs_larger_model(self.best_claimable()):
             self._explore_timing(names)
