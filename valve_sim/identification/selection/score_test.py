@@ -42,12 +42,17 @@ def score_gains(result: Fit) -> dict[str, float]:
         price = len(effect.free_names()) * math.log(problem.effective_samples)
         found = [outside.gain(directions) for size in SIZES for directions in directions_of(result, effect, size)]
         gains[name] = max(found, default=0.0) / problem.variance_inflation - price
+        if any(own.same_as in effect.free_names() for own in result.nuisances):
+            # The same thing as a declared value, so that its own direction hardly leaves that of the nuisance.
+            gains[name] = max(gains[name], sum(_released(result, parameter) for parameter in effect.free_names()))
     return gains
 
 
 def _released(result: Fit, name: str) -> float:
     """What S gains where a declared value is taken for wrong: its tolerance no longer holds it, theory, eq. (82)."""
-    row = next((row for row, nuisance in enumerate(result.nuisances) if nuisance.name == name), None)
+    row = next(
+        (row for row, nuisance in enumerate(result.nuisances) if name in (nuisance.name, nuisance.same_as)), None
+    )
     if row is None:
         return -math.inf
     index, inflation = len(result.free) + row, result.problem.variance_inflation
