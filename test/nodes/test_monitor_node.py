@@ -140,7 +140,9 @@ def test_friction_that_appears_in_a_real_valve_is_warned_of_and_named(probe: Pro
     plant = PlantOnTopics(probe, LiveValve(seed=5, rate=5e3, jitter=0.0))
     findings = probe.hear("/monitor/finding", String, latched=True)
     ears = Ears(probe)
-    with monitoring(tmp_path, measured="measured/joint_states", use_sim_time=True, max_rate=1e5) as process:
+    given: dict[str, object] = {"measured": "measured/joint_states", "use_sim_time": True, "max_rate": 1e5}
+    # One declared value, as it is shipped: the others are then exact, and the tracing takes two fifths of the time.
+    with monitoring(tmp_path, **given, **{"valve.pilot_mass": 0.109}) as process:
         plant.wait_for_monitor()
         reports = plant.strokes(FEW)
         before = len(plant.residuals)
