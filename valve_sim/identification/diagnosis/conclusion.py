@@ -47,7 +47,7 @@ from valve_sim.identification.selection.residual_tests import adequacy
 from valve_sim.identification.selection.stepwise import Exploration
 from valve_sim.identification.selection.table import DECISIVE, Hypothesis, ScoreTable, choose
 
-COMPARED_BY, CLAIMED_BY, MAPPED_BY, WORDED_BY, SHOWN_BY = 0.75, 0.87, 0.9, 0.96, 0.98
+COMPARED_BY, CLAIMED_BY, MAPPED_BY, WORDED_BY, SHOWN_BY = 0.75, 0.87, 0.88, 0.96, 0.98
 """Shares of the time by which models are compared, the claim is checked, force maps are fitted, all is worded, and what
 is left unexplained is worked out."""
 LISTED: Final = 30
@@ -165,9 +165,11 @@ class Conclusion:
         best_fit, base_fit = self.fit(standing.best), self.fit(standing.best.base)
         if not standing.is_unknown:
             return best_fit, None
-        with self.budget.until(MAPPED_BY):
+        if standing.names_most:
+            return best_fit, self.beside(best_fit, base_fit, curves)
+        with self.budget.until(WORDED_BY):
             left = (curves.maps if best_fit is base_fit else []) or fit_maps(self.search, best_fit)
-        options = [] if standing.names_most else [*curves.all[:1], *left[:1]]
+        options = [*curves.all[:1], *left[:1]]
         criteria = self.exploration.criteria
         chosen = min(options, key=lambda entry: criteria.score(entry.fit), default=None)
         if chosen is not None and self.is_sound(chosen.fit, best_fit, base_fit):
@@ -176,6 +178,14 @@ class Conclusion:
             return best_fit, None
         shown = self.in_time(SHOWN_BY, "", lambda: on_top(left[0].choice, best_fit), left[0].fit)
         return best_fit, describe(left[0].choice, shown, best_fit)
+
+    def beside(self, best: Fit, base: Fit, curves: _Curves) -> Unexplained | None:
+        """What named effects leave, as a force over what shows most of it."""
+        choices = [entry.choice for entry in curves.maps] or list(self.plant.force_maps)
+        if not choices:
+            return None
+        shown = self.in_time(SHOWN_BY, "", lambda: on_top(choices[0], best), None)
+        return None if shown is None else describe(choices[0], shown, base)
 
     def is_sound(self, result: Fit, best: Fit, base: Fit) -> bool:
         """Whether a force map explains more than the best, and held-out data do not speak against it."""

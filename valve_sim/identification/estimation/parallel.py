@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import CancelledError, ThreadPoolExecutor
 from typing import Final, TypeVar
 
 MOST_THREADS: Final = 4
@@ -29,10 +30,22 @@ def run_parallel(
     Raises:
         Exception: what the work raises; what has not been begun by then is left undone.
     """
+    failed = threading.Event()
+
+    def guarded(item: Item) -> Result:
+        # The calling thread may see a failure late on a busy machine: what comes after it is not begun.
+        if failed.is_set():
+            raise CancelledError
+        try:
+            return work(item)
+        except BaseException:
+            failed.set()
+            raise
+
     pool = ThreadPoolExecutor(min(os.cpu_count() or 1, MOST_THREADS))
     try:
         results = []
-        for item, future in [(item, pool.submit(work, item)) for item in items]:
+        for item, future in [(item, pool.submit(guarded, item)) for item in items]:
             announce(item)
             results.append(future.result())
         return results
