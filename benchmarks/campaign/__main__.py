@@ -20,7 +20,7 @@ from benchmarks.campaign.cases import EXACT, FAMILIES, NOISES, WITHIN, draw_case
 from benchmarks.campaign.effects import CATALOGUED, EARLIER_LIMITS
 from benchmarks.campaign.figures import confusion_table, figures, least_demands, reliability_table, tolerance_figures
 from benchmarks.campaign.limits import Knowledge, detection_limit
-from benchmarks.campaign.running import Cost, Outcome, Timing, cost_of, examine, run_cases, time_cold
+from benchmarks.campaign.running import Cost, Outcome, Timing, cost_of, examine, run_cases, time_cold, true_declared
 from valve_sim.identification.diagnosis.run import Diagnosis
 
 TIMED: Final = [
@@ -202,7 +202,7 @@ def _run_again(parser: argparse.ArgumentParser, name: str) -> int:
     print(f"\nlabel      {outcome.label}, noise of the last bag {outcome.noise_floor:.4f} µm")
     print(f"covered    {covered}")
     for value, entry in outcome.answers[0].declared.items():
-        true = case.true_scalars.get(value, math.nan)
+        true = true_declared(case).get(value, math.nan)
         print(f"    {value:<28} true {true:.6g}, {', '.join(f'{key} {number:.6g}' for key, number in entry.items())}")
     print(f"seconds    {', '.join(f'{answer.seconds:.1f}' for answer in outcome.answers)}")
     return 0

@@ -23,7 +23,9 @@ from plants.recording import Recording, write_bag
 from benchmarks.campaign.cases import Case, draw_case
 from valve_sim.files.parameter_files import save_valve
 from valve_sim.identification.diagnosis.run import Diagnosis, State, diagnose
+from valve_sim.identification.plants.tolerances import principal_axes
 from valve_sim.model import Drive, Valve
+from valve_sim.model.parameters import POLYNOMIAL_NAMES
 from valve_sim.traces import Signal, Trace
 
 LARGEST_CLASS: Final = 4
@@ -249,7 +251,10 @@ def _answer(timed: _Timed) -> Answer:
         verdict.evidence,
         diagnosis.unexplained is None,
         timed.cpu_seconds,
-        getattr(diagnosis, "declared", {}),
+        {
+            found.name: {"estimate": found.estimate, "stderr": found.stderr, "deviation": found.deviation}
+            for found in diagnosis.declared
+        },
     )
 
 
@@ -280,11 +285,23 @@ def _coverage(case: Case, answer: Answer, diagnosis: Diagnosis) -> dict[str, boo
         for name, value in {**case.dampings, **true}.items()
         if name in intervals
     }
-    for name, value in case.true_scalars.items():
+    for name, value in true_declared(case).items():
         if name in answer.declared:
             estimate, error = answer.declared[name]["estimate"], answer.declared[name]["stderr"]
             found[f"{DECLARED}{name}"] = abs(estimate - value) <= NORMAL_95 * error
     return found
+
+
+def true_declared(case: Case) -> dict[str, float]:
+    """True values by the names of a diagnosis, the polynomial along the axes of its covariance."""
+    declared = case.declared
+    axes = principal_axes(declared.tolerances)
+    true = case.true_scalars
+    if not true:
+        return {}
+    coefficients = np.array([true[name] for name in POLYNOMIAL_NAMES])
+    at = np.linalg.pinv(axes) @ (coefficients - declared.parameters.attraction_polynomial)
+    return true | {f"attraction[{axis}]": value for axis, value in enumerate(at.tolist())}
 
 
 def run_cases(plan: Sequence[tuple[str, int]], jobs: int) -> Iterator[Outcome]:
