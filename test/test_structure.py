@@ -14,7 +14,6 @@ EXCEPTIONS = {
     "cli/diagnose.py:diagnose": A_COMMAND,
     "cli/simulate.py:simulate": A_COMMAND,
     "cli/validate.py:validate": A_COMMAND,
-    "model/effects/force_map.py:force_map": "a force term takes x, v, u and t, and then the effect's own parameters",
 }
 """Functions with more parameters, each with its reason."""
 

@@ -189,7 +189,7 @@ def searched(plant: ValvePlant, effect: str | None) -> tuple[_Search, np.ndarray
     parameters = CATALOGUE[effect].parameters if effect else ()
     start = {f"{effect}.{parameter.name}": parameter.prior_scale for parameter in parameters}
     nuisances = (*plant.nuisances, *plant.timing_errors)
-    search = _Search(Problem(plant), (*BOTH, "reference_voltage", *start), nuisances, {}, None, None)
+    search = _Search(Problem(plant), (*BOTH, "reference_voltage", *start), nuisances, {}, None)
     return search, search.start(start)
 
 

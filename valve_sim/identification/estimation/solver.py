@@ -53,8 +53,7 @@ def fit(
     nuisances: Sequence[Nuisance] = (),
     fixed: Mapping[str, float] | None = None,
     robust: Sequence[float] = (),
-    known: MachineKnowledge | None = None,
-    smooth: Smoothness | None = None,
+    prior: MachineKnowledge | Smoothness | None = None,
 ) -> Fit:
     """Minimise χ² from one start.
 
@@ -64,13 +63,13 @@ def fit(
         start: values to start from, by name; what is missing starts at its declared value (nuisances at their mean).
         nuisances: estimated along, with their priors, but for what is freed or held, by name or as the same thing.
         fixed: further values to hold, e.g. an effect's parameter in a profile.
-        known: of what is estimated, from other data of the same machine; it takes the place of priors.
         robust: scales in σ of a Cauchy loss that is used first, one after the other, to leave local minima.
-        smooth: a curve among what is freed; its weight is chosen along.
+        prior: beside those of the nuisances: what other data of the same machine say, in place of these; or that a
+            curve among what is freed is smooth, whose weights are chosen along.
     """
     settled = {*free, *(fixed or {})}
     estimated = tuple(own for own in nuisances if not {own.name, own.same_as} & settled)
-    search = _Search(problem, tuple(free), estimated, dict(fixed or {}), known, smooth)
+    search = _Search(problem, tuple(free), estimated, dict(fixed or {}), prior)
     at = search.start(start)
     for scale in robust:
         at, *_ = search.descend(at, scale)
@@ -96,9 +95,9 @@ class _Search:
         free: tuple[str, ...],
         nuisances: tuple[Nuisance, ...],
         fixed: dict[str, float],
-        known: MachineKnowledge | None,
-        smooth: Smoothness | None,
+        prior: MachineKnowledge | Smoothness | None,
     ) -> None:
+        smooth = prior if isinstance(prior, Smoothness) else None
         self.problem, self.free, self.nuisances, self.fixed, self.smooth = problem, free, nuisances, fixed, smooth
         self.parameters = [problem.plant.parameter(name) for name in free]
         bounds = [internal_bounds(parameter) for parameter in self.parameters]
@@ -109,7 +108,7 @@ class _Search:
         self.steps = np.array([DIFFERENCE * s for s in scales] + [n.step for n in nuisances])
         self.prior = np.array([0.0] * len(free) + [1.0 / n.sigma**2 for n in nuisances])
         self.mean = np.array([0.0] * len(free) + [n.mean for n in nuisances])
-        self._known = None if known is None else self._take(known)
+        self._known = self._take(prior) if isinstance(prior, MachineKnowledge) else None
         self._curve = np.array([free.index(name) for name in smooth.names] if smooth else [], dtype=np.int64)
         self._small = CONVERGED if smooth is None else CURVE_CONVERGED
         self._weights_hold = False

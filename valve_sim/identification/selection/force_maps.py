@@ -121,7 +121,7 @@ def _beside(choice: ForceMap, base: Fit, nuisances: Sequence[Nuisance]) -> Nonpa
     for nuisance in nuisances:
         fixed.pop(nuisance.name, None)
     return NonparametricFit(
-        choice, fit(base.problem, free, base.values, nuisances=nuisances, fixed=fixed, smooth=smooth)
+        choice, fit(base.problem, free, base.values, nuisances=nuisances, fixed=fixed, prior=smooth)
     )
 
 
@@ -170,7 +170,7 @@ def fit_local_forces(search: Search, best: Hypothesis) -> list[NonparametricFit]
 
 def on_top(choice: ForceMap, base: Fit) -> Fit:
     """A force map with all else fixed, so that it shows the residual and trades nothing with friction or mass."""
-    return fit(base.problem, choice.free, {}, fixed={**base.values, **choice.held}, smooth=_smooth(choice))
+    return fit(base.problem, choice.free, {}, fixed={**base.values, **choice.held}, prior=_smooth(choice))
 
 
 def describe(choice: ForceMap, result: Fit, base: Fit) -> Unexplained:

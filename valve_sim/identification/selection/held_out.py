@@ -116,7 +116,7 @@ class HeldOut:
         known = knowledge_for(result)
         fixed = {name: value for name, value in machine.items() if name not in known.names}
         nuisances = (*tolerated, *of_recording)
-        return fit(self.problem, result.free, machine, nuisances=nuisances, fixed=fixed, known=known)
+        return fit(self.problem, result.free, machine, nuisances=nuisances, fixed=fixed, prior=known)
 
     def needs_timing(self, result: Fit) -> bool:
         """Whether held-out data are compared with errors of their stamps estimated.
