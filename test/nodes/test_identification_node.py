@@ -245,7 +245,8 @@ def test_a_diagnosis_is_published_too(samples: Path, probe: Probe, tmp_path: Pat
     results = probe.hear("result", String, latched=True)
     heard = probe.hear("/diagnostics", DiagnosticArray)
     profile = tmp_path / "record_next.yaml"
-    with identifying(tmp_path, bag=samples / "one_opening.mcap", mode="diagnose", rate=0, linger="true"):
+    bag = samples / "one_opening.mcap"
+    with identifying(tmp_path, bag=bag, params=EXACT, mode="diagnose", rate=0, linger="true"):
         assert probe.until(lambda: results, 3 * PATIENCE), "no result"
         assert probe.until(lambda: is_said(f"and {profile} for what to record next", heard))
     report = json.loads(results[0].data)
