@@ -210,11 +210,13 @@ class Conclusion:
             telling.append(self.in_time(WORDED_BY, "what to record next", find, None))
             return advise(self.plant, self.strokes, telling[0])
 
+        # A smooth curve can be the constant or linear force that a name stands for: it competes by doing better alone.
+        places = sorted(curves.local, key=lambda entry: entry.fit.score)
         limit = table[standing.best].score + DECISIVE
         found = Findings(
             self.plant, standing, self.strokes, look_alikes(table, standing),
-            share_of_evidence(table, standing, curves.scores), self.share(standing.best),
-            [where(entry.choice, entry.fit) for entry in curves.all if entry.fit.score < limit],
+            share_of_evidence(table, standing, [entry.fit.score for entry in places]), self.share(standing.best),
+            [where(entry.choice, entry.fit) for entry in places if entry.fit.score < limit],
             self.exploration.singles_untried(),
         )  # fmt: skip
         verdict, record_next = worded(found, advice)
