@@ -50,6 +50,9 @@ from valve_sim.identification.selection.table import DECISIVE, Hypothesis, Score
 COMPARED_BY, CLAIMED_BY, MAPPED_BY, WORDED_BY, SHOWN_BY = 0.75, 0.87, 0.88, 0.96, 0.98
 """Shares of the time by which models are compared, the claim is checked, force maps are fitted, all is worded, and what
 is left unexplained is worked out."""
+COMPARED_MAPS: Final = 3
+"""So many force maps of the best scores are compared by strokes that are left out in turn: a curve over time follows
+anything in the strokes that it is fitted to, and predicts none of the others."""
 LISTED: Final = 30
 """Candidates in the report, the best."""
 
@@ -171,7 +174,7 @@ class Conclusion:
             return best_fit, self.beside(best_fit, base_fit, curves)
         with self.budget.until(WORDED_BY):
             left = (curves.maps if best_fit is base_fit else []) or fit_maps(self.search, best_fit)
-        options = [*curves.all[:1], *left[:1]]
+        options = [*curves.all[:COMPARED_MAPS], *left[:COMPARED_MAPS]]
         criteria = self.exploration.criteria
         chosen = min(options, key=lambda entry: criteria.score(entry.fit), default=None)
         if chosen is not None and self.is_sound(chosen.fit, best_fit, base_fit):
