@@ -127,7 +127,8 @@ def _without(result: Fit, fold: NDArray[np.bool_], shared: NDArray[np.intp]) -> 
         neutral = at[row] if "." in result.free[index] and parameter.off is None else to_internal(
             parameter, plant.declared(result.free[index])
         )  # fmt: skip
-        weak = 1.0 / (WIDE * internal_scale(parameter)) ** 2
+        # Where the value is far beyond its prior scale, the pull must not move what the others do determine.
+        weak = 1.0 / (WIDE * max(internal_scale(parameter), abs(at[row] - neutral))) ** 2
         information[row, row] += weak
         gradient[row] += weak * (at[row] - neutral)
     size = 1.0 / np.sqrt(np.diag(information))
