@@ -1,4 +1,4 @@
-"""Probabilities of verdicts, calibrated on the campaign: theory, eq. (52).
+"""Probabilities of verdicts, calibrated on the campaign: theory, eq. (58).
 
 Evidence compares the hypotheses that were tried and ignores those that nobody thought of: a share of it is no
 probability. How often claims with such shares were right on blind recordings turns it into one (Platt,

@@ -30,7 +30,7 @@ Coulomb's, stiction is worse by 5 to 8; where it is a stiction too small to be d
 JUDGED: Final = 2 * LARGEST_CLASS
 """How many competing models are judged by held-out data, beside the best."""
 WEAK_EVIDENCE: Final = 30.0
-"""Scale of eq. (51): a gain of S that is this large lowers a claim's share by the factor 0.63; at five detection limits
+"""Scale of eq. (57): a gain of S that is this large lowers a claim's share by the factor 0.63; at five detection limits
 the gain is some hundreds."""
 HALVED: Final = 0.5
 """Error with named effects over that without, of strokes left out in turn and of held-out ones, below which they are
@@ -143,7 +143,7 @@ def stand(table: ScoreTable, choice: Choice, judgements: Sequence[Judgement] | N
 
 
 def share_of_evidence(table: ScoreTable, standing: Standing, curves: Sequence[float]) -> float:
-    """Share of what stands in the evidence, theory, eq. (51), without sets that merely extend it.
+    """Share of what stands in the evidence, theory, eq. (57), without sets that merely extend it.
 
     Nonparametric forces have a share, too; `curves` is S of each. A weak effect without a name is easily taken for a
     weak one with a name (measured on the campaign: at a tenth of a strong one, damping that varies with x passes for

@@ -1,7 +1,7 @@
 """What to record next: of the recordings that could be made, the one that tells the candidates apart best.
 
 A recording is simulated as if one hypothesis were the truth, and the other is refitted to it: the root of the minimal
-χ² is the number of standard deviations by which they differ there, theory, eq. (53). (Linear differences will not do:
+χ² is the number of standard deviations by which they differ there, theory, eq. (59). (Linear differences will not do:
 where a pulse barely lifts the valve they promise ten times what a refit leaves.) Existing recordings would constrain
 the refit, so two hypotheses differ by at least that. A recording is rated by its least separated pair.
 """

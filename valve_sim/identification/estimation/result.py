@@ -142,7 +142,7 @@ class Fit:
 
     @property
     def effective_parameters(self) -> float:
-        """How many parameters were freed; of a smooth curve's, those that the data determine: theory, eq. (75)."""
+        """How many parameters were freed; of a smooth curve's, those that the data determine: theory, eq. (52)."""
         if self.smooth is None:
             return float(len(self.free))
         curve = self._curve

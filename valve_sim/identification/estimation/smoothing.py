@@ -6,7 +6,7 @@ decides where the data say nothing. The criterion then is
 
     χ²(z) + cᵀ S c,    S = Dᵀ diag(H λ) D + ρ 1
 
-(Eilers and Marx 1996). λ minimises −2 ln of the restricted likelihood of the linearised fit, theory, eq. (73), which
+(Eilers and Marx 1996). λ minimises −2 ln of the restricted likelihood of the linearised fit, theory, eq. (50), which
 integrates over all that is fitted (Wood 2011):
 
     R(λ) = min over z of [χ²(z) + cᵀ S c]/f + ln det(A + S) − Σ ln w
@@ -114,7 +114,7 @@ class _Roughness(NamedTuple):
         return cls(np.diff(np.eye(count), 2, axis=0), hats)
 
     def precision(self, weights: Array) -> Array:
-        """(K, K) S: theory, eq. (72)."""
+        """(K, K) S: theory, eq. (49)."""
         rows = self.hats @ weights
         scaled = self.differences * rows[:, None]
         return np.asarray(self.differences.T @ scaled + RIDGE * np.eye(self.differences.shape[1]))
@@ -152,7 +152,7 @@ class _Quadratic(NamedTuple):
         return -fitted + float(volume) - 2.0 * float(np.sum(np.log(scale))) - certain
 
     def updated(self, weights: Array) -> Array:
-        """Weights of a smaller R: theory, eq. (74)."""
+        """Weights of a smaller R: theory, eq. (51)."""
         differences, hats = self.roughness
         normal, scale = self._normal(weights)
         variances = np.linalg.inv(normal) * np.outer(scale, scale)

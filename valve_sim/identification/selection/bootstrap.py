@@ -1,4 +1,4 @@
-"""The false-alarm probability of the search: a bootstrap of the whole search on noise, theory, eqs. (49) and (50).
+"""The false-alarm probability of the search: a bootstrap of the whole search on noise, theory, eqs. (55) and (56).
 
 A catalogue of some twenty effects, each with its shapes, finds something in any noise. How much is estimated from the
 residual of the best model: it is cut into blocks, and each block is multiplied by a random number, which keeps size,

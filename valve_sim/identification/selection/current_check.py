@@ -2,7 +2,7 @@
 
 A current is known to milliamperes and drives the plungers: where no effect of the catalogue has its form (back-EMF, an
 inductance that falls with the stroke), a joint fit would bias the motion towards it. So its noise is inflated by what
-the effects that change it leave: theory, eq. (48).
+the effects that change it leave: theory, eq. (54).
 """
 
 from __future__ import annotations

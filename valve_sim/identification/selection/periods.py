@@ -2,7 +2,7 @@
 
 For each period, a small cosine and a small sine of force are simulated; what the residual of a fit has in common with
 their effects, once what is fitted anyway is taken out of these, is by how much such a force would lower χ²: theory,
-eq. (76).
+eq. (53).
 """
 
 from __future__ import annotations
