@@ -73,7 +73,8 @@ def test_a_node_has_its_parameters(installed: Installed) -> None:
         "print([name for name in table(default_valve()) if 'magnet_drag' in name])"
     )
     done = installed.run("-c", script)
-    assert done.stdout.strip() == "['effects.magnet_drag.force', 'effects.magnet_drag.speed']", done.stderr
+    names = [f"{root}effects.magnet_drag.{name}" for root in ("", "tolerances.") for name in ("force", "speed")]
+    assert done.stdout.strip() == str(names), done.stderr
 
 
 @pytest.mark.parametrize(

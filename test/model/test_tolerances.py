@@ -115,7 +115,7 @@ def test_scalars_of_any_order_are_kept_in_the_order_of_the_parameters() -> None:
         ({"effects": {"stiction": {"forse": 0.1}}}, ["effects.stiction.forse", "0.1", "did you mean force?"]),
         ({"effects": {"stiction": {"force": -0.1}}}, ["effects.stiction.force", "-0.1", "from 0"]),
         ({"effects": {"drive_gain": {"gain": 0.1}}}, ["tolerances.effects.drive_gain.gain", "0.1", "not declared on"]),
-        ({"effects": {"force_map": {"f3": 0.1}}}, ["tolerances.effects.force_map.f3", "has no tolerances"]),
+        ({"effects": {"force_map": {"c3": 0.1}}}, ["tolerances.effects.force_map.c3", "has no tolerances"]),
         ({"stiction": {"force": 0.1}}, ["tolerances.stiction", "tolerances.effects.stiction"]),
     ],
 )

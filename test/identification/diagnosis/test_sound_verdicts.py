@@ -94,8 +94,8 @@ def test_a_sample_at_the_command_of_an_instant_coil_makes_no_effect() -> None:
 
 def test_names_beside_a_remainder_are_what_is_written_and_the_remainder_is_beside_them() -> None:
     trace = measured({"coulomb_friction": {"force": 0.3}}, train_profile(), Recorder(), 3)
-    # A scale's error of 2 µm, every 0.1 mm: as no force moves a plunger, so that neither effect nor map explains it.
-    wave = 2e-6 * np.sin(2.0 * np.pi * trace.pilot_position / 1e-4)
+    # A scale's error of 2 µm, every 20 µm: finer than a map's knots, so that neither effect nor map explains it.
+    wave = 2e-6 * np.sin(2.0 * np.pi * trace.pilot_position / 2e-5)
     trace = replace(trace, pilot_position=trace.pilot_position + wave)
     found = diagnose([trace], [], DECLARED, budget=Budget(8000.0, ticking()))
     assert found.verdict.kind == "effects"

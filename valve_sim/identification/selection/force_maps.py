@@ -32,7 +32,7 @@ PLACES: Final = 8
 """Over so many places of the stroke a force at one of them alone is tried."""
 PERIOD_STEP: Final = 0.01
 """Step of a difference quotient, in standard deviations of a period."""
-POINTS_AN_INTERVAL: Final = 4
+POINTS_AN_INTERVAL: Final = 6
 """Points between two knots of a curve in reports."""
 
 
