@@ -171,6 +171,10 @@ def test_the_next_recording_is_a_profile_in_the_folder_while_there_is_something_
         typed = f"{invocation(name)} {options}{shlex.quote(str(doubtful[-1]))}"
         assert typed + " " in header, "works where the diagnosis was started, with ros2 and without"
         assert typed + " " in html.unescape(page)
+    duration = re.search(r"--duration ([\d.]+)", page)
+    assert duration is not None
+    assert f"--duration {duration[1]} " in header
+    assert float(duration[1]) > float(read_profile(doubtful[-1]).times[-1])
     write_diagnosis(diagnosis, tmp_path, "by a test")
     assert not doubtful[-1].exists()
 

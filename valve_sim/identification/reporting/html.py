@@ -26,6 +26,7 @@ from valve_sim.identification.reporting.curves import StrokeCurves, strokes_of
 from valve_sim.identification.reporting.declared_values import declared_section
 from valve_sim.identification.reporting.findings import remark_on
 from valve_sim.identification.reporting.force_curves import ForceCurve, force_curve, motion_of
+from valve_sim.identification.reporting.recording_profile import duration_of, profile_to_record
 from valve_sim.identification.reporting.units import limits, measured, quantity
 from valve_sim.identification.reporting.wording import (
     headline,
@@ -74,14 +75,16 @@ def write_report(diagnosis: Diagnosis, path: Path | str, provenance: str = "") -
         lstrip_blocks=True,
     )
     page = environment.get_template("report.html.j2").render(
-        _content(diagnosis), **_typed(Path(path).parent), provenance=provenance
+        _content(diagnosis), **_typed(diagnosis, Path(path).parent), provenance=provenance
     )
     write_whole(Path(path), page)
 
 
-def _typed(folder: Path) -> dict[str, Any]:
+def _typed(diagnosis: Diagnosis, folder: Path) -> dict[str, Any]:
     """What the template needs to print commands that work where this process was started."""
+    is_valve = isinstance(diagnosis.plant, ValvePlant)
     return {
+        "duration": f"{duration_of(profile_to_record(diagnosis.telling, diagnosis.valve)):.2f}" if is_valve else "",
         "program": invocation,
         "has_ros2": shutil.which("ros2") is not None,
         "profile": shlex.quote(str(folder / "record_next.yaml")),
