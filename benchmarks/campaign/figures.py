@@ -77,7 +77,7 @@ def figures(outcomes: Sequence[Outcome], timings: Sequence[Timing]) -> list[Figu
         *_combined(outcomes),
         *_corrected(outcomes),
         *_covered(_of(outcomes, "single", "pair"), 5, 0.9),
-        *_mismatched(_of(outcomes, "mismatched")),
+        *_other_forms(6, "other form", _of(outcomes, "mismatched"), (0.7, 0.8)),
         _share(7, "one opening, then the advised recording: named", _of(outcomes, "opening"), is_resolved, low=0.8),
         *_times(timings),
     ]
@@ -97,7 +97,7 @@ def tolerance_figures(outcomes: Sequence[Outcome], costs: Sequence[Cost]) -> lis
         _share(1, "a wrong value: named or in the class", wrong, _is_answered, low=0.9),
         _share(1, f"the same where it stands out by {CLEARLY_SEEN:g} σ or more", seen, _is_answered, low=0.9),
         *_covered(_of(outcomes, "none_within", "single_within", "wrong_value", "folder"), 2, 0.92),
-        *_other_forms(_of(outcomes, "mismatched_within", "reluctance")),
+        *_other_forms(4, "other forms", _of(outcomes, "mismatched_within", "reluctance"), (0.9, 0.9)),
         _share(5, f"no name: held-out error ≤ {LARGEST_ERROR:g} × noise", nameless, is_down_to_noise, low=0.8),
         _share(5, "no name: held-out error is larger after", nameless, has_risen, high=0.0),
         *_costs(costs),
@@ -108,12 +108,19 @@ def _is_answered(outcome: Outcome) -> bool:
     return outcome.label in ("unique", "class")
 
 
-def _other_forms(outcomes: Sequence[Outcome]) -> list[Figure]:
+def _other_forms(number: int, words: str, outcomes: Sequence[Outcome], wanted: tuple[float, float]) -> list[Figure]:
+    """Of plants of another form: how often the class holds the truth, the error falls, and confident names are right.
+
+    Args:
+        number, words: what the figures are listed under. wanted: least shares of the first two.
+    """
     claims = [outcome for outcome in outcomes if outcome.is_confident and _says("effects")(outcome)]
+    in_class, falls = wanted
+    fall_words = f"{words}: held-out error falls {SMALLEST_FALL:g} times"
     return [
-        _share(4, "other forms: in the class", outcomes, lambda outcome: outcome.is_in_class, low=0.9),
-        _share(4, f"other forms: held-out error falls {SMALLEST_FALL:g} times", outcomes, has_fallen, low=0.9),
-        _share(4, "other forms: confident names that are right", claims, lambda outcome: outcome.is_in_class, low=0.85),
+        _share(number, f"{words}: in the class", outcomes, lambda outcome: outcome.is_in_class, low=in_class),
+        _share(number, fall_words, outcomes, has_fallen, low=falls),
+        _share(number, f"{words}: confident names that are right", claims, lambda o: o.is_in_class, low=0.85),
     ]
 
 
@@ -259,15 +266,6 @@ def _covered(outcomes: Sequence[Outcome], number: int, low: float) -> list[Figur
         share = sum(held) / max(1, len(held))
         lines.append(Figure(number, words, share, len(held), low, 0.98, detail="" if kind == "c1 and c2" else detail))
     return lines
-
-
-def _mismatched(outcomes: Sequence[Outcome]) -> list[Figure]:
-    claims = [outcome for outcome in outcomes if outcome.is_confident and _says("effects")(outcome)]
-    return [
-        _share(6, "other form: in the class", outcomes, lambda outcome: outcome.is_in_class, low=0.7),
-        _share(6, f"other form: held-out error falls {SMALLEST_FALL:g} times", outcomes, has_fallen, low=0.8),
-        _share(6, "other form: confident names that are right", claims, lambda outcome: outcome.is_in_class, low=0.85),
-    ]
 
 
 def _times(timings: Sequence[Timing]) -> list[Figure]:
