@@ -37,6 +37,9 @@ from valve_sim.nodes.shell_parts import RELIABLE, declare_read_only, full_name, 
 from valve_sim.nodes.spinning import guarded, spin
 
 _LOOK_SECONDS: Final = 0.05
+_UNKNOWN_NODE: Final = "_NODE_NAME_UNKNOWN_"
+"""What rmw calls a node whose subscription it has found before the node itself."""
+_NAMELESS: Final = "a node without a name so far"
 _PROGRESS_SECONDS: Final = 5.0
 _HEARD_SECONDS: Final = 1
 """How long the end waits for the valve to acknowledge 0 V."""
@@ -136,22 +139,27 @@ class CommandProfileShell:
     def _listeners(self) -> list[str]:
         """Full names of the nodes that hear the commands: the valve, and whoever records them."""
         found = self._node.get_subscriptions_info_by_topic(self._voltage.topic_name)
-        return [f"{entry.node_namespace.rstrip('/')}/{entry.node_name}" for entry in found]
+        return [
+            _NAMELESS if entry.node_name == _UNKNOWN_NODE else f"{entry.node_namespace.rstrip('/')}/{entry.node_name}"
+            for entry in found
+        ]
 
     def _wait_for_valve(self) -> None:
-        """Until the valve and all others that are known to listen are connected."""
-        end = self._clock.elapsed() + self._settings.patience
-        while True:
+        """Until the valve and all others that are known to listen are connected.
+
+        Patience is counted in looks, not by the clock: a process that was held up has found nobody meanwhile.
+        """
+        for _ in range(1 + math.ceil(self._settings.patience / _LOOK_SECONDS)):
             listeners = self._listeners()
             if self._valve in listeners and self._voltage.get_subscription_count() >= len(listeners):
                 break
-            if self._clock.elapsed() > end:
-                others = f" ({', '.join(listeners)} does)" if listeners else ""
-                raise ProfileBrokenOffError(
-                    f"{self._valve} does not hear {self._voltage.topic_name} after {self._settings.patience:g} s"
-                    f"{others}; start it, or name the valve by -p valve:=/its/name"
-                )
             self._pause(_LOOK_SECONDS)
+        else:
+            others = f" ({', '.join(listeners)} does)" if listeners else ""
+            raise ProfileBrokenOffError(
+                f"{self._valve} does not hear {self._voltage.topic_name} after {self._settings.patience:g} s"
+                f"{others}; start it, or name the valve by -p valve:=/its/name"
+            )
         # They must have found this node, too, which nothing here can tell.
         self._pause(LISTENERS_SECONDS)
         self._is_watching = True
