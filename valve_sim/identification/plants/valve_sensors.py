@@ -116,7 +116,7 @@ def channels_of(index: int, trace: Trace) -> list[Channel]:
         return [position]
     times, data = trace.coil_current
     current = Channel(
-        f"{trace.source}: coil_current", "current", times, data, _settled(trace, times),
+        f"{trace.source}: coil_current", "current", times, data, _settled(trace.drive, trace.coil_current),
         stroke_numbers(trace.drive, times), "A", role="actuation", recording=index, drifts=True,
         resolution=FIT_TOLERANCE * float(np.max(np.abs(data), initial=0.0)),
     )  # fmt: skip
@@ -151,9 +151,27 @@ def predicted(record: Any, trace: Trace, drive: Drive, offset: float) -> list[Ar
     return [rows[:, 0], currents * rated_current(record)]
 
 
-def _settled(trace: Trace, times: Array) -> NDArray[np.bool_]:
+def _settled(drive: Drive, current: Signal) -> NDArray[np.bool_]:
     """(n,) the last third of each interval between commands, where the current has settled."""
-    edges = np.concatenate([[times[0]], trace.drive.times, [times[-1]]])
+    times, values = current
+    edges = np.concatenate([[times[0]], drive.times, [times[-1]]])
     index = np.clip(np.searchsorted(edges, times, side="right") - 1, 0, len(edges) - 2)
     start, stop = edges[index], edges[index + 1]
-    return np.asarray((times - start > (2.0 / 3.0) * (stop - start)) | (index == 0))
+    settled = np.asarray((times - start > (2.0 / 3.0) * (stop - start)) | (index == 0))
+    at = np.flatnonzero(settled)
+    for own in np.split(at, np.flatnonzero(np.diff(index[at])) + 1):
+        settled[own[_before_it_leaves(values[own]) :]] = False
+    return settled
+
+
+def _before_it_leaves(readings: Array) -> int:
+    """How many readings of a settled current pass before it changes again: the next command's stamp may be late.
+
+    It has left where it stays farther from the first half of the readings than these are from each other.
+    """
+    if not len(readings):
+        return 0
+    usual = readings[: (len(readings) + 1) // 2]
+    low, high = usual.min(), usual.max()
+    is_near = np.maximum(low - readings, readings - high) <= high - low
+    return int(np.flatnonzero(is_near)[-1]) + 1
