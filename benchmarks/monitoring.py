@@ -31,6 +31,7 @@ import numpy as np
 
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.monitoring.fault_isolation import isolate_fault
+from valve_sim.identification.monitoring.findings import StrokeState
 from valve_sim.identification.monitoring.monitor import Monitor
 from valve_sim.identification.monitoring.stroke_monitor import StrokeReport
 
@@ -88,7 +89,7 @@ def healthy(seed: int, strokes: int) -> HealthyRun:
         middle = time.process_time()
         reports = list(feed(monitor, stroke))
         plant, own = plant + middle - begin, own + time.process_time() - middle
-        ratios += [report.rms / report.noise for report in reports if report.state == "watching"]
+        ratios += [report.rms / report.noise for report in reports if report.state is StrokeState.WATCHING]
         watched = len(ratios)
     return HealthyRun(watched, monitor.stroke_monitor.alarms, float(np.mean(ratios)), own, plant)
 

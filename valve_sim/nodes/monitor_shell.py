@@ -33,6 +33,7 @@ from valve_sim.identification.monitoring.scores import Baseline
 from valve_sim.identification.monitoring.segmenter import Prediction, StrokeSegmenter
 from valve_sim.identification.monitoring.stroke_monitor import StrokeMonitor, StrokeReport
 from valve_sim.identification.reporting.monitoring import finding_json, stroke_json
+from valve_sim.identification.reporting.monitoring_words import finding_words
 from valve_sim.model import ParameterError, Stepper
 from valve_sim.nodes.diagnostics import Level
 from valve_sim.nodes.live_map import LiveInput, live_inputs
@@ -432,9 +433,9 @@ class MonitorShell:
 
     def _tell(self, finding: FaultFinding) -> None:
         self._finding.publish(String(data=json.dumps(finding_json(finding), ensure_ascii=False)))
-        if finding.effects != self._told:
-            self._told = finding.effects
-            self._node.get_logger().warning(finding.summary)
+        if finding.verdict.effects != self._told:
+            self._told = finding.verdict.effects
+            self._node.get_logger().warning(finding_words(finding))
 
     def _fail(self, error: Exception) -> None:
         if self._node.context.ok():

@@ -5,7 +5,16 @@ from __future__ import annotations
 import math
 from typing import Final, NamedTuple
 
-from valve_sim.identification.monitoring.stroke_monitor import UNCERTAIN, WATCHING, StrokeMonitor, StrokeReport
+from valve_sim.identification.monitoring.findings import Fault, StrokeState
+from valve_sim.identification.monitoring.stroke_monitor import StrokeMonitor, StrokeReport
+from valve_sim.identification.reporting.monitoring_words import (
+    TIMING_UNCERTAIN,
+    fault_words,
+    finding_words,
+    remark_words,
+    state_words,
+    stroke_name,
+)
 from valve_sim.nodes.diagnostics import Level, Status
 from valve_sim.nodes.monitor_tasks import FaultIsolation
 
@@ -35,35 +44,32 @@ class InputFacts(NamedTuple):
 
 
 def health_status(
-    fault: str, monitor: StrokeMonitor, last: StrokeReport | None, wanted: int, isolation: FaultIsolation
+    fault: Fault | None, monitor: StrokeMonitor, last: StrokeReport | None, wanted: int, isolation: FaultIsolation
 ) -> Status:
     """Whether the valve does as it did: ERROR where it does not open or close, WARN where it has changed."""
+    cause = "" if isolation.finding is None else finding_words(isolation.finding)
     values = {
         "strokes": "0" if last is None else str(last.record.number + 1),
         "alarms": str(monitor.alarms),
-        "state": _state(monitor),
+        "state": state_words(_state(monitor)),
         "scatter of commands (ms)": _number(1e3 * monitor.command_scatter),
         "highest sum": "none" if last is None or math.isnan(last.sum) else f"{last.sum:.2f} ({last.cause})",
         "threshold": "none" if last is None or math.isnan(last.threshold) else f"{last.threshold:.2f}",
         "residual (µm)": "none" if last is None or math.isnan(last.rms) else f"{1e6 * last.rms:.3f}",
-        "cause": "" if isolation.finding is None else isolation.finding.summary,
+        "cause": cause,
     }
-    if fault:
-        return Status("valve", Level.ERROR, fault, values)
+    if fault is not None:
+        return Status("valve", Level.ERROR, fault_words(fault), values)
     alarm = monitor.alarm
     if alarm is not None:
-        cause = f"the strokes since number {alarm.began} are not those of the commissioned valve"
-        known = (
-            isolation.finding.summary if isolation.finding is not None else f"most in the direction of {alarm.cause}"
-        )
-        return Status("valve", Level.WARN, f"{cause}: {known}", values)
+        changed = f"the strokes since number {alarm.began} are not those of the commissioned valve"
+        return Status("valve", Level.WARN, f"{changed}: {cause or f'most in the direction of {alarm.cause}'}", values)
     if monitor.baseline is None:
         return Status("valve", Level.OK, f"commissioning, {monitor.commissioned} of {wanted} strokes", values)
     if monitor.is_timing_uncertain:
-        words = (
-            f"{UNCERTAIN}: commands are obeyed {1e3 * monitor.command_scatter:.1f} ms sooner or later than they come in"
-        )
-        return Status("valve", Level.OK, f"{words}; the shape of strokes is as commissioned", values)
+        scatter = f"commands are obeyed {1e3 * monitor.command_scatter:.1f} ms sooner or later than they come in"
+        words = f"{TIMING_UNCERTAIN}: {scatter}; the shape of strokes is as commissioned"
+        return Status("valve", Level.OK, words, values)
     return Status("valve", Level.OK, "as commissioned", values)
 
 
@@ -131,15 +137,23 @@ def stroke_status(report: StrokeReport) -> Status:
         **damping,
         **{f"score {name}": score for name, score in report.scores.items()},
     }
-    level = Level.ERROR if report.record.fault else Level.WARN if report.alarm is not None else Level.OK
-    words = report.record.fault or ("an alarm" if report.alarm is not None else report.remark or report.state)
+    level, words = _verdict_on(report)
     return Status("stroke", level, words, {name: f"{value:.6g}" for name, value in values.items()})
 
 
-def _state(monitor: StrokeMonitor) -> str:
+def _verdict_on(report: StrokeReport) -> tuple[Level, str]:
+    """How bad one stroke is, and in words."""
+    if report.record.fault is not None:
+        return Level.ERROR, fault_words(report.record.fault)
+    if report.alarm is not None:
+        return Level.WARN, "an alarm"
+    return Level.OK, state_words(report.state) if report.remark is None else remark_words(report.remark)
+
+
+def _state(monitor: StrokeMonitor) -> StrokeState:
     if monitor.baseline is None:
-        return "commissioning"
-    return UNCERTAIN if monitor.is_timing_uncertain else WATCHING
+        return StrokeState.COMMISSIONING
+    return StrokeState.TIMING_UNCERTAIN if monitor.is_timing_uncertain else StrokeState.WATCHING
 
 
 def _number(value: float) -> str:
@@ -158,23 +172,23 @@ class HealthLog:
         if state == self._state:
             return None
         self._state = state
-        return level, f"{report.name}: {words}"
+        return level, f"{stroke_name(report)}: {words}"
 
 
 def _health(report: StrokeReport, monitor: StrokeMonitor) -> tuple[Level, str, str]:
     """How bad, under what name, and in words."""
-    if report.record.fault:
-        return Level.ERROR, "fault", report.record.fault
+    if report.record.fault is not None:
+        return Level.ERROR, "fault", fault_words(report.record.fault)
     alarm = monitor.alarm
     if alarm is not None:
         words = f"not as commissioned since stroke {alarm.began}, most in the direction of {alarm.cause}"
         return Level.WARN, "alarm", words
     if monitor.baseline is None:
-        return Level.OK, "commissioning", "commissioning has begun"
+        return Level.OK, state_words(StrokeState.COMMISSIONING), "commissioning has begun"
     if monitor.is_timing_uncertain:
-        scatter = 1e3 * monitor.command_scatter
-        return Level.OK, UNCERTAIN, f"{UNCERTAIN}: commands scatter by {scatter:.1f} ms; shapes are judged"
-    return Level.OK, WATCHING, "as commissioned"
+        words = f"commands scatter by {1e3 * monitor.command_scatter:.1f} ms; shapes are judged"
+        return Level.OK, TIMING_UNCERTAIN, f"{TIMING_UNCERTAIN}: {words}"
+    return Level.OK, state_words(StrokeState.WATCHING), "as commissioned"
 
 
 class InputCount:

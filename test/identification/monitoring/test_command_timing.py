@@ -20,11 +20,13 @@ from valve_sim.identification.monitoring.command_timing import (
     scatter_levels,
 )
 from valve_sim.identification.monitoring.fault_isolation import is_credible, isolate_fault
+from valve_sim.identification.monitoring.findings import DidNotOpen, StrokeState, TimingTooUncertain
 from valve_sim.identification.monitoring.monitor import Monitor
 from valve_sim.identification.monitoring.segmenter import CONFIRMED, StrokeRecord, StrokeSegmenter
 from valve_sim.identification.monitoring.settings import MonitorSettings
-from valve_sim.identification.monitoring.stroke_monitor import UNCERTAIN, WATCHING, StrokeReport
+from valve_sim.identification.monitoring.stroke_monitor import StrokeReport
 from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.identification.reporting.monitoring_words import finding_words, remark_words
 from valve_sim.model import Drive
 from valve_sim.traces import Trace
 
@@ -54,14 +56,14 @@ def test_a_healthy_valve_on_a_busy_machine_is_not_accused(commissioned: float) -
     assert len(reports) == 60
     assert monitor.stroke_monitor.alarms == 0
     assert not [report.record.fault for report in reports if report.record.fault]
-    assert {report.state for report in reports[1:]} == {UNCERTAIN}
+    assert {report.state for report in reports[1:]} == {StrokeState.TIMING_UNCERTAIN}
     assert monitor.stroke_monitor.is_timing_uncertain
     assert reports[-1].command_scatter == pytest.approx(BUSY, rel=0.5)
 
 
 def test_on_a_quiet_machine_delays_are_judged_and_a_fault_is_found_as_before() -> None:
     monitor, reports = watched(QUIET, 20)
-    assert {report.state for report in reports} == {WATCHING}
+    assert {report.state for report in reports} == {StrokeState.WATCHING}
     assert {"opening delay", "closing delay"} <= reports[-1].scores.keys()
     assert monitor.stroke_monitor.alarms == 0
     monitor, reports = watched(QUIET, 6, STICTION)
@@ -72,8 +74,8 @@ def test_what_changes_the_shape_of_a_stroke_is_found_on_a_busy_machine_too() -> 
     monitor, reports = watched(BUSY, 12, STICTION)
     assert next(report for report in reports if report.alarm).record.number < 26
     finding = isolate_fault(monitor.stroke_monitor.evidence(), monitor.stroke_monitor.with_present_scatter())
-    assert {"coulomb_friction", "stiction", "asymmetric_friction"} & set(finding.effects), finding.summary
-    assert "0.5" in finding.summary or "0.49" in finding.summary
+    assert {"coulomb_friction", "stiction", "asymmetric_friction"} & set(finding.verdict.effects), finding
+    assert "0.5" in finding_words(finding) or "0.49" in finding_words(finding)
 
 
 def timed(*shifts: float, volts: float = 9.0, arrival: float = math.nan) -> list[StrokeTiming]:
@@ -140,8 +142,8 @@ def test_a_short_stroke_is_believed_on_a_quiet_machine_and_on_a_busy_one_when_it
     records = [stuck(segmenter, float(number), 0.05, 0.0, late) for number in range(CONFIRMED)]
     said = [bool(record.fault) for record in records]
     assert said == ([True] * CONFIRMED if late == 0.0 else [False] * (CONFIRMED - 1) + [True])
-    assert late == 0.0 or all("timing too uncertain" in record.remark for record in records[:-1])
-    assert "did not open" in segmenter.fault
+    assert late == 0.0 or all(isinstance(record.remark, TimingTooUncertain) for record in records[:-1])
+    assert isinstance(segmenter.fault, DidNotOpen)
 
 
 @pytest.mark.parametrize(("late", "is_said"), [(0.0, True), (0.3, False)])
@@ -200,7 +202,7 @@ def test_a_valve_that_is_told_to_close_when_it_has_hardly_begun_to_open_is_not_j
     made = valve.stroke(open_seconds=0.014)
     list(feed(monitor, made._replace(command_times=made.command_times - np.array([0.016, 0.0]))))
     (first,) = list(feed(monitor, valve.stroke()))
-    assert first.state == "not judged"
+    assert first.state is StrokeState.NOT_JUDGED
     for _ in range(9):
         list(feed(monitor, valve.stroke()))
     valve.jitter = 0.0
@@ -210,7 +212,7 @@ def test_a_valve_that_is_told_to_close_when_it_has_hardly_begun_to_open_is_not_j
         heard = made._replace(command_times=made.command_times - np.array([early, 0.0]))
         reports += list(feed(monitor, heard))
     together = [report for report in reports if report.remark]
-    assert [report.state for report in together] == ["not judged"] * 2
-    assert all(report.remark.startswith("timing too uncertain") for report in together)
+    assert [report.state for report in together] == [StrokeState.NOT_JUDGED] * 2
+    assert all(remark_words(report.remark).startswith("timing too uncertain") for report in together)
     assert not any(report.record.fault for report in reports)
     assert monitor.stroke_monitor.alarms == 0

@@ -11,6 +11,7 @@ import pytest
 
 from identification.live_strokes import LiveStroke, LiveValve, feed
 from valve_sim.files.parameter_files import default_valve
+from valve_sim.identification.monitoring.findings import StrokeState
 from valve_sim.identification.monitoring.memory import SCHEMA, load_commissioning, save_commissioning
 from valve_sim.identification.monitoring.monitor import Monitor
 from valve_sim.identification.monitoring.settings import MonitorSettings
@@ -112,8 +113,8 @@ def test_what_is_asked_to_commission_anew_forgets(monitor: Monitor) -> None:
     fresh = Monitor(EXACT_VALVE, SETTINGS, refit=False)
     assert monitor.stroke_monitor.commissioning is not None
     fresh.stroke_monitor.use(monitor.stroke_monitor.commissioning)
-    assert {report.state for report in reports(fresh)} == {"watching"}
+    assert {report.state for report in reports(fresh)} == {StrokeState.WATCHING}
     fresh.stroke_monitor.recommission()
     assert fresh.stroke_monitor.baseline is None
     assert math.isnan(fresh.stroke_monitor.command_scatter)
-    assert {report.state for report in reports(fresh)} == {"commissioning"}
+    assert {report.state for report in reports(fresh)} == {StrokeState.COMMISSIONING}

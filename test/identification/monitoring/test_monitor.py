@@ -12,11 +12,13 @@ from identification.live_strokes import LiveValve, feed
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.monitoring.cusum import SCORE_LIMIT, Sums, mean_run, threshold_for
 from valve_sim.identification.monitoring.fault_isolation import isolate_fault
+from valve_sim.identification.monitoring.findings import DidNotClose, DidNotOpen, StrokeState, Unusable
 from valve_sim.identification.monitoring.monitor import Monitor
 from valve_sim.identification.monitoring.segmenter import LEAD, StrokeSegmenter
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.monitoring.stroke_monitor import StrokeReport
 from valve_sim.identification.reporting.monitoring import stroke_json
+from valve_sim.identification.reporting.monitoring_words import finding_words
 
 EXACT_VALVE = default_valve().exact()
 
@@ -37,7 +39,7 @@ def commissioned() -> tuple[Monitor, LiveValve]:
     """A monitor that has seen 40 healthy strokes."""
     monitor, valve = Monitor(EXACT_VALVE), LiveValve(7, HEALTHY, offset=200e-6)
     reports = strokes(monitor, valve, 41)
-    assert [report.state for report in reports] == 20 * ["commissioning"] + 20 * ["watching"]
+    assert [report.state for report in reports] == 20 * [StrokeState.COMMISSIONING] + 20 * [StrokeState.WATCHING]
     return monitor, valve
 
 
@@ -58,7 +60,7 @@ def test_what_commissioning_finds_is_true(commissioned: tuple[Monitor, LiveValve
 def test_a_healthy_valve_raises_no_alarm(colour: float, rate: float) -> None:
     monitor = Monitor(EXACT_VALVE, refit=False)
     reports = strokes(monitor, LiveValve(3, HEALTHY, colour=colour, rate=rate, offset=-20e-6), 221)
-    watched = [report for report in reports if report.state == "watching"]
+    watched = [report for report in reports if report.state is StrokeState.WATCHING]
     assert len(watched) == 200
     assert monitor.stroke_monitor.alarms == 0
     share = np.mean([report.rms / report.noise for report in watched])
@@ -120,12 +122,13 @@ def test_friction_that_grows_is_named() -> None:
     baseline = monitor.stroke_monitor.baseline
     assert baseline is not None
     finding = isolate_fault(monitor.stroke_monitor.evidence()[-12:], baseline)
-    assert finding.kind == "effects"
-    assert finding.effects == ("coulomb_friction",)
+    assert finding.verdict.kind == "effects"
+    assert finding.verdict.effects == ("coulomb_friction",)
     interval = finding.parameters["coulomb_friction.force"]
     assert interval.low < FIVE_LIMITS < interval.high
-    assert finding.summary.startswith("Coulomb friction 0.007")
-    assert "N, none when commissioned" in finding.summary
+    words = finding_words(finding)
+    assert words.startswith("Coulomb friction 0.007")
+    assert " N, none when commissioned" in words
 
 
 def test_a_changed_damping_is_said_to_be_one() -> None:
@@ -137,9 +140,10 @@ def test_a_changed_damping_is_said_to_be_one() -> None:
     baseline = monitor.stroke_monitor.baseline
     assert baseline is not None
     finding = isolate_fault(monitor.stroke_monitor.evidence(), baseline)
-    assert finding.effects == ("main_damping",)
+    assert finding.verdict.effects == ("main_damping",)
     assert finding.parameters["main_damping.value"].value == pytest.approx(4.2, abs=0.05)
-    assert "when commissioned" in finding.summary
+    assert finding_words(finding).startswith("Main damping 4.2")
+    assert finding_words(finding).endswith(" N·s/m, 3.50 N·s/m when commissioned")
 
 
 def test_with_the_current_a_weaker_coil_is_told_from_a_weaker_magnet() -> None:
@@ -162,9 +166,9 @@ def test_with_the_current_a_weaker_coil_is_told_from_a_weaker_magnet() -> None:
     for _ in range(9):
         stroke({"drive_gain": {"gain": 0.97}})
     finding = isolate_fault(monitor.stroke_monitor.evidence(), baseline)
-    assert finding.effects == ("drive_gain",)
+    assert finding.verdict.effects == ("drive_gain",)
     assert finding.parameters["drive_gain.gain"].value == pytest.approx(0.97, abs=1e-3)
-    assert not finding.confusable_with.get("drive_gain")
+    assert not finding.verdict.confusable_with.get("drive_gain")
 
 
 def test_a_valve_that_does_not_open_is_an_error_at_once() -> None:
@@ -180,7 +184,7 @@ def test_a_valve_that_does_not_open_is_an_error_at_once() -> None:
             break
     # The model is open after 10 ms; as long again is the valve's to be late.
     assert time - begin < 0.022
-    assert "did not open" in monitor.segmenter.fault
+    assert monitor.segmenter.fault == DidNotOpen(pytest.approx(0.0, abs=10e-6))
     monitor.command(float(stuck.command_times[1]), 0.0)
     strokes(monitor, valve, 3)
     assert not monitor.segmenter.fault
@@ -195,7 +199,7 @@ def test_a_valve_that_does_not_close_is_an_error() -> None:
         while commands and time >= commands[0][0]:
             segmenter.command(*commands.pop(0))
         segmenter.measure(time, position)
-    assert "did not close" in segmenter.fault
+    assert isinstance(segmenter.fault, DidNotClose)
 
 
 def test_commands_before_the_first_sample_are_reported_and_harm_nothing() -> None:
@@ -206,7 +210,7 @@ def test_commands_before_the_first_sample_are_reported_and_harm_nothing() -> Non
         reports += monitor.command(time, volts)
     for time in np.arange(0.1, 0.4, 1e-3).tolist():
         reports += monitor.measure(time, 0.0)
-    assert [report.state for report in reports] == ["not judged"]
+    assert [report.state for report in reports] == [StrokeState.NOT_JUDGED]
 
 
 def test_a_stroke_that_does_not_begin_at_rest_is_not_judged() -> None:
@@ -219,7 +223,7 @@ def test_a_stroke_that_does_not_begin_at_rest_is_not_judged() -> None:
         segmenter.measure(time, 0.0)
     finished = segmenter.take_finished()
     assert len(finished) == 2
-    assert "did not begin at rest" in finished[1].remark
+    assert finished[1].remark is Unusable.NOT_AT_REST
 
 
 def test_memory_is_bounded() -> None:

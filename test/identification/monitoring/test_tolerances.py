@@ -5,6 +5,7 @@ import pytest
 from plants.declared import CAMPAIGN_VALVE
 
 from identification.live_strokes import LiveValve, feed
+from valve_sim.identification.monitoring.findings import StrokeState
 from valve_sim.identification.monitoring.memory import load_commissioning, save_commissioning
 from valve_sim.identification.monitoring.monitor import Monitor
 from valve_sim.identification.plants.commissioned import CommissionedPlant
@@ -36,7 +37,7 @@ def test_commissioning_finds_the_valve_as_it_is(commissioned):
     for name, error in zip(baseline.estimated, np.sqrt(np.diag(baseline.covariance)), strict=True):
         assert abs(found[name] - TRUTH[name]) < 4.0 * error
     assert baseline.valve.tolerances.is_exact
-    watched = [report.rms / report.noise for report in reports if report.state == "watching"]
+    watched = [report.rms / report.noise for report in reports if report.state is StrokeState.WATCHING]
     assert len(watched) >= 3
     assert np.mean(watched) == pytest.approx(1.0, abs=0.1)
 

@@ -10,18 +10,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Final, NamedTuple
+from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.identification.diagnosis.run import Diagnosis, diagnose_plant
+from valve_sim.identification.diagnosis.run import Verdict, diagnose_plant
 from valve_sim.identification.estimation.identify import DEFAULT_FREE
 from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.identification.monitoring.scores import Baseline
 from valve_sim.identification.plants.commissioned import CommissionedCurrent, CommissionedPlant
 from valve_sim.identification.plants.protocol import Array, Plant
-from valve_sim.model import CATALOGUE, DECLARED, Drive, Parameter
+from valve_sim.model import Drive, Parameter
 from valve_sim.traces import Signal, Trace
 
 FEWEST: Final = 6
@@ -31,30 +32,26 @@ HELD_OUT: Final = 3
 
 MOST_PRIOR_SCALES: Final = 100.0
 """Multiple of an effect's prior scale beyond which a value is not plausible: 5 N of friction, 30 N of pressure."""
-NOT_ISOLATED: Final = (
-    "the strokes are not those of the commissioned valve, and no effect is known well enough to be named"
-)
-
 
 Progress = Callable[[str, float], None]
 
 
-class FaultFinding(NamedTuple):
+@dataclass(frozen=True)
+class FaultFinding:
     """What fault isolation found.
 
     Attributes:
-        kind: of verdict, as in report.json: "none", "effects", "unknown" or "insufficient".
-        effects: names from the catalogue. summary: one sentence for a person.
-        confusable_with: by effect, look-alikes that explain the strokes about as well.
-        parameters: by `<effect>.<parameter>`, estimates. probability: of the verdict. strokes: how many were used.
+        verdict: of the diagnosis; its effects may be dampings, which are candidates here. It is "unknown" and names
+            nothing where the estimates of what it named are not credible.
+        is_credible: whether they are.
+        parameters: by `<effect>.<parameter>`, estimates. commissioned: by name, the values of named dampings before.
+        strokes: how many were used.
     """
 
-    kind: str
-    effects: tuple[str, ...]
-    summary: str
-    confusable_with: dict[str, tuple[str, ...]]
-    parameters: dict[str, Interval]
-    probability: float
+    verdict: Verdict
+    is_credible: bool
+    parameters: Mapping[str, Interval]
+    commissioned: Mapping[str, float]
     strokes: int
 
 
@@ -63,7 +60,7 @@ def isolate_fault(strokes: Sequence[Trace], baseline: Baseline, progress: Progre
 
     Args:
         strokes: one each, at least `FEWEST`; every `HELD_OUT`-th is held out.
-        healthy: the valve as commissioned.
+        baseline: the valve as commissioned.
         progress: told what is being tried, and the fraction done.
 
     Raises:
@@ -79,16 +76,10 @@ def isolate_fault(strokes: Sequence[Trace], baseline: Baseline, progress: Progre
     verdict, intervals = result.verdict, result.after.intervals
     parameters = {name: interval for name, interval in intervals.items() if name.split(".")[0] in verdict.effects}
     if not all(is_credible(effect, plants[0], parameters) for effect in verdict.effects):
-        return FaultFinding("unknown", (), NOT_ISOLATED, {}, {}, 0.0, len(strokes))
-    return FaultFinding(
-        verdict.kind,
-        verdict.effects,
-        _summary(result, parameters, baseline),
-        dict(verdict.confusable_with),
-        parameters,
-        verdict.probability,
-        len(strokes),
-    )
+        nothing = replace(verdict, kind="unknown", effects=(), confusable_with={}, probability=0.0)
+        return FaultFinding(nothing, False, {}, {}, len(strokes))
+    before = {name: baseline.valve.declared()[name] for name in verdict.effects if name in DEFAULT_FREE}
+    return FaultFinding(verdict, True, parameters, before, len(strokes))
 
 
 def is_credible(effect: str, plant: Plant, intervals: Mapping[str, Interval]) -> bool:
@@ -155,50 +146,3 @@ def _join_currents(
 def _rises(times: Array) -> NDArray[np.bool_]:
     """Which times are later than all before them."""
     return np.asarray(times > np.concatenate([[-math.inf], np.maximum.accumulate(times)[:-1]]))
-
-
-def _summary(result: Diagnosis, parameters: Mapping[str, Interval], baseline: Baseline) -> str:
-    verdict = result.verdict
-    if verdict.kind == "none":
-        return "the last strokes are as those of the commissioned valve"
-    if not verdict.effects:
-        return verdict.summary
-    words = "; ".join(_effect_words(name, parameters, baseline) for name in verdict.effects)
-    others = sorted({other for names in verdict.confusable_with.values() for other in names})
-    alternatives = f" ({', '.join(_plain(other) for other in others)} would explain it about as well)" if others else ""
-    certainty = "" if verdict.kind == "effects" else f"{verdict.summary.rstrip('.')}: "
-    return f"{certainty}{words}{alternatives}"
-
-
-def _effect_words(effect: str, parameters: Mapping[str, Interval], baseline: Baseline) -> str:
-    """Such as "Coulomb friction 0.31 ± 0.04 N, none when commissioned"."""
-    own = {name.split(".")[1]: interval for name, interval in parameters.items() if name.split(".")[0] == effect}
-    if effect in DEFAULT_FREE:
-        before = f"{baseline.valve.declared()[effect]:.3g} when commissioned"
-        values = [_value(interval, DECLARED[effect].unit) for interval in own.values()]
-    else:
-        before = "none when commissioned"
-        entry = CATALOGUE[effect]
-        values = [
-            f"{'' if len(own) == 1 else _plain(name) + ' '}{_value(interval, entry.parameter(name).unit)}"
-            for name, interval in own.items()
-        ]
-    plain = _plain(effect)
-    return f"{plain[0].upper()}{plain[1:]} {', '.join(values)}, {before}"
-
-
-def _value(interval: Interval, unit: str) -> str:
-    """Value and half width of the 95 % interval, rounded to where the half width has two digits."""
-    half = 0.5 * (interval.high - interval.low)
-    plain_unit = "" if unit in ("", "–") else f" {unit}"
-    if not math.isfinite(half) or half <= 0.0:
-        return f"{interval.value:.3g}{plain_unit}"
-    digits = 1 - math.floor(math.log10(half))
-    if -3 <= digits <= 6:
-        places = max(digits, 0)
-        return f"{interval.value:.{places}f} ± {half:.{places}f}{plain_unit}"
-    return f"{interval.value:.3g} ± {half:.2g}{plain_unit}"
-
-
-def _plain(name: str) -> str:
-    return name.replace("_", " ").replace("coulomb", "Coulomb")

@@ -15,6 +15,15 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from valve_sim.identification.monitoring.command_timing import EXTREME_SIGMAS, ArrivalSpread
+from valve_sim.identification.monitoring.findings import (
+    DidNotClose,
+    DidNotOpen,
+    Fault,
+    OpenedPartly,
+    Remark,
+    TimingTooUncertain,
+    Unusable,
+)
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.model import Drive, Phase, Reading, SimulationError, Stepper, Valve
@@ -67,19 +76,19 @@ class StrokeRecord(NamedTuple):
 
     Attributes:
         number: from 0 on. time: of the opening command, s. trace: times since `trace.epoch_ns`.
-        remark: why it cannot be compared with the model; empty if it can.
+        remark: why it cannot be compared with the model; None if it can.
         opened, closed: whether the valve was seen to; None where the model did not, or where timing was too uncertain.
-        fault: empty, or what went wrong.
+        fault: what went wrong; None where nothing did.
         arrival_spread: s, largest delay of its samples above the smallest of late; nan where arrivals are not known.
     """
 
     number: int
     time: float
     trace: Trace
-    remark: str
+    remark: Remark | None
     opened: bool | None
     closed: bool | None
-    fault: str
+    fault: Fault | None
     arrival_spread: float = math.nan
 
 
@@ -124,8 +133,8 @@ class StrokeSegmenter:
 
     def reset(self) -> None:
         """Start again, as after a jump of the clock: with a valve at rest."""
-        self.fault = ""
-        """The fault, in words; empty where there is none. Stays until a stroke without a fault."""
+        self.fault: Fault | None = None
+        """None where there is none. Stays until a stroke without a fault."""
         self._arrivals = ArrivalSpread()
         self._missed = 0
         self._stepper: Stepper | None = None
@@ -299,9 +308,9 @@ class StrokeSegmenter:
         elif self._phase is Phase.CLOSED and self._volts == 0.0 and (stroke is None or stroke.closed is None):
             closed = self._is_closed(position)
             if not closed:
-                self.fault = f"the valve did not close: {1e3 * position:.3f} mm open, without voltage"
+                self.fault = DidNotClose(position)
             if stroke is not None:
-                stroke.closed, stroke.fault = closed, stroke.fault or ("" if closed else self.fault)
+                stroke.closed, stroke.fault = closed, stroke.fault or (None if closed else self.fault)
 
     def _is_closed(self, position: float) -> bool:
         """For the valve, and for the model, which without seat load rests some picometres above its seat."""
@@ -314,19 +323,18 @@ class StrokeSegmenter:
             self._missed = 0
             return
         if stroke.highest < parameters.pilot_gap:
-            moved = 1e3 * max(stroke.highest, 0.0)
-            self.fault = f"the valve did not open: the pilot plunger moved {moved:.3f} mm only"
+            self.fault = DidNotOpen(max(stroke.highest, 0.0))
         else:
-            self.fault = f"the valve opened to {1e3 * stroke.highest:.3f} mm only, of {1e3 * parameters.stroke:.3f} mm"
+            self.fault = OpenedPartly(stroke.highest, parameters.stroke)
         stroke.fault = self.fault
 
-    def _judge_late(self, stroke: _Stroke) -> str:
-        """Of a stroke that ended before `patience` had passed; why it cannot be judged, empty if it can.
+    def _judge_late(self, stroke: _Stroke) -> TimingTooUncertain | None:
+        """Of a stroke that ended before `patience` had passed; why it cannot be judged, None if it can.
 
         A valve that may have received its opening command together with the closing one need not have opened. What
         timing alone may explain counts as a fault when it happens `CONFIRMED` times in a row.
         """
-        remark = ""
+        remark = None
         if stroke.opened is None and stroke.model_opened:
             is_open = stroke.highest >= OPENED * self._valve.parameters.stroke
             self._missed = 0 if is_open else self._missed + 1
@@ -334,7 +342,7 @@ class StrokeSegmenter:
             if is_open or held > self.uncertainty or self._missed >= CONFIRMED:
                 self._judge_opening(stroke)
             else:
-                remark = f"timing too uncertain to judge: held open for {1e3 * max(held, 0.0):.0f} ms only"
+                remark = TimingTooUncertain(max(held, 0.0))
         if stroke.closed is None and self._phase is Phase.CLOSED and self._is_closed(self._position):
             stroke.closed = True
         return remark
@@ -344,7 +352,7 @@ class StrokeSegmenter:
         left_seat = self._left_seat()
         begins_early = math.isfinite(left_seat)
         if self._stroke is not None:
-            self._finish(self._stroke, "", left_seat - LIFTING if begins_early else math.inf)
+            self._finish(self._stroke, None, left_seat - LIFTING if begins_early else math.inf)
         at = max(time, self._last - self._lateness)
         reading = self._model(time).advance(at)
         parameters = self._valve.parameters
@@ -371,19 +379,19 @@ class StrokeSegmenter:
 
     def _end_if_over(self, stroke: _Stroke, time: float) -> None:
         if time - stroke.drive[0][0] > self._settings.stroke_timeout:
-            self._finish(stroke, "it did not end before stroke_timeout")
+            self._finish(stroke, Unusable.TIMED_OUT)
         elif len(self._times) > MOST_SAMPLES or len(stroke.drive) >= MOST_COMMANDS:
-            self._finish(stroke, "it is too long to be kept")
+            self._finish(stroke, Unusable.TOO_LONG)
         elif self._volts == 0.0 and time - self._rest_since > self._settle and (
             stroke.closed is not None or self._phase is not Phase.CLOSED
         ):  # fmt: skip
-            self._finish(stroke, "")
+            self._finish(stroke, None)
 
-    def _finish(self, stroke: _Stroke, remark: str, until: float = math.inf) -> None:
+    def _finish(self, stroke: _Stroke, remark: Remark | None, until: float = math.inf) -> None:
         """Emit the stroke; its last moments at rest are the first of the next one, too."""
         remark = remark or self._judge_late(stroke)
-        if not stroke.fault:
-            self.fault = ""
+        if stroke.fault is None:
+            self.fault = None
         start = self._times[0] if self._times else stroke.drive[0][0]
         times, volts = np.array(stroke.drive, dtype=np.float64).T
         stop = bisect.bisect_right(self._times, until)
@@ -395,11 +403,11 @@ class StrokeSegmenter:
             coil_current=self._current_since(start),
             epoch_ns=round(start * 1e9),
         )
-        remark = remark or ("" if stroke.is_at_rest else "it did not begin at rest") or stroke.fault
+        remark = remark or (None if stroke.is_at_rest else Unusable.NOT_AT_REST) or stroke.fault
         first, last = float(trace.drive.times[0]), float(trace.drive.times[-1])
         opening = (trace.times > first) & ((trace.times < last) | (last == first))
         if np.count_nonzero(opening) < FEWEST_SAMPLES:
-            remark = remark or "it has too few samples"
+            remark = remark or Unusable.TOO_FEW_SAMPLES
         self._finished.append(
             StrokeRecord(
                 self.strokes, stroke.drive[0][0], trace, remark, stroke.opened, stroke.closed, stroke.fault,
@@ -440,4 +448,4 @@ class _Stroke:
     latest: float = -math.inf
     opened: bool | None = None
     closed: bool | None = None
-    fault: str = ""
+    fault: Fault | None = None

@@ -29,6 +29,7 @@ from valve_sim.identification.monitoring.commissioning import (
     stroke_timing,
 )
 from valve_sim.identification.monitoring.cusum import Alarm, Sums
+from valve_sim.identification.monitoring.findings import NotSimulated, Remark, StrokeState, Unusable
 from valve_sim.identification.monitoring.scores import (
     DELAYS,
     SIZE,
@@ -48,30 +49,25 @@ FEWEST_TO_ISOLATE: Final = 6
 """Strokes of an alarm from which the fault is first isolated."""
 ALARM_ENDS_AFTER: Final = 20
 """Scored strokes without a further alarm, after which an alarm is over."""
-WATCHING: Final = "watching"
-UNCERTAIN: Final = "timing too uncertain to judge"
-"""State of a stroke of which only the shape was compared: samples carry stamps, commands do not."""
-
-HELD_TOO_SHORT: Final = "timing too uncertain to judge: it was held open for less than half as long as commanded"
 
 
 class StrokeReport(NamedTuple):
     """What is reported on one stroke; times in s after their command, nan where not seen.
 
     Attributes:
-        record: the stroke. name: for people.
+        record: the stroke. volts: its largest command, V, with its sign.
         opening_delay: until the pilot plunger leaves its seat. t1: until it reaches the main plunger. t2: until the
             stop. closing_time: from the closing command until the pilot plunger is back.
         rms: m, of the residual; nan where it was not compared with the model.
         noise: m, of the sensor; nan before commissioning. damping: refitted to this stroke alone, or empty.
         scores: standard normal while healthy, by direction; empty where the stroke was not scored.
-        state: "commissioning", "watching", "timing too uncertain to judge" or "not judged". remark: why it was not.
+        state: what it was used for. remark: why it was not compared with the baseline; None where it was.
         command_scatter: s, standard deviation of its commands' times; nan before commissioning.
         alarm: raised by this stroke. cause, sum: of the highest sum; threshold: at which the alarm is raised.
     """
 
     record: StrokeRecord
-    name: str
+    volts: float
     opening_delay: float
     t1: float
     t2: float
@@ -80,8 +76,8 @@ class StrokeReport(NamedTuple):
     noise: float
     damping: Mapping[str, Interval]
     scores: Mapping[str, float]
-    state: str
-    remark: str
+    state: StrokeState
+    remark: Remark | None
     command_scatter: float
     alarm: Alarm | None
     cause: str
@@ -193,24 +189,24 @@ class StrokeMonitor:
             record: from a `StrokeSegmenter`.
             refit: whether to refit the dampings to it, for the report.
         """
-        scored, scores, alarm, state, remark = None, {}, None, "not judged", record.remark
-        if not remark:
+        scored, scores, alarm, state, remark = None, {}, None, StrokeState.NOT_JUDGED, record.remark
+        if remark is None:
             try:
                 if self.commissioning is None and is_held_too_short(record.trace, self._declared):
-                    remark = HELD_TOO_SHORT
+                    remark = Unusable.HELD_TOO_BRIEFLY
                 elif self.commissioning is None:
-                    state = "commissioning"
+                    state = StrokeState.COMMISSIONING
                     self._commission(record)
                 else:
                     level = self._allowed(record, self.commissioning)
                     if level >= UNINFORMATIVE and is_held_too_short(record.trace, self.commissioning.baseline.valve):
-                        return self._report(record, None, {}, None, state, HELD_TOO_SHORT, {})
-                    state = UNCERTAIN if level >= UNINFORMATIVE else WATCHING
+                        return self._report(record, None, {}, None, state, Unusable.HELD_TOO_BRIEFLY, {})
+                    state = StrokeState.TIMING_UNCERTAIN if level >= UNINFORMATIVE else StrokeState.WATCHING
                     scored = score_stroke(record.trace, self.commissioning.baseline, level)
                     scores = self.commissioning.standard(scored.scores, level)
                     alarm = self._add(record, scored, scores)
             except (SimulationError, np.linalg.LinAlgError) as error:
-                state, remark = "not judged", f"it could not be compared with the model: {error}"
+                state, remark = StrokeState.NOT_JUDGED, NotSimulated(str(error))
         damping = self._refitted(record.trace) if refit and scored is not None else {}
         return self._report(record, scored, scores, alarm, state, remark, damping)
 
@@ -280,8 +276,8 @@ class StrokeMonitor:
         scored: Scored | None,
         scores: Mapping[str, float],
         alarm: Alarm | None,
-        state: str,
-        remark: str,
+        state: StrokeState,
+        remark: Remark | None,
         damping: Mapping[str, Interval],
     ) -> StrokeReport:
         baseline, trace = self.baseline, record.trace
@@ -290,7 +286,7 @@ class StrokeMonitor:
         volts = trace.drive.volts
         return StrokeReport(
             record,
-            f"stroke {record.number}, {volts[np.argmax(np.abs(volts))]:.1f} V",
+            float(volts[np.argmax(np.abs(volts))]),
             _opening_delay(trace, baseline.valve if baseline is not None else self._declared, lateness),
             seen.get("pilot_reaches_main", math.nan) - lateness,
             seen.get("reaches_stop", math.nan) - lateness,

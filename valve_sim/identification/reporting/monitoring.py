@@ -8,6 +8,13 @@ from valve_sim.files.json_text import plain_mapping
 from valve_sim.identification.monitoring.fault_isolation import FaultFinding
 from valve_sim.identification.monitoring.stroke_monitor import StrokeReport
 from valve_sim.identification.reporting.interval_json import intervals_json
+from valve_sim.identification.reporting.monitoring_words import (
+    fault_words,
+    finding_words,
+    remark_words,
+    state_words,
+    stroke_name,
+)
 
 
 def stroke_json(report: StrokeReport) -> dict[str, Any]:
@@ -16,13 +23,13 @@ def stroke_json(report: StrokeReport) -> dict[str, Any]:
     plain = {
         "schema": "valve_sim/stroke/1",
         "stroke": report.record.number,
-        "name": report.name,
+        "name": stroke_name(report),
         "time": report.record.time,
-        "state": report.state,
-        "remark": report.remark or None,
+        "state": state_words(report.state),
+        "remark": None if report.remark is None else remark_words(report.remark),
         "opened": report.record.opened,
         "closed": report.record.closed,
-        "fault": report.record.fault or None,
+        "fault": None if report.record.fault is None else fault_words(report.record.fault),
         "opening_delay": report.opening_delay,
         "t1": report.t1,
         "t2": report.t2,
@@ -44,14 +51,15 @@ def stroke_json(report: StrokeReport) -> dict[str, Any]:
 
 def finding_json(finding: FaultFinding) -> dict[str, Any]:
     """As on ~/finding."""
+    verdict = finding.verdict
     plain = {
         "schema": "valve_sim/finding/1",
-        "kind": finding.kind,
-        "effects": list(finding.effects),
-        "summary": finding.summary,
-        "confusable_with": {name: list(others) for name, others in finding.confusable_with.items()},
+        "kind": verdict.kind,
+        "effects": list(verdict.effects),
+        "summary": finding_words(finding),
+        "confusable_with": {name: list(others) for name, others in verdict.confusable_with.items()},
         "parameters": intervals_json(finding.parameters),
-        "probability": finding.probability,
+        "probability": verdict.probability,
         "strokes": finding.strokes,
     }
     return plain_mapping(plain)

@@ -1,0 +1,75 @@
+"""What a monitor finds is data, and has words with its numbers in the units that people read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import pytest
+
+from valve_sim.identification.diagnosis.run import Verdict
+from valve_sim.identification.estimation.intervals import Interval
+from valve_sim.identification.monitoring.fault_isolation import FaultFinding
+from valve_sim.identification.monitoring.findings import (
+    DidNotClose,
+    DidNotOpen,
+    NotSimulated,
+    OpenedPartly,
+    Remark,
+    StrokeState,
+    TimingTooUncertain,
+    Unusable,
+)
+from valve_sim.identification.reporting.monitoring_words import finding_words, remark_words, state_words
+
+SENTENCES: list[tuple[Remark, str]] = [
+    (DidNotOpen(20e-6), "the valve did not open: the pilot plunger moved 0.020 mm only"),
+    (OpenedPartly(0.5e-3, 1.23e-3), "the valve opened to 0.500 mm only, of 1.230 mm"),
+    (DidNotClose(0.4e-3), "the valve did not close: 0.400 mm open, without voltage"),
+    (TimingTooUncertain(4.4e-3), "timing too uncertain to judge: held open for 4 ms only"),
+    (NotSimulated("no such voltage"), "it could not be compared with the model: no such voltage"),
+]
+
+
+@pytest.mark.parametrize(("remark", "words"), SENTENCES, ids=lambda value: type(value).__name__)
+def test_a_remark_has_words_with_its_numbers(remark: Remark, words: str) -> None:
+    assert remark_words(remark) == words
+
+
+def test_every_reason_and_every_state_has_words_of_its_own() -> None:
+    assert len({remark_words(reason) for reason in Unusable}) == len(Unusable)
+    assert len({state_words(state) for state in StrokeState}) == len(StrokeState)
+
+
+def found(
+    effects: tuple[str, ...],
+    parameters: Mapping[str, Interval],
+    alike: tuple[str, ...] = (),
+    *,
+    is_credible: bool = True,
+) -> FaultFinding:
+    kind = "effects" if effects else "none"
+    verdict = Verdict(kind, effects, {name: alike for name in effects}, 0.9, 0.9, "")
+    return FaultFinding(verdict, is_credible, parameters, {"main_damping": 4.0}, 8)
+
+
+def test_what_has_changed_is_said_with_its_size_and_what_it_was() -> None:
+    force, film = Interval(0.31, 0.02, 0.27, 0.35), Interval(21e-6, 1e-6, 19e-6, 23e-6)
+    damping = Interval(5.2, 0.1, 5.0, 5.4)
+    friction = found(("coulomb_friction",), {"coulomb_friction.force": force}, alike=("stiction", "drive_gain"))
+    assert finding_words(friction) == (
+        "Coulomb friction 0.310 ± 0.020 N, none when commissioned (drive gain or stiction would explain it about as "
+        "well)"
+    )
+    assert finding_words(found(("main_damping",), {"main_damping.value": damping})) == (
+        "Main damping 5.20 ± 0.10 N·s/m, 4.00 N·s/m when commissioned"
+    )
+    both = {"squeeze_film.coefficient": force, "squeeze_film.film_thickness": film}
+    assert finding_words(found(("squeeze_film",), both)) == (
+        "Squeeze film: B, damping at contact 0.310 ± 0.020 N·s/m, h, film left at contact 21.0 ± 1.0 µm, none when "
+        "commissioned"
+    )
+
+
+def test_a_finding_that_names_nothing_says_why() -> None:
+    assert finding_words(found((), {})) == "the last strokes are as those of the commissioned valve"
+    assert "no effect is known well enough" in finding_words(found((), {}, is_credible=False))

@@ -1,0 +1,78 @@
+"""What a monitor finds of a stroke, as data: a fault, the state in which it was compared, or why it was not."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+from typing import TypeAlias
+
+
+class StrokeState(enum.Enum):
+    """What a stroke was used for."""
+
+    COMMISSIONING = enum.auto()
+    """It is one of the first, to which the baseline is fitted."""
+    WATCHING = enum.auto()
+    """It was compared with the baseline."""
+    TIMING_UNCERTAIN = enum.auto()
+    """Only its shape was compared: samples carry stamps, commands do not."""
+    NOT_JUDGED = enum.auto()
+    """It could not be compared."""
+
+
+@dataclass(frozen=True)
+class DidNotOpen:
+    """The pilot plunger did not reach the main plunger; travel: m, how far it came."""
+
+    travel: float
+
+
+@dataclass(frozen=True)
+class OpenedPartly:
+    """The valve opened to `travel` of its `stroke`, m."""
+
+    travel: float
+    stroke: float
+
+
+@dataclass(frozen=True)
+class DidNotClose:
+    """Without voltage the pilot plunger stayed at `position`, m."""
+
+    position: float
+
+
+Fault: TypeAlias = DidNotOpen | OpenedPartly | DidNotClose
+
+
+class Unusable(enum.Enum):
+    """Why a stroke cannot be compared with the model, whatever the valve did."""
+
+    TIMED_OUT = enum.auto()
+    """It did not end before `stroke_timeout`."""
+    TOO_LONG = enum.auto()
+    """It has more samples or commands than are kept."""
+    NOT_AT_REST = enum.auto()
+    """The valve or the model was not at rest when it began."""
+    TOO_FEW_SAMPLES = enum.auto()
+    """Too few samples between its first command and its last."""
+    HELD_TOO_BRIEFLY = enum.auto()
+    """The valve was held open for less than half as long as commanded: when its voltage was off is too uncertain."""
+
+
+@dataclass(frozen=True)
+class TimingTooUncertain:
+    """The model was open for `held` s only: a valve whose commands' times are uncertain need not have opened."""
+
+    held: float
+
+
+@dataclass(frozen=True)
+class NotSimulated:
+    """The stroke could not be compared with the model, for the reason that the simulation or the fit gave."""
+
+    reason: str
+
+
+Remark: TypeAlias = Unusable | TimingTooUncertain | NotSimulated | Fault
+"""Why a stroke was not compared with the baseline."""

@@ -1,0 +1,112 @@
+"""What a monitor finds, in words: the fault of a stroke, why it was not compared, and what has changed in the valve."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from valve_sim.identification.estimation.identify import DEFAULT_FREE
+from valve_sim.identification.monitoring.fault_isolation import FaultFinding
+from valve_sim.identification.monitoring.findings import (
+    DidNotClose,
+    DidNotOpen,
+    Fault,
+    NotSimulated,
+    OpenedPartly,
+    Remark,
+    StrokeState,
+    TimingTooUncertain,
+    Unusable,
+)
+from valve_sim.identification.monitoring.stroke_monitor import StrokeReport
+from valve_sim.identification.plants.effect_titles import named, title_of
+from valve_sim.identification.reporting.units import measured, quantity
+from valve_sim.model import CATALOGUE, DECLARED
+
+TIMING_UNCERTAIN: Final = "timing too uncertain to judge"
+_STATES: Final = {
+    StrokeState.COMMISSIONING: "commissioning",
+    StrokeState.WATCHING: "watching",
+    StrokeState.TIMING_UNCERTAIN: TIMING_UNCERTAIN,
+    StrokeState.NOT_JUDGED: "not judged",
+}
+_UNUSABLE: Final = {
+    Unusable.TIMED_OUT: "it did not end before stroke_timeout",
+    Unusable.TOO_LONG: "it is too long to be kept",
+    Unusable.NOT_AT_REST: "it did not begin at rest",
+    Unusable.TOO_FEW_SAMPLES: "it has too few samples",
+    Unusable.HELD_TOO_BRIEFLY: f"{TIMING_UNCERTAIN}: it was held open for less than half as long as commanded",
+}
+_NOT_CREDIBLE: Final = (
+    "the strokes are not those of the commissioned valve, and no effect is known well enough to be named"
+)
+
+
+def stroke_name(report: StrokeReport) -> str:
+    """Its number and its largest voltage."""
+    return f"stroke {report.record.number}, {report.volts:.1f} V"
+
+
+def state_words(state: StrokeState) -> str:
+    """As in the report on a stroke."""
+    return _STATES[state]
+
+
+def fault_words(fault: Fault) -> str:
+    """What the valve did not do."""
+    match fault:
+        case DidNotOpen(travel):
+            words = f"the valve did not open: the pilot plunger moved {_mm(travel)} only"
+        case OpenedPartly(travel, stroke):
+            words = f"the valve opened to {_mm(travel)} only, of {_mm(stroke)}"
+        case DidNotClose(position):
+            words = f"the valve did not close: {_mm(position)} open, without voltage"
+    return words
+
+
+def remark_words(remark: Remark) -> str:
+    """Why a stroke was not compared with the baseline."""
+    match remark:
+        case Unusable():
+            words = _UNUSABLE[remark]
+        case TimingTooUncertain(held):
+            words = f"{TIMING_UNCERTAIN}: held open for {1e3 * held:.0f} ms only"
+        case NotSimulated(reason):
+            words = f"it could not be compared with the model: {reason}"
+        case _:
+            words = fault_words(remark)
+    return words
+
+
+def finding_words(finding: FaultFinding) -> str:
+    """What has changed in the valve, such as "Coulomb friction 0.310 ± 0.020 N, none when commissioned"."""
+    verdict = finding.verdict
+    if not finding.is_credible:
+        return _NOT_CREDIBLE
+    if verdict.kind == "none":
+        return "the last strokes are as those of the commissioned valve"
+    if not verdict.effects:
+        return verdict.summary
+    changes = "; ".join(_change(effect, finding) for effect in verdict.effects)
+    others = named(sorted({other for names in verdict.confusable_with.values() for other in names}), "or")
+    alternatives = f" ({others} would explain it about as well)" if others else ""
+    certainty = "" if verdict.kind == "effects" else f"{verdict.summary.rstrip('.')}: "
+    return f"{certainty}{changes}{alternatives}"
+
+
+def _change(effect: str, finding: FaultFinding) -> str:
+    """An effect with its values, and what it was at commissioning."""
+    own = {name.partition(".")[2]: found for name, found in finding.parameters.items() if name.startswith(f"{effect}.")}
+    if effect in DEFAULT_FREE:
+        unit = DECLARED[effect].unit
+        value = ", ".join(measured(found, unit) for found in own.values())
+        return f"{title_of(effect)} {value}, {quantity(finding.commissioned[effect], unit)} when commissioned"
+    rules = [CATALOGUE[effect].parameter(name) for name in own]
+    values = [measured(found, rule.unit) for found, rule in zip(own.values(), rules, strict=True)]
+    if len(values) == 1:
+        return f"{title_of(effect)} {values[0]}, none when commissioned"
+    listed = ", ".join(f"{rule.description} {value}" for rule, value in zip(rules, values, strict=True))
+    return f"{title_of(effect)}: {listed}, none when commissioned"
+
+
+def _mm(metres: float) -> str:
+    return f"{1e3 * metres:.3f} mm"
