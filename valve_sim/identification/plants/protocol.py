@@ -66,7 +66,8 @@ class EffectChoice:
     Attributes:
         name: of the effect, or `valve.<name>` of a declared value.
         parameters: what is freed: of an effect as `<name>.<parameter>`, of a declared value by the plain name, so that
-            the nuisance of that name is dropped; `off` is the declared value then.
+            the nuisance of that name is dropped; `off` is the declared value then. The range is where the name may be
+            claimed; fits search that of `Plant.parameter`.
         confused_with: names of others that data often cannot tell from this one.
         is_declared_value: whether it is a declared value.
     """

@@ -32,7 +32,8 @@ SAME_AS: Final[Mapping[str, str]] = {
     "reference_voltage": "drive_gain.gain",
     "pickup_velocity_ratio": "pickup_impact.velocity_ratio",
 }
-"""Declared values to the parameters of effects that are the same thing: a wrong value bears the effect's name."""
+"""Declared values to the parameters of effects that are the same thing: a wrong value bears the effect's name, where
+the effect can be on that side of the declared value."""
 LOOK_ALIKES: Final[Mapping[str, tuple[str, ...]]] = {
     "pilot_mass": ("valve.moving_mass", "quadratic_drag"),
     "moving_mass": ("valve.pilot_mass", "pickup_impact", "quadratic_drag"),
@@ -164,7 +165,7 @@ class ToleratedValues:
         wrong = {
             f"valve.{name}": own
             for name, own in self._coordinates().items()
-            if name not in refitted and SAME_AS.get(name, "").partition(".")[0] not in effects
+            if name not in refitted and (_effect_like(name) not in effects or _is_one_sided(name))
         }
         known = {*effects, *wrong}
         alike = {f"valve.{name}": tuple(o for o in others if o in known) for name, others in LOOK_ALIKES.items()}
@@ -174,7 +175,7 @@ class ToleratedValues:
             found[name] = replace(choice, confused_with=(*choice.confused_with, *others)) if others else choice
         for name, coordinates in wrong.items():
             others = tuple(value for value in wrong if name in alike.get(value, ()))
-            parameters = tuple(self._released(own) for own in coordinates)
+            parameters = tuple(self._released(own, effects) for own in coordinates)
             both = tuple(dict.fromkeys([*others, *alike.get(name, ())]))
             found[name] = EffectChoice(name, parameters, both, is_declared_value=True)
         return found
@@ -186,12 +187,27 @@ class ToleratedValues:
         }
         return {**found, "attraction_polynomial": self._axis_names} if self._axis_names else found
 
-    def _released(self, name: str) -> Parameter:
-        """A coordinate as a hypothesis frees it: off where it is as declared."""
+    def _released(self, name: str, effects: Mapping[str, EffectChoice]) -> Parameter:
+        """A coordinate as a hypothesis frees it: off where it is as declared, and claimed where no effect stands."""
         parameter = self.parameter(name)
         assert parameter is not None
-        nuisance = self._own[name]
-        return parameter._replace(off=nuisance.mean)
+        declared = self._own[name].mean
+        return parameter._replace(off=declared, upper=declared if _effect_like(name) in effects else parameter.upper)
+
+
+def _effect_like(name: str) -> str:
+    """The effect that is the same thing as a wrong declared value; empty where there is none."""
+    return SAME_AS.get(name, "").partition(".")[0]
+
+
+def _is_one_sided(name: str) -> bool:
+    """Whether that effect can only raise the value, so that one below the declared has no other name than its own.
+
+    A coil lag adds to the coil time constant, which may as well be smaller than declared.
+    """
+    effect, _, parameter = SAME_AS[name].partition(".")
+    rule = CATALOGUE[effect].parameter(parameter)
+    return parameter in CATALOGUE[effect].adds_to and rule.lower == rule.off
 
 
 def principal_axes(tolerances: Tolerances) -> Array:

@@ -127,11 +127,13 @@ class Exploration:
         self._drop_idle()
 
     def _is_promising(self, gains: Mapping[str, float]) -> bool:
-        """Whether the score test finds anything that a refit might make decisive; that of a declared value is exact."""
-        effects = self.plant.effects
-        return not gains or any(
-            gain > (0.5 * DECISIVE if effects[name].is_declared_value else 0.0) for name, gain in gains.items()
-        )
+        """Whether the score test finds anything that a refit might make decisive.
+
+        That of a declared value, or of an effect that is the same thing as one, is all but exact: 3.1 tolerances.
+        """
+        toleranced = {name for own in self.plant.nuisances for name in (own.name, own.same_as)}
+        is_exact = {name for name, effect in self.plant.effects.items() if toleranced & set(effect.free_names())}
+        return not gains or any(gain > (0.5 * DECISIVE if name in is_exact else 0.0) for name, gain in gains.items())
 
     def _drop_idle(self) -> None:
         """Drop members of the best that have no effect: the smaller hypothesis only lacked a good start."""
@@ -258,13 +260,15 @@ class Exploration:
         return bool(is_away)
 
     def _is_away_from_off(self, result: Fit, effect: str) -> bool | None:
-        """Whether a parameter of an effect is significantly away from off; None where one is on a bound."""
+        """Whether a parameter of an effect is significantly away from off; None where one is on or beyond a bound."""
         choice, away = self.plant.effects[effect], False
         errors = np.sqrt(np.maximum(np.diag(result.covariance), 0.0))
         for parameter in choice.parameters:
             name = choice.free_name(parameter)
             index = result.free.index(name)
             at = float(result.coordinates[index])
+            if not parameter.lower <= result.values[name] <= parameter.upper:
+                return None
             if parameter.off is None:
                 if result.on_bound(name) is not None:
                     return None
