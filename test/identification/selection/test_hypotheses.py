@@ -1,0 +1,249 @@
+"""From where each hypothesis is fitted, and which of its fits is kept: on fits that are written down."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+
+from identification.selection.made_up_fits import SIZE, World, of, switches
+from valve_sim.identification.estimation.budget import OutOfTimeError
+from valve_sim.identification.plants.protocol import EffectChoice
+from valve_sim.identification.selection.hypotheses import (
+    ANNEALING,
+    SCATTER,
+    Search,
+    effect_starts,
+    start_near_off,
+)
+from valve_sim.model import Parameter, SimulationError
+
+ONE_SIDED = Parameter("force", "N", "added", 0.0, 100.0, 2.0, 0.0)
+TWO_SIDED = Parameter("offset", "N", "added", -100.0, 100.0, 2.0, 0.0)
+SHAPE = Parameter("time", "s", "of it", 1e-3, 10.0, 4.0)
+RECIPROCAL = Parameter("film", "m", "of it", 1e-6, math.inf, 1e-3, math.inf)
+
+
+def starts(parameters: tuple[Parameter, ...], missed: Mapping[str, float] | None = None) -> list[dict[str, float]]:
+    """Starts of an effect; the residual is by how far its values are off `missed`."""
+    effect = EffectChoice("a", parameters)
+    aim = missed or {}
+    world = World({"": 0.0}, {"a": effect})
+    world.missed = lambda values: sum(abs(values[name] - at) for name, at in aim.items())
+    return effect_starts(world.problem, effect, {"gain": 1.0})
+
+
+# -- starts of an effect -----------------------------------------------------------------------------------------------
+
+
+def test_one_size_starts_near_off_and_from_the_best_that_is_large() -> None:
+    """0.05 prior scales of 2 N, and 0.5, 1.5 or 3 of them."""
+    for aim, best in ((0.0, 1.0), (2.5, 3.0), (50.0, 6.0)):
+        assert starts((ONE_SIDED,), {"a.force": aim}) == [{"a.force": 0.1}, {"a.force": best}]
+
+
+def test_a_size_of_either_sign_starts_from_the_better_sign() -> None:
+    for aim, best in ((2.9, 3.0), (-2.9, -3.0), (-9.0, -6.0), (-0.9, -1.0)):
+        assert starts((TWO_SIDED,), {"a.offset": aim}) == [{"a.offset": 0.1}, {"a.offset": best}]
+
+
+def test_two_sizes_start_from_the_two_best_pairs() -> None:
+    aim = {"a.force": 1.1, "a.offset": -3.2}
+    near, *far = starts((ONE_SIDED, TWO_SIDED), aim)
+    assert near == {"a.force": 0.1, "a.offset": 0.1}
+    # Of 3 times 6; the next best has the other size wrong by 2.
+    assert far == [{"a.force": 1.0, "a.offset": -3.0}, {"a.force": 3.0, "a.offset": -3.0}]
+
+
+def test_of_three_sizes_all_are_alike() -> None:
+    three = tuple(ONE_SIDED._replace(name=name) for name in "uvw")
+    near, *far = starts(three, {"a.u": 3.0, "a.v": 3.0, "a.w": 3.0})
+    assert near == dict.fromkeys(("a.u", "a.v", "a.w"), 0.1)
+    assert far == [dict.fromkeys(near, 3.0), dict.fromkeys(near, 1.0)]
+
+
+@pytest.mark.parametrize(("aim", "shape"), [(4.0, 4.0), (0.9, 0.8), (99.0, 10.0)])
+def test_a_shape_starts_at_its_scale_and_a_fifth_and_five_times_that(aim: float, shape: float) -> None:
+    """Five times the scale is beyond its bound of 10 s."""
+    near, *far = starts((ONE_SIDED, SHAPE), {"a.force": 3.0, "a.time": aim})
+    assert near == {"a.force": 0.1, "a.time": 4.0}
+    assert far == [{"a.force": 3.0, "a.time": pytest.approx(shape)}]
+
+
+def test_where_off_is_infinite_no_start_is_near_it() -> None:
+    """The gradient vanishes there. Sizes are of the reciprocal."""
+    assert starts((RECIPROCAL,), {"a.film": 0.0}) == [{"a.film": pytest.approx(1e-3 / size)} for size in (3.0, 1.5)]
+    assert start_near_off(EffectChoice("a", (RECIPROCAL,))) == {"a.film": pytest.approx(1e-3 / 0.05)}
+
+
+def test_what_cannot_be_simulated_comes_last() -> None:
+    effect = EffectChoice("a", (ONE_SIDED,))
+    world = World({"": 0.0}, {"a": effect})
+
+    def missed(values: Mapping[str, float]) -> float:
+        if values["a.force"] < 5.0:
+            raise SimulationError("too small")
+        return 1.0
+
+    world.missed = missed
+    assert effect_starts(world.problem, effect, {})[1:] == [{"a.force": 6.0}]
+
+
+def test_a_declared_value_starts_where_it_is() -> None:
+    mass = EffectChoice("valve.m", (Parameter("m", "kg", "", 0.1, 9.0, 0.2, 1.0),), is_declared_value=True)
+    assert effect_starts(World({"": 0.0}, {"a": mass}).problem, mass, {}) == [{}]
+
+
+def test_a_size_whose_off_is_its_upper_bound_starts_below() -> None:
+    top = Parameter("gain", "1", "of it", 0.1, 1.0, 0.2, 1.0)
+    near, far = starts((top,), {"a.gain": 0.72})
+    assert near == {"a.gain": pytest.approx(0.99)}
+    assert far == {"a.gain": pytest.approx(0.7)}
+    # Beyond the other bound it starts on it.
+    assert starts((top,), {"a.gain": -9.0})[1] == {"a.gain": pytest.approx(0.4)}
+    assert starts((top._replace(lower=0.8),), {"a.gain": -9.0})[1] == {"a.gain": pytest.approx(0.8)}
+
+
+# -- fits of a hypothesis ----------------------------------------------------------------------------------------------
+
+
+def searched(patch: pytest.MonkeyPatch, world: World) -> Search:
+    return world.use(patch).search()
+
+
+def kinds(search: Search, key: str) -> list[str]:
+    return [row.start for row in search.log.rows if row.hypothesis == of(key)]
+
+
+def test_the_declared_model_is_fitted_from_its_values_and_three_times_those(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = World({"": 300.0, "'": 290.0}, switches("a"), timing=True)
+    search = searched(monkeypatch, world)
+    search.fit(of("'"))
+    assert [start for _, start, _ in world.starts] == [{}, {"gain": 21.0}]
+    # Once the declared model is known, stamps are estimated from its values on.
+    again = searched(monkeypatch, World({"": 300.0, "'": 290.0}, switches("a"), timing=True))
+    declared = again.fit(of(""))
+    again.fit(of("'"))
+    assert kinds(again, "'") == ["declared model"]
+    assert kinds(again, "") == ["declared", "declared, tripled"]
+    assert again.fit(of("")) is declared
+
+
+def test_a_set_is_fitted_from_its_best_smaller_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = World({"": 300.0, "a": 200.0, "b": 100.0, "ab": 50.0}, switches("ab"))
+    search = searched(monkeypatch, world)
+    search.fit_each([of("a"), of("b")], (0.0, 1.0))
+    search.fit(of("ab"))
+    begun = [start for key, start, _ in world.starts if key == "ab"]
+    assert [start["at"] for start in begun] == [100.0, 100.0]
+    # b stays where the smaller fit left it: 5 standard errors of a tenth of its scale; a is added.
+    assert [(start["a.size"], start["b.size"]) for start in begun] == [(0.1, 1.0), (1.0, 1.0)]
+    assert search.score(of("ab")) == 50.0
+    assert search.best([of("a"), of("b"), of("ab")]) == of("ab")
+
+
+def test_with_stamps_that_err_a_set_starts_from_the_same_without_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = World({"": 300.0, "'": 290.0, "a": 100.0, "a'": 90.0}, switches("a"), timing=True)
+    search = searched(monkeypatch, world)
+    search.fit(of("a"))
+    search.fit(of("a'"))
+    assert kinds(search, "a'") == ["untimed", "sizes", "sizes"]
+    assert next(start for key, start, _ in world.starts if key == "a'")["at"] == 100.0
+
+
+@pytest.mark.parametrize(("shape", "is_lost"), [(0.0, False), (1e9, True), (-1e9, True)])
+def test_a_shape_that_runs_to_a_bound_is_tried_from_others(
+    monkeypatch: pytest.MonkeyPatch, shape: float, is_lost: bool
+) -> None:
+    effect = EffectChoice("a", (SIZE, SHAPE._replace(lower=0.1)))
+    world = World({"": 300.0, "a": 100.0}, {"a": effect}, sizes={("a", "a.time"): shape})
+    search = searched(monkeypatch, world)
+    search.fit(of("a"))
+    assert kinds(search, "a") == ["sizes", "sizes"] + ["shapes"] * 3 * is_lost
+    tried = [(start["a.size"], start["a.time"]) for key, start, _ in world.starts if key == "a"][2:]
+    assert tried == [(0.1, 4.0), (0.1, pytest.approx(0.8)), (0.1, 10.0)][: 3 * is_lost]
+    # A size on its bound has lost no shape.
+    other = World({"": 300.0, "a": 100.0}, {"a": effect}, sizes={("a", "a.size"): 1e9, ("a", "a.time"): 0.0})
+    search = searched(monkeypatch, other)
+    search.fit(of("a"))
+    assert "shapes" not in kinds(search, "a")
+
+
+def test_starts_that_cannot_be_simulated_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = World({"": 300.0, "a": 100.0}, switches("a"))
+    world.fails = lambda start: start.get("a.size", 0.0) > 0.5
+    search = searched(monkeypatch, world)
+    search.fit(of("a"))
+    assert kinds(search, "a") == ["sizes"]
+    world.fails = lambda start: True
+    with pytest.raises(SimulationError, match="the declared model: the model cannot be simulated from any start"):
+        searched(monkeypatch, world).fit(of(""))
+
+
+def test_it_is_annealed_once_and_the_better_fit_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = World({"": 300.0, "a": 100.0}, switches("a"), annealed={"a": 80.0})
+    search = searched(monkeypatch, world)
+    assert search.fit(of("a")).chi2 == 100.0
+    assert search.fit(of("a"), anneal=True).chi2 == search.fit(of("a")).chi2 == 80.0
+    search.fit(of("a"), anneal=True)
+    assert kinds(search, "a").count("annealed") == 1
+    (start,) = [start for _, start, robust in world.starts if robust == ANNEALING]
+    assert start["at"] == 100.0
+
+
+def test_a_polish_scatters_starts_about_the_best_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+    effects = {"a": EffectChoice("a", (SIZE._replace(upper=1.1),))}
+    world = World({"": 300.0, "a": 100.0}, effects)
+    search = searched(monkeypatch, world)
+    search.polish(of("a"))
+    scattered = [start for key, start, robust in world.starts if key == "a" and not robust][-len(SCATTER) :]
+    assert kinds(search, "a").count("scattered") == len(SCATTER)
+    # Some standard errors of 0.2 N about 1 N, and within the bounds.
+    random = np.random.default_rng(1)
+    for start, spread in zip(scattered, SCATTER, strict=True):
+        gain, size = 6.0 + spread * 0.4 * random.standard_normal(), 1.0 + spread * 0.2 * random.standard_normal()
+        assert start["gain"] == pytest.approx(max(gain, 0.0))
+        assert start["a.size"] == pytest.approx(min(size, 1.1))
+    search.polish(of("a"))
+    assert kinds(search, "a").count("scattered") == len(SCATTER)
+
+
+def test_what_the_data_do_not_hold_is_scattered_by_its_scale(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = World({"": 300.0}, {})
+    search = searched(monkeypatch, world)
+    found = search.fit(of(""))
+    found.covariance[0, 0] = math.inf
+    search.polish(of(""))
+    random = np.random.default_rng(0)
+    first = next(start for _, start, robust in world.starts[3:] if not robust)
+    assert first["gain"] == pytest.approx(6.0 + 4.0 * random.standard_normal())
+
+
+def test_a_refit_starts_where_it_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = World({"": 300.0, "a": 100.0}, switches("a"))
+    search = searched(monkeypatch, world)
+    assert search.refit(of("a"), {"a.size": 0.7}).chi2 == 100.0
+    assert world.starts[-1] == ("a", {"a.size": 0.7}, ())
+    assert kinds(search, "a")[-1] == "from a larger model"
+
+
+def test_fits_side_by_side_are_told_of_in_order_and_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = World({"": 300.0, "a": 100.0}, switches("abcd"))
+    search = searched(monkeypatch, world)
+    search.fit(of("c"))
+    before = len(search.log.rows)
+    search.fit_each([of("c"), *map(of, "dabab")], (0.2, 0.5))
+    assert world.told == [(str(of("d")), 0.2), (str(of("a")), pytest.approx(0.3)), (str(of("b")), pytest.approx(0.4))]
+    assert list(search.log.best) == [of(key) for key in ("", "c", "d", "a", "b")]
+    assert kinds(search, "c") == ["sizes", "sizes"]
+    assert len(search.log.rows) == before + 6
+
+
+def test_what_is_left_when_the_time_is_used_up_is_noted(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = World({"": 300.0, "a": 100.0}, switches("abc"), out_of_time=("b", "c"))
+    search = searched(monkeypatch, world)
+    with pytest.raises(OutOfTimeError):
+        search.fit_each([of("a"), of("b"), of("c")], (0.0, 1.0))
+    assert search.untried == [str(of("b")), str(of("c"))]

@@ -1,0 +1,388 @@
+"""Which hypotheses are tried, in which order, and which may be claimed: on fits that are written down."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+
+import pytest
+
+from identification.selection.made_up_fits import SIZE, World, key_of, of, switches
+from valve_sim.identification.estimation.budget import OutOfTimeError
+from valve_sim.identification.plants.protocol import EffectChoice
+from valve_sim.identification.selection.stepwise import (
+    DECISIVE,
+    EXCLUDES_OFF,
+    HINT,
+    MOST_EFFECTS,
+    MOST_ROUNDS,
+    NEARLY,
+    POLISHED,
+    Exploration,
+)
+from valve_sim.identification.selection.table import Hypothesis
+from valve_sim.model import Parameter
+
+
+def explored(world: World, patch: pytest.MonkeyPatch) -> Exploration:
+    exploration = Exploration(world.use(patch).search())
+    exploration.explore()
+    return exploration
+
+
+def tried(exploration: Exploration) -> list[str]:
+    return [key_of(hypothesis) for hypothesis in exploration.tried()]
+
+
+def rows(exploration: Exploration) -> list[tuple[str, str]]:
+    return [(key_of(row.hypothesis), row.start) for row in exploration.search.log.rows]
+
+
+# -- when the search ends ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("p_value", "gains", "is_enough"),
+    [
+        (HINT, {"a": 0.0, "b": -3.0}, True),
+        (0.99 * HINT, {"a": 0.0, "b": -3.0}, False),
+        (1.0, {"a": 0.1, "b": -3.0}, False),
+        (1.0, {"a": -1.0, "valve.m": 0.5 * DECISIVE}, True),
+        (1.0, {"a": -1.0, "valve.m": 0.5 * DECISIVE + 0.1}, False),
+        # Without a test there is nothing to go by.
+        (1.0, {}, False),
+    ],
+)
+def test_an_adequate_declared_model_costs_one_fit(
+    monkeypatch: pytest.MonkeyPatch, p_value: float, gains: Mapping[str, float], is_enough: bool
+) -> None:
+    mass = {"valve.m": EffectChoice("valve.m", (Parameter("m", "kg", "", 0.1, 9.0, 0.2, 1.0),), is_declared_value=True)}
+    world = World({"": 100.0}, {**switches("ab"), **mass}, white={"": p_value}, gains={"": gains})
+    found = explored(world, monkeypatch)
+    assert [one.effects for one in found.tried()][1:4] == ([] if is_enough else [("a",), ("b",), ("valve.m",)])
+    assert found.screened == (gains if is_enough else {})
+    assert found.table().screened == found.screened
+    assert not found.singles_untried()
+
+
+@pytest.mark.parametrize(
+    ("p_value", "gain", "is_enough"),
+    [(HINT, DECISIVE, True), (0.99 * HINT, DECISIVE, False), (1.0, DECISIVE + 0.1, False)],
+)
+def test_singles_are_enough_where_the_best_leaves_nothing(
+    monkeypatch: pytest.MonkeyPatch, p_value: float, gain: float, is_enough: bool
+) -> None:
+    scores = {"": 300.0, "a": 100.0, "b": 280.0, "c": 290.0}
+    world = World(scores, switches("abc"), white={"a": p_value}, gains={"a": {"b": gain, "c": -1.0}})
+    found = explored(world, monkeypatch)
+    assert tried(found)[:4] == ["", "a", "b", "c"]
+    assert (len(tried(found)) == 4) is is_enough
+
+
+def test_the_two_best_are_extended_and_no_gain_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = World({"": 300.0, "a": 100.0, "b": 150.0, "c": 200.0, "d": 220.0}, switches("abcd"))
+    found = explored(world, monkeypatch)
+    assert tried(found) == ["", "a", "b", "c", "d", "ab", "ac", "ad", "bc", "bd"]
+    assert found.best_claimable() == of("a")
+    # What is extended is polished before, so that a poor start does not pass for a missing effect.
+    assert [kind for key, kind in rows(found) if key == "a"].count("scattered") > 0
+
+
+@pytest.mark.parametrize(("gained", "goes_on"), [(DECISIVE, False), (DECISIVE + 0.1, True)])
+def test_triples_are_tried_where_a_pair_gained_a_decisive_difference(
+    monkeypatch: pytest.MonkeyPatch, gained: float, goes_on: bool
+) -> None:
+    world = World({"": 300.0, "a": 100.0, "b": 250.0, "c": 260.0, "ab": 100.0 - gained}, switches("abc"))
+    assert ("abc" in tried(explored(world, monkeypatch))) is goes_on
+
+
+def test_no_more_than_four_effects_are_tried_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    names = "abcde"
+    scores = {
+        "".join(chosen): 1000.0 - 100.0 * count for count in range(6) for chosen in itertools.combinations(names, count)
+    }
+    found = explored(World(scores, switches(names)), monkeypatch)
+    assert max(len(one.effects) for one in found.tried()) == MOST_EFFECTS == 4
+
+
+def test_members_of_the_best_are_swapped_through_the_catalogue(monkeypatch: pytest.MonkeyPatch) -> None:
+    # b and d are the answer; b alone is the worst of all, so that pairs are made of a and c only.
+    scores = {"": 400.0, "a": 200.0, "b": 390.0, "c": 210.0, "d": 380.0, "ab": 150.0, "bd": 90.0}
+    found = explored(World(scores, switches("abcd"), white={"bd": 1.0}), monkeypatch)
+    assert tried(found).index("ab") < tried(found).index("bd")
+    assert found.best_claimable() == of("bd")
+    assert "abc" not in tried(found)
+
+
+@pytest.mark.parametrize("is_white", [False, True])
+@pytest.mark.parametrize("timing", [False, True])
+def test_a_pair_that_leaves_something_is_annealed_and_tried_with_stamps_that_err(
+    monkeypatch: pytest.MonkeyPatch, is_white: bool, timing: bool
+) -> None:
+    scores = {"": 300.0, "a": 200.0, "b": 250.0, "ab": 100.0}
+    world = World(scores, switches("ab"), white={"ab": 1.0} if is_white else {}, timing=timing)
+    found = explored(world, monkeypatch)
+    assert (("ab", "annealed") in rows(found)) is not is_white
+    assert ("ab'" in tried(found)) is (timing and not is_white)
+
+
+# -- stamps that err ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("timed", "white", "is_explored"),
+    [
+        (100.0 - DECISIVE, {}, False),
+        (100.0 - DECISIVE - 0.1, {}, True),
+        (150.0, {"b'": 1.0}, True),
+        # One of the best two only is tried with them at first.
+        (150.0, {"c'": 1.0}, False),
+    ],
+)
+def test_stamps_are_tried_with_all_where_they_explain_more_or_all(
+    monkeypatch: pytest.MonkeyPatch, timed: float, white: Mapping[str, float], is_explored: bool
+) -> None:
+    scores = {"": 300.0, "a": 100.0, "b": 110.0, "c": 120.0, "'": 290.0, "a'": timed, "b'": 160.0, "c'": 170.0}
+    found = explored(World(scores, switches("abc"), white=white, timing=True), monkeypatch)
+    assert tried(found)[:7] == ["", "a", "b", "c", "'", "a'", "b'"]
+    assert ("c'" in tried(found)[:8]) is is_explored
+
+
+def test_the_best_single_is_that_which_may_be_claimed(monkeypatch: pytest.MonkeyPatch) -> None:
+    scores = {"": 300.0, "a": 100.0, "b": 110.0, "c": 120.0}
+    # a is on its bound.
+    world = World(scores, switches("abc"), timing=True, sizes={("a", "a.size"): 1e9})
+    assert tried(explored(world, monkeypatch))[4:7] == ["'", "b'", "c'"]
+
+
+def test_without_stamps_that_may_err_none_are_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = explored(World({"": 300.0, "a": 100.0, "b": 110.0}, switches("ab")), monkeypatch)
+    assert not any(one.timing for one in found.tried())
+
+
+def test_stamps_may_hide_a_second_effect_so_that_pairs_are_tried_beside_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    scores = {"": 300.0, "a": 100.0, "b": 110.0, "'": 290.0, "a'": 50.0, "b'": 60.0}
+    world = World(scores, switches("ab"), white={"a'": 1.0}, timing=True)
+    found = explored(world, monkeypatch)
+    assert found.best_claimable() == of("a'")
+    assert "ab" in tried(found)
+    # Beside a pair with stamps nothing more is hidden.
+    scores = {**scores, "ab": 40.0, "ab'": 20.0}
+    world = World(scores, switches("abc"), white={"a'": 1.0, "ab'": 1.0}, timing=True)
+    assert "abc" not in tried(explored(world, monkeypatch))
+
+
+@pytest.mark.parametrize(("of_timed", "is_extended"), [(89.0, True), (90.0, True), (90.1, False)])
+def test_where_nothing_is_right_stamps_that_explain_as_much_as_a_pair_get_a_second_effect(
+    monkeypatch: pytest.MonkeyPatch, of_timed: float, is_extended: bool
+) -> None:
+    scores = {"": 300.0, "a": 110.0, "b": 200.0, "ab": 90.0, "'": 290.0, "a'": of_timed, "b'": 250.0}
+    world = World(scores, switches("abc"), timing=True)
+    assert ("ac'" in tried(explored(world, monkeypatch))) is is_extended
+
+
+def test_stamps_alone_get_no_second_effect(monkeypatch: pytest.MonkeyPatch) -> None:
+    scores = {"": 300.0, "a": 110.0, "b": 200.0, "'": 10.0}
+    world = World(scores, switches("ab"), timing=True, sizes={("a'", "a.size"): 1e9, ("b'", "b.size"): 1e9})
+    found = explored(world, monkeypatch)
+    assert "ab'" not in tried(found)
+
+
+# -- what may be claimed -----------------------------------------------------------------------------------------------
+
+SHAPE = Parameter("shape", "s", "of it", 1e-3, 1e3, 0.1)
+ONE_SIDED = Parameter("size", "N", "added", 0.0, 100.0, 2.0, 0.0)
+
+
+def claimable(
+    patch: pytest.MonkeyPatch, parameters: Sequence[Parameter], sizes: Sequence[float], rest: float = 100.0
+) -> bool:
+    """Whether an effect of S = 95 may be claimed beside the declared model's."""
+    effect = EffectChoice("a", tuple(parameters))
+    named = {("a", effect.free_name(one)): size for one, size in zip(parameters, sizes, strict=True)}
+    exploration = Exploration(World({"": rest, "a": 95.0}, {"a": effect}, sizes=named).use(patch).search())
+    exploration.search.fit(of(""))
+    exploration.search.fit(of("a"))
+    return exploration.is_claimable(of("a"))
+
+
+@pytest.mark.parametrize(
+    ("size", "is_on"), [(0.99 * EXCLUDES_OFF, False), (1.01 * EXCLUDES_OFF, True), (-1.01 * EXCLUDES_OFF, True)]
+)
+def test_an_effect_is_on_where_its_size_is_significant(
+    monkeypatch: pytest.MonkeyPatch, size: float, is_on: bool
+) -> None:
+    assert claimable(monkeypatch, [SIZE], [size]) is is_on
+    # Of two sizes one is enough; a shape is none.
+    assert claimable(monkeypatch, [SIZE, SIZE._replace(name="other")], [0.0, size]) is is_on
+    assert not claimable(monkeypatch, [SIZE, SHAPE], [0.0, abs(size)])
+
+
+def test_an_effect_on_a_bound_is_not_claimed_however_much_it_gains(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert not claimable(monkeypatch, [SIZE], [1e9], rest=1000.0)
+    assert not claimable(monkeypatch, [SIZE, SHAPE], [5.0, 1e9], rest=1000.0)
+    assert not claimable(monkeypatch, [SIZE, SIZE._replace(name="other")], [5.0, -1e9], rest=1000.0)
+    # Off is a bound of many an effect: one of its sizes may stay there.
+    assert claimable(monkeypatch, [SIZE, ONE_SIDED._replace(name="other")], [5.0, 0.0])
+    assert not claimable(monkeypatch, [ONE_SIDED], [0.0])
+
+
+@pytest.mark.parametrize(("gained", "is_on"), [(DECISIVE, False), (DECISIVE + 0.1, True)])
+def test_collinear_sizes_are_on_where_their_loss_is_decisive(
+    monkeypatch: pytest.MonkeyPatch, gained: float, is_on: bool
+) -> None:
+    assert claimable(monkeypatch, [SIZE], [0.5], rest=95.0 + gained) is is_on
+
+
+def test_without_the_fit_of_the_rest_nobody_knows_what_a_collinear_effect_gains(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    world = World({"": 300.0, "a": 100.0, "ab": 50.0}, switches("ab"), sizes={("ab", "b.size"): 0.0})
+    exploration = Exploration(world.use(monkeypatch).search())
+    exploration.search.fit(of("b"))
+    exploration.search.fit(of("ab"))
+    assert not exploration.is_claimable(of("ab"))
+    exploration.search.fit(of("a"))
+    assert exploration.is_claimable(of("ab"))
+
+
+def test_stamps_that_err_are_claimed_only_where_nothing_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = World({"": 300.0, "'": 200.0, "a'": 50.0, "b'": 40.0}, switches("ab"), white={"a'": 1.0}, timing=True)
+    exploration = Exploration(world.use(monkeypatch).search())
+    for key in ("", "'", "a'", "b'"):
+        exploration.search.fit(of(key))
+    assert [exploration.is_claimable(of(key)) for key in ("", "'", "a'", "b'")] == [True, False, True, False]
+    assert exploration.best_claimable() == of("a'")
+
+
+def test_the_table_says_what_every_fit_is_worth(monkeypatch: pytest.MonkeyPatch) -> None:
+    effects = {"a": EffectChoice("a", (SIZE,), confused_with=("b",)), **switches("b")}
+    world = World({"": 300.0, "a": 100.0}, effects, white={"a": 1.0}, left_out={"": 2.0})
+    exploration = Exploration(world.use(monkeypatch).search())
+    exploration.search.fit(of(""))
+    exploration.search.fit(of("a"))
+    table = exploration.table()
+    score = table[of("a")]
+    assert (score.score, score.evidence, score.parameters, score.chi2) == (100.0, 103.0, 2, 100.0)
+    assert (score.is_white, score.is_claimable, table[of("")].is_white) == (True, True, False)
+    assert table.look_alikes == {"a": ("b",), "b": ()}
+    # Where the residual is not white, what strokes left out rise by is added: 100 residuals of 2.
+    assert table[of("")].own_criterion == exploration.selection_criterion(of("")) == 700.0
+    assert exploration.selection_criterion(of("a")) == 100.0
+
+
+# -- the end -----------------------------------------------------------------------------------------------------------
+
+
+def test_members_without_an_effect_are_dropped_from_the_best_score(monkeypatch: pytest.MonkeyPatch) -> None:
+    scores = {"": 300.0, "a": 110.0, "b": 280.0, "ab": 100.0}
+    found = explored(World(scores, switches("ab"), sizes={("ab", "b.size"): 0.0}), monkeypatch)
+    assert [row for row in rows(found) if row[1] == "from a larger model"] == [("a", "from a larger model")]
+    # Where its loss is decisive, it has one.
+    again = explored(World({**scores, "ab": 99.0}, switches("ab"), sizes={("ab", "b.size"): 0.0}), monkeypatch)
+    assert "from a larger model" not in [kind for _, kind in rows(again)]
+
+
+def settled(world: World, patch: pytest.MonkeyPatch, *keys: str) -> Exploration:
+    exploration = Exploration(world.use(patch).search())
+    for key in keys:
+        exploration.search.fit(of(key))
+    exploration.settle()
+    return exploration
+
+
+def polished(exploration: Exploration) -> set[str]:
+    return {key for key, kind in rows(exploration) if kind == "scattered"}
+
+
+def test_the_best_and_what_is_near_are_polished_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+    scores = {
+        "": 300.0, "a": 100.0, "b": 100.0 + NEARLY - 0.1, "c": 100.0 + NEARLY, "ab": 95.0
+    }  # fmt: skip
+    found = settled(World(scores, switches("abc")), monkeypatch, "", "a", "b", "c")
+    assert polished(found) == {"a", "b"}
+    # Of more that are near the nearest: the best itself is one of them.
+    names = "abcdefg"
+    scores = {"": 300.0, **{name: 100.0 + number for number, name in enumerate(names)}}
+    found = settled(World(scores, switches(names)), monkeypatch, "", *names)
+    assert polished(found) == set(names[:POLISHED])
+
+
+def test_the_rests_of_the_best_start_from_it_once_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = World({"": 300.0, "a": 200.0, "b": 250.0, "ab": 100.0}, switches("ab"))
+    found = settled(world, monkeypatch, "", "a", "b", "ab")
+    assert {key for key, kind in rows(found) if kind == "from a larger model"} == {"a", "b"}
+    assert {key for key, start, _ in world.starts if start.get("at") == 100.0} == {"a", "b", "ab"}
+
+
+def test_the_declared_model_alone_is_not_polished(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = settled(World({"": 100.0}, switches("a"), white={"": 1.0}), monkeypatch, "", "a")
+    assert not polished(found)
+
+
+def test_a_better_best_that_polishing_brings_up_is_polished_in_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+    scores = {"": 300.0, "a": 100.0, "b": 110.0, "c": 145.0}
+    found = settled(World(scores, switches("abc"), annealed={"b": 90.0}), monkeypatch, "", "a", "b", "c")
+    # c was not near a or b.
+    assert polished(found) == {"a", "b"}
+    found = settled(World({**scores, "c": 135.0}, switches("abc"), annealed={"c": 5.0}), monkeypatch, "", *"abc")
+    assert found.best_claimable() == of("c")
+
+
+def test_rounds_of_polishing_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Here each would bring up another best."""
+    names = "abcdefghi"
+    scores = {"": 1000.0, **{name: 500.0 + 39.0 * number for number, name in enumerate(names)}}
+    annealed = {name: 490.0 - 60.0 * number for number, name in enumerate(names)}
+    exploration = Exploration(World(scores, switches(names), annealed=annealed).use(monkeypatch).search())
+    for key in ("", *names):
+        exploration.search.fit(of(key))
+    rounds: list[Hypothesis] = []
+
+    def polish_the_next(best: Hypothesis) -> None:
+        rounds.append(best)
+        exploration.search.polish(of(names[len(rounds)]))
+
+    monkeypatch.setattr(exploration, "polish_near", polish_the_next)
+    exploration.settle()
+    assert [key_of(best) for best in rounds] == list(names[:MOST_ROUNDS])
+
+
+# -- time and progress -------------------------------------------------------------------------------------------------
+
+
+def test_progress_never_goes_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    scores = {"": 900.0, "a": 700.0, "b": 750.0, "ab": 500.0, "abc": 300.0, "'": 880.0, "a'": 690.0, "ab'": 495.0}
+    world = World(scores, switches("abcde"), timing=True, white={"a'": 1.0})
+    explored(world, monkeypatch)
+    shares = [share for _, share in world.told]
+    assert shares == sorted(shares)
+    assert shares[0] == 0.0
+    assert shares[-1] <= 0.9
+    begun = {what: share for what, share in reversed(world.told)}
+    assert begun[str(of("ab"))] == pytest.approx(0.5)
+    assert begun[str(of("abc"))] == pytest.approx(0.6)
+
+
+def test_what_the_time_was_too_short_for_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = World({"": 300.0, "a": 100.0, "b": 110.0, "c": 120.0}, switches("abc"), out_of_time=("b", "c"))
+    found = explored(world, monkeypatch)
+    assert found.is_cut_short
+    assert found.singles_untried()
+    assert found.untried == [str(of("b")), str(of("c")), "sets of more effects"]
+    whole = explored(World({"": 300.0, "a": 100.0}, switches("ab")), monkeypatch)
+    assert not whole.is_cut_short
+    assert not whole.singles_untried()
+    assert whole.untried == []
+
+
+def test_time_that_is_used_up_while_polishing_is_the_caller_s_to_handle(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = World({"": 300.0, "a": 100.0}, switches("a"))
+    exploration = Exploration(world.use(monkeypatch).search())
+    exploration.search.fit(of(""))
+    exploration.search.fit(of("a"))
+    world.out_of_time = ("a",)
+    with pytest.raises(OutOfTimeError):
+        exploration.settle()
+    assert math.isfinite(exploration.table()[of("a")].score)
