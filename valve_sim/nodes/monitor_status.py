@@ -80,8 +80,8 @@ def model_status(monitor: StrokeMonitor) -> Status:
         return Status("model", Level.OK, "not commissioned yet", {})
     parameters = baseline.valve.parameters
     values = {
-        "pilot_damping (N·s/m)": f"{parameters.pilot_damping:.5g}",
-        "main_damping (N·s/m)": f"{parameters.main_damping:.5g}",
+        "pilot_damping (N·s·m⁻¹)": f"{parameters.pilot_damping:.5g}",
+        "main_damping (N·s·m⁻¹)": f"{parameters.main_damping:.5g}",
         "noise (µm)": f"{1e6 * baseline.noise.sigma:.3f}",
         "lateness (µs)": f"{1e6 * baseline.lateness:.1f}",
         "scatter of commands (µs)": f"{1e6 * baseline.scatter:.1f}",
@@ -122,7 +122,7 @@ def isolation_status(isolation: FaultIsolation) -> Status:
 
 def stroke_status(report: StrokeReport) -> Status:
     """One stroke in numbers that can be plotted; nan for what is not known."""
-    damping = {f"{name} (N·s/m)": interval.value for name, interval in report.damping.items()}
+    damping = {f"{name} (N·s·m⁻¹)": interval.value for name, interval in report.damping.items()}
     values = {
         "stroke": report.record.number,
         "opening delay (ms)": 1e3 * report.opening_delay,

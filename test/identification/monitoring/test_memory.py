@@ -109,6 +109,21 @@ def test_a_file_that_cannot_be_used_is_refused_in_one_line(monitor: Monitor, tmp
     assert "delete this one to commission anew" in words
 
 
+def test_a_file_from_before_the_tolerances_is_refused_with_the_reason_and_the_mend(
+    monitor: Monitor, tmp_path: Path
+) -> None:
+    kept = monitor.stroke_monitor.commissioning
+    assert kept is not None
+    path, now = tmp_path / "state.json", default_valve()
+    save_commissioning(path, kept, EXACT_VALVE)
+    with pytest.raises(ParameterError) as caught:
+        load_commissioning(path, now)
+    assert str(caught.value) == (
+        f"{path}: was commissioned with exact values, which now have tolerances (tolerances.pilot_mass: 0.00029, and 7 "
+        "more); name another file, or, while the valve is healthy, delete this one to commission anew"
+    )
+
+
 def test_what_is_asked_to_commission_anew_forgets(monitor: Monitor) -> None:
     fresh = Monitor(EXACT_VALVE, SETTINGS, refit=False)
     assert monitor.stroke_monitor.commissioning is not None

@@ -24,7 +24,7 @@ from valve_sim.identification.plants.valve_model import ValveModel
 from valve_sim.model import EXACT, ParameterError, Valve
 
 SCHEMA: Final = "valve_sim/commissioning/1"
-MEND: Final = "name another file, or delete this one to commission anew"
+MEND: Final = "name another file, or, while the valve is healthy, delete this one to commission anew"
 
 
 def save_commissioning(path: Path, commissioning: Commissioning, declared: Valve) -> None:
@@ -72,7 +72,7 @@ def load_commissioning(path: Path, declared: Valve) -> Commissioning | None:
         raise ParameterError(f"{path}: damaged (its checksum is not that of what it holds); {MEND}")
     difference = _difference(body["declared"], _round_trip(declared.to_mapping()))
     if difference:
-        raise ParameterError(f"{path}: was commissioned with another valve ({difference}); {MEND}")
+        raise ParameterError(f"{path}: was commissioned with {difference}; {MEND}")
     return _from_plain(body["commissioning"], declared)
 
 
@@ -86,12 +86,17 @@ def _round_trip(value: Any) -> Any:
 
 
 def _difference(then: Mapping[str, Any], now: Mapping[str, Any]) -> str:
-    """The first parameter that differs, and how; empty if none does."""
+    """What the file was made with, in place of what is declared now; empty if that is the same."""
     before, after = _flat(then), _flat(now)
-    for name in (*before, *after):
-        if before.get(name) != after.get(name):
-            return f"{name}: {before.get(name, 'none')} there, {after.get(name, 'none')} declared"
-    return ""
+    differing = [name for name in dict.fromkeys([*before, *after]) if before.get(name) != after.get(name)]
+    if not differing:
+        return ""
+    first, more = differing[0], f", and {len(differing) - 1} more" if len(differing) > 1 else ""
+    if all(name.startswith("tolerances.") and name not in before for name in differing):
+        # As with the shipped valves of earlier versions, whose values were exact.
+        return f"exact values, which now have tolerances ({first}: {after[first]}{more})"
+    was, has = (values.get(first, "none") for values in (before, after))
+    return f"another valve ({first}: {was} there, {has} declared{more})"
 
 
 def _flat(values: Any, prefix: str = "") -> dict[str, Any]:
