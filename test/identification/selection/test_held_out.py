@@ -6,13 +6,23 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
+from plants.declared import DeclaredPlant
+from plants.recording import Profile, Recorder, holdout_profile, record, train_profile
 
+from benchmarks.campaign.running import as_trace
+from benchmarks.hard_recordings.cases import CAMPAIGN
 from identification.diagnosis.test_sound_verdicts import Decay
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose_plant
+from valve_sim.identification.estimation.problem import Problem
+from valve_sim.identification.estimation.result import Fit, rmse
+from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Array, EffectChoice
+from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.diagnosis_json import to_json
 from valve_sim.identification.reporting.wording import looks_words
+from valve_sim.identification.selection.held_out import HeldOut
 from valve_sim.model import Parameter
+from valve_sim.traces import Trace
 
 SAG = Parameter("depth", "A", "added", -1e3, 1e3, 0.1, 0.0)
 
@@ -71,3 +81,36 @@ def test_nothing_held_out_is_said() -> None:
     assert found.verdict.effects == ("ramp",)
     assert found.looks == 0
     assert "No strokes were held out" in looks_words(found)
+
+
+@pytest.fixture(scope="module")
+def trained() -> Fit:
+    plant = ValvePlant([of_valve(1, train_profile())], CAMPAIGN)
+    return fit(Problem(plant), plant.base, {}, nuisances=plant.nuisances)
+
+
+def of_valve(seed: int, profile: Profile, jitter: float = 0.0, **effects: dict[str, float]) -> Trace:
+    return as_trace(record(DeclaredPlant(effects), profile, Recorder(command_jitter=jitter), seed), f"seed {seed}")
+
+
+def held_out_of(trained: Fit, trace: Trace) -> HeldOut:
+    return HeldOut(trained.problem.plant, Problem(ValvePlant([trace], CAMPAIGN)))
+
+
+def test_held_out_data_that_miss_the_model_are_compared_with_errors_of_their_stamps(trained: Fit) -> None:
+    """A stroke that barely lifts the valve, or barely does not, would decide everything."""
+    assert not held_out_of(trained, of_valve(2, holdout_profile())).needs_timing(trained)
+    other = held_out_of(trained, of_valve(2, holdout_profile(), coulomb_friction={"force": 0.05}))
+    assert other.needs_timing(trained)
+    with_errors, without = (other.fit(trained, timing=timing) for timing in (True, False))
+    assert with_errors is not None
+    assert without is not None
+    assert rmse(with_errors) < 0.5 * rmse(without)
+
+
+def test_stamps_that_err_in_held_out_data_alone_excuse_no_model(trained: Fit) -> None:
+    held = held_out_of(trained, of_valve(2, holdout_profile(), jitter=50e-6))
+    found = held.fit(trained, timing=True)
+    assert found is not None
+    assert rmse(found) < 1.1e-6
+    assert not held.open(trained)[0].is_white

@@ -121,11 +121,21 @@ class HeldOut:
     def needs_timing(self, result: Fit) -> bool:
         """Whether held-out data are compared with errors of their stamps estimated.
 
-        They are where the training data needed them, and where the model is known to be wrong: there a single stroke
-        that barely lifts the valve, or barely does not, would otherwise decide everything.
+        They are where the training data needed them, and where the model is known to be wrong, by training or by
+        held-out data: there a single stroke that barely lifts the valve, or barely does not, would otherwise decide
+        everything.
         """
+        return bool(self.plant.timing_errors) and (self._is_in_doubt(result) or self._is_missed(result))
+
+    def _is_in_doubt(self, result: Fit) -> bool:
+        """Whether training data alone ask for errors of the stamps, or say that the model is wrong."""
         timed = any(nuisance in self.plant.timing_errors for nuisance in result.nuisances)
-        return bool(self.plant.timing_errors) and (timed or not adequacy(result).is_white)
+        return timed or not adequacy(result).is_white
+
+    def _is_missed(self, result: Fit) -> bool:
+        """Whether held-out data with stamps that are true are not what a model predicts."""
+        here = self.fit(result, timing=False)
+        return here is not None and not self._is_white(here, predict_held_out(result, here))
 
     def open(self, base: Fit, *chosen: Fit) -> tuple[Judgement, ...]:
         """Judge the refitted declared model, then what was chosen, all at once: one look.
@@ -140,6 +150,8 @@ class HeldOut:
 
     def _judge(self, result: Fit, base: Fit) -> Judgement:
         timing = self.needs_timing(result)
+        # Errors are compared with the stamps' errors estimated, but no stamps excuse what training data have not shown.
+        is_missed = timing and not self._is_in_doubt(result)
         here, there = self.fit(result, timing=timing), self.fit(base, timing=timing)
         if here is None:
             return Judgement(is_white=False, ratio=1.0 if there is None else math.inf, predicts_better=False)
@@ -154,7 +166,7 @@ class HeldOut:
         if there is None:
             ratio = 0.0
         slack = ALIKE if only_credible else SAME
-        return Judgement(self._is_white(here, prediction), ratio, predicts_better, slack)
+        return Judgement(not is_missed and self._is_white(here, prediction), ratio, predicts_better, slack)
 
     @staticmethod
     def _is_white(held: Fit, prediction: Prediction) -> bool:
