@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -32,6 +33,11 @@ PLACES: Final = 8
 """Over so many places of the stroke a force at one of them alone is tried."""
 PERIOD_STEP: Final = 0.01
 """Step of a difference quotient, in standard deviations of a period."""
+AT_ONCE: Final = 3
+"""So many periods are fitted before it is asked whether one makes the residual white, which ends the search."""
+NOTHING: Final[Mapping[str, float]] = MappingProxyType({})
+OVER_TIME: Final = "t"
+"""A curve over this follows anything in the strokes that it is fitted to: that they come out white says nothing."""
 POINTS_AN_INTERVAL: Final = 6
 """Points between two knots of a curve in reports."""
 
@@ -112,30 +118,36 @@ def _fitted_maps(search: Search, base: Fit) -> list[NonparametricFit]:
     long = [choice for choice in maps if choice.end and choice.unit == "s"]
     found = fitted_each([choice for choice in maps if choice not in long])
     # Hundreds of periods fit into a recording, so they are tried last.
-    return found if any(adequacy(entry.fit).is_white for entry in found) else [*found, *fitted_each(long)]
+    if any(entry.choice.variable != OVER_TIME and adequacy(entry.fit).is_white for entry in found):
+        return found
+    return [*found, *fitted_each(long)]
 
 
-def _beside(choice: ForceMap, base: Fit, nuisances: Sequence[Nuisance]) -> NonparametricFit:
+def _beside(
+    choice: ForceMap, base: Fit, nuisances: Sequence[Nuisance], start: Mapping[str, float] = NOTHING
+) -> NonparametricFit:
     free, fixed = (*base.free, *choice.free), {**_held(base), **choice.held}
     smooth = _smooth(choice)
     for nuisance in nuisances:
         fixed.pop(nuisance.name, None)
-    return NonparametricFit(
-        choice, fit(base.problem, free, base.values, nuisances=nuisances, fixed=fixed, prior=smooth)
-    )
+    values = {**base.values, **start}
+    return NonparametricFit(choice, fit(base.problem, free, values, nuisances=nuisances, fixed=fixed, prior=smooth))
 
 
 def _periodic(choice: ForceMap, base: Fit) -> list[NonparametricFit]:
     """A force that repeats itself, with the period of the best fit; the period is estimated along."""
-    found = []
-    for period in likely_periods(choice, base):
+    found: list[NonparametricFit] = []
+    for number, period in enumerate(likely_periods(choice, base)):
+        if number % AT_ONCE == 0 and any(adequacy(entry.fit).is_white for entry in found):
+            break
         length = Nuisance(
             choice.end, period.sigma, choice.unit, step=PERIOD_STEP * period.sigma, mean=choice.low + period.length,
             is_of_machine=True,
         )  # fmt: skip
-        entry = _beside(choice.with_period(period.length), base, (*base.nuisances, length))
-        fitted = choice.with_period(entry.fit.values[choice.end] - choice.low)
-        found.append(NonparametricFit(fitted, entry.fit))
+        with contextlib.suppress(SimulationError):
+            entry = _beside(choice.with_period(period.length), base, (*base.nuisances, length), period.wave)
+            fitted = choice.with_period(entry.fit.values[choice.end] - choice.low)
+            found.append(NonparametricFit(fitted, entry.fit))
     return sorted(found, key=lambda entry: entry.fit.score)[:1]
 
 

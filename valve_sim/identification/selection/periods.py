@@ -1,14 +1,17 @@
 """With which period a force acts that repeats itself over the stroke or over time: a periodogram of the residual.
 
-For each period, a small cosine and a small sine of force are simulated; what the residual of a fit has in common with
-their effects, once what is fitted anyway is taken out of these, is by how much such a force would lower χ²: theory,
-eq. (53).
+For each period, small waves of force with phases all around are simulated. What the residual of a fit has in common
+with the effects of two neighbouring phases, none of them taken negative, once what is fitted anyway is taken out of
+these, is by how much such a force would lower χ²: theory, eq. (53). A plunger that rests on its seat is lifted by half
+of each wave and by nothing of the other: there a wave and the same wave upside down have other effects, but twice the
+wave has twice the effect.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from itertools import zip_longest
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -26,21 +29,41 @@ MOST_OVER_STROKE: Final = 15.0
 STEP: Final = 1.0 / 3.0
 """Cycles between two periods that are tried."""
 AMPLITUDE: Final = 1e-3
-"""N, of the small forces."""
-TRIED: Final = 3
-"""So many of the largest peaks are fitted."""
+"""N, of the small waves."""
+PHASES: Final = 8
+"""So many of them for each period."""
+TRIED: Final = 7
+"""So many of the largest peaks are fitted, of all samples and of those in motion."""
 
 
 class Period(NamedTuple):
-    """A period, how far off it may be (one standard deviation), in the variable's unit, and what it gains of χ²."""
+    """A period, how far off it may be (one standard deviation), and the wave of it that would lower χ² most.
+
+    Attributes:
+        length, sigma: in the variable's unit. gain: of χ². wave: coefficients of the force map, N.
+    """
 
     length: float
     sigma: float
     gain: float
+    wave: dict[str, float]
+
+
+class _Wave(NamedTuple):
+    """By how much a wave would lower χ², and its parts of each phase, N."""
+
+    gain: float
+    parts: Array
+
+
+NO_WAVE: Final = _Wave(0.0, np.zeros(PHASES))
 
 
 def likely_periods(choice: ForceMap, base: Fit) -> list[Period]:
-    """The periods of a force beside a fit that would lower its χ² most, best first.
+    """The periods of a force beside a fit that would lower its χ² most, by turns of all samples and of those in motion.
+
+    Each of both leads astray at times: what a resting plunger does is not linear, and of a weak force of a high
+    frequency only what lifts a resting plunger is to be seen.
 
     Raises:
         OutOfTimeError: the time is used up.
@@ -48,39 +71,75 @@ def likely_periods(choice: ForceMap, base: Fit) -> list[Period]:
     span = choice.high - choice.low
     most = MOST_OVER_STROKE if choice.unit == "m" else MOST_CYCLES
     cycles = np.arange(FEWEST_CYCLES, most, STEP)
-    gain = _gain_of(choice, base)
-    gains = np.array(run_parallel(lambda count: gain(span / count), cycles.tolist()))
-    padded = np.concatenate([[-math.inf], gains, [-math.inf]])
-    peaks = np.flatnonzero((gains >= padded[:-2]) & (gains >= padded[2:]))
-    best = sorted(peaks, key=lambda peak: -gains[peak])[:TRIED]
+    shapes = _shapes(len(choice.coefficients))
+    best_waves = _best_waves_of(choice, base, shapes)
+    waves = run_parallel(lambda count: best_waves(span / count), cycles.tolist())
+    peaks = [_peaks(np.array([wave.gain for wave in of_samples])) for of_samples in zip(*waves, strict=True)]
+    by_turns = [(peak, samples) for same_rank in zip_longest(*peaks) for samples, peak in enumerate(same_rank)]
+    found = {peak: waves[peak][samples] for peak, samples in reversed(by_turns) if peak is not None}
     return [
-        Period(span / float(cycles[peak]), span * STEP / float(cycles[peak]) ** 2, float(gains[peak])) for peak in best
-    ]
+        Period(
+            span / float(cycles[peak]), span * STEP / float(cycles[peak]) ** 2, found[peak].gain,
+            dict(zip(choice.coefficients, (shapes @ found[peak].parts).tolist(), strict=True)),
+        )
+        for peak in reversed(found)
+    ]  # fmt: skip
 
 
-def _gain_of(choice: ForceMap, base: Fit) -> Callable[[float], float]:
-    """The decrease of χ² by a small force of a period."""
+def _peaks(gains: Array) -> list[int]:
+    """Indices of the largest peaks, the highest first."""
+    padded = np.concatenate([[-math.inf], gains, [-math.inf]])
+    peaks: list[int] = np.flatnonzero((gains >= padded[:-2]) & (gains >= padded[2:])).tolist()
+    return sorted(peaks, key=lambda peak: -float(gains[peak]))[:TRIED]
+
+
+def _shapes(count: int) -> Array:
+    """(count, PHASES) coefficients of a wave of each phase."""
+    along = np.arange(count) / count
+    return np.asarray(np.cos(2.0 * np.pi * (along[:, None] - np.arange(PHASES) / PHASES)))
+
+
+def _best_waves_of(choice: ForceMap, base: Fit, shapes: Array) -> Callable[[float], tuple[_Wave, ...]]:
+    """The waves of a period that would lower χ² most, by all samples and by those in motion."""
     problem, values = base.problem, base.values
     anyway = base.information
-    # A plunger that rests is lifted by the smallest force, or not at all: nothing of that is linear.
+    left = np.linalg.lstsq(anyway, gram(base.jacobian, base.residuals), rcond=1e-13)[0]
+    small = [dict(zip(choice.coefficients, AMPLITUDE * shape, strict=True)) for shape in shapes.T]
     moves = ~np.concatenate([channel.quiet for channel in problem.plant.channels])
-    angles = 2.0 * np.pi * np.arange(len(choice.coefficients)) / len(choice.coefficients)
-    shapes = [
-        dict(zip(choice.coefficients, AMPLITUDE * wave, strict=True)) for wave in (np.cos(angles), np.sin(angles))
-    ]
 
     def column(period: float, shape: dict[str, float]) -> Array:
         there = problem.residuals({**values, **choice.with_period(period).held, **shape})
-        return np.where(moves, there - base.residuals, 0.0) / AMPLITUDE
+        return np.asarray((there - base.residuals) / AMPLITUDE)
 
-    def gain(period: float) -> float:
-        try:
-            columns = np.column_stack([column(period, shape) for shape in shapes])
-        except SimulationError:
-            return 0.0
+    def best(columns: Array) -> _Wave:
         shared = gram(base.jacobian, columns)
         own = gram(columns, columns) - shared.T @ np.linalg.lstsq(anyway, shared, rcond=1e-13)[0]
-        slope = gram(columns, base.residuals)
-        return float(slope @ np.linalg.lstsq(own, slope, rcond=1e-10)[0])
+        return best_wave(own, gram(columns, base.residuals) - shared.T @ left)
 
-    return gain
+    def waves(period: float) -> tuple[_Wave, ...]:
+        try:
+            columns = np.column_stack([column(period, shape) for shape in small])
+        except SimulationError:
+            return NO_WAVE, NO_WAVE
+        return best(columns), best(np.where(moves[:, None], columns, 0.0))
+
+    return waves
+
+
+def best_wave(own: Array, slope: Array) -> _Wave:
+    """The parts a ≥ 0 of two neighbouring phases that minimise aᵀ own a + 2 slopeᵀ a.
+
+    Args:
+        own: (PHASES, PHASES) information on the parts, all else at its best. slope: (PHASES,) half of that of χ².
+    """
+    best = NO_WAVE
+    for first in range(PHASES):
+        two = [first, (first + 1) % PHASES]
+        for chosen in (two, two[:1]):
+            size = np.linalg.lstsq(own[np.ix_(chosen, chosen)], -slope[chosen], rcond=1e-10)[0]
+            gain = -float(slope[chosen] @ size)
+            if gain > best.gain and np.all(size >= 0.0):
+                parts = np.zeros(PHASES)
+                parts[chosen] = size
+                best = _Wave(gain, parts)
+    return best
