@@ -13,7 +13,7 @@ import numpy as np
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.model import CATALOGUE, Drive, Stepper, Valve, ValveError, simulate, simulate_many
 from valve_sim.model.compiling import announce_compiling
-from valve_sim.model.sensitivities import Tangent, numbers_of, run_tangents
+from valve_sim.model.sensitivities import NUMBERS, Tangents, run_tangents
 from valve_sim.model.simulation import TOLERANCE, Samples, new_states
 
 
@@ -33,10 +33,10 @@ def warm() -> None:
 
 
 def _warm_derivatives(valve: Valve, drive: Drive) -> None:
-    record, times, none = valve.record(), np.array([0.0, 1e-3]), np.zeros(1)
+    record, times, none = valve.record(), np.array([0.0, 1e-3]), np.zeros((1, 1))
     samples = Samples(times, np.empty((2, 1)), times, np.empty(2))
-    nothing_moves = Tangent(np.zeros(len(numbers_of(record))), none, none)
-    run_tangents(record, new_states(record, 0.0), drive, samples, [nothing_moves], TOLERANCE)
+    nothing_moves = Tangents(np.zeros((1, NUMBERS)), none, none, np.zeros(1))
+    run_tangents(record, new_states(record, 0.0), drive, samples, nothing_moves, TOLERANCE)
 
 
 def main() -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -14,7 +15,7 @@ from hypothesis import strategies as st
 from model.random_valves import RANGES, random_valve
 from valve_sim.model import CATALOGUE, Drive, Effect, Event, EventKind, Parameter, Valve, simulate
 from valve_sim.model.effects import new_record
-from valve_sim.model.sensitivities import Tangent, has_sensitivities, numbers_of, run_tangents
+from valve_sim.model.sensitivities import Tangents, has_sensitivities, numbers_of, run_tangents
 from valve_sim.model.simulation import Samples, new_states
 
 TIGHT, TIGHTEST = 1e-11, 1e-13
@@ -75,23 +76,29 @@ class Case(NamedTuple):
         rated = self.valve.record()[0]["reference_voltage"] / self.valve.record()[0]["coil_resistance"]
         return response.pilot_position, response.coil_current / rated, response.events
 
-    def tangent(self, name: str) -> Tangent:
-        step = 1e-6 * self.size(name)
-        (above, below), width = (self.moved(name, step), self.moved(name, -step)), 2.0 * step
-        return Tangent(
-            (numbers_of(above.record()) - numbers_of(below.record())) / width,
-            (above.drive.times - below.drive.times) / width,
-            (above.drive.volts - below.drive.volts) / width,
-            float((above.times - below.times)[0] / width),
+    def tangents(self, names: list[str]) -> Tangents:
+        steps = [1e-6 * self.size(name) for name in names]
+        above = [self.moved(name, step) for name, step in zip(names, steps, strict=True)]
+        below = [self.moved(name, -step) for name, step in zip(names, steps, strict=True)]
+        width = 2.0 * np.array(steps)[:, None]
+
+        def slopes(of: Callable[[Case], np.ndarray]) -> np.ndarray:
+            return (np.array([of(case) for case in above]) - np.array([of(case) for case in below])) / width
+
+        return Tangents(
+            slopes(lambda case: numbers_of(case.record())),
+            slopes(lambda case: case.drive.times),
+            slopes(lambda case: case.drive.volts),
+            slopes(lambda case: case.times[:1])[:, 0],
         )
 
     def derivatives(self, names: list[str]) -> tuple[np.ndarray, np.ndarray]:
         """Of positions and of normalised currents, by variational equations."""
         times = self.times
         samples = Samples(times, np.empty((len(times), 1)), times, np.empty(len(times)))
-        tangents = [self.tangent(name) for name in names]
+        tangents = self.tangents(names)
         record = self.record()
-        assert all(has_sensitivities(record, tangent.numbers) for tangent in tangents)
+        assert has_sensitivities(record, tangents.numbers).all()
         return run_tangents(record, new_states(record, 0.0), self.drive, samples, tangents, TIGHT)
 
 

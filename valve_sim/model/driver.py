@@ -40,15 +40,8 @@ from valve_sim.model.location import (
 )
 from valve_sim.model.sampling import fill_until, is_filled, show
 from valve_sim.model.transitions import move_off, push_at_rest, set_voltage, touch, turn
-from valve_sim.model.variational import (
-    commit_variations,
-    enter_segment,
-    leave_segment,
-    show_variations,
-    vary_event,
-    vary_release,
-    vary_step,
-)
+from valve_sim.model.variational import enter_segment, leave_segment, show_variations, vary_event, vary_release
+from valve_sim.model.variational_steps import commit_variations, vary_step
 
 FINISHED, STEP_TOO_SMALL, TOO_MANY_STEPS, CHATTERING = (int(outcome) for outcome in Outcome)
 
@@ -302,8 +295,8 @@ def run_drive_varied(valve, state, course, samples, events, control, vary):
         if vary is None:
             done, count, outcome = run_varied(valve, state, until, left, log, control, None)
         else:
-            tiles, slopes, commands, (positions, of_currents) = vary
-            following = (tiles, slopes, commands, (positions[at:], of_currents[at_current:]))
+            tiles, slopes, nodes, commands, (positions, of_currents) = vary
+            following = (tiles, slopes, nodes, commands, (positions[at:], of_currents[at_current:]))
             done, count, outcome = run_varied(valve, state, until, left, log, control, following)
         at += done[0]
         at_current += done[1]

@@ -143,16 +143,17 @@ def eddy_share(tau, tau_e, elapsed, decay, eddy_decay):
     return share * elapsed / tau_e
 
 
-@inner
-def coil_current_between_commands(p, s, t):
-    """Solve (1) and (9) at time t for a coil that does not heat: u and w, exactly."""
+@inlined
+def coil_decay(p, elapsed):
+    """How much of (1)'s start is left some time after a command."""
+    return math.exp(-elapsed / p.coil_time_constant) if p.coil_time_constant > 0.0 else 0.0
+
+
+@inlined
+def decayed_coil(p, s, elapsed, decay):
+    """Solve (1) and (9) some time after a command, given its `coil_decay`, for a coil that does not heat: u and w."""
     target = s.volts / p.reference_voltage
-    elapsed = t - s.segment_time
-    u = target
-    decay = 0.0
-    if p.coil_time_constant > 0.0:
-        decay = math.exp(-elapsed / p.coil_time_constant)
-        u = target + (s.segment_u - target) * decay
+    u = target + (s.segment_u - target) * decay
     if p.eddy_time_constant == 0.0:
         return u, u
     eddy_decay = math.exp(-elapsed / p.eddy_time_constant)
@@ -161,6 +162,13 @@ def coil_current_between_commands(p, s, t):
         share = eddy_share(p.coil_time_constant, p.eddy_time_constant, elapsed, decay, eddy_decay)
         w += (s.segment_u - target) * share
     return u, w
+
+
+@inner
+def coil_current_between_commands(p, s, t):
+    """The same at time t."""
+    elapsed = t - s.segment_time
+    return decayed_coil(p, s, elapsed, coil_decay(p, elapsed))
 
 
 @inner

@@ -21,7 +21,8 @@ from valve_sim.model.effects.catalogue import shipped
 from valve_sim.model.effects.record import VALVE_RECORD
 from valve_sim.model.equations import (
     attraction,
-    coil_current_between_commands,
+    coil_decay,
+    decayed_coil,
     dry_friction,
     eddy_share,
     force_without_dry_friction,
@@ -33,7 +34,7 @@ PARAMETERS: Final = tuple(name for name in VALVE_RECORD.names or () if VALVE_REC
 CONDITIONS: Final = ("target", "segment_time", "segment_u", "segment_w", "unseated_time", "peak_current")
 """What the forces remember: where u goes since the last command, when that was, and u and w then; when the pilot last
 left its seat; the largest |u| so far."""
-_STATE: Final = ("x", "v", "t", "force", "mass")
+_STATE: Final = ("x", "v", "t", "force", "per_mass")
 
 
 def _slopes_record() -> np.dtype[np.void]:
@@ -56,7 +57,7 @@ SLOPES_RECORD: Final = _slopes_record()
 """Derivatives of the net force, N over the unit of what each is to.
 
 `terms` holds those to the numbers that compiled terms read; `asked` is 1 for those that somebody asks for. `all` is
-the same memory as everything before it. `force` and `mass` make the acceleration. `asks_shapes` is 1 where somebody
+the same memory as everything before it. `force` times `per_mass` is the acceleration. `asks_shapes` is 1 where somebody
 asks for `SHAPES`, which take an exponential each.
 """
 
@@ -77,7 +78,6 @@ TIME_QUOTIENT: Final = 1e-9
 
 
 call_term: Any = calls.call_term
-_coil: Final = inlined(coil_current_between_commands.py_func)
 
 
 def _each(functions: Sequence[Any]) -> Any:
@@ -105,7 +105,9 @@ def force_slopes(p, s, g, t, x, v):
         p: valve record. s: state record: mode, direction and conditions. g: `SLOPES_RECORD`, written.
         t: s. x, v: m, m/s.
     """
-    u, w = _coil(p, s, t)
+    elapsed = t - s.segment_time
+    decay = coil_decay(p, elapsed)
+    u, w = decayed_coil(p, s, elapsed, decay)
     peak = max(s.peak_current, abs(u))
     pull2 = pull_squared(p, w, peak)
     condition = (s.mode, s.direction, s.unseated_time)
@@ -122,8 +124,8 @@ def force_slopes(p, s, g, t, x, v):
     g.seat_load, g.pilot_damping = -in_phase_1, -in_phase_1 * v
     g.x -= in_phase_2 * p.spring_rate
     g.v = -(in_phase_2 * p.main_damping + in_phase_1 * p.pilot_damping)
-    g.mass = p.moving_mass if s.mode >= MAIN else p.pilot_mass
-    acceleration = g.force / g.mass
+    g.per_mass = 1.0 / (p.moving_mass if s.mode >= MAIN else p.pilot_mass)
+    acceleration = g.force * g.per_mass
     g.moving_mass, g.pilot_mass = -in_phase_2 * acceleration, -in_phase_1 * acceleration
     # (5)
     g.unseated_time, g.t = 0.0, 0.0
@@ -131,7 +133,7 @@ def force_slopes(p, s, g, t, x, v):
     to_u = _add_term_slopes(p, g, s.mode, (x, v, u, t)) if p.term_count > 0 else 0.0
     _friction_slopes(p, g, v, s.direction)
     to_u_of_pull, to_w = _pull_slopes(p, s, g, u, w, per_pull)
-    coil_slopes(p, s, g, t, to_u + to_u_of_pull, to_w)
+    _coil_slopes(p, s, g, (elapsed, decay), to_u + to_u_of_pull, to_w)
 
 
 @inlined
@@ -140,9 +142,9 @@ def _friction_slopes(p, g, v, direction):
     g.friction_opening = -1.0 if direction > 0 else 0.0
     g.friction_closing = 1.0 if direction < 0 else 0.0
     g.breakaway, g.stribeck_velocity = 0.0, 0.0
-    ratio = v / p.stribeck_velocity
     if p.breakaway == 0.0 and g.asks_shapes == 0:
         return
+    ratio = v / p.stribeck_velocity
     g.breakaway = -direction * math.exp(-ratio * ratio)
     by_ratio = -2.0 * ratio * g.breakaway * p.breakaway
     g.v += by_ratio / p.stribeck_velocity
@@ -175,12 +177,18 @@ def coil_slopes(p, s, g, t, to_u, to_w):
     Args:
         p, s, g, t: as of `force_slopes`. to_u, to_w: how much of u and of w is asked for.
     """
-    target, tau, tau_e = s.volts / p.reference_voltage, p.coil_time_constant, p.eddy_time_constant
     elapsed = t - s.segment_time
+    _coil_slopes(p, s, g, (elapsed, coil_decay(p, elapsed)), to_u, to_w)
+
+
+@inlined
+def _coil_slopes(p, s, g, since, to_u, to_w):
+    """The same, given the time since the last command and the coil's decay meanwhile."""
+    elapsed, decay = since
+    target, tau, tau_e = s.volts / p.reference_voltage, p.coil_time_constant, p.eddy_time_constant
     if tau_e == 0.0:
         to_u += to_w
         to_w = 0.0
-    decay = math.exp(-elapsed / tau) if tau > 0.0 else 0.0
     from_target = (s.segment_u - target) * decay
     g.target, g.segment_u, g.segment_w = to_u * (1.0 - decay), to_u * decay, 0.0
     g.segment_time, g.coil_time_constant, g.eddy_time_constant = 0.0, 0.0, 0.0

@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from valve_sim.model.core_types import EVENT_RECORD
 from valve_sim.model.effects.record import VALVE_RECORD
 from valve_sim.model.linearised import FIRST_CONDITION, PARAMETERS, SHAPES, SLOPES_RECORD
 from valve_sim.model.simulation import Array, Drive, Samples, run_record
-from valve_sim.model.variational import CONTACTS, LANES, STAGES, TILE_RECORD
+from valve_sim.model.variational_steps import CONTACTS, LANES, NODES, SLOPES, TILE_RECORD
 
 _PLACES: Final = {name: place for place, name in enumerate(PARAMETERS)}
 _FIRST: Final = len(PARAMETERS)
 """Where the numbers of terms begin."""
-_BY_FORCE: Final = np.ones(FIRST_CONDITION)
-_BY_FORCE[[_PLACES[name] for name in (*CONTACTS, "coil_resistance", "sensor_delay")]] = 0.0
+NUMBERS: Final = FIRST_CONDITION
+"""Of a valve's record, that a derivative can be taken to."""
+_OF_TERMS: Final = NUMBERS - _FIRST
+_DELAY: Final = _PLACES["sensor_delay"]
+_CONTACT_PLACES: Final = {_PLACES[name]: name for name in CONTACTS}
+_BY_FORCE: Final = np.ones(NUMBERS, dtype=bool)
+_BY_FORCE[[*_CONTACT_PLACES, _PLACES["coil_resistance"], _DELAY]] = False
 _SHAPES: Final = [_PLACES[name] for name in SHAPES]
 _FOREIGN: Final = ("temperature_rate", "sensor_time_constant")
 _SWITCHES: Final = (
@@ -26,57 +31,59 @@ _SWITCHES: Final = (
 )  # fmt: skip
 _NO_EVENTS: Final = np.empty(0, EVENT_RECORD)
 assert VALVE_RECORD.names is not None
-assert VALVE_RECORD.names[: len(PARAMETERS)] == PARAMETERS
+assert (VALVE_RECORD.names[:_FIRST], VALVE_RECORD.names[-1]) == (PARAMETERS, "term_parameters")
 
 
 @dataclass(frozen=True)
-class Tangent:
-    """How the model moves with one parameter: derivatives of all that a run is made of to it.
+class Tangents:
+    """How the model moves with k parameters: derivatives of all that a run is made of to them.
 
     Attributes:
-        numbers: (`NUMBERS`,) of the valve's record, see `numbers_of`.
-        command_times: (c,) of the commands' times. command_volts: (c,) of their voltages.
-        sample_time: of all sample times: −1 for a clock whose samples are stamped late.
+        numbers: (k, `NUMBERS`) of the valve's record, see `numbers_of`.
+        command_times: (k, c) of the commands' times. command_volts: (k, c) of their voltages.
+        sample_times: (k,) of all sample times: −1 for a clock whose samples are stamped late.
     """
 
     numbers: Array
     command_times: Array
     command_volts: Array
-    sample_time: float = 0.0
+    sample_times: Array
 
 
 def numbers_of(record: Any) -> Array:
-    """The numbers of a (1,) VALVE_RECORD that a derivative can be taken to."""
-    return np.concatenate([record.view(np.float64)[: len(PARAMETERS)], record["term_parameters"].ravel()])
+    """The numbers of a (1,) VALVE_RECORD that a derivative can be taken to: (`NUMBERS`,)."""
+    whole = record.view(np.float64)
+    return np.concatenate([whole[:_FIRST], whole[-_OF_TERMS:]])
 
 
-def has_sensitivities(record: Any, numbers: Array) -> bool:
-    """Whether `run_tangents` knows the derivative along a direction of the record's numbers.
+def has_sensitivities(record: Any, numbers: Array) -> NDArray[np.bool_]:
+    """Whether `run_tangents` knows the derivatives along (k, `NUMBERS`) directions of the numbers of a (1,) record.
 
     Left to difference quotients are a coil that heats, a slow sensor, and what is off at 0 and works otherwise
     on either side of it.
     """
-    if not np.isfinite(numbers).all() or any(record[name][0] != 0.0 for name in _FOREIGN):
-        return False
-    return not any(numbers[_PLACES[name]] != 0.0 and record[name][0] == 0.0 for name in _SWITCHES)
+    if any(record[name][0] != 0.0 for name in _FOREIGN):
+        return np.zeros(len(numbers), dtype=bool)
+    off = [_PLACES[name] for name in _SWITCHES if record[name][0] == 0.0]
+    return np.asarray(np.isfinite(numbers).all(axis=1) & ~numbers[:, off].any(axis=1))
 
 
-def rated_slope(record: Any, numbers: Array) -> float:
-    """The derivative of `rated_current` along a direction of the record's numbers."""
+def rated_slopes(record: Any, numbers: Array) -> Array:
+    """The derivatives of `rated_current` along (k, `NUMBERS`) directions of the record's numbers."""
     voltage, resistance = record["reference_voltage"][0], record["coil_resistance"][0]
-    by_voltage, by_resistance = numbers[_PLACES["reference_voltage"]], numbers[_PLACES["coil_resistance"]]
-    return float((by_voltage - by_resistance * voltage / resistance) / resistance)
+    by_voltage, by_resistance = numbers[:, _PLACES["reference_voltage"]], numbers[:, _PLACES["coil_resistance"]]
+    return np.asarray((by_voltage - by_resistance * voltage / resistance) / resistance)
 
 
 def run_tangents(
-    record: Any, state: Any, drive: Drive, samples: Samples, tangents: Sequence[Tangent], tolerance: float
+    record: Any, state: Any, drive: Drive, samples: Samples, tangents: Tangents, tolerance: float
 ) -> tuple[Array, Array]:
     """Run a trace and its variational equations.
 
     Args:
         record: (1,) VALVE_RECORD. state: (1,) STATE_RECORD, advanced. drive: the commanded voltage.
         samples: what is written down, as in `run_record`.
-        tangents: one for each parameter.
+        tangents: of k parameters.
         tolerance: relative error of one step of the plain trace, which the derivatives follow.
 
     Returns:
@@ -85,37 +92,45 @@ def run_tangents(
     Raises:
         SimulationError: the run could not be carried to its end.
     """
-    tiles = _tiles(tangents)
-    commands = np.zeros((2, len(tiles), len(drive.times), LANES))
-    for place, tangent in enumerate(tangents):
-        tile, lane = divmod(place, LANES)
-        commands[0, tile, :, lane] = tangent.command_times
-        commands[1, tile, :, lane] = tangent.command_volts
-    slopes = np.zeros(STAGES + 2, SLOPES_RECORD)
-    moved = np.unique(np.concatenate([tile["row_number"][: tile["row_count"]] for tile in tiles]))
-    asked = np.zeros(FIRST_CONDITION, dtype=np.int64)
-    asked[moved] = 1
-    slopes["asked"] = asked[_FIRST:].reshape(slopes["asked"].shape[1:])
-    slopes["asks_shapes"] = asked[_SHAPES].any()
+    count = len(tangents.numbers)
+    moved = np.flatnonzero(tangents.numbers.any(axis=0))
+    tiles = _tiles(tangents, moved)
+    commands = np.zeros((2, len(tiles) * LANES, len(drive.times)))
+    commands[0, :count], commands[1, :count] = tangents.command_times, tangents.command_volts
+    times, volts = np.ascontiguousarray(commands.reshape(2, len(tiles), LANES, -1).swapaxes(2, 3))
+    slopes = np.zeros(SLOPES, SLOPES_RECORD)
+    if moved.size and moved[-1] >= _FIRST:
+        asked = np.zeros(_OF_TERMS, dtype=np.int64)
+        asked[moved[moved >= _FIRST] - _FIRST] = 1
+        slopes["asked"] = asked.reshape(slopes["asked"].shape[1:])
+    slopes["asks_shapes"] = tangents.numbers[:, _SHAPES].any()
     outputs = tuple(np.empty((len(times), len(tiles), LANES)) for times in (samples.times, samples.current_times))
-    vary = (tiles, slopes, (commands[0], commands[1]), outputs)
+    vary = (tiles, slopes, np.arange(NODES), (times, volts), outputs)
     run_record(record, state, drive, samples, _NO_EVENTS, tolerance, vary)
     positions, currents = (output.reshape(len(output), len(tiles) * LANES) for output in outputs)
-    return positions[:, : len(tangents)], currents[:, : len(tangents)]
+    return positions[:, :count], currents[:, :count]
 
 
-def _tiles(tangents: Sequence[Tangent]) -> Any:
-    """Parameters in tiles of lanes."""
-    groups = [tangents[first : first + LANES] for first in range(0, len(tangents), LANES)]
-    tiles = np.zeros(len(groups), TILE_RECORD)
-    for tile, group in zip(tiles, groups, strict=True):
-        numbers, count = np.array([tangent.numbers for tangent in group]), len(group)
-        rows = np.flatnonzero(np.any(numbers * _BY_FORCE, axis=0))
+def _tiles(tangents: Tangents, moved: NDArray[np.int64]) -> Any:
+    """Parameters in tiles of lanes; `moved` are the numbers that any of them moves."""
+    count = len(tangents.numbers)
+    tiles = np.zeros(-(-count // LANES), TILE_RECORD)
+    numbers = np.zeros((len(tiles) * LANES, len(moved)))
+    numbers[:count] = tangents.numbers[:, moved]
+    by_lane = np.ascontiguousarray(numbers.reshape(len(tiles), LANES, -1).swapaxes(1, 2))
+    late = np.zeros((len(tiles), LANES))
+    late.ravel()[:count] = tangents.sample_times
+    tiles["current_time"] = late
+    tiles["position_time"] = late
+    for column, place in enumerate(moved.tolist()):
+        if name := _CONTACT_PLACES.get(place):
+            tiles[name] = by_lane[:, column]
+        elif place == _DELAY:
+            tiles["position_time"] -= by_lane[:, column]
+    acts = by_lane.any(axis=2) & _BY_FORCE[moved]
+    for tile, act, slopes in zip(tiles, acts, by_lane, strict=True):
+        rows = np.flatnonzero(act)
         tile["row_count"] = len(rows)
-        tile["row_number"][: len(rows)] = rows
-        tile["row"][: len(rows), :count] = numbers[:, rows].T
-        for name in CONTACTS:
-            tile[name][:count] = numbers[:, _PLACES[name]]
-        tile["current_time"][:count] = [tangent.sample_time for tangent in group]
-        tile["position_time"][:count] = tile["current_time"][:count] - numbers[:, _PLACES["sensor_delay"]]
+        tile["row_number"][: len(rows)] = moved[rows]
+        tile["row"][: len(rows)] = slopes[rows]
     return tiles

@@ -8,7 +8,7 @@ model's to differentiate.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from valve_sim.identification.plants.recording_errors import drive_with, is_of_r
 from valve_sim.identification.plants.valve_model import ValveModel
 from valve_sim.identification.plants.valve_sensors import FIT_TOLERANCE, prepared
 from valve_sim.model import Drive
-from valve_sim.model.sensitivities import Tangent, has_sensitivities, numbers_of, rated_slope, run_tangents
+from valve_sim.model.sensitivities import Tangents, has_sensitivities, numbers_of, rated_slopes, run_tangents
 from valve_sim.model.simulation import rated_current
 from valve_sim.traces import Trace
 
@@ -43,38 +43,55 @@ def sensitivities(
         SimulationError: the simulation could not be carried to its end.
     """
     record = model.record(values)
-    numbers = numbers_of(record)
     moved = [_moved(values, direction) for direction in directions]
-    slopes = [
-        (numbers_of(model.record(there)) - numbers) / direction.step
-        if not all(is_of_recording(name) for name in direction.slopes)
-        else np.zeros(len(numbers))
-        for direction, there in zip(directions, moved, strict=True)
-    ]
-    known = np.array([has_sensitivities(record, slope) for slope in slopes])
+    slopes = _record_slopes(model, record, moved, directions)
+    known = has_sensitivities(record, slopes)
     columns: list[Array] = []
     if not known.any():
         return Sensitivities([np.empty((0, len(directions)))], known)
     for index, trace in enumerate(traces):
         at = _recording(trace, index, values)
-        recordings = [
-            _recording(trace, index, there) if any(is_of_recording(name) for name in direction.slopes) else at
+        theirs = [
+            _recording(trace, index, there) if any(map(is_of_recording, direction.slopes)) else None
             for direction, there in zip(directions, moved, strict=True)
         ]
-        tangents = [
-            _tangent(at, there, slope, direction.step)
-            for there, slope, direction in zip(recordings, slopes, directions, strict=True)
-        ]
+        tangents, zeros = _tangents(slopes, at, theirs, directions)
         state, samples = prepared(trace, at.drive, at.lateness)
         positions, currents = run_tangents(record, state, at.drive, samples, tangents, FIT_TOLERANCE)
-        zeros = [(there.zero - at.zero) / way.step for there, way in zip(recordings, directions, strict=True)]
-        if any(zeros):
+        if zeros.any():
             positions += zeros
         columns.append(positions)
         if trace.coil_current is not None:
-            rated = [rated_slope(record, slope) for slope in slopes]
-            columns.append(rated_current(record) * currents + np.outer(samples.currents, rated))
+            columns.append(rated_current(record) * currents + np.outer(samples.currents, rated_slopes(record, slopes)))
     return Sensitivities(columns, known)
+
+
+def _tangents(
+    slopes: Array, at: _Recording, theirs: Sequence[_Recording | None], directions: Sequence[Direction]
+) -> tuple[Tangents, Array]:
+    """How a run moves along directions, and (k,) how its sensor's zero does; None where no recording changes."""
+    count, commands = len(directions), len(at.drive.times)
+    times, volts = np.zeros((2, count, commands))
+    late, zeros = np.zeros((2, count))
+    for row, (there, direction) in enumerate(zip(theirs, directions, strict=True)):
+        if there is not None:
+            times[row] = (there.drive.times - at.drive.times) / direction.step
+            volts[row] = (there.drive.volts - at.drive.volts) / direction.step
+            late[row] = (there.lateness - at.lateness) / direction.step
+            zeros[row] = (there.zero - at.zero) / direction.step
+    return Tangents(slopes, times, volts, -late), zeros
+
+
+def _record_slopes(
+    model: ValveModel, record: Any, moved: Sequence[Mapping[str, float]], directions: Sequence[Direction]
+) -> Array:
+    """(k, `NUMBERS`) derivatives of the record's numbers along the directions that led to where the values moved."""
+    numbers = numbers_of(record)
+    slopes = np.zeros((len(directions), len(numbers)))
+    for row, (values, direction) in enumerate(zip(moved, directions, strict=True)):
+        if not all(map(is_of_recording, direction.slopes)):
+            slopes[row] = (numbers_of(model.record(values)) - numbers) / direction.step
+    return slopes
 
 
 def _moved(values: Mapping[str, float], direction: Direction) -> dict[str, float]:
@@ -87,9 +104,3 @@ def _moved(values: Mapping[str, float], direction: Direction) -> dict[str, float
 
 def _recording(trace: Trace, index: int, values: Mapping[str, float]) -> _Recording:
     return _Recording(drive_with(trace, index, values), lateness_with(index, values), zero_with(index, values))
-
-
-def _tangent(at: _Recording, there: _Recording, numbers: Array, step: float) -> Tangent:
-    times = (there.drive.times - at.drive.times) / step
-    volts = (there.drive.volts - at.drive.volts) / step
-    return Tangent(numbers, times, volts, -(there.lateness - at.lateness) / step)

@@ -48,7 +48,8 @@ def _blank_record() -> Any:
     return records
 
 
-_BLANK: Final = _blank_record()
+_BLANK: Final = _blank_record().view(np.uint8)
+"""As bytes: NumPy copies a record field by field."""
 
 
 def new_record(declared: Mapping[str, float], effects: Mapping[str, Mapping[str, float]]) -> Any:
@@ -61,7 +62,7 @@ def new_record(declared: Mapping[str, float], effects: Mapping[str, Mapping[str,
     Returns:
         (1,) VALVE_RECORD array.
     """
-    records = _BLANK.copy()
+    records = _BLANK.copy().view(VALVE_RECORD)
     # Written at once, as the numbers that they are: by name it takes longer than a simulation.
     records.view(np.float64)[: len(DECLARED)] = [declared[name] for name in DECLARED]
     entries = [(CATALOGUE[name], values) for name, values in effects.items()]
