@@ -25,6 +25,7 @@ from valve_sim.identification.diagnosis.run import Diagnosis, diagnose_plant
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.axis import AxisPlant, AxisRecord
+from valve_sim.identification.reporting.summary import summarise
 from valve_sim.model import ValveError
 
 DEFAULT = Path(__file__).resolve().parents[2] / "shared" / "data" / "emps" / "DATA_EMPS.mat"
@@ -163,7 +164,7 @@ def report(path: Path, second: Path | None) -> str:
     held = next(c for c in diagnosis.candidates if set(c.effects) == set(diagnosis.verdict.effects))
     lines += [
         f"verdict: {' and '.join(diagnosis.verdict.effects)} is missing, and kind {diagnosis.verdict.kind!r}: "
-        f"{diagnosis.verdict.summary}",
+        f"{summarise(diagnosis)}",
         f"force error in N, fitted / held-out repetition: {diagnosis.before.train_rmse:.2f} / "
         f"{diagnosis.before.holdout_rmse:.2f} before, {held.train_rmse:.2f} / {held.holdout_rmse:.2f} after",
         f"unexplained: {remainder_line(plant, named.values)}",

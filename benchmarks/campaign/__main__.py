@@ -22,6 +22,7 @@ from benchmarks.campaign.figures import confusion_table, figures, least_demands,
 from benchmarks.campaign.limits import Knowledge, detection_limit
 from benchmarks.campaign.running import Cost, Outcome, Timing, cost_of, examine, run_cases, time_cold, true_declared
 from valve_sim.identification.diagnosis.run import Diagnosis
+from valve_sim.identification.reporting.summary import summarise
 
 TIMED: Final = [
     *(("single", seed) for seed in (0, 5, 11, 12, 17)),
@@ -213,7 +214,7 @@ def _diagnosis_text(diagnosis: Diagnosis) -> str:
     lines = [
         f"verdict    {verdict.kind} {', '.join(verdict.effects)}, probability {verdict.probability:.4f}",
         f"confusable {dict(verdict.confusable_with)}",
-        f"summary    {verdict.summary}",
+        f"summary    {summarise(diagnosis)}",
     ]
     for words, state in (("before", diagnosis.before), ("after", diagnosis.after)):
         lines.append(

@@ -24,6 +24,7 @@ from benchmarks.campaign.cases import Case, draw_case
 from valve_sim.files.parameter_files import save_valve
 from valve_sim.identification.diagnosis.run import Diagnosis, State, diagnose
 from valve_sim.identification.plants.tolerances import principal_axes
+from valve_sim.identification.reporting.summary import recording_advice
 from valve_sim.model import Drive, Valve
 from valve_sim.model.parameters import POLYNOMIAL_NAMES
 from valve_sim.traces import Signal, Trace
@@ -213,12 +214,12 @@ def examine(case: Case) -> tuple[Outcome, tuple[Diagnosis, ...]]:
     if case.family == "opening":
         opening, advised = _timed(traces[:1], [], case.declared), _timed(traces[1:], [], case.declared)
         answers = (_answer(opening), _answer(advised))
-        advice = opening.diagnosis.record_next
+        advice = recording_advice(opening.diagnosis)
         return Outcome(case, answers, noise, None, advice), (opening.diagnosis, advised.diagnosis)
     timed = _timed(traces[:-1], traces[-1:], case.declared)
     answer = _answer(timed)
     covered = _coverage(case, answer, timed.diagnosis) if is_right(case, answer) else None
-    return Outcome(case, (answer,), noise, covered, timed.diagnosis.record_next), (timed.diagnosis,)
+    return Outcome(case, (answer,), noise, covered, recording_advice(timed.diagnosis)), (timed.diagnosis,)
 
 
 class _Timed(NamedTuple):

@@ -10,6 +10,7 @@ import numpy as np
 
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
+from valve_sim.identification.reporting.summary import summarise
 from valve_sim.model import CATALOGUE, Drive, Valve
 from valve_sim.model.effects import Effect
 from valve_sim.model.parameters import Parameter
@@ -54,6 +55,6 @@ def run() -> Diagnosis:
 
 if __name__ == "__main__":
     found = run()
-    print(found.verdict.summary)
+    print(summarise(found))
     for name, interval in found.after.intervals.items():
         print(f"{name}: {interval.value:.4g} ± {interval.stderr:.2g}")

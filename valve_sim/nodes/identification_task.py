@@ -129,12 +129,14 @@ def _diagnosed(trace: Trace, declared: Valve, settings: Settings, folder: Path, 
     from valve_sim.identification.plants.valve import ValvePlant
     from valve_sim.identification.reporting.diagnosis_json import to_json
     from valve_sim.identification.reporting.recording_profile import write_record_next
+    from valve_sim.identification.reporting.summary import summarise
 
     # The first prediction after an installation compiles the model, which no budget is meant for.
     ValvePlant([trace], declared).predict({})
     result = diagnose([trace], [], declared, progress, Budget(settings.budget, time.monotonic))
     file = folder / CORRECTED_FILE
-    provenance = _provenance(settings, result.verdict.summary)
+    summary, report = summarise(result), to_json(result)
+    provenance = _provenance(settings, summary)
     save_valve(file, result.valve, provenance)
     advice = write_record_next(folder, result, provenance)
     offset = result.after.fit.values.get("clock_offset[0]", 0.0)
@@ -142,7 +144,6 @@ def _diagnosed(trace: Trace, declared: Valve, settings: Settings, folder: Path, 
     objection = "" if kind in _NAMED else f"the verdict is {kind!r}"
     if not objection and not after.adequacy.is_white:
         objection = "the residual is not white"
-    summary, report = result.verdict.summary, to_json(result)
     return Outcome(result.valve, offset, report, file, summary, after.intervals, objection, advice)
 
 

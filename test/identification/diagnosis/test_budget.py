@@ -12,6 +12,7 @@ from plants.recording import Recorder, train_profile
 from valve_sim.identification.diagnosis.run import diagnose
 from valve_sim.identification.estimation.budget import Budget, OutOfTimeError, kept_for_writing
 from valve_sim.identification.reporting.diagnosis_json import to_json
+from valve_sim.identification.reporting.summary import summarise
 from valve_sim.model import ValveError
 from valve_sim.progress_lines import ProgressLines
 
@@ -57,7 +58,7 @@ def test_a_diagnosis_keeps_to_its_budget_and_says_what_it_left(seconds: float) -
     assert clock() < 1.1 * seconds
     assert found.untried
     assert to_json(found)["untried"] == list(found.untried)
-    assert f"{len(found.untried)} left untried" in found.verdict.summary
+    assert f"{len(found.untried)} left untried" in summarise(found)
     assert found.verdict.probability <= 0.5
     assert (found.verdict.kind, found.verdict.effects) == (
         ("insufficient", ()) if seconds < 300.0 else ("effects", ("coulomb_friction",))

@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import fsolve
 
 from valve_sim.files.parameter_files import default_valve, load_valve
-from valve_sim.identification.diagnosis.events import DAMPINGS, PULLS, diagnose_events
+from valve_sim.identification.diagnosis.events import DAMPINGS, PULLS, Quantity, diagnose_events
 from valve_sim.identification.plants.event_table import EventPlant, reached, read_event_table
 from valve_sim.identification.reporting.event_files import write_event_report, write_valve
 from valve_sim.identification.reporting.event_report import event_json, event_text
@@ -138,13 +138,20 @@ def test_every_member_of_the_region_gives_the_events(table, diagnosis):
 
 
 def test_it_says_what_would_decide(diagnosis):
-    assert diagnosis.questions[0].power > 100.0
-    assert "what would decide" in event_text(diagnosis)
+    assert diagnosis.measurements[0].power > 100.0
+    text = event_text(diagnosis)
+    assert "what would decide" in text
+    assert {measurement.quantity for measurement in diagnosis.measurements} == set(Quantity)
+    listed = [entry["name"] for entry in event_json(diagnosis)["record_next"]]
+    assert len(set(listed)) == len(diagnosis.measurements)
+    for words in ("closing time after release from 9 V", "time constant of the coil current", "t2 at 7.65 V"):
+        assert any(words in name for name in listed), listed
+    assert [name for name in listed if name not in text] == []
 
 
 def test_the_closing_time_covers_valves_that_touch_their_seat_and_lift_off_it(diagnosis):
     """A strong pull at rest holds heavily damped ones, which take longest, just off their seat."""
-    (closing,) = (question for question in diagnosis.questions if question.name.startswith("closing time"))
+    (closing,) = (one for one in diagnosis.measurements if one.quantity is Quantity.CLOSING_TIME)
     assert (closing.lowest, closing.highest) == pytest.approx((11.74, 23.02), abs=0.01)
 
 
@@ -152,7 +159,7 @@ def test_the_page_on_the_paper_lists_what_would_decide(diagnosis):
     page = (CONFIG.parent / "docs" / "theory" / "paper.md").read_text()
     rows = [line for line in page.splitlines() if line.startswith("| ") and line.count("|") == 5]
     listed = [int(cells[4]) for row in rows if (cells := [cell.strip() for cell in row.split("|")])[4].isdigit()]
-    assert listed == [pytest.approx(question.power, abs=0.51) for question in diagnosis.questions]
+    assert listed == [pytest.approx(one.power, abs=0.51) for one in diagnosis.measurements]
 
 
 @pytest.mark.parametrize(

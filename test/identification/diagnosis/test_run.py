@@ -12,6 +12,7 @@ from valve_sim.identification.diagnosis.calibration import calibrated
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
 from valve_sim.identification.estimation.intervals import Unbounded
 from valve_sim.identification.reporting.diagnosis_json import to_json
+from valve_sim.identification.reporting.summary import recording_advice, summarise
 from valve_sim.model import CATALOGUE, Drive, Valve
 from valve_sim.traces import Signal, Trace
 
@@ -128,9 +129,9 @@ def test_what_shows_in_held_out_data_alone_is_not_nothing() -> None:
 def test_a_force_that_shows_at_the_seat_alone_gets_no_sure_name() -> None:
     # Half a millinewton lifts the pilot plunger off its seat, as a constant force would; elsewhere it does not show.
     ripple = {"force_ripple": {"amplitude": 0.457e-3, "wavelength": 0.2376e-3, "phase": 1.3617}}
-    verdict = diagnosed(ripple, 30).verdict
-    assert verdict.probability < 0.9
-    assert "a force at x 0 to 0.146 mm alone would explain the data about as well" in verdict.summary
+    diagnosis = diagnosed(ripple, 30)
+    assert diagnosis.verdict.probability < 0.9
+    assert "a force at x 0 to 0.146 mm alone would explain the data about as well" in summarise(diagnosis)
 
 
 def test_dampings_that_an_effect_can_take_over_have_intervals_that_say_so() -> None:
@@ -149,5 +150,5 @@ def test_one_opening_is_not_enough() -> None:
     trace = measured({"coulomb_friction": {"force": 0.05}}, single_opening(), Recorder(), 2)
     diagnosis = diagnose([trace], [], DECLARED)
     assert diagnosis.verdict.kind == "insufficient"
-    assert "7.5 to 14 V" in diagnosis.record_next
+    assert "7.5 to 14 V" in recording_advice(diagnosis)
     assert to_json(diagnosis)["after"]["rmse_um"]["holdout"] is None

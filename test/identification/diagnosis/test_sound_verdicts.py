@@ -23,6 +23,7 @@ from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.axis import AxisPlant
 from valve_sim.identification.plants.protocol import Array, Channel, EffectChoice, ForceMap, Nuisance
 from valve_sim.identification.reporting.diagnosis_json import to_json
+from valve_sim.identification.reporting.summary import recording_advice, summarise
 from valve_sim.model import Drive, Parameter
 from valve_sim.model.effects import basis
 from valve_sim.traces import Signal, read_trace
@@ -104,7 +105,7 @@ def test_names_beside_a_remainder_are_what_is_written_and_the_remainder_is_besid
     assert not found.after.adequacy.is_white
     assert found.unexplained is not None
     assert found.unexplained.force_rms < 2.0
-    assert "What is left, no" in found.verdict.summary
+    assert "What is left, no" in summarise(found)
     assert found.after.holdout_rmse < 0.5 * found.before.holdout_rmse
 
 
@@ -156,7 +157,7 @@ def test_a_user_s_only_channel_counts_whatever_its_kind(kind: str, unit: str) ->
     assert found.verdict.effects == ("ramp",)
     assert found.before.train_rmse > 2.0 * found.after.train_rmse
     assert found.after.holdout_rmse == pytest.approx(0.01, rel=0.1)
-    assert "V" not in found.verdict.summary
+    assert "V" not in summarise(found)
     report = to_json(found)
     assert report["unit"] == unit
     assert "rmse_um" not in report["after"]
@@ -166,8 +167,8 @@ def test_a_user_s_only_channel_counts_whatever_its_kind(kind: str, unit: str) ->
 def test_advice_to_another_machine_is_not_the_valve_s() -> None:
     found = diagnose_plant(made("current", "A", slope=2.0, groups=1), None)
     assert found.verdict.kind == "insufficient"
-    assert "14 V" not in found.verdict.summary + found.record_next
-    assert "eight strokes" in found.record_next
+    assert "14 V" not in summarise(found) + recording_advice(found)
+    assert "eight strokes" in recording_advice(found)
 
 
 def test_what_no_effect_explains_is_unknown_without_maps_too() -> None:

@@ -19,11 +19,14 @@ import pytest
 from identification.browser import CHROMIUM, SETTINGS, Browser
 from identification.recordings import recorded
 from valve_sim.files.parameter_files import default_valve, load_valve
+from valve_sim.identification.diagnosis.experiment_design import Recommendation
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
+from valve_sim.identification.plants.protocol import Experiment
 from valve_sim.identification.reporting import html as report
 from valve_sim.identification.reporting.curves import DRAWN_POINTS, StrokeCurves, keep_extremes, strokes_of
 from valve_sim.identification.reporting.files import write_diagnosis
 from valve_sim.identification.reporting.recording_profile import STROKE_LEVELS
+from valve_sim.identification.reporting.summary import summarise
 from valve_sim.identification.reporting.wording import headline
 from valve_sim.invocation import invocation
 from valve_sim.model import CATALOGUE, ValveError
@@ -79,7 +82,7 @@ def page(diagnosis: Diagnosis, tmp_path: Path) -> Path:
 def test_the_page_says_what_was_found(diagnosis: Diagnosis, page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     assert f"<h1>{headline(diagnosis)}</h1>" in text
-    assert diagnosis.verdict.summary in text
+    assert summarise(diagnosis) in text
     for words in (CATALOGUE["coulomb_friction"].on_a_real_valve, CATALOGUE["coulomb_friction"].what_to_do):
         assert words in text
     assert "coulomb_friction.force" in text
@@ -132,7 +135,13 @@ def test_a_hundred_strokes_fit_into_eight_megabytes(
 
 def hostile(diagnosis: Diagnosis, path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     with_strokes(monkeypatch, [replace(strokes_of(diagnosis)[0], title=HOSTILE, quantity=HOSTILE)])
-    report.write_report(replace(diagnosis, sources=(HOSTILE,), record_next=HOSTILE), path, provenance=HOSTILE)
+    advised = Recommendation(
+        Experiment(HOSTILE, lambda machine: diagnosis.plant, ((0.0, 9.0), (4e-3, 0.0))),
+        {("coulomb_friction", "stiction"): 7.0},
+    )
+    unsure = replace(diagnosis.verdict, confusable_with={"coulomb_friction": ("stiction",)})
+    asked = replace(diagnosis, sources=(HOSTILE,), verdict=unsure, telling=advised)
+    report.write_report(asked, path, provenance=HOSTILE)
     return path.read_text(encoding="utf-8")
 
 
@@ -161,7 +170,8 @@ def test_all_files_of_a_diagnosis_are_written_and_nothing_else(diagnosis: Diagno
 def test_the_next_recording_is_a_profile_in_the_folder_while_there_is_something_to_tell_apart(
     diagnosis: Diagnosis, tmp_path: Path
 ) -> None:
-    doubtful = write_diagnosis(replace(diagnosis, record_next="Record next: more."), tmp_path, "by a test")
+    unsure = replace(diagnosis.verdict, confusable_with={"coulomb_friction": ("stiction",)})
+    doubtful = write_diagnosis(replace(diagnosis, verdict=unsure), tmp_path, "by a test")
     assert doubtful[-1].name == "record_next.yaml"
     assert len(read_profile(doubtful[-1]).times) == 2 * len(STROKE_LEVELS)
     assert json.loads(doubtful[0].read_text())["record_next_gain"] is None
@@ -244,7 +254,7 @@ def doubtful(diagnosis: Diagnosis) -> Diagnosis:
     """The same with less certainty, and with more words of every kind."""
     every = tuple(name for name, entry in CATALOGUE.items() if entry.named and name != "coulomb_friction")
     verdict = replace(diagnosis.verdict, probability=0.38, confusable_with={"coulomb_friction": every})
-    return replace(diagnosis, verdict=verdict, record_next="Record next: strokes at voltages not used yet.")
+    return replace(diagnosis, verdict=verdict)
 
 
 WIDER_THAN_THE_SCREEN = """

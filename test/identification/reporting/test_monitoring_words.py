@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import pytest
 
-from valve_sim.identification.diagnosis.run import Verdict
+from valve_sim.identification.diagnosis.run import Grounds, Verdict
 from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.identification.monitoring.fault_isolation import FaultFinding
 from valve_sim.identification.monitoring.findings import (
@@ -48,7 +48,9 @@ def found(
     is_credible: bool = True,
 ) -> FaultFinding:
     kind = "effects" if effects else "none"
-    verdict = Verdict(kind, effects, {name: alike for name in effects}, 0.9, 0.9, "")
+    verdict = Verdict(
+        kind, effects, {name: alike for name in effects}, 0.9, 0.9, Grounds(effects, False, 0.9, (), 8, False)
+    )
     return FaultFinding(verdict, is_credible, parameters, {"main_damping": 4.0}, 8)
 
 

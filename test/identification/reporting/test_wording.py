@@ -9,14 +9,14 @@ import pytest
 
 from identification.recordings import recorded
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.diagnosis.decision import Standing
+from valve_sim.identification.diagnosis.decision import Standing, decide
 from valve_sim.identification.diagnosis.experiment_design import Recommendation
-from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
-from valve_sim.identification.diagnosis.words import Findings, advise, with_untried, worded
+from valve_sim.identification.diagnosis.run import Diagnosis, Grounds, Verdict, diagnose
 from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.identification.plants.effect_titles import title_of
 from valve_sim.identification.plants.protocol import Experiment
 from valve_sim.identification.reporting.diagnosis_json import to_json
+from valve_sim.identification.reporting.summary import recording_advice, summarise
 from valve_sim.identification.reporting.text import diagnosis_text
 from valve_sim.identification.reporting.units import limits, measured, quantity
 from valve_sim.identification.reporting.wording import headline, kind_words, meanings
@@ -105,19 +105,26 @@ def test_a_summary_and_its_advice_have_no_names_of_code(
     experiment = Experiment("a pulse of 4 ms at 9 V", lambda machine: plant)
     telling = Recommendation(experiment, {("asymmetric_friction + coil_lag", "stop_bounce"): 7.0})
     for name in NAMED:
-        best = Hypothesis((name,), timing=True)
-        findings = Findings(
-            plant, Standing(best, is_unknown, names_most), strokes, {name: ("eddy_lag", "stroke_offset")}, 0.9, 0.7, [],
-            singles_untried,
-        )  # fmt: skip
-        verdict, record_next = worded(findings, lambda: advise(plant, strokes, telling))
-        untried = [str(best), "sets of more effects", f"models that compete with {best}"]
-        for words in (with_untried(verdict, untried).summary, record_next):
-            assert "_" not in words
-        if record_next:
-            assert "friction that differs by direction and coil lag apart from bounce" in record_next
-        assert verdict.kind == "insufficient" or title_of(name).lower() in verdict.summary.lower()
+        best, alike = Hypothesis((name,), timing=True), {name: ("eddy_lag", "stroke_offset")}
+        standing = Standing(best, is_unknown, names_most)
+        decision = decide(standing, alike, 0.9, strokes, singles_untried=singles_untried)
+        grounds = Grounds(best.effects, is_unknown, 0.7, (), strokes, singles_untried)
+        verdict = Verdict(decision.kind, decision.effects, alike, 0.9, decision.probability, grounds)
+        untried = (str(best), "sets of more effects", f"models that compete with {best}")
+        found = replace(diagnosis, verdict=verdict, telling=telling, untried=untried)
+        summary, advice = summarise(found), recording_advice(found)
+        assert "_" not in summary + advice
+        assert verdict.is_open
+        assert "friction that differs by direction and coil lag apart from bounce" in advice
+        assert (advice in summary) == (verdict.kind == "insufficient")
+        assert verdict.kind == "insufficient" or title_of(name).lower() in summary.lower()
         assert verdict.effects == (name,)
+
+
+def test_nothing_is_advised_where_nothing_is_open(diagnosis: Diagnosis) -> None:
+    assert not diagnosis.verdict.is_open
+    assert recording_advice(diagnosis) == ""
+    assert to_json(diagnosis)["record_next"] is None
 
 
 def test_the_terminal_says_title_amount_unit_and_what_to_do(diagnosis: Diagnosis) -> None:

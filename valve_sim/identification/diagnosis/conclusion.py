@@ -1,8 +1,8 @@
 """From the explored hypotheses to a diagnosis, within the budget.
 
 The search is settled, its log of fits is closed, and everything that follows is drawn from the table of scores: the
-choice, by training strokes alone; the judgement, for which held-out strokes are opened; the verdict; its words. One
-rule precedes all others: what is claimed or written never has a larger error than the refitted declared model, neither
+choice, by training strokes alone; the judgement, for which held-out strokes are opened; the verdict. One rule
+precedes all others: what is claimed or written never has a larger error than the refitted declared model, neither
 on fitted nor on held-out data. Where it would, or where the time is too short to tell, the declared model stands.
 """
 
@@ -19,14 +19,14 @@ from valve_sim.identification.diagnosis.decision import (
     Standing,
     choice_of,
     competitors,
+    decide,
     look_alikes,
     share_of_evidence,
     stand,
     withstands,
 )
 from valve_sim.identification.diagnosis.experiment_design import Recommendation, recommend
-from valve_sim.identification.diagnosis.outcome import Candidate, Diagnosis, State, Verdict
-from valve_sim.identification.diagnosis.words import Findings, advise, with_untried, worded
+from valve_sim.identification.diagnosis.outcome import Candidate, Diagnosis, Grounds, State, Verdict
 from valve_sim.identification.estimation.budget import OutOfTimeError
 from valve_sim.identification.estimation.intervals import Interval, covariance_interval, profile_interval
 from valve_sim.identification.estimation.result import Fit, is_relief, rmse
@@ -101,12 +101,14 @@ class Conclusion:
         before = self.state(base_fit, profile=False, timing=timing)
         is_declared = after_fit is base_fit
         after = before if is_declared else self.state(after_fit, profile=not standing.is_unknown, timing=timing)
-        verdict, record_next, telling = self.verdict(table, standing, curves)
+        verdict = self.verdict(table, standing, curves)
+        find = functools.partial(self.telling_experiment, table, standing)
+        telling = self.in_time(WORDED_BY, "what to record next", find, None) if verdict.is_open else None
         candidates = self.candidates(table, standing.best.base, timing=timing)
         untried = tuple(dict.fromkeys([*self.exploration.untried, *self.untried]))
         return Diagnosis(
-            self.plant, before, after, with_untried(verdict, untried), candidates, unexplained,
-            tuple(describe(entry.choice, entry.fit, base_fit) for entry in curves.maps), record_next, alarm,
+            self.plant, before, after, verdict, candidates, unexplained,
+            tuple(describe(entry.choice, entry.fit, base_fit) for entry in curves.maps), alarm,
             tuple(channel.name for channel in self.plant.channels), telling, untried, self.held_out.looks,
         )  # fmt: skip
 
@@ -202,28 +204,20 @@ class Conclusion:
 
     # -- the verdict ---------------------------------------------------------------------------------------------------
 
-    def verdict(
-        self, table: ScoreTable, standing: Standing, curves: _Curves
-    ) -> tuple[Verdict, str, Recommendation | None]:
-        """The verdict in words, what to record next, and what that would tell apart."""
-        telling: list[Recommendation | None] = []
-
-        def advice() -> str:
-            find = functools.partial(self.telling_experiment, table, standing)
-            telling.append(self.in_time(WORDED_BY, "what to record next", find, None))
-            return advise(self.plant, self.strokes, telling[0])
-
+    def verdict(self, table: ScoreTable, standing: Standing, curves: _Curves) -> Verdict:
+        """What is claimed, and on what grounds."""
         # A smooth curve can be the constant or linear force that a name stands for: it competes by doing better alone.
         places = sorted(curves.local, key=lambda entry: entry.fit.score)
         limit = table[standing.best].score + DECISIVE
-        found = Findings(
-            self.plant, standing, self.strokes, look_alikes(table, standing),
-            share_of_evidence(table, standing, [entry.fit.score for entry in places]), self.share(standing.best),
-            [where(entry.choice, entry.fit) for entry in places if entry.fit.score < limit],
+        grounds = Grounds(
+            standing.best.effects, standing.is_unknown, self.share(standing.best),
+            tuple(where(entry.choice, entry.fit) for entry in places if entry.fit.score < limit), self.strokes,
             self.exploration.singles_untried(),
         )  # fmt: skip
-        verdict, record_next = worded(found, advice)
-        return verdict, record_next, telling[0] if telling else None
+        alike = look_alikes(table, standing)
+        evidence = share_of_evidence(table, standing, [entry.fit.score for entry in places])
+        decision = decide(standing, alike, evidence, self.strokes, singles_untried=grounds.singles_untried)
+        return Verdict(decision.kind, decision.effects, alike, evidence, decision.probability, grounds)
 
     def share(self, best: Hypothesis) -> float:
         """How much of the squared residual of the base a hypothesis explains, from 0 to 1."""

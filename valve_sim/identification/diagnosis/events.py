@@ -7,12 +7,12 @@ that fit equally well; and ranks measurements by how far members of that region 
 
 from __future__ import annotations
 
+import enum
 import itertools
 import math
-from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -43,7 +43,7 @@ ROUNDED: Final = 5
 CLOSE: Final = 1e-5
 """s: an event this near its measured time counts as met."""
 MEMBERS: Final = 40
-"""How many members of the region are asked what they predict."""
+"""How many members of the region predict the further measurements."""
 FORCE_ERROR, TIME_ERROR, POSITION_ERROR = 0.05, 0.05, 1.0
 """N (the paper's load cell, ±0.25 % of 19.1 N), ms (the table's own) and µm (a laser sensor's noise): assumed."""
 
@@ -102,14 +102,37 @@ class Region:
         return float(inside[0]), math.inf if inside[-1] == axis[-1] else float(inside[-1])
 
 
-class Question(NamedTuple):
-    """A measurement not made yet: what members of the region predict for it, and how well it could be measured."""
+class Quantity(enum.Enum):
+    """What could be measured besides the events of the table."""
 
-    name: str
+    STATIC_ATTRACTION = enum.auto()
+    """At the largest gap."""
+    CURRENT_TIME_CONSTANT = enum.auto()
+    """Of the coil."""
+    ARRIVAL = enum.auto()
+    """When the last event of the table happens at `volts`."""
+    CLOSING_TIME = enum.auto()
+    """After release from `volts`."""
+    DISPLACEMENT = enum.auto()
+    """At `volts`, `time` after the command."""
+
+
+class FurtherMeasurement(NamedTuple):
+    """A measurement not made yet: what members of the region predict for it, and how well it could be measured.
+
+    Attributes:
+        quantity: what is measured, at `volts` (V), after `time` (s) and of the event of that name, where it has them.
+        lowest, highest, uncertainty: in `unit`.
+    """
+
+    quantity: Quantity
     lowest: float
     highest: float
     uncertainty: float
     unit: str
+    volts: float = math.nan
+    time: float = math.nan
+    event: str = ""
 
     @property
     def power(self) -> float:
@@ -127,7 +150,7 @@ class EventDiagnosis:
         standard_errors: of these values by the table's uncertainties, the dampings taken as declared; they are
             tolerances of the valve, where the declared one has any.
         largest_attraction: N, of that valve while it opens.
-        region: what fits equally well. questions: most telling first.
+        region: what fits equally well. measurements: that would narrow it, most telling first.
     """
 
     table: EventTable
@@ -139,7 +162,7 @@ class EventDiagnosis:
     valve: Valve
     largest_attraction: float
     region: Region
-    questions: tuple[Question, ...]
+    measurements: tuple[FurtherMeasurement, ...]
 
     def errors(self, entry: Candidate) -> list[float]:
         """Predicted less measured time of each event, s; nan where it does not happen."""
@@ -174,7 +197,7 @@ def diagnose_events(table: EventTable, progress: Progress | None = None) -> Even
     response = simulate(valve, table.drive, np.arange(0.0, table.horizon, 1e-5))
     return EventDiagnosis(
         table, declared, _happening(singles), _happening(pairs), shipped, errors, valve,
-        float(np.max(response.attraction)), region, _questions(plant, region),
+        float(np.max(response.attraction)), region, _further_measurements(plant, region),
     )  # fmt: skip
 
 
@@ -291,35 +314,43 @@ def _region(plant: EventPlant, progress: Callable[[float], None]) -> Region:
     return Region(axis, axis, pull, lag, chi2, (chi2 - chi2.min() < CHI2_RISE_95) & (pull <= most))
 
 
-def _questions(plant: EventPlant, region: Region) -> tuple[Question, ...]:
+def _further_measurements(plant: EventPlant, region: Region) -> tuple[FurtherMeasurement, ...]:
     """Measurements that were not printed, by how far members of the region disagree on them."""
     places = np.argwhere(region.allowed)
     members = places[np.linspace(0, len(places) - 1, min(MEMBERS, len(places))).astype(int)]
     voltage, last = plant.table.voltage, plant.table.events[-1]
-    answers: dict[tuple[str, str, float], list[float]] = defaultdict(list)
-    curves = []
+    others = (0.85 * voltage, 1.5 * voltage)
+    valves, forces, lags = [], [], []
     for i, j in members:
-        values = {
-            DAMPINGS[0]: float(region.pilot_damping[i]), DAMPINGS[1]: float(region.main_damping[j]),
-            PULLS[0]: float(region.rest_attraction[i, j]), PULLS[1]: float(region.coil_lag[i, j]),
-        }  # fmt: skip
-        valve = plant.with_values(values)
-        answers["static attraction at the largest gap", "N", FORCE_ERROR].append(values[PULLS[0]])
-        answers["time constant of the coil current", "ms", TIME_ERROR].append(1e3 * values[PULLS[1]])
-        for volts in (0.85 * voltage, 1.5 * voltage):
-            arrival = reached(_step(valve, volts, plant.table.horizon), last.displacement)
-            answers[f"{last.name} at {volts:.3g} V", "ms", TIME_ERROR].append(1e3 * arrival)
-        answers[f"closing time after release from {voltage:g} V", "ms", TIME_ERROR].append(_closing(plant, valve))
-        curves.append(_step(valve, voltage, last.time).pilot_position)
-    worst = int(np.argmax(np.ptp(np.array(curves), axis=0)))
-    place = f"displacement at {voltage:g} V, {1e3 * _sample_times(last.time)[worst]:.1f} ms"
-    answers[place, "µm", POSITION_ERROR] = [1e6 * float(curve[worst]) for curve in curves]
-    questions = []
-    for (name, unit, error), found in answers.items():
-        finite = [value for value in found if math.isfinite(value)]
-        if finite:
-            questions.append(Question(name, min(finite), max(finite), error, unit))
-    return tuple(sorted(questions, key=lambda question: -question.power))
+        forces.append(float(region.rest_attraction[i, j]))
+        lags.append(float(region.coil_lag[i, j]))
+        dampings = (float(region.pilot_damping[i]), float(region.main_damping[j]))
+        valves.append(plant.with_values(dict(zip((*DAMPINGS, *PULLS), (*dampings, forces[-1], lags[-1]), strict=True))))
+    curves = np.array([_step(valve, voltage, last.time).pilot_position for valve in valves])
+    worst = int(np.argmax(np.ptp(curves, axis=0)))
+    found = [
+        _spread(Quantity.STATIC_ATTRACTION, forces, FORCE_ERROR, "N"),
+        _spread(Quantity.CURRENT_TIME_CONSTANT, [1e3 * lag for lag in lags], TIME_ERROR, "ms"),
+        _spread(Quantity.CLOSING_TIME, [_closing(plant, valve) for valve in valves], TIME_ERROR, "ms", volts=voltage),
+        _spread(
+            Quantity.DISPLACEMENT, (1e6 * curves[:, worst]).tolist(), POSITION_ERROR, "µm", volts=voltage,
+            time=float(_sample_times(last.time)[worst]),
+        ),
+    ]  # fmt: skip
+    for volts in others:
+        steps = [_step(valve, volts, plant.table.horizon) for valve in valves]
+        arrivals = [1e3 * reached(step, last.displacement) for step in steps]
+        found.append(_spread(Quantity.ARRIVAL, arrivals, TIME_ERROR, "ms", volts=volts, event=last.name))
+    known = [measurement for measurement in found if measurement is not None]
+    return tuple(sorted(known, key=lambda measurement: -measurement.power))
+
+
+def _spread(
+    quantity: Quantity, predicted: Sequence[float], error: float, unit: str, **where: Any
+) -> FurtherMeasurement | None:
+    """None where no member predicts it."""
+    finite = [value for value in predicted if math.isfinite(value)]
+    return FurtherMeasurement(quantity, min(finite), max(finite), error, unit, **where) if finite else None
 
 
 def _sample_times(stop: float) -> Array:

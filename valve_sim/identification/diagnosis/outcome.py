@@ -18,11 +18,32 @@ from valve_sim.model import Valve
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """What is claimed; the fields are those of report.json.
+class Grounds:
+    """What a verdict is drawn from, beside its evidence.
 
-    `evidence` is the share of the claim in the evidence of all that was tried; `probability` is what a share of that
-    size has been worth on the campaign.
+    Attributes:
+        best: effects of the hypothesis that stands, whether they are claimed or not.
+        has_remainder: whether something is left that no effect explains.
+        share: of the squared residual of the refitted declared model, what `best` explains, 0 to 1.
+        places: where a force at that place alone would explain the data about as well, e.g. "x 0 to 0.146 mm".
+        strokes: how many were recorded.
+        singles_untried: whether the time was too short to try even each effect by itself.
+    """
+
+    best: tuple[str, ...]
+    has_remainder: bool
+    share: float
+    places: tuple[str, ...]
+    strokes: int
+    singles_untried: bool
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What is claimed; the fields down to `probability` are those of report.json.
+
+    `evidence` is the share of the claim in the evidence of all that was tried; `probability` is how often a claim with
+    such a share was right on the campaign.
     """
 
     kind: str
@@ -30,7 +51,13 @@ class Verdict:
     confusable_with: Mapping[str, tuple[str, ...]]
     evidence: float
     probability: float
-    summary: str
+    grounds: Grounds
+
+    @property
+    def is_open(self) -> bool:
+        """Whether a further recording could tell more."""
+        has_rivals = self.grounds.has_remainder or any(self.confusable_with.values())
+        return self.kind in ("unknown", "insufficient") or (self.kind == "effects" and has_rivals)
 
 
 @dataclass(frozen=True)
@@ -67,8 +94,8 @@ class Candidate:
 class Diagnosis:
     """The outcome of `diagnose_plant`.
 
-    `telling` is the experiment that `record_next` advises, where one is known; `untried` is what was left to try when
-    the time was used up; `looks` is how often held-out data were opened to judge a choice.
+    `telling` is the experiment that tells the competing models apart best, where one is known; `untried` is what was
+    left to try when the time was used up; `looks` is how often held-out data were opened to judge a choice.
     """
 
     plant: Plant
@@ -78,7 +105,6 @@ class Diagnosis:
     candidates: tuple[Candidate, ...]
     unexplained: Unexplained | None
     maps: tuple[Unexplained, ...]
-    record_next: str
     false_alarm: FalseAlarm
     sources: tuple[str, ...] = ()
     telling: Recommendation | None = None

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.identification.diagnosis.conclusion import Conclusion
-from valve_sim.identification.diagnosis.outcome import Candidate, Diagnosis, State, Verdict
+from valve_sim.identification.diagnosis.outcome import Candidate, Diagnosis, Grounds, State, Verdict
 from valve_sim.identification.estimation.budget import Budget, OutOfTimeError
 from valve_sim.identification.estimation.problem import Mask, Problem
 from valve_sim.identification.estimation.result import Fit, rmse
@@ -31,7 +31,7 @@ from valve_sim.identification.selection.table import Hypothesis
 from valve_sim.model import SimulationError, Valve
 from valve_sim.traces import Trace
 
-__all__ = ["Candidate", "Diagnosis", "State", "Verdict", "diagnose", "diagnose_plant"]
+__all__ = ["Candidate", "Diagnosis", "Grounds", "State", "Verdict", "diagnose", "diagnose_plant"]
 
 EVERY_FOURTH: Final = 4
 """Every fourth stroke is held out where no hold-out bag is given."""

@@ -11,6 +11,7 @@ from valve_sim.identification.plants.protocol import judged_channels
 from valve_sim.identification.reporting.declared_values import declared_json
 from valve_sim.identification.reporting.force_curves import Motion, force_curve, motion_of
 from valve_sim.identification.reporting.interval_json import interval_json, intervals_json
+from valve_sim.identification.reporting.summary import recording_advice, summarise
 from valve_sim.identification.reporting.wording import headline, meanings
 from valve_sim.identification.selection.force_maps import Unexplained
 
@@ -36,7 +37,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
             "confusable_with": {name: list(others) for name, others in diagnosis.verdict.confusable_with.items()},
             "probability": diagnosis.verdict.probability,
             "evidence": diagnosis.verdict.evidence,
-            "summary": diagnosis.verdict.summary,
+            "summary": summarise(diagnosis),
             "headline": headline(diagnosis),
         },
         "meaning": {meaning.name: meaning.to_json() for meaning in meanings(diagnosis)},
@@ -55,7 +56,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         ],
         "unexplained": None if diagnosis.unexplained is None else _unexplained_json(diagnosis.unexplained, motion),
         "force_maps": [_unexplained_json(entry, motion) for entry in diagnosis.maps],
-        "record_next": diagnosis.record_next or None,
+        "record_next": recording_advice(diagnosis) or None,
         "record_next_gain": None if diagnosis.telling is None else recommendation_json(diagnosis.telling),
         "untried": list(diagnosis.untried),
         "false_alarm": diagnosis.false_alarm._asdict(),

@@ -6,7 +6,13 @@ import math
 from typing import Any
 
 from valve_sim.files.json_text import plain_mapping
-from valve_sim.identification.diagnosis.events import DAMPINGS, Candidate, EventDiagnosis
+from valve_sim.identification.diagnosis.events import (
+    DAMPINGS,
+    Candidate,
+    EventDiagnosis,
+    FurtherMeasurement,
+    Quantity,
+)
 from valve_sim.identification.plants.event_table import EventPlant
 from valve_sim.identification.reporting.units import listed_values
 
@@ -29,7 +35,7 @@ def event_json(result: EventDiagnosis) -> dict[str, Any]:
             }
             for name in DAMPINGS
         },
-        "record_next": [{**entry._asdict(), "power": entry.power} for entry in result.questions],
+        "record_next": [_measurement_json(entry) for entry in result.measurements],
     }
     return plain_mapping(report)
 
@@ -42,6 +48,33 @@ def _candidate_json(result: EventDiagnosis, entry: Candidate) -> dict[str, Any]:
         "errors_ms": [1e3 * error for error in result.errors(entry)],
         "closes": entry.closes,
     }
+
+
+def _measurement_json(entry: FurtherMeasurement) -> dict[str, Any]:
+    return {
+        "name": measurement_words(entry),
+        "lowest": entry.lowest,
+        "highest": entry.highest,
+        "uncertainty": entry.uncertainty,
+        "unit": entry.unit,
+        "power": entry.power,
+    }
+
+
+def measurement_words(entry: FurtherMeasurement) -> str:
+    """What is to be measured, and where."""
+    match entry.quantity:
+        case Quantity.STATIC_ATTRACTION:
+            words = "static attraction at the largest gap"
+        case Quantity.CURRENT_TIME_CONSTANT:
+            words = "time constant of the coil current"
+        case Quantity.ARRIVAL:
+            words = f"{entry.event} at {entry.volts:.3g} V"
+        case Quantity.CLOSING_TIME:
+            words = f"closing time after release from {entry.volts:g} V"
+        case Quantity.DISPLACEMENT:
+            words = f"displacement at {entry.volts:g} V, {1e3 * entry.time:.1f} ms"
+    return words
 
 
 def _summary(result: EventDiagnosis) -> str:
@@ -83,9 +116,9 @@ def event_text(result: EventDiagnosis) -> str:
         )
     lines.append("what would decide, most telling first (what the region predicts, and how well it can be measured):")
     lines += [
-        f"    {entry.name:<46}{entry.lowest:>9.3g} to {entry.highest:.3g} {entry.unit} ± {entry.uncertainty:g} "
-        f"({entry.power:.0f} uncertainties)"
-        for entry in result.questions
+        f"    {measurement_words(entry):<46}{entry.lowest:>9.3g} to {entry.highest:.3g} {entry.unit} ± "
+        f"{entry.uncertainty:g} ({entry.power:.0f} uncertainties)"
+        for entry in result.measurements
     ]
     return "\n".join(lines)
 

@@ -27,6 +27,7 @@ from valve_sim.identification.reporting.declared_values import declared_section
 from valve_sim.identification.reporting.findings import remark_on
 from valve_sim.identification.reporting.force_curves import ForceCurve, force_curve, motion_of
 from valve_sim.identification.reporting.recording_profile import duration_of, profile_to_record
+from valve_sim.identification.reporting.summary import recording_advice, summarise
 from valve_sim.identification.reporting.units import limits, measured, quantity
 from valve_sim.identification.reporting.wording import (
     headline,
@@ -167,7 +168,7 @@ def _content(diagnosis: Diagnosis) -> dict[str, Any]:
         "is_sure": is_sure,
         "probability": probability_words(verdict),
         "headline": headline(diagnosis),
-        "summary": verdict.summary,
+        "summary": summarise(diagnosis),
         "improvement": _improvement(diagnosis, scale, unit, sigma),
         "meanings": meanings(diagnosis),
         "comparison": _comparison(diagnosis, scale, unit),
@@ -180,7 +181,7 @@ def _content(diagnosis: Diagnosis) -> dict[str, Any]:
         "intervals": _interval_rows(diagnosis),
         "has_parameters": isinstance(diagnosis.plant, ValvePlant),
         "declared": declared_section(diagnosis.declared),
-        "record_next": diagnosis.record_next,
+        "record_next": recording_advice(diagnosis),
         "gain": _gain_rows(diagnosis),
         "untried": diagnosis.untried,
         "looks": looks_words(diagnosis),

@@ -19,6 +19,8 @@ from valve_sim.identification.monitoring.findings import (
 )
 from valve_sim.identification.monitoring.stroke_monitor import StrokeReport
 from valve_sim.identification.plants.effect_titles import named, title_of
+from valve_sim.identification.plants.protocol import GENERIC_ADVICE
+from valve_sim.identification.reporting.summary import claim
 from valve_sim.identification.reporting.units import measured, quantity
 from valve_sim.model import CATALOGUE, DECLARED
 
@@ -85,11 +87,11 @@ def finding_words(finding: FaultFinding) -> str:
     if verdict.kind == "none":
         return "the last strokes are as those of the commissioned valve"
     if not verdict.effects:
-        return verdict.summary
+        return claim(verdict, GENERIC_ADVICE)
     changes = "; ".join(_change(effect, finding) for effect in verdict.effects)
     others = named(sorted({other for names in verdict.confusable_with.values() for other in names}), "or")
     alternatives = f" ({others} would explain it about as well)" if others else ""
-    certainty = "" if verdict.kind == "effects" else f"{verdict.summary.rstrip('.')}: "
+    certainty = "" if verdict.kind == "effects" else f"{claim(verdict, GENERIC_ADVICE).rstrip('.')}: "
     return f"{certainty}{changes}{alternatives}"
 
 

@@ -63,7 +63,7 @@ def write_record_next(folder: Path, diagnosis: Diagnosis, provenance: str) -> Pa
         ValveError: it cannot be written.
     """
     path = folder / RECORD_NEXT_FILE
-    if not diagnosis.record_next:
+    if not diagnosis.verdict.is_open:
         # One from an earlier run into this folder would advise what this diagnosis does not.
         path.unlink(missing_ok=True)
         return None

@@ -9,6 +9,7 @@ from valve_sim.identification.plants.effect_titles import capitalised, named_val
 from valve_sim.identification.plants.protocol import judged_channels
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.declared_values import summary_words
+from valve_sim.identification.reporting.summary import recording_advice, summarise
 from valve_sim.identification.reporting.units import measured, quantity
 from valve_sim.identification.reporting.wording import (
     headline,
@@ -26,7 +27,7 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
     verdict, before, after = diagnosis.verdict, diagnosis.before, diagnosis.after
     lines = [
         f"{verdict.kind}: {headline(diagnosis)}",
-        f"  {_certainty(verdict)} {verdict.summary}",
+        f"  {_certainty(verdict)} {summarise(diagnosis)}",
     ]
     unit, noise = _unit_and_noise(diagnosis)
     for label, errors in (
@@ -53,8 +54,8 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
         if others:
             alike = ", ".join(f"{title_of(other)} ({other})" for other in others)
             lines.append(f"  {title_of(effect)} ({effect}) could also be: {alike}")
-    if diagnosis.record_next:
-        lines.append(f"  {diagnosis.record_next}")
+    if advice := recording_advice(diagnosis):
+        lines.append(f"  {advice}")
     return "\n".join(lines)
 
 
