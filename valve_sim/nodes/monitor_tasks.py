@@ -8,8 +8,8 @@ from collections.abc import Callable
 from typing import Final
 
 from valve_sim.identification.monitoring.fault_isolation import FaultFinding, isolate_fault
+from valve_sim.identification.monitoring.findings import StrokeRecord
 from valve_sim.identification.monitoring.scores import Baseline
-from valve_sim.identification.monitoring.segmenter import StrokeRecord
 from valve_sim.identification.monitoring.stroke_monitor import StrokeMonitor, StrokeReport
 from valve_sim.model.errors import ValveError
 from valve_sim.traces import Trace

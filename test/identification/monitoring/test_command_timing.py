@@ -20,9 +20,9 @@ from valve_sim.identification.monitoring.command_timing import (
     scatter_levels,
 )
 from valve_sim.identification.monitoring.fault_isolation import is_credible, isolate_fault
-from valve_sim.identification.monitoring.findings import DidNotOpen, StrokeState, TimingTooUncertain
+from valve_sim.identification.monitoring.findings import DidNotOpen, StrokeRecord, StrokeState, TimingTooUncertain
 from valve_sim.identification.monitoring.monitor import Monitor
-from valve_sim.identification.monitoring.segmenter import CONFIRMED, StrokeRecord, StrokeSegmenter
+from valve_sim.identification.monitoring.segmenter import CONFIRMED, StrokeSegmenter
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.monitoring.stroke_monitor import StrokeReport
 from valve_sim.identification.plants.valve import ValvePlant

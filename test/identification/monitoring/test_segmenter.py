@@ -10,7 +10,8 @@ from hypothesis import given, seed, settings
 from hypothesis import strategies as st
 
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.monitoring.segmenter import StrokeRecord, StrokeSegmenter
+from valve_sim.identification.monitoring.findings import StrokeRecord
+from valve_sim.identification.monitoring.segmenter import StrokeSegmenter
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.model import Drive
 from valve_sim.traces import command_strokes, stroke_starts

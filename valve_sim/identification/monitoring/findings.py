@@ -1,10 +1,13 @@
-"""What a monitor finds of a stroke, as data: a fault, the state in which it was compared, or why it was not."""
+"""A stroke as the monitor cuts it out, and what it finds of it, as data: a fault, its use, or why it has none."""
 
 from __future__ import annotations
 
 import enum
+import math
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
+
+from valve_sim.traces import Trace
 
 
 class StrokeState(enum.Enum):
@@ -76,3 +79,24 @@ class NotSimulated:
 
 Remark: TypeAlias = Unusable | TimingTooUncertain | NotSimulated | Fault
 """Why a stroke was not compared with the baseline."""
+
+
+class StrokeRecord(NamedTuple):
+    """One stroke as it was cut out.
+
+    Attributes:
+        number: from 0 on. time: of the opening command, s. trace: times since `trace.epoch_ns`.
+        remark: why it cannot be compared with the model; None if it can.
+        opened, closed: whether the valve was seen to; None where the model did not, or where timing was too uncertain.
+        fault: what went wrong; None where nothing did.
+        arrival_spread: s, largest delay of its samples above the smallest of late; nan where arrivals are not known.
+    """
+
+    number: int
+    time: float
+    trace: Trace
+    remark: Remark | None
+    opened: bool | None
+    closed: bool | None
+    fault: Fault | None
+    arrival_spread: float = math.nan

@@ -21,6 +21,7 @@ from valve_sim.identification.monitoring.findings import (
     Fault,
     OpenedPartly,
     Remark,
+    StrokeRecord,
     TimingTooUncertain,
     Unusable,
 )
@@ -69,27 +70,6 @@ class Prediction(NamedTuple):
 
     reading: Reading
     residual: float
-
-
-class StrokeRecord(NamedTuple):
-    """One stroke as it was cut out.
-
-    Attributes:
-        number: from 0 on. time: of the opening command, s. trace: times since `trace.epoch_ns`.
-        remark: why it cannot be compared with the model; None if it can.
-        opened, closed: whether the valve was seen to; None where the model did not, or where timing was too uncertain.
-        fault: what went wrong; None where nothing did.
-        arrival_spread: s, largest delay of its samples above the smallest of late; nan where arrivals are not known.
-    """
-
-    number: int
-    time: float
-    trace: Trace
-    remark: Remark | None
-    opened: bool | None
-    closed: bool | None
-    fault: Fault | None
-    arrival_spread: float = math.nan
 
 
 class StrokeSegmenter:
@@ -190,10 +170,8 @@ class StrokeSegmenter:
         try:
             self._model(time).command(time, volts)
         except SimulationError:
-            # The voltage cannot be simulated: the model rests without current until the next command.
-            self._stepper = Stepper(self._valve, time)
-            if self._stroke is not None:
-                self._stroke.is_at_rest = False
+            # The voltage cannot be simulated.
+            self._rest_model(time)
 
     def measure(self, time: float, position: float, arrival: float = math.nan) -> Prediction | None:
         """Take one sample of the pilot plunger's position.
@@ -243,10 +221,15 @@ class StrokeSegmenter:
     def _model(self, time: float) -> Stepper:
         if self._stepper is None or time - self._stepped > LONGEST_GAP:
             # Stepping over years, where a stamp leaps, would take hours: at rest from here on.
-            self._stepper = Stepper(self._valve, time - self._lateness)
-            if self._stroke is not None:
-                self._stroke.is_at_rest = False
+            self._stepper = self._rest_model(time - self._lateness)
         self._stepped = time
+        return self._stepper
+
+    def _rest_model(self, time: float) -> Stepper:
+        """Let the model rest without current from here on; the stroke cannot be compared with it then."""
+        self._stepper = Stepper(self._valve, time)
+        if self._stroke is not None:
+            self._stroke.is_at_rest = False
         return self._stepper
 
     def _step(self, time: float) -> Reading:
@@ -255,10 +238,7 @@ class StrokeSegmenter:
         try:
             return self._model(time).advance(at)
         except SimulationError:
-            self._stepper = Stepper(self._valve, at)
-            if self._stroke is not None:
-                self._stroke.is_at_rest = False
-            return self._stepper.advance(at)
+            return self._rest_model(at).advance(at)
 
     def _keep(self, time: float, times: list[float], positions: list[float]) -> None:
         """Keep all of a stroke except after a long rest of the model; between strokes, the last moments."""

@@ -29,7 +29,7 @@ from valve_sim.identification.monitoring.commissioning import (
     stroke_timing,
 )
 from valve_sim.identification.monitoring.cusum import Alarm, Sums
-from valve_sim.identification.monitoring.findings import NotSimulated, Remark, StrokeState, Unusable
+from valve_sim.identification.monitoring.findings import NotSimulated, Remark, StrokeRecord, StrokeState, Unusable
 from valve_sim.identification.monitoring.scores import (
     DELAYS,
     SIZE,
@@ -39,7 +39,7 @@ from valve_sim.identification.monitoring.scores import (
     refitted,
     score_stroke,
 )
-from valve_sim.identification.monitoring.segmenter import FEWEST_SAMPLES, StrokeRecord
+from valve_sim.identification.monitoring.segmenter import FEWEST_SAMPLES
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.model import Drive, EventKind, SimulationError, Valve, simulate
