@@ -341,7 +341,7 @@ SIMULATE = ("simulate", "--duration", "0.02", "--output", "{folder}/x.csv")
             ("identify", "{strokes}", "--free", "pilot_dampin", "--output", "{folder}/results"),
             "did you mean pilot_damping?",
         ),
-        (("identify", "{strokes}", "--free", " , ", "--output", "{folder}/results"), "names nothing"),
+        (("identify", "{strokes}", "--free", " , ", "--output", "{folder}/results"), "found no name"),
         (("identify", "{strokes}", "--valve", "/pump", "--output", "{folder}/results"), "holds no valve /pump"),
         (("identify", "{strokes}", "--output", "{folder}/late.csv/results"), "cannot be written"),
         (

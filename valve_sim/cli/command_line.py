@@ -1,4 +1,4 @@
-"""How every command fails and helps: one line on stderr, and help with examples that work as they stand."""
+"""What all commands share: one line on stderr for each failure, and help whose examples can be copied."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ UNUSABLE: Final = 2
 STOPPED: Final = 130
 """Exit codes."""
 COMPLETE_VAR: Final = "_VALVE_SIM_COMPLETE"
-"""What a shell sets to ask for completions; however the program is called, it is the same for the scripts that ship."""
+"""Environment variable by which a shell asks for completions. The shipped completion scripts use this name."""
 
 
 class Command(click.Command):
-    """A command whose help shows paragraphs with indented lines, its examples, as they stand."""
+    """A command whose help keeps the line breaks of its examples."""
 
     def __init__(self, *arguments: Any, **settings: Any) -> None:
         super().__init__(*arguments, **{**settings, "help": _with_examples(settings.get("help"))})
 
     def get_help(self, ctx: click.Context) -> str:
-        """The help, with examples that work in this terminal as they stand."""
+        """The help; its examples can be copied into this terminal."""
         return _as_typed(super().get_help(ctx))
 
 
@@ -39,7 +39,7 @@ class CommandLine(click.Group):
         super().__init__(*arguments, **{**settings, "help": _with_examples(settings.get("help"))})
 
     def get_help(self, ctx: click.Context) -> str:
-        """The help, with examples that work in this terminal as they stand."""
+        """The help; its examples can be copied into this terminal."""
         return _as_typed(super().get_help(ctx))
 
     def main(self, *arguments: Any, **settings: Any) -> Any:
@@ -56,7 +56,7 @@ class CommandLine(click.Group):
         except click.Abort:
             _end(one_line(f"stopped; {ledger.words()}"), STOPPED)
         except BrokenPipeError:
-            # Whoever read the output, such as head, has had enough; Python's own last flush must not complain.
+            # The reader of the output, such as head, has closed it; the flush at Python's exit must not complain.
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             sys.exit(0)
         except Exception as error:
@@ -69,7 +69,7 @@ class CommandLine(click.Group):
 
 
 def _with_examples(text: str | None) -> str | None:
-    """Help in which click leaves the lines of paragraphs with indented lines alone."""
+    """Help with click's mark against rewrapping before each paragraph that has indented lines."""
     if text is None:
         return None
     paragraphs = inspect.cleandoc(text).split("\n\n")
@@ -77,7 +77,7 @@ def _with_examples(text: str | None) -> str | None:
 
 
 def _as_typed(text: str) -> str:
-    """Help in which the program of the examples is typed as it must be here, .venv/bin/valve-sim say."""
+    """Help whose examples name the program as it is called here, e.g. .venv/bin/valve-sim."""
     return re.sub(r"^( +)valve-sim(?= )", lambda found: f"{found[1]}{invocation()}", text, flags=re.MULTILINE)
 
 

@@ -26,14 +26,18 @@ from valve_sim.files.ledger import plan_files
 @click.argument("bags", metavar="[BAG...]", type=FILE, nargs=-1)
 @click.option("--events", metavar="FILE", type=FILE, help="Table of events in place of bags, as a paper prints them.")
 @click.option(
-    "--holdout", metavar="BAG", type=FILE, multiple=True, help="Recording to judge by, not to fit. Repeatable."
+    "--holdout",
+    metavar="BAG",
+    type=FILE,
+    multiple=True,
+    help="Held-out recording: judges the result, takes no part in the fit. Repeatable.",
 )
 @click.option(
     "--budget",
     metavar="SECONDS",
     type=finite_number(1.0),
     default=120.0,
-    help="Time that search, report and pictures may take, from when the recordings are read.",
+    help="Time limit of search, report and pictures, counted from when the recordings are read.",
 )
 @params_option
 @valve_option
@@ -53,13 +57,13 @@ def diagnose(
 ) -> None:
     """Find the effect that the model lacks.
 
-    Refits the declared model, tests whether what is left is more than noise, searches the effects, and reports errors
-    before and after, on the data it was fitted to and on held-out data. Without --holdout, strokes are held out. What
-    the budget was too short for, it says.
+    Refits the declared model, tests whether the residual is white, searches the effects, and reports errors before and
+    after, on the data that were fitted and on held-out data. Without --holdout, strokes are held out. The report says
+    what the budget was too short for.
 
     Writes DIR/report.json, report.html and report.png for people, corrected.yaml, which valve_node, simulate and
-    validate load, and record_next.yaml, a profile for simulate and command_profile, where there is something to tell
-    apart.
+    validate load, and, if a further recording would tell candidates apart, record_next.yaml, a profile for simulate
+    and command_profile.
 
       valve-sim diagnose strokes.mcap --output results
       valve-sim diagnose day_1 day_2 --holdout day_3 --params my_valve.yaml --output results

@@ -20,10 +20,10 @@ from valve_sim.invocation import invocation
 @params_option
 @click.option("--output", metavar="FILE", type=FILE, show_default="the terminal", help="Where to write the map.")
 def draft(*, recording: Path, params: Path | None, output: Path | None) -> None:
-    """Write a first map of a recording of yours.
+    """Write a draft of the map that a recording with topics or columns of its own needs.
 
     RECORDING is a bag with any topics, or a table of a data logger: CSV, Parquet, or MATLAB. The map says which topic
-    or column is position, voltage and current, in which unit; lines with CHECK need your eye.
+    or column is position, voltage and current, in which unit; lines marked CHECK are guesses.
 
       valve-sim map scope.csv --output scope.yaml
       valve-sim info scope.csv --map scope.yaml
@@ -33,7 +33,7 @@ def draft(*, recording: Path, params: Path | None, output: Path | None) -> None:
     from valve_sim.traces.map_draft import draft_map
 
     if output is not None and output.exists():
-        refuse(f"--output {output}: exists, and may be corrected by hand; choose another name or take it away")
+        refuse(f"--output {output}: exists and may have been edited by hand; choose another name or remove it")
     text = shown(draft_map(recording, declared_valve(params).parameters, f"{invocation()} {shlex.join(sys.argv[1:])}"))
     if output is None:
         click.echo(text, nl=False)

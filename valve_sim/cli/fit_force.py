@@ -17,9 +17,11 @@ from valve_sim.files.ledger import plan_files
 @click.command("fit-force", cls=Command)
 @click.argument("file", type=FILE)
 @params_option
-@click.option("--degree", type=int, default=3, help="Of the polynomial, up to 3.")
-@click.option("--voltage", metavar="V", type=finite_number(), help="Of the table. Default: valve.reference_voltage.")
-@click.option("--no-constant", is_flag=True, help="Leave a0 out, as the paper does; the report says what comes of it.")
+@click.option("--degree", type=int, default=3, help="Degree of the polynomial, up to 3.")
+@click.option(
+    "--voltage", metavar="V", type=finite_number(), help="Voltage of the table. Default: valve.reference_voltage."
+)
+@click.option("--no-constant", is_flag=True, help="Leave a0 out, as the paper does; the report says what follows.")
 @folder_option
 @json_option
 def fit_force(
@@ -36,7 +38,7 @@ def fit_force(
 
     FILE is a CSV with the columns displacement (m) and force (N), measured at one voltage with load cell and stage.
     Writes DIR/fit-force.json, DIR/fit-force.png (force and residuals) and DIR/attraction.yaml, which valve_node and
-    all commands load: the polynomial, and how well the table knows it (tolerances.attraction_covariance).
+    all commands load: the polynomial and the covariance of its coefficients (tolerances.attraction_covariance).
 
       valve-sim fit-force force_9V.csv --output results
       valve-sim fit-force force_12V.csv --voltage 12 --params my_valve.yaml --output results

@@ -21,7 +21,7 @@ from valve_sim.files.ledger import plan_files
     "--free",
     metavar="A,B",
     default="pilot_damping,main_damping",
-    help="What to refit: declared parameters (a0 ... a3 of the polynomial) and effects, coulomb_friction.force.",
+    help="What to refit: declared parameters (a0 ... a3: the polynomial) and effects, e.g. coulomb_friction.force.",
 )
 @valve_option
 @map_option
@@ -32,7 +32,7 @@ def identify(
 ) -> None:
     """Refit parameters to recordings.
 
-    Every value comes with its 95 % interval, and what the data do not determine is said. Writes DIR/identify.json and
+    Reports each value with its 95 % interval, and which values the data do not determine. Writes DIR/identify.json and
     DIR/identified.yaml, which valve_node, simulate and validate load.
 
       valve-sim identify strokes.mcap --output results
@@ -49,7 +49,7 @@ def identify(
     valve = declared_valve(params)
     names = tuple(dict.fromkeys(part.strip() for part in free.split(",") if part.strip()))
     if not names:
-        refuse(f"--free {free!r}: names nothing; expected names, parted by commas")
+        refuse(f"--free {free!r}: found no name, expected names separated by commas")
     traces = read_recordings(bags, name, valve)
     with progress_bar() as progress:
         result = refit(traces, valve, names, progress)

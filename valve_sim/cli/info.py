@@ -26,10 +26,10 @@ if TYPE_CHECKING:
 @params_option
 @json_option
 def info(*, bag: Path, name: str | None, params: Path | None, as_json: bool) -> None:
-    """Say what a recording holds.
+    """Show what a recording contains.
 
-    Valves, signals and their rates, strokes, gaps, trouble with clocks, and what reading it dropped or repaired.
-    Arrivals of each stroke are read from the sensors alone; only the place of the gap is taken from the parameters.
+    Valves, signals and their rates, strokes, gaps, clock problems, and what was dropped or repaired on reading.
+    Arrivals in each stroke are found from the sensors alone; of the parameters, only pilot_gap is used.
 
       valve-sim info strokes.mcap
       valve-sim info station_bag --valve /tank_1/valve --json | jq '.valves[0].strokes'

@@ -15,7 +15,7 @@ MAP_KEY: Final = "valve_sim.map"
 
 
 def finite_number(lowest: float = -math.inf, *, is_open: bool = False) -> Callable[[str], float]:
-    """The type of an option that takes a finite number, above a bound or from it on."""
+    """The type of an option that takes a finite number, at least `lowest`; above it if `is_open`."""
 
     def convert(text: str) -> float:
         try:
@@ -35,7 +35,7 @@ params_option = click.option(
     "--params", metavar="FILE", type=FILE, help="Parameter file. Default: the shipped valve.yaml."
 )
 valve_option = click.option(
-    "--valve", "name", metavar="NAME", help="Which valve of a bag that holds several, /tank_1/valve."
+    "--valve", "name", metavar="NAME", help="Which valve, if the bag has several, e.g. /tank_1/valve."
 )
 map_option = click.option(
     "--map",
@@ -43,7 +43,7 @@ map_option = click.option(
     type=FILE,
     expose_value=False,
     callback=lambda context, _, path: context.meta.__setitem__(MAP_KEY, path),
-    help="Which topic or column of a recording is what; valve-sim map writes a first one.",
+    help="Map: which topic or column is which quantity; valve-sim map writes a draft.",
 )
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON in place of text.")
 folder_option = click.option("--output", metavar="DIR", type=FILE, required=True, help="Folder for the results.")

@@ -17,7 +17,7 @@ Progress = Callable[[str, float], None]
 
 
 def say_when_compiling() -> None:
-    """The first use after an installation is slow: say why, on a terminal and in a log alike."""
+    """Say on stderr that the model is compiled, when it is: the first use after an installation is slow."""
     from valve_sim.model.compiling import announce_compiling
 
     words = "valve-sim: compiling the model for this machine (ten seconds or so, once)"
@@ -53,7 +53,7 @@ def print_report(report: Mapping[str, Any], text: str, written: Sequence[Path], 
 
 
 def provenance(params: Path | None, lines: Sequence[str]) -> str:
-    """Where the values of a written parameter file are from."""
+    """Comments for a written parameter file: the command, and where its values are from."""
     command = shlex.join(["valve-sim", *sys.argv[1:]])
     return "\n".join(
         [f"Written by: {command}", f"From: {params or 'the shipped valve.yaml'}, changed as follows", *lines]
@@ -66,7 +66,7 @@ def print_json(report: Mapping[str, Any]) -> None:
 
 
 def refuse(message: str) -> NoReturn:
-    """End the command: what it was given cannot be used.
+    """End the command because its input cannot be used.
 
     Raises:
         ValveError: always.
@@ -77,10 +77,10 @@ def refuse(message: str) -> NoReturn:
 
 
 def one_line(message: str) -> str:
-    """A message without line breaks, fit for a terminal."""
+    """A message without line breaks, safe for a terminal."""
     return shown(" ".join(message.split()))
 
 
 def shown(text: str) -> str:
-    """Text with names from bags and files, fit for a terminal and XML: what would steer it becomes a mark."""
+    """Text that is safe for a terminal and XML: control characters, which names in bags may have, are replaced."""
     return "".join(character if character.isprintable() or character == "\n" else "\ufffd" for character in text)

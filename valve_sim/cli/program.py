@@ -37,7 +37,7 @@ def main() -> None:
 
     A recording is a rosbag2 folder or a bare .mcap file with the topics ~/coil_voltage and ~/measured/joint_states. A
     parameter file is a ROS 2 parameter file, the one that valve_node takes; without --params the shipped
-    config/valve.yaml holds.
+    config/valve.yaml is used.
     """
 
 

@@ -34,7 +34,7 @@ def chosen_map() -> RecordingMap | None:
 
 
 def read_recordings(bags: Sequence[Path], name: str | None, valve: Valve) -> list[Trace]:
-    """Read recordings; what was dropped or repaired is said on stderr, numbers of another unit are refused."""
+    """Read recordings. What was dropped or repaired is reported on stderr; numbers in another unit are refused."""
     from valve_sim.traces import read_trace, refuse_doubtful_units
 
     traces, recording_map = [], chosen_map()

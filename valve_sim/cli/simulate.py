@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 
 @click.command(cls=Command)
 @params_option
-@click.option("--voltage", metavar="V", type=finite_number(), help="Hold this voltage from time 0 on.")
+@click.option("--voltage", metavar="V", type=finite_number(), help="Constant voltage from time 0 on.")
 @click.option("--profile", metavar="FILE", type=FILE, help="Voltage over time: see below.")
-@click.option("--duration", metavar="S", type=finite_number(0.0, is_open=True), required=True, help="How long, s.")
-@click.option("--rate", metavar="HZ", type=finite_number(0.0, is_open=True), default=20000.0, help="Samples a second.")
+@click.option("--duration", metavar="S", type=finite_number(0.0, is_open=True), required=True, help="Duration, s.")
+@click.option("--rate", metavar="HZ", type=finite_number(0.0, is_open=True), default=20000.0, help="Sample rate, Hz.")
 @click.option(
     "--noise-um", metavar="UM", type=finite_number(0.0), default=0.0, help="Noise of the positions, µm (std. dev.)."
 )
@@ -38,7 +38,9 @@ if TYPE_CHECKING:
     show_default="1 with --noise-um, else 0",
     help="Noise of the coil current, mA.",
 )
-@click.option("--seed", type=click.IntRange(min=0), default=0, help="Of the noise; the same gives the same recording.")
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=0, help="Seed of the noise; the same seed gives the same recording."
+)
 @click.option("--output", metavar="FILE", type=FILE, required=True, help="x.mcap, x.csv, or x for a rosbag2 folder.")
 @click.option("--plot", metavar="PNG", type=FILE, help="Draw displacement, velocity, current and phase.")
 @json_option

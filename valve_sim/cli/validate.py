@@ -27,9 +27,11 @@ OUTSIDE: Final = 1
     show_default="3 times the noise",
     help="Largest rms error, µm.",
 )
-@click.option("--command-jitter", is_flag=True, help="Take an error of each command's stamp for granted, N(0, 50 µs).")
+@click.option("--command-jitter", is_flag=True, help="Estimate an error of each command's stamp, prior N(0, 50 µs).")
 @click.option("--junit", metavar="XML", type=FILE, help="Write a JUnit report, a test case for each stroke.")
-@click.option("--plot", metavar="PNG", type=FILE, help="Draw measured, predicted and what lies between (one BAG).")
+@click.option(
+    "--plot", metavar="PNG", type=FILE, help="Draw measured and predicted position, and the residual (one BAG)."
+)
 @valve_option
 @map_option
 @json_option
@@ -46,10 +48,10 @@ def validate(
 ) -> int:
     """Check a declared valve against recordings.
 
-    The recorded commands are replayed on it. Exit 0 when it does what was measured, 1 when not. A stroke is within
-    the tolerance when its root-mean-square error is, over all its samples and over those in which
-    the model moves. Nothing is fitted but the offset between the clocks of commands and samples, prior N(0, 50 µs),
-    and values that the file gives a tolerance; one that has to be off by more than three of these fails.
+    The recorded commands are replayed on it. Exit 0 if every stroke is within the tolerance, 1 if not. A stroke is
+    within the tolerance if its root-mean-square error is, both over all its samples and over those in which the model
+    moves. Nothing is fitted but the offset between the clocks of commands and samples, prior N(0, 50 µs), and values
+    that have a tolerance in the file; one that has to be off by more than three tolerances fails.
 
       valve-sim validate strokes.mcap --params config/valve.yaml
       valve-sim validate tests/*.mcap --params results/identified.yaml --tolerance-um 17 --junit replay.xml

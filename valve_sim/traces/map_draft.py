@@ -56,7 +56,7 @@ class Guess(NamedTuple):
 
 
 def draft_map(path: Path, parameters: ValveParameters, command: str) -> str:
-    """Look at a recording and write a first map of it.
+    """Draft the map of a recording from what it contains.
 
     Args:
         path: A bag or a table.

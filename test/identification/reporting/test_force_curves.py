@@ -1,4 +1,4 @@
-"""A force without a name is told as far as the data went, and not by what a fit left where they never were."""
+"""Force maps are reported over the range that the data visited, and not beyond, where only smoothness holds them."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_a_force_that_goes_with_the_current_is_told_as_it_acts() -> None:
     assert curve.rms == pytest.approx(0.5)
     idle = force_curve(entry("x·u²", 0.0, STROKE, np.full(KNOTS, 2.0)), moving(there, np.full(400, 0.1), 0.01))
     assert np.isnan(idle.force).all()
-    assert idle.where == "nowhere that the data went"
+    assert idle.where == "no place that the data visited"
 
 
 def test_the_band_is_two_standard_errors() -> None:

@@ -15,15 +15,15 @@ from valve_sim.identification.plants.protocol import Array, Channel, judged_chan
 from valve_sim.identification.plants.root_mean_square import root_mean_square
 
 DRAWN_POINTS: Final = 450
-"""At most so many points for each stroke: 100 strokes then make a report of some 2 MB."""
+"""Most points drawn of a stroke: 100 strokes then make a report of some 2 MB."""
 
 
 @dataclass(frozen=True)
 class StrokeCurves:
-    """One stroke of one channel; arrays are (n,), in the units that people read.
+    """One stroke of one channel; arrays are (n,), in display units.
 
     Attributes:
-        title: where it is from. is_held_out: whether it took no part in the fit.
+        title: recording and stroke. is_held_out: whether it took no part in the fit.
         time: ms. measured, before, after: in `unit`. noise: σ of the sensor, in `unit`.
         root_mean_squares: of measured − before and measured − after, over all samples.
     """
@@ -40,7 +40,7 @@ class StrokeCurves:
     root_mean_squares: tuple[float, float]
 
     def thinned(self) -> StrokeCurves:
-        """At most `DRAWN_POINTS` samples: of each of equal bins, those where a curve or residual is extreme."""
+        """At most `DRAWN_POINTS` samples: in each of equal bins, those at which a curve or residual is extreme."""
         curves = (self.measured, self.measured - self.before, self.measured - self.after)
         kept = keep_extremes(curves, DRAWN_POINTS)
         return StrokeCurves(
@@ -50,7 +50,7 @@ class StrokeCurves:
 
 
 def keep_extremes(curves: tuple[Array, ...], most: int) -> NDArray[np.int64]:
-    """Indices of at most `most` samples: the ends, and of equal bins where each curve is lowest and highest.
+    """Indices of at most `most` samples: the ends, and in each of equal bins the minimum and maximum of each curve.
 
     Args:
         curves: (n,) each.

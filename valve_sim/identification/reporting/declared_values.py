@@ -1,4 +1,4 @@
-"""Declared values beside what the data say of them: as JSON, as lines of the terminal and as words."""
+"""Declared values beside their estimates: as JSON, as lines for the terminal and as words."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from valve_sim.identification.reporting.units import measured, readable
 NORMAL_95: Final = 1.96
 """Half width of a 95 % interval, in standard errors."""
 LEAST_REACH, MOST_REACH = 4, 15
-"""Tolerances: the ends of the page's scale."""
+"""Least and most range of the scale on the page, in tolerances."""
 TAKEN_AS_EXACT: Final = "declared values are taken as exact: the parameter file gives no tolerances."
 
 
@@ -61,7 +61,7 @@ def as_estimated(found: DeclaredValue) -> str:
 
 
 def signed(deviation: float) -> str:
-    """With its sign, a true minus."""
+    """With its sign, and U+2212 for a minus."""
     return f"{deviation:+.1f}".replace("-", "−")
 
 
@@ -78,7 +78,7 @@ def amount_words(found: DeclaredValue) -> str:
 
 
 def plain_name(name: str) -> str:
-    """Of a declared value, as people say it."""
+    """The name of a declared value without underscores and dots."""
     axis, bracket, rest = name.partition("[")
     if bracket:
         return f"{axis}'s coordinate {int(rest.rstrip(']')) + 1}"
@@ -87,7 +87,7 @@ def plain_name(name: str) -> str:
 
 
 def summary_words(values: Sequence[DeclaredValue]) -> str:
-    """How far all of them are off, in a sentence or two without the full stop."""
+    """Which are out of tolerance, or which is the furthest; without the full stop."""
     if not values:
         return TAKEN_AS_EXACT.rstrip(".")
     out = [out_words(found) for found in values if found.is_out]
@@ -101,7 +101,7 @@ def summary_words(values: Sequence[DeclaredValue]) -> str:
 
 
 def declared_section(values: Sequence[DeclaredValue]) -> dict[str, Any]:
-    """What the page shows of them: words, and rows with places on a scale of tolerances, in percent of its width."""
+    """The section of the page: words, and rows with places on a scale of tolerances, in percent of its width."""
     furthest = max((abs(found.deviation) + _half_width(found) for found in values), default=0.0)
     reach = float(min(max(math.ceil(furthest), LEAST_REACH), MOST_REACH))
 

@@ -111,7 +111,7 @@ def _effects_json(state: State) -> dict[str, dict[str, Any]]:
 
 
 def _unexplained_json(entry: Unexplained, motion: Motion) -> dict[str, Any]:
-    """Size and place as far as the data went: beyond, the curve only goes on smoothly."""
+    """Size and place over the range that the data visited: beyond, only smoothness determines the curve."""
     curve = force_curve(entry, motion)
     return {
         "force_rms_n": curve.rms,

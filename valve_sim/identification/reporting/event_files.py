@@ -1,4 +1,4 @@
-"""The files that a diagnosis of an event table leaves behind: report.json, valve.yaml and the pictures."""
+"""The files that a diagnosis of an event table writes: report.json, valve.yaml and the pictures."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def _with_tolerances(body: str, result: EventDiagnosis) -> str:
 
 
 def _replaced(body: str, key: str, value: str, table: str, source: str) -> str:
-    """One line of a parameter file with another first number, and where that is from."""
+    """A parameter file with the first number of one line replaced, and a comment that says from which table it is."""
     match = re.search(rf"^( *{key}: \[?)([^,\s\]]+)([^\n#]*?) *(?:(# \S+)[^\n]*)?$", body, re.MULTILINE)
     if match is None:
         raise ParameterError(f"{source}: valve.{key}: found no line of its own, expected '{key}: value'")
@@ -83,7 +83,7 @@ def _replaced(body: str, key: str, value: str, table: str, source: str) -> str:
 
 
 def _header(result: EventDiagnosis) -> str:
-    """Where the file is from, as comments."""
+    """How the file was made, as comments."""
     table = result.table
     times = ", ".join(
         f"{event.name} = {1e3 * time:.4f} ms (measured {1e3 * event.time:g})"

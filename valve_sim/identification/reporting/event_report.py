@@ -1,4 +1,4 @@
-"""What an event table says, as JSON and as the terminal shows it."""
+"""The diagnosis of an event table, as JSON and as text for the terminal."""
 
 from __future__ import annotations
 

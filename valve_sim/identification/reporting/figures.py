@@ -1,4 +1,4 @@
-"""Pictures for people: what a valve did, what was measured beside what was predicted, a force map and its residuals.
+"""Pictures: what a valve did, what was measured beside what was predicted, a force map and its residuals.
 
 Drawn without a display and without global state.
 """
@@ -20,7 +20,7 @@ from valve_sim.identification.validation.replay import Replay
 from valve_sim.model import Drive, Phase, Response, ValveError
 
 PILOT, MAIN, SECOND, QUIET = "#0b6fa4", "#d9730d", "#7b3fa0", "#8a8f98"
-"""Colours that stay apart for colour-blind readers and in grey print."""
+"""Colours that colour-blind readers can tell apart, also printed in grey."""
 _PHASE_NAMES: Final = {phase: phase.name.lower().replace("_", " ") for phase in Phase}
 _STYLE: Final = {"linewidth": 1.6}
 
@@ -69,7 +69,7 @@ def plot_response(
 
 
 def plot_replay(path: Path | str, replay: Replay) -> None:
-    """Draw measured and predicted displacement, and what lies between them beside the tolerance.
+    """Draw measured and predicted displacement, and the residual beside the tolerance.
 
     Raises:
         ValveError: the picture cannot be written.

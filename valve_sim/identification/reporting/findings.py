@@ -1,4 +1,4 @@
-"""What a fit says of itself beside its values, in sentences."""
+"""Findings on a fit, beside its values, in sentences."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def _sentence(finding: Finding | StaticFinding) -> str:
         case NotIdentifiable(name, reason):
             words = f"{name} is not identifiable from these data: {_UNBOUNDED[reason]}."
         case OnBound(name, bound):
-            words = f"{name} is on its {bound} bound: the data want it beyond, or something else is missing."
+            words = f"{name} is on its {bound} bound: the best value lies beyond it, or the model lacks something."
         case LooselyDetermined(name, low, high, unit):
             fits = f"{low:.3g} to {high:.3g} {unit}"
             words = f"{name} is determined only loosely by these data: anything from {fits} fits."

@@ -1,10 +1,10 @@
-"""A force without a name as far as the data went: where the machine was while it moved, and nowhere else.
+"""Force maps restricted to where the data determine them: the range that the machine visited while it moved.
 
 A force map spans the whole range of its variable. Where the machine never was, or only rested against a stop that
-takes up any force, nothing but its smoothness holds it: thousands of newtons may stand there beside a fault of a tenth
-of one. So a curve is drawn, and its size and place are told, from the moments of motion alone. Beside a curve of
-damping the machine's own dampings are free, too, and each takes what the other gives back: the part of such a curve
-that a damping would be is left out.
+takes up any force, the data do not determine it, only its smoothness does: it may reach thousands of newtons there
+beside a fault of a tenth of one. So the curve is drawn, and its size and place are given, for samples of motion alone.
+A map that is a damping is collinear with the machine's own dampings, which are free too: its mean, which one of these
+could be, is subtracted.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from valve_sim.model import simulate
 from valve_sim.model.effects import is_damping, is_periodic
 
 MOVES: Final = 0.02
-"""Share of the fastest speed from which on the machine counts as moving."""
+"""Share of the fastest speed above which the machine counts as moving."""
 PULLS: Final = 0.1
-"""Share of the rated current below which a force that goes with its square is not to be seen."""
+"""Share of the rated current below which a force proportional to its square is not visible."""
 STRONG: Final = 0.5
-"""Share of the largest force, from which on a place is named as where it acts."""
+"""Share of the largest force above which the force counts as acting at a place."""
 _AXES: Final = {"x": ("position", 1e3, "mm"), "v": ("velocity", 1.0, "m/s"), "t": ("time", 1e3, "ms")}
 
 
@@ -50,15 +50,15 @@ class Motion(NamedTuple):
 
 @dataclass(frozen=True)
 class ForceCurve:
-    """A force map where the data went.
+    """A force map over the range that the data visited.
 
     Attributes:
         variable: what it is a function of, as in `ForceMap`. gain: of the score S against the model without it.
         label: of the axis; force_label: of the force, with unit.
-        at: (n,) in the unit of the axis. force: (n,) in N, or N·s/m of a damping; NaN where the data did not go.
+        at: (n,) in the unit of the axis. force: (n,) in N, or N·s/m of a damping; NaN outside the data.
         band: (n,) two standard errors of the force; NaN where they are not known.
         rms: of the force as it acts at the samples of motion, N. where: it is strongest, in words.
-        is_partial: whether the curve goes on where the data did not go.
+        is_partial: whether the map extends beyond the data.
     """
 
     variable: str
@@ -74,7 +74,7 @@ class ForceCurve:
 
 
 def motion_of(diagnosis: Diagnosis) -> Motion:
-    """Where the machine was while it moved, by the refitted declared model, which has no noise to differentiate."""
+    """The samples of motion, from the refitted declared model: its velocity has no noise."""
     fitted = diagnosis.before.fit
     plant = fitted.problem.plant
     shown = plant.predict(fitted.values)
@@ -97,7 +97,7 @@ def motion_of(diagnosis: Diagnosis) -> Motion:
 
 
 def _currents(plant: Plant, values: Mapping[str, float], times: Array) -> Array:
-    """The current over its rated one at the times of a channel; 1 for a machine of which it is not known."""
+    """Current over rated current at the times of a channel; 1 where it is not known."""
     traces = plant.traces if isinstance(plant, ValvePlant) else ()
     trace = next((trace for trace in traces if trace.times is times), None)
     if not isinstance(plant, ValvePlant) or trace is None:
@@ -108,7 +108,7 @@ def _currents(plant: Plant, values: Mapping[str, float], times: Array) -> Array:
 
 
 def force_curve(entry: Unexplained, motion: Motion) -> ForceCurve:
-    """A force map without what the data did not visit; whole where nothing is known of the motion."""
+    """A force map restricted to the range that the data visited; all of it where the motion is not known."""
     drawn, shown = np.array(entry.at), np.array(entry.force)
     samples, factor = _visits(entry.variable, motion)
     if is_periodic(entry.variable):
@@ -129,7 +129,7 @@ def force_curve(entry: Unexplained, motion: Motion) -> ForceCurve:
 
 
 def _visits(variable: str, motion: Motion) -> tuple[Array, Array]:
-    """Where the data went on the axis of a map, and the factor that its curve acts with there."""
+    """The places of the samples on the axis of a map, and the factor by which its curve is multiplied there."""
     samples = {"x": motion.position, "v": motion.velocity, "t": motion.time}.get(variable[0], np.empty(0))
     if is_damping(variable):
         return samples, -motion.velocity
@@ -140,7 +140,7 @@ def _visits(variable: str, motion: Motion) -> tuple[Array, Array]:
 
 
 def _without_damping(variable: str, motion: Motion, acting: Array, drawn: Array, shown: Array) -> tuple[Array, Array]:
-    """A curve of damping less its mean while the machine moves: where over x, that of each of its dampings."""
+    """A damping map less its mean over the samples; over x, less the mean in the range of each of the dampings."""
     acting, shown = acting.copy(), shown.copy()
     number = motion.damping if variable == "x·v" else np.zeros(len(acting), np.int64)
     for one in np.unique(number):
@@ -180,6 +180,6 @@ def _force_label(variable: str) -> str:
 def _where(name: str, unit: str, at: Array, force: Array) -> str:
     """Where a curve is strongest, of where it is drawn."""
     if np.isnan(force).all():
-        return "nowhere that the data went"
+        return "no place that the data visited"
     strong = np.flatnonzero(np.abs(np.nan_to_num(force)) >= STRONG * np.nanmax(np.abs(force)))
     return f"{name} {at[strong[0]]:.3g} to {at[strong[-1]]:.3g} {unit}"

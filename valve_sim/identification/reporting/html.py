@@ -42,9 +42,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 SHOWN_STROKES: Final = 6
-"""So many are drawn at once, those that the declared model misses most; the others unfold."""
+"""Strokes that are shown at once, those with the largest error of the declared model; the others unfold."""
 FIRST_STROKES: Final = 2
-"""So many stay with their heading on paper."""
+"""Strokes that stay on one page with their heading when printed."""
 PICTURED_STROKES: Final = 3
 _FACTOR_WORDS: Final = {
     ", periodic": ", over one period",
@@ -53,9 +53,9 @@ _FACTOR_WORDS: Final = {
 }
 SHOWN_CANDIDATES: Final = 8
 _SPACES: Final = str.maketrans("._", "  ")
-"""Names of parameters as people read them."""
+"""Turns names of parameters into words."""
 _SMALLEST_PROBABILITY: Final = 1e-6
-"""Below it a p-value says nothing more."""
+"""Smaller p-values are shown as below this one."""
 
 
 def write_report(diagnosis: Diagnosis, path: Path | str, provenance: str = "") -> None:
@@ -82,7 +82,7 @@ def write_report(diagnosis: Diagnosis, path: Path | str, provenance: str = "") -
 
 
 def _typed(diagnosis: Diagnosis, folder: Path) -> dict[str, Any]:
-    """What the template needs to print commands that work where this process was started."""
+    """The template's variables for commands, such that they work where this process was started."""
     is_valve = isinstance(diagnosis.plant, ValvePlant)
     return {
         "duration": f"{duration_of(profile_to_record(diagnosis.telling, diagnosis.valve)):.2f}" if is_valve else "",
@@ -146,11 +146,11 @@ def _wrapped(title: str) -> str:
     return title.replace(": ", ":\n").replace("$", r"\$")
 
 
-# --- what the page says -------------------------------------------------------------------------------------------
+# --- the words of the page ------------------------------------------------------------------------------------------
 
 
 def _content(diagnosis: Diagnosis) -> dict[str, Any]:
-    """Everything that the template names."""
+    """The other variables of the template."""
     verdict, strokes = diagnosis.verdict, _worst_first(strokes_of(diagnosis))
     channel = diagnosis.plant.channels[judged_channels(diagnosis.plant)[0]]
     scale, unit = channel.readable
@@ -214,13 +214,13 @@ def _comparison(diagnosis: Diagnosis, scale: float, unit: str) -> list[tuple[str
     """Rows of a label, the value before and the value after, each with its unit."""
     before, after = diagnosis.before, diagnosis.after
 
-    def of_both(label: str, say: Callable[[State], str]) -> tuple[str, str, str]:
-        return label, say(before), say(after)
+    def of_both(label: str, words: Callable[[State], str]) -> tuple[str, str, str]:
+        return label, words(before), words(after)
 
     rows = [
         of_both("rms error, fitted strokes", lambda state: _number(scale * state.train_rmse, unit)),
         of_both("rms error, held-out strokes", lambda state: _number(scale * state.holdout_rmse, unit)),
-        of_both("what is left is noise", _whiteness),
+        of_both("residual is white", _whiteness),
         of_both("χ² per sample", lambda state: f"{state.fit.chi2 / state.fit.problem.effective_samples:.4g}"),
     ]
     for name in dict.fromkeys([*before.intervals, *after.intervals]):
@@ -246,13 +246,13 @@ def _number(value: float, unit: str) -> str:
 
 
 def _three_digits(value: float) -> str:
-    """1.00, not 1: people compare columns."""
+    """With trailing zeros, 1.00, so that columns can be compared."""
     return f"{value:#.3g}".rstrip(".")
 
 
 def _candidate_row(candidate: Candidate, diagnosis: Diagnosis, scale: float, unit: str) -> dict[str, Any]:
     values = [
-        # By name: a description, such as "C in −C v |v|", is half a sentence beside a number.
+        # By name: a description, such as "C in −C v |v|", does not fit beside a number.
         f"{name.partition('.')[2].translate(_SPACES)} {quantity(found.value, diagnosis.plant.parameter(name).unit)}"
         for name, found in candidate.intervals.items()
         if "." in name and not _is_drawn(name)
@@ -269,7 +269,7 @@ def _candidate_row(candidate: Candidate, diagnosis: Diagnosis, scale: float, uni
 
 
 def _is_fit(candidate: Candidate, state: State) -> bool:
-    """Whether it is the candidate that the corrected model was made of, with or without errors of the stamps."""
+    """Whether it is the fit of the corrected model; with and without errors of the stamps are two candidates."""
     return candidate.train_rmse == state.train_rmse
 
 
@@ -289,7 +289,7 @@ def _is_drawn(name: str) -> bool:
 
 
 def _gain_rows(diagnosis: Diagnosis) -> list[str]:
-    """By how much the recording to make next is expected to separate which candidates."""
+    """By how much the recommended recording is expected to separate each pair of candidates."""
     if diagnosis.telling is None:
         return []
     return [
@@ -298,11 +298,11 @@ def _gain_rows(diagnosis: Diagnosis) -> list[str]:
     ]
 
 
-# --- what the page draws ------------------------------------------------------------------------------------------
+# --- the drawings of the page ---------------------------------------------------------------------------------------
 
 
 def force_curves(diagnosis: Diagnosis) -> list[ForceCurve]:
-    """The force maps as far as the data went."""
+    """The force maps, restricted to the range that the data visited."""
     motion = motion_of(diagnosis) if diagnosis.maps else None
     return [force_curve(entry, motion) for entry in diagnosis.maps] if motion is not None else []
 
@@ -356,5 +356,5 @@ def _curve_plot(curve: ForceCurve) -> dict[str, Any]:
 
 
 def _rounded(values: np.typing.NDArray[np.float64], digits: int) -> list[float | None]:
-    """Short numbers for the page; what is not finite has no place in JSON."""
+    """Rounded, to keep the page small; null for what is not finite, which JSON lacks."""
     return [finite_or_none(value) for value in np.round(values, digits).tolist()]

@@ -1,4 +1,4 @@
-"""What `identify` found, as JSON and as the terminal shows it."""
+"""The result of `identify`, as JSON and as text for the terminal."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def identification_json(result: Identification) -> dict[str, Any]:
 
 
 def identification_text(result: Identification) -> str:
-    """A report for the terminal: value, error, start, and what the data do not determine."""
+    """A report for the terminal: values, errors, declared values, and what the data do not determine."""
     plant = result.fit.problem.plant
     lines = [f"{'parameter':<28}{'value ± standard error':<30}{'95 % interval':<30}declared"]
     for name, interval in result.intervals.items():

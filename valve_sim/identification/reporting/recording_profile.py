@@ -1,4 +1,4 @@
-"""The recording to make next as a profile of commands: what `simulate --profile` and `command_profile` take."""
+"""The recommended recording as a profile of commands, which `simulate --profile` and `command_profile` take."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ LEAD: Final = 0.1
 
 
 def profile_to_record(telling: Recommendation | None, valve: Valve) -> Drive:
-    """The commands of the recording to make next: the telling pulse some times, then full strokes at other voltages.
+    """The commands of the recommended recording: the best pulse, repeated, then full strokes at other voltages.
 
     Args:
         telling: the pulse that separates the candidates most; None where none is known to.
@@ -93,7 +93,7 @@ def write_profile(path: Path, telling: Recommendation | None, valve: Valve, prov
         *_gain_words(telling),
         "",
         "Rows are [time in s, volts]; each voltage holds until the next row. Highest: "
-        f"{max(abs(drive.volts)):g} V; leave out what your coil or its driver must not get.",
+        f"{max(abs(drive.volts)):g} V; leave out what your coil or its driver does not stand.",
         f"Simulate: {valve_sim} simulate --profile {file} --duration {duration_of(drive):.2f} --output next.mcap",
         f"Command:  {invocation('command_profile')} --ros-args -p profile:={file} -p valve:=/valve",
         f"Then diagnose the new recording together with the old one: {valve_sim} diagnose OLD NEW --output results",

@@ -1,4 +1,4 @@
-"""What `fit-force` found, as JSON and as the terminal shows it."""
+"""The result of `fit-force`, as JSON and as text for the terminal."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A diagnosis as the terminal shows it: plain words first, names of code behind them."""
+"""A diagnosis as text for the terminal: plain words first, then names of code."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
 
 
 def _certainty(verdict: Verdict) -> str:
-    """How sure the verdict is; that of `none` has been said in the headline."""
+    """How sure the verdict is; of `none` only the probability, because the headline has the rest."""
     probability = f"probability {probability_words(verdict)}"
     return f"{capitalised(probability)}." if verdict.kind == "none" else f"{kind_words(verdict)[0]} ({probability})."
 

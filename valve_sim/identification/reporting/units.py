@@ -1,4 +1,4 @@
-"""Numbers as people read them: the unit that suits their size, as many digits as their error has, and no exponents."""
+"""Numbers for people: in a unit that suits their size, with as many digits as their error has, without exponents."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _PREFIXES: Final[Mapping[str, tuple[tuple[float, str], ...]]] = {
     "A": ((1.0, "mA"), (math.inf, "A")),
     "Hz": ((1e3, "Hz"), (math.inf, "kHz")),
 }
-"""SI unit to the units that people read, each for sizes below its bound."""
+"""SI unit to display units, each for sizes below its bound."""
 _FACTORS: Final = {"µm": 1e6, "mm": 1e3, "µs": 1e6, "ms": 1e3, "mA": 1e3, "kHz": 1e-3}
 _NO_UNIT: Final = ("", "–")
 _MOST_PLACES: Final = 7
@@ -24,18 +24,18 @@ _RAISED: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def readable(unit: str, size: float) -> tuple[float, str]:
-    """The factor from SI, and the name, of the unit in which people read a value of this size."""
+    """Factor from SI and name of the display unit for a value of this size."""
     options = _PREFIXES.get(unit, ())
     name = next((name for bound, name in options if abs(size) < bound), options[-1][1] if options else unit)
     return _FACTORS.get(name, 1.0), "" if name in _NO_UNIT else name
 
 
 def quantity(value: float, unit: str, digits: int = 3) -> str:
-    """A number with the unit that suits its size; one that is not finite is said in words."""
+    """A number with the unit that suits its size; – where it is not known."""
     if math.isnan(value):
         return "–"
     if math.isinf(value):
-        return "not to be seen"
+        return "−∞" if value < 0.0 else "∞"
     scale, name = readable(unit, value)
     return f"{_short(scale * value, digits)} {name}".rstrip()
 
@@ -58,7 +58,7 @@ def measured(found: Interval, unit: str) -> str:
 
 
 def limits(found: Interval, unit: str) -> str:
-    """The 95 % interval; an open end is said so."""
+    """The 95 % interval; an open end is infinite."""
     scale, name = readable(unit, found.value if math.isfinite(found.value) else found.low)
     low, high = (
         _short(scale * end, 4) if math.isfinite(end) else ("−∞" if end < 0 else "∞") for end in (found.low, found.high)
@@ -67,7 +67,7 @@ def limits(found: Interval, unit: str) -> str:
 
 
 def _short(value: float, digits: int) -> str:
-    """As many digits as 1.00 has, no exponent where it would be short, and with a true minus sign."""
+    """So many significant digits, an exponent only where the number would be long, and U+2212 for a minus."""
     text = f"{value:#.{digits}g}".rstrip(".")
     mantissa, e, exponent = text.partition("e")
     if e and 1e-4 <= abs(value) < _LARGE:

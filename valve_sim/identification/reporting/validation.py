@@ -1,4 +1,4 @@
-"""What `validate` found, as JSON, as JUnit XML and as the terminal shows it."""
+"""The result of `validate`, as JSON, as JUnit XML and as text for the terminal."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A verdict in plain words: what an effect is called, how much of it there is, and in which unit people read it."""
+"""A verdict in plain words: title and amount of each effect, and how sure the verdict is."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from valve_sim.identification.reporting.units import measured
 from valve_sim.model import CATALOGUE, Effect
 
 SURE: Final = 0.9
-"""Probability from which on a verdict is called found."""
+"""Probability above which a verdict is called found."""
 COORDINATES: Final = {"attraction_polynomial": "attraction"}
-"""A declared value that is estimated by coordinates of another name."""
+"""Declared values that are estimated by coordinates, and the name of these."""
 EVEN: Final = 0.5
 """Probability below which a verdict is more likely wrong than right."""
 
 
 class Meaning(NamedTuple):
-    """What a named effect is to a person.
+    """A named effect in words.
 
     Attributes:
         name: in code. title: plain.
         amounts: (what, value with interval and unit) of each parameter.
-        severity: how bad that is, or empty. on_a_real_valve, what_to_do: a sentence each, or empty.
+        severity: its size beside something known, or empty. on_a_real_valve, what_to_do: a sentence each, or empty.
         others: plain titles of what would explain the data about as well.
     """
 
@@ -51,7 +51,7 @@ class Meaning(NamedTuple):
 
 
 def kind_words(verdict: Verdict) -> tuple[str, bool]:
-    """The verdict in two words, and whether it is good news about the diagnosis: sure enough to act on."""
+    """The verdict in a few words, and whether it is sure enough to act on."""
     if verdict.kind == "insufficient":
         return "The data cannot tell", False
     if verdict.kind == "unknown":
@@ -72,12 +72,12 @@ def probability_words(verdict: Verdict) -> str:
 
 
 def headline(diagnosis: Diagnosis) -> str:
-    """The verdict in a sentence or two without names of code."""
+    """The verdict in a sentence or two of plain words."""
     verdict = diagnosis.verdict
     if verdict.kind == "none":
         is_valve = isinstance(diagnosis.plant, ValvePlant)
         model = "the declared valve with refitted damping" if is_valve else "the declared model, refitted,"
-        return f"{kind_words(verdict)[0]}: {model} does what was measured, down to the noise."
+        return f"{kind_words(verdict)[0]}: {model} reproduces the measurement down to the noise."
     missing = named(verdict.effects)
     others = list(dict.fromkeys(other for names in verdict.confusable_with.values() for other in names))
     alike = named(others, "or")
@@ -103,7 +103,7 @@ def headline(diagnosis: Diagnosis) -> str:
 def looks_words(diagnosis: Diagnosis) -> str:
     """How often held-out strokes were opened, in a sentence."""
     if diagnosis.looks == 0:
-        return "No strokes were held out: nothing but the fitted ones speaks for this."
+        return "No strokes were held out: only the fitted strokes support this."
     times = {1: "once", 2: "twice"}.get(diagnosis.looks, f"{diagnosis.looks} times")
     return f"Held-out strokes were opened {times}, after the choice, to judge it and not to choose."
 
@@ -147,7 +147,7 @@ def _wrong_value(diagnosis: Diagnosis, effect: str) -> Meaning:
 
 
 def _severity(entry: Effect | None, values: Mapping[str, float], plant: Plant) -> str:
-    """How bad this much is; empty where nothing known compares, or not all of the effect's values are free."""
+    """Its size beside something known; empty where nothing compares, or not all of the effect's values are free."""
     if entry is None or not isinstance(plant, ValvePlant) or set(values) != {p.name for p in entry.parameters}:
         return ""
     found = entry.severity_of(values, plant.valve.declared())
