@@ -20,6 +20,7 @@ from valve_sim.identification.plants.protocol import (
     Array,
     EffectChoice,
     Nuisance,
+    from_internal,
     internal_bounds,
     internal_scale,
     to_internal,
@@ -84,7 +85,8 @@ class World:
         sizes: of a parameter, by key and name, in standard errors; default 5 where listed, else 0.
         gains: by the score test, of each key.
         left_out: root mean square of what the strokes left out miss, of 100 samples.
-        timing: whether stamps may err.
+        misses: each of 50 whitened residuals; default that of the declared model.
+        timing: whether stamps may err. tolerances: of declared values.
         out_of_time: keys at whose fit the time is used up. fails: whether nothing can be simulated from a start.
         missed: the residual of values. told: progress, as told. starts: key, start and robust scales of each fit.
     """
@@ -96,7 +98,9 @@ class World:
     sizes: Mapping[tuple[str, str], float] = field(default_factory=dict)
     gains: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     left_out: Mapping[str, float] = field(default_factory=dict)
+    misses: Mapping[str, float] = field(default_factory=dict)
     timing: bool = False
+    tolerances: tuple[Nuisance, ...] = ()
     out_of_time: Sequence[str] = ()
     fails: Callable[[Mapping[str, float]], bool] = lambda start: False
     missed: Callable[[Mapping[str, float]], float] = lambda values: 0.0
@@ -107,12 +111,13 @@ class World:
         self._lock = threading.Lock()
         parameters = {effect.free_name(one): one for effect in self.effects.values() for one in effect.parameters}
         parameters["gain"] = Parameter("gain", "N", "of all", 0.0, 1e3, 4.0)
+        stamps = (STAMP,) if self.timing else ()
         plant = SimpleNamespace(
-            effects=self.effects, base=("gain",), nuisances=(), timing_errors=(STAMP,) if self.timing else (),
+            effects=self.effects, base=("gain",), nuisances=self.tolerances, timing_errors=stamps,
             parameter=parameters.__getitem__, declared=lambda name: 7.0 if name == "gain" else parameters[name].off,
         )  # fmt: skip
         self.problem = SimpleNamespace(
-            plant=plant, variance_inflation=1.0, residuals=lambda values: np.array([self.missed(values)])
+            plant=plant, variance_inflation=1.0, samples=50, residuals=lambda values: np.array([self.missed(values)])
         )
 
     def search(self) -> Search:
@@ -137,7 +142,7 @@ class World:
     ) -> MadeUpFit:
         """In place of a real one."""
         names = [name for name, effect in self.effects.items() if set(effect.free_names()) & set(free)]
-        key = "".join(sorted(names)) + ("'" if nuisances else "")
+        key = "".join(sorted(names)) + ("'" if STAMP in nuisances else "")
         with self._lock:
             self.starts.append((key, dict(start), tuple(robust)))
         if key in self.out_of_time:
@@ -154,10 +159,20 @@ class World:
             scales.append(0.1 * internal_scale(parameter))
             neutral = parameter.off if parameter.off is not None else parameter.prior_scale
             usual = 5.0 if key in self.scores else 0.0
-            found.append(to_internal(parameter, neutral) + self.sizes.get((key, name), usual) * scales[-1])
-        values = {"at": score, **dict(zip(free, found, strict=True))}
+            at = to_internal(parameter, neutral) + self.sizes.get((key, name), usual) * scales[-1]
+            lower, upper = internal_bounds(parameter)
+            found.append(min(max(at, lower), upper))
+        own = {name: from_internal(problem.plant.parameter(name), at) for name, at in zip(free, found, strict=True)}
+        values = {"at": score, **own}
         return MadeUpFit(
-            self.problem, key, tuple(free), score, values, np.array(found), np.diag(np.square(scales)), np.zeros(1)
+            self.problem,
+            key,
+            tuple(free),
+            score,
+            values,
+            np.array(found),
+            np.diag(np.square(scales)),
+            np.full(50, self.misses.get(key, self.misses.get("", 0.0))),
         )
 
     def use(self, patch: pytest.MonkeyPatch) -> World:

@@ -25,13 +25,15 @@ def scored(
     parameters: int | None = None,
     left_out: float | None = None,
     chi2: float | None = None,
+    of_declared: float = 0.0,
+    inflation: float = 1.0,
 ) -> Score:
     """A score; `left_out`: the size of ten residuals of strokes that are left out in turn."""
     held = None if left_out is None else CrossValidation(np.full(10, left_out), 10.0 * left_out**2, 2)
     return Score(
         hypothesis, score, score if evidence is None else evidence,
         2 + len(hypothesis.effects) if parameters is None else parameters, white, claimable,
-        chi2=score if chi2 is None else chi2, cross_validation=lambda: held,
+        inflation, score if chi2 is None else chi2, of_declared, cross_validation=lambda: held,
     )  # fmt: skip
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from identification.selection.made_up_fits import SIZE, World, key_of, of, switches
 from valve_sim.identification.estimation.budget import OutOfTimeError
-from valve_sim.identification.plants.protocol import EffectChoice
+from valve_sim.identification.plants.protocol import EffectChoice, Nuisance
 from valve_sim.identification.selection.stepwise import (
     DECISIVE,
     EXCLUDES_OFF,
@@ -50,6 +50,8 @@ def rows(exploration: Exploration) -> list[tuple[str, str]]:
         (1.0, {"a": 0.1, "b": -3.0}, False),
         (1.0, {"a": -1.0, "valve.m": 0.5 * DECISIVE}, True),
         (1.0, {"a": -1.0, "valve.m": 0.5 * DECISIVE + 0.1}, False),
+        # b is the same thing as a declared value.
+        (1.0, {"a": -1.0, "b": 0.5 * DECISIVE}, True),
         # Without a test there is nothing to go by.
         (1.0, {}, False),
     ],
@@ -58,7 +60,9 @@ def test_an_adequate_declared_model_costs_one_fit(
     monkeypatch: pytest.MonkeyPatch, p_value: float, gains: Mapping[str, float], is_enough: bool
 ) -> None:
     mass = {"valve.m": EffectChoice("valve.m", (Parameter("m", "kg", "", 0.1, 9.0, 0.2, 1.0),), is_declared_value=True)}
-    world = World({"": 100.0}, {**switches("ab"), **mass}, white={"": p_value}, gains={"": gains})
+    tolerances = (Nuisance("m", 0.02, "kg", is_of_machine=True), Nuisance("q", 0.1, "N", same_as="b.size"))
+    effects = {**switches("ab"), **mass}
+    world = World({"": 100.0}, effects, white={"": p_value}, gains={"": gains}, tolerances=tolerances)
     found = explored(world, monkeypatch)
     assert [one.effects for one in found.tried()][1:4] == ([] if is_enough else [("a",), ("b",), ("valve.m",)])
     assert found.screened == (gains if is_enough else {})

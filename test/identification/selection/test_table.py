@@ -108,6 +108,31 @@ def test_look_alikes_of_more_parameters_are_compared_by_evidence(
     assert larger_alternatives(found, of("a")) == ({of("b"): 2.5} if listed else {})
 
 
+@pytest.mark.parametrize(
+    ("of_declared", "chi2", "improves"),
+    [(31.0, 60.0, True), (30.0, 60.0, False), (30.0, -60.0, False), (-31.0, -60.0, False), (0.0, 0.0, False)],
+)
+def test_what_brings_declared_values_back_need_not_predict_strokes_left_out_better(
+    of_declared: float, chi2: float, improves: bool
+) -> None:
+    """Where that is most of what it gains."""
+    smaller = scored(BASE, 100.0, left_out=1.0, chi2=100.0, of_declared=of_declared)
+    assert scored(of("a"), 50.0, left_out=1.0, chi2=100.0 - chi2).improves_on(smaller) is improves
+
+
+def test_without_strokes_to_leave_out_a_larger_model_improves_on_a_smaller_one() -> None:
+    assert scored(of("a"), 50.0).improves_on(scored(BASE, 100.0, left_out=1.0))
+    assert scored(of("a"), 50.0, left_out=9.0).improves_on(scored(BASE, 100.0))
+
+
+def test_what_is_left_out_counts_by_how_slow_the_noise_is() -> None:
+    assert scored(of("a"), 50.0, white=False, left_out=2.0, inflation=4.0).own_criterion == 60.0
+    # Ten residuals fall from 1 to 0.5: the squares by 7.5, which is more than four times the root of 10 · 0.25 · 1.4.
+    smaller = scored(BASE, 100.0, left_out=1.0)
+    assert scored(of("a"), 50.0, left_out=0.5, inflation=1.4).improves_on(smaller)
+    assert not scored(of("a"), 50.0, left_out=0.5, inflation=1.42).improves_on(smaller)
+
+
 def test_rows_are_appended_and_the_best_counts_until_the_log_is_closed() -> None:
     search = Search(Problem(recorded(3, ramp_slope=2.0)))
     exploration = Exploration(search)
