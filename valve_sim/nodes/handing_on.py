@@ -15,7 +15,10 @@ from rclpy.parameter_client import AsyncParameterClient
 from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.model import CATALOGUE, DECLARED, ParameterError
 
-ANSWER_SECONDS: Final = 5.0
+FIND_SECONDS: Final = 10.0
+"""How long a node may take to be found: announcements that DDS loses are repeated each 3 s."""
+ANSWER_SECONDS: Final = 10.0
+"""How long it may take to answer, in all."""
 _QUESTIONS: Final = 4
 """How often a node that does not answer is asked: a reply sent before DDS has matched its reader is lost."""
 _DIGITS: Final = 5
@@ -88,8 +91,8 @@ class Recipient:
             raise ParameterError(f"{self.name} refuses them: {answer.result.reason}")
 
     def _ask(self, question: Callable[[Callable[[Any], None]], object]) -> Any:
-        if not self._client.wait_for_services(timeout_sec=ANSWER_SECONDS):
-            raise ParameterError(f"{self.name}: no such node answered within {ANSWER_SECONDS:g} s")
+        if not self._client.wait_for_services(timeout_sec=FIND_SECONDS):
+            raise ParameterError(f"{self.name}: no such node was found within {FIND_SECONDS:g} s")
         answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
         for _ in range(_QUESTIONS):
             question(answers.put)
