@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -15,7 +16,9 @@ from typing import Any
 PATIENCE = 90.0
 """Seconds after which something that should happen counts as not happening: a busy machine compiles for long."""
 ASK_AGAIN = 5.0
-"""Seconds after which a question counts as lost."""
+"""Seconds after which a question, or a message that has no effect, counts as lost."""
+_MIDDLEWARE = re.compile(r"^\d{4}-\d\d-\d\d [\d:.]+ \[\w+ (Error|Warning)\] ")
+_COLOUR = re.compile(r"\x1b\[[\d;]*m")
 
 
 def slowness() -> float:
@@ -27,6 +30,40 @@ def slowness() -> float:
     while time.thread_time() - used < 0.05:
         pass
     return max(1.0, (time.monotonic() - begin) / (time.thread_time() - used))
+
+
+def own_lines(output: str) -> list[str]:
+    """What a program has said, without what the DDS library says beside it when it is in difficulties."""
+    lines = [_COLOUR.sub("", line) for line in output.splitlines()]
+    return [line for line in lines if line and not _MIDDLEWARE.match(line)]
+
+
+def cpu_seconds(process: int) -> float:
+    """What a process has used of the cores, s, its end included as long as nobody has waited for it."""
+    fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def cpu_seconds_to_end(process: int, number: int) -> float:
+    """How much of the cores it uses from a signal to its end; it may have to wait for them as long as it takes."""
+    before = cpu_seconds(process)
+    os.kill(process, number)
+    deadline = time.monotonic() + PATIENCE
+    while os.waitid(os.P_PID, process, os.WEXITED | os.WNOWAIT | os.WNOHANG) is None:
+        assert time.monotonic() < deadline, "it does not end"
+        time.sleep(0.01)
+    return cpu_seconds(process) - before
+
+
+def end(process: subprocess.Popen[Any]) -> None:
+    """Ask it to end, so that others learn that it has gone; kill it only if it does not."""
+    if process.poll() is None:
+        process.send_signal(signal.SIGTERM)
+        try:
+            process.wait(PATIENCE)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
 
 
 class NodeProcess:
@@ -70,13 +107,7 @@ def running(
     try:
         yield node
     finally:
-        if node.process.poll() is None:
-            node.process.send_signal(signal.SIGTERM)
-            try:
-                node.process.wait(5.0)
-            except subprocess.TimeoutExpired:
-                node.process.kill()
-                node.process.wait()
+        end(node.process)
 
 
 @contextlib.contextmanager
@@ -89,8 +120,7 @@ def piped(folder: Path, program: Sequence[str], **parameters: object) -> Iterato
         try:
             yield process
         finally:
-            if process.poll() is None:
-                process.kill()
+            end(process)
 
 
 class Probe:
@@ -134,6 +164,14 @@ class Probe:
                 return False
             self._executor.spin_once(timeout_sec=0.02)
         return True
+
+    def insist(self, action: Callable[[], Any], condition: Callable[[], Any]) -> bool:
+        """Do it, and again as often as nothing comes of it: the first message may be lost; whether it came to that."""
+        for _ in range(round(PATIENCE / ASK_AGAIN)):
+            action()
+            if self.until(condition, ASK_AGAIN):
+                return True
+        return False
 
     def spin_for(self, seconds: float) -> None:
         """Hear what comes in so many seconds: for what must not come."""

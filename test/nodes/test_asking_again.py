@@ -92,26 +92,28 @@ class Forgetful:
 
 @pytest.mark.parametrize(("lost", "is_set"), [(0, True), (1, True), (100, False)])
 def test_a_result_is_handed_on_past_lost_replies(lost: int, is_set: bool, tmp_path: Path) -> None:
-    forgetful, probe = Forgetful(f"forgetful_{lost}", lost), Probe("/identification")
+    forgetful = Forgetful(f"forgetful_{lost}", lost)
+    for _ in range(3):
+        applied = handed_on(forgetful, f"/forgetful_{lost}", tmp_path)
+        if "no such node was found" not in applied["reason"]:
+            break
+    assert applied["is_set"] is is_set
+    assert ("did not answer" in applied["reason"]) is not is_set
+    assert forgetful.asked >= min(lost + 1, 2)
+    forgetful.close()
+
+
+def handed_on(forgetful: Forgetful, name: str, folder: Path) -> Any:
+    """What identification_node says of handing its result on."""
+    probe = Probe("/identification")
     results = probe.hear("result", String, latched=True)
 
     def has_ended() -> bool:
         forgetful.answer()
         return bool(results)
 
-    with piped(
-        tmp_path,
-        ("-m", "valve_sim.nodes.identification_node"),
-        bag=BAG,
-        output=tmp_path,
-        apply_to=f"/forgetful_{lost}",
-        rate=0,
-        linger="true",
-    ):
+    given: dict[str, object] = {"bag": BAG, "output": folder, "apply_to": name, "rate": 0, "linger": "true"}
+    with piped(folder, ("-m", "valve_sim.nodes.identification_node"), **given):
         assert probe.until(has_ended), "no result"
-    applied = json.loads(results[0].data)["applied"]
-    assert applied["is_set"] is is_set
-    assert ("did not answer" in applied["reason"]) is not is_set
-    assert forgetful.asked >= min(lost + 1, 2)
     probe.close()
-    forgetful.close()
+    return json.loads(results[0].data)["applied"]

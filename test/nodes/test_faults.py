@@ -113,8 +113,7 @@ def test_a_process_that_was_stopped_makes_up_for_half_a_second_and_says_what_it_
     with valve(tmp_path, "command_timeout:=1.0") as process:
         command = probe.talker("coil_voltage", Float64)
         assert probe.until(lambda: command.get_subscription_count() and len(ears.joints) > 20)
-        command.publish(Float64(data=9.0))
-        assert probe.until(lambda: ears.is_open and ears.is_open[-1].data)
+        assert probe.insist(lambda: command.publish(Float64(data=9.0)), lambda: ears.is_open and ears.is_open[-1].data)
         process.process.send_signal(signal.SIGSTOP)
         probe.spin_for(5.0)
         before, lost = len(ears.joints), int(ears.value("timing", "lost steps") or 0)
@@ -128,9 +127,9 @@ def test_a_process_that_was_stopped_makes_up_for_half_a_second_and_says_what_it_
         assert probe.until(lambda: int(ears.value("timing", "lost steps") or 0) >= lost + 4000)
         assert any("samples were not published, for lack of time" in status.message for status in ears.said("timing"))
         assert probe.until(lambda: ears.value("command", "timed out") == "true"), "the command was older than 1 s"
-        assert not ears.is_open[-1].data
-        command.publish(Float64(data=9.0))
-        assert probe.until(lambda: ears.is_open[-1].data)
+        assert probe.until(lambda: not ears.is_open[-1].data)
+        # For one second only: a test that is held up for longer hears of its closing alone.
+        assert probe.insist(lambda: command.publish(Float64(data=9.0)), lambda: ears.is_open[-1].data)
 
 
 def test_a_subscriber_that_stops_reading_holds_nobody_up(probe: Probe, tmp_path: Path) -> None:
@@ -174,7 +173,8 @@ def test_a_clock_that_runs_away_or_stands_still_is_followed(probe: Probe, tmp_pa
         # A hundred times faster: a second each hundredth of a second.
         assert probe.until(lambda: tick(SECOND) and ears.is_open and ears.is_open[-1].data)
         assert probe.until(lambda: tick(SECOND) and int(ears.value("timing", "lost steps") or 0) > 1000)
-        assert probe.until(lambda: ears.stamps[-1] == now)
+        # Said again: a message on /clock may be lost, and nothing else would bring this time.
+        assert probe.until(lambda: tick(0) and ears.stamps[-1] == now)
         # Still: nothing is published, and a command waits.
         probe.spin_for(0.1)
         count = len(ears.joints)

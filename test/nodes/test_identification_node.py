@@ -23,7 +23,7 @@ from valve_sim.identification.reporting.recording_profile import STROKE_LEVELS
 from valve_sim.traces import read_trace
 from valve_sim.traces.synthetic import read_profile
 
-from .ros_process import PATIENCE, Probe, piped, running, slowness
+from .ros_process import PATIENCE, Probe, cpu_seconds_to_end, own_lines, piped, running
 
 pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
@@ -196,14 +196,16 @@ def test_what_was_set_all_the_same_can_be_undone(probe: Probe, tmp_path: Path) -
             wrong = live.parameters()
             assert wrong["valve.main_damping"] != 4.0
             assert live.set_parameters(frame_id="tank")[0].successful
-            answer = probe.call("undo", Trigger)
-            assert answer.success, answer.message
+            # Its answer may be lost; who asks again hears that there is nothing left to undo.
+            probe.call("undo", Trigger)
             assert live.parameters() == {**before, "frame_id": "tank"}, "what others set meanwhile stays"
             assert not probe.call("undo", Trigger).success, "there is nothing left to undo"
             process.send_signal(signal.SIGINT)
             assert process.wait(PATIENCE) == 0
             assert process.stderr is not None
-            assert "is given the result although the residual is not white" in process.stderr.read()
+            said = process.stderr.read()
+        assert "is given the result although the residual is not white" in said
+        assert "/valve has its own values again: " in said
     with running(tmp_path, ["--ros-args", "--params-file", str(tmp_path / "before.yaml")]):
         assert Probe("/valve").parameters() == before
     live.close()
@@ -217,28 +219,35 @@ def levels(heard: list[Any], task: str) -> list[bytes]:
 def test_the_replay_is_the_recording_beside_the_model(samples: Path, probe: Probe, tmp_path: Path) -> None:
     bag = samples / "one_opening.mcap"
     trace = read_trace(bag)
-    measured, predicted = (
-        probe.hear("measured/joint_states", JointState),
-        probe.hear("predicted/joint_states", JointState),
-    )
+    measured, predicted = ByStamp(probe, "measured/joint_states"), ByStamp(probe, "predicted/joint_states")
     residuals, volts = probe.hear("residual", Float64), probe.hear("coil_voltage", Float64)
     heard = probe.hear("/diagnostics", DiagnosticArray)
     stamps = {trace.epoch_ns + round(time * 1e9) for time in trace.times.tolist()}
     with identifying(tmp_path, bag=bag, rate=0.05, loop="true") as process:
-        assert probe.until(lambda: by_stamp(measured).keys() == by_stamp(predicted).keys() == stamps)
+        assert probe.until(lambda: measured.messages.keys() == predicted.messages.keys() == stamps)
         assert probe.until(lambda: volts and b"\x00" in levels(heard, "replay"))
         process.send_signal(signal.SIGTERM)
         assert process.wait(PATIENCE) == 0
-    positions = np.array([message.position[0] for _, message in sorted(by_stamp(measured).items())])
+    positions = measured.positions()
     np.testing.assert_array_equal(positions, trace.pilot_position)
-    model = np.array([message.position[0] for _, message in sorted(by_stamp(predicted).items())])
-    assert np.std(positions - model) < 3e-6
+    assert np.std(positions - predicted.positions()) < 3e-6
     assert {round(message.data, 12) for message in volts} == {9.0}
     assert max(abs(message.data) for message in residuals) < 10e-6
 
 
-def by_stamp(heard: list[Any]) -> dict[int, Any]:
-    return {message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec: message for message in heard}
+class ByStamp:
+    """The last message of each stamp: what one turn of a replay lacks, the next one brings."""
+
+    def __init__(self, probe: Probe, topic: str) -> None:
+        self.messages: dict[int, Any] = {}
+        probe.node.create_subscription(JointState, f"{probe.target}/{topic}", self._take, 1000)
+
+    def _take(self, message: Any) -> None:
+        self.messages[message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec] = message
+
+    def positions(self) -> np.ndarray:
+        """Of the pilot plunger, in the order of the stamps, m."""
+        return np.array([message.position[0] for _, message in sorted(self.messages.items())])
 
 
 def test_a_diagnosis_is_published_too(samples: Path, probe: Probe, tmp_path: Path) -> None:
@@ -268,8 +277,8 @@ def test_a_signal_ends_it_at_work_with_code_0(
     measured = probe.hear("measured/joint_states", JointState)
     with identifying(tmp_path, bag=samples / "eight_strokes.mcap", rate=0, loop="true") as process:
         assert probe.until(lambda: measured)
-        process.send_signal(number)
-        assert process.wait(5.0 * slowness()) == 0, "it ends at the next word of progress"
+        assert cpu_seconds_to_end(process.pid, number) < 5.0, "it ends at the next word of progress"
+        assert process.wait() == 0
         assert process.stderr is not None
         assert "Traceback" not in process.stderr.read()
     assert not list(tmp_path.glob("*.partial"))
@@ -294,8 +303,8 @@ def test_unusable_input_ends_it_with_one_line_and_code_2(
     with identifying(tmp_path, **parameters) as process:
         _, words = process.communicate(timeout=PATIENCE)
         assert process.returncode == 2
-    assert says in words
-    assert len(words.strip().splitlines()) == 1
+    (line,) = own_lines(words)
+    assert says in line
 
 
 def test_a_loggers_table_is_identified_by_its_map(ros: None, tmp_path: Path) -> None:

@@ -54,7 +54,7 @@ def probe(in_own_domain: None) -> Iterator[Probe]:
 def test_a_signal_at_any_moment_closes_all_and_is_named(probe: Probe, tmp_path: Path) -> None:
     valves = [QuickValve(probe.node, name) for name in NAMES]
     program = [str(HERE / "interrupted_sequencer.py"), str(SEQUENCER), str(RUNS), "17"]
-    parameters = ["-p", f"namespaces:=[{', '.join(NAMES)}]", "-p", "cycles:=100", "-p", "hold:=0.01"]
+    parameters = ["-p", f"namespaces:=[{', '.join(NAMES)}]", "-p", "cycles:=1000000", "-p", "hold:=0.01"]
     output, errors = tmp_path / "output", tmp_path / "errors"
     with (
         output.open("w") as out,
@@ -74,4 +74,6 @@ def test_a_signal_at_any_moment_closes_all_and_is_named(probe: Probe, tmp_path: 
     words = errors.read_text()
     assert words.count("sequencer: interrupted; all valves are commanded closed\n") == RUNS
     assert "Traceback" not in words
-    assert all(max(valve.voltages) > 0.0 and valve.voltages[-1] == 0.0 for valve in valves)
+    assert all(max(valve.voltages) > 0.0 for valve in valves)
+    # What was sent last may be on its way when the process has ended.
+    assert probe.until(lambda: all(valve.voltages[-1] == 0.0 for valve in valves))

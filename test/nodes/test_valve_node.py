@@ -6,6 +6,7 @@ import itertools
 import math
 import re
 import signal
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +19,7 @@ from valve_sim.files.parameter_files import load_valve
 from valve_sim.files.resources import config_path
 
 from .dumps import TOLERATED, dump, plain_values
-from .ros_process import PATIENCE, NodeProcess, Probe, running
+from .ros_process import PATIENCE, NodeProcess, Probe, own_lines, running
 
 pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
@@ -30,6 +31,11 @@ from rosgraph_msgs.msg import Clock  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 from std_msgs.msg import Bool, Float64, UInt8  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
+
+PERIOD = 1_000_000
+"""ns between samples."""
+THROTTLE = 5.0
+"""s between lines of the log about the same trouble."""
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -55,8 +61,11 @@ def probe(ros: None) -> Iterator[Probe]:
 
 @pytest.fixture
 def rested(valve: NodeProcess, probe: Probe) -> Probe:
-    """The shared node, closed and without a command."""
+    """The shared node, ready, closed and without a command."""
+    assert probe.until(lambda: "ready: " in valve.output)
     assert probe.call("reset", Trigger).success
+    phases = probe.hear("phase", UInt8, latched=True)
+    assert probe.until(lambda: phases and phases[-1].data == 0), "it is not closed"
     return probe
 
 
@@ -81,11 +90,17 @@ def diagnostics(heard: list[Any], name: str) -> Any:
     return {}
 
 
+def are_a_period_apart(joints: list[Any]) -> bool:
+    """Whether samples are; a process that is held up leaves some out, which makes one longer step of whole periods."""
+    steps = [nanoseconds(after) - nanoseconds(before) for before, after in itertools.pairwise(joints)]
+    return min(steps) == PERIOD and not any(step % PERIOD for step in steps) and steps.count(PERIOD) > 0.9 * len(steps)
+
+
 def test_a_valve_opens_and_closes_on_topics(rested: Probe) -> None:
     joints, current = rested.hear("joint_states", JointState), rested.hear("coil_current", Float64)
     phases, is_open = rested.hear("phase", UInt8, latched=True), rested.hear("is_open", Bool, latched=True)
     command = commander(rested)
-    assert rested.until(lambda: joints and phases and phases[-1].data == 0)
+    assert rested.until(lambda: joints and current and is_open and phases and phases[-1].data == 0)
     command.publish(Float64(data=9.0))
     assert rested.until(lambda: phases[-1].data == 4 and is_open[-1].data and len(joints) > 300)
     assert [message.data for message in phases[-3:]] == [1, 3, 4]
@@ -94,15 +109,13 @@ def test_a_valve_opens_and_closes_on_topics(rested: Probe) -> None:
     assert list(joints[-1].position) == pytest.approx([1.23e-3, 0.97e-3])
     assert joints[-1].effort[0] > 15.0
     assert joints[-1].effort[1] == pytest.approx(-(2.524 + 428.0 * 1.23e-3))
-    steps = [nanoseconds(after) - nanoseconds(before) for before, after in itertools.pairwise(joints)]
-    assert set(steps) == {1_000_000}
+    assert are_a_period_apart(joints)
     command.publish(Float64(data=0.0))
     assert rested.until(lambda: not is_open[-1].data)
     assert rested.until(lambda: list(joints[-1].position)[1] == 0.0)
 
 
 def test_who_comes_late_still_learns_phase_and_is_open(rested: Probe) -> None:
-    rested.spin_for(0.1)
     phases, is_open = rested.hear("phase", UInt8, latched=True), rested.hear("is_open", Bool, latched=True)
     assert rested.until(lambda: phases and is_open)
     assert (phases[0].data, is_open[0].data) == (0, False)
@@ -123,13 +136,15 @@ def test_bad_commands_are_ignored_counted_and_reported(valve: NodeProcess, reste
     before = int(diagnostics(heard, "command")["rejected"])
     command.publish(Float64(data=9.0))
     assert rested.until(lambda: phases and phases[-1].data == 4)
+    begin = time.monotonic()
     for volts in (math.nan, math.inf, -1000.0):
         command.publish(Float64(data=volts))
     assert rested.until(lambda: int(diagnostics(heard, "command")["rejected"]) == before + 3)
+    took = time.monotonic() - begin
     assert diagnostics(heard, "command")["voltage (V)"] == "9"
     assert phases[-1].data == 4
     lines = [line for line in valve.output.splitlines() if "/valve/coil_voltage: " in line and "is ignored" in line]
-    assert len(lines) == 1, "one line for what comes at once"
+    assert 1 <= len(lines) <= 1 + took / THROTTLE, "one line for what comes at once"
     assert "expected a number within ±30 V (parameter max_voltage)" in lines[0]
     command.publish(Float64(data=100.0))
     assert rested.until(lambda: int(diagnostics(heard, "command")["rejected"]) == before + 4)
@@ -142,16 +157,19 @@ def test_bad_commands_are_ignored_counted_and_reported(valve: NodeProcess, reste
 
 def test_diagnostics_come_each_second_and_say_all(rested: Probe) -> None:
     heard = rested.hear("/diagnostics", DiagnosticArray)
-    assert rested.until(lambda: len(heard) >= 3)
+    assert rested.until(lambda: any(is_a_good_second(heard, before) for before in range(len(heard) - 1)))
     names = [status.name for status in heard[-1].status]
     assert names == ["valve: timing", "valve: command", "valve: valve"]
     assert {status.hardware_id for status in heard[-1].status} == {"valve"}
-    stamps = [message.header.stamp.sec + message.header.stamp.nanosec * 1e-9 for message in heard]
-    assert stamps[-1] - stamps[-2] == pytest.approx(1.0, abs=0.5)
-    timing = diagnostics(heard, "timing")
-    assert timing["rate wanted (Hz)"] == "1000"
-    assert float(timing["rate reached (Hz)"]) > 900.0
+    assert diagnostics(heard, "timing")["rate wanted (Hz)"] == "1000"
     assert diagnostics(heard, "valve")["phase"] == "closed"
+
+
+def is_a_good_second(heard: list[Any], before: int) -> bool:
+    """Whether diagnostics came a second after the ones before, of a second in which the machine had time for it."""
+    stamps = [message.header.stamp.sec + message.header.stamp.nanosec * 1e-9 for message in heard[before : before + 2]]
+    rate = diagnostics(heard[: before + 2], "timing")["rate reached (Hz)"]
+    return rate != "none" and float(rate) > 900.0 and stamps[1] - stamps[0] == pytest.approx(1.0, abs=0.5)
 
 
 def test_a_publisher_that_cannot_be_heard_is_reported(valve: NodeProcess, rested: Probe) -> None:
@@ -193,8 +211,9 @@ def test_parameters_are_validated_and_applied_without_a_jump(rested: Probe) -> N
 def test_a_coil_without_commands_is_de_energised(rested: Probe) -> None:
     is_open, heard = rested.hear("is_open", Bool, latched=True), rested.hear("/diagnostics", DiagnosticArray)
     assert rested.set_parameters(command_timeout=0.2)[0].successful
-    commander(rested).publish(Float64(data=9.0))
-    assert rested.until(lambda: is_open and is_open[-1].data)
+    command = commander(rested)
+    # Open for 0.2 s only: a test that is held up for longer hears of its closing alone.
+    assert rested.insist(lambda: command.publish(Float64(data=9.0)), lambda: is_open and is_open[-1].data)
     assert rested.until(lambda: not is_open[-1].data)
     assert rested.until(lambda: diagnostics(heard, "command").get("timed out") == "true")
     assert rested.set_parameters(command_timeout=0.0)[0].successful
@@ -327,16 +346,23 @@ def test_simulated_time_is_followed_and_may_jump_back(ros: None, tmp_path: Path)
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_it_within_a_second_with_code_0(ros: None, tmp_path: Path, number: signal.Signals) -> None:
+    # A machine that is busy with something else holds up one of them, and not each.
+    assert any(seconds_to_end(tmp_path, number) < 1.0 for _ in range(3))
+
+
+def seconds_to_end(tmp_path: Path, number: signal.Signals) -> float:
+    """How long a node at work takes from a signal to its end, with code 0."""
     ending = Probe("/ending")
     try:
         with running(tmp_path, ["--ros-args", "-r", "__node:=ending"]) as process:
             joints = ending.hear("joint_states", JointState)
             assert ending.until(lambda: joints)
-            assert process.seconds_to_end(number) < 1.0
+            seconds = process.seconds_to_end(number)
             assert process.exit_code() == 0, process.output
             assert "Traceback" not in process.output
     finally:
         ending.close()
+    return seconds
 
 
 def test_a_signal_while_the_model_is_compiled_is_said_to_wait_and_ends_it_with_code_0(tmp_path: Path) -> None:
@@ -385,7 +411,7 @@ def test_a_bad_command_line_ends_it_with_one_line_and_code_2(tmp_path: Path, arg
 
 def check_refusal(process: NodeProcess, says: str) -> None:
     assert process.exit_code() == 2
-    (line,) = process.output.splitlines()
+    (line,) = own_lines(process.output)
     assert re.search(says, line), line
 
 
