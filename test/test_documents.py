@@ -19,9 +19,19 @@ from own_domain import own_domain
 
 ROOT = Path(__file__).parents[1]
 STAND_IN = Path(__file__).with_name("ros2_stand_in.py")
-PATIENCE = 300.0
-FOREGROUND_SECONDS = 8
-"""A node that is started in the foreground runs until Ctrl-C; here that comes after so long."""
+PATIENCE = 900.0
+FOREGROUND = """
+foreground() {
+    "$@" 2> foreground.txt &
+    local node=$! code=0
+    until grep --quiet 'ready: ' foreground.txt || ! kill -0 $node 2> /dev/null; do sleep 0.1; done
+    kill -INT $node 2> /dev/null || true
+    wait $node || code=$?
+    cat foreground.txt >&2
+    return $code
+}
+"""
+"""A node that is started in the foreground runs until Ctrl-C; here that comes when it is ready."""
 
 NOT_HERE = {
     "make run": "test_demo.py runs what it runs",
@@ -59,7 +69,7 @@ def commands(lines: list[str]) -> Iterator[str]:
 
 def script(document: str) -> str:
     """The commands as a script that ends at the first one that fails."""
-    lines = ["set -euo pipefail", "set -m", "trap 'kill $(jobs -p) 2>/dev/null || true' EXIT"]
+    lines = ["set -euo pipefail", "set -m", "trap 'kill $(jobs -p) 2>/dev/null || true' EXIT", FOREGROUND]
     for block in console_blocks(document):
         for command in commands(block):
             if any(command.startswith(words) for words in NOT_HERE):
@@ -69,10 +79,10 @@ def script(document: str) -> str:
 
 
 def _ending(command: str) -> str:
-    """A node in the foreground gets its Ctrl-C; timeout then ends with 124, the node's own code is tested elsewhere."""
-    is_node = command.startswith("ros2 run") and " valve-sim " not in command
-    if is_node and not command.endswith("&"):
-        return f"timeout --signal=INT {FOREGROUND_SECONDS} {command} || [ $? = 124 ]"
+    """A node in the foreground gets its Ctrl-C, but for the one that ends when it is done."""
+    ends_alone = any(f" {name} " in command for name in ("valve-sim", "identification_node"))
+    if command.startswith("ros2 run") and not ends_alone and not command.endswith("&"):
+        return f"foreground {command}"
     return command
 
 
