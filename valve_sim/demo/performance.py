@@ -23,6 +23,8 @@ FRAME: Final = 1.0 / 30.0
 """s between two looks at what came."""
 LONG_START: Final = 5.0
 """s to its first message after which a node is most likely compiling the model, which `make` has done before."""
+LONGEST_SILENCE: Final = 20.0
+"""s by which it may be late before it counts as silent: a busy machine holds a process up for some."""
 START_LIMIT: Final = 120.0
 """s that the node may take to its first message."""
 
@@ -98,7 +100,7 @@ class Performance:
         end = self._clock.at(time.time_ns()) + round(duration * NANOSECONDS)
         while self._clock.latest < end:
             self._look()
-            if self._clock.at(time.time_ns()) - end > 5 * self._speed * NANOSECONDS:
+            if self._clock.at(time.time_ns()) - end > LONGEST_SILENCE * self._speed * NANOSECONDS:
                 raise DemoError(f"valve_node fell silent: {self._process.last_words()}")
 
     def _command(self, volts: float) -> float:
