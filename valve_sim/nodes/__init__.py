@@ -1,1 +1,1 @@
-"""ROS 2 shells around the model: valve_node. Only the modules that say so need ROS to be imported."""
+"""The ROS 2 nodes. Modules named `*_shell` and few others import rclpy; the rest is tested without ROS."""

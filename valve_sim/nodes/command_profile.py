@@ -1,4 +1,4 @@
-"""`ros2 run valve_sim command_profile`: commands a valve by a file of times and voltages, and writes down when.
+"""`ros2 run valve_sim command_profile`: commands a valve by a file of times and voltages, and logs each command.
 
 See `valve_sim.nodes.command_profile_shell.CommandProfileShell` for topics and parameters.
 """
@@ -23,7 +23,7 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def _make_shell(given: GivenFiles) -> Shell:
-    # Not before `run_node` has seen that ROS is there: without it, one line says so.
+    # Imported only after `run_node` has found ROS; without ROS it prints one line.
     from valve_sim.nodes.command_profile_shell import CommandProfileShell
 
     return CommandProfileShell(given)

@@ -38,11 +38,11 @@ from valve_sim.nodes.spinning import guarded, spin
 
 _LOOK_SECONDS: Final = 0.05
 _UNKNOWN_NODE: Final = "_NODE_NAME_UNKNOWN_"
-"""What rmw calls a node whose subscription it has found before the node itself."""
+"""The name that rmw gives to a node whose subscription it has discovered before the node itself."""
 _NAMELESS: Final = "a node without a name so far"
 _PROGRESS_SECONDS: Final = 5.0
 _HEARD_SECONDS: Final = 1
-"""How long the end waits for the valve to acknowledge 0 V."""
+"""s that the node waits at its end for the valve to acknowledge 0 V."""
 
 
 class CommandProfileShell:
@@ -66,7 +66,7 @@ class CommandProfileShell:
             self._valve = full_name(self._node, self._settings.valve, "valve")
             self._clock = NodeClock(self._node)
             self._voltage = self._node.create_publisher(Float64, f"{self._valve}/coil_voltage", RELIABLE)
-            # A recorder that finds the topic late still hears the log from its beginning.
+            # A recorder that discovers the topic late still gets the log from its beginning.
             whole = QoSProfile(depth=len(self._drive.times) + 1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
             self._log = self._node.create_publisher(BatteryState, "~/commanded", whole)
             self._is_watching = False
@@ -86,7 +86,7 @@ class CommandProfileShell:
         return self._exit_code
 
     def spin(self) -> None:
-        """Command the profile; whatever happens, 0 V is the last command."""
+        """Command the profile; 0 V is the last command in any case."""
         uninstall_signal_handlers()
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._take_signal)
@@ -110,7 +110,7 @@ class CommandProfileShell:
             self._write()
 
     def close(self, timeout: float | None) -> bool:
-        """Release everything; whether no thread is left behind."""
+        """Release everything; whether all threads have ended."""
         self._node.context.try_shutdown()
         self._answering.join(timeout)
         has_ended = not self._answering.is_alive()
@@ -137,7 +137,7 @@ class CommandProfileShell:
             raise
 
     def _listeners(self) -> list[str]:
-        """Full names of the nodes that hear the commands: the valve, and whoever records them."""
+        """Full names of the nodes that subscribe to the commands: the valve, and recorders."""
         found = self._node.get_subscriptions_info_by_topic(self._voltage.topic_name)
         return [
             _NAMELESS if entry.node_name == _UNKNOWN_NODE else f"{entry.node_namespace.rstrip('/')}/{entry.node_name}"
@@ -145,7 +145,7 @@ class CommandProfileShell:
         ]
 
     def _wait_for_valve(self) -> None:
-        """Until the valve and all others that are known to listen are connected.
+        """Wait until the valve and all other known subscribers are connected.
 
         Patience is counted in looks, not by the clock: a process that was held up has found nobody meanwhile.
         """
@@ -160,7 +160,7 @@ class CommandProfileShell:
                 f"{self._valve} does not hear {self._voltage.topic_name} after {self._settings.patience:g} s"
                 f"{others}; start it, or name the valve by -p valve:=/its/name"
             )
-        # They must have found this node, too, which nothing here can tell.
+        # They must have discovered this node too, which cannot be seen from here.
         self._pause(LISTENERS_SECONDS)
         self._is_watching = True
 
@@ -172,7 +172,7 @@ class CommandProfileShell:
             time.sleep(min(remaining, _LOOK_SECONDS))
 
     def _look(self) -> None:
-        """Whether the valve is still there; in the answering thread, because to ask takes a while."""
+        """Whether the valve is still there; in the spinning thread, because the query takes a while."""
         if self._is_watching and not self._stop and self._valve not in self._listeners():
             self._stop = f"{self._valve} does not hear {self._voltage.topic_name} any more"
 
@@ -195,7 +195,7 @@ class CommandProfileShell:
             )
 
     def _switch_off(self) -> None:
-        """0 V, and wait until it and its log are heard: a process that ends at once takes its unsent messages along."""
+        """Send 0 V and wait until it and its log are received: a process that ends at once loses unsent messages."""
         if not self._commanded:
             return
         if self._commanded[-1].volts != 0.0:

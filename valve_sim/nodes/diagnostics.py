@@ -1,4 +1,4 @@
-"""What valve_node says about itself on /diagnostics, without ROS: timing, command, valve."""
+"""The statuses of valve_node on /diagnostics, without ROS: timing, command, valve."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from valve_sim.model import Phase
 from valve_sim.nodes.realtime import NANOSECONDS, Timing
 
 SLOWEST_ACCEPTED: Final = 0.95
-"""Rate reached over rate wanted below which timing is a warning."""
+"""Achieved rate over publish_rate below which timing is a warning."""
 MOST_OVERRUNS: Final = 0.1
 """Share of a second's steps that may begin more than a period late before timing is a warning."""
 LONGEST_LATENESS: Final = 0.01
@@ -36,7 +36,7 @@ class Status(NamedTuple):
 
 
 class CommandFacts(NamedTuple):
-    """What is known of the commands.
+    """State of the commands.
 
     Attributes:
         age: s since the last good one; nan before the first.
@@ -46,7 +46,7 @@ class CommandFacts(NamedTuple):
         is_last_rejected: whether no good one has come since the last rejected one.
         last_rejected: the last of them, V.
         timed_out: whether the coil was de-energised for lack of commands.
-        deaf_to: how many publishers cannot be heard for their QoS.
+        incompatible_publishers: how many publishers offer an incompatible QoS.
     """
 
     age: float
@@ -56,11 +56,11 @@ class CommandFacts(NamedTuple):
     is_last_rejected: bool
     last_rejected: float
     timed_out: bool
-    deaf_to: int
+    incompatible_publishers: int
 
 
 class ValveFacts(NamedTuple):
-    """What is known of the valve.
+    """State of the valve.
 
     Attributes:
         phase, strokes: now, and full openings in all. failures: how often it was put back to rest.
@@ -75,7 +75,7 @@ class ValveFacts(NamedTuple):
 
 
 def timing_status(timing: Timing, rate_wanted: float, waiting_for: str) -> Status:
-    """Whether the pace is kept; `waiting_for` says what there is no pace without, empty if nothing."""
+    """Whether the node keeps pace with its clock; `waiting_for`: what it cannot step without, or empty."""
     values = {
         "rate wanted (Hz)": f"{rate_wanted:g}",
         "rate reached (Hz)": _number(timing.rate, ".1f"),
@@ -106,7 +106,7 @@ def command_status(facts: CommandFacts) -> Status:
         "voltage (V)": f"{facts.volts:g}",
         "rejected": str(facts.rejected),
         "timed out": str(facts.timed_out).lower(),
-        "publishers of incompatible QoS": str(facts.deaf_to),
+        "publishers of incompatible QoS": str(facts.incompatible_publishers),
     }
     if facts.rejected_now:
         message = f"{facts.rejected_now} rejected, the last of {facts.last_rejected:g} V; the last good one stays"
@@ -122,7 +122,7 @@ def command_status(facts: CommandFacts) -> Status:
 
 
 def valve_status(facts: ValveFacts) -> Status:
-    """Where the valve is."""
+    """The phase and position of the valve, and whether it was put back to rest."""
     values = {
         "phase": facts.phase.name.lower(),
         "strokes": str(facts.strokes),
@@ -137,27 +137,27 @@ def valve_status(facts: ValveFacts) -> Status:
 
 
 class CommandCount:
-    """Counts rejected commands; belongs to one thread."""
+    """Counts rejected commands; used by one thread."""
 
     def __init__(self) -> None:
         self.rejected = 0
         self.last_rejected = math.nan
-        self.deaf_to = 0
+        self.incompatible_publishers = 0
         self._before = 0
         self._is_last_rejected = False
 
     def accept(self) -> None:
-        """One that is obeyed."""
+        """Count one that is obeyed."""
         self._is_last_rejected = False
 
     def reject(self, volts: float) -> None:
-        """One more that is ignored."""
+        """Count one that is ignored."""
         self.rejected += 1
         self.last_rejected = volts
         self._is_last_rejected = True
 
     def look(self, now: int, last_command: int | None, volts: float, timed_out: bool) -> CommandFacts:
-        """What is known now; `now` and `last_command` in ns of the node's clock."""
+        """The state now; `now` and `last_command` in ns of the node's clock."""
         since, self._before = self.rejected - self._before, self.rejected
         age = math.nan if last_command is None else (now - last_command) / NANOSECONDS
         return CommandFacts(
@@ -168,7 +168,7 @@ class CommandCount:
             self._is_last_rejected,
             self.last_rejected,
             timed_out,
-            self.deaf_to,
+            self.incompatible_publishers,
         )
 
 
@@ -177,7 +177,7 @@ def _number(value: float, form: str) -> str:
 
 
 class Reminder:
-    """When trouble that lasts is worth another line of the log: at once, then at intervals that grow threefold.
+    """When a lasting problem gets another line in the log: at once, then at intervals that grow threefold.
 
     A time without trouble as long as the next interval ends it: what comes later is said at once again.
 
@@ -192,7 +192,7 @@ class Reminder:
         self._count = 0
 
     def line(self, now: float, message: str) -> str:
-        """The line to write about trouble that is there now, at `now`, s; empty for none."""
+        """The line to log about a problem at `now`, s; empty for none."""
         if now - self._last >= self._interval:
             self._interval, self._said, self._count = self._first, -math.inf, 0
         self._last = now

@@ -1,4 +1,4 @@
-"""Two nodes of one name: ROS lets them be, and both then obey and publish on the same topics."""
+"""Two nodes of one name: ROS allows it, and both obey commands and publish on the same topics."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from rclpy.node import Node
 
 
 class DuplicateNodes:
-    """Looks for other nodes of a node's name; each change of their number is said in the log.
+    """Looks for other nodes with the name of a node; logs each change of their number.
 
     Args:
         node: whose name it is.

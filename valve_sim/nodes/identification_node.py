@@ -23,7 +23,7 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def _make_shell(given: GivenFiles) -> Shell:
-    # Not before `run_node` has seen that ROS is there: without it, one line says so.
+    # Imported only after `run_node` has found ROS; without ROS it prints one line.
     from valve_sim.nodes.identification_shell import IdentificationShell
 
     return IdentificationShell(given)

@@ -17,7 +17,7 @@ _LOWEST: Final = {"rate": 0.0, "budget": 1.0}
 
 
 class Settings(NamedTuple):
-    """What the node does.
+    """Settings of the node.
 
     Attributes:
         bag: the recording. map: which topic or column of it is what; empty for the topics of this package.
@@ -90,7 +90,7 @@ def check_settings(given: Mapping[str, object], sources: Mapping[str, str]) -> S
 
 
 def output_folder(settings: Settings) -> Path:
-    """The folder of the results, made if it is not there.
+    """The folder of the results; it is made if missing.
 
     Raises:
         ParameterError: it cannot be made.
@@ -123,7 +123,7 @@ def _checked(name: str, value: object, where: str) -> object:
 
 
 def _checked_free(value: object, where: str) -> tuple[str, ...]:
-    """Names as a list, or in one text, parted by commas."""
+    """Names as a list, or in one text separated by commas."""
     parts = value.split(",") if isinstance(value, str) else value
     if not isinstance(parts, Sequence) or not all(isinstance(part, str) for part in parts):
         raise ParameterError(f"{where}: found {value!r}, expected a list of names")

@@ -23,7 +23,6 @@ from std_srvs.srv import Trigger
 
 from valve_sim.files.parameter_files import Section, default_valve, load_valve, write_sections
 from valve_sim.model import ParameterError, Valve
-from valve_sim.nodes.handing_on import Recipient, Values, changes_between
 from valve_sim.nodes.identification_parameters import DESCRIPTIONS, Settings, check_settings, output_folder
 from valve_sim.nodes.identification_task import (
     BEFORE_FILE,
@@ -31,13 +30,14 @@ from valve_sim.nodes.identification_task import (
     Outcome,
     Progress,
     Task,
-    find_out,
+    fit_or_diagnose,
     read_recording,
     report_text,
 )
 from valve_sim.nodes.messages import ReadingMessages, diagnostic_array
 from valve_sim.nodes.node_clock import NodeClock
 from valve_sim.nodes.parameters import VALVE_KEYS, sources_of, table
+from valve_sim.nodes.remote_parameters import RemoteParameters, Values, changes_between
 from valve_sim.nodes.replay import Prediction, Replay, measured_reading, predict, replay_status
 from valve_sim.nodes.shell_parts import LATCHED, declare_read_only, full_name, given_parameters, make_node
 from valve_sim.nodes.spinning import guarded, spin
@@ -45,7 +45,7 @@ from valve_sim.nodes.spinning import guarded, spin
 _DEEP: Final = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
 """A recording has more samples a second than a live valve."""
 _DELIVERY: Final = Duration(seconds=2)
-"""How long a node that is done waits until who listens has the result."""
+"""s that the node waits at its end until subscribers have the result."""
 
 
 class IdentificationShell:
@@ -74,7 +74,7 @@ class IdentificationShell:
             self._declared = load_valve(self._settings.params) if self._settings.params else default_valve()
             self._trace = read_recording(self._settings, self._declared)
             self._clock = NodeClock(self._node)
-            self._recipient = Recipient(self._node, self._target) if self._target else None
+            self._remote = RemoteParameters(self._node, self._target) if self._target else None
             self._before: Values = {}
             self._wire()
         except BaseException:
@@ -89,7 +89,7 @@ class IdentificationShell:
 
     @property
     def exit_code(self) -> int:
-        """0; 1 if the replay or the task failed, or the valve of `apply_to` was not given the result."""
+        """0; 1 if the replay or the task failed, or the result could not be set on the valve of `apply_to`."""
         return self._exit_code
 
     def spin(self) -> None:
@@ -116,7 +116,7 @@ class IdentificationShell:
         return settings
 
     def _resolved_target(self) -> str:
-        """The full name of the node that gets the result; empty for none."""
+        """The full name of the node on which the result is set; empty for none."""
         given = self._settings.apply_to
         return full_name(self._node, given, "apply_to") if given else ""
 
@@ -129,15 +129,15 @@ class IdentificationShell:
         self._result = node.create_publisher(String, "~/result", LATCHED)
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", _DEEP)
         self._messages = ReadingMessages("")
-        # By the wall: diagnostics must tell, too, that /clock is silent.
+        # Wall time: diagnostics must also report that /clock is silent.
         node.create_timer(1.0, guarded(self._diagnose), clock=Clock(clock_type=ClockType.STEADY_TIME))
-        # A group of its own: while it waits, the valve's answer must find the others free.
+        # A callback group of its own: while it waits for the valve, the reply needs the other group.
         node.create_service(Trigger, "~/undo", self._undo, callback_group=MutuallyExclusiveCallbackGroup())
 
     # --- the replay's thread ---
 
     def prepare(self) -> None:
-        """Predict what the declared valve would show, and say what is about to be played."""
+        """Simulate the declared valve, and log what is about to be played."""
         self._prediction = predict(self._trace, self._declared, 0.0, "declared")
         self._say_ready()
         self._task.start()
@@ -156,7 +156,7 @@ class IdentificationShell:
         self._voltage.publish(Float64(data=float(self._trace.drive.volts[index])))
 
     def sample(self, index: int) -> None:
-        """Publish one sample of the recording, what the model says of it, and the difference."""
+        """Publish one sample of the recording, the prediction, and the residual."""
         assert self._prediction is not None
         measured, predicted = measured_reading(self._trace, index), self._prediction.reading(index)
         stamp = self._trace.epoch_ns + round(measured.time * 1e9)
@@ -165,7 +165,7 @@ class IdentificationShell:
         self._residual.publish(Float64(data=measured.pilot_position - predicted.pilot_position))
 
     def fail(self, error: Exception) -> None:
-        """End the node: the replay cannot go on."""
+        """End the node because the replay failed."""
         if self._node.context.ok():
             self._exit_code = 1
             self._node.get_logger().fatal(f"the replay ended: {error!r}")
@@ -174,12 +174,12 @@ class IdentificationShell:
     # --- the task's thread ---
 
     def _work(self, progress: Progress) -> str:
-        outcome = find_out(self._trace, self._declared, self._settings, self._folder, progress)
+        outcome = fit_or_diagnose(self._trace, self._declared, self._settings, self._folder, progress)
         self._prediction = predict(self._trace, outcome.valve, outcome.clock_offset, self._settings.mode)
-        applied = None if self._recipient is None else self._apply(outcome, self._recipient)
+        applied = None if self._remote is None else self._apply(outcome, self._remote)
         text = report_text(outcome, applied)
         if applied is not None and not applied.is_set:
-            # Before anybody hears of the result, and ends this node.
+            # Before the result is published, upon which somebody may end this node.
             self._exit_code = 1
             self._refusal = f"{outcome.summary}; but apply_to: {applied.node} is as it was: {applied.reason}"
             self._node.get_logger().error(self._refusal)
@@ -198,41 +198,41 @@ class IdentificationShell:
             self.end()
 
     def end(self) -> None:
-        """Called at the end of the replay and of the task; the later of the two ends the node."""
+        """Called at the end of the replay and of the task; the second call ends the node."""
         is_done = self._replay.is_done and self._task.is_done
         if is_done and not self._settings.linger and self._node.context.ok():
             self._result.wait_for_all_acked(_DELIVERY)
             self._node.context.try_shutdown()
 
-    def _apply(self, outcome: Outcome, recipient: Recipient) -> Applied:
+    def _apply(self, outcome: Outcome, remote: RemoteParameters) -> Applied:
         """Set the whole valve, effects that are off and tolerances too, at once or not at all; keep what it had."""
         logger = self._node.get_logger()
         if outcome.objection and not self._settings.apply_always:
-            return Applied(recipient.name, False, f"{outcome.objection}; apply_always:=true sets it all the same")
+            return Applied(remote.name, False, f"{outcome.objection}; apply_always:=true sets it all the same")
         new = valve_parameters(outcome.valve)
         try:
-            old = recipient.values(list(new))
-            write_sections(self._folder / BEFORE_FILE, [Section(recipient.name, old)])
-            recipient.set(new)
+            old = remote.values(list(new))
+            write_sections(self._folder / BEFORE_FILE, [Section(remote.name, old)])
+            remote.set(new)
         except ParameterError as error:
-            return Applied(recipient.name, False, str(error))
+            return Applied(remote.name, False, str(error))
         changes = changes_between(old, new, outcome.intervals)
         self._before = {change.name: change.old for change in changes}
         if outcome.objection:
-            logger.warning(f"{recipient.name} is given the result although {outcome.objection} (apply_always)")
+            logger.warning(f"{remote.name} is given the result although {outcome.objection} (apply_always)")
         lines = tuple(change.text() for change in changes)
         for line in lines:
-            logger.info(f"{recipient.name}: {line}")
+            logger.info(f"{remote.name}: {line}")
         logger.info(
-            f"undo: `ros2 param load {recipient.name} {(self._folder / BEFORE_FILE).resolve()}`, or, while this node "
+            f"undo: `ros2 param load {remote.name} {(self._folder / BEFORE_FILE).resolve()}`, or, while this node "
             f"runs (linger:=true), its service ~/undo"
         )
-        return Applied(recipient.name, True, changes=lines)
+        return Applied(remote.name, True, changes=lines)
 
     # --- callbacks, in the main thread ---
 
     async def _undo(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """The valve's own values back; a thread waits for its answer, which this thread must be free to take."""
+        """Set the valve's former values; a thread waits for the reply, which this one must be free to receive."""
         taken_back: Future = Future()
 
         def take_back() -> None:
@@ -245,13 +245,13 @@ class IdentificationShell:
         return response
 
     def _take_back(self) -> tuple[bool, str]:
-        if self._recipient is None or not self._before:
+        if self._remote is None or not self._before:
             return False, "nothing was set that could be taken back"
         try:
-            self._recipient.set(self._before)
+            self._remote.set(self._before)
         except ParameterError as error:
             return False, str(error)
-        words = f"{self._recipient.name} has its own values again: {', '.join(self._before)}"
+        words = f"{self._remote.name} has its own values again: {', '.join(self._before)}"
         self._node.get_logger().info(words)
         self._before = {}
         return True, words

@@ -1,4 +1,4 @@
-"""What identification_node finds out, without ROS: a fit or a diagnosis in a thread, its files and its report."""
+"""The work of identification_node, without ROS: a fit or a diagnosis in a thread, its files and its report."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ Progress = Callable[[str, float], None]
 
 
 class Outcome(NamedTuple):
-    """What was found.
+    """The result of a fit or a diagnosis.
 
     Attributes:
         valve: the identified or corrected one. clock_offset: s by which the samples are stamped late.
@@ -53,12 +53,12 @@ class Outcome(NamedTuple):
 
     @property
     def files(self) -> str:
-        """Where it was written, for a person."""
+        """The files that were written, in words."""
         return str(self.file) if self.advice is None else f"{self.file}, and {self.advice} for what to record next"
 
 
 class Applied(NamedTuple):
-    """What became of handing the result on.
+    """Whether the result was set on the valve of `apply_to`.
 
     Attributes:
         node: the valve's name. is_set: whether it took the result over. reason: why not.
@@ -72,7 +72,7 @@ class Applied(NamedTuple):
 
 
 class Cancelled(Exception):  # noqa: N818 -- not an error: the node ends
-    """The thread was asked to stop."""
+    """The thread is to stop."""
 
 
 def read_recording(settings: Settings, declared: Valve) -> Trace:
@@ -87,7 +87,7 @@ def read_recording(settings: Settings, declared: Valve) -> Trace:
     return trace
 
 
-def find_out(trace: Trace, declared: Valve, settings: Settings, folder: Path, progress: Progress) -> Outcome:
+def fit_or_diagnose(trace: Trace, declared: Valve, settings: Settings, folder: Path, progress: Progress) -> Outcome:
     """Refit or diagnose, and write the valve that was found, and what to record next, into `folder`.
 
     Raises:
@@ -105,10 +105,11 @@ def _identified(result: Identification, settings: Settings, folder: Path) -> Out
     file = folder / IDENTIFIED_FILE
     save_valve(file, result.valve, _provenance(settings, summary))
     offset = result.fit.values["clock_offset[0]"]
-    return Outcome(result.valve, offset, identification_json(result), file, summary, result.intervals, _doubt(result))
+    report, objection = identification_json(result), _objection_to(result)
+    return Outcome(result.valve, offset, report, file, summary, result.intervals, objection)
 
 
-def _doubt(result: Identification) -> str:
+def _objection_to(result: Identification) -> str:
     if not result.fit.converged:
         return "the fit did not converge"
     if leaves_more_than_noise(result.fit):
@@ -123,7 +124,7 @@ def _doubt(result: Identification) -> str:
 
 
 def _diagnosed(trace: Trace, declared: Valve, settings: Settings, folder: Path, progress: Progress) -> Outcome:
-    # Only where it is asked for: it brings half a second of imports.
+    # Imported where it is needed: it takes half a second.
     from valve_sim.identification.diagnosis.run import diagnose
     from valve_sim.identification.estimation.budget import Budget
     from valve_sim.identification.plants.valve import ValvePlant
@@ -153,16 +154,16 @@ def _provenance(settings: Settings, summary: str) -> str:
 
 
 def report_text(outcome: Outcome, applied: Applied | None) -> str:
-    """The report as JSON, with what became of `apply_to`."""
+    """The report as JSON, with the outcome of `apply_to`."""
     handed_on = None if applied is None else applied._asdict()
     return json.dumps({**outcome.report, "file": str(outcome.file), "applied": handed_on}, ensure_ascii=False)
 
 
 class Task(threading.Thread):
-    """A thread that finds out and hands on; how far it is can be asked for at any time.
+    """A thread that does the work; its progress can be read at any time.
 
     Args:
-        work: does it, telling its progress; returns one sentence for a person.
+        work: the work; reports its progress and returns one sentence for a person.
         end: called with that sentence, or with why there is none; is_good says which.
     """
 
@@ -181,11 +182,11 @@ class Task(threading.Thread):
 
     @property
     def status(self) -> Status:
-        """How far it is."""
+        """Its progress."""
         return self._state
 
     def stop(self, timeout: float | None) -> bool:
-        """End the thread at its next word of progress; whether it has ended within `timeout`, s."""
+        """End the thread at its next report of progress; whether it has ended within `timeout`, s."""
         self._stopping.set()
         if self.is_alive():
             self.join(timeout)

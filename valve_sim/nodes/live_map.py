@@ -1,4 +1,4 @@
-"""Live topics by a map: a number out of a message of any type, in SI, and when it was taken. Imports no ROS."""
+"""Live topics by a map: a value in SI and its stamp from a message of any type. Imports no ROS."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _STEP: Final = re.compile(r"([A-Za-z_]\w*)((?:\[\d+\])*)")
 
 
 class LiveInput(NamedTuple):
-    """One quantity of a map as it comes live.
+    """One quantity of a map, read from live messages.
 
     Attributes:
         quantity: as the map calls it. source: where it is, and what its numbers mean.
@@ -40,7 +40,7 @@ class LiveInput(NamedTuple):
         return float(self.source.to_si(np.array([number]), QUANTITIES[self.quantity].dimension)[0])
 
     def stamp(self, message: Any) -> int:
-        """When it was taken, ns, by the header; 0 where there is none, it is not set, or the map says clock: bag."""
+        """The header's stamp, ns; 0 where there is none, it is not set, or the map says clock: bag."""
         header = getattr(message, "header", None)
         if header is None or self.source.clock == "bag":
             return 0
@@ -48,7 +48,7 @@ class LiveInput(NamedTuple):
 
 
 def live_inputs(path: str, valve: str) -> Mapping[str, LiveInput]:
-    """What a map names of one valve, by quantity.
+    """The inputs of one valve that a map names, by quantity.
 
     Args:
         path: the map.

@@ -1,4 +1,4 @@
-"""A valve that lives by a clock, without ROS: commands in from any thread, readings out in the stepping thread."""
+"""A valve simulated in step with a clock, without ROS: commands from any thread, readings in the stepping one."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _PHASE_AFTER: Final = {
     EventKind.SEATED: Phase.CLOSED,
 }
 SELF_TEST_SECONDS: Final = 0.5
-"""How long a self-test holds the voltage, and as long again without."""
+"""s for which a self-test holds the voltage, and then 0 V."""
 
 
 class Timeline:
@@ -49,14 +49,14 @@ class Timeline:
         return self._stamp + round(self.model_time(clock) * NANOSECONDS)
 
     def set_scale(self, clock: int, scale: float) -> None:
-        """Another scale from this clock time on, without a jump in model time."""
+        """Change the time scale from this clock time on, without a jump in model time."""
         self._model = self.model_time(clock)
         self._clock = clock
         self._scale = scale
 
 
 class Step(NamedTuple):
-    """What one step gives.
+    """Result of one step.
 
     Attributes:
         stamp: of the reading, ns.
@@ -105,7 +105,7 @@ class LiveValve:
 
     @property
     def valve(self) -> Valve:
-        """What is simulated, or will be from the next step on."""
+        """The valve that is simulated, or will be from the next step on."""
         return self._valve
 
     def command(self, clock: int, volts: float) -> bool:
@@ -116,26 +116,26 @@ class LiveValve:
         return True
 
     def limit(self, clock: int, max_voltage: float) -> None:
-        """Accept no more than this from now on, V; what is in force beyond it ends at clock time `clock`, ns."""
+        """Limit commands from now on, V; a voltage in force beyond the limit ends at clock time `clock`, ns."""
         self._max_voltage = max_voltage
         self._mailbox.post(clock, lambda time: self._withdraw_beyond(time, max_voltage))
 
     def set_valve(self, clock: int, valve: Valve) -> None:
-        """Go on as another valve, without a jump in state."""
+        """Continue with another valve, without a jump in state."""
         self._valve = valve
         self._mailbox.post(clock, lambda time: self._running.set_valve(valve, self._timeline.model_time(time)), "valve")
 
     def set_scale(self, clock: int, scale: float) -> None:
-        """Go on at another pace."""
+        """Continue at another time scale."""
         self._scale = scale
         self._mailbox.post(clock, lambda time: self._timeline.set_scale(time, scale))
 
     def reset(self, clock: int) -> None:
-        """Rest closed, without current, no command given."""
+        """Put the valve to rest: closed, without current, as before the first command."""
         self._mailbox.post(clock, self._rest)
 
     def restart(self, clock: int, stamp: int) -> None:
-        """Begin anew at clock time `clock`, ns, with stamps from `stamp` on: the valve rests closed.
+        """Restart at clock time `clock`, ns, with stamps from `stamp` on: the valve rests closed.
 
         What was stored before a jump of the clock is forgotten; what came before the first start is not.
         """
@@ -151,7 +151,7 @@ class LiveValve:
         """Advance to clock time `clock`, ns. The state does not depend on how often this is called."""
         failure = ""
         try:
-            # Nothing acts before what has been published: that cannot be taken back.
+            # A command cannot act before what is published already.
             self._mailbox.deliver(self._reached, clock)
             self._watch_command(clock)
             reading = self._running.advance(self._timeline.model_time(clock))
@@ -210,7 +210,7 @@ class LiveValve:
 
 
 class SelfTest(NamedTuple):
-    """One stroke of the model at the reference voltage, off line.
+    """One stroke of the model at the reference voltage, apart from the running valve.
 
     Attributes:
         passed: the valve opened fully, and its main plunger seated again.
@@ -222,7 +222,7 @@ class SelfTest(NamedTuple):
 
 
 def self_test(valve: Valve) -> SelfTest:
-    """Open and close a valve of these parameters, apart from the one that runs."""
+    """Open and close a valve with these parameters; the running one is not affected."""
     stepper = Stepper(valve)
     volts = valve.parameters.reference_voltage
     try:

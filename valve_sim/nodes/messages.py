@@ -1,4 +1,4 @@
-"""Messages of the model and back; of rclpy, their encoding only."""
+"""ROS messages from the model's readings; of rclpy, only the encoding is used."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from valve_sim.nodes.realtime import NANOSECONDS
 
 JOINT_NAMES: Final = ("pilot_plunger", "main_plunger")
 LAST_STAMP: Final = 2**31 * NANOSECONDS - 1
-"""ns, in 2038: a stamp has 32 bits for seconds. A thousand times faster than real time, a node is there in days."""
+"""ns, in 2038: a stamp has 32 bits for seconds. At a thousand times real time a node reaches that in days."""
 _STAMP_MARKS: Final = (1_234_567_891, 123_456_789)
 _MARKS: Final = (-1.1e301, -2.2e302, -3.3e303, -4.4e304, -5.5e305, -6.6e306)
-"""Numbers that no reading has and no text in a message looks like."""
+"""Placeholders: numbers that occur in no reading and no other field of a message."""
 
 
 class ReadingMessages:
-    """The two messages of each sample, encoded: `publish` takes bytes, and filling these in costs a third.
+    """The two messages of each sample, encoded: `publish` takes bytes, which cost a third of a message.
 
     Args:
         frame_id: of the joint states; may be set anew.
@@ -39,7 +39,7 @@ class ReadingMessages:
         self.set_frame_id(frame_id)
 
     def set_frame_id(self, frame_id: str) -> None:
-        """The frame of the joint states from now on."""
+        """Set the frame of the joint states."""
         joints = JointState(name=list(JOINT_NAMES))
         joints.header.frame_id = frame_id
         joints.header.stamp.sec, joints.header.stamp.nanosec = _STAMP_MARKS
@@ -66,7 +66,7 @@ class ReadingMessages:
 
 
 class _Encoding:
-    """An encoded message in which some numbers are put anew each time.
+    """An encoded message in which some numbers are replaced for each sample.
 
     Where they stand is read off a message that rclpy has encoded, with marks in their place: nothing here knows CDR.
 
@@ -121,7 +121,7 @@ def diagnostic_array(statuses: Sequence[Status], node: str, stamp: int) -> Diagn
 
 
 def descriptor(entry: NodeParameter) -> ParameterDescriptor:
-    """What ROS shows of a parameter, and the range that it enforces."""
+    """The descriptor of a parameter, and the range that ROS enforces."""
     message = ParameterDescriptor(name=entry.name, description=entry.description)
     limits = entry.range
     if limits is not None:

@@ -1,4 +1,4 @@
-"""`ros2 run valve_sim monitor_node`: the model in shadow of a real valve, which says when that changes, and how.
+"""`ros2 run valve_sim monitor_node`: the model beside a real valve; reports when the valve changes, and how.
 
 See `valve_sim.nodes.monitor_shell.MonitorShell` for topics and parameters.
 """
@@ -23,7 +23,7 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def _make_shell(given: GivenFiles) -> Shell:
-    # Not before `run_node` has seen that ROS is there: without it, one line says so.
+    # Imported only after `run_node` has found ROS; without ROS it prints one line.
     from valve_sim.nodes.monitor_shell import MonitorShell
 
     return MonitorShell(given)

@@ -70,7 +70,7 @@ class Settings(NamedTuple):
 
     @property
     def monitor(self) -> MonitorSettings:
-        """As the monitor takes them, in SI."""
+        """The settings of the monitor, in SI."""
         return MonitorSettings(
             self.commissioning_strokes,
             self.strokes_between_false_alarms,
@@ -83,7 +83,7 @@ class Settings(NamedTuple):
 
 
 class Given(NamedTuple):
-    """What the node starts with: its settings, the declared valve, and every parameter by its flat name."""
+    """The values at the start: settings, declared valve, and every parameter by its flat name."""
 
     settings: Settings
     valve: Valve
@@ -98,7 +98,7 @@ def descriptions() -> dict[str, str]:
 
 
 def check_given(given: Mapping[str, object], sources: Mapping[str, str], source: str) -> Given:
-    """The parameters to start with: defaults, and what was given in their place.
+    """The values at the start: defaults, replaced by what was given.
 
     Args:
         given: flat names and values; those of ROS itself left out.

@@ -1,7 +1,7 @@
 """The ROS side of monitor_node: segmenter, monitor and fault isolation wired to topics. No physics, no decisions.
 
-Threads: callbacks run in the main thread; each sample is a step of the model there, some tens of microseconds. A thread
-judges strokes, another traces the cause of an alarm; the live path waits for neither.
+Threads: callbacks run in the main thread; each sample is a step of the model there, some tens of microseconds. One
+thread scores strokes, another isolates the fault after an alarm; the live path waits for neither.
 """
 
 from __future__ import annotations
@@ -53,17 +53,17 @@ from valve_sim.nodes.node_clock import NodeClock
 from valve_sim.nodes.parameters import sources_of
 from valve_sim.nodes.realtime import LONGEST_LEAP_SECONDS, NANOSECONDS
 from valve_sim.nodes.shell_parts import LATCHED, RELIABLE, declare_read_only, full_name, given_parameters, make_node
-from valve_sim.nodes.spinning import guarded, say_left_out, spin, waiting_messages
+from valve_sim.nodes.spinning import guarded, log_left_out, spin, waiting_messages
 from valve_sim.traces import Trace
 from valve_sim.traces.trouble import MOST_STROKES
 
 _MEASURED: Final = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""Hears sensors of either reliability; deep, because the model may still be compiling when they begin."""
+"""Best effort accepts sensors of either reliability; deep, because samples may come while the model compiles."""
 _COMMANDS: Final = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
 _PAUSE: Final = 10e-3
-"""s between looks at what waits: waking up for each sample would cost rclpy more than the model's step."""
+"""s between polls: waking up for each sample would cost rclpy more than the model's step."""
 _JUMP_SECONDS: Final = 1.0
-"""A stamp that goes back by more is a clock that was set, or a bag that began anew, and no sample out of order."""
+"""A stamp that goes back by more means a clock that was set or a bag that restarted, not a sample out of order."""
 _MOST_WAITING: Final = 100_000
 
 
@@ -158,35 +158,35 @@ class MonitorShell:
         self._finding = node.create_publisher(String, "~/finding", LATCHED)
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
         self._messages = ReadingMessages(self._settings.frame_id)
-        events = SubscriptionEventCallbacks(incompatible_qos=guarded(self._cannot_hear))
+        events = SubscriptionEventCallbacks(incompatible_qos=guarded(self._on_incompatible_qos))
         if self._inputs:
-            self._hear_by_map(events)
+            self._subscribe_by_map(events)
         else:
-            self._hear_own_topics(events)
+            self._subscribe_to_own_topics(events)
         node.create_service(Trigger, "~/recommission", guarded(self._recommission))
-        # By the wall: diagnostics must tell, too, that /clock is silent.
+        # Wall time: diagnostics must also report that /clock is silent.
         node.create_timer(1.0, guarded(self._diagnose), clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def _hear_own_topics(self, events: SubscriptionEventCallbacks) -> None:
+    def _subscribe_to_own_topics(self, events: SubscriptionEventCallbacks) -> None:
         node = self._node
-        hear_command: Any = guarded(self._hear_command)  # with the message's times, which rclpy's types do not know of
+        on_command: Any = guarded(self._on_command)  # its second argument, message info, is missing in rclpy's types
         self._commands = node.create_subscription(
-            Float64, f"{self._valve}/coil_voltage", hear_command, _COMMANDS, event_callbacks=events
+            Float64, f"{self._valve}/coil_voltage", on_command, _COMMANDS, event_callbacks=events
         )
-        hear_samples: Any = guarded(self._hear_samples)
-        self._samples = node.create_subscription(JointState, self._measured, hear_samples, _MEASURED)
-        hear_current: Any = guarded(self._hear_currents)
-        self._currents = node.create_subscription(Float64, f"{self._sensors}/coil_current", hear_current, _MEASURED)
+        on_samples: Any = guarded(self._on_samples)
+        self._samples = node.create_subscription(JointState, self._measured, on_samples, _MEASURED)
+        on_currents: Any = guarded(self._on_currents)
+        self._currents = node.create_subscription(Float64, f"{self._sensors}/coil_current", on_currents, _MEASURED)
 
-    def _hear_by_map(self, events: SubscriptionEventCallbacks) -> None:
-        """Hear the topics that the map names, each message turned into the one of this package."""
+    def _subscribe_by_map(self, events: SubscriptionEventCallbacks) -> None:
+        """Subscribe to the topics that the map names; each message is converted to the type of this package."""
 
-        def heard(quantity: str, hear: Callable[[Any, Any], None], qos: QoSProfile, **settings: Any) -> Any:
+        def subscription_to(quantity: str, callback: Callable[..., None], qos: QoSProfile, **settings: Any) -> Any:
             entry = self._inputs[quantity]
             subscription = subscribe(
                 entry.message_class,
                 entry.source.topic,
-                guarded(lambda message, info: hear(*self._usual(entry, message, info))),
+                guarded(lambda message, info: callback(*self._as_own_message(entry, message, info))),
                 qos,
                 **settings,
             )
@@ -195,13 +195,13 @@ class MonitorShell:
 
         subscribe: Any = self._node.create_subscription
         self._measured, self._voltage = (self._inputs[key].source.topic for key in ("position", "command"))
-        self._commands = heard("command", self._hear_command, _COMMANDS, event_callbacks=events)
-        self._samples = heard("position", self._hear_samples, _MEASURED)
+        self._commands = subscription_to("command", self._on_command, _COMMANDS, event_callbacks=events)
+        self._samples = subscription_to("position", self._on_samples, _MEASURED)
         if "current" in self._inputs:
-            self._currents = heard("current", self._hear_currents, _MEASURED)
+            self._currents = subscription_to("current", self._on_currents, _MEASURED)
 
-    def _usual(self, entry: LiveInput | None, message: Any, info: Any) -> tuple[Any, Any]:
-        """A message and its times as this package has them; `entry` is None where they are so already."""
+    def _as_own_message(self, entry: LiveInput | None, message: Any, info: Any) -> tuple[Any, Any]:
+        """A message and its times in the types of this package; `entry` is None where they are already."""
         if entry is None:
             return message, info
         value, stamp = entry.value(message), entry.stamp(message)
@@ -214,42 +214,42 @@ class MonitorShell:
 
     # --- callbacks, in the main thread ---
 
-    def _hear_command(self, message: Float64, info: Any) -> None:
+    def _on_command(self, message: Float64, info: Any) -> None:
         stamp = self._arrival(info)
         self._when_ready(lambda: self._command(stamp, message.data))
 
-    def _hear_currents(self, message: Float64, info: Any) -> None:
-        self._hear_current(message, info)
+    def _on_currents(self, message: Float64, info: Any) -> None:
+        self._take_current(message, info)
         for waiting in self._waiting_on(self._currents):
-            self._hear_current(*waiting)
+            self._take_current(*waiting)
 
-    def _hear_current(self, message: Float64, info: Any) -> None:
+    def _take_current(self, message: Float64, info: Any) -> None:
         stamp = self._arrival(info)
         self._when_ready(lambda: self._segmenter.measure_current(self._seconds(stamp), message.data))
 
-    def _hear_samples(self, message: JointState, info: Any) -> None:
-        """Take all samples that wait, each after the commands that have come in before it."""
+    def _on_samples(self, message: JointState, info: Any) -> None:
+        """Take all queued samples, each after the commands received before it."""
         for sample in itertools.chain([(message, info)], self._waiting_on(self._samples)):
             for command in self._waiting_on(self._commands):
-                self._hear_command(*command)
-            self._hear_sample(*sample)
+                self._on_command(*command)
+            self._take_sample(*sample)
 
     def _waiting_on(self, subscription: Subscription) -> Iterator[tuple[Any, Any]]:
-        """Messages with their times; none in simulated time, where /clock must keep its place between them."""
+        """Queued messages with their times; none in simulated time, where the order with /clock must be kept."""
         if self._is_simulated():
             return
         try:
             for waiting in waiting_messages(subscription):
-                yield self._usual(self._entries.get(subscription), *waiting)
-        except Exception as error:  # rclpy's own: what is done with a message is not in here
-            say_left_out(self._node, error)
+                yield self._as_own_message(self._entries.get(subscription), *waiting)
+        except Exception as error:  # of rclpy; callbacks of this package are not called in here
+            log_left_out(self._node, error)
 
     def _is_simulated(self) -> bool:
         reading = self._clock.read()
         return reading is None or reading.is_simulated
 
     def _arrival(self, info: Any) -> int:
-        """When a message without a stamp came in, ns; in simulated time, when this thread got to it.
+        """Receive time of a message without a stamp, ns; in simulated time, when this thread processes it.
 
         A message that a map names may have one.
         """
@@ -258,7 +258,7 @@ class MonitorShell:
         received = _received(info)
         return self._clock.stamp() if self._is_simulated() or not received else received
 
-    def _hear_sample(self, message: JointState, info: Any) -> None:
+    def _take_sample(self, message: JointState, info: Any) -> None:
         received = 0 if self._is_simulated() else _received(info)
         self._when_ready(lambda: self._sample(message, received))
 
@@ -319,7 +319,7 @@ class MonitorShell:
         return float(positions[index])
 
     def _publish(self, stamp: int, prediction: Prediction) -> None:
-        """The model beside the sample, where anybody listens, at max_rate at most."""
+        """Publish prediction and residual, at most at max_rate and only if there are subscribers."""
         if stamp < self._next_message:
             return
         self._next_message = max(self._next_message, stamp) + round(0.9 * NANOSECONDS / self._settings.max_rate)
@@ -339,12 +339,12 @@ class MonitorShell:
             self._baseline = baseline
 
     def _seconds(self, stamp: int) -> float:
-        """Since the first stamp, so that a double holds nanoseconds."""
+        """Seconds since the first stamp, so that a double resolves nanoseconds."""
         if self._epoch is None:
             self._epoch = stamp
         return (stamp - self._epoch) / NANOSECONDS
 
-    def _cannot_hear(self, event: QoSRequestedIncompatibleQoSInfo) -> None:
+    def _on_incompatible_qos(self, event: QoSRequestedIncompatibleQoSInfo) -> None:
         policy = qos_policy_name_from_kind(event.last_policy_kind)
         self._node.get_logger().warning(
             f"{self._voltage}: a publisher offers an incompatible QoS ({policy}) and cannot be heard; publish reliable"
@@ -378,7 +378,7 @@ class MonitorShell:
     # --- the monitor's thread, and that of fault isolation ---
 
     def _prepare(self) -> None:
-        """Load the compiled model, or compile it, before the first sample is looked at."""
+        """Load or compile the model before the first sample is processed."""
         stepper = Stepper(self._segmenter.valve)
         stepper.command(1e-3, self._segmenter.valve.parameters.reference_voltage)
         stepper.advance(20e-3)
@@ -400,7 +400,7 @@ class MonitorShell:
             self._log(*change)
 
     def _keep(self) -> None:
-        """Write what commissioning found, once it has."""
+        """Write the state file once commissioning is complete."""
         commissioning = self._stroke_monitor.commissioning
         if commissioning is None or commissioning is self._kept or self._state is None:
             return
@@ -420,7 +420,7 @@ class MonitorShell:
                 self._state.unlink(missing_ok=True)
 
     def _log(self, level: Level, words: str) -> None:
-        # rclpy allows one severity for each line of code that logs.
+        # rclpy allows only one severity for each line of code that logs.
         if level is Level.ERROR:
             self._node.get_logger().error(words)
         elif level is Level.WARN:
@@ -445,5 +445,5 @@ class MonitorShell:
 
 
 def _received(info: Any) -> int:
-    """When the middleware got a message, ns; 0 where it does not say."""
+    """Receive time by the middleware, ns; 0 where it gives none."""
     return int(info.get("received_timestamp", 0)) if isinstance(info, dict) else 0

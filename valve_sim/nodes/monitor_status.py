@@ -1,4 +1,4 @@
-"""What monitor_node says on /diagnostics, without ROS: the valve, the model beside it, the input, fault isolation."""
+"""The statuses of monitor_node, without ROS: the valve, its model, the input, fault isolation, and each stroke."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from valve_sim.nodes.diagnostics import Level, Status
 from valve_sim.nodes.monitor_tasks import FaultIsolation
 
 SILENT_SECONDS: Final = 2.0
-"""Without samples for so long, the input is a warning."""
+"""Time without samples after which the input is a warning."""
 
 
 class InputFacts(NamedTuple):
-    """What is known of the input.
+    """State of the input.
 
     Attributes:
         samples, commands: how many, in all. rate: samples a second since the last look, Hz.
         rejected: samples and commands, in all, that could not be used. rejected_now: since the last look.
-        why: of the last of them. silence: s since the last sample, nan before the first.
-        lost: strokes, in all, that were not judged for lack of time. waiting_for: what there is no input without.
+        why: reason for the last of them. silence: s since the last sample, nan before the first.
+        lost: strokes, in all, that were not judged for lack of time. waiting_for: what is still missing, or empty.
     """
 
     samples: int
@@ -46,7 +46,7 @@ class InputFacts(NamedTuple):
 def health_status(
     fault: Fault | None, monitor: StrokeMonitor, last: StrokeReport | None, wanted: int, isolation: FaultIsolation
 ) -> Status:
-    """Whether the valve does as it did: ERROR where it does not open or close, WARN where it has changed."""
+    """Whether the valve is as commissioned: ERROR where it does not open or close, WARN where it has changed."""
     cause = "" if isolation.finding is None else finding_words(isolation.finding)
     values = {
         "strokes": "0" if last is None else str(last.record.number + 1),
@@ -112,7 +112,7 @@ def input_status(facts: InputFacts) -> Status:
 
 
 def isolation_status(isolation: FaultIsolation) -> Status:
-    """What fault isolation is doing."""
+    """Progress of fault isolation."""
     if isolation.failure:
         return Status("fault isolation", Level.WARN, isolation.failure, {})
     if isolation.doing:
@@ -121,7 +121,7 @@ def isolation_status(isolation: FaultIsolation) -> Status:
 
 
 def stroke_status(report: StrokeReport) -> Status:
-    """One stroke in numbers that can be plotted; nan for what is not known."""
+    """The figures of one stroke as numbers that can be plotted; nan for what is not known."""
     damping = {f"{name} (N·s·m⁻¹)": interval.value for name, interval in report.damping.items()}
     values = {
         "stroke": report.record.number,
@@ -142,7 +142,7 @@ def stroke_status(report: StrokeReport) -> Status:
 
 
 def _verdict_on(report: StrokeReport) -> tuple[Level, str]:
-    """How bad one stroke is, and in words."""
+    """Level and message of one stroke."""
     if report.record.fault is not None:
         return Level.ERROR, fault_words(report.record.fault)
     if report.alarm is not None:
@@ -161,7 +161,7 @@ def _number(value: float) -> str:
 
 
 class HealthLog:
-    """One line for the log whenever the state of a valve changes, none for a stroke that is as the last one."""
+    """A line for the log whenever the state of the valve changes."""
 
     def __init__(self) -> None:
         self._state = ""
@@ -176,7 +176,7 @@ class HealthLog:
 
 
 def _health(report: StrokeReport, monitor: StrokeMonitor) -> tuple[Level, str, str]:
-    """How bad, under what name, and in words."""
+    """Level, name of the state, and message."""
     if report.record.fault is not None:
         return Level.ERROR, "fault", fault_words(report.record.fault)
     alarm = monitor.alarm
@@ -192,7 +192,7 @@ def _health(report: StrokeReport, monitor: StrokeMonitor) -> tuple[Level, str, s
 
 
 class InputCount:
-    """Counts samples and what was rejected; belongs to one thread."""
+    """Counts samples and rejected input; used by one thread."""
 
     def __init__(self) -> None:
         self.samples = 0
@@ -205,12 +205,12 @@ class InputCount:
         self._last_sample = math.nan
 
     def reject(self, why: str) -> None:
-        """One more that cannot be used."""
+        """Count one that cannot be used."""
         self.rejected += 1
         self._why = why
 
     def look(self, now: float, lost: int, waiting_for: str) -> InputFacts:
-        """What is known now; `now` in s of a clock that never stands still."""
+        """The state now; `now` in s of a monotonic clock."""
         fresh = self.samples - self._samples_before
         if fresh or math.isnan(self._last_sample):
             self._last_sample = now if fresh else math.nan

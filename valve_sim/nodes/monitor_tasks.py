@@ -15,7 +15,7 @@ from valve_sim.model.errors import ValveError
 from valve_sim.traces import Trace
 
 MOST_WAITING: Final = 100
-"""Strokes that wait to be scored; further ones are left out and counted."""
+"""Queued strokes; further ones are dropped and counted."""
 
 
 class MonitorThread(threading.Thread):
@@ -62,17 +62,17 @@ class MonitorThread(threading.Thread):
     def recommission(self) -> None:
         """Take the strokes that follow as the new baseline; never waits."""
         self._anew.set()
-        self.post_nothing()
+        self.wake()
 
     def stop(self, timeout: float | None) -> bool:
         """End the thread; whether it has ended within `timeout`, s."""
         self._stopping.set()
-        self.post_nothing()
+        self.wake()
         if self.is_alive():
             self.join(timeout)
         return not self.is_alive()
 
-    def post_nothing(self) -> None:
+    def wake(self) -> None:
         """Wake the thread."""
         try:
             self._waiting.put_nowait(None)
@@ -102,7 +102,7 @@ class MonitorThread(threading.Thread):
 
 
 class FaultIsolation:
-    """Isolates one fault at a time, each in a thread of its own; of what arrives meanwhile, the latest waits.
+    """Isolates one fault at a time, each in a thread of its own; of requests meanwhile only the latest is kept.
 
     Args:
         tell: called with each finding, in the thread.
@@ -167,4 +167,4 @@ class FaultIsolation:
 
 
 class _Cancelled(Exception):  # noqa: N818 -- not an error: the node ends
-    """Fault isolation was asked to stop."""
+    """Fault isolation is to stop."""

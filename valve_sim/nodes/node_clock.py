@@ -1,4 +1,4 @@
-"""The clock that a node follows, through rclpy's own."""
+"""The clock that a node follows, by means of rclpy."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class NodeClock:
         self._clock: Any = node.get_clock()
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._woken = threading.Event()
-        # Held, because ROS forgets a callback whose handle is gone. Every /clock message is a jump of some size.
+        # The handle is kept, because ROS drops a callback without it. Every /clock message is a jump of some size.
         threshold = JumpThreshold(
             min_forward=Duration(nanoseconds=1), min_backward=Duration(nanoseconds=-1), on_clock_change=True
         )
@@ -37,7 +37,7 @@ class NodeClock:
         return ClockReading(now, True) if now else None
 
     def elapsed(self) -> float:
-        """Elapsed time by the wall, s, from any origin: it never stands still."""
+        """Monotonic wall time, s, from any origin."""
         return float(self._steady.now().nanoseconds) / NANOSECONDS
 
     def sleep_until(self, deadline: int) -> None:
@@ -55,5 +55,5 @@ class NodeClock:
         self._woken.set()
 
     def stamp(self) -> int:
-        """ROS time, ns: what a message that is sent now is stamped with."""
+        """ROS time, ns, for the stamp of a message that is sent now."""
         return int(self._clock.now().nanoseconds)

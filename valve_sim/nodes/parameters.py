@@ -18,7 +18,7 @@ from valve_sim.model.tolerances import COVARIANCE_FORM, COVARIANCE_NAME, TOLERAT
 Value = float | str | list[float]
 
 VALVE_KEYS: Final = ("valve.", "effects.", "tolerances.")
-"""What the names begin with that describe a valve, and not a node."""
+"""Prefixes of the parameters that describe a valve, not a node."""
 
 _POLYNOMIAL: Final = "valve.attraction_polynomial"
 _TOLERANCES: Final = "tolerances."
@@ -88,7 +88,7 @@ class NodeParameter(NamedTuple):
 
 
 class Settings(NamedTuple):
-    """The parameters that belong to the node and not to the valve; units as in the table."""
+    """The node's own parameters; units as in the table."""
 
     publish_rate: float
     time_scale: float
@@ -114,7 +114,7 @@ def table(default: Valve) -> dict[str, NodeParameter]:
 def check_overrides(
     overrides: Mapping[str, object], entries: Mapping[str, NodeParameter], sources: Mapping[str, str]
 ) -> dict[str, Value]:
-    """The values to start with: those of `defaults`, and what was given in their place.
+    """The values at the start: those of `defaults`, replaced by what was given.
 
     Args:
         overrides: given names and values; those of ROS itself are passed over.
@@ -143,7 +143,7 @@ def check_overrides(
 
 
 def defaults(entries: Mapping[str, NodeParameter], given: Collection[str]) -> dict[str, Value]:
-    """The value of every parameter that is not given.
+    """The default value of every parameter.
 
     The shipped tolerances are of the shipped valve: where anything of a valve is given, the others are exact, as in a
     parameter file.
@@ -159,7 +159,7 @@ def defaults(entries: Mapping[str, NodeParameter], given: Collection[str]) -> di
 
 
 def refuse_tolerance(name: str, value: object, source: str) -> None:
-    """Say of a tolerance without a place in the table what a parameter file would be told.
+    """Refuse a tolerance that is not in the table with the message that a parameter file gets.
 
     Raises:
         ParameterError: the name is that of a tolerance, and unknown.
@@ -169,7 +169,7 @@ def refuse_tolerance(name: str, value: object, source: str) -> None:
 
 
 def left_without_effect(changes: Mapping[str, object], values: Mapping[str, object]) -> list[str]:
-    """The tolerances that a change leaves behind, of effects that it switches off; those that it sets itself apart.
+    """The tolerances of effects that a change switches off, but for those that it sets itself.
 
     Args:
         changes: what is about to be set. values: what is set, of the whole table.
@@ -187,7 +187,7 @@ def left_without_effect(changes: Mapping[str, object], values: Mapping[str, obje
 
 
 def _is_retired(name: str) -> bool:
-    """Whether an effect had this parameter in an earlier version."""
+    """Whether an effect had this parameter in an earlier release."""
     root, _, rest = name.partition(".")
     effect, _, parameter = rest.partition(".")
     return root == "effects" and effect in CATALOGUE and parameter in CATALOGUE[effect].retired
@@ -204,7 +204,7 @@ def sources_of(sections: Sequence[tuple[str, Section]], node: str) -> dict[str, 
 
 
 def files_for_others(sections: Sequence[tuple[str, Section]], node: str) -> dict[str, list[str]]:
-    """Files that hold nothing for this node, and the node names that they do hold."""
+    """Files without a section for this node, and the node names that they have."""
     names: dict[str, list[str]] = {}
     for path, section in sections:
         names.setdefault(path, []).append(section.node)

@@ -13,7 +13,7 @@ from valve_sim.traces.synthetic import read_profile
 
 
 class Settings(NamedTuple):
-    """What the node does.
+    """Settings of the node.
 
     Attributes:
         profile: file of the commands. valve: the node that gets them.
@@ -66,7 +66,7 @@ def check_settings(given: Mapping[str, object], sources: Mapping[str, str]) -> S
 
 
 def checked_profile(settings: Settings) -> Drive:
-    """The commands, all of which are allowed, and the last of which is 0 V.
+    """The commands, checked: all within max_voltage, and the last one 0 V.
 
     Raises:
         ValveError: the file cannot be used; one line.

@@ -1,4 +1,4 @@
-"""A profile of commands played by a clock, without ROS: each at its time, or an end that says why."""
+"""A profile of commands sent by a clock, without ROS: each at its time, or an error that says why not."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from valve_sim.nodes.realtime import NANOSECONDS, PaceClock, why_restart
 
 
 class ProfileBrokenOffError(ValveError):
-    """The profile was not commanded to its end; the message says why."""
+    """The profile was broken off; the message says why."""
 
 
 class Commanded(NamedTuple):
@@ -61,7 +61,7 @@ def play(
 
 
 def as_csv(commanded: Sequence[Commanded]) -> str:
-    """A table that is a profile too: ROS time of each command, s since the first, V."""
+    """The commands as a table, which is a profile too: ROS time, s since the first command, V."""
     rows = [
         f"{entry.stamp},{(entry.stamp - commanded[0].stamp) / NANOSECONDS:.9f},{entry.volts:g}" for entry in commanded
     ]

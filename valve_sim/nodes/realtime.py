@@ -1,4 +1,4 @@
-"""Keeping pace with a clock, without ROS: deadlines that do not drift, a bounded backlog, and how well it went.
+"""Keeping pace with a clock, without ROS: deadlines that do not drift, a bounded backlog, and timing statistics.
 
 A ROS timer drops late ticks, so ticks are never counted here: the clock is read, and whatever has become due since is
 handed out, each with the time that it stands for.
@@ -14,13 +14,13 @@ from typing import Final, NamedTuple, Protocol
 
 NANOSECONDS: Final = 1_000_000_000
 BACKLOG_SECONDS: Final = 0.5
-"""Samples that are overdue for longer are not made up for; the model itself is stepped over them all the same."""
+"""s: samples that are overdue for longer are dropped; the model is stepped over them nevertheless."""
 LONGEST_LEAP_SECONDS: Final = 60.0
-"""A clock that moves further between two looks was set, not run."""
+"""s: a clock that moves further between two readings has been set."""
 
 
 class Due(NamedTuple):
-    """What has become due: clock times in ns, ascending, and how many older ones were given up."""
+    """Deadlines that have passed: clock times in ns, ascending, and how many older ones were dropped."""
 
     times: range | list[int]
     lost: int
@@ -65,7 +65,7 @@ class Schedule:
 
 
 class Timing(NamedTuple):
-    """How well the pace was kept since the last look.
+    """Timing statistics since the last reading.
 
     Attributes:
         rate: steps a second of the clock that were made, Hz; nan without a second look.
@@ -86,7 +86,7 @@ class Timing(NamedTuple):
 
 
 class TimingRecord:
-    """Counts in the stepping thread; read, once a second or so, in another."""
+    """Counters of the stepping thread, read by another once a second or so."""
 
     def __init__(self) -> None:
         self._late: list[int] = []
@@ -103,11 +103,11 @@ class TimingRecord:
             self._overruns += 1
 
     def note_lost(self, count: int) -> None:
-        """Steps that were given up."""
+        """Count steps that were dropped."""
         self._lost += count
 
     def look(self, now: int) -> Timing:
-        """How it went since the last look; `now` in ns of the clock that the steps follow."""
+        """Statistics since the last reading; `now` in ns of the clock that the steps follow."""
         late, self._late = sorted(self._late), []
         elapsed = 0 if self._looked_at is None else now - self._looked_at
         self._looked_at = now
@@ -120,7 +120,7 @@ class TimingRecord:
 
 
 class ClockReading(NamedTuple):
-    """What a clock shows, ns, and whether that is simulated time."""
+    """The time of a clock, ns, and whether it is simulated time."""
 
     nanoseconds: int
     is_simulated: bool
@@ -189,7 +189,7 @@ class Worker(threading.Thread):
         return self._stopping.is_set()
 
     def set_rate(self, rate: float) -> None:
-        """Steps a second from now on, Hz."""
+        """Set the rate of the steps, Hz."""
         self._rate = rate
         self._clock.wake()
 
@@ -241,11 +241,11 @@ class _Pace:
 
     @property
     def now(self) -> int:
-        """The clock when last looked at, ns."""
+        """The last reading of the clock, ns."""
         return 0 if self._last is None else self._last.nanoseconds
 
     def look(self, rate: float) -> Schedule | None:
-        """Read the clock; the schedule that holds now, or None while the clock shows nothing."""
+        """Read the clock; the present schedule, or None while the clock has no time yet."""
         reading = self._clock.read()
         if reading is None:
             return None
@@ -257,14 +257,14 @@ class _Pace:
         if self._schedule is None:
             self._schedule = Schedule(rate, reading.nanoseconds)
         elif rate != self._rate:
-            # Go on where the old rate would have: no deadline twice, none left out.
+            # Continue where the old rate would have: no deadline twice, none left out.
             self._schedule = Schedule(rate, self._schedule.next)
         self._rate = rate
         return self._schedule
 
 
 def why_restart(last: ClockReading | None, now: ClockReading) -> str | None:
-    """Why a clock cannot be followed from its last reading to this one; None if it can, empty if it just began."""
+    """Why the model must restart between these readings of a clock; None if it need not, empty at the first one."""
     if last is None:
         return ""
     if now.is_simulated != last.is_simulated:
@@ -278,7 +278,7 @@ def why_restart(last: ClockReading | None, now: ClockReading) -> str | None:
 
 
 class Mailbox:
-    """First in, first out, between threads: callbacks store, the stepper takes what its time has come."""
+    """A queue between threads: callbacks post actions, the stepper calls those that are due."""
 
     def __init__(self) -> None:
         self._letters: deque[tuple[int, Callable[[int], None], str]] = deque()
@@ -302,7 +302,7 @@ class Mailbox:
             action(max(time, since))
 
     def clear(self) -> None:
-        """Forget all actions."""
+        """Drop all actions."""
         with self._lock:
             self._letters.clear()
 

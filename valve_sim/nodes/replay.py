@@ -1,4 +1,4 @@
-"""A recording played back by a clock, without ROS: what is due when, and what the model says beside it."""
+"""A recording replayed by a clock, without ROS: its timeline, and the model's prediction at each sample."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from valve_sim.nodes.realtime import NANOSECONDS, PaceClock, TimingRecord, why_r
 from valve_sim.traces import Trace
 
 LISTENERS_SECONDS: Final = 0.5
-"""How long a replay waits for listeners to be found: discovery takes up to a quarter of a second."""
+"""s that a replay waits for the discovery of subscribers, which takes up to a quarter of a second."""
 LATE_SECONDS: Final = 0.01
-"""Samples that are published later than this, at the 99th percentile, are a warning."""
+"""s: lateness of published samples, 99th percentile, beyond which there is a warning."""
 _UNKNOWN: Final = math.nan
 
 
 class Prediction(NamedTuple):
-    """What a valve would have shown at a trace's samples.
+    """The readings of a simulated valve at a trace's samples.
 
     Attributes:
         response: by the model. model: its name, for people.
@@ -32,7 +32,7 @@ class Prediction(NamedTuple):
     model: str
 
     def reading(self, index: int) -> Reading:
-        """At one sample; the main plunger's force is left open (NaN)."""
+        """The reading at one sample; the main plunger's force is not given (NaN)."""
         shown, phase = self.response, Phase(int(self.response.phase[index]))
         velocity = float(shown.pilot_velocity[index])
         return Reading(
@@ -62,10 +62,10 @@ class Timeline(NamedTuple):
 
 
 class Player(Protocol):
-    """Where a replay goes; called from its thread."""
+    """Receives what is replayed; called from the replay's thread."""
 
     def prepare(self) -> None:
-        """First of all."""
+        """Called before the replay begins."""
 
     def command(self, index: int) -> None:
         """One command of the trace."""
@@ -74,14 +74,14 @@ class Player(Protocol):
         """One sample of the trace."""
 
     def end(self) -> None:
-        """All has been played."""
+        """Called when all has been replayed."""
 
     def fail(self, error: Exception) -> None:
-        """What went wrong; the replay has ended."""
+        """Called when the replay failed and has ended."""
 
 
 def predict(trace: Trace, valve: Valve, clock_offset: float, model: str) -> Prediction:
-    """What a valve would have shown.
+    """Simulate a valve under the commands of a trace.
 
     Args:
         trace: commands and sample times.
@@ -96,7 +96,7 @@ def predict(trace: Trace, valve: Valve, clock_offset: float, model: str) -> Pred
 
 
 def measured_reading(trace: Trace, index: int) -> Reading:
-    """A sample; what was not measured is NaN."""
+    """A sample as a reading; what was not measured is NaN."""
     main = _UNKNOWN if trace.main_position is None else float(trace.main_position[index])
     return Reading(
         float(trace.times[index]),
@@ -113,7 +113,7 @@ def measured_reading(trace: Trace, index: int) -> Reading:
 
 
 def timeline(trace: Trace, rate: float) -> Timeline:
-    """When each command and sample is due; a command comes before a sample of its time. All at once at rate 0."""
+    """When each command and sample is due; a command precedes a sample of equal time. At rate 0, all at once."""
     times = np.concatenate([trace.drive.times, trace.times])
     commands = len(trace.drive.times)
     places = np.concatenate([-1 - np.arange(commands), np.arange(len(trace.times))])
@@ -124,7 +124,7 @@ def timeline(trace: Trace, rate: float) -> Timeline:
 
 
 class Replay(threading.Thread):
-    """A thread that plays a trace by absolute deadlines: nothing is left out, and lateness never accumulates.
+    """A thread that replays a trace by absolute deadlines: nothing is left out, and lateness does not accumulate.
 
     Args:
         clock: is followed; after a jump of it the replay begins anew.
@@ -181,7 +181,7 @@ class Replay(threading.Thread):
                 self._player.fail(error)
 
     def _play(self) -> bool:
-        """One pass; False if it was broken off because the clock jumped or the thread is to end."""
+        """Replay once; False if broken off because the clock jumped or the thread is to end."""
         last, start, self.played = None, 0, 0
         while self.played < self.samples:
             reading = self._clock.read()
@@ -217,7 +217,7 @@ class Replay(threading.Thread):
 
 
 def replay_status(replay: Replay, now: int, model: str) -> Status:
-    """How the replay goes; `now` in ns of the clock that it follows."""
+    """Progress of the replay; `now` in ns of the clock that it follows."""
     timing = replay.timing.look(now)
     wanted = replay.samples_a_second
     values = {

@@ -1,4 +1,4 @@
-"""What the nodes' shells share: qualities of service, and parameters that are read once, at the start."""
+"""Shared by the nodes: QoS profiles, and parameters that are read once at the start."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ RELIABLE: Final = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 LATCHED: Final = QoSProfile(
     depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
 )
-"""Whoever comes later still hears the last message."""
+"""Late subscribers get the last message."""
 
 
 def make_node(name: str) -> Node:
-    """A node that has declared all that it was given, known or not: `declare` then says what it is.
+    """A node that has declared all parameters that it was given, known or not, with the type that they have.
 
     It says when its model has to be compiled, for until then it does nothing.
 
@@ -43,7 +43,7 @@ def make_node(name: str) -> Node:
 
 
 def declare(node: Node, name: str, value: Any, descriptor: ParameterDescriptor) -> None:
-    """Declare a parameter with this value, in place of what was declared because it was given."""
+    """Declare a parameter with this value, in place of its declaration by `make_node`."""
     if node.has_parameter(name):
         node.undeclare_parameter(name)
     node.declare_parameter(name, value, descriptor, ignore_override=True)
@@ -52,7 +52,7 @@ def declare(node: Node, name: str, value: Any, descriptor: ParameterDescriptor) 
 def given_parameters(
     node: Node, sections: Sequence[tuple[str, Section]], former_names: Mapping[str, str] | None = None
 ) -> dict[str, object]:
-    """Flat name to value of what was given on the command line and in its files, those of ROS itself left out.
+    """Flat name to value of the parameters given on the command line and in its files, without those of ROS itself.
 
     rclpy passes over a misspelt name without a word; `make_node` has declared it. A file that holds nothing for this
     node is warned about, and so is a name of an earlier release, which still counts (`former_names`: to present ones).

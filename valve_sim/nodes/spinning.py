@@ -1,4 +1,4 @@
-"""Spinning a node past messages that rclpy itself cannot take."""
+"""Spinning a node that survives messages which rclpy itself cannot take."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ R = TypeVar("R")
 
 
 class CallbackError(Exception):
-    """A callback of this package failed; `__cause__` is what it failed with."""
+    """A callback of this package failed; `__cause__` is its exception."""
 
 
 def guarded(callback: Callable[P, R]) -> Callable[P, R]:
-    """A callback whose failure is told from what rclpy refuses by itself: see `spin`."""
+    """A callback whose exceptions `spin` can tell from those of rclpy."""
 
     @functools.wraps(callback)
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -33,15 +33,15 @@ def guarded(callback: Callable[P, R]) -> Callable[P, R]:
 
 
 def spin(node: Node, pause: Callable[[], float] | None = None) -> None:
-    """Answer until ROS is shut down.
+    """Spin until ROS is shut down.
 
     Args:
         node: what is spun.
-        pause: s to do nothing after each answer, for a node that then takes all that waits; default none.
+        pause: s to sleep after each callback, for a node that then takes all queued messages; default none.
 
-    A /clock before 1970, and whatever else rclpy refuses with an exception of its own, would end every node that hears
-    it; here it is left out with a line in the log. What fails in a callback of this package, each of them `guarded`, is
-    raised: that is a fault of ours, and no message's.
+    A /clock before 1970, and whatever else rclpy refuses with an exception of its own, would end every node that
+    subscribes to it; here the message is dropped with a line in the log. Exceptions of callbacks of this package, each
+    of which is `guarded`, are raised: they are faults of the node, not of a message.
     """
     executor = SingleThreadedExecutor()
     executor.add_node(node)
@@ -58,13 +58,13 @@ def spin(node: Node, pause: Callable[[], float] | None = None) -> None:
             except Exception as error:
                 if not node.context.ok():
                     raise
-                say_left_out(node, error)
+                log_left_out(node, error)
     finally:
         executor.remove_node(node)
 
 
 def waiting_messages(subscription: Subscription) -> Iterator[tuple[Any, Any]]:
-    """Messages that wait at a subscription, each with its information, taken without an executor.
+    """The queued messages of a subscription, each with its message info, taken without an executor.
 
     The only use of what rclpy does not document: `take_message`, as its own `wait_for_message` has it. An executor of
     Jazzy takes 290 µs of a core for each message, 29 % at 1 kHz; taking all that waits every 10 ms, 54 µs.
@@ -74,6 +74,6 @@ def waiting_messages(subscription: Subscription) -> Iterator[tuple[Any, Any]]:
         yield waiting
 
 
-def say_left_out(node: Node, error: Exception) -> None:
-    """A line in the log, one a second at most, for a message that rclpy refuses with this exception."""
+def log_left_out(node: Node, error: Exception) -> None:
+    """Log, once a second at most, that rclpy refused a message with this exception."""
     node.get_logger().error(f"a message was left out that ROS cannot take: {error!r}", throttle_duration_sec=1.0)

@@ -20,23 +20,23 @@ from valve_sim.model.errors import ParameterError, ValveError
 UNUSABLE_INPUT: Final = 2
 """Exit code after one line on stderr."""
 STOP_SECONDS: Final = 0.4
-"""How long a node that was asked to end may take without saying why."""
+"""s that a node may take to end before it says why."""
 _PARAMETER_FLAG: Final = "--params-file"
 
 
 GivenFiles = list[tuple[str, Section]]
-"""What the parameter files of a command line hold: (file as given, section), in its order."""
+"""The sections of the parameter files on a command line: (file as given, section), in order."""
 
 
 class Shell(Protocol):
-    """What `run_node` runs."""
+    """A node as `run_node` runs it."""
 
     @property
     def exit_code(self) -> int:
-        """0, or 1 if something in it failed."""
+        """0, or 1 if it failed."""
 
     def spin(self) -> None:
-        """Return when ROS is shut down."""
+        """Run until ROS is shut down."""
 
     def close(self, timeout: float | None) -> bool:
         """End every thread and release everything, within `timeout`, s, or however long it takes; whether it has."""
@@ -72,7 +72,7 @@ def run_node(name: str, make: Callable[[GivenFiles], Shell], args: Sequence[str]
 
 
 def read_files(arguments: Sequence[str]) -> GivenFiles:
-    """Read every parameter file of a command line; ROS reads them again, and says less about what it refuses.
+    """Read every parameter file of a command line. ROS reads them again, but its errors say less.
 
     Raises:
         ParameterError: a file cannot be read, holds nonsense about a valve, or a list that ROS refuses.
@@ -100,14 +100,14 @@ def _check_lists(section: Section, path: str) -> None:
 
 
 def rclpy_init(arguments: Sequence[str]) -> None:
-    """rclpy.init, with what it refuses in one line.
+    """Call rclpy.init, and turn its error into one line.
 
     Raises:
         ParameterError: ROS cannot use the command line or its surroundings.
     """
     try:
         rclpy().init(args=list(arguments))
-    except Exception as error:  # rclpy has a type for each of its refusals, and not all of them are public
+    except Exception as error:  # rclpy has several exceptions here, not all of them public
         first_line = str(error).splitlines()[0] if str(error) else ""
         raise ParameterError(f"ROS 2 refused to start: {type(error).__name__} {first_line}") from error
 
@@ -146,7 +146,7 @@ def _spin(name: str, shell: Shell) -> int:
     except shutdown_seen:
         pass
     except Exception:
-        # A signal shuts ROS down under whatever callback is at work, which then fails in a way of its own.
+        # A signal shuts ROS down during a callback, which may then fail with any exception.
         if rclpy().ok():
             raise
     finally:
@@ -156,7 +156,7 @@ def _spin(name: str, shell: Shell) -> int:
 
 
 def _close(name: str, shell: Shell) -> None:
-    """Put everything away. A second Ctrl-C would only leave a mess, unless a thread keeps the program waiting."""
+    """Release everything; a second Ctrl-C interrupts that only while a thread keeps the program waiting."""
     _on_signals(signal.SIG_IGN)
     if shell.close(STOP_SECONDS):
         return
@@ -214,7 +214,7 @@ def _ends_quietly() -> Iterator[None]:
 
 
 def _ensure_log_folder(name: str) -> None:
-    """ROS does not start where it cannot write its log: say so, and log elsewhere."""
+    """Log elsewhere, and say so, where ROS cannot write its log: it would not start."""
     folder = log_folder()
     try:
         folder.mkdir(parents=True, exist_ok=True)

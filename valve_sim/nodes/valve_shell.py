@@ -61,7 +61,7 @@ from valve_sim.nodes.spinning import guarded, spin
 
 _LONGEST_SLEEP: Final = 0.05
 _BETWEEN_WARNINGS: Final = 5.0
-"""s between lines of the log about the same trouble: it may come a thousand times a second."""
+"""s between lines of the log about the same problem, which may occur a thousand times a second."""
 
 
 class ValveShell:
@@ -117,7 +117,7 @@ class ValveShell:
         return self._exit_code
 
     def spin(self) -> None:
-        """Step, publish and answer until ROS is shut down."""
+        """Run until ROS is shut down."""
         self._worker.start()
         spin(self._node)
 
@@ -148,13 +148,13 @@ class ValveShell:
         self._phase = node.create_publisher(UInt8, "~/phase", LATCHED)
         self._is_open = node.create_publisher(Bool, "~/is_open", LATCHED)
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
-        events = SubscriptionEventCallbacks(incompatible_qos=guarded(self._cannot_hear))
+        events = SubscriptionEventCallbacks(incompatible_qos=guarded(self._on_incompatible_qos))
         self._voltage = node.create_subscription(
             Float64, "~/coil_voltage", guarded(self._take_command), RELIABLE, event_callbacks=events
         )
         node.create_service(Trigger, "~/reset", guarded(self._reset))
         node.create_service(Trigger, "~/self_test", guarded(self._self_test))
-        # By the wall: diagnostics must tell, too, that /clock is silent.
+        # Wall time: diagnostics must also report that /clock is silent.
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._too_busy = Reminder()
         node.create_timer(1.0, guarded(self._diagnose), clock=self._steady)
@@ -162,20 +162,20 @@ class ValveShell:
     # --- the stepping thread ---
 
     def _prepare(self) -> None:
-        """Load the compiled model, or compile it, before time begins to count."""
+        """Load or compile the model before the first step is timed."""
         valve = self._live.valve
         stepper = Stepper(valve)
         stepper.command(1e-3, valve.parameters.reference_voltage)
         stepper.set_valve(valve, 2e-3)
         stepper.advance(3e-3)
         self._warn_if_it_cannot_open(valve)
-        # What is loaded now stays: searching it for garbage would hold the stepper up for tens of milliseconds.
+        # What is loaded now stays; collecting it as garbage would stop the stepper for tens of milliseconds.
         gc.freeze()
         self._is_ready = True
         self._say_ready()
 
     def _say_ready(self) -> None:
-        """One line that says what can be used from now on, and under which names."""
+        """Log that the node is ready, with the full names of its topics."""
         waits = "; waits for /clock, as use_sim_time is true" if self._clock.read() is None else ""
         limit, rate = self._settings.max_voltage, self._settings.publish_rate
         self._node.get_logger().info(
@@ -232,8 +232,8 @@ class ValveShell:
             throttle_duration_sec=_BETWEEN_WARNINGS,
         )
 
-    def _cannot_hear(self, event: QoSRequestedIncompatibleQoSInfo) -> None:
-        self._commands.deaf_to = event.total_count
+    def _on_incompatible_qos(self, event: QoSRequestedIncompatibleQoSInfo) -> None:
+        self._commands.incompatible_publishers = event.total_count
         policy = qos_policy_name_from_kind(event.last_policy_kind)
         self._node.get_logger().warning(
             f"{self._voltage.topic_name}: a publisher offers an incompatible QoS ({policy}) "
@@ -263,7 +263,7 @@ class ValveShell:
         live = self._live
         kept = self._worker.timing.look(now)
         if self._was_waiting:
-            kept = kept._replace(rate=math.nan)  # of a second in which it stepped for a part only
+            kept = kept._replace(rate=math.nan)  # of a second during part of which it did not step
         self._was_waiting = bool(waiting_for)
         timing = timing_status(kept, self._settings.publish_rate, waiting_for)
         if self._is_ready and timing.level is Level.WARN:
@@ -281,7 +281,7 @@ class ValveShell:
     # --- parameters ---
 
     def _complete(self, parameters: list[Parameter]) -> list[Parameter]:
-        """Integers become doubles; an effect that is switched off takes its tolerances along."""
+        """Turn integers into doubles; switch off the tolerances of an effect that is switched off."""
         given = [
             Parameter(parameter.name, value=as_declared(parameter.name, parameter.value, self._entries))
             if parameter.name in self._entries and parameter.type_ is not Parameter.Type.NOT_SET
@@ -303,7 +303,7 @@ class ValveShell:
         return SetParametersResult(successful=True)
 
     def _apply(self, parameters: list[Parameter]) -> None:
-        """All parameters are checked and stored; take over those that are the node's or the valve's."""
+        """Apply parameters that ROS has checked and stored."""
         names = {parameter.name for parameter in parameters} & self._entries.keys()
         if not names:
             return

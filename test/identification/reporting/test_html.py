@@ -140,7 +140,7 @@ def hostile(diagnosis: Diagnosis, path: Path, monkeypatch: pytest.MonkeyPatch) -
         {("coulomb_friction", "stiction"): 7.0},
     )
     unsure = replace(diagnosis.verdict, confusable_with={"coulomb_friction": ("stiction",)})
-    asked = replace(diagnosis, sources=(HOSTILE,), verdict=unsure, telling=advised)
+    asked = replace(diagnosis, sources=(HOSTILE,), verdict=unsure, recommendation=advised)
     report.write_report(asked, path, provenance=HOSTILE)
     return path.read_text(encoding="utf-8")
 

@@ -103,7 +103,7 @@ def test_a_summary_and_its_advice_have_no_names_of_code(
 ) -> None:
     plant = diagnosis.plant
     experiment = Experiment("a pulse of 4 ms at 9 V", lambda machine: plant)
-    telling = Recommendation(experiment, {("asymmetric_friction + coil_lag", "stop_bounce"): 7.0})
+    recommendation = Recommendation(experiment, {("asymmetric_friction + coil_lag", "stop_bounce"): 7.0})
     for name in NAMED:
         best, alike = Hypothesis((name,), timing=True), {name: ("eddy_lag", "stroke_offset")}
         standing = Standing(best, is_unknown, names_most)
@@ -111,7 +111,7 @@ def test_a_summary_and_its_advice_have_no_names_of_code(
         grounds = Grounds(best.effects, is_unknown, 0.7, (), strokes, singles_untried)
         verdict = Verdict(decision.kind, decision.effects, alike, 0.9, decision.probability, grounds)
         untried = (str(best), "sets of more effects", f"models that compete with {best}")
-        found = replace(diagnosis, verdict=verdict, telling=telling, untried=untried)
+        found = replace(diagnosis, verdict=verdict, recommendation=recommendation, untried=untried)
         summary, advice = summarise(found), recording_advice(found)
         assert "_" not in summary + advice
         assert verdict.is_open

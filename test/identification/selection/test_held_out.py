@@ -19,7 +19,7 @@ from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Array, EffectChoice
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.diagnosis_json import to_json
-from valve_sim.identification.reporting.wording import looks_words
+from valve_sim.identification.reporting.wording import holdout_words
 from valve_sim.identification.selection.held_out import HeldOut
 from valve_sim.model import Parameter
 from valve_sim.traces import Trace
@@ -59,7 +59,7 @@ def test_what_is_tried_and_how_it_is_ordered_does_not_depend_on_held_out_data() 
     assert confirmed.verdict.effects == ("ramp",)
     assert confirmed.looks == 1
     assert to_json(confirmed)["looks"] == 1
-    assert "opened once" in looks_words(confirmed)
+    assert "opened once" in holdout_words(confirmed)
     refuted = diagnosed(recorded(4, sag_depth=6.0), ramp_slope=2.0)
     assert tried(refuted) == tried(confirmed)
 
@@ -80,7 +80,7 @@ def test_nothing_held_out_is_said() -> None:
     found = diagnose_plant(TwoEffects("current", "A", shown, groups=3), None)
     assert found.verdict.effects == ("ramp",)
     assert found.looks == 0
-    assert "No strokes were held out" in looks_words(found)
+    assert "No strokes were held out" in holdout_words(found)
 
 
 @pytest.fixture(scope="module")

@@ -102,14 +102,14 @@ class Conclusion:
         is_declared = after_fit is base_fit
         after = before if is_declared else self.state(after_fit, profile=not standing.is_unknown, timing=timing)
         verdict = self.verdict(table, standing, curves)
-        find = functools.partial(self.telling_experiment, table, standing)
-        telling = self.in_time(WORDED_BY, "what to record next", find, None) if verdict.is_open else None
+        find = functools.partial(self.recommended_experiment, table, standing)
+        recommendation = self.in_time(WORDED_BY, "what to record next", find, None) if verdict.is_open else None
         candidates = self.candidates(table, standing.best.base, timing=timing)
         untried = tuple(dict.fromkeys([*self.exploration.untried, *self.untried]))
         return Diagnosis(
             self.plant, before, after, verdict, candidates, unexplained,
             tuple(describe(entry.choice, entry.fit, base_fit) for entry in curves.maps), alarm,
-            tuple(channel.name for channel in self.plant.channels), telling, untried, self.held_out.looks,
+            tuple(channel.name for channel in self.plant.channels), recommendation, untried, self.held_out.looks,
         )  # fmt: skip
 
     def fit(self, hypothesis: Hypothesis) -> Fit:
@@ -224,7 +224,7 @@ class Conclusion:
         before = rmse(self.fit(best.base))
         return 1.0 - (rmse(self.fit(best)) / before) ** 2 if before > 0.0 else 0.0
 
-    def telling_experiment(self, table: ScoreTable, standing: Standing) -> Recommendation | None:
+    def recommended_experiment(self, table: ScoreTable, standing: Standing) -> Recommendation | None:
         """The recording that would tell the best hypothesis best from those of its size that do about as well."""
         few = competitors(table, standing)[:LARGEST_CLASS]
         candidates = {" + ".join(hypothesis.effects): self.fit(hypothesis) for hypothesis in few}

@@ -150,7 +150,7 @@ class EventDiagnosis:
         standard_errors: of these values by the table's uncertainties, the dampings taken as declared; they are
             tolerances of the valve, where the declared one has any.
         largest_attraction: N, of that valve while it opens.
-        region: what fits equally well. measurements: that would narrow it, most telling first.
+        region: what fits equally well. measurements: that would narrow it, the most informative first.
     """
 
     table: EventTable

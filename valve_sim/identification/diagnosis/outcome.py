@@ -94,7 +94,7 @@ class Candidate:
 class Diagnosis:
     """The outcome of `diagnose_plant`.
 
-    `telling` is the experiment that tells the competing models apart best, where one is known; `untried` is what was
+    `recommendation` is the experiment that separates the competing models best, where one does; `untried` is what was
     left to try when the time was used up; `looks` is how often held-out data were opened to judge a choice.
     """
 
@@ -107,7 +107,7 @@ class Diagnosis:
     maps: tuple[Unexplained, ...]
     false_alarm: FalseAlarm
     sources: tuple[str, ...] = ()
-    telling: Recommendation | None = None
+    recommendation: Recommendation | None = None
     untried: tuple[str, ...] = ()
     looks: int = 0
 

@@ -57,7 +57,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "unexplained": None if diagnosis.unexplained is None else _unexplained_json(diagnosis.unexplained, motion),
         "force_maps": [_unexplained_json(entry, motion) for entry in diagnosis.maps],
         "record_next": recording_advice(diagnosis) or None,
-        "record_next_gain": None if diagnosis.telling is None else recommendation_json(diagnosis.telling),
+        "record_next_gain": None if diagnosis.recommendation is None else recommendation_json(diagnosis.recommendation),
         "untried": list(diagnosis.untried),
         "false_alarm": diagnosis.false_alarm._asdict(),
         "looks": diagnosis.looks,
@@ -65,13 +65,13 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
     return plain_mapping(report)
 
 
-def recommendation_json(telling: Recommendation) -> dict[str, Any]:
+def recommendation_json(found: Recommendation) -> dict[str, Any]:
     """What the experiments together are expected to tell apart, the least separated pair first."""
     return {
-        "experiment": telling.experiment.words,
-        "repeats": telling.repeats,
+        "experiment": found.experiment.words,
+        "repeats": found.repeats,
         "separates": [
-            {"candidates": list(pair), "standard_deviations": deviations} for pair, deviations in telling.together
+            {"candidates": list(pair), "standard_deviations": deviations} for pair, deviations in found.together
         ],
     }
 

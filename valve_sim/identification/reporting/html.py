@@ -31,8 +31,8 @@ from valve_sim.identification.reporting.summary import recording_advice, summari
 from valve_sim.identification.reporting.units import limits, measured, quantity
 from valve_sim.identification.reporting.wording import (
     headline,
+    holdout_words,
     kind_words,
-    looks_words,
     meanings,
     probability_words,
 )
@@ -85,12 +85,17 @@ def _typed(diagnosis: Diagnosis, folder: Path) -> dict[str, Any]:
     """The template's variables for commands, such that they work where this process was started."""
     is_valve = isinstance(diagnosis.plant, ValvePlant)
     return {
-        "duration": f"{duration_of(profile_to_record(diagnosis.telling, diagnosis.valve)):.2f}" if is_valve else "",
+        "duration": f"{_duration(diagnosis):.2f}" if is_valve else "",
         "program": invocation,
         "has_ros2": shutil.which("ros2") is not None,
         "profile": shlex.quote(str(folder / "record_next.yaml")),
         "corrected": shlex.quote(str(folder / "corrected.yaml")),
     }
+
+
+def _duration(diagnosis: Diagnosis) -> float:
+    """Of the recommended recording, s."""
+    return duration_of(profile_to_record(diagnosis.recommendation, diagnosis.valve))
 
 
 def plot_diagnosis(diagnosis: Diagnosis, path: Path | str) -> None:
@@ -184,7 +189,7 @@ def _content(diagnosis: Diagnosis) -> dict[str, Any]:
         "record_next": recording_advice(diagnosis),
         "gain": _gain_rows(diagnosis),
         "untried": diagnosis.untried,
-        "looks": looks_words(diagnosis),
+        "looks": holdout_words(diagnosis),
         "version": __version__,
         "sources": diagnosis.sources,
         "noise": f"{_three_digits(sigma)} {unit} rms of the {channel.kind} sensor, read where the machine is still",
@@ -290,11 +295,11 @@ def _is_drawn(name: str) -> bool:
 
 def _gain_rows(diagnosis: Diagnosis) -> list[str]:
     """By how much the recommended recording is expected to separate each pair of candidates."""
-    if diagnosis.telling is None:
+    if diagnosis.recommendation is None:
         return []
     return [
         f"{' and '.join(titles_of(name.split(' + ')) for name in pair)}: {deviations:.0f} standard deviations"
-        for pair, deviations in diagnosis.telling.together
+        for pair, deviations in diagnosis.recommendation.together
     ]
 
 

@@ -31,14 +31,14 @@ LEAD: Final = 0.1
 """s of rest before the first command: the sensor's noise is read from it."""
 
 
-def profile_to_record(telling: Recommendation | None, valve: Valve) -> Drive:
+def profile_to_record(recommendation: Recommendation | None, valve: Valve) -> Drive:
     """The commands of the recommended recording: the best pulse, repeated, then full strokes at other voltages.
 
     Args:
-        telling: the pulse that separates the candidates most; None where none is known to.
+        recommendation: the pulse that separates the candidates best; None where none does.
         valve: what is recorded; its reference voltage scales the full strokes.
     """
-    pulses = [telling.experiment.commands] * telling.repeats if telling is not None else []
+    pulses = [recommendation.experiment.commands] * recommendation.repeats if recommendation is not None else []
     strokes = [((0.0, volts), (ON, 0.0)) for volts in volts_at(valve, STROKE_LEVELS)]
     rows, start = [], LEAD
     for commands in [*pulses, *strokes]:
@@ -67,30 +67,30 @@ def write_record_next(folder: Path, diagnosis: Diagnosis, provenance: str) -> Pa
         # One from an earlier run into this folder would advise what this diagnosis does not.
         path.unlink(missing_ok=True)
         return None
-    write_profile(path, diagnosis.telling, diagnosis.valve, provenance)
+    write_profile(path, diagnosis.recommendation, diagnosis.valve, provenance)
     return path
 
 
-def write_profile(path: Path, telling: Recommendation | None, valve: Valve, provenance: str) -> None:
+def write_profile(path: Path, recommendation: Recommendation | None, valve: Valve, provenance: str) -> None:
     """Write record_next.yaml, whole or not at all.
 
     The commands in its header can be typed where this process was started.
 
     Args:
         path: of the file.
-        telling: the pulse that separates the candidates most; None where none is known to.
+        recommendation: the pulse that separates the candidates best; None where none does.
         valve: what is recorded.
         provenance: how the diagnosis was made.
 
     Raises:
         ValveError: it cannot be written.
     """
-    drive, file = profile_to_record(telling, valve), shlex.quote(str(path))
+    drive, file = profile_to_record(recommendation, valve), shlex.quote(str(path))
     valve_sim = invocation()
     notes = [
         *provenance.splitlines(),
         "",
-        *_gain_words(telling),
+        *_gain_words(recommendation),
         "",
         "Rows are [time in s, volts]; each voltage holds until the next row. Highest: "
         f"{max(abs(drive.volts)):g} V; leave out what your coil or its driver does not stand.",
@@ -104,11 +104,11 @@ def write_profile(path: Path, telling: Recommendation | None, valve: Valve, prov
     write_whole(path, "\n".join([*(f"# {note}".rstrip() for note in notes), *rows]) + "\n")
 
 
-def _gain_words(telling: Recommendation | None) -> list[str]:
-    if telling is None:
+def _gain_words(recommendation: Recommendation | None) -> list[str]:
+    if recommendation is None:
         return ["Full strokes at eight voltages. No single pulse is known to tell the candidates apart."]
-    pulses = f"{telling.repeats} pulses of {telling.experiment.words}"
+    pulses = f"{recommendation.repeats} pulses of {recommendation.experiment.words}"
     lines = [f"{pulses}, then full strokes at eight voltages. The pulses separate:"]
-    for (one, other), deviations in telling.together:
+    for (one, other), deviations in recommendation.together:
         lines.append(f"  {one} and {other} by {deviations:.0f} standard deviations")
     return lines

@@ -26,18 +26,18 @@ def summarise(diagnosis: Diagnosis) -> str:
 
 
 def recording_advice(diagnosis: Diagnosis) -> str:
-    """What to record next to tell effects apart, and the single pulse that tells most; empty where nothing is open."""
+    """What to record next to separate the candidates, and the best single pulse; empty where nothing is open."""
     if not diagnosis.verdict.is_open:
         return ""
     advice = advice_of(diagnosis.plant)
     words = advice.first if diagnosis.verdict.grounds.strokes <= 1 else advice.more
-    telling = diagnosis.telling
-    if telling is None:
+    best = diagnosis.recommendation
+    if best is None:
         return f"{words}."
-    one, other = (named(candidate.split(" + ")) for candidate in telling.pair)
+    one, other = (named(candidate.split(" + ")) for candidate in best.pair)
     return (
-        f"{words}; of single pulses {telling.experiment.words} tells most: {telling.repeats} of them set {one} apart "
-        f"from {other} by {math.sqrt(telling.repeats) * telling.separation:.0f} standard deviations, others by more."
+        f"{words}; of single pulses {best.experiment.words} tells most: {best.repeats} of them set {one} apart from "
+        f"{other} by {math.sqrt(best.repeats) * best.separation:.0f} standard deviations, others by more."
     )
 
 

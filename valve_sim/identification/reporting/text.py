@@ -13,8 +13,8 @@ from valve_sim.identification.reporting.summary import recording_advice, summari
 from valve_sim.identification.reporting.units import measured, quantity
 from valve_sim.identification.reporting.wording import (
     headline,
+    holdout_words,
     kind_words,
-    looks_words,
     meanings,
     probability_words,
 )
@@ -39,7 +39,7 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
                 f"  {label + ', rms error':<28}{quantity(errors[0], unit)} before, {quantity(errors[1], unit)} after"
             )
     lines.append(f"  {'noise of the sensor':<28}{quantity(noise, unit)}")
-    lines.append(f"  {looks_words(diagnosis)}")
+    lines.append(f"  {holdout_words(diagnosis)}")
     for meaning in meanings(diagnosis):
         severity = f", {meaning.severity}" if meaning.severity else ""
         amounts = "; ".join(f"{what} {value}" for what, value in meaning.amounts)

@@ -100,7 +100,7 @@ def headline(diagnosis: Diagnosis) -> str:
     return f"{claim}{much}.{alternatives}{rest}"
 
 
-def looks_words(diagnosis: Diagnosis) -> str:
+def holdout_words(diagnosis: Diagnosis) -> str:
     """How often held-out strokes were opened, in a sentence."""
     if diagnosis.looks == 0:
         return "No strokes were held out: only the fitted strokes support this."

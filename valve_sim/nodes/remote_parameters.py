@@ -1,4 +1,4 @@
-"""Handing parameters on to a running valve node: asked again where a reply is lost, said line by line, undone."""
+"""Parameters of a running valve node, read and set over ROS; a request is repeated where its reply is lost."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.model import CATALOGUE, DECLARED, ParameterError
 
 FIND_SECONDS: Final = 10.0
-"""How long a node may take to be found: announcements that DDS loses are repeated each 3 s."""
+"""Time in which a node must be found: announcements that DDS loses are repeated every 3 s."""
 ANSWER_SECONDS: Final = 10.0
-"""How long it may take to answer, in all."""
-_QUESTIONS: Final = 4
-"""How often a node that does not answer is asked: a reply sent before DDS has matched its reader is lost."""
+"""Time in which it must answer, all requests together."""
+_REQUESTS: Final = 4
+"""Requests to a node that does not answer: a reply that is sent before DDS has matched its reader is lost."""
 _DIGITS: Final = 5
 
 Values = dict[str, Any]
@@ -53,11 +53,11 @@ class Change(NamedTuple):
         )
 
 
-class Recipient:
-    """A running valve node whose parameters are read and set. Its methods wait: not for a thread that spins.
+class RemoteParameters:
+    """Parameters of a running valve node. The methods block, so they must not be called by the spinning thread.
 
     Args:
-        node: asks; spun elsewhere.
+        node: makes the requests; another thread spins it.
         name: full name of the valve node.
     """
 
@@ -66,7 +66,7 @@ class Recipient:
         self._client = AsyncParameterClient(node, name)
 
     def values(self, names: Sequence[str]) -> Values:
-        """What these parameters are now.
+        """The present values of these parameters.
 
         Raises:
             ParameterError: no such node, no answer, or it lacks one of them.
@@ -85,7 +85,7 @@ class Recipient:
             ParameterError: no such node, no answer, or it refuses them; the message has its reason.
         """
         parameters = [Parameter(name, value=value) for name, value in values.items()]
-        # The same values again change nothing; whichever question is answered first counts.
+        # Setting the same values again changes nothing, so the first reply counts.
         answer = self._ask(lambda callback: self._client.set_parameters_atomically(parameters, callback))
         if not answer.result.successful:
             raise ParameterError(f"{self.name} refuses them: {answer.result.reason}")
@@ -94,15 +94,15 @@ class Recipient:
         if not self._client.wait_for_services(timeout_sec=FIND_SECONDS):
             raise ParameterError(f"{self.name}: no such node was found within {FIND_SECONDS:g} s")
         answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        for _ in range(_QUESTIONS):
+        for _ in range(_REQUESTS):
             question(answers.put)
             with contextlib.suppress(queue.Empty):
-                return answers.get(timeout=ANSWER_SECONDS / _QUESTIONS).result()
+                return answers.get(timeout=ANSWER_SECONDS / _REQUESTS).result()
         raise ParameterError(f"{self.name}: did not answer within {ANSWER_SECONDS:g} s")
 
 
 def changes_between(old: Mapping[str, Any], new: Mapping[str, Any], intervals: Mapping[str, Interval]) -> list[Change]:
-    """What setting `new` changes; `intervals` by the names of a fit, such as pilot_damping or stiction.force."""
+    """The changes from `old` to `new`; `intervals` by the names of a fit, such as pilot_damping or stiction.force."""
     return [
         Change(name, old[name], value, _interval_of(name, intervals), _unit(name))
         for name, value in new.items()
@@ -127,7 +127,7 @@ def _unit(name: str) -> str:
 
 
 def _digits(value: float, width: float) -> int:
-    """Digits that show an interval of this width, two of it."""
+    """Significant digits of a value such that the width of its interval shows two."""
     if not 0.0 < width < math.inf or value == 0.0:
         return _DIGITS
     return max(_DIGITS, math.ceil(math.log10(abs(value) / width)) + 2)
