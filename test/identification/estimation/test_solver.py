@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from identification.diagnosis.test_sound_verdicts import Decay
 from identification.recordings import TRUTH, one_opening, recorded
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.estimation.intervals import Interval, Unbounded, covariance_interval, profile_interval
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.solver import _Search, fit
-from valve_sim.identification.plants.protocol import from_internal, internal_bounds, to_internal
+from valve_sim.identification.plants.protocol import (
+    Direction,
+    Sensitivities,
+    from_internal,
+    internal_bounds,
+    to_internal,
+)
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.interval_json import interval_json
 from valve_sim.model import CATALOGUE, DECLARED, SimulationError, Tolerances, Valve, simulate
@@ -141,6 +149,20 @@ def test_what_cannot_be_simulated_is_an_error(problem: Problem, monkeypatch: pyt
     monkeypatch.setattr(problem.plant, "predict", refuse)
     with pytest.raises(SimulationError, match="start of the fit"):
         fit(problem, BOTH, {})
+
+
+class Steep(Decay):
+    """A decay whose derivatives are finite, and their squares are not."""
+
+    def sensitivities(self, values: Mapping[str, float], directions: Sequence[Direction]) -> Sensitivities:
+        columns = np.full((len(self.times), len(directions)), 1e200)
+        return Sensitivities([columns], np.ones(len(directions), dtype=bool))
+
+
+def test_derivatives_that_are_too_large_to_be_squared_are_an_error() -> None:
+    problem = Problem(Steep("current", "A", Decay("current", "A").predict({"gain": 1.3})[0]))
+    with pytest.raises(SimulationError, match="derivatives are too large"):
+        fit(problem, ("gain",), {})
 
 
 def test_a_parameter_that_the_data_hardly_hold_costs_no_evidence(problem: Problem) -> None:

@@ -96,8 +96,7 @@ class Conclusion:
         standing = self.judged(table, choice)
         after_fit, unexplained = self.corrected(standing, curves)
         self.search.say("intervals", 0.99)
-        timing = self.held_out.needs_timing(self.fit(standing.best))
-        base_fit = self.fit(standing.best.base)
+        timing, base_fit = self.needs_timing(self.fit(standing.best)), self.fit(standing.best.base)
         before = self.state(base_fit, profile=False, timing=timing)
         is_declared = after_fit is base_fit
         after = before if is_declared else self.state(after_fit, profile=not standing.is_unknown, timing=timing)
@@ -201,6 +200,11 @@ class Conclusion:
             return False
         opened = self.in_time(WORDED_BY, "", lambda: self.held_out.open(base, result), None)
         return opened is not None and not opened[1].is_larger
+
+    def needs_timing(self, result: Fit) -> bool:
+        """Whether held-out errors are with errors of the stamps estimated, as far as there is time to find out."""
+        needs = functools.partial(self.held_out.needs_timing, result)
+        return self.in_time(WORDED_BY, "", needs, self.held_out.is_in_doubt(result))
 
     # -- the verdict ---------------------------------------------------------------------------------------------------
 

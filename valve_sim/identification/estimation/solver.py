@@ -278,6 +278,9 @@ class _Search:
         else:
             weighted = jacobian
         information = gram(weighted, jacobian) + np.diag(self.prior)
+        if not np.all(np.isfinite(information)):
+            # A pilot plunger of next to no mass, for one, whose derivatives are squared beyond all numbers.
+            raise SimulationError("the model's derivatives are too large where the fit has led")
         gradient = gram(weighted, residuals) + self.prior * (at - self.mean)
         if self._known is not None:
             information += self._known

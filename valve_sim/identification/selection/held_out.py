@@ -124,13 +124,16 @@ class HeldOut:
         They are where the training data needed them, and where the model is known to be wrong, by training or by
         held-out data: there a single stroke that barely lifts the valve, or barely does not, would otherwise decide
         everything.
-        """
-        return bool(self.plant.timing_errors) and (self._is_in_doubt(result) or self._is_missed(result))
 
-    def _is_in_doubt(self, result: Fit) -> bool:
-        """Whether training data alone ask for errors of the stamps, or say that the model is wrong."""
+        Raises:
+            OutOfTimeError: the time is used up.
+        """
+        return self.is_in_doubt(result) or (bool(self.plant.timing_errors) and self._is_missed(result))
+
+    def is_in_doubt(self, result: Fit) -> bool:
+        """Whether training data alone ask for errors of the held-out stamps; it takes no further fit to say so."""
         timed = any(nuisance in self.plant.timing_errors for nuisance in result.nuisances)
-        return timed or not adequacy(result).is_white
+        return bool(self.plant.timing_errors) and (timed or not adequacy(result).is_white)
 
     def _is_missed(self, result: Fit) -> bool:
         """Whether held-out data with stamps that are true are not what a model predicts."""
@@ -151,7 +154,7 @@ class HeldOut:
     def _judge(self, result: Fit, base: Fit) -> Judgement:
         timing = self.needs_timing(result)
         # Errors are compared with the stamps' errors estimated, but no stamps excuse what training data have not shown.
-        is_missed = timing and not self._is_in_doubt(result)
+        is_missed = timing and not self.is_in_doubt(result)
         here, there = self.fit(result, timing=timing), self.fit(base, timing=timing)
         if here is None:
             return Judgement(is_white=False, ratio=1.0 if there is None else math.inf, predicts_better=False)
