@@ -24,10 +24,13 @@ KILTED_ENVIRONMENT := .venv-kilted
 
 PYTHON := $(ENVIRONMENT)/bin/python
 KILTED_PYTHON := $(KILTED_ENVIRONMENT)/bin/python
-# Live nodes want the machine to themselves, and so does killing processes as they write; all else shares the cores.
-ALONE := test/nodes $(foreach name,demo documents faults,test/test_$(name).py)
+# Live nodes want the machine to themselves, and so does killing processes as they write; all else shares the cores: the
+# nodes' parts, which are tested without ROS, and what a node refuses.
+SHARING := command_safety diagnostics handing_on live_map live_valve messages parameters profile_playing realtime refusals replay starting
+ALONE := $(filter-out $(SHARING:%=test/nodes/test_%.py),$(sort $(wildcard test/nodes/test_*.py))) \
+	$(foreach name,demo documents faults,test/test_$(name).py)
 # What hangs on the ROS distribution; faults, fuzz and examples are tested once, on Jazzy.
-KILTED_TESTS := $(foreach name,messages valve_node identification_node monitor_node station supervision,test/nodes/test_$(name).py)
+KILTED_TESTS := $(foreach name,messages valve_node identification_node monitor_node station supervision refusals,test/nodes/test_$(name).py)
 # Live nodes are tested again by themselves where they fail, and named for it: tools/retest.py says why.
 RETEST := tools/retest.py
 export UNSTEADY_TESTS := $(CURDIR)/build/unsteady_tests.txt

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-PATIENCE = 90.0
+PATIENCE = 120.0
 """Seconds after which something that should happen counts as not happening: a busy machine compiles for long."""
 ASK_AGAIN = 5.0
 """Seconds after which a question, or a message that has no effect, counts as lost."""

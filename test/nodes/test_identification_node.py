@@ -23,7 +23,7 @@ from valve_sim.identification.reporting.recording_profile import STROKE_LEVELS
 from valve_sim.traces import read_trace
 from valve_sim.traces.synthetic import read_profile
 
-from .ros_process import PATIENCE, Probe, cpu_seconds_to_end, own_lines, piped, running
+from .ros_process import PATIENCE, Probe, cpu_seconds_to_end, piped, running
 
 pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
@@ -282,29 +282,6 @@ def test_a_signal_ends_it_at_work_with_code_0(
         assert process.stderr is not None
         assert "Traceback" not in process.stderr.read()
     assert not list(tmp_path.glob("*.partial"))
-
-
-@pytest.mark.parametrize(
-    ("parameters", "says"),
-    [
-        ({}, "bag: not given"),
-        ({"bag": "nowhere.mcap"}, "nowhere.mcap"),
-        ({"bag": str(MAKER)}, "make_samples.py"),
-        ({"bag": "a.mcap", "free": "[pilot_dampin]"}, "did you mean pilot_damping"),
-        ({"bag": "a.mcap", "ratee": "1.0"}, "did you mean rate"),
-        ({"bag": "a.mcap", "mode": "guess"}, "identify or diagnose"),
-        ({"bag": "a.mcap", "params": "nowhere.yaml"}, "nowhere.yaml"),
-        ({"bag": "a.mcap", "apply_to": "no/{such"}, "expected a ROS name"),
-    ],
-)
-def test_unusable_input_ends_it_with_one_line_and_code_2(
-    tmp_path: Path, parameters: dict[str, object], says: str
-) -> None:
-    with identifying(tmp_path, **parameters) as process:
-        _, words = process.communicate(timeout=PATIENCE)
-        assert process.returncode == 2
-    (line,) = own_lines(words)
-    assert says in line
 
 
 def test_a_loggers_table_is_identified_by_its_map(ros: None, tmp_path: Path) -> None:

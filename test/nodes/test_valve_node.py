@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import re
 import signal
 import time
 from collections.abc import Iterator
@@ -19,7 +18,7 @@ from valve_sim.files.parameter_files import load_valve
 from valve_sim.files.resources import config_path
 
 from .dumps import TOLERATED, dump, plain_values
-from .ros_process import PATIENCE, NodeProcess, Probe, own_lines, running
+from .ros_process import PATIENCE, NodeProcess, Probe, running
 
 pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
@@ -375,44 +374,6 @@ def test_a_signal_while_the_model_is_compiled_is_said_to_wait_and_ends_it_with_c
         assert process.process.wait(3 * PATIENCE) == 0, process.output
         assert "valve_node: ends when a calculation has, or at once with another Ctrl-C" in process.output
         assert "Traceback" not in process.output
-
-
-@pytest.mark.parametrize(
-    ("content", "says"),
-    [
-        ("publish_rat: 100", "publish_rat: found 100 under an unknown name; .*did you mean publish_rate"),
-        ("valve: {pilot_mass: 0}", "valve.pilot_mass: found 0, expected a number above 0"),
-        ("valve: {pilot_mass: heavy}", "valve.pilot_mass: found 'heavy', expected a number"),
-        ("valve: {attraction_polynomial: [0, 1.5, 2]}", "valve.attraction_polynomial: found 3 terms"),
-        (
-            "valve: {attraction_polynomial: [3, 1.5, 2, 1.0]}",
-            r"valve.attraction_polynomial: found .* expected values of one type",
-        ),
-    ],
-)
-def test_a_bad_file_ends_it_with_one_line_and_code_2(tmp_path: Path, content: str, says: str) -> None:
-    path = tmp_path / "bad.yaml"
-    path.write_text(f"/**:\n  ros__parameters:\n    {content}\n")
-    check_refusal(NodeProcess(tmp_path, ["--ros-args", "--params-file", str(path)]), f"^valve_node: {path}: {says}")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (["-p", "valve.pilot_mas:=1.0"], "valve_node: command line: valve.pilot_mas: .*did you mean valve.pilot_mass"),
-        (["--params-file", "none.yaml"], "valve_node: none.yaml: cannot be read"),
-        (["-p", "frame_id:=[]"], "gives a name without a value"),
-        (["--nonsense"], "valve_node: ROS 2 refused to start: .*--nonsense"),
-    ],
-)
-def test_a_bad_command_line_ends_it_with_one_line_and_code_2(tmp_path: Path, arguments: list[str], says: str) -> None:
-    check_refusal(NodeProcess(tmp_path, ["--ros-args", *arguments]), says)
-
-
-def check_refusal(process: NodeProcess, says: str) -> None:
-    assert process.exit_code() == 2
-    (line,) = own_lines(process.output)
-    assert re.search(says, line), line
 
 
 def test_the_published_valve_is_said_not_to_open_and_logs_go_elsewhere(ros: None, tmp_path: Path) -> None:
