@@ -119,6 +119,47 @@ def test_severity_is_a_share_that_a_person_knows() -> None:
     assert nothing is None
 
 
+SEVERITIES = {
+    "asymmetric_friction": ({"force_opening": 0.1, "force_closing": 0.5}, 0.5 / 2.55),
+    "coil_heating": ({"temperature_rate": 20.0, "cooling_time_constant": 2.0}, 0.00393 * 40.0 * (1.0 - math.exp(-0.5))),
+    "coil_lag": ({"time_constant": 2e-4}, 2e-4 / 0.9934e-3),
+    "constant_force": ({"force": -0.1}, 0.1 / 2.55),
+    "coulomb_friction": ({"force": 0.1}, 0.1 / 2.55),
+    "drive_gain": ({"gain": 0.9}, 0.19),
+    "eddy_lag": ({"time_constant": 3e-4}, 3e-4 / 0.9934e-3),
+    "gap_offset": ({"offset": -26e-6}, 0.1),
+    "magnetic_saturation": ({"current": 2.0}, 0.25),
+    "pickup_impact": ({"velocity_ratio": 0.7}, 0.3),
+    "pressure_force": ({"force": 0.2}, 0.2 / 2.55),
+    "quadratic_drag": ({"coefficient": 5.0}, 5.0 * 0.2**2 / 2.55),
+    "residual_magnetism": ({"current": 0.3}, 0.09),
+    "rest_attraction": ({"force": 0.2}, 0.2 / 2.55),
+    "sensor_gain": ({"gain": 0.95}, 0.05),
+    "spring_hardening": ({"coefficient": -1e8}, 1e8 * 0.9e-3**3 / (2.55 + 250.0 * 0.9e-3)),
+    "squeeze_film": ({"coefficient": 1.0, "film_thickness": 1e-4}, 1.0 / 4.0),
+    "stiction": ({"force": 0.1, "breakaway": 0.2}, 0.3 / 2.55),
+    "stop_bounce": ({"restitution_stop": 0.3, "restitution_seat": 0.2}, 0.09),
+    "stroke_offset": ({"offset": 45e-6}, 0.05),
+}
+"""Of a spring of 2.55 N and 250 N/m, 0.26 mm of gap and 0.9 mm of stroke, 0.9934 ms of coil and 4 N·s/m of damping."""
+
+
+@pytest.mark.parametrize("name", NAMED)
+def test_how_severe_an_effect_is(name: str) -> None:
+    declared = {
+        **CALIBRATED.declared(), "spring_preload": 2.55, "spring_rate": 250.0, "pilot_gap": 0.26e-3, "stroke": 0.9e-3,
+        "main_damping": 4.0,
+    }  # fmt: skip
+    values = {**CATALOGUE[name].neutral_values(), **SEVERITIES.get(name, ({}, 0.0))[0]}
+    found = CATALOGUE[name].severity_of(values, declared)
+    if name in SEVERITIES:
+        assert found is not None
+        assert found.share == pytest.approx(SEVERITIES[name][1])
+        assert found.of
+    else:
+        assert found is None
+
+
 def test_a_users_effect_needs_no_words_for_people() -> None:
     force = Parameter("force", "N", "largest drag")
     effect = Effect("eddy_drag", "drag of a conducting guide", (force,), "a book", term=math.hypot)

@@ -144,6 +144,15 @@ def test_a_set_is_fitted_from_its_best_smaller_one(monkeypatch: pytest.MonkeyPat
     assert search.best([of("a"), of("b"), of("ab")]) == of("ab")
 
 
+def test_where_no_smaller_set_is_known_the_one_without_the_last_is_fitted_first(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    world = World({"": 300.0, "ab": 50.0}, switches("ab"))
+    search = searched(monkeypatch, world)
+    search.fit(of("ab"))
+    assert list(dict.fromkeys(key for key, *_ in world.starts)) == ["", "a", "ab"]
+
+
 def test_with_stamps_that_err_a_set_starts_from_the_same_without_too(monkeypatch: pytest.MonkeyPatch) -> None:
     world = World({"": 300.0, "'": 290.0, "a": 100.0, "a'": 90.0}, switches("a"), timing=True)
     search = searched(monkeypatch, world)

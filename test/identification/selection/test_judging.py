@@ -144,7 +144,9 @@ class Judged:
         patch.setattr(held_out, "predict_held_out", self.predicted)
         patch.setattr(held_out, "is_relief", lambda base, result: relief)
         patch.setattr(held_out, "adequacy", lambda result: Adequacy(1.0, "made up", 0.0))
-        patch.setattr(held_out, "whiteness", lambda problem, residuals, free: Adequacy(p_value, f"{free}", 0.0))
+        patch.setattr(
+            held_out, "whiteness", lambda problem, residuals, free: Adequacy(0.0 if free else p_value, "made up", 0.0)
+        )
         problem = SimpleNamespace(noise=SimpleNamespace(sigma=1.0))
         self.held = HeldOut(cast("Any", SimpleNamespace(timing_errors=())), cast("Any", problem))
         patch.setattr(self.held, "fit", self.fit)

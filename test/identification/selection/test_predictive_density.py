@@ -17,7 +17,7 @@ from valve_sim.identification.selection.predictive_density import FARTHEST, know
 from valve_sim.model import Parameter, SimulationError
 
 SIGMA = 0.3
-DRIFT = Nuisance("drift[0]", 0.5, "m")
+DRIFT = Nuisance("drift[0]", 0.4, "m")
 NOISES = {"position": Noise(SIGMA, SIGMA, (), 0.0, 1.0, 100)}
 
 

@@ -111,13 +111,14 @@ def test_the_gain_of_two_switches_is_that_of_least_squares() -> None:
         assert score_gains(base) == {"e": pytest.approx(expected, abs=1e-3)}
 
 
+@pytest.mark.parametrize("strength", [1.0, 1e-3])
 @pytest.mark.parametrize(("share", "counts"), [(1e-5, False), (1e-3, True)])
-def test_a_switch_that_does_what_another_does_gains_nothing_more(share: float, counts: bool) -> None:
+def test_a_switch_that_does_what_another_does_gains_nothing_more(share: float, counts: bool, strength: float) -> None:
     """Their difference is so small a share of what each does that it is rounding."""
 
     def shown(values: Mapping[str, float]) -> Array:
         other = COLUMNS[:, 1] + share * COLUMNS[:, 2]
-        return values.get("e.size", 0.0) * COLUMNS[:, 1] + values.get("e.other", 0.0) * other
+        return strength * (values.get("e.size", 0.0) * COLUMNS[:, 1] + values.get("e.other", 0.0) * other)
 
     effect = EffectChoice("e", (SWITCH, SWITCH._replace(name="other")))
     plant = LinearPlant(measured() + COLUMNS[:, 2], shown, effects=[effect])

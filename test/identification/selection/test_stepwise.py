@@ -13,7 +13,6 @@ from valve_sim.identification.estimation.budget import OutOfTimeError
 from valve_sim.identification.plants.protocol import EffectChoice, Nuisance
 from valve_sim.identification.selection.stepwise import (
     DECISIVE,
-    EXCLUDES_OFF,
     HINT,
     MOST_EFFECTS,
     MOST_ROUNDS,
@@ -211,9 +210,7 @@ def claimable(
     return exploration.is_claimable(of("a"))
 
 
-@pytest.mark.parametrize(
-    ("size", "is_on"), [(0.99 * EXCLUDES_OFF, False), (1.01 * EXCLUDES_OFF, True), (-1.01 * EXCLUDES_OFF, True)]
-)
+@pytest.mark.parametrize(("size", "is_on"), [(1.95, False), (1.97, True), (-1.97, True)])
 def test_an_effect_is_on_where_its_size_is_significant(
     monkeypatch: pytest.MonkeyPatch, size: float, is_on: bool
 ) -> None:
@@ -286,6 +283,17 @@ def test_members_without_an_effect_are_dropped_from_the_best_score(monkeypatch: 
     # Where its loss is decisive, it has one.
     again = explored(World({**scores, "ab": 99.0}, switches("ab"), sizes={("ab", "b.size"): 0.0}), monkeypatch)
     assert "from a larger model" not in [kind for _, kind in rows(again)]
+
+
+def test_idle_members_are_dropped_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is left is fitted again each time, and may need the next."""
+    scores = {"": 300.0, "a": 299.0, "b": 299.0, "c": 105.0, "ab": 299.0, "ac": 104.0, "bc": 104.0, "abc": 103.0}
+    idle = {(key, f"{name}.size"): 0.0 for key in scores for name in key if name in "ab"}
+    exploration = Exploration(World(scores, switches("abc"), sizes=idle).use(monkeypatch).search())
+    for key in scores:
+        exploration.search.fit(of(key))
+    exploration._drop_idle()
+    assert [key for key, kind in rows(exploration) if kind == "from a larger model"] == ["bc", "c"]
 
 
 def settled(world: World, patch: pytest.MonkeyPatch, *keys: str) -> Exploration:

@@ -62,9 +62,7 @@ def _released(result: Fit, name: str) -> float:
     share = max(1.0 - variance / sigma**2, 0.0)
     if share == 0.0:
         return -math.inf
-    known = float(result.information[index, index]) * sigma**2
-    price = math.log(max(1.0, RELEASED**2 * known)) - math.log(max(1.0, known))
-    return float(result.deviations[row] ** 2 / share) / inflation - price
+    return float(result.deviations[row] ** 2 / share) / inflation - 2.0 * math.log(RELEASED)
 
 
 class Outside:
