@@ -9,8 +9,7 @@ from typing import Final, NamedTuple
 
 from valve_sim.identification.estimation.identify import DEFAULT_FREE, check_free
 from valve_sim.model import ParameterError
-from valve_sim.model.parameters import closest
-from valve_sim.nodes.parameters import VALVE_KEYS
+from valve_sim.nodes.parameters import VALVE_KEYS, unknown_name
 
 MODES: Final = ("identify", "diagnose")
 _LOWEST: Final = {"rate": 0.0, "budget": 1.0}
@@ -78,10 +77,7 @@ def check_settings(given: Mapping[str, object], sources: Mapping[str, str]) -> S
         if name.startswith(VALVE_KEYS):
             raise ParameterError(f"{where}: belongs to a valve; give the file's name as the parameter params instead")
         if name not in Settings._fields:
-            raise ParameterError(
-                f"{where}: found {value!r} under an unknown name; expected a parameter of identification_node, "
-                f"did you mean {closest(name, Settings._fields)}?"
-            )
+            raise unknown_name(where, value, "identification_node", Settings._fields)
         values[name] = _checked(name, value, where)
     settings = Settings(**values)  # type: ignore[arg-type]
     if not settings.bag:

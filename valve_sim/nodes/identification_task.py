@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import threading
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -21,6 +20,7 @@ from valve_sim.model import Valve
 from valve_sim.model.errors import ValveError
 from valve_sim.nodes.diagnostics import Level, Status
 from valve_sim.nodes.identification_parameters import Settings
+from valve_sim.nodes.stoppable import StoppableThread
 from valve_sim.traces import Trace, read_trace, refuse_doubtful_units
 
 IDENTIFIED_FILE: Final = "identified.yaml"
@@ -159,8 +159,8 @@ def report_text(outcome: Outcome, applied: Applied | None) -> str:
     return json.dumps({**outcome.report, "file": str(outcome.file), "applied": handed_on}, ensure_ascii=False)
 
 
-class Task(threading.Thread):
-    """A thread that does the work; its progress can be read at any time.
+class Task(StoppableThread):
+    """A thread that does the work; its progress can be read at any time. It ends at its next report of progress.
 
     Args:
         work: the work; reports its progress and returns one sentence for a person.
@@ -168,10 +168,9 @@ class Task(threading.Thread):
     """
 
     def __init__(self, work: Callable[[Progress], str], end: Callable[[str, bool], None]) -> None:
-        super().__init__(name="identification", daemon=True)
+        super().__init__("identification")
         self._work = work
         self._end = end
-        self._stopping = threading.Event()
         self._is_done = False
         self._state = Status("identification", Level.OK, "about to begin", _values("", 0.0))
 
@@ -185,13 +184,6 @@ class Task(threading.Thread):
         """Its progress."""
         return self._state
 
-    def stop(self, timeout: float | None) -> bool:
-        """End the thread at its next report of progress; whether it has ended within `timeout`, s."""
-        self._stopping.set()
-        if self.is_alive():
-            self.join(timeout)
-        return not self.is_alive()
-
     def run(self) -> None:
         """The thread."""
         try:
@@ -201,13 +193,13 @@ class Task(threading.Thread):
         except ValveError as error:
             self._finish(str(error), Level.ERROR)
         except Exception as error:
-            if not self._stopping.is_set():
+            if not self.is_stopping:
                 self._finish(repr(error), Level.ERROR)
         else:
             self._finish(summary, Level.OK)
 
     def _say(self, what: str, fraction: float) -> None:
-        if self._stopping.is_set():
+        if self.is_stopping:
             raise Cancelled
         self._state = Status("identification", Level.OK, what, _values(what, fraction))
 

@@ -8,8 +8,16 @@ from typing import Final, NamedTuple
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.model import Parameter, ParameterError, Valve
-from valve_sim.model.parameters import closest
-from valve_sim.nodes.parameters import VALVE_KEYS, NodeParameter, Value, defaults, refuse_tolerance, table, valve_of
+from valve_sim.nodes.parameters import (
+    VALVE_KEYS,
+    NodeParameter,
+    Value,
+    defaults,
+    refuse_tolerance,
+    table,
+    unknown_name,
+    valve_of,
+)
 from valve_sim.nodes.parameters import Settings as ValveNodeSettings
 
 _MICRO: Final = 1e-6
@@ -121,10 +129,7 @@ def check_given(given: Mapping[str, object], sources: Mapping[str, str], source:
         elif name not in _OF_VALVE_NODE:
             refuse_tolerance(name, value, where)
             known = [*Settings._fields, *entries]
-            raise ParameterError(
-                f"{where}: {name}: found {value!r} under an unknown name; expected a parameter of monitor_node, "
-                f"did you mean {closest(name, known)}?"
-            )
+            raise unknown_name(f"{where}: {name}", value, "monitor_node", known)
     settings = Settings(**own)  # type: ignore[arg-type]
     return Given(settings, valve_of(valve_values, source), {**settings._asdict(), **valve_values})
 

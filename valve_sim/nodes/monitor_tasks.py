@@ -12,13 +12,14 @@ from valve_sim.identification.monitoring.findings import StrokeRecord
 from valve_sim.identification.monitoring.scores import Baseline
 from valve_sim.identification.monitoring.stroke_monitor import StrokeMonitor, StrokeReport
 from valve_sim.model.errors import ValveError
+from valve_sim.nodes.stoppable import StoppableThread
 from valve_sim.traces import Trace
 
 MOST_WAITING: Final = 100
 """Queued strokes; further ones are dropped and counted."""
 
 
-class MonitorThread(threading.Thread):
+class MonitorThread(StoppableThread):
     """A thread that compares strokes with the baseline, in order.
 
     Args:
@@ -40,7 +41,7 @@ class MonitorThread(threading.Thread):
         forget: Callable[[], None],
         fail: Callable[[Exception], None],
     ) -> None:
-        super().__init__(name="monitor", daemon=True)
+        super().__init__("monitor")
         self.lost = 0
         self._stroke_monitor = monitor
         self._prepare = prepare
@@ -50,7 +51,6 @@ class MonitorThread(threading.Thread):
         self._fail = fail
         self._anew = threading.Event()
         self._waiting: queue.Queue[StrokeRecord | None] = queue.Queue(MOST_WAITING)
-        self._stopping = threading.Event()
 
     def post(self, record: StrokeRecord) -> None:
         """Queue a stroke; never waits."""
@@ -64,14 +64,6 @@ class MonitorThread(threading.Thread):
         self._anew.set()
         self.wake()
 
-    def stop(self, timeout: float | None) -> bool:
-        """End the thread; whether it has ended within `timeout`, s."""
-        self._stopping.set()
-        self.wake()
-        if self.is_alive():
-            self.join(timeout)
-        return not self.is_alive()
-
     def wake(self) -> None:
         """Wake the thread."""
         try:
@@ -83,16 +75,16 @@ class MonitorThread(threading.Thread):
         """The thread."""
         try:
             self._prepare()
-            while not self._stopping.is_set():
+            while not self.is_stopping:
                 record = self._waiting.get()
                 if self._anew.is_set():
                     self._anew.clear()
                     self._stroke_monitor.recommission()
                     self._forget()
-                if record is not None and not self._stopping.is_set():
+                if record is not None and not self.is_stopping:
                     self._work(record)
         except Exception as error:
-            if not self._stopping.is_set():
+            if not self.is_stopping:
                 self._fail(error)
 
     def _work(self, record: StrokeRecord) -> None:

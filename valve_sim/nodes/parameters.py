@@ -133,10 +133,7 @@ def check_overrides(
             complete_effect(name.split(".")[1], {name.split(".")[2]: value}, source)
         elif name not in ROS_OWN and not name.startswith(ROS_OWN_PREFIX):
             refuse_tolerance(name, value, source)
-            raise ParameterError(
-                f"{source}: {name}: found {value!r} under an unknown name; expected a parameter of valve_node, "
-                f"did you mean {closest(name, list(entries))}?"
-            )
+            raise unknown_name(f"{source}: {name}", value, "valve_node", list(entries))
     files = [sources[name] for name in overrides if name in sources and name.startswith(VALVE_KEYS)]
     valve_of(values, files[-1] if files else "command line")
     return values
@@ -156,6 +153,19 @@ def defaults(entries: Mapping[str, NodeParameter], given: Collection[str]) -> di
         name: entry.default if keeps_tolerances or not name.startswith(_TOLERANCES) else _exact(entry.default)
         for name, entry in entries.items()
     }
+
+
+def unknown_name(where: str, value: object, program: str, known: Sequence[str]) -> ParameterError:
+    """The error for a parameter that a node does not have.
+
+    Args:
+        where: file and name. value: given. program: the node's. known: the names that it has.
+    """
+    name = where.rpartition(": ")[2]
+    return ParameterError(
+        f"{where}: found {value!r} under an unknown name; expected a parameter of {program}, "
+        f"did you mean {closest(name, known)}?"
+    )
 
 
 def refuse_tolerance(name: str, value: object, source: str) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from valve_sim.model import Drive, ParameterError
-from valve_sim.model.parameters import closest
+from valve_sim.nodes.parameters import unknown_name
 from valve_sim.traces.synthetic import read_profile
 
 
@@ -51,10 +51,7 @@ def check_settings(given: Mapping[str, object], sources: Mapping[str, str]) -> S
     for name, value in given.items():
         where = f"{sources.get(name, 'command line')}: {name}"
         if name not in Settings._fields:
-            raise ParameterError(
-                f"{where}: found {value!r} under an unknown name; expected a parameter of command_profile, "
-                f"did you mean {closest(name, Settings._fields)}?"
-            )
+            raise unknown_name(where, value, "command_profile", Settings._fields)
         if name not in _NUMBERS and not isinstance(value, str):
             raise ParameterError(f"{where}: found {value!r}, expected text")
         if name in _NUMBERS and not _is_size(value):

@@ -12,6 +12,8 @@ from collections import deque
 from collections.abc import Callable
 from typing import Final, NamedTuple, Protocol
 
+from valve_sim.nodes.stoppable import StoppableThread
+
 NANOSECONDS: Final = 1_000_000_000
 BACKLOG_SECONDS: Final = 0.5
 """s: samples that are overdue for longer are dropped; the model is stepped over them nevertheless."""
@@ -151,7 +153,7 @@ class Restart(NamedTuple):
     reason: str
 
 
-class Worker(threading.Thread):
+class Worker(StoppableThread):
     """A thread that steps something at a steady rate of a clock.
 
     Args:
@@ -173,7 +175,7 @@ class Worker(threading.Thread):
         step: Callable[[int], None],
         fail: Callable[[Exception], None],
     ) -> None:
-        super().__init__(name="valve stepper", daemon=True)
+        super().__init__("valve stepper")
         self.timing = TimingRecord()
         self._clock = clock
         self._rate = rate
@@ -181,25 +183,15 @@ class Worker(threading.Thread):
         self._restart = restart
         self._step = step
         self._fail = fail
-        self._stopping = threading.Event()
-
-    @property
-    def is_stopping(self) -> bool:
-        """Whether `stop` was called."""
-        return self._stopping.is_set()
 
     def set_rate(self, rate: float) -> None:
         """Set the rate of the steps, Hz."""
         self._rate = rate
-        self._clock.wake()
+        self.wake()
 
-    def stop(self, timeout: float | None) -> bool:
-        """End the thread; whether it has ended within `timeout`, s. It cannot while it compiles."""
-        self._stopping.set()
+    def wake(self) -> None:
+        """Interrupt the wait for the next step."""
         self._clock.wake()
-        if self.is_alive():
-            self.join(timeout)
-        return not self.is_alive()
 
     def run(self) -> None:
         """The thread."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import threading
 from typing import Final, NamedTuple, Protocol
 
 import numpy as np
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 from valve_sim.model import Phase, Reading, Response, Valve, simulate
 from valve_sim.nodes.diagnostics import Level, Status
 from valve_sim.nodes.realtime import NANOSECONDS, PaceClock, TimingRecord, why_restart
+from valve_sim.nodes.stoppable import StoppableThread
 from valve_sim.traces import Trace
 
 LISTENERS_SECONDS: Final = 0.5
@@ -123,7 +123,7 @@ def timeline(trace: Trace, rate: float) -> Timeline:
     return Timeline(offsets.astype(np.int64), places[order])
 
 
-class Replay(threading.Thread):
+class Replay(StoppableThread):
     """A thread that replays a trace by absolute deadlines: nothing is left out, and lateness does not accumulate.
 
     Args:
@@ -135,7 +135,7 @@ class Replay(threading.Thread):
     """
 
     def __init__(self, clock: PaceClock, trace: Trace, *, rate: float, loop: bool, player: Player) -> None:
-        super().__init__(name="replay", daemon=True)
+        super().__init__("replay")
         self.timing = TimingRecord()
         self.passes = 0
         self.played = 0
@@ -145,7 +145,6 @@ class Replay(threading.Thread):
         self._rate = rate
         self._loop = loop
         self._player = player
-        self._stopping = threading.Event()
         span = float(trace.times[-1] - trace.times[0])
         self.samples_a_second = rate * (len(trace.times) - 1) / span if span > 0.0 else 0.0
         self._period = NANOSECONDS / self.samples_a_second if self.samples_a_second > 0.0 else math.inf
@@ -155,29 +154,25 @@ class Replay(threading.Thread):
         """Commands and samples of one pass."""
         return len(self._timeline.offsets)
 
-    def stop(self, timeout: float | None) -> bool:
-        """End the thread; whether it has ended within `timeout`, s."""
-        self._stopping.set()
+    def wake(self) -> None:
+        """Interrupt the wait for the next sample."""
         self._clock.wake()
-        if self.is_alive():
-            self.join(timeout)
-        return not self.is_alive()
 
     def run(self) -> None:
         """The thread."""
         try:
             self._player.prepare()
             self._stopping.wait(LISTENERS_SECONDS)
-            while not self._stopping.is_set():
+            while not self.is_stopping:
                 is_whole = self._play()
                 self.passes += is_whole
                 if is_whole and not self._loop:
                     break
-            self.is_done = not self._stopping.is_set()
+            self.is_done = not self.is_stopping
             if self.is_done:
                 self._player.end()
         except Exception as error:
-            if not self._stopping.is_set():
+            if not self.is_stopping:
                 self._player.fail(error)
 
     def _play(self) -> bool:
@@ -185,7 +180,7 @@ class Replay(threading.Thread):
         last, start, self.played = None, 0, 0
         while self.played < self.samples:
             reading = self._clock.read()
-            if self._stopping.is_set():
+            if self.is_stopping:
                 return False
             if reading is None:
                 self._clock.sleep_until(0)
@@ -203,7 +198,7 @@ class Replay(threading.Thread):
 
     def _hand_out(self, until: int, start: int) -> None:
         for index in range(self.played, until):
-            if self._stopping.is_set():
+            if self.is_stopping:
                 return
             place = int(self._timeline.places[index])
             if place < 0:

@@ -71,8 +71,8 @@ def sample_noise(position: Array) -> float:
     return float(MAD_TO_SIGMA * np.median(np.abs(np.diff(position, 2))) / np.sqrt(6.0))
 
 
-def _quantisation_step(position: Array) -> float:
-    """Return the sensor's step, m; next to 0 for one whose values lie anywhere."""
+def _smallest_change(position: Array) -> float:
+    """Return the smallest change between samples, m: the step of a coarse sensor, next to 0 for a fine one."""
     changes = np.abs(np.diff(position))
     # Values on a grid come back with rounding errors of 1e-19 m, which are no steps.
     changes = changes[changes > 1e-12]
@@ -81,7 +81,7 @@ def _quantisation_step(position: Array) -> float:
 
 def motion_threshold(position: Array) -> float:
     """Return the span, m, beyond which a position has moved and not only shown noise."""
-    return MOTION_SIGMAS * sample_noise(position) + MOTION_STEPS * _quantisation_step(position) + SMALLEST_MOTION
+    return MOTION_SIGMAS * sample_noise(position) + MOTION_STEPS * _smallest_change(position) + SMALLEST_MOTION
 
 
 def medians_of_three(values: Array) -> Array:

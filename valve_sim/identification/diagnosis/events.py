@@ -23,13 +23,13 @@ from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.event_table import EventPlant, EventTable, reached
 from valve_sim.identification.plants.protocol import Array
+from valve_sim.identification.plants.valve import DAMPINGS
 from valve_sim.identification.selection.hypotheses import Search
 from valve_sim.identification.selection.table import Hypothesis
 from valve_sim.model import CATALOGUE, Drive, EventKind, ParameterError, Response, Tolerances, Valve, simulate
 
 Progress = Callable[[str, float], None]
 
-DAMPINGS: Final = ("pilot_damping", "main_damping")
 PULLS: Final = ("rest_attraction.force", "coil_lag.time_constant")
 """What is fitted at each pair of dampings, to draw the region in all four."""
 DAMPING_AXIS: Final = np.concatenate([[0.0], np.logspace(-1.0, 3.0, 33)])

@@ -14,6 +14,7 @@ from valve_sim.identification.estimation.intervals import CHI2_RISE_95
 from valve_sim.identification.plants.effect_titles import title_of, titles_of
 from valve_sim.identification.plants.event_table import EventPlant
 from valve_sim.identification.plants.protocol import Array
+from valve_sim.identification.plants.valve import DAMPINGS
 from valve_sim.identification.reporting.figures import MAIN, PILOT, QUIET, SECOND, save_figure
 
 if TYPE_CHECKING:
@@ -102,7 +103,7 @@ def _contours(axes: Axes, region: Region, values: Array, levels: tuple[float, ..
 def _profiles(result: EventDiagnosis) -> Figure:
     """The lowest χ² at each value of a damping, all else free: flat is not identifiable."""
     figure = Figure(figsize=(9.0, 4.0), layout="constrained")
-    for axes, name in zip(figure.subplots(1, 2, sharey=True), ("pilot_damping", "main_damping"), strict=True):
+    for axes, name in zip(figure.subplots(1, 2, sharey=True), DAMPINGS, strict=True):
         axis = np.maximum(getattr(result.region, name), _SMALLEST)
         for capped, colour, words in (
             (False, QUIET, "events alone"),

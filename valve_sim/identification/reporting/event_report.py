@@ -7,13 +7,13 @@ from typing import Any
 
 from valve_sim.files.json_text import plain_mapping
 from valve_sim.identification.diagnosis.events import (
-    DAMPINGS,
     Candidate,
     EventDiagnosis,
     FurtherMeasurement,
     Quantity,
 )
 from valve_sim.identification.plants.event_table import EventPlant
+from valve_sim.identification.plants.valve import DAMPINGS
 from valve_sim.identification.reporting.units import listed_values
 
 
