@@ -11,14 +11,14 @@ from valve_sim.identification.diagnosis.calibration import calibrated
 from valve_sim.identification.diagnosis.decision import (
     EVEN,
     Choice,
-    Standing,
+    Claim,
     choice_of,
+    claim_after_holdout,
     competitors,
     decide,
+    is_claimable,
     look_alikes,
     share_of_evidence,
-    stand,
-    withstands,
 )
 from valve_sim.identification.selection.held_out import NOT_HELD_OUT, Judgement
 from valve_sim.identification.selection.table import ScoreTable
@@ -60,7 +60,7 @@ def chosen(found: ScoreTable, *curves: float, best: tuple[str, ...] = ("a",)) ->
 def test_a_false_alarm_or_a_larger_error_is_no_claim(
     white: bool, false_alarm: float, is_larger: bool, stands: bool
 ) -> None:
-    assert withstands(two(best_white=white), of("a"), false_alarm, is_larger=is_larger) is stands
+    assert is_claimable(two(best_white=white), of("a"), false_alarm, is_larger=is_larger) is stands
 
 
 def test_a_choice_says_what_competes_with_it_and_whether_a_curve_does_better() -> None:
@@ -80,8 +80,8 @@ def test_a_choice_says_what_competes_with_it_and_whether_a_curve_does_better() -
 
 def test_what_held_out_data_confirm_stands() -> None:
     found = two()
-    assert stand(found, chosen(found), (DECLARED_FAILS, HOLDS), 8) == Standing(of("a"), False, False)
-    assert stand(found, chosen(found), (NOT_HELD_OUT, NOT_HELD_OUT), 3) == Standing(of("a"), False, False)
+    assert claim_after_holdout(found, chosen(found), (DECLARED_FAILS, HOLDS), 8) == Claim(of("a"), False, False)
+    assert claim_after_holdout(found, chosen(found), (NOT_HELD_OUT, NOT_HELD_OUT), 3) == Claim(of("a"), False, False)
 
 
 @pytest.mark.parametrize("judgement", [LARGER, NO_BETTER])
@@ -93,23 +93,23 @@ def test_a_refuted_name_is_withdrawn_and_the_runner_up_is_not_named(
     judgement: Judgement, base_white: bool, of_base: Judgement, is_unknown: bool
 ) -> None:
     found = two(base_white=base_white, near=5.0)
-    standing = stand(found, chosen(found), (of_base, judgement, HOLDS), 8)
-    assert standing == Standing(BASE, is_unknown, False)
-    kind = decide(standing, look_alikes(found, standing), 0.9, 8, singles_untried=False).kind
+    claim = claim_after_holdout(found, chosen(found), (of_base, judgement, HOLDS), 8)
+    assert claim == Claim(BASE, is_unknown, False)
+    kind = decide(claim, look_alikes(found, claim), 0.9, 8, singles_untried=False).kind
     assert kind == ("unknown" if is_unknown else "none")
 
 
 def test_a_name_whose_residual_is_coloured_there_is_only_the_closest() -> None:
     found = two()
-    assert stand(found, chosen(found), (DECLARED_FAILS, COLOURED), 8) == Standing(of("a"), True, False)
+    assert claim_after_holdout(found, chosen(found), (DECLARED_FAILS, COLOURED), 8) == Claim(of("a"), True, False)
 
 
 def test_a_competitor_that_is_refuted_is_not_listed_and_promotes_nothing() -> None:
     found = two(near=5.0)
-    kept = stand(found, chosen(found), (DECLARED_FAILS, HOLDS, HOLDS), 8)
+    kept = claim_after_holdout(found, chosen(found), (DECLARED_FAILS, HOLDS, HOLDS), 8)
     assert look_alikes(found, kept) == {"a": ("b",)}
     assert competitors(found, kept) == [of("a"), of("b")]
-    refuted = stand(found, chosen(found), (DECLARED_FAILS, HOLDS, COLOURED), 8)
+    refuted = claim_after_holdout(found, chosen(found), (DECLARED_FAILS, HOLDS, COLOURED), 8)
     assert refuted.best == of("a")
     assert look_alikes(found, refuted) == {"a": ()}
     assert competitors(found, refuted) == [of("a")]
@@ -123,13 +123,13 @@ def test_beside_a_remainder_names_are_claimed_that_halve_both_errors(
     of_best: Judgement, curves: tuple[float, ...], names_most: bool
 ) -> None:
     found = two(best_white=False)
-    standing = stand(found, chosen(found, *curves), (DECLARED_FAILS, of_best), 8)
-    assert standing == Standing(of("a"), True, names_most)
+    claim = claim_after_holdout(found, chosen(found, *curves), (DECLARED_FAILS, of_best), 8)
+    assert claim == Claim(of("a"), True, names_most)
 
 
 def test_a_curve_that_does_better_leaves_the_name_only_the_closest() -> None:
     found = two()
-    assert stand(found, chosen(found, 80.0), (DECLARED_FAILS, HOLDS), 8) == Standing(of("a"), True, False)
+    assert claim_after_holdout(found, chosen(found, 80.0), (DECLARED_FAILS, HOLDS), 8) == Claim(of("a"), True, False)
 
 
 @pytest.mark.parametrize(("strokes", "is_unknown"), [(1, False), (8, True)])
@@ -138,21 +138,22 @@ def test_nothing_is_missing_only_where_held_out_data_agree_but_one_stroke_cannot
 ) -> None:
     found = two(base_white=True)
     choice = chosen(found, best=())
-    assert stand(found, choice, (DECLARED_HOLDS, DECLARED_HOLDS), strokes) == Standing(BASE, False, False)
-    assert stand(found, choice, (DECLARED_FAILS, DECLARED_FAILS), strokes) == Standing(BASE, is_unknown, False)
+    assert claim_after_holdout(found, choice, (DECLARED_HOLDS, DECLARED_HOLDS), strokes) == Claim(BASE, False, False)
+    failed = claim_after_holdout(found, choice, (DECLARED_FAILS, DECLARED_FAILS), strokes)
+    assert failed == Claim(BASE, is_unknown, False)
 
 
 @pytest.mark.parametrize("base_white", [True, False])
 def test_without_time_to_open_held_out_data_nothing_is_claimed(base_white: bool) -> None:
     found = two(base_white=base_white)
-    assert stand(found, chosen(found), None, 8) == Standing(BASE, not base_white, False)
+    assert claim_after_holdout(found, chosen(found), None, 8) == Claim(BASE, not base_white, False)
 
 
 # -- evidence ----------------------------------------------------------------------------------------------------------
 
 
 def test_the_evidence_is_shared_with_what_is_near() -> None:
-    alone = Standing(of("a"), False, False)
+    alone = Claim(of("a"), False, False)
     assert share_of_evidence(two(near=100.0), alone, ()) == pytest.approx(1.0, abs=1e-4)
     assert share_of_evidence(two(near=0.0), alone, ()) == pytest.approx(0.5, abs=1e-4)
     # A curve has its share where it is near; what merely extends the claim has none.
@@ -165,12 +166,12 @@ def test_the_evidence_is_shared_with_what_is_near() -> None:
 def test_weak_evidence_is_never_certain() -> None:
     weak = table(scored(BASE, 130.0), scored(of("a"), 100.0))
     gained = 1.0 - math.exp(-1.0)
-    assert share_of_evidence(weak, Standing(of("a"), False, False), ()) == pytest.approx(gained, rel=1e-3)
+    assert share_of_evidence(weak, Claim(of("a"), False, False), ()) == pytest.approx(gained, rel=1e-3)
 
 
 def test_what_was_only_screened_has_its_share_beside_nothing() -> None:
     found = table(scored(BASE, 100.0), screened={"a": -4.0, "b": -40.0})
-    share = share_of_evidence(found, Standing(BASE, False, False), ())
+    share = share_of_evidence(found, Claim(BASE, False, False), ())
     assert share == pytest.approx(1.0 / (1.0 + math.exp(-2.0)), rel=1e-6)
 
 
@@ -178,34 +179,34 @@ def test_what_was_only_screened_has_its_share_beside_nothing() -> None:
 
 
 @pytest.mark.parametrize(
-    ("standing", "strokes", "untried", "kind"),
+    ("claim", "strokes", "untried", "kind"),
     [
-        (Standing(BASE, False, False), 8, False, "none"),
-        (Standing(of("a"), False, False), 8, False, "effects"),
-        (Standing(of("a"), False, False), 8, True, "effects"),
-        (Standing(of("a"), False, False), 1, False, "insufficient"),
-        (Standing(BASE, False, False), 1, False, "insufficient"),
-        (Standing(of("a"), True, False), 8, False, "unknown"),
-        (Standing(of("a"), True, False), 8, True, "insufficient"),
-        (Standing(of("a"), True, True), 8, False, "effects"),
+        (Claim(BASE, False, False), 8, False, "none"),
+        (Claim(of("a"), False, False), 8, False, "effects"),
+        (Claim(of("a"), False, False), 8, True, "effects"),
+        (Claim(of("a"), False, False), 1, False, "insufficient"),
+        (Claim(BASE, False, False), 1, False, "insufficient"),
+        (Claim(of("a"), True, False), 8, False, "unknown"),
+        (Claim(of("a"), True, False), 8, True, "insufficient"),
+        (Claim(of("a"), True, True), 8, False, "effects"),
     ],
 )
-def test_kinds_of_verdict(standing: Standing, strokes: int, untried: bool, kind: str) -> None:
-    alike = dict.fromkeys(standing.best.effects, ("b",))
-    decision = decide(standing, alike, 0.97, strokes, singles_untried=untried)
+def test_kinds_of_verdict(claim: Claim, strokes: int, untried: bool, kind: str) -> None:
+    alike = dict.fromkeys(claim.best.effects, ("b",))
+    decision = decide(claim, alike, 0.97, strokes, singles_untried=untried)
     assert decision.kind == kind
-    assert decision.effects == (() if kind == "none" else standing.best.effects)
-    is_sure = kind in ("none", "effects") and not standing.is_unknown and not untried
+    assert decision.effects == (() if kind == "none" else claim.best.effects)
+    is_sure = kind in ("none", "effects") and not claim.is_unknown and not untried
     assert decision.probability == (calibrated(kind, 0.97) if is_sure else EVEN)
 
 
 def test_a_class_of_more_than_four_is_no_answer() -> None:
-    standing = Standing(of("a"), False, False)
-    assert decide(standing, {"a": ("b", "c", "d")}, 0.9, 8, singles_untried=False).kind == "effects"
-    assert decide(standing, {"a": ("b", "c", "d", "e")}, 0.9, 8, singles_untried=False).kind == "insufficient"
+    claim = Claim(of("a"), False, False)
+    assert decide(claim, {"a": ("b", "c", "d")}, 0.9, 8, singles_untried=False).kind == "effects"
+    assert decide(claim, {"a": ("b", "c", "d", "e")}, 0.9, 8, singles_untried=False).kind == "insufficient"
 
 
 def test_where_the_form_is_wrong_known_look_alikes_are_listed() -> None:
     found = two(near=100.0)
-    assert look_alikes(found, Standing(of("a"), False, False)) == {"a": ()}
-    assert look_alikes(found, Standing(of("a"), True, True)) == {"a": ("b",)}
+    assert look_alikes(found, Claim(of("a"), False, False)) == {"a": ()}
+    assert look_alikes(found, Claim(of("a"), True, True)) == {"a": ("b",)}

@@ -9,7 +9,7 @@ import pytest
 
 from identification.recordings import recorded
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.diagnosis.decision import Standing, decide
+from valve_sim.identification.diagnosis.decision import Claim, decide
 from valve_sim.identification.diagnosis.experiment_design import Recommendation
 from valve_sim.identification.diagnosis.run import Diagnosis, Grounds, Verdict, diagnose
 from valve_sim.identification.estimation.intervals import Interval
@@ -106,8 +106,8 @@ def test_a_summary_and_its_advice_have_no_names_of_code(
     recommendation = Recommendation(experiment, {("asymmetric_friction + coil_lag", "stop_bounce"): 7.0})
     for name in NAMED:
         best, alike = Hypothesis((name,), timing=True), {name: ("eddy_lag", "stroke_offset")}
-        standing = Standing(best, is_unknown, names_most)
-        decision = decide(standing, alike, 0.9, strokes, singles_untried=singles_untried)
+        claim = Claim(best, is_unknown, names_most)
+        decision = decide(claim, alike, 0.9, strokes, singles_untried=singles_untried)
         grounds = Grounds(best.effects, is_unknown, 0.7, (), strokes, singles_untried)
         verdict = Verdict(decision.kind, decision.effects, alike, 0.9, decision.probability, grounds)
         untried = (str(best), "sets of more effects", f"models that compete with {best}")

@@ -16,14 +16,14 @@ from typing import Final, NamedTuple, TypeVar
 from valve_sim.identification.diagnosis.decision import (
     LARGEST_CLASS,
     Choice,
-    Standing,
+    Claim,
     choice_of,
+    claim_after_holdout,
     competitors,
     decide,
+    is_claimable,
     look_alikes,
     share_of_evidence,
-    stand,
-    withstands,
 )
 from valve_sim.identification.diagnosis.experiment_design import Recommendation, recommend
 from valve_sim.identification.diagnosis.outcome import Candidate, Diagnosis, Grounds, State, Verdict
@@ -88,22 +88,22 @@ class Conclusion:
         self.untried: list[str] = []
 
     def conclude(self) -> Diagnosis:
-        """Choose, judge, decide, and describe what it comes to."""
+        """Choose, judge, decide, and describe the result."""
         table = self.closed_table()
         best, alarm = self.claimed(table)
         curves = self.curves(table, best)
         choice = choice_of(table, best, curves.scores)
-        standing = self.judged(table, choice)
-        after_fit, unexplained = self.corrected(standing, curves)
+        claim = self.judged(table, choice)
+        after_fit, unexplained = self.corrected(claim, curves)
         self.search.say("intervals", 0.99)
-        timing, base_fit = self.needs_timing(self.fit(standing.best)), self.fit(standing.best.base)
+        timing, base_fit = self.needs_timing(self.fit(claim.best)), self.fit(claim.best.base)
         before = self.state(base_fit, profile=False, timing=timing)
         is_declared = after_fit is base_fit
-        after = before if is_declared else self.state(after_fit, profile=not standing.is_unknown, timing=timing)
-        verdict = self.verdict(table, standing, curves)
-        find = functools.partial(self.recommended_experiment, table, standing)
+        after = before if is_declared else self.state(after_fit, profile=not claim.is_unknown, timing=timing)
+        verdict = self.verdict(table, claim, curves)
+        find = functools.partial(self.recommended_experiment, table, claim)
         recommendation = self.in_time(WORDED_BY, "what to record next", find, None) if verdict.is_open else None
-        candidates = self.candidates(table, standing.best.base, timing=timing)
+        candidates = self.candidates(table, claim.best.base, timing=timing)
         untried = tuple(dict.fromkeys([*self.exploration.untried, *self.untried]))
         return Diagnosis(
             self.plant, before, after, verdict, candidates, unexplained,
@@ -125,7 +125,7 @@ class Conclusion:
         return self.exploration.table()
 
     def claimed(self, table: ScoreTable) -> tuple[Hypothesis, FalseAlarm]:
-        """What training strokes speak for, if it is no false alarm; else the declared model."""
+        """What training strokes support, if it is no false alarm; else the declared model."""
         best = choose(table)
         self.search.say("what the same search finds in noise alone", 0.88)
         what = f"whether {best} holds" if best.effects else ""
@@ -133,12 +133,12 @@ class Conclusion:
         return self.in_time(CLAIMED_BY, what, lambda: self.kept(table, best), (best.base, NOT_ASKED))
 
     def kept(self, table: ScoreTable, best: Hypothesis) -> tuple[Hypothesis, FalseAlarm]:
-        """The best, if training strokes leave it standing."""
+        """The best, if training strokes support it."""
         base_fit, best_fit = self.fit(best.base), self.fit(best)
         alarm = false_alarm(base_fit, best_fit)
         # What tolerances find incredible is no work of noise: their own false alarms are priced by eq. (82).
         by_noise = 0.0 if is_relief(base_fit, best_fit) else alarm.probability
-        is_kept = withstands(table, best, by_noise, is_larger=is_larger(best_fit, base_fit))
+        is_kept = is_claimable(table, best, by_noise, is_larger=is_larger(best_fit, base_fit))
         return (best if is_kept else best.base), alarm
 
     def curves(self, table: ScoreTable, best: Hypothesis) -> _Curves:
@@ -154,24 +154,24 @@ class Conclusion:
 
     # -- the judgement -------------------------------------------------------------------------------------------------
 
-    def judged(self, table: ScoreTable, choice: Choice) -> Standing:
-        """What stands when held-out data are opened."""
+    def judged(self, table: ScoreTable, choice: Choice) -> Claim:
+        """The claim after held-out data are opened."""
         best = choice.best
         fits = [self.fit(hypothesis) for hypothesis in (best, *choice.competing)]
         judge = functools.partial(self.held_out.open, self.fit(best.base), *fits)
         judgements = self.in_time(WORDED_BY, f"whether {best} holds" if best.effects else "", judge, None)
-        return stand(table, choice, judgements, self.strokes)
+        return claim_after_holdout(table, choice, judgements, self.strokes)
 
-    def corrected(self, standing: Standing, curves: _Curves) -> tuple[Fit, Unexplained | None]:
+    def corrected(self, claim: Claim, curves: _Curves) -> tuple[Fit, Unexplained | None]:
         """The corrected model, and what it leaves unexplained.
 
         Where the verdict names effects, it has these and nothing else. Else it may hold a force map, which then is the
         curve that is described.
         """
-        best_fit, base_fit = self.fit(standing.best), self.fit(standing.best.base)
-        if not standing.is_unknown:
+        best_fit, base_fit = self.fit(claim.best), self.fit(claim.best.base)
+        if not claim.is_unknown:
             return best_fit, None
-        if standing.names_most:
+        if claim.names_most:
             return best_fit, self.beside(best_fit, base_fit, curves)
         with self.budget.until(WORDED_BY):
             left = (curves.maps if best_fit is base_fit else []) or fit_maps(self.search, best_fit)
@@ -208,19 +208,19 @@ class Conclusion:
 
     # -- the verdict ---------------------------------------------------------------------------------------------------
 
-    def verdict(self, table: ScoreTable, standing: Standing, curves: _Curves) -> Verdict:
+    def verdict(self, table: ScoreTable, claim: Claim, curves: _Curves) -> Verdict:
         """What is claimed, and on what grounds."""
         # A smooth curve can be the constant or linear force that a name stands for: it competes by doing better alone.
         places = sorted(curves.local, key=lambda entry: entry.fit.score)
-        limit = table[standing.best].score + DECISIVE
+        limit = table[claim.best].score + DECISIVE
         grounds = Grounds(
-            standing.best.effects, standing.is_unknown, self.share(standing.best),
+            claim.best.effects, claim.is_unknown, self.share(claim.best),
             tuple(where(entry.choice, entry.fit) for entry in places if entry.fit.score < limit), self.strokes,
             self.exploration.singles_untried(),
         )  # fmt: skip
-        alike = look_alikes(table, standing)
-        evidence = share_of_evidence(table, standing, [entry.fit.score for entry in places])
-        decision = decide(standing, alike, evidence, self.strokes, singles_untried=grounds.singles_untried)
+        alike = look_alikes(table, claim)
+        evidence = share_of_evidence(table, claim, [entry.fit.score for entry in places])
+        decision = decide(claim, alike, evidence, self.strokes, singles_untried=grounds.singles_untried)
         return Verdict(decision.kind, decision.effects, alike, evidence, decision.probability, grounds)
 
     def share(self, best: Hypothesis) -> float:
@@ -228,9 +228,9 @@ class Conclusion:
         before = rmse(self.fit(best.base))
         return 1.0 - (rmse(self.fit(best)) / before) ** 2 if before > 0.0 else 0.0
 
-    def recommended_experiment(self, table: ScoreTable, standing: Standing) -> Recommendation | None:
+    def recommended_experiment(self, table: ScoreTable, claim: Claim) -> Recommendation | None:
         """The recording that would tell the best hypothesis best from those of its size that do about as well."""
-        few = competitors(table, standing)[:LARGEST_CLASS]
+        few = competitors(table, claim)[:LARGEST_CLASS]
         candidates = {" + ".join(hypothesis.effects): self.fit(hypothesis) for hypothesis in few}
         return recommend(candidates, self.plant.experiments) if len(candidates) > 1 else None
 

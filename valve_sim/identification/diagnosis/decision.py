@@ -1,7 +1,7 @@
 """What is claimed: functions of a closed table of scores, of what held-out data say, and of nothing else.
 
-`choose` finds what training strokes speak for, held-out data judge it (`stand`), and the verdict's numbers follow from
-the table. Nothing here fits, simulates or words anything.
+`choose` finds what training strokes support, held-out data judge it (`claim_after_holdout`), and the verdict's numbers
+follow from the table. Nothing here fits, simulates or words anything.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from valve_sim.identification.selection.table import (
 )
 
 LARGEST_CLASS: Final = 4
-"""More names than this are no answer."""
+"""A class with more names than this is no answer."""
 LIKELY: Final = 4.0
 """Difference of evidence within which a larger look-alike is listed, too: odds of 7 to 1. Measured: where friction is
 Coulomb's, stiction is worse by 5 to 8; where it is a stiction too small to be distinguished, by −8 to 3.4."""
@@ -43,7 +43,7 @@ EVEN: Final = 0.5
 
 @dataclass(frozen=True)
 class Choice:
-    """What training strokes speak for, before held-out data are opened.
+    """What training strokes support, before held-out data are opened.
 
     Attributes:
         best: the hypothesis. is_white: whether its residual is. curve_wins: whether a nonparametric force is decisively
@@ -59,8 +59,8 @@ class Choice:
 
 
 @dataclass(frozen=True)
-class Standing:
-    """What stands when held-out data have been opened.
+class Claim:
+    """What is claimed after held-out data have been opened.
 
     Attributes:
         best: the choice, or the declared model where it was refuted. refuted: what competed and was refuted.
@@ -81,8 +81,8 @@ class Decision(NamedTuple):
     probability: float
 
 
-def withstands(table: ScoreTable, best: Hypothesis, false_alarm: float, *, is_larger: bool) -> bool:
-    """Whether training strokes alone leave a claim of effects standing.
+def is_claimable(table: ScoreTable, best: Hypothesis, false_alarm: float, *, is_larger: bool) -> bool:
+    """Whether training strokes support a claim of effects: it lowers the error, and is no false alarm.
 
     Args:
         table: of all that was tried. best: what would be claimed.
@@ -116,8 +116,10 @@ def _halves_error(table: ScoreTable, best: Hypothesis) -> bool:
     return with_names.sum_squares < HALVED**2 * without.sum_squares
 
 
-def stand(table: ScoreTable, choice: Choice, judgements: Sequence[Judgement] | None, strokes: int) -> Standing:
-    """What held-out data leave of a choice. They can refute it; nothing else takes its place.
+def claim_after_holdout(
+    table: ScoreTable, choice: Choice, judgements: Sequence[Judgement] | None, strokes: int
+) -> Claim:
+    """The claim that is left of a choice after the hold-out, which can refute it; nothing else takes its place.
 
     Args:
         table: of all that was tried. choice: what is judged. strokes: how many the machine made.
@@ -126,35 +128,35 @@ def stand(table: ScoreTable, choice: Choice, judgements: Sequence[Judgement] | N
     """
     best, base = choice.best, choice.best.base
     if judgements is None:
-        return Standing(base, is_unknown=not table[base].is_white, names_most=False)
+        return Claim(base, is_unknown=not table[base].is_white, names_most=False)
     of_base, of_best, *of_others = judgements
     refuted = frozenset(
         other for other, judgement in zip(choice.competing, of_others, strict=True) if judgement.refutes_names
     )
     if best.effects and not of_best.is_gain:
         is_adequate = table[base].is_white and of_base.is_white
-        return Standing(base, is_unknown=not is_adequate, names_most=False, refuted=refuted)
+        return Claim(base, is_unknown=not is_adequate, names_most=False, refuted=refuted)
     # Dampings of a single stroke are too uncertain to tell.
     is_refuted = (bool(best.effects) or strokes > 1) and not of_best.is_white
     # What held-out data refute is no claim, however much it explains; a remainder known before may stay beside one.
     is_most = choice.halves_error and not of_best.ratio >= HALVED
     names_most = bool(best.effects) and is_most and not choice.is_white and not choice.curve_wins
-    return Standing(best, choice.curve_wins or not choice.is_white or is_refuted, names_most, refuted)
+    return Claim(best, choice.curve_wins or not choice.is_white or is_refuted, names_most, refuted)
 
 
-def share_of_evidence(table: ScoreTable, standing: Standing, curves: Sequence[float]) -> float:
-    """Share of what stands in the evidence, theory, eq. (57), without sets that merely extend it.
+def share_of_evidence(table: ScoreTable, claim: Claim, curves: Sequence[float]) -> float:
+    """Share of the claim in the evidence, theory, eq. (57), without sets that merely extend it.
 
     Nonparametric forces have a share, too; `curves` is S of each. A weak effect without a name is easily taken for a
     weak one with a name (measured on the campaign: at a tenth of a strong one, damping that varies with x passes for
     spring hardening), so weak evidence is never certain.
     """
-    best, least = standing.best, table[standing.best].score
+    best, least = claim.best, table[claim.best].score
     near = {**delta_scores(table, best), **larger_alternatives(table, best)}
     weight: dict[tuple[str, ...], float] = {}
     for other, one in table.scores.items():
         extends = bool(best.effects) and set(other.effects) > set(best.effects)
-        if extends or other in standing.refuted:
+        if extends or other in claim.refuted:
             continue
         evidence = _weight(near.get(other, one.score - least))
         weight[other.effects] = max(weight.get(other.effects, 0.0), evidence)
@@ -177,56 +179,56 @@ def _nearest(curves: Sequence[float], least: float) -> float:
     return max(min(near, default=math.inf), 0.0)
 
 
-def look_alikes(table: ScoreTable, standing: Standing) -> dict[str, tuple[str, ...]]:
+def look_alikes(table: ScoreTable, claim: Claim) -> dict[str, tuple[str, ...]]:
     """Of each named effect, what else it could be.
 
     Where the form is wrong, scores mislead, and known look-alikes are listed too.
     """
     found: dict[str, tuple[str, ...]] = {}
-    for name in standing.best.effects:
-        others = _in_place_of(table, standing, name)
-        if standing.is_unknown:
+    for name in claim.best.effects:
+        others = _in_place_of(table, claim, name)
+        if claim.is_unknown:
             others = tuple(dict.fromkeys([*others, *table.look_alikes.get(name, ())]))[: LARGEST_CLASS - 1]
         found[name] = others
     return found
 
 
-def _in_place_of(table: ScoreTable, standing: Standing, member: str) -> tuple[str, ...]:
+def _in_place_of(table: ScoreTable, claim: Claim, member: str) -> tuple[str, ...]:
     """Effects that would do in place of a member: competing models, and its look-alikes with more parameters."""
-    best = standing.best
+    best = claim.best
     rest = best.without(member)
     likely = [other for other, worse in larger_alternatives(table, best).items() if worse < LIKELY]
-    stand_too = [other for other in (*competing_models(table, best), *likely) if other not in standing.refuted]
-    sets = {other.effects for other in stand_too}
-    names = [name for other in stand_too for name in other.effects]
+    remaining = [other for other in (*competing_models(table, best), *likely) if other not in claim.refuted]
+    sets = {other.effects for other in remaining}
+    names = [name for other in remaining for name in other.effects]
     return tuple(dict.fromkeys(name for name in names if name != member and rest.adding(name).effects in sets))
 
 
-def competitors(table: ScoreTable, standing: Standing) -> list[Hypothesis]:
-    """What stands and what competes with it, nearest first: what a further recording should tell apart."""
-    return [other for other in competing_models(table, standing.best) if other not in standing.refuted]
+def competitors(table: ScoreTable, claim: Claim) -> list[Hypothesis]:
+    """The claim and what competes with it, best first: what a further recording should tell apart."""
+    return [other for other in competing_models(table, claim.best) if other not in claim.refuted]
 
 
 def decide(
-    standing: Standing, alike: Mapping[str, Sequence[str]], evidence: float, strokes: int, *, singles_untried: bool
+    claim: Claim, alike: Mapping[str, Sequence[str]], evidence: float, strokes: int, *, singles_untried: bool
 ) -> Decision:
     """The verdict.
 
     Args:
-        standing: what held-out data leave. alike: of each effect, what else it could be. evidence: its share.
+        claim: after the hold-out. alike: of each effect, what else it could be. evidence: its share.
         strokes: how many the machine made. singles_untried: whether not even every single effect was tried.
     """
-    kind = _kind(standing, alike, strokes, singles_untried=singles_untried)
-    is_sure = not standing.is_unknown and not singles_untried and kind in ("none", "effects")
+    kind = _kind(claim, alike, strokes, singles_untried=singles_untried)
+    is_sure = not claim.is_unknown and not singles_untried and kind in ("none", "effects")
     probability = calibrated(kind, evidence) if is_sure else min(evidence, EVEN)
-    return Decision(kind, () if kind == "none" else standing.best.effects, probability)
+    return Decision(kind, () if kind == "none" else claim.best.effects, probability)
 
 
-def _kind(standing: Standing, alike: Mapping[str, Sequence[str]], strokes: int, *, singles_untried: bool) -> str:
-    if standing.is_unknown:
+def _kind(claim: Claim, alike: Mapping[str, Sequence[str]], strokes: int, *, singles_untried: bool) -> str:
+    if claim.is_unknown:
         unnamed = "insufficient" if singles_untried else "unknown"
-        return "effects" if standing.names_most else unnamed
+        return "effects" if claim.names_most else unnamed
     is_ambiguous = any(len(others) + 1 > LARGEST_CLASS for others in alike.values())
     if strokes <= 1 or is_ambiguous:
         return "insufficient"
-    return "effects" if standing.best.effects else "none"
+    return "effects" if claim.best.effects else "none"
