@@ -37,8 +37,9 @@ from valve_sim.files.ledger import plan_files
     metavar="SECONDS",
     type=finite_number(1.0),
     default=120.0,
-    help="Time limit of search, report and pictures, counted from when the recordings are read.",
+    help="Time limit of search, report and picture, counted from when the recordings are read.",
 )
+@click.option("--plot", metavar="PNG", type=FILE, help="Draw the plots of report.html as a picture, too (bags only).")
 @params_option
 @valve_option
 @map_option
@@ -50,6 +51,7 @@ def diagnose(
     events: Path | None,
     holdout: tuple[Path, ...],
     budget: float,
+    plot: Path | None,
     params: Path | None,
     name: str | None,
     output: Path,
@@ -61,9 +63,8 @@ def diagnose(
     after, on the data that were fitted and on held-out data. Without --holdout, strokes are held out. The report says
     what the budget was too short for.
 
-    Writes DIR/report.json, report.html and report.png for people, corrected.yaml, which valve_node, simulate and
-    validate load, and, if a further recording would tell candidates apart, record_next.yaml, a profile for simulate
-    and command_profile.
+    Writes DIR/report.json, report.html for people, corrected.yaml, which valve_node, simulate and validate load, and,
+    if a further recording would tell candidates apart, record_next.yaml, a profile for simulate and command_profile.
 
       valve-sim diagnose strokes.mcap --output results
       valve-sim diagnose day_1 day_2 --holdout day_3 --params my_valve.yaml --output results
@@ -72,6 +73,10 @@ def diagnose(
     if (events is None) == (not bags):
         raise click.UsageError("diagnose takes either BAG... or --events FILE", click.get_current_context())
     if events is not None:
+        if plot is not None:
+            raise click.UsageError(
+                "--plot is for bags; --events always leaves its pictures in DIR", click.get_current_context()
+            )
         _diagnose_events(events, output, as_json)
         return
     before_wall, before_processor = time.perf_counter(), time.process_time()
@@ -83,17 +88,18 @@ def diagnose(
     from valve_sim.identification.reporting.text import diagnosis_text
 
     valve = declared_valve(params)
-    plan_files(*(output / file for file in FILES))
+    plan_files(*(output / file for file in FILES), *([] if plot is None else [plot]))
     traces, held_out = read_recordings(bags, name, valve), read_recordings(holdout, name, valve)
     with progress_bar() as progress:
         # The first prediction after an installation compiles the model, which no budget is meant for.
         ValvePlant(traces, valve).predict({})
-        load_drawing()
+        if plot is not None:
+            load_drawing()
         wall, processor = time.perf_counter() - before_wall, time.process_time() - before_processor
         time_left = Budget(budget - kept_for_writing(budget, wall / processor), time.monotonic)
         result = trace_residual(traces, held_out, valve, progress, time_left)
     report = to_json(result)
-    written = write_diagnosis(result, output, provenance(params, [report["verdict"]["summary"]]))
+    written = write_diagnosis(result, output, provenance(params, [report["verdict"]["summary"]]), plot)
     print_report(report, diagnosis_text(result), written, as_json)
 
 

@@ -160,11 +160,17 @@ def test_a_page_that_cannot_be_written_is_one_clear_error(diagnosis: Diagnosis, 
 
 def test_all_files_of_a_diagnosis_are_written_and_nothing_else(diagnosis: Diagnosis, tmp_path: Path) -> None:
     written = write_diagnosis(diagnosis, tmp_path / "results", "by a test")
-    assert sorted(path.name for path in written) == ["corrected.yaml", "report.html", "report.json", "report.png"]
+    assert sorted(path.name for path in written) == ["corrected.yaml", "report.html", "report.json"]
     assert sorted((tmp_path / "results").iterdir()) == sorted(written)
     assert json.loads(written[0].read_text())["verdict"]["effects"] == ["coulomb_friction"]
     assert load_valve(tmp_path / "results" / "corrected.yaml") == diagnosis.valve
-    assert (tmp_path / "results" / "report.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_picture_is_drawn_where_one_is_asked_for(diagnosis: Diagnosis, tmp_path: Path) -> None:
+    picture = tmp_path / "strokes.png"
+    written = write_diagnosis(diagnosis, tmp_path / "results", "by a test", picture)
+    assert written[-1] == picture
+    assert picture.read_bytes().startswith(b"\x89PNG")
 
 
 def test_the_next_recording_is_a_profile_in_the_folder_while_there_is_something_to_tell_apart(
@@ -201,7 +207,7 @@ class OtherMachine:
 
 def test_another_machine_has_no_corrected_valve(diagnosis: Diagnosis, tmp_path: Path) -> None:
     written = write_diagnosis(replace(diagnosis, plant=OtherMachine(diagnosis.plant)), tmp_path, "by a test")
-    assert sorted(path.name for path in written) == ["report.html", "report.json", "report.png"]
+    assert sorted(path.name for path in written) == ["report.html", "report.json"]
 
 
 @needs_chromium

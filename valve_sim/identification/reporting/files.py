@@ -1,4 +1,4 @@
-"""The files that a diagnosis leaves behind: report.json, report.html, report.png.
+"""The files that a diagnosis leaves behind: report.json, report.html, and a picture where one is asked for.
 
 Of a valve also corrected.yaml, and record_next.yaml where there is something to tell apart.
 """
@@ -18,17 +18,20 @@ from valve_sim.identification.reporting.diagnosis_json import to_json
 from valve_sim.identification.reporting.html import plot_diagnosis, write_report
 from valve_sim.identification.reporting.recording_profile import write_record_next
 
-FILES: Final = ("report.json", "report.html", "report.png", "corrected.yaml")
+FILES: Final = ("report.json", "report.html", "corrected.yaml")
 """Of a valve, in the order in which they are written; record_next.yaml follows where there is something to tell."""
 
 
-def write_diagnosis(diagnosis: Diagnosis, directory: Path | str, provenance: str) -> tuple[Path, ...]:
+def write_diagnosis(
+    diagnosis: Diagnosis, directory: Path | str, provenance: str, picture: Path | None = None
+) -> tuple[Path, ...]:
     """Write what a diagnosis found, each file whole or not at all.
 
     Args:
         diagnosis: of any plant; only a valve has a corrected.yaml and a record_next.yaml.
         directory: made where it is missing.
         provenance: how the diagnosis was made; goes into report.html and corrected.yaml.
+        picture: where to draw the page's plots, too; default nowhere.
 
     Returns:
         the files, report.json first.
@@ -37,18 +40,21 @@ def write_diagnosis(diagnosis: Diagnosis, directory: Path | str, provenance: str
         ValveError: a file cannot be written.
     """
     folder = Path(directory)
-    data, page, picture, corrected = (folder / name for name in FILES)
+    data, page, corrected = (folder / name for name in FILES)
     write_whole(data, json_text(to_json(diagnosis)))
     write_report(diagnosis, page, provenance)
-    plot_diagnosis(diagnosis, picture)
-    if not isinstance(diagnosis.plant, ValvePlant):
-        return data, page, picture
-    save_valve(corrected, diagnosis.valve, provenance)
-    profile = write_record_next(folder, diagnosis, provenance)
-    return (data, page, picture, corrected) if profile is None else (data, page, picture, corrected, profile)
+    written = [data, page]
+    if isinstance(diagnosis.plant, ValvePlant):
+        save_valve(corrected, diagnosis.valve, provenance)
+        profile = write_record_next(folder, diagnosis, provenance)
+        written += [corrected] if profile is None else [corrected, profile]
+    if picture is not None:
+        plot_diagnosis(diagnosis, picture)
+        written.append(picture)
+    return tuple(written)
 
 
 def load_drawing() -> None:
-    """Load what draws the pictures, half of what they cost: before a budget begins that must hold them."""
+    """Load what draws a picture, half of what it costs: before a budget begins that must hold it."""
     importlib.import_module("valve_sim.identification.reporting.figures")
     importlib.import_module("matplotlib.backends.backend_agg")
