@@ -16,8 +16,9 @@ import stat
 import sys
 import tempfile
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from types import FunctionType
 from typing import Any, Final
 
 import numba
@@ -145,13 +146,23 @@ def _announce_where_missing(dispatcher: Any) -> None:
     cache.load_overload = load_or_announce
 
 
-def compiled_callback(signature: Any, function: Callable[..., Any]) -> Any:
-    """Compile to a C callback, for this process only.
+def compiled_callback(signature: Any, function: Callable[..., Any], given: Mapping[str, Any], kept_as: str = "") -> Any:
+    """Compile to a C callback.
 
-    Numba would take one on disk for its own only if what the function closes over were equal, and a compiled function
-    is equal to none of another process: each would add a file, and find none.
+    Args:
+        signature: of it. function: that is compiled; it closes over nothing.
+        given: what its missing globals are, compiled functions among them.
+        kept_as: name under which it is kept on disk, one for each choice of `given`; default: for this process only.
     """
-    return numba.cfunc(signature)(function)
+    # Numba asks of code on disk whether what a function closes over is equal, which compiled functions of two
+    # processes never are; of globals it takes that for granted.
+    bound: Any = FunctionType(function.__code__, {**function.__globals__, **given})
+    bound.__module__ = function.__module__
+    if kept_as:
+        bound.__qualname__ = kept_as  # the name of its file
+        with cached() as has_folder, contextlib.suppress(OSError):  # a disk may be full
+            return numba.cfunc(signature, cache=has_folder)(bound)
+    return numba.cfunc(signature)(bound)
 
 
 def compiled_once(function: Callable[..., Any]) -> Any:

@@ -340,14 +340,24 @@ def compile_term(term: Term, count: int, *, reads_array: bool = False) -> Any:
     home = sys.modules.get(term.__module__)
     is_importable = term.__module__ != "__main__" and getattr(home, term.__name__, None) is term
     force = compiled(term) if is_importable else compiled_once(term)
+    # The folder of compiled code is named after the sources of this room: what lies elsewhere may change without it.
+    ships = is_importable and term.__module__.startswith(f"{__package__}.")
+    name = f"{term.__module__.rpartition('.')[2]}_{term.__name__}_{count}" if ships else ""
+    callback = _callback_of_array if reads_array else _callback
+    return compiled_callback(_TERM_SIGNATURE, callback, {"force": force, "count": count}, name)
 
-    def callback(x: float, v: float, u: float, t: float, numbers: Any) -> float:
-        return force(x, v, u, t, *to_fixed_tuple(carray(numbers, (count,)), count))  # type: ignore[no-any-return, call-arg]
 
-    def callback_of_array(x: float, v: float, u: float, t: float, numbers: Any) -> float:
-        return force(x, v, u, t, carray(numbers, (count,)))  # type: ignore[no-any-return]
+force: Any = None
+count: int = 0
+"""What callbacks are given when they are compiled: the compiled term, and how many numbers it reads."""
 
-    return compiled_callback(_TERM_SIGNATURE, callback_of_array if reads_array else callback)
+
+def _callback(x: float, v: float, u: float, t: float, numbers: Any) -> float:  # pragma: no cover - compiled
+    return force(x, v, u, t, *to_fixed_tuple(carray(numbers, (count,)), count))  # type: ignore[no-any-return, call-arg]
+
+
+def _callback_of_array(x: float, v: float, u: float, t: float, numbers: Any) -> float:  # pragma: no cover - compiled
+    return force(x, v, u, t, carray(numbers, (count,)))  # type: ignore[no-any-return]
 
 
 FASTEST: Final = 0.2
