@@ -106,6 +106,51 @@ def test_what_one_stroke_alone_shows_is_not_predicted_from_the_others() -> None:
     assert float(np.mean(np.abs(without.residuals[last]))) == pytest.approx(10.0, rel=0.1)
 
 
+class Alone(Strokes):
+    """Strokes that show a level each, and one of them also a `bump` of a given kind."""
+
+    def __init__(self, levels: Sequence[float], bump: Parameter | None = None) -> None:
+        super().__init__(len(levels))
+        self.levels, self.bump, self.nuisances = levels, bump, ()
+        self.last = self.channels[0].group == len(levels) - 1
+        self.channels[0].data[:] = np.repeat(levels, SAMPLES) + 0.1 * np.cos(np.arange(len(self.last)))
+
+    def parameter(self, name: str) -> Parameter:
+        if name == "e.bump" and self.bump is not None:
+            return self.bump
+        return super().parameter(name)._replace(lower=0.5, upper=1e6)
+
+    def declared(self, name: str) -> float:
+        return 1.0
+
+    def predict(self, values: dict[str, float]) -> list[Array]:
+        return [values.get("level", 1.0) + values.get("e.bump", 0.0) * self.last]
+
+
+def left_out(plant: Strokes, free: tuple[str, ...], start: dict[str, float]) -> Array:
+    """What each stroke is missed by on average where it is left out, in its unit."""
+    problem = Problem(plant, noises={"position": Noise(SIGMA, SIGMA, (), 0.0, 1.0, 100)})  # type: ignore[arg-type]
+    found = cross_validate(fit(problem, free, start))
+    assert found is not None
+    return np.asarray(found.residuals.reshape(-1, SAMPLES).mean(axis=1) * SIGMA)
+
+
+def test_without_a_stroke_a_parameter_stays_within_its_bounds() -> None:
+    # Without the first, 0 would be the best level of the others, and 0.5 is the least.
+    assert left_out(Alone([6.0, -1.0, 1.0]), ("level",), {}) == pytest.approx([5.5, -4.5, -1.5], abs=0.05)
+    # On its bound in the fit to all, it stays there.
+    assert left_out(Alone([0.0, -1.0, 1.0]), ("level",), {}) == pytest.approx([-0.5, -1.5, 0.5], abs=0.05)
+
+
+@pytest.mark.parametrize(("off", "missed"), [(0.0, 3.0), (1.0, 2.0), (None, 0.0)])
+def test_what_one_stroke_alone_shows_goes_back_to_off_and_a_shape_stays(off: float | None, missed: float) -> None:
+    bump = Parameter("bump", "m", "of one stroke", -1e3, 1e3, 2.0, off)
+    plant = Alone([2.0, 2.0, 2.0, 5.0], bump)
+    plant.declared = lambda name: 1.0 if off is None else off  # type: ignore[method-assign]
+    found = left_out(plant, ("level", "e.bump"), {"e.bump": 2.0})
+    assert found == pytest.approx([0.0, 0.0, 0.0, missed], abs=0.06)
+
+
 def test_a_larger_model_is_better_only_where_it_is_true() -> None:
     small, true, large = (
         cross_validate(fitted(6, free, timing=False)) for free in (("level",), ("level", "slope"), Strokes.base)
@@ -126,3 +171,10 @@ def test_many_strokes_are_left_out_several_at_once() -> None:
     folds = folds_of(fitted(40, ("level",), timing=False).problem)
     assert len(folds) == MOST_FOLDS
     assert np.array_equal(np.sum(folds, axis=0), np.ones(40 * SAMPLES))
+
+
+def test_what_is_far_beyond_its_prior_scale_is_not_pulled_back() -> None:
+    """A level of 200 km, where 2 m were expected, is known from the others all the same."""
+    far = Alone([2e5, 2e5, 2e5])
+    far.declared = lambda name: 0.0  # type: ignore[method-assign]
+    assert left_out(far, ("level",), {}) == pytest.approx([0.0] * 3, abs=0.05)
