@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks.maglev.plant import MagnetPlant
@@ -41,8 +40,8 @@ def plot(path: Path, found: Findings) -> None:
     below.axhline(0.0, color=QUIET, linewidth=0.8)
     below.set_ylabel("measured − model, mA")
     below.set_xlabel("after the jump, ms" if record.jump is not None else "time, ms")
-    for (name, shares), colour in zip(found.shares.items(), (PILOT, SECOND), strict=True):
-        pulls.plot([1e3 * lift.distance for lift in found.lifts], shares, "o", color=colour, label=name)
+    for (name, pull), colour in zip(found.pulls.items(), (PILOT, SECOND), strict=True):
+        pulls.plot([1e3 * lift.distance for lift in found.lifts], pull.shares, "o", color=colour, label=name)
     pulls.axhline(1.0, color=QUIET, linewidth=0.8)
     pulls.set_ylim(bottom=0.0)
     pulls.set_xlabel("distance where the ball lifts, mm")
@@ -50,6 +49,6 @@ def plot(path: Path, found: Findings) -> None:
     pulls.legend(loc="lower right", frameon=False)
     for axes in (above, below, pulls):
         axes.spines[["top", "right"]].set_visible(False)
-    median = float(np.median(next(iter(found.shares.values()))))
+    median = next(iter(found.pulls.values())).median
     figure.suptitle(f"{record.source}: {1e3 * FROM:+.0f} to {1e3 * TO:+.0f} ms; pull over weight {median:.2f} (median)")
     save_figure(figure, path)

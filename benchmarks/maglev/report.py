@@ -21,6 +21,7 @@ from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.effect_titles import titles_of
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.identification.plants.root_mean_square import root_mean_square
+from valve_sim.identification.reporting.summary import summarise
 from valve_sim.identification.selection.hypotheses import Search
 from valve_sim.identification.selection.table import Hypothesis
 from valve_sim.model import ValveError
@@ -50,13 +51,31 @@ class Rung:
 
 
 @dataclass(frozen=True)
+class Pull:
+    """How hard an inductance pulls where the balls lift.
+
+    Attributes:
+        shares: of the ball's weight, at each lift. stderr: of their median, by leaving each record out that the
+            inductance was fitted to (jackknife).
+    """
+
+    shares: tuple[float, ...]
+    stderr: float
+
+    @property
+    def median(self) -> float:
+        """Of the shares."""
+        return float(np.median(self.shares))
+
+
+@dataclass(frozen=True)
 class Findings:
     """All that is printed and drawn.
 
     Attributes:
         records: that were fitted. others: that were predicted; none: each fitted one is left out in turn.
         diagnosis: of these. rungs: the declared model first, the corrected one last.
-        lifts: where the balls lift. shares: pull over weight there, by each way to know the inductance.
+        lifts: where the balls lift. pulls: of each way to know the inductance, by its name.
     """
 
     records: Sequence[MagnetRecord]
@@ -64,7 +83,7 @@ class Findings:
     diagnosis: Diagnosis
     rungs: Sequence[Rung]
     lifts: Sequence[Lift]
-    shares: Mapping[str, Sequence[float]]
+    pulls: Mapping[str, Pull]
 
     @property
     def falls_short(self) -> list[str]:
@@ -137,6 +156,17 @@ def left_out(records: Sequence[MagnetRecord], effects: Sequence[str], start: Val
     return tuple(found)
 
 
+def pull_of(records: Sequence[MagnetRecord], effects: Sequence[str], start: Values, lifts: Sequence[Lift]) -> Pull:
+    """The pull that follows from a model with these effects, fitted to these records."""
+    values = refitted(records, effects, start)
+    medians = [
+        np.median(shares_of_weight(refitted([*records[:number], *records[number + 1 :]], effects, values), lifts))
+        for number in range(len(records))
+    ]
+    stderr = float(np.std(medians)) * (len(medians) - 1) ** 0.5
+    return Pull(tuple(shares_of_weight(values, lifts)), stderr)
+
+
 def study(folder: Path, predicted: Sequence[Path], say: Callable[[str], None] = lambda what: None) -> Findings:
     """Read, diagnose, correct, predict, and check the force.
 
@@ -156,12 +186,12 @@ def study(folder: Path, predicted: Sequence[Path], say: Callable[[str], None] = 
     diagnosis = diagnose_plant(MagnetPlant(records), MagnetPlant(others) if others else None, lambda what, _: say(what))
     rungs = ladder(records, others, diagnosis, say)
     last, lifts = rungs[-1], [lift_of(record) for record in records]
-    by_steps = refitted(held, last.effects, last.values)
-    shares = {
-        "by the dip of the current": shares_of_weight(last.values, lifts),
-        "by steps, the ball held": shares_of_weight(by_steps, lifts),
+    say("pull")
+    pulls = {
+        "by the dip of the current": pull_of(records, last.effects, last.values, lifts),
+        "by steps, the ball held": pull_of(held, last.effects, last.values, lifts),
     }
-    return Findings(records, others, diagnosis, rungs, lifts, shares)
+    return Findings(records, others, diagnosis, rungs, lifts, pulls)
 
 
 def report(found: Findings) -> str:
@@ -171,7 +201,7 @@ def report(found: Findings) -> str:
     lines = [
         f"{len(found.records)} jumps, current's noise {1e3 * noise:.1f} mA",
         "",
-        f"verdict, kind {verdict.kind!r}: {' and '.join(verdict.effects) or 'nothing'}. {verdict.summary}",
+        f"verdict, kind {verdict.kind!r}: {' and '.join(verdict.effects) or 'nothing'}. {summarise(found.diagnosis)}",
         f"current's error in mA over 2 s, fitted / held out: {1e3 * before.train_rmse:.1f} / "
         f"{1e3 * before.holdout_rmse:.1f} before, {1e3 * after.train_rmse:.1f} / {1e3 * after.holdout_rmse:.1f} after",
         "",
@@ -216,13 +246,13 @@ def force_table(found: Findings) -> list[str]:
     """Pull over weight where each ball lifts, by both ways to know the inductance."""
     lines = [
         "pull over weight where the ball lifts, by the inductance that shows",
-        f"{'':<18}{'distance':>12}{'current':>10}" + "".join(f"{name:>28}" for name in found.shares),
+        f"{'':<18}{'distance':>12}{'current':>10}" + "".join(f"{name:>28}" for name in found.pulls),
     ]
-    for lift, *shares in zip(found.lifts, *found.shares.values(), strict=True):
+    for lift, *shares in zip(found.lifts, *(pull.shares for pull in found.pulls.values()), strict=True):
         line = f"    {lift.source:<14}{1e3 * lift.distance:>9.1f} mm{lift.current:>8.3f} A"
         lines.append(line + "".join(f"{share:>28.2f}" for share in shares))
-    medians = "".join(f"{float(np.median(shares)):>28.2f}" for shares in found.shares.values())
-    return [*lines, f"    {'median':<36}" + medians]
+    medians = "".join(f"{f'{pull.median:.2f} ± {pull.stderr:.2f}':>28}" for pull in found.pulls.values())
+    return [*lines, f"    {'median ± standard error':<36}" + medians]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

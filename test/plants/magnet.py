@@ -24,12 +24,12 @@ class Rig(NamedTuple):
 
     supply: float = 11.7
     drop: float = 0.6
-    resistance: float = 4.2
+    resistance: float = 4.17
     inductance: float = 0.12
     lifting: float = 0.045
     pulling: float = 0.045
     gap: float = 6e-3
-    mass: float = 0.06
+    mass: float = 0.06054
     permanent: float = 0.0  # V s/m: the ball is a magnet of its own
     warming: float = 0.0  # K/(A² s)
 
@@ -48,19 +48,19 @@ class Measured(NamedTuple):
 
 
 @compiled_entry
-def _run(rig, start, count):  # type: ignore[no-untyped-def]
+def _run(rig, start, duty, is_held):  # type: ignore[no-untyped-def]
     """(n, 2) current and distance at each sample, and the current at which the ball lifts."""
-    shown = np.empty((count, 2))
+    shown = np.empty((len(duty), 2))
     h = SAMPLE / STEPS
     state = np.zeros(4)  # current, distance, velocity, temperature
     state[1] = start
     lifted = 0.0
     k = np.empty((4, 4))
-    for n in range(count):
+    for n in range(len(duty)):
         shown[n, 0], shown[n, 1] = state[0], state[1]
-        voltage = rig.supply * min(1.0, DUTY_RATE * SAMPLE * n) - rig.drop
+        voltage = rig.supply * duty[n] - rig.drop
         for _ in range(STEPS):
-            if lifted == 0.0:
+            if lifted == 0.0 and not is_held:
                 pull = 0.5 * state[0] ** 2 * rig.pulling / rig.gap / (1.0 + state[1] / rig.gap) ** 2
                 if pull > rig.mass * GRAVITY:
                     lifted = state[0]
@@ -86,16 +86,28 @@ def _run(rig, start, count):  # type: ignore[no-untyped-def]
     return shown, lifted
 
 
-def recorded(rig: Rig, start: float, seed: int, *, duration: float = 10.0) -> Measured:
-    """One jump, with the sensors' noise and a zero of the current sensor that is not 0.
+def recorded(rig: Rig, start: float, seed: int) -> Measured:
+    """One jump from a support: the duty cycle rises until the ball lifts, and on to 1.
 
     Args:
-        rig: as built. start: m, distance of the support. seed: of the noise. duration: s.
+        rig: as built. start: m, distance of the support. seed: of the sensors' noise.
     """
+    times = SAMPLE * np.arange(round(1.0 / DUTY_RATE / SAMPLE))
+    return _seen(rig, start, times, np.minimum(1.0, DUTY_RATE * times), seed, is_held=False)
+
+
+def held(rig: Rig, distance: float, seed: int) -> Measured:
+    """Steps of the duty cycle, on and off for a second each, with the ball held at a distance in m."""
+    times = SAMPLE * np.arange(round(11.0 / SAMPLE))
+    second = np.floor(times)
+    duty = np.where(second % 2 == 1, 0.1 * (second + 1) / 2, 0.0)
+    return _seen(rig, distance, times, duty, seed, is_held=True)
+
+
+def _seen(rig: Rig, start: float, times: FloatArray, duty: FloatArray, seed: int, *, is_held: bool) -> Measured:
+    """What the rig's sensors make of it: noise, and a zero of the current sensor that is not 0."""
     random = np.random.default_rng(seed)
-    count = round(duration / SAMPLE)
-    shown, lifted = _run(rig, start, count)
-    current = shown[:, 0] + random.uniform(0.02, 0.03) + random.normal(0.0, 6e-3, count)
-    distance = np.clip(shown[:, 1] + random.normal(0.0, 2e-5, count), 0.0, SENSOR_END)
-    times = SAMPLE * np.arange(count)
-    return Measured(times, np.maximum(current, 0.0), distance, np.minimum(1.0, DUTY_RATE * times), (start, lifted))
+    shown, lifted = _run(rig, start, duty, is_held)
+    current = shown[:, 0] + random.uniform(0.02, 0.03) + random.normal(0.0, 6e-3, len(times))
+    distance = np.clip(shown[:, 1] + random.normal(0.0, 2e-5, len(times)), 0.0, SENSOR_END)
+    return Measured(times, np.maximum(current, 0.0), distance, duty, (start, lifted))
