@@ -46,7 +46,7 @@ printf '%s\\n' "${{COMPREPLY[@]}}"
 """
     environment = {**os.environ, "PATH": path, "PYTHONPATH": str(ROOT)}
     done = subprocess.run(
-        ["bash", "--norc", "-c", script], env=environment, capture_output=True, text=True, timeout=60, check=True
+        ["bash", "--norc", "-c", script], env=environment, capture_output=True, text=True, timeout=300, check=True
     )
     return done.stdout.split()
 
@@ -73,7 +73,7 @@ def test_the_script_asks_as_the_program_answers(shell: str, path: str) -> None:
         "COMP_CWORD": "1" if shell != "fish" else "",
     }
     environment = {**os.environ, "PYTHONPATH": str(ROOT), **asked}
-    answer = subprocess.run([program], env=environment, capture_output=True, text=True, timeout=60, check=True)
+    answer = subprocess.run([program], env=environment, capture_output=True, text=True, timeout=300, check=True)
     assert isinstance(main, click.Group)
     assert all(command in answer.stdout for command in main.commands)
 

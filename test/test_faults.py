@@ -26,7 +26,7 @@ def run(script: str, *arguments: object, **environment: str) -> subprocess.Compl
     """A Python process of its own."""
     return subprocess.run(
         [sys.executable, "-c", script, *map(str, arguments)],
-        capture_output=True, text=True, timeout=120, check=False, cwd=ROOT, env={**os.environ, **environment},
+        capture_output=True, text=True, timeout=300, check=False, cwd=ROOT, env={**os.environ, **environment},
     )  # fmt: skip
 
 

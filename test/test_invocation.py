@@ -23,7 +23,7 @@ needs_script = pytest.mark.skipif(not SCRIPT.is_file(), reason=f"{SCRIPT} is not
 def typed(command: str, folder: Path, path: str) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, "PATH": path, "AMENT_PREFIX_PATH": ""}
     return subprocess.run(
-        ["bash", "-c", command], cwd=folder, env=environment, capture_output=True, text=True, timeout=60, check=False
+        ["bash", "-c", command], cwd=folder, env=environment, capture_output=True, text=True, timeout=300, check=False
     )
 
 
@@ -102,7 +102,7 @@ def test_make_shell_finds_every_program_of_its_environment() -> None:
         env={**os.environ, "PATH": PLAIN_PATH, "SHELL": "/bin/bash", "MAKELEVEL": "1"},
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=300,
         check=True,
     )
     assert asked.stdout.splitlines() == [*(str(SCRIPT.with_name(name)) for name in programs), "makelevel="]

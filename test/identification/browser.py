@@ -28,6 +28,7 @@ class Browser:
 
     def __init__(self, page: Path, folder: Path) -> None:
         self._page, self._folder, self._count, self._rest = page, folder, 0, b""
+        self._events: list[object] = []
 
     def __enter__(self) -> Browser:
         theirs_in, self._out = os.pipe()
@@ -59,6 +60,7 @@ class Browser:
             "Emulation.setDeviceMetricsOverride", width=width, height=844, deviceScaleFactor=1, mobile=width < 600
         )
         self.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+        self._events.clear()
         self.call("Page.navigate", url=self._page.resolve().as_uri())
         self._wait_for("Page.loadEventFired")
 
@@ -91,10 +93,12 @@ class Browser:
             if answer.get("id") == self._count:
                 assert "result" in answer, answer
                 return answer["result"]
+            self._events.append(answer.get("method"))
 
     def _wait_for(self, event: str) -> None:
-        while self._next().get("method") != event:
-            pass
+        """Return when it has happened, be it before the last command was answered."""
+        while event not in self._events:
+            self._events.append(self._next().get("method"))
 
     def _next(self) -> dict[str, Any]:
         while b"\0" not in self._rest:

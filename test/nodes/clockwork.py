@@ -36,8 +36,9 @@ class Clockwork:
         self._now = 10 * SECOND
         self._voltages = [probe.talker("coil_voltage", Float64) for probe in probes]
         monitors = [probe.target.replace("valve", "monitor") for probe in probes]
-        self._predicted = [self._probe.hear(f"{name}/predicted/joint_states", JointState) for name in monitors]
+        # The predictions last: a monitor that has found who hears them has found all that was announced before.
         self._reports = [self._probe.hear(f"{name}/stroke_report", String) for name in monitors]
+        self._predicted = [self._probe.hear(f"{name}/predicted/joint_states", JointState) for name in monitors]
         # A node answers a question after it has taken what was sent before: its answer says that it has.
         self._question = GetParameters.Request()
         self._askable = [

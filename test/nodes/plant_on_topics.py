@@ -44,9 +44,10 @@ class PlantOnTopics:
         self._clock = probe.talker("/clock", Clock, 1000)
         self._voltage = probe.talker("coil_voltage", Float64)
         self._samples = probe.talker("measured/joint_states", JointState, 1000)
-        self.predicted = probe.hear(f"{monitor}/predicted/joint_states", JointState)
-        self.residuals = probe.hear(f"{monitor}/residual", Float64)
+        # The predictions last: a monitor that has found who hears them has found all that was announced before.
         self._reports = probe.hear(f"{monitor}/stroke_report", String)
+        self.residuals = probe.hear(f"{monitor}/residual", Float64)
+        self.predicted = probe.hear(f"{monitor}/predicted/joint_states", JointState)
         self._taken = 0
 
     def wait_for_monitor(self) -> None:

@@ -78,10 +78,12 @@ def test_all_is_commanded_in_time_and_written_down(valve: Probe, tmp_path: Path)
         assert "done: 4 commands" in said
         table = np.genfromtxt(folder / "commanded.csv", delimiter=",", names=True, dtype=None)
         assert table["volts"].tolist() == COMMANDED
-        assert valve.until(lambda strokes=strokes: strokes_of(diagnostics)[-1] == strokes + 2), "it was not obeyed"
+        # A valve that is held up for all of it gets its commands at once, and stays closed.
+        is_obeyed = valve.until(lambda strokes=strokes: strokes_of(diagnostics)[-1] == strokes + 2, ASK_AGAIN)
         lateness = np.max(np.abs(table["time"] - [0.0, 0.3, 0.6, 0.9])) / max(before, slowness())
-        if valve.until(lambda log=log: len(log) == 4, ASK_AGAIN) and lateness < LATE:
+        if valve.until(lambda log=log: len(log) == 4, ASK_AGAIN) and is_obeyed and lateness < LATE:
             break
+    assert is_obeyed
     assert [message.voltage for message in log] == COMMANDED
     assert table["stamp_ns"].tolist() == stamps_of(log)
     assert lateness < LATE

@@ -10,8 +10,8 @@ from typing import Final
 
 from valve_sim.model import ValveError
 
-STOP_LIMIT: Final = 5.0
-"""s that the node may take to end after it was asked to."""
+STOP_LIMIT: Final = 20.0
+"""s that the node may take to end after it was asked to; one that is killed haunts its topics for as long."""
 
 
 class DemoError(ValveError):

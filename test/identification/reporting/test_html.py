@@ -62,7 +62,7 @@ def is_remote(url: str) -> bool:
 
 def browse(page: Path, folder: Path, *settings: str) -> subprocess.CompletedProcess[str]:
     command = [str(CHROMIUM), *SETTINGS, f"--user-data-dir={folder / 'profile'}", *settings, page.resolve().as_uri()]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=True)
 
 
 @pytest.fixture(scope="module")
