@@ -39,6 +39,8 @@ def test_a_coil_that_is_later_has_the_name_of_the_effect_and_one_that_is_earlier
     assert exploration.is_adequate(right)
     assert exploration.best_claimable() == right
     assert not exploration.is_claimable(other)
+    assert right in exploration.table()
+    assert (WRONG in exploration.table()) == (right == WRONG)
 
 
 @pytest.mark.parametrize("tolerances_off", [-2.6, 2.6])

@@ -201,8 +201,8 @@ class Exploration:
         return best_claimable(self.table())
 
     def table(self) -> ScoreTable:
-        """The scores of all that was tried so far."""
-        fits = self.search.log.best
+        """The scores of all that was tried so far, but for what another name stands for."""
+        fits = [hypothesis for hypothesis in self.search.log.best if self._bears_its_name(hypothesis)]
         scores = run_parallel(self._score, list(fits))
         alike = {name: effect.confused_with for name, effect in self.plant.effects.items()}
         return ScoreTable(dict(zip(fits, scores, strict=True)), alike, dict(self.screened))
@@ -214,6 +214,15 @@ class Exploration:
             self.is_claimable(hypothesis), result.problem.variance_inflation, result.chi2, result.chi2_of_declared,
             functools.partial(self.criteria.cross_validation, result),
         )  # fmt: skip
+
+    def _bears_its_name(self, hypothesis: Hypothesis) -> bool:
+        """Whether all lies where its names may be claimed: a coil slower than declared is a coil lag, and only that."""
+        values, effects = self.search.log[hypothesis].values, [self.plant.effects[name] for name in hypothesis.effects]
+        return all(
+            parameter.lower <= values[effect.free_name(parameter)] <= parameter.upper
+            for effect in effects
+            for parameter in effect.parameters
+        )
 
     def selection_criterion(self, hypothesis: Hypothesis) -> float:
         """The selection criterion of a hypothesis: theory, eq. (45)."""
