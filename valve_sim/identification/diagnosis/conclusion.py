@@ -47,14 +47,14 @@ from valve_sim.identification.selection.residual_tests import adequacy
 from valve_sim.identification.selection.stepwise import Exploration
 from valve_sim.identification.selection.table import DECISIVE, Hypothesis, ScoreTable, choose
 
-COMPARED_BY, CLAIMED_BY, MAPPED_BY, WORDED_BY, SHOWN_BY = 0.75, 0.87, 0.88, 0.96, 0.98
-"""Shares of the time by which models are compared, the claim is checked, force maps are fitted, all is worded, and what
-is left unexplained is worked out."""
+COMPARED_BY, CLAIMED_BY, MAPPED_BY, CONCLUDED_BY, SHOWN_BY = 0.75, 0.87, 0.88, 0.96, 0.98
+"""Shares of the budget by the end of which models are compared, the claim is checked, force maps are fitted, the
+verdict is drawn, and the unexplained force is computed."""
 COMPARED_MAPS: Final = 3
-"""So many force maps of the best scores are compared by strokes that are left out in turn: a curve over time follows
-anything in the strokes that it is fitted to, and predicts none of the others."""
+"""Number of force maps, by score, that are compared by cross-validation over strokes: a curve over time fits anything
+in its own strokes and predicts no other."""
 LISTED: Final = 30
-"""Candidates in the report, the best."""
+"""Most candidates in the report."""
 
 Result = TypeVar("Result")
 
@@ -102,7 +102,7 @@ class Conclusion:
         after = before if is_declared else self.state(after_fit, profile=not claim.is_unknown, timing=timing)
         verdict = self.verdict(table, claim, curves)
         find = functools.partial(self.recommended_experiment, table, claim)
-        recommendation = self.in_time(WORDED_BY, "what to record next", find, None) if verdict.is_open else None
+        recommendation = self.in_time(CONCLUDED_BY, "what to record next", find, None) if verdict.is_open else None
         candidates = self.candidates(table, claim.best.base, timing=timing)
         untried = tuple(dict.fromkeys([*self.exploration.untried, *self.untried]))
         return Diagnosis(
@@ -159,7 +159,7 @@ class Conclusion:
         best = choice.best
         fits = [self.fit(hypothesis) for hypothesis in (best, *choice.competing)]
         judge = functools.partial(self.held_out.open, self.fit(best.base), *fits)
-        judgements = self.in_time(WORDED_BY, f"whether {best} holds" if best.effects else "", judge, None)
+        judgements = self.in_time(CONCLUDED_BY, f"whether {best} holds" if best.effects else "", judge, None)
         return claim_after_holdout(table, choice, judgements, self.strokes)
 
     def corrected(self, claim: Claim, curves: _Curves) -> tuple[Fit, Unexplained | None]:
@@ -173,7 +173,7 @@ class Conclusion:
             return best_fit, None
         if claim.names_most:
             return best_fit, self.beside(best_fit, base_fit, curves)
-        with self.budget.until(WORDED_BY):
+        with self.budget.until(CONCLUDED_BY):
             left = (curves.maps if best_fit is base_fit else []) or fit_maps(self.search, best_fit)
         options = [*curves.all[:COMPARED_MAPS], *left[:COMPARED_MAPS]]
         criteria = self.exploration.criteria
@@ -186,7 +186,7 @@ class Conclusion:
         return best_fit, describe(left[0].choice, shown, best_fit)
 
     def beside(self, best: Fit, base: Fit, curves: _Curves) -> Unexplained | None:
-        """What named effects leave, as a force over what shows most of it."""
+        """The remainder beside named effects, as a force over the variable that explains most of it."""
         choices = [entry.choice for entry in curves.maps] or list(self.plant.force_maps)
         if not choices:
             return None
@@ -194,17 +194,17 @@ class Conclusion:
         return None if shown is None else describe(choices[0], shown, base)
 
     def is_sound(self, result: Fit, best: Fit, base: Fit) -> bool:
-        """Whether a force map explains more than the best, and held-out data do not speak against it."""
+        """Whether a force map explains more than the best, and held-out data do not contradict it."""
         criteria = self.exploration.criteria
         if criteria.score(result) >= criteria.score(best) or is_larger(result, base):
             return False
-        opened = self.in_time(WORDED_BY, "", lambda: self.held_out.open(base, result), None)
+        opened = self.in_time(CONCLUDED_BY, "", lambda: self.held_out.open(base, result), None)
         return opened is not None and not opened[1].is_larger
 
     def needs_timing(self, result: Fit) -> bool:
         """Whether held-out errors are with errors of the stamps estimated, as far as there is time to find out."""
         needs = functools.partial(self.held_out.needs_timing, result)
-        return self.in_time(WORDED_BY, "", needs, self.held_out.is_in_doubt(result))
+        return self.in_time(CONCLUDED_BY, "", needs, self.held_out.is_in_doubt(result))
 
     # -- the verdict ---------------------------------------------------------------------------------------------------
 
@@ -229,7 +229,7 @@ class Conclusion:
         return 1.0 - (rmse(self.fit(best)) / before) ** 2 if before > 0.0 else 0.0
 
     def recommended_experiment(self, table: ScoreTable, claim: Claim) -> Recommendation | None:
-        """The recording that would tell the best hypothesis best from those of its size that do about as well."""
+        """The recording that separates the competing models best."""
         few = competitors(table, claim)[:LARGEST_CLASS]
         candidates = {" + ".join(hypothesis.effects): self.fit(hypothesis) for hypothesis in few}
         return recommend(candidates, self.plant.experiments) if len(candidates) > 1 else None
@@ -242,8 +242,8 @@ class Conclusion:
         tried = sorted((one for one in table.scores.values() if one.hypothesis.effects), key=lambda one: one.score)
         for one in tried[:LISTED]:
             result = self.fit(one.hypothesis)
-            held = self.in_time(WORDED_BY, "", functools.partial(self.held_out.fit, result, timing=timing), None)
-            if held is None and self.budget.spent > WORDED_BY * self.budget.seconds:
+            held = self.in_time(CONCLUDED_BY, "", functools.partial(self.held_out.fit, result, timing=timing), None)
+            if held is None and self.budget.spent > CONCLUDED_BY * self.budget.seconds:
                 break
             found.append(
                 Candidate(
@@ -255,8 +255,8 @@ class Conclusion:
         return tuple(found)
 
     def state(self, result: Fit, *, profile: bool, timing: bool) -> State:
-        """A fit with all that a report says of it."""
-        held = self.in_time(WORDED_BY, "", functools.partial(self.held_out.fit, result, timing=timing), None)
+        """A fit with its errors, test and intervals."""
+        held = self.in_time(CONCLUDED_BY, "", functools.partial(self.held_out.fit, result, timing=timing), None)
         intervals = {
             name: self.interval(result, name)
             if profile and ("." in name or result.is_collinear(name))
@@ -269,7 +269,7 @@ class Conclusion:
         """By profile likelihood; from the covariance where the time is used up."""
         what = f"the interval of {named_value(self.plant, name)[0]} by profile likelihood"
         work = functools.partial(profile_interval, result, name)
-        found = self.in_time(WORDED_BY, what, work, None)
+        found = self.in_time(CONCLUDED_BY, what, work, None)
         return covariance_interval(result, name) if found is None else found[0]
 
     def in_time(self, share: float, what: str, work: Callable[[], Result], otherwise: Result) -> Result:

@@ -1,7 +1,7 @@
-"""What is claimed: functions of a closed table of scores, of what held-out data say, and of nothing else.
+"""What is claimed: functions of a closed table of scores and of the hold-out, and of nothing else.
 
 `choose` finds what training strokes support, held-out data judge it (`claim_after_holdout`), and the verdict's numbers
-follow from the table. Nothing here fits, simulates or words anything.
+follow from the table. Nothing here fits, simulates or makes sentences.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class Claim:
 
 
 class Decision(NamedTuple):
-    """The verdict without its words: kind, effects that it names, and the probability that it is right."""
+    """Kind of verdict, effects that it names, and the probability that it is right."""
 
     kind: str
     effects: tuple[str, ...]

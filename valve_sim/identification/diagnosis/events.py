@@ -1,4 +1,4 @@
-"""What a printed event table says of a valve, and what it leaves open: `valve-sim diagnose --events TABLE`.
+"""What a printed event table determines of a valve, and what not: `valve-sim diagnose --events TABLE`.
 
 With two numbers no test of residuals is possible: every pair of effects with two amplitudes may fit exactly. So this
 page claims no effect. It lists which effects close the table, one by one and in pairs; shows the region of parameters
@@ -35,7 +35,7 @@ PULLS: Final = ("rest_attraction.force", "coil_lag.time_constant")
 DAMPING_AXIS: Final = np.concatenate([[0.0], np.logspace(-1.0, 3.0, 33)])
 """N·s/m: 0, and 0.1 to 1000 in steps of a third."""
 SHARE: Final = 1e-3
-"""Of a value, by which it is moved for a difference quotient."""
+"""Relative step of a difference quotient."""
 COVARIANCE_DIGITS: Final = 6
 """Significant digits of a variance in the parameter file."""
 ROUNDED: Final = 5
@@ -49,7 +49,7 @@ FORCE_ERROR, TIME_ERROR, POSITION_ERROR = 0.05, 0.05, 1.0
 
 
 def declared_counterparts() -> dict[str, tuple[str, str]]:
-    """Effects that are no more than another declared value: file key and declared scalar that they are added to."""
+    """Effects that only change a declared value: file key and declared scalar that they are added to."""
     return {
         f"{effect.name}.{parameter}": ("attraction_polynomial" if declared == "a0" else declared, declared)
         for effect in CATALOGUE.values()
@@ -298,7 +298,7 @@ def _refined(plant: EventPlant, values: Mapping[str, float]) -> dict[str, float]
 
 
 def _region(plant: EventPlant, progress: Callable[[float], None]) -> Region:
-    """At every pair of dampings, the pull at rest and the lag that fit best; neighbours lend their values."""
+    """The pull at rest and the lag that fit best at every pair of dampings; fits start from those of neighbours."""
     problem, axis = event_problem(plant), DAMPING_AXIS
     shape = (len(axis), len(axis))
     pull, lag, chi2 = np.empty(shape), np.empty(shape), np.empty(shape)

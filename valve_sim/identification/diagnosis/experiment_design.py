@@ -1,4 +1,4 @@
-"""What to record next: of the recordings that could be made, the one that tells the candidates apart best.
+"""What to record next: of the possible experiments, the one that separates the candidates best.
 
 A recording is simulated as if one hypothesis were the truth, and the other is refitted to it: the root of the minimal
 χ² is the number of standard deviations by which they differ there, theory, eq. (59). (Linear differences will not do:
@@ -21,9 +21,9 @@ from valve_sim.identification.plants.protocol import Experiment
 from valve_sim.model import SimulationError
 
 TELLS_APART: Final = 5.0
-"""Standard deviations: what separates a pair by less decides nothing."""
+"""Standard deviations by which a pair must be separated."""
 FEWEST_REPEATS, MOST_REPEATS = 4, 25
-"""How often an experiment is made: every fourth stroke is held out; what 25 of them cannot tell is not advised."""
+"""Repeats of an experiment: every fourth stroke is held out; one that needs more than 25 is not recommended."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ def recommend(candidates: Mapping[str, Fit], experiments: Sequence[Experiment]) 
 
 
 def _judge(candidates: Mapping[str, Fit], experiment: Experiment) -> Recommendation | None:
-    """What an experiment is worth; None where a candidate cannot be simulated in it."""
+    """How well an experiment separates the candidates; None where one of them cannot be simulated."""
     try:
         apart = {
             (one, other): min(
@@ -88,7 +88,7 @@ def _judge(candidates: Mapping[str, Fit], experiment: Experiment) -> Recommendat
 
 
 def _left_of(experiment: Experiment, truth: Fit, rival: Fit) -> float:
-    """Standard deviations that are left of a recording of `truth` when `rival` is refitted to it."""
+    """Standard deviations by which a recording of `truth` differs from the refit of `rival`."""
     plant = experiment.simulated(_machine(truth))
     problem = Problem(plant, noises=truth.problem.noises, budget=truth.problem.budget)
     # A declared value with a tolerance may move again, from where the data at hand have left it.

@@ -40,7 +40,7 @@ class Grounds:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What is claimed; the fields down to `probability` are those of report.json.
+    """What is claimed; the fields but `grounds` are those of report.json.
 
     `evidence` is the share of the claim in the evidence of all that was tried; `probability` is how often a claim with
     such a share was right on the campaign.

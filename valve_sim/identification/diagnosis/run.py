@@ -38,7 +38,7 @@ EVERY_FOURTH: Final = 4
 CURRENT_CHECKED_BY: Final = 0.2
 """The share of the time within which the current is tested: can the effects of the coil explain it?"""
 BEGUN_BY: Final = 0.8
-"""The share of the time within which the declared model must be fitted: without it there is nothing to say."""
+"""The share of the time within which the declared model must be fitted: without it there is no diagnosis."""
 EXPLORED_BY: Final = 0.65
 """The share of the time after which no further hypothesis is tried; the rest is for the conclusion."""
 
@@ -83,7 +83,7 @@ def diagnose_plant(
 def _begun(
     plant: Plant, holdout: Plant | None, progress: Progress | None, budget: Budget
 ) -> tuple[Exploration, HeldOut]:
-    """What is fitted and what is held out, with nothing tried yet but the declared model."""
+    """The search and the hold-out, with the declared model fitted and nothing else tried yet."""
     train_mask, holdout_mask = _split(plant) if holdout is None else (None, None)
     problem = Problem(plant, train_mask, budget=budget)
     never_still = [kind for kind, noise in problem.noises.items() if noise.samples == 0]

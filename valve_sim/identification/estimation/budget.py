@@ -1,4 +1,4 @@
-"""How long a search may take: seconds of a clock that the caller brings, asked before every simulation of a fit.
+"""How long a search may take: seconds of a clock that the caller gives, read before every simulation of a fit.
 
 A fit is a chain of simulations, so that work which is out of time ends within one of them. Work is done in parts, each
 with a share of the whole: what a search leaves undone must not keep its conclusion from being drawn.
@@ -20,7 +20,7 @@ WRITING: Final = 1.0
 WRITING_AT_LEAST: Final = (5.0, 0.4)
 """s, or this share of the budget where that is less: a machine may get busy after its speed was seen."""
 WRITING_AT_MOST: Final = 0.7
-"""Share of the budget: the rest is for something to write."""
+"""Largest share of the budget that is kept for writing."""
 
 
 class OutOfTimeError(ValveError):
@@ -28,7 +28,7 @@ class OutOfTimeError(ValveError):
 
 
 def kept_for_writing(seconds: float, slowness: float) -> float:
-    """What of a budget to keep for writing and drawing what was found, s.
+    """The part of a budget to keep for the report and its pictures, s.
 
     Args:
         seconds: the budget.

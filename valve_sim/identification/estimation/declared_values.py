@@ -1,4 +1,4 @@
-"""Declared values as the data see them: estimates of those that have a tolerance, and the valve with these."""
+"""Estimates of declared values that have a tolerance, and the valve with these."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from valve_sim.model.parameters import POLYNOMIAL_NAMES
 from valve_sim.model.tolerances import TOLERATED, tolerance_rule
 
 BEYOND: Final = 3.0
-"""Tolerances beyond which a declared value is said to be off: chance alone does that to one in 370."""
+"""Tolerances beyond which a declared value is reported as off, which chance alone causes once in 370."""
 
 
 class DeclaredValue(NamedTuple):
@@ -90,7 +90,7 @@ def out_of_tolerance(values: Sequence[DeclaredValue]) -> list[str]:
 
 
 def estimated_valve(result: Fit, plant: ValvePlant) -> Valve:
-    """The valve that a fit has found, its tolerances what the fit has left of them: standard errors, and a covariance.
+    """The valve with the values of a fit; its tolerances are their standard errors, and a covariance.
 
     A valve whose declared values were exact stays one of exact values.
     """

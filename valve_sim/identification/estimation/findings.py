@@ -1,4 +1,4 @@
-"""What a fit says of itself beside its values, as data: what the data do not determine, and what else is off."""
+"""Findings on a fit beside its values, as data: what the data do not determine, and what else is wrong."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from valve_sim.identification.estimation.intervals import Interval, Unbounded
 from valve_sim.identification.estimation.result import Fit
 
 CORRELATED: Final = 0.99
-"""Beyond this correlation two parameters can hardly be told apart."""
+"""Correlation above which two parameters can hardly be told apart."""
 WEAK: Final = 0.25
 """A parameter is loosely determined if its 95 % interval is wider than this share of its value and declared value."""
 TOO_MUCH: Final = 5.0

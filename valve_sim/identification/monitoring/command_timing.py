@@ -1,4 +1,4 @@
-"""How uncertain the time is at which the valve received a command, measured while the valve works.
+"""The uncertainty of the time at which the valve received a command, measured while it works.
 
 A command on a topic has no stamp: it is timed when it arrives here, and the valve follows it when it arrives there. On
 a busy machine the two differ by milliseconds, from stroke to stroke. Two things show by how much: the jitter with which
@@ -64,7 +64,7 @@ class ArrivalSpread:
 
 
 class StrokeTiming(NamedTuple):
-    """What one stroke tells about the times of its commands.
+    """The delays of one stroke behind its commands.
 
     Attributes:
         volts: of the stroke. shifts: s by which its opening and its closing were later than their commands, the

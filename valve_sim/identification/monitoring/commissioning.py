@@ -62,7 +62,7 @@ class ScoreBaseline:
 
 @dataclass(frozen=True)
 class Commissioning:
-    """What the first strokes have shown: the reference for all later ones.
+    """The result of commissioning: the reference for all later strokes.
 
     Attributes:
         baseline: the valve.

@@ -1,4 +1,4 @@
-"""A stroke as the monitor cuts it out, and what it finds of it, as data: a fault, its use, or why it has none."""
+"""A stroke as cut out of the stream, and what is found of it, as data: a fault, its use, or why it has none."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A commissioning kept in a file, with which a restarted monitor goes on."""
+"""The result of commissioning in a file, so that a restarted monitor need not commission again."""
 
 from __future__ import annotations
 

@@ -58,7 +58,7 @@ MOST_VOLTS: Final = 1e4
 LONGEST_GAP: Final = 60.0
 """s without samples, after which the model is not stepped on but begins at rest."""
 TAIL: Final = 3.0
-"""Multiple of the delays of late that one in many thousands exceeds."""
+"""Multiple of the recent delays that one delay in many thousands exceeds."""
 STILL_AFTER: Final = 0.01
 """s after it was last seen open: the remaining motion is below the noise."""
 CONFIRMED: Final = 5
@@ -107,7 +107,7 @@ class StrokeSegmenter:
     def uncertainty(self) -> float:
         """Seconds by which a healthy valve may be later than the model, because the time of its command is uncertain.
 
-        Delays of a busy machine have a long tail: a multiple of their present scatter.
+        A multiple of the present scatter, because delays of a busy machine have a long tail.
         """
         return TAIL * (EXTREME_SIGMAS * self.scatter + self._arrivals.spread)
 
@@ -368,7 +368,7 @@ class StrokeSegmenter:
             self._finish(stroke, None)
 
     def _finish(self, stroke: _Stroke, remark: Remark | None, until: float = math.inf) -> None:
-        """Emit the stroke; its last moments at rest are the first of the next one, too."""
+        """Emit the stroke; its last samples at rest are also the first of the next one."""
         remark = remark or self._judge_late(stroke)
         if stroke.fault is None:
             self.fault = None

@@ -105,7 +105,7 @@ class StrokeMonitor:
         self._judged = 0
         self._isolate_at = 0
         self.commissioning: Commissioning | None = None
-        """What commissioning has found; None before."""
+        """The result of commissioning; None before."""
         self.alarm: Alarm | None = None
         """The last alarm, while it is not over."""
         self.alarms = 0

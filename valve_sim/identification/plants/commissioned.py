@@ -172,7 +172,7 @@ class CommissionedPlant:
 
     @property
     def experiments(self) -> Sequence[Experiment]:
-        """None: the valve is at work."""
+        """None: the valve is in service."""
         return ()
 
     @property
@@ -199,7 +199,7 @@ class CommissionedPlant:
         return self._plant.predict(self._plain(values))
 
     def _plain(self, values: Mapping[str, float]) -> dict[str, float]:
-        """With what was estimated as it is: a damping changed or not, and all with the errors of commissioning."""
+        """Values by their plain names: changed dampings, and the errors of commissioning added."""
         plain = {name: value for name, value in values.items() if name.partition(".")[0] not in self._dampings}
         errors = self._spread @ np.array([plain.pop(name, 0.0) for name in self._errors])
         for name, error in zip(self._estimated, errors.tolist(), strict=True):

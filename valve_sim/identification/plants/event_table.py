@@ -196,7 +196,7 @@ class EventPlant:
 
     @property
     def experiments(self) -> Sequence[Experiment]:
-        """None: who printed the table does not record."""
+        """None: a printed table is not recorded again."""
         return ()
 
     def parameter(self, name: str) -> Parameter:

@@ -61,7 +61,7 @@ class Nuisance(NamedTuple):
 
 @dataclass(frozen=True)
 class EffectChoice:
-    """A hypothesis of a diagnosis: an effect that it may add, or a declared value that it may take for wrong.
+    """A hypothesis of a diagnosis: an effect that it may add, or a declared value that may be wrong.
 
     Attributes:
         name: of the effect, or `valve.<name>` of a declared value.
@@ -139,7 +139,7 @@ class ForceMap:
 
 
 READABLE_UNITS: Final = {"m": (1e6, "µm")}
-"""SI unit to the factor and name of the unit in which people read a sensor's signal."""
+"""SI unit to factor and name of the display unit."""
 
 Role = Literal["response", "actuation"]
 """What a channel shows: the machine's response, by which models are judged, or the actuator that drives it.
@@ -180,7 +180,7 @@ class Channel:
 
     @property
     def readable(self) -> tuple[float, str]:
-        """The factor from SI, and the name, of the unit in which people read the signal."""
+        """Factor from SI and name of the display unit."""
         return READABLE_UNITS.get(self.unit, (1.0, self.unit))
 
 

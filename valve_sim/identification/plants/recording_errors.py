@@ -1,4 +1,4 @@
-"""What a recording does not know exactly, estimated beside the valve's parameters: clocks, commands, a sensor's zero.
+"""Errors of a recording, estimated beside the valve's parameters: of clocks, commands and a sensor's zero.
 
 Commands that were sent are known to the last digit, and their stamps nearly. Commands that were read from samples of a
 voltage are not: a step lies anywhere between two samples, and a level is known as well as its noise averages out. Both
@@ -19,7 +19,7 @@ from valve_sim.traces import Trace, command_strokes
 CLOCK_SIGMA: Final = 50e-6
 """s: the prior of a bag's clock offset and of each command's stamp."""
 VOLTAGE_DIFFERENCE: Final = 1e-3
-"""V: by how much a voltage is moved for a difference quotient."""
+"""V: step of a voltage in a difference quotient."""
 
 Channels = tuple[int, ...]
 

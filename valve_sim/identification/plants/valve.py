@@ -43,9 +43,9 @@ from valve_sim.model.effects import FORCE_MAP_VARIABLES
 from valve_sim.traces import Trace
 
 DAMPINGS: Final = ("pilot_damping", "main_damping")
-"""What nobody knows of a valve, and every fit frees."""
+"""Declared values that every fit frees, because they are not known beforehand."""
 LOWEST_LEVEL, HIGHEST_LEVEL = 7.5 / 9.0, 14.0 / 9.0
-"""Of the reference voltage: the range in which such a valve is driven, 7.5 to 14 V where the reference is 9 V."""
+"""Shares of the reference voltage: the range in which such a valve is driven, 7.5 to 14 V where it is 9 V."""
 PULSE_LEVELS: Final = (LOWEST_LEVEL, 1.0, 11.0 / 9.0, HIGHEST_LEVEL)
 """Voltages of single pulses, of the reference voltage."""
 PULSE_DURATIONS: Final = (3e-3, 4e-3, 5e-3, 8e-3, 30e-3)

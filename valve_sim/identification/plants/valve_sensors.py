@@ -70,7 +70,7 @@ def _position_resolution(trace: Trace) -> float:
 
 
 def fastest_motion(trace: Trace) -> float:
-    """A speed that the plunger hardly ever exceeds, m/s, from the positions."""
+    """The largest speed of the plunger but for outliers, m/s, from the positions."""
     stride = max(1, len(trace.times) // 2000)
     speed = np.abs(np.diff(trace.pilot_position[::stride]) / np.diff(trace.times[::stride]))
     return max(float(np.quantile(speed, 0.995)), 0.05)

@@ -1,4 +1,4 @@
-"""Replay validation: does a declared valve, driven as the recorded one was, do what was measured?
+"""Replay validation: does a declared valve under the recorded commands reproduce the measurement?
 
 Nothing about the valve is fitted. Only nuisance parameters are estimated, within their priors: the offset between the
 clocks of commands and samples and, on request, an error of each command's stamp (theory, eq. (26)). Declared values
@@ -63,7 +63,7 @@ class Errors(NamedTuple):
 
     @property
     def judged(self) -> float:
-        """What is held against the tolerance, m: a long rest must not hide a wrong motion."""
+        """The error that is compared with the tolerance, m: a long rest must not hide a wrong motion."""
         return self.rmse if math.isnan(self.moving_rmse) else max(self.rmse, self.moving_rmse)
 
 
@@ -201,7 +201,7 @@ def replay_trace(trace: Trace, valve: Valve, tolerance: float | None = None, *, 
 def _within_tolerances(
     traces: Sequence[Trace], valve: Valve, *, command_jitter: bool
 ) -> tuple[Valve, tuple[DeclaredValue, ...]]:
-    """The valve with declared values where the recordings want them, by their tolerances; itself where all is exact."""
+    """The valve with the estimates of its toleranced values; itself where all are exact."""
     if valve.tolerances.is_exact:
         return valve, ()
     plant = ValvePlant([replace(trace, coil_current=None) for trace in traces], valve)
