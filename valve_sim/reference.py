@@ -148,6 +148,8 @@ def _effects() -> Iterator[str]:
 
 
 def _off(parameter: Parameter) -> str:
+    if parameter.not_declared is not None:
+        return f"{parameter.not_declared:g}: not declared"
     return "–" if parameter.off is None else f"{parameter.off:g}"
 
 

@@ -236,11 +236,15 @@ class ReferenceValve:
                 above = y[_X] - self.d["pilot_gap"] if self.mode >= MAIN else np.zeros(y.shape[1])
                 pilot[inside] = y[_SHOWN_PILOT] if self.cutoff else y[_X]
                 main[inside] = y[_SHOWN_MAIN] if self.cutoff else above
+                self.note(inside, y)
             self.t, self.y = float(solution.t[-1]), solution.y[:, -1].copy()
             self.peak = max(self.peak, abs(self.coil(self.y)[0]))
             if solution.status == 1:
                 fired = [name for name, hits in zip(names, solution.t_events, strict=True) if len(hits)]
                 self.handle(fired[0])
+
+    def note(self, inside: Any, y: Any) -> None:
+        """What else is kept of the samples of a piece."""
 
     def command(self, volts: float) -> None:
         self.volts = volts

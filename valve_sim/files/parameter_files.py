@@ -158,12 +158,14 @@ def complete_effect(name: str, found: Mapping[str, object], source: str) -> dict
 
 def is_on(effect: Effect, values: Mapping[str, float]) -> bool:
     """Whether any of the effect's parameters differs from its off-value."""
-    return any(parameter.off is not None and values[parameter.name] != parameter.off for parameter in effect.parameters)
+    return any(
+        parameter.off is not None and values[parameter.name] != off_value(parameter) for parameter in effect.parameters
+    )
 
 
 def off_value(parameter: Parameter) -> float:
     """What an effect's parameter is while it is not given: its off-value, or its prior scale if it has none."""
-    return parameter.neutral
+    return parameter.neutral if parameter.not_declared is None else parameter.not_declared
 
 
 def check_with_off(parameter: Parameter, value: object, where: str) -> float:
@@ -172,7 +174,7 @@ def check_with_off(parameter: Parameter, value: object, where: str) -> float:
     Raises:
         ParameterError: not a number, or neither the off-value nor in range.
     """
-    if isinstance(value, float) and value == parameter.off:
+    if isinstance(value, float) and value in (parameter.off, parameter.not_declared):
         return value
     return parameter.check(value, where)
 

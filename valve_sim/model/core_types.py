@@ -22,12 +22,14 @@ STATE_RECORD: Final = np.dtype(
         ("x", "f8"),  # m
         ("v", "f8"),  # m/s
         ("u", "f8"),  # normalised coil current; integrated only while the coil heats
-        ("w", "f8"),  # the current that pulls, behind the eddy pole; likewise
+        ("w", "f8"),  # the current that pulls, behind the eddy pole; likewise, and where it follows the flux
         ("temperature", "f8"),  # K above the start
         ("mode", "i8"),  # Phase
         ("moving", "i8"),  # 0 at rest, 1 in motion
         ("direction", "i8"),  # +1 opening, -1 closing; the sign of dry friction
         ("volts", "f8"),  # V, as commanded
+        ("seen", "f8"),  # V, what the coil sees at its terminals
+        ("path", "i8"),  # 0 driven, 1 freewheeling, 2 blocked by the diode
         ("segment_time", "f8"),  # s, when this voltage began
         ("segment_u", "f8"),  # u at that time
         ("segment_w", "f8"),  # w at that time
@@ -89,6 +91,8 @@ class EventKind(enum.IntEnum):
     """Dry friction stopped the plungers between the contacts."""
     BROKE_AWAY = 12
     """The plungers broke away from where friction held them."""
+    CURRENT_GONE = 13
+    """The current of the freewheeling path reached 0, and its diode blocks."""
 
 
 class Outcome(enum.IntEnum):
@@ -98,3 +102,4 @@ class Outcome(enum.IntEnum):
     STEP_TOO_SMALL = 1
     TOO_MANY_STEPS = 2
     CHATTERING = 3
+    FLUX_FOLDS = 4

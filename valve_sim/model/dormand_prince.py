@@ -14,24 +14,29 @@ import numpy as np
 from valve_sim.model.compiling import inlined, inner
 from valve_sim.model.equations import (
     coil_current_between_commands,
+    coil_rates,
     coil_state,
-    heating_rates,
+    flux_rates,
     mechanical_rates,
 )
+from valve_sim.model.flux import resting_current
 
 STAGES: Final = 7
 """Stages of the pair; the seventh is the first of the next step."""
 MECHANICAL_STATES: Final = 2
 """x and v."""
+FLUX_STATES: Final = 3
+"""x, v and w, where the current follows the flux."""
 ALL_STATES: Final = 5
-"""x, v and, while the coil heats, u, w and T."""
+"""x, v and, while the coil heats, u, w and T; where the current follows the flux w, nothing and T."""
 # NumPy's numbers: Numba compiles a function once for all of them, but anew for each of Python's literals.
 POSITION, VELOCITY, CURRENT, PULLING_CURRENT, TEMPERATURE = np.arange(ALL_STATES)
 FIRST, SECOND, THIRD, FOURTH, FIFTH, SIXTH, LAST = np.arange(STAGES)
 
 WORK_RECORD: Final = np.dtype(
     [
-        ("states", "i8"),  # how many of the states are integrated, 2 or 5
+        ("states", "i8"),  # how many of the states are integrated, 2, 3 or 5
+        ("rests", "i8"),  # 1 while w follows in closed form what the coil sees at rest
         ("start_is_known", "i8"),  # 1 while k[0] holds y' at y: it was the last stage of the step before
         ("y", "f8", (ALL_STATES,)),  # at the start of the step
         ("y_stage", "f8", (ALL_STATES,)),  # where a stage looks
@@ -113,9 +118,10 @@ SMALLEST_SCALE = np.array([1e-5, 1e-2, 1e-2, 1e-2, 1e-1])
 def rates(p, s, work, t, y, stage):
     """Write y' into row `stage` of work.k; y is one of work's states."""
     u, w = coil_state(p, s, t, y[2], y[3], y[4])
-    work.k[stage, 0], work.k[stage, 1] = mechanical_rates(p, s, t, y[0], y[1], u, w)
+    dx, dv = mechanical_rates(p, s, t, y[0], y[1], u, w)
+    work.k[stage, 0], work.k[stage, 1] = dx, dv
     if work.states > MECHANICAL_STATES:
-        work.k[stage, 2], work.k[stage, 3], work.k[stage, 4] = heating_rates(p, s, u, w, y[4])
+        work.k[stage, 2], work.k[stage, 3], work.k[stage, 4] = coil_rates(p, s, (y[0], dx), u, w, y[4])
 
 
 @inner
@@ -123,6 +129,8 @@ def try_step(p, s, work, h):
     """One trial step of size h, s, from work.y; work.k[0] holds y' there. Writes work.y_new and work.k."""
     if work.states == MECHANICAL_STATES:
         _try_mechanical_step(p, s, work, h)
+    elif work.states == FLUX_STATES:
+        _try_flux_step(p, s, work, h)
     else:
         _try_heated_step(p, s, work, h)
 
@@ -152,6 +160,31 @@ def _try_mechanical_step(p, s, work, h):
     k[1, 1], k[2, 1], k[3, 1], k[4, 1], k[5, 1] = v2, v3, v4, v5, v6
     work.y_new[0] = x_new
     work.y_new[1] = v_new
+
+
+@inner
+def _try_flux_step(p, s, work, h):
+    """The step of x, v and w, likewise."""
+    t, k = s.time, work.k
+    x, v, w = work.y[0], work.y[1], work.y[2]
+    x1, v1, w1 = k[0, 0], k[0, 1], k[0, 2]
+    x_stage, v_stage, w_stage = at_second(x, h, x1), at_second(v, h, v1), at_second(w, h, w1)
+    x2, v2, w2 = flux_rates(p, s, t + C2 * h, x_stage, v_stage, w_stage)
+    x_stage, v_stage, w_stage = at_third(x, h, x1, x2), at_third(v, h, v1, v2), at_third(w, h, w1, w2)
+    x3, v3, w3 = flux_rates(p, s, t + C3 * h, x_stage, v_stage, w_stage)
+    x_stage, v_stage = at_fourth(x, h, x1, x2, x3), at_fourth(v, h, v1, v2, v3)
+    x4, v4, w4 = flux_rates(p, s, t + C4 * h, x_stage, v_stage, at_fourth(w, h, w1, w2, w3))
+    x_stage, v_stage = at_fifth(x, h, x1, x2, x3, x4), at_fifth(v, h, v1, v2, v3, v4)
+    x5, v5, w5 = flux_rates(p, s, t + C5 * h, x_stage, v_stage, at_fifth(w, h, w1, w2, w3, w4))
+    x_stage, v_stage = at_sixth(x, h, x1, x2, x3, x4, x5), at_sixth(v, h, v1, v2, v3, v4, v5)
+    x6, v6, w6 = flux_rates(p, s, t + h, x_stage, v_stage, at_sixth(w, h, w1, w2, w3, w4, w5))
+    x_new, v_new = at_end(x, h, x1, x3, x4, x5, x6), at_end(v, h, v1, v3, v4, v5, v6)
+    w_new = at_end(w, h, w1, w3, w4, w5, w6)
+    k[6, 0], k[6, 1], k[6, 2] = flux_rates(p, s, t + h, x_new, v_new, w_new)
+    k[1, 0], k[2, 0], k[3, 0], k[4, 0], k[5, 0] = x2, x3, x4, x5, x6
+    k[1, 1], k[2, 1], k[3, 1], k[4, 1], k[5, 1] = v2, v3, v4, v5, v6
+    k[1, 2], k[2, 2], k[3, 2], k[4, 2], k[5, 2] = w2, w3, w4, w5, w6
+    work.y_new[0], work.y_new[1], work.y_new[2] = x_new, v_new, w_new
 
 
 @inner
@@ -232,6 +265,8 @@ def coil_within(p, s, work, h, theta):
     t = s.time + theta * h
     if work.states == MECHANICAL_STATES:
         return coil_state(p, s, t, 0.0, 0.0, 0.0)
+    if work.rests:
+        return coil_state(p, s, t, resting_current(p, s, theta * h), 0.0, s.temperature)
     u, w = interpolate(work, h, CURRENT, theta), interpolate(work, h, PULLING_CURRENT, theta)
     return coil_state(p, s, t, u, w, interpolate(work, h, TEMPERATURE, theta))
 

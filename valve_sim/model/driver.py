@@ -17,6 +17,7 @@ from valve_sim.model.core_types import EVENT_RECORD, Outcome
 from valve_sim.model.dormand_prince import (
     ALL_STATES,
     FIRST,
+    FLUX_STATES,
     LAST,
     MECHANICAL_STATES,
     WORK_RECORD,
@@ -28,8 +29,17 @@ from valve_sim.model.dormand_prince import (
     try_step,
 )
 from valve_sim.model.equations import coil_now
+from valve_sim.model.flux import (
+    FREEWHEELING,
+    follows_flux,
+    freewheels_for,
+    is_linear_at_rest,
+    resting_current,
+    smallest_flux_slope,
+)
 from valve_sim.model.location import (
     CONTACT,
+    CURRENT_GONE,
     MOVED_OFF,
     NO_EVENT,
     PULL_SWITCH,
@@ -39,11 +49,11 @@ from valve_sim.model.location import (
     polish,
 )
 from valve_sim.model.sampling import fill_until, is_filled, show
-from valve_sim.model.transitions import move_off, push_at_rest, set_voltage, touch, turn
+from valve_sim.model.transitions import end_current, move_off, push_at_rest, set_voltage, touch, turn
 from valve_sim.model.variational import enter_segment, leave_segment, show_variations, vary_event, vary_release
 from valve_sim.model.variational_steps import commit_variations, vary_step
 
-FINISHED, STEP_TOO_SMALL, TOO_MANY_STEPS, CHATTERING = (int(outcome) for outcome in Outcome)
+FINISHED, STEP_TOO_SMALL, TOO_MANY_STEPS, CHATTERING, FLUX_FOLDS = (int(outcome) for outcome in Outcome)
 
 LONGEST_STEP: Final = 1e-3
 """s, in motion: a stroke takes milliseconds, so that no turn and return hides inside a step."""
@@ -99,7 +109,7 @@ def _integrated_step(p, s, work, tolerance):
 def _next_step(p, s, work, tolerance):
     """Find the next committed step from the state. Arguments and result as for `_integrated_step`."""
     h, ends, following, outcome = _rest(p, s), NO_EVENT, s.step, FINISHED
-    if s.moving or work.states > MECHANICAL_STATES:
+    if _is_integrated(p, s, work):
         h, ends, following, outcome = _integrated_step(p, s, work, tolerance)
     else:
         for j in range(work.states):
@@ -112,7 +122,39 @@ def _next_step(p, s, work, tolerance):
             shorten(work, h, fraction)
             h *= fraction
             ends = MOVED_OFF
+    if s.path == FREEWHEELING:
+        h, ends = _until_current_is_gone(p, s, work, h, ends)
+    if work.rests:
+        work.y_new[2] = resting_current(p, s, h)
     return h, ends, following, outcome
+
+
+@inner
+def _is_integrated(p, s, work):
+    """Whether the next step is one of the integrator: plungers in motion, or a coil without a solution in closed form.
+
+    Writes work.rests.
+    """
+    work.rests = 0
+    if s.moving or work.states == MECHANICAL_STATES:
+        return s.moving != 0
+    if follows_flux(p) and is_linear_at_rest(p, s):
+        work.rests = 1
+    return not work.rests
+
+
+@inner
+def _until_current_is_gone(p, s, work, h, ends):
+    """Shorten a step that outlasts a freewheeling current with a closed form; others are located in the step."""
+    if work.states > MECHANICAL_STATES and not work.rests:
+        return h, ends
+    left = max(freewheels_for(p, s, coil_now(p, s)[0]), SHORTEST_STEP)
+    if left > h:
+        return h, ends
+    if s.moving:
+        try_step(p, s, work, left)
+        fill_dense(work)
+    return left, CURRENT_GONE
 
 
 @inner
@@ -140,7 +182,12 @@ def _has_settled(p, s, work):
 @inner
 def _settle_coil(p, s, work):
     """Let what is left of an integrated current, at rest without voltage, be none."""
-    if work.states == MECHANICAL_STATES or s.moving or s.volts != 0.0 or (s.u == 0.0 and s.w == 0.0):
+    if work.states == MECHANICAL_STATES or s.moving:
+        return
+    target = s.seen / p.reference_voltage
+    if work.states == FLUX_STATES and abs(s.w - target) < NO_CURRENT and s.path != FREEWHEELING:
+        s.w = target
+    if s.volts != 0.0 or (s.u == 0.0 and s.w == 0.0):
         return
     u, w = coil_now(p, s)
     if max(abs(u), abs(w)) < NO_CURRENT:
@@ -150,11 +197,11 @@ def _settle_coil(p, s, work):
 
 
 @inner
-def _start_from(s, work):
+def _start_from(p, s, work):
     """Put the state where the integrator starts."""
     work.y[0] = s.x
     work.y[1] = s.v
-    work.y[2] = s.u
+    work.y[2] = s.w if follows_flux(p) else s.u
     work.y[3] = s.w
     work.y[4] = s.temperature
 
@@ -168,9 +215,14 @@ def _commit(p, s, work, h, time):
     s.x = work.y_new[0]
     s.v = work.y_new[1]
     if work.states > MECHANICAL_STATES:
-        s.u = work.y_new[2]
-        s.w = work.y_new[3]
-        s.temperature = work.y_new[4]
+        if follows_flux(p):
+            s.w = work.y_new[2]
+            s.u = coil_now(p, s)[0]
+        else:
+            s.u = work.y_new[2]
+            s.w = work.y_new[3]
+        if work.states == ALL_STATES:
+            s.temperature = work.y_new[4]
         # A coil that does not heat moves u one way between commands: there the largest is at an end.
         s.peak_current = max(s.peak_current, abs(coil_now(p, s)[0]))
 
@@ -188,6 +240,8 @@ def _end_step(p, s, work, ends, events, count):
         count = turn(p, s, events, count)
     elif ends == PULL_SWITCH:
         s.held_by_residual = 1 - s.held_by_residual
+    elif ends == CURRENT_GONE:
+        count = end_current(p, s, events, count)
     return count
 
 
@@ -197,12 +251,22 @@ def _cut_step(p, s, work, t_end, vary):
     h = t_end - s.time
     if h <= 0.0:
         return
-    if s.moving or work.states > MECHANICAL_STATES:
+    if work.rests:
+        work.y_new[2] = resting_current(p, s, h)
+    elif s.moving or work.states > MECHANICAL_STATES:
         try_step(p, s, work, h)
         fill_dense(work)
     vary_step(p, s, work, h, vary)
     commit_variations(vary)
     _commit(p, s, work, h, t_end)
+
+
+@inner
+def _states(p):
+    """How many states are integrated."""
+    if p.temperature_rate != 0.0:
+        return ALL_STATES
+    return FLUX_STATES if follows_flux(p) else MECHANICAL_STATES
 
 
 @compiled
@@ -228,11 +292,11 @@ def run_varied(valve, state, until, samples, log, control, vary):
     tolerance, most_steps = control
     events, count = log
     work = np.zeros(1, WORK_RECORD)[0]
-    work.states = ALL_STATES if p.temperature_rate != 0.0 else MECHANICAL_STATES
+    work.states = _states(p)
     done, chatter, last_event = (0, 0), 0, s.segment_time
     for _ in range(most_steps):
         _settle_coil(p, s, work)
-        _start_from(s, work)
+        _start_from(p, s, work)
         if not s.moving:
             u, w = coil_now(p, s)
             push = push_at_rest(p, s, s.time, u, w)
@@ -284,6 +348,8 @@ def run_drive_varied(valve, state, course, samples, events, control, vary):
     Returns:
         events counted, Outcome.
     """
+    if follows_flux(valve[0]) and not smallest_flux_slope(valve[0]) > 0.0:
+        return 0, FLUX_FOLDS
     command_times, volts, t_end = course
     times, rows, current_times, currents = samples
     at, at_current, count = 0, 0, 0

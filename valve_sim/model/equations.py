@@ -32,13 +32,14 @@ from valve_sim.model.calls import call_term
 from valve_sim.model.compiling import inlined, inner
 from valve_sim.model.core_types import MAIN
 from valve_sim.model.effects.catalogue import shipped
-
-COPPER_TEMPERATURE_COEFFICIENT: Final = 0.00393
-"""α, 1/K: the resistance of copper at 20 °C (IEC 60028)."""
-
-SHORTEST_INTEGRATED: Final = 2e-8
-"""s: while the coil heats, (1) and (9) are integrated; a current that settles faster than this follows at once instead.
-It would take tens of millions of steps a second, and moves events by no more than its time constant."""
+from valve_sim.model.flux import (
+    COPPER_TEMPERATURE_COEFFICIENT,
+    SHORTEST_INTEGRATED,
+    current_rate,
+    flux_rate,
+    follows_flux,
+    terminal_current,
+)
 
 
 def _summed(forces: Sequence[Any]) -> Any:
@@ -152,7 +153,7 @@ def coil_decay(p, elapsed):
 @inlined
 def decayed_coil(p, s, elapsed, decay):
     """Solve (1) and (9) some time after a command, given its `coil_decay`, for a coil that does not heat: u and w."""
-    target = s.volts / p.reference_voltage
+    target = s.seen / p.reference_voltage
     u = target + (s.segment_u - target) * decay
     if p.eddy_time_constant == 0.0:
         return u, u
@@ -173,18 +174,23 @@ def coil_current_between_commands(p, s, t):
 
 @inner
 def coil_state(p, s, t, u, w, temperature):
-    """The current u and the pulling current w at time t; the last three are integrated while the coil heats."""
+    """The current u and the pulling current w at time t; the last three are integrated while the coil heats.
+
+    Where the current follows the flux, w is integrated, and given as u.
+    """
+    if follows_flux(p):
+        return terminal_current(p, s, u, 1.0 + COPPER_TEMPERATURE_COEFFICIENT * temperature), u
     if p.temperature_rate == 0.0:
         return coil_current_between_commands(p, s, t)
     if p.coil_time_constant < SHORTEST_INTEGRATED:
-        u = s.volts / p.reference_voltage / (1.0 + COPPER_TEMPERATURE_COEFFICIENT * temperature)
+        u = s.seen / p.reference_voltage / (1.0 + COPPER_TEMPERATURE_COEFFICIENT * temperature)
     return u, w if p.eddy_time_constant >= SHORTEST_INTEGRATED else u
 
 
 @inner
 def coil_now(p, s):
     """Give u and w at the state's time."""
-    return coil_state(p, s, s.time, s.u, s.w, s.temperature)
+    return coil_state(p, s, s.time, s.w if follows_flux(p) else s.u, s.w, s.temperature)
 
 
 @inlined
@@ -196,12 +202,34 @@ def mechanical_rates(p, s, t, x, v, u, w):
     return v, acceleration(p, t, (x, v), (u, pull2), (s.mode, s.direction, s.unseated_time))
 
 
+@inlined
+def flux_rates(p, s, t, x, v, w):
+    """Rates x', v' and w' of (3), (4) and (C4) where the current follows the flux and the coil does not heat."""
+    u = terminal_current(p, s, w, 1.0)
+    dx, dv = mechanical_rates(p, s, t, x, v, u, w)
+    return dx, dv, current_rate(p, x, dx, w, flux_rate(p, s, u, w, 1.0))
+
+
+@inner
+def coil_rates(p, s, motion, u, w, temperature):
+    """Rates of the integrated states of the coil: u', w' and T' of (1), (9) and (10), or w', nothing and T'.
+
+    Args:
+        p, s: valve and state. motion: (x, x'), m and m/s. u, w: –. temperature: K above the start.
+    """
+    if follows_flux(p):
+        resistance_ratio = 1.0 + COPPER_TEMPERATURE_COEFFICIENT * temperature
+        dw = current_rate(p, motion[0], motion[1], w, flux_rate(p, s, u, w, resistance_ratio))
+        return dw, 0.0, p.temperature_rate * u * u - temperature / p.cooling_time_constant
+    return heating_rates(p, s, u, w, temperature)
+
+
 @inner
 def heating_rates(p, s, u, w, temperature):
     """Rates u', w' and T' of (1), (9) and (10) while the coil heats."""
     resistance_ratio = 1.0 + COPPER_TEMPERATURE_COEFFICIENT * temperature
     du = 0.0
     if p.coil_time_constant >= SHORTEST_INTEGRATED:
-        du = (s.volts / p.reference_voltage - u * resistance_ratio) / p.coil_time_constant
+        du = (s.seen / p.reference_voltage - u * resistance_ratio) / p.coil_time_constant
     dw = (u - w) / p.eddy_time_constant if p.eddy_time_constant >= SHORTEST_INTEGRATED else 0.0
     return du, dw, p.temperature_rate * u * u - temperature / p.cooling_time_constant

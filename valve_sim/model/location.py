@@ -12,7 +12,10 @@ from typing import Final
 from valve_sim.model.compiling import inner
 from valve_sim.model.core_types import MAIN
 from valve_sim.model.dormand_prince import (
+    CURRENT,
+    FIRST,
     LAST,
+    MECHANICAL_STATES,
     POSITION,
     SMALLEST_SCALE,
     VELOCITY,
@@ -22,9 +25,10 @@ from valve_sim.model.dormand_prince import (
     try_step,
 )
 from valve_sim.model.equations import residual_floor
+from valve_sim.model.flux import DRIVEN, FREEWHEELING, follows_flux, last_pulling_current
 from valve_sim.model.transitions import push_at_rest
 
-NO_EVENT, CONTACT, TURN, PULL_SWITCH, MOVED_OFF = 0, 1, 2, 3, 4
+NO_EVENT, CONTACT, TURN, PULL_SWITCH, MOVED_OFF, CURRENT_GONE, CURRENT_PEAK = 0, 1, 2, 3, 4, 5, 6
 """What ends a step."""
 
 SOONEST: Final = 2e-12
@@ -39,6 +43,8 @@ MOST_BISECTIONS: Final = 60
 """Halvings that do so."""
 LOCATED: Final = 1e-9
 """Fraction of a step to which a contact or turn is located on the dense output, before it is polished."""
+NO_PEAK: Final = 1e-6
+"""Fraction of a step: a peak that is nearer to its start was the end of the step before."""
 POLISHED: Final = 1e-15
 """s, to which it is polished."""
 MOST_POLISHING: Final = 5
@@ -60,6 +66,8 @@ def first_event(p, s, work, h, tolerance):
     """What ends a step first, and at which fraction of it."""
     fraction = _pull_switch(p, s, work, h)
     ends = PULL_SWITCH if fraction <= 1.0 else NO_EVENT
+    if work.states > MECHANICAL_STATES:
+        fraction, ends = _first_of_current(p, s, work, h, fraction, ends)
     if not s.moving:
         return fraction, ends
     turn = _first_turn(work, h, s.direction, tolerance)
@@ -114,22 +122,68 @@ def _crossing(work, h, state, direction, target, low, high):
 @inner
 def polish(p, s, work, h, ends):
     """Retake a step so that it ends exactly at what ends it: x at the contact, or v at 0. Returns its size, s."""
-    state = VELOCITY if ends == TURN else POSITION
-    target = 0.0 if ends == TURN else guard_ahead(p, s)
+    state, target = POSITION, guard_ahead(p, s)
+    if ends == TURN:
+        state, target = VELOCITY, 0.0
+    elif ends == CURRENT_GONE:
+        state, target = CURRENT, current_when_gone(p, s)
+    is_bisected = ends in (PULL_SWITCH, CURRENT_PEAK)
     longest = h * 1.001
     for _ in range(MOST_POLISHING):
         try_step(p, s, work, h)
         slope = work.k[LAST, state]
         better = h - (work.y_new[state] - target) / slope
         # A slope of 0 makes it infinite or no number.
-        if ends == PULL_SWITCH or not 0.0 < better <= longest:
+        if is_bisected or not 0.0 < better <= longest:
             break
         if abs(better - h) <= POLISHED:
             break
         h = better
-    if ends != PULL_SWITCH:
+    if not is_bisected:
         work.y_new[state] = target
     return h
+
+
+@inner
+def current_when_gone(p, s):
+    """The integrated current at which a freewheeling coil has none at its terminals."""
+    return last_pulling_current(p, s) if follows_flux(p) else 0.0
+
+
+@inner
+def _first_of_current(p, s, work, h, fraction, ends):
+    """What happens first to an integrated current, and at which fraction of the step; else what is given."""
+    if s.path == FREEWHEELING:
+        way = 1.0 if s.seen > 0.0 else -1.0
+        target = current_when_gone(p, s)
+        latest = min(fraction, 1.0)
+        last = work.y_new[2] if latest == 1.0 else interpolate(work, h, CURRENT, latest)
+        if (last - target) * way >= 0.0:
+            return _crossing(work, h, CURRENT, way, target, 0.0, latest), CURRENT_GONE
+    elif s.path == DRIVEN and p.residual_current != 0.0 and follows_flux(p):
+        peak = _current_peak(s, work)
+        if peak < fraction:
+            return peak, CURRENT_PEAK
+    return fraction, ends
+
+
+@inner
+def _current_peak(s, work):
+    """The fraction of the step at which a current that grew begins to shrink, or 2 for not in this step.
+
+    The largest one decides what stays of the magnetism, and where motion makes it dip it is inside a step.
+    """
+    way = 1.0 if work.y[2] > 0.0 else -1.0
+    if work.k[FIRST, 2] * way <= 0.0 or work.k[LAST, 2] * way >= 0.0:
+        return 2.0
+    low, high = 0.0, 1.0
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (low + high)
+        if dense_slope(work, CURRENT, middle) * way > 0.0:
+            low = middle
+        else:
+            high = middle
+    return high if low > NO_PEAK else 2.0
 
 
 @inner

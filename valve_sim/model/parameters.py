@@ -19,7 +19,8 @@ class Parameter(NamedTuple):
 
     `prior_scale` is the size that a search starts from, in the parameter's unit; `off` the value at which an effect's
     parameter changes nothing (None: the parameter shapes an effect but does not switch it). `infinite_at_upper`: a
-    time constant that may be too long to be seen; its upper bound then stands for "never".
+    time constant that may be too long to be seen; its upper bound then stands for "never". `not_declared`: what a
+    file or a node gives where an effect is not declared, of one that can be declared and yet change nothing.
     """
 
     name: str
@@ -31,6 +32,7 @@ class Parameter(NamedTuple):
     off: float | None = None
     lower_is_allowed: bool = True
     infinite_at_upper: bool = False
+    not_declared: float | None = None
 
     @property
     def neutral(self) -> float:
@@ -86,6 +88,7 @@ class ValveParameters(NamedTuple):
     coil_resistance: float = 10.0
     seat_load: float = 0.0
     pickup_velocity_ratio: float = 1.0
+    release_voltage: float = 0.0
 
 
 POLYNOMIAL_NAMES: Final = ("a0", "a1", "a2", "a3")
@@ -109,6 +112,7 @@ _DECLARED: Final = (
     Parameter("coil_resistance", "Ω", "gives amperes: i = u · V_ref / R", 0, 1e6, 10.0, lower_is_allowed=False),
     Parameter("seat_load", "N", "closing force all through Phase 1", 0, 1e5, 1.0),
     Parameter("pickup_velocity_ratio", "–", "v after pick-up over v before", 0, 1, 0.9),
+    Parameter("release_voltage", "V", "of the freewheeling path at a command of 0; 0: shorted", 0, 1e4, 1.0),
 )
 DECLARED: Final[dict[str, Parameter]] = {entry.name: entry for entry in _DECLARED}
 """Every declared scalar by name; the polynomial's coefficients are a0 … a3."""

@@ -25,9 +25,10 @@ _CONTACT_PLACES: Final = {_PLACES[name]: name for name in CONTACTS}
 _BY_FORCE: Final = np.ones(NUMBERS, dtype=bool)
 _BY_FORCE[[*_CONTACT_PLACES, _PLACES["coil_resistance"], _DELAY]] = False
 _SHAPES: Final = [_PLACES[name] for name in SHAPES]
-_FOREIGN: Final = ("temperature_rate", "sensor_time_constant")
+_FOREIGN: Final = ("temperature_rate", "sensor_time_constant", "flux_linkage", "release_voltage")
 _SWITCHES: Final = (
     *_FOREIGN, "coil_time_constant", "eddy_time_constant", "residual_current", "restitution_stop", "restitution_seat",
+    "motional_share",
 )  # fmt: skip
 _NO_EVENTS: Final = np.empty(0, EVENT_RECORD)
 assert VALVE_RECORD.names is not None
@@ -59,8 +60,8 @@ def numbers_of(record: Any) -> Array:
 def has_sensitivities(record: Any, numbers: Array) -> NDArray[np.bool_]:
     """Whether `run_tangents` knows the derivatives along (k, `NUMBERS`) directions of the numbers of a (1,) record.
 
-    Left to difference quotients are a coil that heats, a slow sensor, and what is off at 0 and works otherwise
-    on either side of it.
+    Left to difference quotients are a coil that heats, follows its flux or freewheels, a slow sensor, and what is off
+    at 0 and works otherwise on either side of it.
     """
     if any(record[name][0] != 0.0 for name in _FOREIGN):
         return np.zeros(len(numbers), dtype=bool)

@@ -16,6 +16,7 @@ from valve_sim.model import driver
 from valve_sim.model.core_types import EVENT_RECORD, STATE_RECORD, EventKind, Outcome, Phase
 from valve_sim.model.effects import CATALOGUE, check_effects, new_record
 from valve_sim.model.errors import ParameterError, SimulationError
+from valve_sim.model.flux import why_no_flux
 from valve_sim.model.parameters import POLYNOMIAL_NAMES, ValveParameters, check_declared, check_geometry
 from valve_sim.model.sampling import ROW
 from valve_sim.model.tolerances import EXACT, Tolerances
@@ -113,6 +114,8 @@ class Valve:
         valve = cls(parameters, effects, tolerances)
         record = valve.record()[0]
         check_geometry(float(record["pilot_gap"]), float(record["stroke"]), f"{source} (with effects)")
+        if why_not := why_no_flux(valve.record()):
+            raise ParameterError(f"{source}: effects.{why_not}")
         return valve
 
     def to_mapping(self) -> dict[str, dict[str, Any]]:
@@ -355,6 +358,16 @@ def event_tuple(events: Any, count: int) -> tuple[Event, ...]:
     return tuple(Event(time, EventKind(kind), x, v) for time, kind, x, v in events[:count].tolist())
 
 
+def check_flux(record: Any) -> None:
+    """Nothing, if a current follows from the flux of a (1,) VALVE_RECORD, or it has none.
+
+    Raises:
+        SimulationError: none does; the message says why.
+    """
+    if why_not := why_no_flux(record):
+        raise SimulationError(f"the simulation cannot start: {why_not}")
+
+
 def check_outcome(outcome: int, what: str = "") -> None:
     """Nothing, if a run was carried to its end.
 
@@ -369,5 +382,7 @@ def check_outcome(outcome: int, what: str = "") -> None:
         Outcome.TOO_MANY_STEPS: f"more than {MOST_STEPS_PER_SECOND} steps a second are needed; look for a "
         "time constant that is far below a microsecond",
         Outcome.CHATTERING: "the plungers chatter without progress in time",
+        Outcome.FLUX_FOLDS: "motional_emf: no current follows from the flux, which must grow with it; look for a coil "
+        "time constant that is too short, or for a saturation that is too strong",
     }
     raise SimulationError(f"{what}the simulation stopped early: {why[Outcome(outcome)]}")

@@ -13,6 +13,7 @@ from valve_sim.model.simulation import (
     TOLERANCE,
     Event,
     Valve,
+    check_flux,
     check_outcome,
     event_log,
     event_tuple,
@@ -20,7 +21,7 @@ from valve_sim.model.simulation import (
     new_states,
     rated_current,
 )
-from valve_sim.model.transitions import set_voltage, settle_geometry
+from valve_sim.model.transitions import set_voltage, settle
 
 
 class Reading(NamedTuple):
@@ -55,6 +56,7 @@ class Stepper:
         self._current = np.empty(1)
         self._valve = valve
         self._record = valve.record()
+        check_flux(self._record)
         self._commands: list[tuple[float, float]] = []
         self.reset(start_time)
 
@@ -111,14 +113,16 @@ class Stepper:
 
         The one thing that must give way is geometry: plungers beyond a stop that moved inwards are at the new stop.
         """
+        record = valve.record()
+        check_flux(record)
         time = max(time, float(self._state[0]["time"]))
         self._go(self._state, time, commit=True, collect=True)
         state = self._state[0]
         volts = float(state["volts"])
         set_voltage(self._record, self._state, volts)  # the current so far belongs to the old coil
         self._valve = valve
-        self._record = valve.record()
-        settle_geometry(self._record, self._state)
+        self._record = record
+        settle(self._record, self._state)
         self._shown = self._state.copy()
         self._commands = []
 

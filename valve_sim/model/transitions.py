@@ -9,11 +9,12 @@ import numpy as np
 from valve_sim.model.compiling import compiled, inner
 from valve_sim.model.core_types import CLOSED, GAP_HOLD, MAIN, OPEN, PILOT, EventKind
 from valve_sim.model.equations import coil_now, force_without_dry_friction, pull_squared, residual_floor
+from valve_sim.model.flux import block, close_circuit
 
 # NumPy's numbers: Numba compiles a function once for all of them, but anew for each of Python's literals.
 OPENING, CLOSING = np.array([1, -1])
 UNSEATED, PICKED_UP, HELD_AT_GAP, LIFTED, DROPPED, REACHED_STOP, BOUNCED_AT_STOP = np.array(list(EventKind)[:7])
-RELEASED, MAIN_SEATED, SEATED, BOUNCED_AT_SEAT, STUCK, BROKE_AWAY = np.array(list(EventKind)[7:])
+RELEASED, MAIN_SEATED, SEATED, BOUNCED_AT_SEAT, STUCK, BROKE_AWAY, GONE = np.array(list(EventKind)[7:])
 
 SLOW_AT_GAP: Final = 1e-3
 """m/s: a slower contact at the gap may be held there."""
@@ -161,6 +162,13 @@ def turn(p, s, events, count):
     return _log(events, count, s.time, STUCK, s.x, 0.0)
 
 
+@inner
+def end_current(p, s, events, count):
+    """The current of the freewheeling path is gone."""
+    block(p, s)
+    return _log(events, count, s.time, GONE, s.x, s.v)
+
+
 @compiled
 def set_voltage(valve, state, volts):
     """A command takes effect now, at the state's time."""
@@ -172,15 +180,17 @@ def set_voltage(valve, state, volts):
     s.u = u
     s.w = w
     s.volts = volts
+    close_circuit(p, s, u)
     u, w = coil_now(p, s)
     s.peak_current = max(s.peak_current, abs(u))
     s.held_by_residual = 1 if abs(w) < residual_floor(p, s.peak_current) else 0
 
 
 @compiled
-def settle_geometry(valve, state):
-    """Make mode and position agree after the contacts moved: nothing jumps but what a contact must push."""
+def settle(valve, state):
+    """Make the state agree with another valve: nothing jumps but what a contact must push, or a diode blocks."""
     p, s = valve[0], state[0]
+    close_circuit(p, s, s.u)
     s.x = min(s.x, p.stroke)
     at_rest_in_contact = not s.moving and s.mode in (GAP_HOLD, OPEN)
     if at_rest_in_contact and s.x != (p.stroke if s.mode == OPEN else p.pilot_gap):

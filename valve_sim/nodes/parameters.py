@@ -67,7 +67,7 @@ class NodeParameter(NamedTuple):
         if self.rule is None or (math.isinf(self.rule.lower) and math.isinf(self.rule.upper)):
             return None
         upper = math.inf if self.rule.off == math.inf else self.rule.upper
-        return self.rule.lower, upper
+        return min(self.rule.lower, off_value(self.rule)), upper
 
     def check(self, value: object, source: str) -> Value:
         """The value in its own type; an integer may stand for a double.
@@ -276,7 +276,7 @@ def _effect_entries(on: Mapping[str, Mapping[str, float]]) -> list[NodeParameter
         for rule in effect.parameters:
             if rule.name not in effect.given_names:
                 continue
-            off = "shapes the effect, does not switch it" if rule.off is None else f"off: {rule.off:g}"
+            off = "shapes the effect, does not switch it" if rule.off is None else f"off: {off_value(rule):g}"
             description = f"{_describe(rule)} ({effect.summary}; {off})"
             default = on.get(effect.name, {}).get(rule.name, off_value(rule))
             entries.append(NodeParameter(f"effects.{effect.name}.{rule.name}", default, description, rule))

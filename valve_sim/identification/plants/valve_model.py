@@ -33,7 +33,7 @@ class ValveModel:
         effects = {
             name: EffectChoice(name, entry.parameters, entry.confused_with)
             for name, entry in CATALOGUE.items()
-            if entry.named and name not in valve.effects
+            if entry.named and entry.tried and name not in valve.effects
         }
         self.effects: Mapping[str, EffectChoice] = self._tolerated.with_hypotheses(effects, refitted)
         self._declared = valve.declared()

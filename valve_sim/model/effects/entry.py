@@ -123,6 +123,8 @@ class Effect(_Words):
         confused_with: names of effects that data often cannot tell from this one, the closest first; listed beside it
             where no form is right and scores mislead. One of two says so: the catalogue adds it to the other.
         named: whether a diagnosis may claim it; False for shapes without a physical name.
+        tried: whether a diagnosis tries it where it is not declared; False for what is to be declared, because it
+            changes what all others mean.
         tags: what kind of effect it is; the first is the main one.
         fields: of the core's record, that a mechanism of the core reads for this effect, with their neutral values.
         core_force: part of the compiled equations, f(p, t, motion, coil, condition) in newtons, + opens, for a force
@@ -151,6 +153,7 @@ class Effect(_Words):
     phase_2_only: bool = False
     confused_with: tuple[str, ...] = ()
     named: bool = True
+    tried: bool = True
     tags: tuple[Tag, ...] = (Tag.FORCE,)
     fields: Values = field(default_factory=dict, hash=False)
     core_force: Any = None

@@ -30,6 +30,17 @@ def saturated_slope(p: Any, g: Any, squared: float, per_pull: float) -> float:
     return (1.0 + p.saturation) * share * share  # type: ignore[no-any-return]
 
 
+@inlined
+def co_energy_slopes(p: Any, u: float) -> tuple[float, float]:
+    """The first two derivatives of s(u) = `saturated`(u²): by u, what the co-energy makes of the flux."""
+    if p.saturation == 0.0:
+        return 2.0 * u, 2.0
+    squared = p.saturation * u * u
+    share = 1.0 / (1.0 + squared)
+    slope = 2.0 * (1.0 + p.saturation) * share * share
+    return u * slope, slope * (1.0 - 3.0 * squared) * share
+
+
 def _rewrite(record: Any, values: Values) -> None:
     record["saturation"] = values["current"] ** -2
 

@@ -1,0 +1,87 @@
+"""Drives as solenoids get them: a step, a peak and a hold, a pulse-width modulated voltage by its mean or by its edges.
+
+After each the command is 0: the coil is then shorted, or with `valve.release_voltage` freewheels into that voltage.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from valve_sim.model.errors import ParameterError
+from valve_sim.model.simulation import Drive
+
+
+def step(volts: float, start: float = 0.0, end: float = math.inf) -> Drive:
+    """A voltage from `start` to `end`, s; for ever by default.
+
+    Raises:
+        ParameterError: it ends before it begins.
+    """
+    _check_order(start, end)
+    return Drive.of([start], [volts]) if math.isinf(end) else Drive.of([start, end], [volts, 0.0])
+
+
+def peak_and_hold(levels: tuple[float, float], start: float, durations: tuple[float, float]) -> Drive:
+    """A high voltage that opens, and a low one that holds.
+
+    Args:
+        levels: the two voltages, V. start: of the first, s. durations: of the two, s.
+
+    Raises:
+        ParameterError: a duration is negative.
+    """
+    times = start + np.cumsum([0.0, *durations])
+    _check_order(start, times[1])
+    _check_order(times[1], times[2])
+    return Drive.of(times, [*levels, 0.0])
+
+
+def pulse_width_modulated(
+    supply: float, duty: float, frequency: float, start: float, end: float, off_voltage: float = 0.0
+) -> Drive:
+    """A modulated voltage by its edges: two commands a period, for short records.
+
+    Args:
+        supply: V, while on. duty: share of a period that it is on, 0 to 1. frequency: 1/s. start, end: s.
+        off_voltage: V, between the pulses; 0 is a command of 0, so that a freewheeling coil sees `release_voltage`.
+
+    Raises:
+        ParameterError: a duty outside 0 to 1, a frequency that is not above 0, or an end before the start.
+    """
+    _check_duty(duty)
+    _check_order(start, end)
+    if not frequency > 0.0:
+        raise ParameterError(f"frequency: found {frequency:g} 1/s, expected above 0")
+    periods = np.arange(math.ceil((end - start) * frequency))
+    on = start + periods / frequency
+    edges = np.column_stack([on, on + duty / frequency]).ravel()
+    volts = np.tile([supply, off_voltage], len(periods))
+    if duty in (0.0, 1.0):
+        edges, volts = np.array([start]), np.array([supply if duty else off_voltage])
+    kept = edges < end
+    return Drive.of([*edges[kept], end], [*volts[kept], 0.0])
+
+
+def pulse_width_mean(supply: float, duty: float, start: float, end: float, off_voltage: float = 0.0) -> Drive:
+    """The same by its mean voltage, for records of any length; the ripple of the current is left out.
+
+    It holds while current flows all through the period. With a freewheeling path give −`release_voltage` as the
+    `off_voltage`. The ripple's size, and its error, are in the theory, "The coil as energy conservation gives it".
+
+    Raises:
+        ParameterError: a duty outside 0 to 1, or an end before the start.
+    """
+    _check_duty(duty)
+    return step(duty * supply + (1.0 - duty) * off_voltage, start, end)
+
+
+def _check_duty(duty: float) -> None:
+    if not 0.0 <= duty <= 1.0:
+        raise ParameterError(f"duty: found {duty:g}, expected a share from 0 to 1")
+
+
+def _check_order(start: float, end: float) -> None:
+    if not start <= end:
+        raise ParameterError(f"drive: found an end at {end:g} s before its start at {start:g} s")
