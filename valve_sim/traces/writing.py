@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 import numpy as np
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 
 from valve_sim.files.ledger import note_written
 from valve_sim.files.whole_files import replacing
@@ -19,9 +19,10 @@ from valve_sim.traces.cdr import encode_messages, typestore
 from valve_sim.traces.clocks import SECOND
 from valve_sim.traces.errors import TraceError
 from valve_sim.traces.layout import CHANNELS, COMMAND, FLOAT, JOINT_STATE, MAIN, MEASURED, PILOT
+from valve_sim.traces.many_messages import ManyWriter
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator, Mapping, Sequence
     from os import PathLike
     from types import TracebackType
 
@@ -63,7 +64,7 @@ class BagRecorder:
         with self._or_nothing():
             shutil.rmtree(self._workshop, ignore_errors=True)
             self._workshop.mkdir(parents=True)
-            self._writer = Writer(self._workshop / name, version=9, storage_plugin=plugin)
+            self._writer = ManyWriter(self._workshop / name, version=9, storage_plugin=plugin)
             if compressed:
                 mode = CompressionMode.STORAGE if plugin == StoragePlugin.MCAP else CompressionMode.MESSAGE
                 self._writer.set_compression(mode, CompressionFormat.ZSTD)
@@ -105,6 +106,23 @@ class BagRecorder:
             self._writer.write(self._connections[topic], time_ns, payload)
         except (OSError, sqlite3.Error) as error:
             self._refuse(error)
+
+    def write_many(
+        self, topics: Sequence[str], places: NDArray[np.int64], times_ns: list[int], payloads: Sequence[bytes]
+    ) -> None:
+        """Write serialized (CDR) messages of announced topics in their order.
+
+        Args:
+            topics: Full names.
+            places: Of each message's topic among these, shape (n,).
+            times_ns: When each came, ns of the recorder's clock.
+            payloads: The messages.
+
+        Raises:
+            TraceError: They cannot be written; nothing is left behind.
+        """
+        with self._or_nothing():
+            self._writer.write_many([self._connections[topic] for topic in topics], places, times_ns, payloads)
 
     def close(self) -> None:
         """Finish the recording and move it to its name.
@@ -204,12 +222,13 @@ def write_bags(
         for topic, message_type, _, _ in topics:
             recorder.add_topic(topic, message_type)
         places = np.concatenate([np.full(len(times), place) for place, (_, _, times, _) in enumerate(topics)])
-        order = np.argsort(np.concatenate([times for _, _, times, _ in topics]), kind="stable")
-        # Within one topic a stable sort keeps the order of messages, so that each topic is simply taken from its front.
-        queues = [zip(times.tolist(), payloads, strict=True) for _, _, times, payloads in topics]
-        for place in places[order].tolist():
-            time, payload = next(queues[place])
-            recorder.write(topics[place][0], topics[place][1], payload, time)
+        times = np.concatenate([times for _, _, times, _ in topics])
+        payloads = [payload for *_, payloads in topics for payload in payloads]
+        order = np.argsort(times, kind="stable")
+        recorder.write_many(
+            [topic for topic, *_ in topics], places[order], times[order].tolist(),
+            [payloads[message] for message in order.tolist()],
+        )  # fmt: skip
 
 
 def _measured_topics(
