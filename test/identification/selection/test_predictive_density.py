@@ -155,21 +155,23 @@ def test_a_parameter_that_cannot_be_moved_there_says_nothing() -> None:
     assert neg2_log_predictive(training, held_out) == pytest.approx(exact(held_out, spread), rel=1e-6)
 
 
-def test_of_what_training_data_leave_open_held_out_data_are_fitted_within_it() -> None:
+@pytest.mark.parametrize("free", [("level",), ()])
+def test_of_what_training_data_leave_open_held_out_data_are_fitted_within_it(free: tuple[str, ...]) -> None:
     """A declared value with a tolerance: the density is that of the same model with all of it open."""
     rate = Nuisance("slope", 0.5, "N", is_of_machine=True)
     problems = []
     for seed, at in enumerate((LATER, LATER[::-1] + 1.0)):
         data = 0.5 + 0.7 * at + SIGMA * np.random.default_rng(seed).standard_normal(len(at))
         problems.append(Problem(Line(at, data), noises=NOISES))  # type: ignore[arg-type]
-    training = fit(problems[0], ("level",), {}, nuisances=[rate, DRIFT])
+    held = {} if free else {"level": 0.5}
+    training = fit(problems[0], free, {}, nuisances=[rate, DRIFT], fixed=held)
     known = knowledge_for(training)
-    assert known.information[0, 0] == pytest.approx(training.machine.information[0, 0] + 1.0 / (10.0 * 2.0) ** 2)
-    assert known.information[1, 1] == training.machine.information[1, 1]
-    held_out = fit(problems[1], ("level",), training.values, nuisances=[rate, DRIFT], prior=known)
+    farthest = [1.0 / (10.0 * 2.0) ** 2] * len(free) + [0.0]
+    np.testing.assert_allclose(known.information, training.machine.information + np.diag(farthest))
+    held_out = fit(problems[1], free, training.values, nuisances=[rate, DRIFT], fixed=held, prior=known)
     channel = problems[1].plant.channels[0]
-    design = np.column_stack([np.ones(40), channel.times])
-    misses = channel.data - design @ known.coordinates
+    design = np.column_stack([np.ones(40)] * len(free) + [channel.times])
+    misses = channel.data - held.get("level", 0.0) - design @ known.coordinates
     unknown = design @ np.linalg.inv(known.information) @ design.T + DRIFT.sigma**2
     covariance = np.eye(40) + unknown / SIGMA**2
     expected = misses @ np.linalg.solve(covariance, misses) / SIGMA**2 + np.linalg.slogdet(covariance)[1]
