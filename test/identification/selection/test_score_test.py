@@ -264,6 +264,13 @@ def test_a_released_value_gains_what_its_refit_gains_where_the_data_know_it_and_
         assert gain - math.log(100.0) - 0.1 < found < gain
 
 
+def test_a_declared_value_and_what_comes_after_it_are_both_tested() -> None:
+    plant = Toleranced(measured(), 8.0, 0.02)
+    plant.effects["e"] = EffectChoice("e", (SWITCH,))
+    plant.parameters["e.size"] = SWITCH
+    assert list(score_gains(fit(problem_of(plant), ("level",), {}, nuisances=plant.nuisances))) == ["valve.slope", "e"]
+
+
 def test_a_declared_value_of_which_the_data_say_nothing_gains_nothing() -> None:
     plant = Toleranced(measured(), 0.0, 0.02)
     assert score_gains(fit(problem_of(plant), ("level",), {}, nuisances=plant.nuisances))["valve.slope"] == -math.inf

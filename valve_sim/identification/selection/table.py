@@ -123,9 +123,9 @@ class Score:
     parameters: int
     is_white: bool
     is_claimable: bool
-    variance_inflation: float = 1.0
-    chi2: float = 0.0
-    of_declared: float = 0.0
+    variance_inflation: float
+    chi2: float
+    of_declared: float
     cross_validation: Callable[[], CrossValidation | None] = field(default=lambda: None, repr=False)
 
     def criterion(self, *, residual_is_white: bool) -> float:
