@@ -22,6 +22,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from valve_sim.identification.estimation.gram import gram
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.smoothing import Smoothness
 from valve_sim.identification.plants.protocol import (
@@ -150,8 +151,16 @@ class Fit:
         return len(self.free) - float(np.sum(fitted * self.smooth.precision))
 
     def covariance_of_curve(self) -> Array:
-        """(K, K) of the coefficients of the smooth curve, its prior included: what bands are drawn from."""
-        return self.covariance[np.ix_(self._curve, self._curve)]
+        """(K, K) of the coefficients of the smooth curve: what bands are drawn from."""
+        if self.smooth is None:
+            return np.empty((0, 0))
+        where = np.array(self._curve, dtype=np.int64)
+        of_data = self.information.copy()
+        of_data[np.ix_(where, where)] -= self.smooth.precision
+        priors = np.array([0.0] * len(self.free) + [own.sigma**-2 for own in self.nuisances])
+        means = np.array([0.0] * len(self.free) + [own.mean for own in self.nuisances])
+        gradient = gram(self.jacobian, self.residuals) + priors * (self.coordinates - means)
+        return self.smooth.covariance(of_data, gradient, self.coordinates, where, self.problem.variance_inflation)
 
     @property
     def _curve(self) -> list[int]:

@@ -11,14 +11,20 @@ integrates over all that is fitted (Wood 2011):
 
     R(λ) = min over z of [χ²(z) + cᵀ S c]/f + ln det(A + S) − Σ ln w
 
-with A the information without S, and f the factor by which slow noise discounts evidence. One weight for all of the
-curve is found among many; from there each follows its own way downhill (Wood and Fasiolo 2017). Each step of
-Gauss–Newton chooses them anew, from a curve that is nearly straight on.
+with A the information without S, and f the factor by which slow noise discounts evidence. Logarithms of neighbouring
+weights differ by N(0, τ²): without that, weights run to their ends and a curve becomes a chain of straight pieces whose
+errors seem small. One weight for all of the curve is found among many; from there each follows its own way downhill.
+Each step of Gauss–Newton chooses them anew, from a curve that is nearly straight on.
+
+The covariance of a curve is that of all weights that the data leave possible, not of the best alone: the penalty makes
+the curve a Gaussian process, whose bands hold the bias of smoothing (Wahba 1983, Nychka 1988), and what the uncertainty
+of the weights adds (Kass and Steffey 1989; Wood, Pya and Säfken 2016) is summed along the axes of their posterior.
 """
 
 from __future__ import annotations
 
 import functools
+import math
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
@@ -31,18 +37,36 @@ WEIGHTS: Final = tuple(10.0 ** (0.5 * half) for half in range(-8, 21))
 """λ that are tried: second differences from 10 µN to 100 N, or N·s/m."""
 RIDGE: Final = 1e-4
 """ρ: each coefficient is within ±100 N, or N·s/m, where nothing else determines it."""
-HATS: Final = 8
+HATS: Final = 16
 """So many weights along a curve."""
+DIFFERS: Final = 3.0
+"""τ: standard deviation of the difference of two neighbouring weights' natural logarithms."""
 FIRST_WEIGHT: Final = 1e4
 """λ to begin with: of a curve that is nearly straight."""
 LARGEST_CHANGE: Final = 30.0
 """Of a weight from one step of Gauss–Newton to the next, as a factor."""
 MOST_UPDATES: Final = 40
 """Of the weights in one step of Gauss–Newton."""
+LARGEST_UPDATE: Final = 3.0
+"""Of the natural logarithm of a weight."""
+SMALLEST_UPDATE: Final = 0.01
+"""Share of an update below which none is tried."""
+CURVATURE: Final = 1e-3
+"""Least curvature of R along a weight's logarithm, for an update."""
+DIFFERENCE: Final = 0.25
+"""Step of a difference quotient along a weight's logarithm."""
+WIDEST: Final = 4.0
+"""Standard deviation of the logarithm of a weight that the data do not determine."""
+ALONG: Final = np.linspace(-3.0, 3.0, 9)
+"""Places along an axis of the weights' posterior, in standard deviations."""
 HELD: Final = 1e12
 """Information on a coefficient that is held at the least value: it counts as known there."""
 SETTLED: Final = 0.05
 """Weights have settled when none changes by more than this share."""
+LEAST, MOST = math.log(WEIGHTS[0]), math.log(WEIGHTS[-1])
+_STEPS: Final = np.diff(np.eye(HATS), axis=0)
+NEIGHBOURS: Final[Array] = 2.0 * _STEPS.T @ _STEPS / DIFFERS**2
+"""(HATS, HATS) second derivatives of what differences of neighbouring weights' logarithms add to R."""
 
 
 @dataclass(frozen=True)
@@ -74,26 +98,82 @@ class Smoothness:
             information: (m, m) A of all that is fitted, without S. gradient: (m,) half of that of χ² where the fit is.
             at: (m,) where the fit is. where: (K,) indices of the coefficients among them. inflation: f.
         """
-        roughness = _Roughness.of(len(where), repeats=self.repeats)
-        curve = _Quadratic.of(information, gradient, at, where, inflation, roughness)
-        is_held = (at[where] <= self.least) & (gradient[where] > 0.0)
-        curve = curve._replace(information=curve.information + np.diag(np.where(is_held, HELD, 0.0)))
-        common = np.full(HATS, min(WEIGHTS, key=lambda weight: curve.criterion(np.full(HATS, weight))))
-        best, before = _settled(curve, common), np.array(self.weights)
+        curve = self._about(information, gradient, at, where, inflation)
+        common = min(WEIGHTS, key=lambda weight: curve.criterion(np.full(HATS, weight)))
+        best, before = np.exp(_settled(curve, np.full(HATS, math.log(common)))), np.array(self.weights)
         # A curve that is far from the best of its weights would be led astray by what is linearised about it.
         weights = np.clip(best, before / LARGEST_CHANGE, before * LARGEST_CHANGE)
         return replace(self, weights=tuple(weights.tolist()))
 
+    def covariance(
+        self, information: Array, gradient: Array, at: Array, where: NDArray[np.int64], inflation: float
+    ) -> Array:
+        """(K, K) of the coefficients, the uncertainty of their weights included; arguments as those of `chosen`."""
+        curve = self._about(information, gradient, at, where, inflation)
+        logs = np.log(np.array(self.weights))
+        fitted, own = curve.fitted(logs)
+        covariance = own.copy()
+        for axis in _axes(curve, logs, repeats=self.repeats):
+            places = np.clip(logs + ALONG[:, None] * axis, LEAST, MOST)
+            costs = np.array([curve.objective(place) for place in places])
+            shares = np.exp(-0.5 * (costs - costs.min()))
+            for place, share in zip(places, shares / shares.sum(), strict=True):
+                there, spread = curve.fitted(place)
+                covariance += share * (spread - own + np.outer(there - fitted, there - fitted))
+        return covariance
 
-def _settled(curve: _Quadratic, weights: Array) -> Array:
-    """The weights that follow from these, downhill."""
+    def _about(
+        self, information: Array, gradient: Array, at: Array, where: NDArray[np.int64], inflation: float
+    ) -> _Quadratic:
+        """χ² about where the fit is; what is held at the least value counts as known."""
+        roughness = _Roughness.of(len(where), repeats=self.repeats)
+        curve = _Quadratic.of(information, gradient, at, where, inflation, roughness)
+        is_held = (at[where] <= self.least) & (gradient[where] > 0.0)
+        return curve._replace(information=curve.information + np.diag(np.where(is_held, HELD, 0.0)))
+
+
+def _settled(curve: _Quadratic, logs: Array) -> Array:
+    """Logarithms of the weights that follow from these, downhill by steps that are nearly Newton's."""
+    cost = curve.objective(logs)
     for _ in range(MOST_UPDATES):
-        updated = np.clip(curve.updated(weights), WEIGHTS[0], WEIGHTS[-1])
-        moved = float(np.max(np.abs(np.log(updated / weights))))
-        weights = updated
+        determined, bends = curve.shares(logs)
+        slope = bends - determined + NEIGHBOURS @ logs
+        normal = np.diag(0.5 * (determined + bends) + CURVATURE) + NEIGHBOURS
+        step = np.clip(-np.linalg.solve(normal, slope), -LARGEST_UPDATE, LARGEST_UPDATE)
+        share = 1.0
+        while share > SMALLEST_UPDATE:
+            updated = np.clip(logs + share * step, LEAST, MOST)
+            lower = curve.objective(updated)
+            if lower < cost:
+                break
+            share *= 0.5
+        else:
+            break
+        moved = float(np.max(np.abs(updated - logs)))
+        logs, cost = updated, lower
         if moved < SETTLED:
             break
-    return weights
+    return logs
+
+
+def _axes(curve: _Quadratic, logs: Array, *, repeats: bool) -> Array:
+    """(m, HATS) one standard deviation along each axis of the posterior of the weights' logarithms."""
+    if repeats:
+        # All weights are one.
+        directions = np.ones((1, HATS)) / math.sqrt(HATS)
+    else:
+        directions = np.eye(HATS)
+
+    def slope(at: Array) -> Array:
+        determined, bends = curve.shares(at)
+        return np.asarray(directions @ (bends - determined + NEIGHBOURS @ at))
+
+    steps = DIFFERENCE * directions
+    hessian = np.array([slope(logs + step) - slope(logs - step) for step in steps]) / (2.0 * DIFFERENCE)
+    # R is −2 ln of a likelihood.
+    sizes, axes = np.linalg.eigh(0.25 * (hessian + hessian.T))
+    deviations = 1.0 / np.sqrt(np.maximum(sizes, 0.0) + WIDEST**-2)
+    return np.asarray((axes * deviations).T @ directions)
 
 
 class _Roughness(NamedTuple):
@@ -151,14 +231,27 @@ class _Quadratic(NamedTuple):
         certain = float(np.mean(np.log(rows))) * rank
         return -fitted + float(volume) - 2.0 * float(np.sum(np.log(scale))) - certain
 
-    def updated(self, weights: Array) -> Array:
-        """Weights of a smaller R: theory, eq. (51)."""
+    def objective(self, logs: Array) -> float:
+        """R of the logarithms of weights with what their differences add, but for a constant."""
+        return self.criterion(np.exp(logs)) + 0.5 * float(logs @ NEIGHBOURS @ logs)
+
+    def fitted(self, logs: Array) -> tuple[Array, Array]:
+        """(K,) the coefficients of the best curve and (K, K) their covariance, the weights taken for known."""
+        normal, scale = self._normal(np.exp(logs))
+        covariance = np.linalg.inv(normal) * np.outer(scale, scale)
+        return covariance @ self.target, covariance
+
+    def shares(self, logs: Array) -> tuple[Array, Array]:
+        """(HATS,) how many bends the data determine about each weight, and what these add to the penalty.
+
+        The slope of R along the logarithms is the latter less the former: theory, eq. (51).
+        """
         differences, hats = self.roughness
-        normal, scale = self._normal(weights)
-        variances = np.linalg.inv(normal) * np.outer(scale, scale)
-        bends = differences @ variances @ self.target
-        certain = 1.0 / (hats @ weights) - np.einsum("ij,jk,ik->i", differences, variances, differences)
-        return np.asarray(weights * (hats.T @ np.maximum(certain, 1e-300)) / np.maximum(hats.T @ bends**2, 1e-300))
+        weights = np.exp(logs)
+        fitted, covariance = self.fitted(logs)
+        spread = np.einsum("ij,jk,ik->i", differences, covariance, differences)
+        determined = hats.T @ np.maximum(1.0 / (hats @ weights) - spread, 0.0)
+        return weights * determined, weights * (hats.T @ (differences @ fitted) ** 2)
 
     def _normal(self, weights: Array) -> tuple[Array, Array]:
         """A + S scaled to a unit diagonal, and the scale."""

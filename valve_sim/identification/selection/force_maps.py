@@ -49,7 +49,7 @@ class Unexplained:
     Attributes:
         force_rms: N, over the range of the variable. where: it is strongest, in words. variable: as in `ForceMap`.
         at: (n,) places, SI. force: (n,) the curve there, N, or N·s/m of a damping. stderr: (n,) of it, from the
-            penalised covariance; empty where it is not known.
+            covariance of the curve with that of its weights; empty where it is not known.
         gain: of the score S against the model without it.
     """
 
@@ -190,7 +190,8 @@ def describe(choice: ForceMap, result: Fit, base: Fit) -> Unexplained:
     at, force = _curve(choice, result)
     shapes = _shapes(choice, at)[:, [choice.coefficients.index(name) for name in choice.free]]
     own = [result.free.index(name) for name in choice.free]
-    variances = np.einsum("ij,jk,ik->i", shapes, result.covariance[np.ix_(own, own)], shapes)
+    covariance = result.covariance[np.ix_(own, own)] if result.smooth is None else result.covariance_of_curve()
+    variances = np.einsum("ij,jk,ik->i", shapes, covariance, shapes)
     return Unexplained(
         root_mean_square(force), where(choice, result), choice.variable, tuple(at.tolist()),
         tuple(force.tolist()), base.score - result.score, tuple(np.sqrt(np.maximum(variances, 0.0)).tolist()),
