@@ -17,7 +17,18 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from valve_sim.files.parameter_files import load_valve, save_valve
-from valve_sim.model import Drive, EventKind, ParameterError, Response, SimulationError, Stepper, Valve, simulate
+from valve_sim.files.resources import config_path
+from valve_sim.model import (
+    Drive,
+    EventKind,
+    ParameterError,
+    Response,
+    SimulationError,
+    Stepper,
+    Valve,
+    published_times,
+    simulate,
+)
 from valve_sim.model.drives import peak_and_hold, pulse_width_mean, pulse_width_modulated, step
 
 from .energy import imbalance
@@ -252,6 +263,21 @@ def test_a_file_declares_it_with_any_share(share: float, tmp_path: Path) -> None
     (tmp_path / "bad.yaml").write_text("/**: {ros__parameters: {effects: {motional_emf: {share: -0.5}}}}\n")
     with pytest.raises(ParameterError, match=r"effects\.motional_emf\.share"):
         load_valve(tmp_path / "bad.yaml")
+
+
+@pytest.mark.parametrize(
+    ("power", "a0", "lag"), [(20.0, 4.5418, 1.5954e-3), (12.0, 6.3319, 2.1578e-3), (8.1, 14.556, 3.9865e-3)]
+)
+def test_the_published_event_times_are_met_at_every_rated_power(power: float, a0: float, lag: float) -> None:
+    valve = replace(LIVELY.with_values(a0=a0, coil_time_constant=lag, coil_resistance=81.0 / power), effects=ON)
+    assert published_times(simulate(valve, step(9.0), [0.02])) == pytest.approx((5.3e-3, 9.9e-3), abs=1e-6)
+
+
+def test_the_shipped_valve_that_conserves_energy_meets_the_published_times() -> None:
+    valve = load_valve(config_path("energy_consistent.yaml"))
+    assert valve.effects == ON
+    assert published_times(simulate(valve, step(9.0), [0.02])) == pytest.approx((5.3e-3, 9.9e-3), abs=2e-7)
+    assert imbalance(valve, PULSE, END) < 1e-9
 
 
 # --- drives -------------------------------------------------------------------------------------------------------
