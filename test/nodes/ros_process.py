@@ -14,7 +14,11 @@ from pathlib import Path
 from typing import Any
 
 PATIENCE = 120.0
-"""Seconds after which something that should happen counts as not happening: a busy machine compiles for long."""
+"""Seconds after which something that should happen counts as not happening; of a machine of one's own: see `until`."""
+SLOWEST = 10.0
+"""A machine that is slower than so many times is waited for no longer."""
+ENDS_WITHIN = 600.0
+"""Seconds after which a process that should end counts as hanging."""
 ASK_AGAIN = 5.0
 """Seconds after which a question, or a message that has no effect, counts as lost."""
 _MIDDLEWARE = re.compile(r"^\d{4}-\d\d-\d\d [\d:.]+ \[\w+ (Error|Warning)\] ")
@@ -86,7 +90,7 @@ class NodeProcess:
 
     def exit_code(self) -> int:
         """The exit code, once it has ended."""
-        return self.process.wait(PATIENCE)
+        return self.process.wait(ENDS_WITHIN)
 
     def seconds_to_end(self, number: int) -> float:
         """How long it takes to end after a signal, were it alone here."""
@@ -157,10 +161,14 @@ class Probe:
         return publisher
 
     def until(self, condition: Callable[[], Any], patience: float = PATIENCE) -> bool:
-        """Spin until the condition holds; whether it came to that."""
-        end = time.monotonic() + patience
+        """Spin until the condition holds; whether it came to that.
+
+        What is waited for takes as many times as long as this machine is slow.
+        """
+        begin = time.monotonic()
         while not condition():
-            if time.monotonic() > end:
+            waited = time.monotonic() - begin
+            if waited > patience and (patience < ASK_AGAIN or waited > patience * min(slowness(), SLOWEST)):
                 return False
             self._executor.spin_once(timeout_sec=0.02)
         return True
@@ -175,7 +183,9 @@ class Probe:
 
     def spin_for(self, seconds: float) -> None:
         """Hear what comes in so many seconds: for what must not come."""
-        self.until(lambda: False, seconds)
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self._executor.spin_once(timeout_sec=0.02)
 
     def call(self, service: str, kind: Any, request: Any = None) -> Any:
         """The answer of a service of the node."""

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from .ros_process import ASK_AGAIN, PATIENCE, Probe, own_lines, piped, running, slowness
+from .ros_process import ASK_AGAIN, ENDS_WITHIN, PATIENCE, Probe, own_lines, piped, running, slowness
 
 pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
@@ -53,7 +53,7 @@ def commanding(
 
 
 def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
-    _, said = process.communicate(timeout=PATIENCE)
+    _, said = process.communicate(timeout=ENDS_WITHIN)
     return process.returncode, said
 
 

@@ -23,7 +23,7 @@ from valve_sim.identification.reporting.recording_profile import STROKE_LEVELS
 from valve_sim.traces import read_trace
 from valve_sim.traces.synthetic import read_profile
 
-from .ros_process import PATIENCE, Probe, cpu_seconds_to_end, piped, running
+from .ros_process import ENDS_WITHIN, PATIENCE, Probe, cpu_seconds_to_end, piped, running
 
 pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
@@ -48,7 +48,7 @@ def ros(in_own_domain: None) -> Iterator[None]:
 def samples(in_own_domain: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The sample bags made anew, with a recording of a valve_node that runs in real time."""
     folder = tmp_path_factory.mktemp("samples")
-    subprocess.run([sys.executable, str(MAKER), "--folder", str(folder), "--live"], check=True, timeout=3 * PATIENCE)
+    subprocess.run([sys.executable, str(MAKER), "--folder", str(folder), "--live"], check=True, timeout=ENDS_WITHIN)
     return folder
 
 
@@ -86,7 +86,7 @@ def test_a_recorded_live_valve_is_identified_and_another_one_given_its_parameter
         report = json.loads(results[0].data)
         applied = live.parameters()
         process.send_signal(signal.SIGINT)
-        assert process.wait(PATIENCE) == 0
+        assert process.wait(ENDS_WITHIN) == 0
         assert process.stderr is not None
         said = process.stderr.read()
     for name, truth in maker().LIVE_DAMPINGS.items():
@@ -110,7 +110,7 @@ def test_a_recorded_live_valve_is_identified_and_another_one_given_its_parameter
 
 def test_it_ends_when_the_recording_is_played_and_the_result_is_known(samples: Path, ros: None, tmp_path: Path) -> None:
     with identifying(tmp_path, bag=samples / "one_opening.mcap", rate=0) as process:
-        assert process.wait(PATIENCE) == 0
+        assert process.wait(ENDS_WITHIN) == 0
         assert process.stderr is not None
         said = process.stderr.read()
     assert f"; see {tmp_path / 'identified.yaml'}" in said
@@ -140,7 +140,7 @@ def test_a_node_that_is_not_there_is_said_not_to_have_taken_the_result(
         assert applied["node"] == "/nobody"
         assert probe.until(lambda: b"\x02" in levels(heard, "identification"))
         process.send_signal(signal.SIGINT)
-        assert process.wait(PATIENCE) == 1
+        assert process.wait(ENDS_WITHIN) == 1
 
 
 FRICTION = Path(__file__).parents[2] / "bags" / "friction"
@@ -166,7 +166,7 @@ def test_a_fit_that_leaves_more_than_noise_or_tolerances_is_not_handed_on(
     with running(tmp_path), identifying(tmp_path, bag=FRICTION, **given) as process:
         assert probe.until(lambda: results), "no result"
         process.send_signal(signal.SIGINT)
-        assert process.wait(PATIENCE) == 1
+        assert process.wait(ENDS_WITHIN) == 1
         assert process.stderr is not None
         said = process.stderr.read()
         assert (live.parameters()["valve.pilot_damping"], live.parameters()["valve.main_damping"]) == (1.0, 4.0)
@@ -201,7 +201,7 @@ def test_what_was_set_all_the_same_can_be_undone(probe: Probe, tmp_path: Path) -
             assert live.parameters() == {**before, "frame_id": "tank"}, "what others set meanwhile stays"
             assert not probe.call("undo", Trigger).success, "there is nothing left to undo"
             process.send_signal(signal.SIGINT)
-            assert process.wait(PATIENCE) == 0
+            assert process.wait(ENDS_WITHIN) == 0
             assert process.stderr is not None
             said = process.stderr.read()
         assert "is given the result although the residual is not white" in said
@@ -227,7 +227,7 @@ def test_the_replay_is_the_recording_beside_the_model(samples: Path, probe: Prob
         assert probe.until(lambda: measured.messages.keys() == predicted.messages.keys() == stamps)
         assert probe.until(lambda: volts and b"\x00" in levels(heard, "replay"))
         process.send_signal(signal.SIGTERM)
-        assert process.wait(PATIENCE) == 0
+        assert process.wait(ENDS_WITHIN) == 0
     positions = measured.positions()
     np.testing.assert_array_equal(positions, trace.pilot_position)
     assert np.std(positions - predicted.positions()) < 3e-6
@@ -292,11 +292,11 @@ def test_a_loggers_table_is_identified_by_its_map(ros: None, tmp_path: Path) -> 
     lab = tmp_path / "lab.yaml"
     lab.write_text("time: t\ncommand: U\nposition: {column: lift, unit: mm}\n")
     with identifying(tmp_path, bag=tmp_path / "logger.csv", map=lab, rate=0) as process:
-        assert process.wait(PATIENCE) == 0
+        assert process.wait(ENDS_WITHIN) == 0
     assert (tmp_path / "identified.yaml").exists()
     lab.write_text("time: t\ncommand: U\nposition: {column: lift, unit: m}\n")
     with identifying(tmp_path / "none", bag=tmp_path / "logger.csv", map=lab, rate=0) as process:
-        assert process.wait(PATIENCE) != 0
+        assert process.wait(ENDS_WITHIN) != 0
         assert process.stderr is not None
         said = process.stderr.read()
     assert "column lift: pilot_plunger travels" in said

@@ -19,7 +19,7 @@ from valve_sim.files.parameter_files import load_valve
 
 from .dumps import TOLERATED, dump
 from .plant_on_topics import PlantOnTopics
-from .ros_process import PATIENCE, Probe, piped, running
+from .ros_process import ENDS_WITHIN, PATIENCE, Probe, piped, running
 
 pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
@@ -141,7 +141,7 @@ def test_a_valve_with_topics_and_units_of_its_own_is_watched_by_a_map(probe: Pro
             lambda: ears.is_said("input", 1, "/plc/joints: -1 m, expected metres"),
         )
         process.send_signal(signal.SIGINT)
-        assert process.wait(PATIENCE) == 0
+        assert process.wait(ENDS_WITHIN) == 0
 
 
 def test_friction_that_appears_in_a_real_valve_is_warned_of_and_named(probe: Probe, tmp_path: Path) -> None:
@@ -169,7 +169,7 @@ def test_friction_that_appears_in_a_real_valve_is_warned_of_and_named(probe: Pro
         assert finding["effects"] == ["coulomb_friction"], finding
         assert finding["summary"].startswith("Coulomb friction 0.3")
         process.send_signal(signal.SIGTERM)
-        assert process.wait(PATIENCE) == 0
+        assert process.wait(ENDS_WITHIN) == 0
 
 
 def test_what_commissioning_found_survives_a_restart_until_it_is_asked_for_anew(probe: Probe, tmp_path: Path) -> None:
@@ -184,7 +184,7 @@ def test_what_commissioning_found_survives_a_restart_until_it_is_asked_for_anew(
         values = numbers_of(FEW + 1, numbers)
         assert float(values["t2 (ms)"]) == pytest.approx(1e3 * reports[FEW + 1]["t2"], rel=1e-4)
         process.send_signal(signal.SIGTERM)
-        assert process.wait(PATIENCE) == 0
+        assert process.wait(ENDS_WITHIN) == 0
     plant.predicted.clear()
     with monitoring(tmp_path, **given):
         plant.wait_for_monitor()
@@ -250,7 +250,7 @@ def test_a_signal_ends_it_with_code_0(probe: Probe, tmp_path: Path, number: sign
     with monitoring(tmp_path) as process:
         assert probe.until(lambda: heard)
         process.send_signal(number)
-        assert process.wait(PATIENCE) == 0
+        assert process.wait(ENDS_WITHIN) == 0
         assert process.stderr is not None
         assert "Traceback" not in process.stderr.read()
 

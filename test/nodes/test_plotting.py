@@ -16,7 +16,7 @@ from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from .plant_on_topics import PlantOnTopics
-from .ros_process import PATIENCE, Probe, piped
+from .ros_process import ENDS_WITHIN, Probe, piped
 
 pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
@@ -95,7 +95,7 @@ def test_every_figure_of_a_stroke_is_a_series(probe: Probe, tmp_path: Path) -> N
         reports += plant.rest(FEW + 3)
         assert probe.until(lambda: len(heard) >= len(reports) == FEW + 3), "a stroke has no diagnostics"
         process.send_signal(signal.SIGTERM)
-        assert process.wait(PATIENCE) == 0
+        assert process.wait(ENDS_WITHIN) == 0
 
     series = series_of(record(tmp_path, heard))
     watched = [report for report in reports if report["state"] == "watching"]

@@ -11,7 +11,7 @@ from typing import IO
 
 import pytest
 
-from .ros_process import PATIENCE, Probe, piped, running
+from .ros_process import ENDS_WITHIN, PATIENCE, Probe, piped, running
 
 pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
@@ -83,7 +83,7 @@ def sequencing(folder: Path, **parameters: object) -> contextlib.AbstractContext
 def run(folder: Path, **parameters: object) -> tuple[int, str]:
     """Exit code and stderr of a whole sequence."""
     with sequencing(folder, **parameters) as process:
-        _, words = process.communicate(timeout=2 * PATIENCE)
+        _, words = process.communicate(timeout=ENDS_WITHIN)
         return process.returncode, words
 
 
@@ -134,7 +134,7 @@ def test_a_valve_that_does_not_stay_open_closes_all_and_is_named(station: list[T
         # The sequencer must have seen it open before it closes again.
         said = list(until_said(process.stderr, "tank_3/valve is open"))
         assert last.probe.set_parameters(max_voltage=1.0)[0].successful
-        _, words = process.communicate(timeout=PATIENCE)
+        _, words = process.communicate(timeout=ENDS_WITHIN)
         words = "".join(said) + words
     assert last.probe.set_parameters(max_voltage=30.0)[0].successful
     assert process.returncode == 1
@@ -155,7 +155,7 @@ def test_a_signal_closes_all(station: list[Tank], tmp_path: Path, number: signal
         last = station[-1]
         assert last.probe.until(lambda: last.is_open[-1].data)
         process.send_signal(number)
-        _, words = process.communicate(timeout=PATIENCE)
+        _, words = process.communicate(timeout=ENDS_WITHIN)
         assert process.returncode == 1
         assert "sequencer: interrupted; all valves are commanded closed" in words.splitlines()
     assert all(tank.is_without_voltage() for tank in station)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from .ros_process import PATIENCE
+from .ros_process import ENDS_WITHIN
 
 pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
@@ -57,7 +57,7 @@ def run(folder: Path, place: str, number: signal.Signals, count: int = 1) -> sub
     """A node that gets so many signals at a place."""
     arguments = [sys.executable, "-c", PROGRAM, place, str(int(number)), str(count)]
     environment = {**os.environ, "ROS_LOG_DIR": str(folder)}
-    return subprocess.run(arguments, capture_output=True, text=True, timeout=2 * PATIENCE, env=environment, check=False)
+    return subprocess.run(arguments, capture_output=True, text=True, timeout=ENDS_WITHIN, env=environment, check=False)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -18,7 +18,7 @@ from valve_sim.files.parameter_files import load_valve
 from valve_sim.files.resources import config_path
 
 from .dumps import TOLERATED, dump, plain_values
-from .ros_process import PATIENCE, NodeProcess, Probe, running
+from .ros_process import ENDS_WITHIN, NodeProcess, Probe, running
 
 pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
@@ -371,7 +371,7 @@ def test_a_signal_while_the_model_is_compiled_is_said_to_wait_and_ends_it_with_c
         assert ears.until(lambda: "compiling the model" in process.output)
         ears.close()
         process.process.send_signal(signal.SIGINT)
-        assert process.process.wait(3 * PATIENCE) == 0, process.output
+        assert process.process.wait(ENDS_WITHIN) == 0, process.output
         assert "valve_node: ends when a calculation has, or at once with another Ctrl-C" in process.output
         assert "Traceback" not in process.output
 
