@@ -42,10 +42,10 @@ class Lift(NamedTuple):
 def lift_of(record: MagnetRecord) -> Lift:
     """The last time before the jump at which the ball is within `LIFTED` of where it lay `BEFORE` earlier."""
     assert record.jump is not None
-    still = record.jump - round(BEFORE / record.interval)
+    still = max(0, record.jump - round(BEFORE / record.interval))
     lay = float(np.median(record.distance[max(0, still - SMOOTHED) : still + SMOOTHED]))
     last = int(np.flatnonzero(record.distance[: record.jump] > lay - LIFTED)[-1])
-    near = slice(last + 1 - SMOOTHED, last + 1)
+    near = slice(max(0, last + 1 - SMOOTHED), last + 1)
     return Lift(
         record.source, float(np.median(record.distance[near])), float(np.mean(record.current[near])),
         float(record.times[record.jump] - record.times[last]),

@@ -101,6 +101,8 @@ def test_eddy_currents_let_the_current_jump_with_the_voltage_and_settle_to_the_s
     # i = w + ratio φ', and (1 + ratio) φ' = drive − w: of a step, ratio / (1 + ratio) is there at once.
     assert eddy[step] - declared[step] > 0.5 * 0.1 / 1.1 * drive
     assert eddy[step + 200] == pytest.approx(declared[step + 200], abs=1e-4)
+    left = drive - eddy[step + 5 : step + 30]
+    assert left[20] / left[0] == pytest.approx(np.exp(-0.1 / (1.1 * DECLARED["time_constant"])), rel=1e-2)
 
 
 def test_every_effect_is_off_where_it_is_declared():
@@ -226,6 +228,14 @@ def test_a_record_that_is_left_out_does_not_shape_the_model_that_predicts_it(mad
     without = report.left_out(records, ["motional_emf"], start)
     assert without[3] > 1.2 * with_it[3]
     assert without[3] > 2.0 * max(report.errors_of(made_up[:3], report.refitted(made_up[:3], ["motional_emf"], start)))
+
+
+def test_a_ball_that_jumps_at_once_lifts_from_where_it_lay():
+    times, distance = 5e-3 * np.arange(60), np.repeat([0.01, 0.001], [30, 30])
+    record = MagnetRecord.of("made up", times, np.full(60, 0.01), distance, np.zeros(60))
+    assert record.jump == 30
+    lift = lift_of(record)
+    assert (lift.distance, lift.before) == (0.01, pytest.approx(5e-3))
 
 
 # -- the reader ------------------------------------------------------------------------------------------------------
