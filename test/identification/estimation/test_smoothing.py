@@ -110,3 +110,16 @@ def test_a_weight_changes_by_little_in_one_step() -> None:
     once = smooth.chosen(information, gradient, np.zeros(COUNT), np.arange(COUNT), 1.0)
     assert max(once.weights) / min(smooth.weights) <= 30.0 * (1 + 1e-9)
     assert min(once.weights) / max(smooth.weights) == pytest.approx(1 / 30.0)
+
+
+def test_a_curve_that_all_else_can_take_the_place_of_has_weights_all_the_same() -> None:
+    shapes = 3e4 * basis(PLACES, 0.0, 1.0, COUNT, periodic=False)
+    # What else is fitted has units of its own, so that one of them is known much better than the others.
+    beside = np.column_stack([3e9 * np.cos(40 * PLACES), shapes])
+    columns = np.column_stack([beside, shapes])
+    measured = 3e4 * (BUMP + NOISE * np.random.default_rng(4).standard_normal(len(PLACES)))
+    where = np.arange(COUNT + 1, 2 * COUNT + 1)
+    smooth = Smoothness(tuple(f"c{number}" for number in where), -np.inf)
+    # Of the curve's own information rounding is left, of either sign.
+    chosen = smooth.chosen(columns.T @ columns, -columns.T @ measured, np.zeros(2 * COUNT + 1), where, 1.0)
+    assert np.all(np.isfinite(chosen.weights))

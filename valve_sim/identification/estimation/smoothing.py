@@ -213,10 +213,12 @@ class _Quadratic(NamedTuple):
         roughness: _Roughness,
     ) -> _Quadratic:  # fmt: skip
         rest = np.setdiff1d(np.arange(len(at)), where)
-        mixed = information[np.ix_(where, rest)]
-        right = np.column_stack([mixed.T, gradient[rest]])
-        solved = np.linalg.lstsq(information[np.ix_(rest, rest)], right, rcond=1e-13)[0]
-        own = information[np.ix_(where, where)] - mixed @ solved[:, :-1]
+        # The rest has units of its own: a nuisance may be known 10¹⁶ times as well as another.
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(information)[rest], np.finfo(float).tiny))
+        mixed = information[np.ix_(where, rest)] * scale
+        right = np.column_stack([mixed.T, scale * gradient[rest]])
+        solved = np.linalg.lstsq(information[np.ix_(rest, rest)] * np.outer(scale, scale), right, rcond=1e-13)[0]
+        own = _without_rounding(information[np.ix_(where, where)] - mixed @ solved[:, :-1])
         slope = gradient[where] - mixed @ solved[:, -1]
         return cls(own / inflation, (own @ at[where] - slope) / inflation, roughness)
 
@@ -258,3 +260,9 @@ class _Quadratic(NamedTuple):
         normal = self.information + self.roughness.precision(weights)
         scale = 1.0 / np.sqrt(np.diag(normal))
         return normal * np.outer(scale, scale), scale
+
+
+def _without_rounding(information: Array) -> Array:
+    """A symmetric matrix whose negative eigenvalues, which rounding left of small ones, are 0."""
+    values, vectors = np.linalg.eigh(0.5 * (information + information.T))
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
