@@ -129,6 +129,7 @@ SEVERITIES = {
     "eddy_lag": ({"time_constant": 3e-4}, 3e-4 / 0.9934e-3),
     "gap_offset": ({"offset": -26e-6}, 0.1),
     "magnetic_saturation": ({"current": 2.0}, 0.25),
+    "motional_emf": ({"share": 0.8}, 0.8),
     "pickup_impact": ({"velocity_ratio": 0.7}, 0.3),
     "pressure_force": ({"force": 0.2}, 0.2 / 2.55),
     "quadratic_drag": ({"coefficient": 5.0}, 5.0 * 0.2**2 / 2.55),

@@ -221,6 +221,7 @@ def curved(choice: ForceMap, coefficients: np.ndarray, variance: float = 0.0) ->
         values=dict(zip(choice.coefficients, coefficients, strict=True)),
         covariance=np.diag([99.0] + [variance] * len(choice.free)),
         score=60.0,
+        smooth=None,
     )
 
 
