@@ -23,7 +23,7 @@ from plants.recording import Recording, write_bag
 from benchmarks.campaign.cases import Case, draw_case
 from valve_sim.files.parameter_files import save_valve
 from valve_sim.identification.diagnosis.run import Diagnosis, State, diagnose
-from valve_sim.identification.plants.tolerances import principal_axes
+from valve_sim.identification.plants.tolerances import SAME_AS, principal_axes
 from valve_sim.identification.reporting.summary import recording_advice
 from valve_sim.model import Drive, Valve
 from valve_sim.model.parameters import POLYNOMIAL_NAMES
@@ -279,7 +279,7 @@ def cost_of(family: str, seed: int) -> Cost:
 
 
 def _coverage(case: Case, answer: Answer, diagnosis: Diagnosis) -> dict[str, bool]:
-    true = {f"{effect}.{name}": value for effect, values in case.effects.items() for name, value in values.items()}
+    true = true_effects(case)
     intervals = diagnosis.after.intervals
     found = {
         name: intervals[name].low <= value <= intervals[name].high
@@ -291,6 +291,19 @@ def _coverage(case: Case, answer: Answer, diagnosis: Diagnosis) -> dict[str, boo
             estimate, error = answer.declared[name]["estimate"], answer.declared[name]["stderr"]
             found[f"{DECLARED}{name}"] = abs(estimate - value) <= NORMAL_95 * error
     return found
+
+
+def true_effects(case: Case) -> dict[str, float]:
+    """True values of the effects' parameters, by the names of a diagnosis.
+
+    Of a declared value that is off within its tolerance, the effect that is the same thing takes up that, too.
+    """
+    true = {f"{effect}.{name}": value for effect, values in case.effects.items() for name, value in values.items()}
+    declared, is_off = case.declared.declared(), case.declared.tolerances.declared
+    for name, same in SAME_AS.items():
+        if same in true and name in is_off:
+            true[same] += case.true_scalars[name] - declared[name]
+    return true
 
 
 def true_declared(case: Case) -> dict[str, float]:
