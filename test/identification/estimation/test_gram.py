@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from valve_sim.identification.estimation.gram import ROWS, gram, orthonormal, sum_squares
+from valve_sim.identification.estimation.gram import ROWS, gram, information_less, orthonormal, sum_squares
 
 
 @pytest.mark.parametrize("rows", [0, 1, ROWS - 1, ROWS, 5 * ROWS, 5 * ROWS + 7])
@@ -27,3 +27,19 @@ def test_a_basis_is_orthonormal_and_spans_the_same(apart: float) -> None:
     basis = orthonormal(columns)
     np.testing.assert_allclose(basis.T @ basis, np.eye(4), atol=1e-12)
     np.testing.assert_allclose(basis @ (basis.T @ columns), columns, atol=1e-12)
+
+
+def test_information_less_nearly_all_of_it_can_be_solved_with_whatever_the_units() -> None:
+    random = np.random.default_rng(6)
+    columns = random.standard_normal((60, 3)) * np.array([3e9, 1.0, 1e-5])
+    left = information_less(gram(columns, columns), gram(columns[:60], columns[:60]))
+    unit = np.sqrt(np.diag(gram(columns, columns)))
+    scaled = left / np.outer(unit, unit)
+    assert np.linalg.eigvalsh(scaled).min() > 0.0
+    assert scaled == pytest.approx(np.zeros((3, 3)), abs=1e-14)
+
+
+def test_information_less_a_part_is_what_the_rest_says() -> None:
+    columns = np.random.default_rng(7).standard_normal((60, 3)) * np.array([1e6, 1.0, 1e-3])
+    left = information_less(gram(columns, columns), gram(columns[:40], columns[:40]))
+    assert left == pytest.approx(gram(columns[40:], columns[40:]), rel=1e-9)

@@ -19,6 +19,9 @@ ROWS: Final = 128
 ORTHOGONAL: Final = 1e-12
 """Largest product of two columns of a basis that is orthonormal."""
 
+ROUNDING: Final = 1e-15
+"""Share of an information that rounding leaves."""
+
 
 def gram(left: Array, right: Array) -> Array:
     """leftᵀ right.
@@ -67,3 +70,11 @@ def _times(tall: Array, square: Array) -> Array:
 def sum_squares(values: Array) -> float:
     """Sum of squares of (n,) values."""
     return float(np.sum(np.square(values)))
+
+
+def information_less(whole: Array, part: Array) -> Array:
+    """(k, k) information without a part of it, (k, k); along no direction less than rounding leaves of the whole."""
+    scale = np.sqrt(np.maximum(np.diag(whole), np.finfo(float).tiny))
+    left = (whole - part) / np.outer(scale, scale)
+    values, vectors = np.linalg.eigh(0.5 * (left + left.T))
+    return np.asarray((vectors * np.maximum(values, ROUNDING)) @ vectors.T * np.outer(scale, scale))

@@ -31,6 +31,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from valve_sim.identification.estimation.gram import information_less
 from valve_sim.identification.plants.protocol import Array
 
 WEIGHTS: Final = tuple(10.0 ** (0.5 * half) for half in range(-8, 21))
@@ -218,7 +219,7 @@ class _Quadratic(NamedTuple):
         mixed = information[np.ix_(where, rest)] * scale
         right = np.column_stack([mixed.T, scale * gradient[rest]])
         solved = np.linalg.lstsq(information[np.ix_(rest, rest)] * np.outer(scale, scale), right, rcond=1e-13)[0]
-        own = _without_rounding(information[np.ix_(where, where)] - mixed @ solved[:, :-1])
+        own = information_less(information[np.ix_(where, where)], mixed @ solved[:, :-1])
         slope = gradient[where] - mixed @ solved[:, -1]
         return cls(own / inflation, (own @ at[where] - slope) / inflation, roughness)
 
@@ -260,9 +261,3 @@ class _Quadratic(NamedTuple):
         normal = self.information + self.roughness.precision(weights)
         scale = 1.0 / np.sqrt(np.diag(normal))
         return normal * np.outer(scale, scale), scale
-
-
-def _without_rounding(information: Array) -> Array:
-    """A symmetric matrix whose negative eigenvalues, which rounding left of small ones, are 0."""
-    values, vectors = np.linalg.eigh(0.5 * (information + information.T))
-    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)

@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.identification.estimation.gram import gram, sum_squares
+from valve_sim.identification.estimation.gram import gram, information_less, sum_squares
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.plants.protocol import Array, internal_bounds, internal_scale, to_internal
@@ -112,7 +112,7 @@ def _without(result: Fit, fold: NDArray[np.bool_], shared: NDArray[np.intp]) -> 
     """By how much the shared coordinates move when the samples of a fold are left out."""
     k, plant = len(result.free), result.problem.plant
     columns = result.jacobian[:, shared]
-    information = result.information[np.ix_(shared, shared)] - gram(columns[fold], columns[fold])
+    information = information_less(result.information[np.ix_(shared, shared)], gram(columns[fold], columns[fold]))
     # At the optimum all samples and priors cancel. Where there is no prior the others' pull is not taken from the fold,
     # turned round: what is left of a fit's last step would move what the others do not determine.
     curve = () if result.smooth is None else result.smooth.names
@@ -131,7 +131,7 @@ def _without(result: Fit, fold: NDArray[np.bool_], shared: NDArray[np.intp]) -> 
         weak = 1.0 / (WIDE * max(internal_scale(parameter), abs(at[row] - neutral))) ** 2
         information[row, row] += weak
         gradient[row] += weak * (at[row] - neutral)
-    size = 1.0 / np.sqrt(np.diag(information))
+    size = 1.0 / np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
     move = -size * np.linalg.solve(information * np.outer(size, size), size * gradient)
     return np.asarray(np.clip(at + move, lower, upper) - at)
 
