@@ -33,6 +33,7 @@ from valve_sim.identification.estimation.result import Fit, is_relief, rmse
 from valve_sim.identification.plants.effect_titles import named_value
 from valve_sim.identification.plants.protocol import strokes_of_plant
 from valve_sim.identification.selection.bootstrap import NOT_ASKED, FalseAlarm, false_alarm
+from valve_sim.identification.selection.detection_limits import Limits, detection_limits
 from valve_sim.identification.selection.force_maps import (
     NonparametricFit,
     Unexplained,
@@ -104,11 +105,13 @@ class Conclusion:
         find = functools.partial(self.recommended_experiment, table, claim)
         recommendation = self.in_time(CONCLUDED_BY, "what to record next", find, None) if verdict.is_open else None
         candidates = self.candidates(table, claim.best.base, timing=timing)
+        limits = self.limits(base_fit) if verdict.kind == "none" else {}
         untried = tuple(dict.fromkeys([*self.exploration.untried, *self.untried]))
         return Diagnosis(
             self.plant, before, after, verdict, candidates, unexplained,
             tuple(describe(entry.choice, entry.fit, base_fit) for entry in curves.maps), alarm,
             tuple(channel.name for channel in self.plant.channels), recommendation, untried, self.held_out.looks,
+            limits,
         )  # fmt: skip
 
     def fit(self, hypothesis: Hypothesis) -> Fit:
@@ -271,6 +274,11 @@ class Conclusion:
         work = functools.partial(profile_interval, result, name)
         found = self.in_time(CONCLUDED_BY, what, work, None)
         return covariance_interval(result, name) if found is None else found[0]
+
+    def limits(self, base: Fit) -> Limits:
+        """How large each effect would have to be to show."""
+        nothing: Limits = {}
+        return self.in_time(SHOWN_BY, "", functools.partial(detection_limits, base), nothing)
 
     def in_time(self, share: float, what: str, work: Callable[[], Result], otherwise: Result) -> Result:
         """The work's result if it ends before this share of the time is used up; else it is noted as untried."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from valve_sim.identification.diagnosis.experiment_design import Recommendation
 from valve_sim.identification.estimation.declared_values import DeclaredValue, declared_values, estimated_valve
@@ -12,6 +12,7 @@ from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.plants.protocol import Plant
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.selection.bootstrap import FalseAlarm
+from valve_sim.identification.selection.detection_limits import Limits
 from valve_sim.identification.selection.force_maps import Unexplained
 from valve_sim.identification.selection.residual_tests import Adequacy
 from valve_sim.model import Valve
@@ -95,7 +96,8 @@ class Diagnosis:
     """The outcome of `diagnose_plant`.
 
     `recommendation` is the experiment that separates the competing models best, where one does; `untried` is what was
-    left to try when the time was used up; `looks` is how often held-out data were opened to judge a choice.
+    left to try when the time was used up; `looks` is how often held-out data were opened to judge a choice;
+    `detection_limits` is, where nothing is missing, how large each effect would have to be to show.
     """
 
     plant: Plant
@@ -110,6 +112,7 @@ class Diagnosis:
     recommendation: Recommendation | None = None
     untried: tuple[str, ...] = ()
     looks: int = 0
+    detection_limits: Limits = field(default_factory=dict)
 
     @property
     def valve(self) -> Valve:

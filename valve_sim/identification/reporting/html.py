@@ -24,6 +24,7 @@ from valve_sim.identification.plants.protocol import judged_channels
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.curves import StrokeCurves, strokes_of
 from valve_sim.identification.reporting.declared_values import declared_section
+from valve_sim.identification.reporting.detection_limits import limit_rows
 from valve_sim.identification.reporting.findings import remark_on
 from valve_sim.identification.reporting.force_curves import ForceCurve, force_curve, motion_of
 from valve_sim.identification.reporting.recording_profile import duration_of, profile_to_record
@@ -182,6 +183,7 @@ def _content(diagnosis: Diagnosis) -> dict[str, Any]:
         "rest": captions[SHOWN_STROKES:],
         **_forces(diagnosis),
         "candidates": candidates[:SHOWN_CANDIDATES],
+        "limits": limit_rows(diagnosis),
         "more_candidates": candidates[SHOWN_CANDIDATES:],
         "intervals": _interval_rows(diagnosis),
         "has_parameters": isinstance(diagnosis.plant, ValvePlant),

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import textwrap
 
 from valve_sim.identification.diagnosis.run import Diagnosis, Verdict
 from valve_sim.identification.plants.effect_titles import capitalised, named_value, title_of
 from valve_sim.identification.plants.protocol import judged_channels
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.declared_values import summary_words
+from valve_sim.identification.reporting.detection_limits import limit_rows
 from valve_sim.identification.reporting.summary import recording_advice, summarise
 from valve_sim.identification.reporting.units import measured, quantity
 from valve_sim.identification.reporting.wording import (
@@ -47,6 +49,11 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
         lines += [f"    {words}" for words in (meaning.on_a_real_valve, meaning.what_to_do) if words]
     for name, found in after.intervals.items():
         lines.append(f"  {name:<{_WIDTH}}{measured(found, named_value(diagnosis.plant, name)[1])}")
+    if rows := limit_rows(diagnosis):
+        would = "; ".join(f"{title} {words}" for title, words in rows)
+        lines += textwrap.wrap(
+            f"Would have shown, each alone: {would}.", 118, initial_indent="  ", subsequent_indent="    "
+        )
     declared = diagnosis.declared
     if declared or isinstance(diagnosis.plant, ValvePlant):
         lines.append(f"  {capitalised(summary_words(declared))}.")

@@ -10,14 +10,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from valve_sim.identification.estimation.gram import gram, orthonormal, sum_squares
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.plants.protocol import RELEASED, SMALL_MOVE, Array, EffectChoice, perturbed
-from valve_sim.model import SimulationError
+from valve_sim.model import Parameter, SimulationError
 
 SHAPES: Final = (1.0, 0.2, 5.0)
 """In prior scales of a parameter that shapes an effect but does not switch it on."""
@@ -48,21 +48,45 @@ def score_gains(result: Fit) -> dict[str, float]:
     return gains
 
 
-def _released(result: Fit, name: str) -> float:
-    """What S gains where a declared value is taken for wrong: its tolerance no longer holds it, theory, eq. (82)."""
+class Release(NamedTuple):
+    """A declared value taken for wrong.
+
+    Attributes:
+        deviation: of its estimate, in tolerances. share: of its deviation that the data show beside its tolerance.
+        price: in S, of the wider prior, theory, eq. (82). tolerance: of it, in `unit`.
+    """
+
+    deviation: float
+    share: float
+    price: float
+    tolerance: float
+    unit: str
+
+
+def release_of(result: Fit, name: str) -> Release | None:
+    """What it takes to release a declared value; None of what has no tolerance, or where the data say nothing."""
     row = next(
         (row for row, nuisance in enumerate(result.nuisances) if name in (nuisance.name, nuisance.same_as)), None
     )
     if row is None:
-        return -math.inf
+        return None
     index, inflation = len(result.free) + row, result.problem.variance_inflation
     variance, sigma = result.covariance[index, index] / inflation, result.nuisances[row].sigma
-    # χ² falls by the square of how far the value that the data alone would have is off, in standard errors of the
-    # difference between it and the declared one.
     share = max(1.0 - variance / sigma**2, 0.0)
     if share == 0.0:
+        return None
+    price = 2.0 * math.log(RELEASED)
+    return Release(float(result.deviations[row]), share, price, sigma, result.nuisances[row].unit)
+
+
+def _released(result: Fit, name: str) -> float:
+    """What S gains where a declared value is taken for wrong: its tolerance no longer holds it, theory, eq. (82)."""
+    found = release_of(result, name)
+    if found is None:
         return -math.inf
-    return float(result.deviations[row] ** 2 / share) / inflation - 2.0 * math.log(RELEASED)
+    # χ² falls by the square of how far the value that the data alone would have is off, in standard errors of the
+    # difference between it and the declared one.
+    return found.deviation**2 / found.share / result.problem.variance_inflation - found.price
 
 
 class Outside:
@@ -86,12 +110,18 @@ class Outside:
         """By how much χ² falls where the fit may move along (n, q) directions, too."""
         return sum_squares(gram(self._axes(directions), self._residuals))
 
+    def distance(self, direction: Array) -> float:
+        """Standard deviations by which an (n,) change of the residual exceeds what the fit may follow."""
+        return math.sqrt(sum_squares(self._left(direction[:, None])))
+
     def _axes(self, directions: Array) -> Array:
-        padded = np.vstack([directions, np.zeros((len(self._fitted) - self._samples, directions.shape[1]))])
-        left = padded - self._fitted @ (self._fitted.T @ padded)
-        axes, sizes, _ = np.linalg.svd(left, full_matrices=False)
+        axes, sizes, _ = np.linalg.svd(self._left(directions), full_matrices=False)
         is_there = (sizes > MOVES_NOTHING) & (sizes**2 > SMALLEST_SHARE * sizes[0] ** 2)
         return np.asarray(axes[:, is_there])
+
+    def _left(self, directions: Array) -> Array:
+        padded = np.vstack([directions, np.zeros((len(self._fitted) - self._samples, directions.shape[1]))])
+        return np.asarray(padded - self._fitted @ (self._fitted.T @ padded))
 
 
 def directions_of(base: Fit, effect: EffectChoice, size: float = SMALL_MOVE) -> Iterator[Array]:
@@ -102,17 +132,22 @@ def directions_of(base: Fit, effect: EffectChoice, size: float = SMALL_MOVE) -> 
         for switch in effect.parameters:
             if switch.off is None:
                 continue
-            values = {
-                effect.free_name(parameter): min(max(shape * parameter.prior_scale, parameter.lower), parameter.upper)
-                if parameter.off is None
-                else perturbed(parameter, parameter.off, size)
-                if parameter is switch
-                else parameter.off
-                for parameter in effect.parameters
-            }
             try:
-                columns.append(base.problem.residuals({**base.values, **values}) - base.residuals)
+                columns.append(
+                    base.problem.residuals({**base.values, **switched_on(effect, switch, size, shape)}) - base.residuals
+                )
             except SimulationError:
                 continue
         if columns:
             yield np.column_stack(columns)
+
+
+def switched_on(effect: EffectChoice, switch: Parameter, size: float, shape: float = 1.0) -> dict[str, float]:
+    """An effect of which one switch is moved by so many prior scales and the others are off; shapes in theirs."""
+
+    def value(parameter: Parameter) -> float:
+        if parameter.off is None:
+            return min(max(shape * parameter.prior_scale, parameter.lower), parameter.upper)
+        return perturbed(parameter, parameter.off, size) if parameter is switch else parameter.off
+
+    return {effect.free_name(parameter): value(parameter) for parameter in effect.parameters}
