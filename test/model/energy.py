@@ -12,8 +12,8 @@ from numpy.polynomial import Polynomial, legendre
 from valve_sim.model import Drive, Valve, simulate
 
 _NODES: Final = 8
-_LONGEST: Final = 1e-4
-"""s, of a piece of the quadrature."""
+_LONGEST: Final = 1e-5
+"""s, of a piece of the quadrature: short, because friction has a corner where the plungers turn, which is no event."""
 _WARMER: Final = 0.00393
 
 

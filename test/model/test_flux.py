@@ -59,7 +59,7 @@ def balanced(seed: int) -> bool:
     return "motional_emf" in valve.effects and not hidden
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", [*range(20), 153, 166, 198])  # the last three with an eddy pole and a diode
 def test_agrees_with_dop853(seed: int) -> None:
     position, moment, current, same = differences(seed, 1e-12)
     assert same
@@ -193,7 +193,7 @@ def test_a_command_of_0_again_changes_nothing() -> None:
 @settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
 @given(seed=st.integers(0, 40), cuts=st.lists(st.floats(1e-4, END), min_size=1, max_size=20))
 def test_a_stepper_is_where_a_whole_run_is(seed: int, cuts: list[float]) -> None:
-    """However time is cut: the state of the coil depends on commands and events alone."""
+    """However time is cut, to rounding: the state of the coil depends on commands and events alone."""
     valve, drive = random_case(seed)
     times = np.array(sorted(cuts))
     whole = simulate(valve, drive, times, start_time=0.0)
@@ -202,8 +202,8 @@ def test_a_stepper_is_where_a_whole_run_is(seed: int, cuts: list[float]) -> None
         while commands and commands[0][0] < time:
             stepper.command(*commands.pop(0))
         reading = stepper.advance(time)
-        assert reading.pilot_position == whole.pilot_position[index]
-        assert reading.coil_current == whole.coil_current[index]
+        assert reading.pilot_position == pytest.approx(whole.pilot_position[index], rel=0.0, abs=1e-13)
+        assert reading.coil_current == pytest.approx(whole.coil_current[index], rel=0.0, abs=1e-10)
 
 
 def test_a_new_valve_takes_over_the_current() -> None:

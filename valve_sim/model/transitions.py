@@ -165,6 +165,7 @@ def turn(p, s, events, count):
 @inner
 def end_current(p, s, events, count):
     """The current of the freewheeling path is gone."""
+    _, s.w = coil_now(p, s)
     block(p, s)
     return _log(events, count, s.time, GONE, s.x, s.v)
 
