@@ -13,7 +13,7 @@ Where the paper and the catalogue leave a choice:
 - squeeze_film and the main plunger's displacement see the contacts where stroke_offset and gap_offset have put them.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from math import inf
 
@@ -481,12 +481,20 @@ def _packed(
     def given(effect: str, parameter: str, off: float = 0.0) -> float:
         return effects[effect][parameter] if effect in effects else off
 
+    values = {**_declared_values(valve, given), **_values_of_effects(given), STEP: step}
+    return np.array([values[place] for place in range(PARAMETER_COUNT)], dtype=np.float64)
+
+
+def _declared_values(
+    valve: Mapping[str, float | tuple[float, float, float, float]], given: Callable[..., float]
+) -> dict[int, float]:
+    """What is declared, with what effects add to it."""
+
     def plain(name: str) -> float:
         return float(np.asarray(valve[name]))
 
     polynomial = np.asarray(valve["attraction_polynomial"], dtype=np.float64)
-    coulomb = given("coulomb_friction", "force") + given("stiction", "force")
-    values = {
+    return {
         PILOT_MASS: plain("pilot_mass"),
         MOVING_MASS: plain("moving_mass"),
         PILOT_DAMPING: plain("pilot_damping"),
@@ -503,6 +511,13 @@ def _packed(
         COIL_TIME_CONSTANT: plain("coil_time_constant") + given("coil_lag", "time_constant"),
         SEAT_LOAD: plain("seat_load"),
         PICKUP_RATIO: given("pickup_impact", "velocity_ratio", plain("pickup_velocity_ratio")),
+    }
+
+
+def _values_of_effects(given: Callable[..., float]) -> dict[int, float]:
+    """What effects have of their own."""
+    coulomb = given("coulomb_friction", "force") + given("stiction", "force")
+    return {
         COULOMB_OPENING: coulomb + given("asymmetric_friction", "force_opening"),
         COULOMB_CLOSING: coulomb + given("asymmetric_friction", "force_closing"),
         BREAKAWAY: given("stiction", "breakaway"),
@@ -538,9 +553,7 @@ def _packed(
         DAMPING_BUMP: given("damping_bump", "amplitude"),
         DAMPING_BUMP_CENTRE: given("damping_bump", "centre"),
         DAMPING_BUMP_WIDTH: given("damping_bump", "width", 1.0),
-        STEP: step,
     }
-    return np.array([values[place] for place in range(PARAMETER_COUNT)], dtype=np.float64)
 
 
 @dataclass(frozen=True)
