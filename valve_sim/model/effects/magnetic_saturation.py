@@ -32,7 +32,7 @@ def saturated_slope(p: Any, g: Any, squared: float, per_pull: float) -> float:
 
 @inlined
 def co_energy_slopes(p: Any, u: float) -> tuple[float, float]:
-    """The first two derivatives of s(u) = `saturated`(u²): by u, what the co-energy makes of the flux."""
+    """The first two derivatives of s(u) = saturated(u²): by u, what the co-energy makes of the flux."""
     if p.saturation == 0.0:
         return 2.0 * u, 2.0
     squared = p.saturation * u * u
