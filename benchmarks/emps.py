@@ -18,9 +18,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from scipy.io import loadmat
-from scipy.io.matlab import MatReadError
 
+from benchmarks.mat_files import read_variables
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose_plant
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.solver import fit
@@ -58,18 +57,7 @@ def read_emps(path: Path) -> AxisRecord:
     Raises:
         ValveError: the file is missing or not such a file; one line that says how to get it.
     """
-    if not path.is_file():
-        raise ValveError(f"{path}: no such file; {HOW_TO_GET_IT}")
-    try:
-        content = loadmat(path)
-    except OSError as error:
-        raise ValveError(f"{path}: cannot be read ({error.strerror}); {HOW_TO_GET_IT}") from error
-    except (MatReadError, ValueError, TypeError, NotImplementedError) as error:
-        raise ValveError(f"{path}: is no MAT file; {HOW_TO_GET_IT}") from error
-    missing = [name for name in VARIABLES if name not in content]
-    if missing:
-        raise ValveError(f"{path}: holds no variable {missing[0]}; {HOW_TO_GET_IT}")
-    times, position, volts, gain = (np.asarray(content[name], dtype=np.float64).ravel() for name in VARIABLES)
+    times, position, volts, gain = (values.ravel() for values in read_variables(path, VARIABLES, HOW_TO_GET_IT))
     return AxisRecord(path.name, times, position, float(gain[0]) * volts)
 
 

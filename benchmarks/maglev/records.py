@@ -9,9 +9,8 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.io import loadmat
-from scipy.io.matlab import MatReadError
 
+from benchmarks.mat_files import read_variables
 from valve_sim.model import ValveError
 
 Array = NDArray[np.float64]
@@ -77,17 +76,7 @@ def read_record(path: Path) -> MagnetRecord:
     Raises:
         ValveError: the file is missing or not such a file; one line that says how to get it.
     """
-    if not path.is_file():
-        raise ValveError(f"{path}: no such file; {HOW_TO_GET_IT}")
-    try:
-        content = loadmat(path)
-    except OSError as error:
-        raise ValveError(f"{path}: cannot be read ({error.strerror}); {HOW_TO_GET_IT}") from error
-    except (MatReadError, ValueError, TypeError, NotImplementedError) as error:
-        raise ValveError(f"{path}: is no MAT file; {HOW_TO_GET_IT}") from error
-    if VARIABLE not in content:
-        raise ValveError(f"{path}: holds no variable {VARIABLE}; {HOW_TO_GET_IT}")
-    rows = np.asarray(content[VARIABLE], dtype=np.float64)
+    (rows,) = read_variables(path, [VARIABLE], HOW_TO_GET_IT)
     if rows.ndim != 2 or rows.shape[0] != ROWS or not np.isfinite(rows).all():
         raise ValveError(
             f"{path}: {VARIABLE} is {' × '.join(map(str, rows.shape))}, expected {ROWS} rows of finite numbers; "

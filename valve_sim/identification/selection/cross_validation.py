@@ -131,7 +131,7 @@ def _without(result: Fit, fold: NDArray[np.bool_], shared: NDArray[np.intp]) -> 
         weak = 1.0 / (WIDE * max(internal_scale(parameter), abs(at[row] - neutral))) ** 2
         information[row, row] += weak
         gradient[row] += weak * (at[row] - neutral)
-    size = 1.0 / np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
+    size = 1.0 / np.sqrt(np.diag(information))
     move = -size * np.linalg.solve(information * np.outer(size, size), size * gradient)
     return np.asarray(np.clip(at + move, lower, upper) - at)
 

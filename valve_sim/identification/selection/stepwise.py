@@ -18,7 +18,7 @@ import numpy as np
 from valve_sim.identification.estimation.budget import OutOfTimeError
 from valve_sim.identification.estimation.parallel import run_parallel
 from valve_sim.identification.estimation.result import Fit
-from valve_sim.identification.plants.protocol import to_internal
+from valve_sim.identification.plants.protocol import EffectChoice, to_internal
 from valve_sim.identification.selection.criteria import Criteria
 from valve_sim.identification.selection.hypotheses import Search
 from valve_sim.identification.selection.score_test import score_gains
@@ -217,12 +217,8 @@ class Exploration:
 
     def _bears_its_name(self, hypothesis: Hypothesis) -> bool:
         """Whether all lies where its names may be claimed: a coil slower than declared is a coil lag, and only that."""
-        values, effects = self.search.log[hypothesis].values, [self.plant.effects[name] for name in hypothesis.effects]
-        return all(
-            parameter.lower <= values[effect.free_name(parameter)] <= parameter.upper
-            for effect in effects
-            for parameter in effect.parameters
-        )
+        result = self.search.log[hypothesis]
+        return all(_is_within_claim(result, self.plant.effects[name]) for name in hypothesis.effects)
 
     def selection_criterion(self, hypothesis: Hypothesis) -> float:
         """The selection criterion of a hypothesis: theory, eq. (45)."""
@@ -271,13 +267,13 @@ class Exploration:
     def _is_away_from_off(self, result: Fit, effect: str) -> bool | None:
         """Whether a parameter of an effect is significantly away from off; None where one is on or beyond a bound."""
         choice, away = self.plant.effects[effect], False
+        if not _is_within_claim(result, choice):
+            return None
         errors = np.sqrt(np.maximum(np.diag(result.covariance), 0.0))
         for parameter in choice.parameters:
             name = choice.free_name(parameter)
             index = result.free.index(name)
             at = float(result.coordinates[index])
-            if not parameter.lower <= result.values[name] <= parameter.upper:
-                return None
             if parameter.off is None:
                 if result.on_bound(name) is not None:
                     return None
@@ -294,3 +290,11 @@ class Exploration:
         near = [h for h in self.tried() if len(h.effects) == len(best.effects) and self.selection_criterion(h) < limit]
         nearest = {best, *sorted(near, key=self.selection_criterion)[:POLISHED]}
         run_parallel(self.search.polish, list(nearest))
+
+
+def _is_within_claim(result: Fit, choice: EffectChoice) -> bool:
+    """Whether every parameter of an effect was fitted to where its name may be claimed."""
+    return all(
+        parameter.lower <= result.values[choice.free_name(parameter)] <= parameter.upper
+        for parameter in choice.parameters
+    )
