@@ -24,8 +24,9 @@ KILTED_ENVIRONMENT := .venv-kilted
 
 PYTHON := $(ENVIRONMENT)/bin/python
 KILTED_PYTHON := $(KILTED_ENVIRONMENT)/bin/python
-# Live nodes want the machine to themselves, and so does killing processes as they write; all else shares the cores: the
-# nodes' parts, which are tested without ROS, and what a node refuses.
+# Live nodes want the cores when something comes, and so does killing processes as they write: one after the other, ahead
+# of all else. They mostly wait; the other checks take what they leave: UNHURRIED. There belong the nodes' parts, which are
+# tested without ROS, and what a node refuses.
 SHARING := command_safety diagnostics handing_on live_map live_valve messages parameters profile_playing realtime refusals replay starting
 ALONE := $(filter-out $(SHARING:%=test/nodes/test_%.py),$(sort $(wildcard test/nodes/test_*.py))) \
 	$(foreach name,demo documents faults,test/test_$(name).py)
@@ -37,6 +38,10 @@ export UNSTEADY_TESTS := $(CURDIR)/build/unsteady_tests.txt
 DECLARED := setup.py setup.cfg package.xml tools/environment
 # The environments are installed side by side: one waits for the network while the other unpacks.
 SETS_UP := $(MAKE) --no-print-directory --jobs 2
+# Each command's output comes when the command is done, or the two would be mixed.
+SIDE_BY_SIDE := $(MAKE) --no-print-directory --jobs 2 --output-sync=line
+# The lowest priority: whoever else has work goes first, as if alone.
+UNHURRIED := nice -n 19
 
 # A tested environment can run too, so that whoever ran the tests first waits no second time.
 RUN_READY := $(firstword $(wildcard $(ENVIRONMENT)/.ready-to-test) $(ENVIRONMENT)/.ready-to-run)
@@ -46,7 +51,7 @@ RUN_READY := $(firstword $(wildcard $(ENVIRONMENT)/.ready-to-test) $(ENVIRONMENT
 WARM := $(ENVIRONMENT)/.warm
 COMPILED := valve_sim/warm.py $(shell find valve_sim/model -name '*.py')
 
-.PHONY: run shell test check docs kilted-nodes
+.PHONY: run shell test check docs compiled nodes kilted-nodes nodes-on-both all-but-nodes
 .DELETE_ON_ERROR:
 
 run: $(WARM)
@@ -59,8 +64,8 @@ ifeq ($(SOURCED_ROS),)
 test:
 	@rm -f $(UNSTEADY_TESTS)
 	@$(SETS_UP) $(ENVIRONMENT)/.ready-to-test $(KILTED_ENVIRONMENT)/.ready-to-test
-	@$(MAKE) --no-print-directory check
-	@$(MAKE) --no-print-directory kilted-nodes
+	@echo "tests of live nodes, and beside them all other checks, last in priority; each says what it found in the end"
+	@$(SIDE_BY_SIDE) nodes-on-both all-but-nodes
 	@! test -e $(UNSTEADY_TESTS) || cat $(UNSTEADY_TESTS)
 else
 test:
@@ -70,16 +75,28 @@ test:
 	@echo "tested with the sourced ROS 2 $(ROS_DISTRO); in a terminal without ROS, make test tests Jazzy and Kilted"
 endif
 
-check: $(ENVIRONMENT)/.ready-to-test
+check:
+	@$(SIDE_BY_SIDE) nodes all-but-nodes
+
+# One after the other: nodes of both distributions at once would hold each other up.
+nodes-on-both:
+	@$(MAKE) --no-print-directory nodes
+	@$(MAKE) --no-print-directory kilted-nodes
+
+compiled: $(ENVIRONMENT)/.ready-to-test
 	$(PYTHON) -m valve_sim.warm
-	$(PYTHON) -m ruff check .
-	$(PYTHON) -m ruff format --check .
-	$(PYTHON) -m mypy
-	$(ENVIRONMENT)/bin/lint-imports
-	@$(MAKE) --no-print-directory docs
-	$(PYTHON) -m pytest --numprocesses auto --maxprocesses 4 --dist worksteal $(addprefix --ignore=,$(ALONE))
+
+nodes: compiled
 	$(PYTHON) $(RETEST) $(ALONE)
-	OPENBLAS_NUM_THREADS=1 $(PYTHON) -m benchmarks.campaign --slice
+
+all-but-nodes: compiled
+	$(UNHURRIED) $(PYTHON) -m ruff check .
+	$(UNHURRIED) $(PYTHON) -m ruff format --check .
+	$(UNHURRIED) $(PYTHON) -m mypy
+	$(UNHURRIED) $(ENVIRONMENT)/bin/lint-imports
+	@$(UNHURRIED) $(MAKE) --no-print-directory docs
+	$(UNHURRIED) $(PYTHON) -m pytest --numprocesses auto --maxprocesses 4 --dist worksteal $(addprefix --ignore=,$(ALONE))
+	OPENBLAS_NUM_THREADS=1 $(UNHURRIED) $(PYTHON) -m benchmarks.campaign --slice
 
 # A warning is an error; stubs and pages of modules that have gone would be warned of, or stay.
 docs: $(ENVIRONMENT)/.ready-to-test
