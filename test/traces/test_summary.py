@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from traces.bag_makers import COMMANDS, GAP, RATE, clean_trace
-from valve_sim.model import Drive
-from valve_sim.traces import Signal, Trace, describe, events_from_sensors
+from valve_sim.model import Drive, ValveParameters
+from valve_sim.traces import Signal, Trace, describe, doubtful_units, events_from_sensors
 
 PERIOD = 0.1
 
@@ -31,7 +31,7 @@ class Weighed(np.ndarray):
 
 
 def repeated(strokes: int) -> Trace:
-    """So many openings, each with its closing, as a Weighed trace with an accelerometer."""
+    """So many openings, each with its closing, as a Weighed trace with an accelerometer and a current probe."""
     one = clean_trace(PERIOD, noise=0.0)
     count = len(one.times)
     starts = PERIOD * np.arange(strokes)
@@ -43,6 +43,7 @@ def repeated(strokes: int) -> Trace:
         np.tile([volts for _, volts in COMMANDS], strokes),
     )
     acceleration = Signal(times.view(Weighed), random.normal(0, 0.1, len(times)).view(Weighed))
+    current = Signal(times.view(Weighed), np.full(len(times), 0.9).view(Weighed))
     return replace(
         one,
         times=times.view(Weighed),
@@ -50,11 +51,14 @@ def repeated(strokes: int) -> Trace:
         main_position=None,
         drive=drive,
         acceleration=acceleration,
+        coil_current=current,
     )
 
 
 def summed_up(trace: Trace) -> None:
+    """All that `info` asks of a recording that has been read."""
     describe(trace)
+    assert doubtful_units(trace, ValveParameters()) == ()
     assert len(events_from_sensors(trace, GAP)) == len(trace.drive.times)
 
 
