@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ from valve_sim.identification.estimation.noise import Noise
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.axis import AxisPlant
-from valve_sim.identification.plants.protocol import Array, Channel, EffectChoice, ForceMap, Nuisance
+from valve_sim.identification.plants.protocol import Array, Channel, EffectChoice, ForceMap, Nuisance, Role
 from valve_sim.identification.reporting.diagnosis_json import to_json
 from valve_sim.identification.reporting.summary import recording_advice, summarise
 from valve_sim.model import Drive, Parameter
@@ -126,12 +126,24 @@ class Decay:
     }
     effects: ClassVar = {"ramp": EffectChoice("ramp", (PARAMETERS["ramp.slope"],))}
 
-    def __init__(self, kind: str, unit: str, data: Array | None = None, *, quiet: bool = True, groups: int = 8) -> None:
+    def __init__(
+        self,
+        kind: str,
+        unit: str,
+        data: Sequence[Array] = (),
+        *,
+        quiet: bool = True,
+        groups: int = 8,
+        recordings: int = 1,
+        role: Role = "response",
+    ) -> None:
         self.times = np.arange(200 * groups) / 100.0
         group = np.arange(200 * groups) // 200
         still = np.arange(200 * groups) % 200 >= 60 if quiet else np.zeros(200 * groups, bool)
-        shown = np.zeros(len(self.times)) if data is None else data
-        self.channels = (Channel("user", kind, self.times, shown, still, group, unit),)
+        self.channels = tuple(
+            Channel(f"user {number}", kind, self.times, shown, still, group, unit, role, number)
+            for number, shown in enumerate(data or [np.zeros(len(self.times))] * recordings)
+        )
 
     def parameter(self, name: str) -> Parameter:
         return self.PARAMETERS[name]
@@ -142,13 +154,14 @@ class Decay:
     def predict(self, values: Mapping[str, float]) -> list[Array]:
         since = np.minimum(self.times % 2.0, 0.6)
         shape = np.exp(-20.0 * since) - np.exp(-20.0 * 0.6)
-        return [values.get("gain", 1.0) * shape + values.get("ramp.slope", 0.0) * since * (0.6 - since)]
+        shown = values.get("gain", 1.0) * shape + values.get("ramp.slope", 0.0) * since * (0.6 - since)
+        return [shown for _ in self.channels]
 
 
-def made(kind: str, unit: str, extra: Array | float = 0.0, slope: float = 0.0, **form: bool) -> Decay:
-    plant = Decay(kind, unit, **form)
-    noise = np.random.default_rng(3).normal(0.0, 0.01, len(plant.times))
-    return Decay(kind, unit, plant.predict({"gain": 1.3, "ramp.slope": slope})[0] + noise + extra, **form)
+def made(kind: str, unit: str, extra: Array | float = 0.0, slope: float = 0.0, **form: Any) -> Decay:
+    plant, random = Decay(kind, unit, **form), np.random.default_rng(3)
+    shown = plant.predict({"gain": 1.3, "ramp.slope": slope})
+    return Decay(kind, unit, [one + random.normal(0.0, 0.01, len(one)) + extra for one in shown], **form)
 
 
 @pytest.mark.parametrize(("kind", "unit"), [("current", "A"), ("force", "N"), ("temperature", "K")])
@@ -162,6 +175,21 @@ def test_a_user_s_only_channel_counts_whatever_its_kind(kind: str, unit: str) ->
     assert report["unit"] == unit
     assert "rmse_um" not in report["after"]
     assert report["after"]["rmse"]["train"] == pytest.approx(found.after.train_rmse)
+
+
+@pytest.mark.parametrize("role", ["response", "actuation"])
+@pytest.mark.parametrize("quiet", [True, False], ids=["rests", "never rests"])
+@pytest.mark.parametrize(("recordings", "groups"), [(1, 8), (4, 2), (8, 1)])
+def test_a_user_s_strokes_count_however_they_were_recorded(
+    recordings: int, groups: int, role: Role, *, quiet: bool
+) -> None:
+    form = {"recordings": recordings, "groups": groups, "role": role, "quiet": quiet}
+    for slope, expected in ((2.0, ("ramp",)), (0.0, ())):
+        found = diagnose_plant(made("current", "A", slope=slope, **form), None)
+        assert found.verdict.effects == expected
+        assert found.verdict.kind == ("effects" if expected else "none")
+        assert found.after.train_rmse == pytest.approx(0.01, rel=0.1)
+        assert found.after.holdout_rmse == pytest.approx(0.01, rel=0.1)
 
 
 def test_advice_to_another_machine_is_not_the_valve_s() -> None:

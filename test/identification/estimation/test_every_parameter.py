@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -79,3 +80,17 @@ def test_every_declared_parameter_that_is_wrong_is_found(name: str) -> None:
     assert abs(found.value - truth) < 3.0 * found.stderr
     assert found.stderr < 0.1 * truth
     assert found.unbounded is None
+
+
+@pytest.mark.parametrize("place", [0, 2])
+def test_of_several_bags_one_that_shows_a_parameter_is_enough(place: int) -> None:
+    # Of the others, one has no current, in which alone a resistance shows, and one no motion.
+    told, at_rest = (recording("noisy", profile, coil_resistance=12.0) for profile in PROFILES)
+    traces = [replace(told, source="without a current", coil_current=None), at_rest]
+    traces.insert(place, told)
+    free = (*DEFAULT_FREE, "coil_resistance")
+    together, alone = (identify(given, default_valve().exact(), free).intervals for given in (traces, [told]))
+    for name, truth in {**TRUTH, "coil_resistance": 12.0}.items():
+        assert abs(together[name].value - truth) < 3.0 * together[name].stderr
+    assert together["coil_resistance"].stderr == pytest.approx(alone["coil_resistance"].stderr, rel=0.1)
+    assert together["main_damping"].stderr < 0.9 * alone["main_damping"].stderr
