@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from valve_sim.files.whole_files import replacing, write_whole
+from valve_sim.files.whole_files import refuse_unwritable, replacing, write_whole
 from valve_sim.model.errors import ValveError
 from valve_sim.traces import TraceError
 
@@ -38,3 +38,16 @@ def test_a_place_that_takes_no_file_is_refused_in_one_line(
         write_whole(Path(name), "text", TraceError)
     assert {path.name for path in tmp_path.iterdir()} == {"file", "folder"}
     assert issubclass(TraceError, ValveError)
+
+
+@pytest.mark.parametrize(("name", "why"), [("file/below/it", "Not a directory"), ("closed/below", "Permission denied")])
+def test_a_place_is_known_to_take_no_file_before_anything_is_made(
+    name: str, why: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").touch()
+    (tmp_path / "closed").mkdir()
+    monkeypatch.setattr("os.access", lambda place, mode: Path(place).name != "closed")  # root may write anywhere
+    refuse_unwritable(tmp_path / "new" / "results.txt", tmp_path / "file")
+    with pytest.raises(ValveError, match=rf"{name}: cannot be written \({why}\); choose another place"):
+        refuse_unwritable(tmp_path / "new" / "results.txt", tmp_path / name)
+    assert {path.name for path in tmp_path.iterdir()} == {"file", "closed"}

@@ -80,6 +80,7 @@ def diagnose(
         _diagnose_events(events, output, as_json)
         return
     before_wall, before_processor = time.perf_counter(), time.process_time()
+    from valve_sim.files.whole_files import refuse_unwritable
     from valve_sim.identification.diagnosis.run import diagnose as trace_residual
     from valve_sim.identification.estimation.budget import Budget, kept_for_writing
     from valve_sim.identification.plants.valve import ValvePlant
@@ -88,7 +89,9 @@ def diagnose(
     from valve_sim.identification.reporting.text import diagnosis_text
 
     valve = declared_valve(params)
-    plan_files(*(output / file for file in FILES), *([] if plot is None else [plot]))
+    planned = [*(output / file for file in FILES), *([] if plot is None else [plot])]
+    plan_files(*planned)
+    refuse_unwritable(*planned)
     traces, held_out = read_recordings(bags, name, valve), read_recordings(holdout, name, valve)
     with progress_bar() as progress:
         # The first prediction after an installation compiles the model, which no budget is meant for.

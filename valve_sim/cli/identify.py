@@ -40,12 +40,13 @@ def identify(
       valve-sim validate tomorrow.mcap --params results/identified.yaml
     """
     from valve_sim.files.parameter_files import save_valve
-    from valve_sim.files.whole_files import write_whole
+    from valve_sim.files.whole_files import refuse_unwritable, write_whole
     from valve_sim.identification.estimation.identify import identify as refit
     from valve_sim.identification.reporting.identification import identification_json, identification_text
 
     written = (output / "identify.json", output / "identified.yaml")
     plan_files(*written)
+    refuse_unwritable(*written)
     valve = declared_valve(params)
     names = tuple(dict.fromkeys(part.strip() for part in free.split(",") if part.strip()))
     if not names:

@@ -58,11 +58,13 @@ def validate(
     """
     if plot is not None and len(bags) > 1:
         raise click.UsageError("--plot draws one recording; give one BAG", click.get_current_context())
-    from valve_sim.files.whole_files import write_whole
+    from valve_sim.files.whole_files import refuse_unwritable, write_whole
     from valve_sim.identification.reporting.validation import validation_json, validation_junit, validation_text
     from valve_sim.identification.validation.replay import validate as replay
 
-    plan_files(*(path for path in (junit, plot) if path))
+    planned = [path for path in (junit, plot) if path]
+    plan_files(*planned)
+    refuse_unwritable(*planned)
     valve = declared_valve(params)
     traces = read_recordings(bags, name, valve)
     tolerance = None if tolerance_um is None else 1e-6 * tolerance_um

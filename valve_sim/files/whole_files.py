@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -43,3 +44,18 @@ def write_whole(path: Path, text: str, refusal: type[ValveError] = ValveError) -
     """Write a text file in UTF-8; see `replacing`."""
     with replacing(path, refusal) as partial:
         partial.write_text(text, encoding="utf-8")
+
+
+def refuse_unwritable(*paths: Path) -> None:
+    """Say before long work, not after it, that files cannot be written. Makes nothing.
+
+    Raises:
+        ValveError: the folder of one is a file, or is not ours to write to.
+    """
+    for path in paths:
+        place = next(above for above in path.absolute().parents if above.exists())
+        why_not = 0 if os.access(place, os.W_OK | os.X_OK) else errno.EACCES
+        if not place.is_dir():
+            why_not = errno.ENOTDIR
+        if why_not:
+            raise ValveError(f"{path}: cannot be written ({os.strerror(why_not)}); choose another place")
