@@ -118,6 +118,7 @@ def test_it_ends_when_the_recording_is_played_and_the_result_is_known(samples: P
     assert "Traceback" not in said
 
 
+@pytest.mark.any_distribution
 def test_it_says_when_its_model_has_to_be_compiled(probe: Probe, tmp_path: Path) -> None:
     empty = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
     arguments = ["--ros-args", "-p", f"bag:={FRICTION}", "-p", f"output:={tmp_path}"]
@@ -157,6 +158,7 @@ EXACT = config_path("tank_1.yaml")
     ],
     ids=["exact", "with tolerances"],
 )
+@pytest.mark.any_distribution
 def test_a_fit_that_leaves_more_than_noise_or_tolerances_is_not_handed_on(
     probe: Probe, tmp_path: Path, declared: dict[str, object], reason: str
 ) -> None:
@@ -250,6 +252,7 @@ class ByStamp:
         return np.array([message.position[0] for _, message in sorted(self.messages.items())])
 
 
+@pytest.mark.any_distribution
 def test_a_diagnosis_is_published_too(samples: Path, probe: Probe, tmp_path: Path) -> None:
     results = probe.hear("result", String, latched=True)
     heard = probe.hear("/diagnostics", DiagnosticArray)
@@ -284,6 +287,7 @@ def test_a_signal_ends_it_at_work_with_code_0(
     assert not list(tmp_path.glob("*.partial"))
 
 
+@pytest.mark.any_distribution
 def test_a_loggers_table_is_identified_by_its_map(ros: None, tmp_path: Path) -> None:
     trace = read_trace(Path(__file__).parents[2] / "bags" / "one_opening.mcap")
     volts = np.where(trace.times < trace.drive.times[0], 0.0, trace.drive.volts[0])

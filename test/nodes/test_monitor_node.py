@@ -121,6 +121,7 @@ def lab_joints(message: Any) -> Any:
     return JointState(header=message.header, name=["lift_1", "lift_2"], position=[0.0, 2.0 - 1e3 * message.position[0]])
 
 
+@pytest.mark.any_distribution
 def test_a_valve_with_topics_and_units_of_its_own_is_watched_by_a_map(probe: Probe, tmp_path: Path) -> None:
     (tmp_path / "lab.yaml").write_text(LAB)
     plant = PlantOnTopics(probe, LiveValve(seed=5, rate=5e3, jitter=0.0))
@@ -144,6 +145,7 @@ def test_a_valve_with_topics_and_units_of_its_own_is_watched_by_a_map(probe: Pro
         assert process.wait(ENDS_WITHIN) == 0
 
 
+@pytest.mark.any_distribution
 def test_friction_that_appears_in_a_real_valve_is_warned_of_and_named(probe: Probe, tmp_path: Path) -> None:
     plant = PlantOnTopics(probe, LiveValve(seed=5, rate=5e3, jitter=0.0))
     findings = probe.hear("/monitor/finding", String, latched=True)

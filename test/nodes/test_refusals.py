@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -14,6 +15,7 @@ pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imp
 
 NO_BAG = Path(__file__)
 """A file that is no recording."""
+Case = tuple[dict[str, object], str]
 
 
 def refusal(folder: Path, program: str, *arguments: str) -> str:
@@ -26,6 +28,11 @@ def refusal(folder: Path, program: str, *arguments: str) -> str:
 
 def given(parameters: dict[str, object]) -> list[str]:
     return [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
+
+
+def first_everywhere(first: Case, *others: Case) -> list[Any]:
+    """Cases of which one shows what hangs on ROS: how it gives parameters is tested with valve_node, for all nodes."""
+    return [first, *(pytest.param(*case, marks=pytest.mark.any_distribution) for case in others)]
 
 
 @pytest.mark.parametrize(
@@ -62,7 +69,7 @@ def test_a_bad_command_line_of_a_valve(in_own_domain: None, tmp_path: Path, argu
 
 @pytest.mark.parametrize(
     ("parameters", "says"),
-    [
+    first_everywhere(
         ({}, "bag: not given"),
         ({"bag": "nowhere.mcap"}, "nowhere.mcap"),
         ({"bag": str(NO_BAG)}, NO_BAG.name),
@@ -71,7 +78,7 @@ def test_a_bad_command_line_of_a_valve(in_own_domain: None, tmp_path: Path, argu
         ({"bag": "a.mcap", "mode": "guess"}, "identify or diagnose"),
         ({"bag": "a.mcap", "params": "nowhere.yaml"}, "nowhere.yaml"),
         ({"bag": "a.mcap", "apply_to": "no/{such"}, "expected a ROS name"),
-    ],
+    ),
 )
 def test_what_identification_cannot_use(
     in_own_domain: None, tmp_path: Path, parameters: dict[str, object], says: str
@@ -81,17 +88,17 @@ def test_what_identification_cannot_use(
 
 @pytest.mark.parametrize(
     ("parameters", "says"),
-    [
+    first_everywhere(
+        ({"commissioning_strokes": 20.5}, "a whole number"),
         ({"noise_mu": 1.0}, "did you mean noise_um"),
         ({"state": "/dev/null"}, "damaged"),
         ({"commissioning_strokes": 2}, "from 8 to 1000"),
-        ({"commissioning_strokes": 20.5}, "a whole number"),
         ({"valve_node": "no/{such"}, "expected a ROS name"),
         ({"tolerances.strok": 4e-6}, "did you mean tolerances.stroke"),
         ({"tolerances.effects.stiction.force": 0.1}, "not declared on"),
         ({"valve.pilot_gap": 5e-3}, "pilot_gap"),
         ({"effects.coulomb_fricton.force": 0.1}, "did you mean"),
-    ],
+    ),
 )
 def test_what_a_monitor_cannot_use(
     in_own_domain: None, tmp_path: Path, parameters: dict[str, object], says: str

@@ -263,6 +263,7 @@ def test_tolerances_are_taken_checked_and_dumped(ros: None, tmp_path: Path) -> N
     )
 
 
+@pytest.mark.any_distribution
 def test_an_installed_effect_is_set_on_the_running_node(ros: None, tmp_path: Path) -> None:
     site = Installed(tmp_path / "site", MAGNET_DRAG)
     plugged = Probe("/plugged")
@@ -277,6 +278,7 @@ def test_an_installed_effect_is_set_on_the_running_node(ros: None, tmp_path: Pat
         plugged.close()
 
 
+@pytest.mark.any_distribution
 def test_a_broken_installed_effect_ends_the_node_with_one_line(ros: None, tmp_path: Path) -> None:
     site = Installed(tmp_path / "site", "EFFECT = 3\n")
     node = NodeProcess(tmp_path, ["--ros-args"], PYTHONPATH=site.environment["PYTHONPATH"])
