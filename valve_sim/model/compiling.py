@@ -2,8 +2,8 @@
 
 Numba looks at a function's own file only when it decides whether a cached version is still good, so the cache lives
 in a folder named after a digest of every source in this room: change one, and all is compiled anew. The folder is
-the user's own (the package may be installed read-only) and closed to others: Numba unpickles what it finds there, so
-whoever can write into it runs code in our name. One that somebody else owns or can write to is not used.
+the user's own (the package may be installed read-only) and not writable by others: Numba unpickles the files in it, so
+anyone who can write there can run code as this user. A folder that somebody else owns or can write to is not used.
 """
 
 from __future__ import annotations
@@ -24,14 +24,15 @@ from typing import Any, Final
 import numba
 
 _ROOM: Final = 16_000_000
-"""Bytes that must be free: Numba fails where its code, some two million, cannot be written to the end."""
+"""Bytes that must be free: the compiled code takes about two million, and Numba fails if it cannot write all of it."""
 
 
 def cache_folder() -> Path | None:
-    """The folder for compiled code, made if need be.
+    """The folder for compiled code, created if necessary.
 
-    NUMBA_CACHE_DIR, where set, is the only choice; else the user's cache folder, or a folder of the user's among
-    temporary files. None where none can be written: all works, but is compiled at every start, and a warning says so.
+    NUMBA_CACHE_DIR is used if it is set; otherwise the user's cache folder or, failing that, a folder of the user's
+    among the temporary files. None if none of them can be written: the package still works, but compiles at every
+    start, and warns about it.
     """
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     home = os.environ.get("XDG_CACHE_HOME") or str(Path("~").expanduser() / ".cache")
@@ -61,7 +62,7 @@ def _digest_of_sources() -> str:
 
 
 def _why_unusable(folder: Path) -> str:
-    """Why code that is found in a folder, made if need be, cannot be kept or trusted; empty if it can."""
+    """Why compiled code cannot be stored in, or loaded from, a folder, which is created; empty if it can."""
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         whole = folder.resolve()
@@ -79,9 +80,9 @@ def _why_unusable(folder: Path) -> str:
 
 
 def _others_can_exchange(above: os.stat_result) -> bool:
-    """Whether a user who is neither we nor root can put another folder in the place of one inside.
+    """Whether another user, except root, can replace a folder inside this one.
 
-    A group may write here, for many a system makes each user a group of one.
+    A group may write here, because many systems give each user a group of their own.
     """
     is_foreign = above.st_uid not in (0, os.getuid())
     return is_foreign or bool(above.st_mode & stat.S_IWOTH and not above.st_mode & stat.S_ISVTX)
@@ -92,7 +93,7 @@ _FOLDER = cache_folder()
 
 @contextlib.contextmanager
 def cached() -> Iterator[bool]:
-    """While inside, Numba's decorators keep their code in our folder; gives whether there is one to keep it in."""
+    """Context in which Numba's decorators store code in our folder; yields whether there is such a folder."""
     settings: Any = numba.config
     before = settings.CACHE_DIR
     if _FOLDER is not None:
@@ -114,7 +115,7 @@ def compiled(function: Callable[..., Any]) -> Any:
 
 
 def _keep_where_possible(dispatcher: Any) -> None:
-    """Code that is compiled is good, though it cannot be kept: a disk may fill up, or a quota be used up, any time."""
+    """Use compiled code even if it cannot be stored: the disk or a quota may be full."""
     cache = dispatcher._cache  # Numba has no public way to say so
     keep = cache.save_overload
 
@@ -129,7 +130,7 @@ _announcements: list[Callable[[], None]] = []
 
 
 def announce_compiling(tell: Callable[[], None]) -> None:
-    """Call `tell` once before the first function is compiled that is not on disk yet; not at all where all are."""
+    """Call `tell` once, before the first function that has to be compiled; never if all are on disk."""
     _announcements.append(tell)
 
 
@@ -150,12 +151,12 @@ def compiled_callback(signature: Any, function: Callable[..., Any], given: Mappi
     """Compile to a C callback.
 
     Args:
-        signature: of it. function: that is compiled; it closes over nothing.
-        given: what its missing globals are, compiled functions among them.
-        kept_as: name under which it is kept on disk, one for each choice of `given`; default: for this process only.
+        signature: of the callback. function: to compile; it must not be a closure.
+        given: the globals that the function lacks, compiled functions among them.
+        kept_as: name under which it is stored on disk, one for each choice of `given`; default: not stored.
     """
-    # Numba asks of code on disk whether what a function closes over is equal, which compiled functions of two
-    # processes never are; of globals it takes that for granted.
+    # For code on disk Numba compares the variables of a closure, and compiled functions of two processes are never
+    # equal; it does not compare globals.
     bound: Any = FunctionType(function.__code__, {**function.__globals__, **given})
     bound.__module__ = function.__module__
     if kept_as:
@@ -166,7 +167,7 @@ def compiled_callback(signature: Any, function: Callable[..., Any], given: Mappi
 
 
 def compiled_once(function: Callable[..., Any]) -> Any:
-    """The same for this process only: code that no module holds cannot be found again."""
+    """The same without storing it: a function that belongs to no module cannot be found again by its name."""
     return numba.njit(nogil=True, error_model="numpy")(function)
 
 
@@ -174,8 +175,8 @@ _INNER: dict[str, Any] = {
     "no_cpython_wrapper": True,
     "no_cfunc_wrapper": True,
     "error_model": "numpy",
-    "_nrt": False,  # nothing is allocated inside a step, so nothing needs counting
-    "fastmath": {"contract", "arcp"},  # a x + b in one rounding, one division for many; NaN and infinity stay exact
+    "_nrt": False,  # nothing is allocated inside a step, so no references are counted
+    "fastmath": {"contract", "arcp"},  # fused multiply-add and shared reciprocals; NaN and infinity stay exact
 }
 
 

@@ -1,7 +1,7 @@
-"""Where a valve is, to the compiled core, and what happens to it; what it is, the catalogue's entries say.
+"""The state of a valve and its events, as the compiled core holds them. `effects.record` has the valve's parameters.
 
-All are plain NumPy records, so that equations can say `p.pilot_mass`, a batch is an array of them, and
-nothing is allocated while the valve is being stepped.
+All are plain NumPy records: equations can write `p.pilot_mass`, a batch is an array of records, and nothing is
+allocated while a valve is being stepped.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ STATE_RECORD: Final = np.dtype(
         ("x", "f8"),  # m
         ("v", "f8"),  # m/s
         ("u", "f8"),  # normalised coil current; integrated only while the coil heats
-        ("w", "f8"),  # the current that pulls, behind the eddy pole; likewise, and where it follows the flux
+        ("w", "f8"),  # the current that pulls, behind the eddy pole; integrated likewise, and with the flux
         ("temperature", "f8"),  # K above the start
         ("mode", "i8"),  # Phase
         ("moving", "i8"),  # 0 at rest, 1 in motion
         ("direction", "i8"),  # +1 opening, -1 closing; the sign of dry friction
         ("volts", "f8"),  # V, as commanded
-        ("seen", "f8"),  # V, what the coil sees at its terminals
+        ("seen", "f8"),  # V, at the terminals of the coil
         ("path", "i8"),  # 0 driven, 1 freewheeling, 2 blocked by the diode
         ("segment_time", "f8"),  # s, when this voltage began
         ("segment_u", "f8"),  # u at that time
@@ -37,12 +37,12 @@ STATE_RECORD: Final = np.dtype(
         ("held_by_residual", "i8"),  # 1 while the pull is at the residual floor
         ("unseated_time", "f8"),  # s, when the pilot last left x = 0
         ("step", "f8"),  # s, the step that error control proposes
-        ("shown_pilot", "f8"),  # m, behind the sensor's bandwidth
+        ("shown_pilot", "f8"),  # m, as filtered by the sensor
         ("shown_main", "f8"),  # m, likewise
     ],
     align=True,
 )
-"""Where a valve is, to the compiled core: all that its future depends on."""
+"""The state of a valve in the compiled core: with parameters and commands it determines what follows."""
 
 EVENT_RECORD: Final = np.dtype([("time", "f8"), ("kind", "i8"), ("x", "f8"), ("v", "f8")], align=True)
 """One event of the compiled core; `v` is the velocity before it."""
@@ -58,7 +58,7 @@ class Phase(enum.IntEnum):
     OPEN = 4
 
 
-# NumPy's numbers: Numba compiles a function once for all of them, but anew for each of Python's literals.
+# NumPy integers: Numba would compile a function anew for each Python literal.
 CLOSED, PILOT, GAP_HOLD, MAIN, OPEN = np.array(list(Phase))
 
 
@@ -68,7 +68,7 @@ class EventKind(enum.IntEnum):
     UNSEATED = 0
     """The pilot plunger left its seat."""
     PICKED_UP = 1
-    """The pilot plunger reached the main plunger and took it along."""
+    """The pilot plunger reached the main plunger and picked it up."""
     HELD_AT_GAP = 2
     """The pilot plunger came to rest against the main plunger, which is too heavy to lift yet."""
     LIFTED = 3
@@ -82,7 +82,7 @@ class EventKind(enum.IntEnum):
     RELEASED = 7
     """All parts left the core."""
     MAIN_SEATED = 8
-    """The main plunger fell back to its seat; the pilot plunger goes on."""
+    """The main plunger fell back to its seat; the pilot plunger moves on."""
     SEATED = 9
     """The pilot plunger came to rest on its seat."""
     BOUNCED_AT_SEAT = 10

@@ -214,7 +214,7 @@ def _try_heated_step(p, s, work, h):
 
 @inner
 def error_norm(work, h, tolerance):
-    """Root mean square of the error in units of the tolerance (Hairer II.4.11); above 1 the step is refused."""
+    """Root mean square of the error in units of the tolerance (Hairer II.4.11); above 1 the step is rejected."""
     total = 0.0
     k = work.k
     for j in range(work.states):
@@ -226,10 +226,10 @@ def error_norm(work, h, tolerance):
 
 @inner
 def step_factor(error):
-    """What to multiply a step by after its error, in units of the tolerance.
+    """The factor from one step size to the next, given the error in units of the tolerance.
 
-    The exponent of an elementary controller is 1/5 (Hairer II.4.13). With 1/4 it settles as surely, since the error
-    goes with the fifth power of the step (1 − 5/4 is well inside the unit circle), and two square roots are faster.
+    The exponent of an elementary controller is 1/5 (Hairer II.4.13). 1/4 is as stable, since the error grows with the
+    fifth power of the step (1 − 5/4 is well inside the unit circle), and two square roots are faster.
     """
     return 0.9 / math.sqrt(math.sqrt(error))
 

@@ -1,8 +1,8 @@
 """The driver of the hybrid automaton, compiled: steps from event to event, under one voltage or a whole drive.
 
-A run is a chain of committed steps. A step ends where error control wants it to, or at an event, and never at the
-time that a caller asks for: asking in between reads the step's dense output and commits nothing. So the state
-does not depend on how time was cut. Only a command cuts a step (`commit_end`).
+A run is a sequence of committed steps. A step ends where error control ends it, or at an event, never at a time that
+a caller asks for: samples inside a step are read from its dense output and commit nothing. So the state does not
+depend on when it was sampled. Only a command cuts a step (`commit_end`).
 """
 
 from __future__ import annotations
@@ -60,27 +60,27 @@ LONGEST_STEP: Final = 1e-3
 LONGEST_REST: Final = 2e-3
 """s: how far ahead a valve at rest is looked at in one step, at least."""
 LONGEST_REST_SHARE: Final = 0.25
-"""Of the time since the last command or lift-off, at least. What still changes the forces at rest are exponentials
-that began there, so those that decay quickly have gone, and an hour of rest takes a hundred steps."""
+"""A step at rest is at least this share of the time since the last command or lift-off. At rest the forces change only
+by exponentials that began there, and the fast ones have decayed: an hour of rest takes a hundred steps."""
 DECAYED: Final = 40.0
-"""Time constants after which a current is less than rounding."""
+"""Time constants after which a current is below rounding errors."""
 LONGEST_MOTION: Final = 0.1
-"""s without voltage, after which what still moves creeps."""
+"""s without voltage, after which any motion left is a creep."""
 NO_CURRENT: Final = 1e-12
-"""Of the reference current: what is left without voltage is none, so that a coil that heats may rest in long steps."""
+"""Of the reference current: without voltage a smaller one is set to 0, so a coil that heats rests in long steps."""
 SHORTEST_STEP: Final = 1e-16
-"""s: error control that wants less has failed."""
+"""s: if error control asks for less, it has failed."""
 LARGEST_GROWTH: Final = 8.0
-"""Of one step over the one before."""
+"""Ratio of one step to the one before, at most."""
 SHORTEST_PROGRESS: Final = 1e-12
 """s: a step that ends sooner made no progress."""
 LONGEST_CHATTER: Final = 1000
-"""Events without progress in time after which a run is given up."""
+"""Events in a row without progress in time after which a run is ended with an error."""
 
 
 @inner
 def _integrated_step(p, s, work, tolerance):
-    """The next step as far as error control or the first event of plungers in motion or of the coil.
+    """The next step, as far as error control allows or up to the first event of the plungers or of the coil.
 
     Returns:
         its size in s, what ends it, the size for the step after it, and an Outcome.
@@ -181,7 +181,7 @@ def _has_settled(p, s, work):
 
 @inner
 def _settle_coil(p, s, work):
-    """Let what is left of an integrated current, at rest without voltage, be none."""
+    """Set a negligible integrated current to 0, at rest and without voltage."""
     if work.states == MECHANICAL_STATES or s.moving:
         return
     target = s.seen / p.reference_voltage
@@ -198,7 +198,7 @@ def _settle_coil(p, s, work):
 
 @inner
 def _start_from(p, s, work):
-    """Put the state where the integrator starts."""
+    """Copy the state to where the integrator starts."""
     work.y[0] = s.x
     work.y[1] = s.v
     work.y[2] = s.w if follows_flux(p) else s.u
@@ -223,13 +223,13 @@ def _commit(p, s, work, h, time):
             s.w = work.y_new[3]
         if work.states == ALL_STATES:
             s.temperature = work.y_new[4]
-        # A coil that does not heat moves u one way between commands: there the largest is at an end.
+        # Without heating u is monotone between commands, so that its largest value is at an end.
         s.peak_current = max(s.peak_current, abs(coil_now(p, s)[0]))
 
 
 @inner
 def _end_step(p, s, work, ends, events, count):
-    """What follows from what ended a step; returns the events counted."""
+    """Apply the event that ended a step; returns the events counted."""
     work.start_is_known = 1 if ends == NO_EVENT else 0
     if ends == NO_EVENT:
         for j in range(work.states):
@@ -271,17 +271,16 @@ def _states(p):
 
 @compiled
 def run_varied(valve, state, until, samples, log, control, vary):
-    """Step the valve from its state to a time under one voltage, and derivatives along with it.
+    """Step the valve, and derivatives along with it, from its state to a time under one voltage.
 
     Args:
         valve: (1,) valve record. state: (1,) state record, advanced. (Arrays of one and plain tuples, because Numba
             takes them from Python ten times faster than bare records and named tuples.)
-        until: (t_end, commit_end): s; whether the state shall stop exactly there (before a command), or at the last
-            whole step.
+        until: (t_end, commit_end): s; whether to stop exactly there (before a command), or at the last whole step.
         samples: (times, rows, current_times, currents): (i,) ascending times of position samples, s; (i, 1) or
             (i, ROW) their output, see `sample`; (j,) ascending times of current samples, s; (j,) u there, written.
         log: (events, count): (e,) event log; events noted so far.
-        control: (tolerance, most_steps): relative error of a step; the steps after which a run is given up.
+        control: (tolerance, most_steps): relative error of a step; the steps after which a run ends with an error.
         vary: what derivatives are carried along, see `variational`, or None.
 
     Returns:

@@ -1,4 +1,4 @@
-"""Drives as solenoids get them: a step, a peak and a hold, a pulse-width modulated voltage by its mean or by its edges.
+"""Usual drives of solenoids: step, peak and hold, and pulse-width modulation by its mean or by its edges.
 
 After each the command is 0: the coil is then shorted, or with `valve.release_voltage` freewheels into that voltage.
 """
@@ -14,7 +14,7 @@ from valve_sim.model.simulation import Drive
 
 
 def step(volts: float, start: float = 0.0, end: float = math.inf) -> Drive:
-    """A voltage from `start` to `end`, s; for ever by default.
+    """A voltage from `start` to `end`, s; without end by default.
 
     Raises:
         ParameterError: it ends before it begins.
@@ -41,7 +41,7 @@ def peak_and_hold(levels: tuple[float, float], start: float, durations: tuple[fl
 def pulse_width_modulated(
     supply: float, duty: float, frequency: float, start: float, end: float, off_voltage: float = 0.0
 ) -> Drive:
-    """A modulated voltage by its edges: two commands a period, for short records.
+    """A pulse-width modulated voltage by its edges: two commands a period, for short records.
 
     Args:
         supply: V, while on. duty: share of a period that it is on, 0 to 1. frequency: 1/s. start, end: s.
@@ -67,8 +67,8 @@ def pulse_width_modulated(
 def pulse_width_mean(supply: float, duty: float, start: float, end: float, off_voltage: float = 0.0) -> Drive:
     """The same by its mean voltage, for records of any length; the ripple of the current is left out.
 
-    It holds while current flows all through the period. With a freewheeling path give −`release_voltage` as the
-    `off_voltage`. The ripple's size, and its error, are in the theory, "The coil as energy conservation gives it".
+    The mean is valid if current flows throughout the period. With a freewheeling path give −`release_voltage` as the
+    `off_voltage`. The theory, "Release and drives", has the size of the ripple and the error of leaving it out.
 
     Raises:
         ParameterError: a duty outside 0 to 1, or an end before the start.

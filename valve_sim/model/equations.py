@@ -1,4 +1,4 @@
-"""The valve's equations, compiled as they stand here.
+"""The valve's equations. This page is what is compiled.
 
 Symbols and equation numbers:
 
@@ -7,12 +7,12 @@ Symbols and equation numbers:
     (3)  Phase 1:  m_1 v' = F_a − F_seat − c_1 v + Σ effects     the paper's equation for 0 ≤ t ≤ t1
     (4)  Phase 2:  m_2 v' = F_a − F_0 − k x − c_2 v + Σ effects  the paper's equation for t1 ≤ t ≤ t2
 
-Effects that are part of the hybrid automaton or of the coil stand here, numbered too. The forces of all others stand in
-their own files: (5) adds up those of the core, g_i, and compiled terms f_j, wherever these were registered.
+Effects that are part of the hybrid automaton or of the coil are here, with numbers. The forces of all others are in
+their own files: (5) adds those of the core, g_i, and compiled terms f_j, wherever these were registered.
 
     (5)  Σ effects = Σ_i g_i(x, v, u, t, mode, direction, t_o) + Σ_j f_j(x, v, u, t)
     (6)  dry friction: F_± + F_b exp(−(v/v_s)²) against the motion; at rest it holds up to F_± + F_b
-    (7)  saturation: what the effects make of u², h_i(u²), one after the other
+    (7)  saturation: the effects replace u² by h_i(u²), one after the other
     (8)  residual magnetism: the u that pulls never falls below u_r min(1, max |u| so far)
     (9)  eddy currents: τ_e w' = u − w; w pulls, u is measured
     (10) heating: T' = q u² − T/τ_c; R/R_0 = 1 + α T divides u's target and τ in (1)
@@ -53,7 +53,7 @@ def _summed(forces: Sequence[Any]) -> Any:
 
 
 def _chained(pulls: Sequence[Any]) -> Any:
-    """One compiled function for many, one after the other."""
+    """One compiled function that applies many, one after the other."""
     if not pulls:
         return inlined(lambda p, squared: squared)
     first, rest = pulls[0], _chained(pulls[1:])
@@ -66,7 +66,7 @@ _pull_of_effects: Final = _chained([effect.core_pull for effect in shipped() if 
 
 @inlined
 def attraction(p, x, pull_squared):
-    """F_a of equation (2), N, with u² already through (7) and (8)."""
+    """F_a of equation (2), N, given u² after (7) and (8)."""
     return pull_squared * (p.a0 + x * (p.a1 + x * (p.a2 + x * p.a3)))
 
 
@@ -78,7 +78,7 @@ def residual_floor(p, peak_current):
 
 @inlined
 def pull_squared(p, w, peak_current):
-    """The u² of equation (2), through residual magnetism (8) and saturation (7)."""
+    """The u² of equation (2), after residual magnetism (8) and saturation (7)."""
     pull = max(abs(w), residual_floor(p, peak_current))
     return _pull_of_effects(p, pull * pull)
 
@@ -98,7 +98,7 @@ def force_without_dry_friction(p, t, motion, coil, condition):
     """Right-hand sides of (3) and (4), N, with (5); the dry friction of (6) is the caller's.
 
     Args:
-        p: valve record. t: s. motion: (x, v), m and m/s. coil: (u, u²), the current and, through (7) and (8), the
+        p: valve record. t: s. motion: (x, v), m and m/s. coil: (u, u²), the current and, after (7) and (8), the
             square that pulls. condition: (mode, direction, when the pilot last left its seat).
     """
     x, v = motion
@@ -116,7 +116,7 @@ def force_without_dry_friction(p, t, motion, coil, condition):
 
 @inlined
 def dry_friction(p, v, direction):
-    """Equation (6), N, a size; it acts against `direction`."""
+    """Magnitude of (6), N; it acts against `direction`."""
     level = p.friction_opening if direction > 0 else p.friction_closing
     if p.breakaway != 0.0:
         ratio = v / p.stribeck_velocity
@@ -135,7 +135,7 @@ def acceleration(p, t, motion, coil, condition):
 
 @inlined
 def eddy_share(tau, tau_e, elapsed, decay, eddy_decay):
-    """(τ/(τ − τ_e)) (e^{−t/τ} − e^{−t/τ_e}), written so that τ = τ_e is no special case: what (9) makes of (1)."""
+    """(τ/(τ − τ_e)) (e^{−t/τ} − e^{−t/τ_e}), written so that τ = τ_e is no special case: the response of (9) to (1)."""
     gap = elapsed / tau_e - elapsed / tau
     if abs(gap) < 1.0:
         share = decay * (-np.expm1(-gap) / gap if gap != 0.0 else 1.0)
@@ -146,7 +146,7 @@ def eddy_share(tau, tau_e, elapsed, decay, eddy_decay):
 
 @inlined
 def coil_decay(p, elapsed):
-    """How much of (1)'s start is left some time after a command."""
+    """The share of the initial value of (1) that is left some time after a command."""
     return math.exp(-elapsed / p.coil_time_constant) if p.coil_time_constant > 0.0 else 0.0
 
 
@@ -174,9 +174,9 @@ def coil_current_between_commands(p, s, t):
 
 @inner
 def coil_state(p, s, t, u, w, temperature):
-    """The current u and the pulling current w at time t; the last three are integrated while the coil heats.
+    """The current u and the pulling current w at time t; the last three arguments are integrated while the coil heats.
 
-    Where the current follows the flux, w is integrated, and given as u.
+    If the flux is modelled, w is integrated, and given as u.
     """
     if follows_flux(p):
         return terminal_current(p, s, u, 1.0 + COPPER_TEMPERATURE_COEFFICIENT * temperature), u

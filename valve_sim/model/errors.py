@@ -1,10 +1,10 @@
-"""The errors that a user of valve_sim can meet: few, typed, one line each."""
+"""The errors that valve_sim raises for its users: few, typed, one line each."""
 
 from __future__ import annotations
 
 
 class ValveError(Exception):
-    """Base of all errors raised on purpose: one line that names the thing, what was found and the mend."""
+    """Base of all errors raised on purpose: one line with the place, the value found, and the remedy."""
 
 
 class ParameterError(ValveError):

@@ -1,11 +1,11 @@
 """The coil as energy conservation gives it: its flux linkage, the voltage that motion induces, and its release.
 
-The attraction does work, and whoever does work is paid for it. With the co-energy of the linear coil and the work of
+The work of the attraction must come from the source. With the co-energy of the linear coil and the work of
 the attraction at u = 1 from the seat to x, W(x) = ∫ (a0 + a1 ξ + a2 ξ² + a3 ξ³) dξ, and the power P at u = 1,
 
-    (C1)  φ(x, w) = τ w + σ W(x)/P s'(w)         flux linkage; s(w) = w², or its saturated form (7); σ the share
+    (C1)  φ(x, w) = τ w + σ W(x)/P κ'(w)         flux linkage; κ(w) = w², or its saturated form (7); σ the share
     (C2)  φ' = V/V_ref − r u                     r = R/R_0; V is what the coil sees at its terminals
-    (C3)  u = w + φ'/ρ,  ρ = τ/τ_e               eddy currents: a resistance beside the flux; w pulls, u is measured
+    (C3)  u = w + φ'/ρ,  ρ = τ/τ_e               eddy currents: a resistance parallel to it; w pulls, u is measured
     (C4)  w' = (φ' − φ_x v)/φ_w
     (C5)  freewheeling: V = −V_r while the command is 0 and u > 0. Then the diode blocks: u = 0 and φ' = −ρ w
 
@@ -28,13 +28,13 @@ COPPER_TEMPERATURE_COEFFICIENT: Final = 0.00393
 
 SHORTEST_INTEGRATED: Final = 2e-8
 """s: while the coil heats, (1) and (9) are integrated; a current that settles faster than this follows at once instead.
-It would take tens of millions of steps a second, and moves events by no more than its time constant."""
+Integrating it would take tens of millions of steps a second, and events move by no more than its time constant."""
 
 DRIVEN, FREEWHEELING, BLOCKED = np.array([0, 1, 2])
 """What closes the coil's circuit: its driver, the freewheeling path, or nothing."""
 
 PLACES: Final = 64
-"""Along the stroke, at which it is asked whether more current makes more flux."""
+"""Places along the stroke at which the flux is checked to grow with the current."""
 
 
 @inlined
@@ -85,7 +85,7 @@ def current_rate(p, x, v, w, rate):
 
 @inner
 def is_linear_at_rest(p, s):
-    """Whether (C4) has a solution in closed form while the plungers rest: no heat, and no saturation that is felt."""
+    """Whether (C4) has a solution in closed form while the plungers rest: no heating, and no effective saturation."""
     if p.temperature_rate != 0.0:
         return False
     return p.saturation == 0.0 or s.x == 0.0 or s.w == s.seen / p.reference_voltage
@@ -93,7 +93,7 @@ def is_linear_at_rest(p, s):
 
 @inner
 def _at_rest(p, s):
-    """Where w goes while the plungers rest, and how fast, 1/s."""
+    """The value that w tends to while the plungers rest, and its rate of decay, 1/s."""
     slope = p.coil_time_constant + 2.0 * share_per_power(p) * work_of_attraction(p, s.x)
     eddy = p.eddy_time_constant / p.coil_time_constant
     if s.path == BLOCKED:
@@ -103,7 +103,7 @@ def _at_rest(p, s):
 
 @inner
 def resting_current(p, s, elapsed):
-    """Give w some seconds after the state's time, while the plungers rest; see `is_linear_at_rest`."""
+    """The current w some seconds after the state's time, while the plungers rest; see `is_linear_at_rest`."""
     target, speed = _at_rest(p, s)
     return target + (s.w - target) * math.exp(-speed * elapsed)
 
@@ -153,7 +153,7 @@ def close_circuit(p, s, u):
 
 @inner
 def block(p, s):
-    """The current has gone and the diode blocks; eddy currents go on, and pull."""
+    """The current has gone and the diode blocks; eddy currents continue, and pull."""
     s.path = BLOCKED
     s.seen = 0.0
     s.u = 0.0
@@ -166,9 +166,9 @@ def block(p, s):
 
 @inner
 def smallest_flux_slope(p):
-    """The least that φ_w of (C1) is between seat and stop, at whatever current, s; above 0 in a sound coil.
+    """The smallest φ_w of (C1) between seat and stop, at any current, s; above 0 in a valid coil.
 
-    s'' is 2 where nothing saturates, else between −(1 + k)/2, at w = u_s, and 2 (1 + k), at w = 0, k = 1/u_s².
+    κ'' is 2 where nothing saturates, else between −(1 + k)/2, at w = u_s, and 2 (1 + k), at w = 0, k = 1/u_s².
     """
     share = share_per_power(p)
     least, most = 2.0, 2.0 * (1.0 + p.saturation)

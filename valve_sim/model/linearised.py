@@ -30,10 +30,10 @@ from valve_sim.model.equations import (
 )
 
 PARAMETERS: Final = tuple(name for name in VALVE_RECORD.names or () if VALVE_RECORD[name] == np.float64)
-"""Every number of a valve's record but those that terms read."""
+"""Every number of a valve's record except those that terms read."""
 CONDITIONS: Final = ("target", "segment_time", "segment_u", "segment_w", "unseated_time", "peak_current")
-"""What the forces remember: where u goes since the last command, when that was, and u and w then; when the pilot last
-left its seat; the largest |u| so far."""
+"""What the forces depend on besides state and time: the target of u since the last command, when that was, and u and w
+then; when the pilot last left its seat; the largest |u| so far."""
 _STATE: Final = ("x", "v", "t", "force", "per_mass")
 
 
@@ -56,32 +56,32 @@ def _slopes_record() -> np.dtype[np.void]:
 SLOPES_RECORD: Final = _slopes_record()
 """Derivatives of the net force, N over the unit of what each is to.
 
-`terms` holds those to the numbers that compiled terms read; `asked` is 1 for those that somebody asks for. `all` is
-the same memory as everything before it. `force` times `per_mass` is the acceleration. `asks_shapes` is 1 where somebody
-asks for `SHAPES`, which take an exponential each.
+`terms` holds those to the numbers that compiled terms read; `asked` is 1 for those that are needed. `all` is
+the same memory as everything before it. `force` times `per_mass` is the acceleration. `asks_shapes` is 1 if
+any of `SHAPES` is needed, which take an exponential each.
 """
 
 FIRST_CONDITION: Final = len(PARAMETERS) + MAXIMUM_TERMS * MAXIMUM_TERM_PARAMETERS
-"""Where in `all` the conditions begin; the numbers of terms are before them."""
+"""Index in `all` of the first condition; the numbers of terms are before it."""
 TARGET, SEGMENT_TIME, SEGMENT_U, SEGMENT_W, UNSEATED_TIME, PEAK_CURRENT = np.arange(len(CONDITIONS))
 
 SHAPES: Final = ("breakaway", "pressure_force")
 
 QUOTIENT: Final = 1e-6
-"""Step of a difference quotient to a number that a term reads, of its size."""
+"""Relative step of a difference quotient to a number that a term reads."""
 QUOTIENT_AT_ZERO: Final = 1e-9
-"""The same where the number is 0."""
+"""The step where the number is 0."""
 FINE_QUOTIENT: Final = 1e-7
-"""The same to x, in strokes, to v, m/s, to u, and to τ, of itself: nine digits are left by rounding and curvature."""
+"""Step to x, in strokes, to v, m/s, to u, and to τ, relative: rounding and curvature leave nine digits."""
 TIME_QUOTIENT: Final = 1e-9
-"""s, to t."""
+"""Step to t, s."""
 
 
 call_term: Any = calls.call_term
 
 
 def _each(functions: Sequence[Any]) -> Any:
-    """One compiled function that lets each of many add its derivatives."""
+    """One compiled function in which each of many adds its derivatives."""
     if not functions:
         return inlined(lambda p, g, t, motion, coil, condition: None)
     first, rest = functions[0], _each(functions[1:])
@@ -160,7 +160,7 @@ def _pull_slopes(p, s, g, u, w, per_pull):
     per_square = _pull_slope_of_effects(p, g, pull * pull, per_pull)
     to_pull = per_pull * per_square * 2.0 * pull
     g.residual_current, g.peak_current = 0.0, 0.0
-    if s.held_by_residual == 0:  # at the very end of a step that this ends, too
+    if s.held_by_residual == 0:  # also at the very end of the step that this ends
         return 0.0, to_pull if w >= 0.0 else -to_pull
     g.residual_current = to_pull * min(1.0, peak)
     to_peak = to_pull * p.residual_current if peak < 1.0 else 0.0
@@ -175,7 +175,7 @@ def coil_slopes(p, s, g, t, to_u, to_w):
     """Differentiate (1) and (9), between commands, of a coil that does not heat.
 
     Args:
-        p, s, g, t: as of `force_slopes`. to_u, to_w: how much of u and of w is asked for.
+        p, s, g, t: as of `force_slopes`. to_u, to_w: the weights of the derivatives of u and of w.
     """
     elapsed = t - s.segment_time
     _coil_slopes(p, s, g, (elapsed, coil_decay(p, elapsed)), to_u, to_w)
@@ -215,7 +215,7 @@ def _coil_slopes(p, s, g, since, to_u, to_w):
         g.segment_u += to_w * share
         g.segment_w = to_w * eddy_decay
         g.target += to_w * (1.0 - share - eddy_decay)
-    g.reference_voltage = 0.0  # acts by way of the target
+    g.reference_voltage = 0.0  # acts through the target
 
 
 @inner

@@ -38,19 +38,19 @@ LOOKS_AT_REST: Final = 8
 BISECTIONS: Final = 28
 """Halvings of a step that locate an event to 4e-9 of it, 4e-12 s of the longest; contacts and turns are polished."""
 BISECTED: Final = 5e-12
-"""s, to which the end of a rest is located, however long the step."""
+"""s: accuracy of the end of a rest, however long the step."""
 MOST_BISECTIONS: Final = 60
-"""Halvings that do so."""
+"""Halvings for that, at most."""
 LOCATED: Final = 1e-9
 """Fraction of a step to which a contact or turn is located on the dense output, before it is polished."""
 NO_PEAK: Final = 1e-6
-"""Fraction of a step: a peak that is nearer to its start was the end of the step before."""
+"""Fraction of a step: a peak closer to its start ended the step before."""
 POLISHED: Final = 1e-15
-"""s, to which it is polished."""
+"""s: accuracy of a polished event."""
 MOST_POLISHING: Final = 5
-"""Newton steps that do so; two are common."""
+"""Newton steps for that, at most; two are common."""
 DENSE_OUTPUT_EXCESS: Final = 1e3
-"""How far dense output may be off inside a step, in units of the error at its end, after a sudden change of force."""
+"""Error of the dense output inside a step after a sudden change of force, in units of the error at its end, at most."""
 
 
 @inner
@@ -133,7 +133,7 @@ def polish(p, s, work, h, ends):
         try_step(p, s, work, h)
         slope = work.k[LAST, state]
         better = h - (work.y_new[state] - target) / slope
-        # A slope of 0 makes it infinite or no number.
+        # A slope of 0 makes it infinite or NaN.
         if is_bisected or not 0.0 < better <= longest:
             break
         if abs(better - h) <= POLISHED:
@@ -152,7 +152,7 @@ def current_when_gone(p, s):
 
 @inner
 def _first_of_current(p, s, work, h, fraction, ends):
-    """What happens first to an integrated current, and at which fraction of the step; else what is given."""
+    """The first event of an integrated current and its fraction of the step, or those given if there is none before."""
     if s.path == FREEWHEELING:
         way = 1.0 if s.seen > 0.0 else -1.0
         target = current_when_gone(p, s)
@@ -171,7 +171,7 @@ def _first_of_current(p, s, work, h, fraction, ends):
 def _current_peak(s, work):
     """The fraction of the step at which a current that grew begins to shrink, or 2 for not in this step.
 
-    The largest one decides what stays of the magnetism, and where motion makes it dip it is inside a step.
+    The largest current sets the residual magnetism; where motion makes the current dip, it lies inside a step.
     """
     way = 1.0 if work.y[2] > 0.0 else -1.0
     if work.k[FIRST, 2] * way <= 0.0 or work.k[LAST, 2] * way >= 0.0:
@@ -210,7 +210,7 @@ def _is_held(p, s, work, h, theta):
 
 @inner
 def moved_off(p, s, work, h):
-    """The fraction of a rest at which the forces start to move the plungers, or 2 for not in it."""
+    """The fraction of a step at rest at which the forces begin to move the plungers, or 2 for not in this step."""
     low = 0.0
     for look in range(1, LOOKS_AT_REST + 1):
         high = look / LOOKS_AT_REST

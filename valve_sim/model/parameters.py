@@ -15,12 +15,12 @@ from valve_sim.model.errors import ParameterError
 
 
 class Parameter(NamedTuple):
-    """One scalar parameter: what it is called and which values make sense.
+    """One scalar parameter: name, unit and range.
 
     `prior_scale` is the size that a search starts from, in the parameter's unit; `off` the value at which an effect's
     parameter changes nothing (None: the parameter shapes an effect but does not switch it). `infinite_at_upper`: a
     time constant that may be too long to be seen; its upper bound then stands for "never". `not_declared`: what a
-    file or a node gives where an effect is not declared, of one that can be declared and yet change nothing.
+    file or a node gives while its effect is not declared, for an effect that may be declared without changing anything.
     """
 
     name: str
@@ -36,7 +36,7 @@ class Parameter(NamedTuple):
 
     @property
     def neutral(self) -> float:
-        """The value at which it changes nothing, or its prior scale where it only shapes."""
+        """The value at which it changes nothing, or the prior scale of a parameter that only shapes an effect."""
         return self.prior_scale if self.off is None else self.off
 
     def check(self, value: object, where: str) -> float:

@@ -1,4 +1,4 @@
-"""Derivatives of a trace to anything that its valve, its commands and its clocks depend on, in one run."""
+"""Derivatives of a trace with respect to parameters of the valve, its commands and its clocks, in one run."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from valve_sim.model.variational_steps import CONTACTS, LANES, NODES, SLOPES, TI
 
 _PLACES: Final = {name: place for place, name in enumerate(PARAMETERS)}
 _FIRST: Final = len(PARAMETERS)
-"""Where the numbers of terms begin."""
+"""Index of the first number of a term."""
 NUMBERS: Final = FIRST_CONDITION
-"""Of a valve's record, that a derivative can be taken to."""
+"""How many numbers of a valve's record have derivatives."""
 _OF_TERMS: Final = NUMBERS - _FIRST
 _DELAY: Final = _PLACES["sensor_delay"]
 _CONTACT_PLACES: Final = {_PLACES[name]: name for name in CONTACTS}
@@ -37,7 +37,7 @@ assert (VALVE_RECORD.names[:_FIRST], VALVE_RECORD.names[-1]) == (PARAMETERS, "te
 
 @dataclass(frozen=True)
 class Tangents:
-    """How the model moves with k parameters: derivatives of all that a run is made of to them.
+    """How the input of a run changes with k parameters: its derivatives with respect to them.
 
     Attributes:
         numbers: (k, `NUMBERS`) of the valve's record, see `numbers_of`.
@@ -60,8 +60,8 @@ def numbers_of(record: Any) -> Array:
 def has_sensitivities(record: Any, numbers: Array) -> NDArray[np.bool_]:
     """Whether `run_tangents` knows the derivatives along (k, `NUMBERS`) directions of the numbers of a (1,) record.
 
-    Left to difference quotients are a coil that heats, follows its flux or freewheels, a slow sensor, and what is off
-    at 0 and works otherwise on either side of it.
+    Difference quotients are needed for a coil that heats, has its flux modelled or freewheels, for a slow sensor, and
+    for a parameter that is off at 0 and acts differently on either side of it.
     """
     if any(record[name][0] != 0.0 for name in _FOREIGN):
         return np.zeros(len(numbers), dtype=bool)
@@ -113,7 +113,7 @@ def run_tangents(
 
 
 def _tiles(tangents: Tangents, moved: NDArray[np.int64]) -> Any:
-    """Parameters in tiles of lanes; `moved` are the numbers that any of them moves."""
+    """Parameters in tiles of lanes; `moved`: the numbers that any of them changes."""
     count = len(tangents.numbers)
     tiles = np.zeros(-(-count // LANES), TILE_RECORD)
     numbers = np.zeros((len(tiles) * LANES, len(moved)))

@@ -1,4 +1,4 @@
-"""One simulation core for everyone: a whole trace, or many parameter sets at once."""
+"""Simulation of a whole trace, or of many parameter sets at once, by the one compiled core."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 TOLERANCE: Final = 1e-9
 """Relative error of one step; against a 1e-13 reference it leaves positions within 1 nm and events within 1 ns."""
 MOST_STEPS_PER_SECOND: Final = 1_000_000
-"""Steps for each second of a run, and a second's worth to begin with, after which it is given up."""
+"""Steps for each second of a run, and for one second more, after which it ends with an error."""
 _EVENT_ROOM: Final = 256
 _NO_TIMES: Final = np.empty(0)
 
@@ -45,7 +45,7 @@ class Drive(NamedTuple):
 
     @classmethod
     def of(cls, times: ArrayLike, volts: ArrayLike) -> Drive:
-        """A drive from anything that NumPy takes for two arrays of one length."""
+        """A drive from anything that NumPy converts to two arrays of one length."""
         return cls(
             np.atleast_1d(np.asarray(times, dtype=np.float64)), np.atleast_1d(np.asarray(volts, dtype=np.float64))
         )
@@ -57,7 +57,7 @@ class Drive(NamedTuple):
 
 
 class Samples(NamedTuple):
-    """What a run shall write down, and where: ready-made arrays.
+    """What a run shall record, and the arrays to write it to.
 
     Attributes:
         times: (n,) s, of the positions.
@@ -84,7 +84,7 @@ class Event(NamedTuple):
 
 @dataclass(frozen=True)
 class Valve:
-    """What is simulated: the declared parameters, and the effects that are on.
+    """A valve to simulate: the declared parameters, and the effects that are on.
 
     Attributes:
         parameters: the declared valve.
@@ -159,7 +159,7 @@ class Valve:
         return replace(self, tolerances=EXACT)
 
     def can_open(self) -> bool:
-        """Whether the reference voltage, held for ever, would lift the pilot plunger off its seat."""
+        """Whether the reference voltage, held without end, would lift the pilot plunger off its seat."""
         record = self.record()
         state = new_states(record, 0.0)
         set_voltage(record, state, float(record[0]["reference_voltage"]))
@@ -172,7 +172,7 @@ class Valve:
 
 @dataclass(frozen=True)
 class Response:
-    """What a valve does, at the sample times. Positions are what a position sensor shows (effects sensor_*).
+    """The motion of a valve at the sample times. Positions are as a position sensor shows them (effects sensor_*).
 
     Attributes:
         time: (n,) s. pilot_position, main_position: (n,) m. pilot_velocity: (n,) m/s, of the plunger itself.
@@ -237,7 +237,7 @@ def simulate(
             break
         room = count
     if record[0]["sensor_delay"]:
-        # Only the positions are late: the rest is what the plungers do at the sample times.
+        # Only the positions are late: the rest is the motion at the sample times.
         shown = rows[:, :2].copy()
         record[0]["sensor_delay"] = 0.0
         state = new_states(record, start_time)
@@ -263,12 +263,12 @@ def run_record(
     tolerance: float = TOLERANCE,
     vary: Any = None,
 ) -> int:
-    """The compiled core on ready-made arrays, for callers that run it ten thousand times.
+    """Run the compiled core on prepared arrays, for callers that run it ten thousand times.
 
     Args:
         record: (1,) VALVE_RECORD. state: (1,) STATE_RECORD, advanced. drive: the commanded voltage.
         samples: what is written down.
-        events: (e,) EVENT_RECORD array, written as far as it goes.
+        events: (e,) EVENT_RECORD array for the first e events.
         tolerance: relative error of one step.
         vary: what derivatives are carried along, see `sensitivities`; default none.
 
@@ -349,7 +349,7 @@ def event_log(room: int = _EVENT_ROOM) -> Any:
 
 
 def most_steps(duration: float) -> int:
-    """The steps after which a run of some seconds is given up."""
+    """The steps after which a run of some seconds ends with an error."""
     return int(MOST_STEPS_PER_SECOND * (1.0 + max(0.0, duration)))
 
 
@@ -359,17 +359,17 @@ def event_tuple(events: Any, count: int) -> tuple[Event, ...]:
 
 
 def check_flux(record: Any) -> None:
-    """Nothing, if a current follows from the flux of a (1,) VALVE_RECORD, or it has none.
+    """Check that a current follows from the flux of a (1,) VALVE_RECORD, if its flux is modelled.
 
     Raises:
-        SimulationError: none does; the message says why.
+        SimulationError: it does not; the message says why.
     """
     if why_not := why_no_flux(record):
         raise SimulationError(f"the simulation cannot start: {why_not}")
 
 
 def check_outcome(outcome: int, what: str = "") -> None:
-    """Nothing, if a run was carried to its end.
+    """Check that a run was carried to its end.
 
     Raises:
         SimulationError: it was not; the message says why.

@@ -40,7 +40,7 @@ class Reading(NamedTuple):
 
 
 class Stepper:
-    """A valve stepped in real time, by the same compiled core; its state never depends on how time is cut.
+    """A valve stepped in real time, by the same compiled core; its state does not depend on the size of the steps.
 
     Args:
         valve: what is stepped.
@@ -109,9 +109,9 @@ class Stepper:
         )  # fmt: skip
 
     def set_valve(self, valve: Valve, time: float) -> None:
-        """Go on as another valve from `time` on, without a jump in position, velocity or current.
+        """Continue as another valve from `time` on, without a jump in position, velocity or current.
 
-        The one thing that must give way is geometry: plungers beyond a stop that moved inwards are at the new stop.
+        The only exception is geometry: plungers beyond a stop that moved inwards are put at the new stop.
         """
         record = valve.record()
         check_flux(record)
@@ -140,7 +140,7 @@ class Stepper:
             self._pending.extend(event_tuple(self._events, min(count, len(self._events))))
 
     def _delayed(self, time: float) -> tuple[float, float]:
-        """What a late sensor shows: a second state follows the first by the delay."""
+        """The positions as a late sensor shows them: a second state follows the first by the delay."""
         shown = self._shown
         time = max(time, float(shown[0]["time"]))
         while self._commands and self._commands[0][0] <= time:

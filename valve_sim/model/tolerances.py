@@ -27,7 +27,7 @@ COVARIANCE_FORM: Final = "16 numbers, the 4 by 4 covariance of a0 … a3 row by 
 _TERMS: Final = len(POLYNOMIAL_NAMES)
 _LARGEST_COVARIANCE: Final = 1e32
 _ROUNDING: Final = 1e-6
-"""A correlation may be off by so much: the numbers of a file are rounded."""
+"""Error that a correlation may have, because the numbers of a file are rounded."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class Tolerances:
         )
 
     def check_masses(self, parameters: ValveParameters, source: str) -> None:
-        """A tolerance of a mass leaves two bodies.
+        """Check that there are two bodies, so that the moving mass can have a tolerance.
 
         Raises:
             ParameterError: the moving mass is not above the pilot's, so that there is no difference to be known.
@@ -103,11 +103,11 @@ class Tolerances:
 
 
 EXACT: Final = Tolerances()
-"""No tolerances: every declared value is taken as it stands."""
+"""No tolerances: every declared value is taken as exact."""
 
 
 def tolerance_rule(parameter: Parameter) -> Parameter:
-    """What a parameter's tolerance is called and which values make sense: from 0 (exact) to the width of its range."""
+    """Name, unit and range of a parameter's tolerance: from 0 (exact) to the width of the parameter's range."""
     what = "moving_mass - pilot_mass" if parameter.name == "moving_mass" else parameter.description
     return Parameter(
         parameter.name,

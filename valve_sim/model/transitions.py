@@ -80,7 +80,7 @@ def _lift_off(s):
 
 @inner
 def move_off(p, s, push, events, count):
-    """From rest into motion: what the mode becomes."""
+    """Set plungers at rest in motion, in the mode that follows."""
     kind = BROKE_AWAY
     if s.mode == CLOSED:
         _lift_off(s)
@@ -189,7 +189,7 @@ def set_voltage(valve, state, volts):
 
 @compiled
 def settle(valve, state):
-    """Make the state agree with another valve: nothing jumps but what a contact must push, or a diode blocks."""
+    """Make the state agree with another valve: only a contact or a blocking diode makes it jump."""
     p, s = valve[0], state[0]
     close_circuit(p, s, s.u)
     s.x = min(s.x, p.stroke)

@@ -4,7 +4,7 @@ For a parameter θ let δ = ∂(x, v)/∂θ at a fixed time. Between events, in 
 
     (V1)  δ' = A δ + b,    A = ∂f/∂(x, v),    b = ∂f/∂θ,
 
-where f are the rates of `equations` and the derivatives those of `linearised`, worked out once for each node and
+where f are the rates of `equations` and the derivatives those of `linearised`, evaluated once for each node and
 shared by all parameters. An event, where a guard g(x, v, t, θ) is 0, moves in time, and δ jumps (saltation):
 
     (V2)  t_e' = −(∂g/∂θ + ∂g/∂(x, v) δ⁻) / (dg/dt)⁻
@@ -14,14 +14,14 @@ A step of size h is one of Lobatto IIIA of order 6, with four nodes c_i and the 
 
     (V4)  δ_i = δ_0 + h Σ_j a_ij δ_j',    δ_j' at t + c_j h.
 
-It is A-stable, as a creeping plunger's long steps ask for, and looks at the forces three times where the stages of the
-plain pair would six times; the two equations for v and x leave one for the velocities at the last three nodes, the same
-for all parameters but for its right-hand side.
+It is A-stable, which the long steps of a creeping plunger require, and evaluates the forces three times, where the
+stages of the plain pair would take six; the two equations for v and x leave one for the velocities at the last three
+nodes, the same for all parameters except for its right-hand side.
 
 Sources: Hairer, Nørsett and Wanner, section I.14; Hairer and Wanner, *Solving Ordinary Differential Equations II*,
 section IV.5 (V4); Rozenvasser, Automation and Remote Control 28 (1967) 400. Parameters
-go in tiles of `LANES`, which fill a processor's vector unit. Whoever wants no derivatives says None for `vary`, and
-every function here is compiled to nothing. Otherwise `vary` is
+go in tiles of `LANES`, which fill a processor's vector unit. Without derivatives `vary` is None, and every
+function here compiles to nothing. Otherwise `vary` is
 
     tiles (p,) TILE_RECORD; slopes (SLOPES,) SLOPES_RECORD; nodes (NODES,) places of those of the nodes among these;
     commands: derivatives of their times and of their voltages, (p, c, LANES) each; outputs: of positions and of
@@ -121,7 +121,7 @@ def _velocity_after(p, s, tile, before, dv, lane):
 def vary_release(p, s, since, vary):
     """Move δ through a release from rest that has just happened, by (V2) and (V3).
 
-    Forces outgrow what holds as time passes; or an event or a command at this very time has freed the plungers.
+    Either the forces have grown beyond what holds, or an event or a command at this very time has freed the plungers.
 
     Args:
         p, s: as after it. since: s, when the last event or command was.
@@ -150,7 +150,7 @@ def vary_release(p, s, since, vary):
 
 @inner
 def leave_segment(p, s, command, vary):
-    """What a command that is about to take effect makes of δ, and of what the forces remember."""
+    """Prepare δ and the conditions of the forces for a command that is about to take effect."""
     if vary is None:
         return
     tiles, slopes, _, (times, _), _ = vary

@@ -14,7 +14,7 @@ from valve_sim.model.linearised import CONDITIONS, FIRST_CONDITION, force_slopes
 LANES: Final = 4
 """Parameters of one tile."""
 NODES: Final = 4
-"""Where the variational equations look in a step."""
+"""Nodes of a step of the variational equations."""
 C1, C2 = (5 - math.sqrt(5)) / 10, (5 + math.sqrt(5)) / 10
 """The two nodes inside, in steps; the others are its start and its end."""
 _ROOT: Final = math.sqrt(5) / 120
@@ -33,7 +33,7 @@ CONTACTS: Final = (
     "pilot_gap", "stroke", "pickup_velocity_ratio", "restitution_stop", "restitution_seat", "sensor_gain",
     "reference_voltage",
 )  # fmt: skip
-"""Numbers of the valve that act by events, by the sensor or by where u goes, and not by the force."""
+"""Numbers of the valve that act through events, the sensor or the target of u, and not through the force."""
 
 TILE_RECORD: Final = np.dtype(
     [
@@ -44,7 +44,7 @@ TILE_RECORD: Final = np.dtype(
         *((name, *_LANE) for name in CONTACTS),
         ("position_time", *_LANE),  # by how much later the samples of positions are taken
         ("current_time", *_LANE),
-        # Where δ is: at the start of a step, at its end; what the forces remember; when the last event was.
+        # δ at the start of a step and at its end; the conditions of the forces; the time of the last event.
         ("x", *_LANE),
         ("v", *_LANE),
         ("x_new", *_LANE),
@@ -52,13 +52,13 @@ TILE_RECORD: Final = np.dtype(
         ("dense", "f8", (5, LANES)),
         ("condition", "f8", (len(CONDITIONS), LANES)),
         ("event_time", *_LANE),
-        # Scratch paper.
+        # Working memory.
         ("b", "f8", (NODES, LANES)),
         ("total", *_LANE),
     ],
     align=True,
 )
-"""Some parameters, and the derivatives to them."""
+"""A tile of parameters, and the derivatives with respect to them."""
 
 
 @inner
@@ -88,7 +88,7 @@ def vary_step(p, s, work, h, vary):
 
 @inlined
 def _by_velocity(g, h):
-    """Of the accelerations at the nodes after the start, by the velocities there, positions put in: (3, 3)."""
+    """(3, 3): derivatives of the accelerations at the last nodes to the velocities there, positions eliminated."""
     a1, a2, a3 = g[1].x * g[1].per_mass * h, g[2].x * g[2].per_mass * h, g[3].x * g[3].per_mass * h
     c1, c2, c3 = g[1].v * g[1].per_mass, g[2].v * g[2].per_mass, g[3].v * g[3].per_mass
     (_, l11, l12, l13), (_, l21, l22, l23), (_, l31, l32, l33) = LOBATTO
@@ -101,7 +101,7 @@ def _by_velocity(g, h):
 
 @inlined
 def _inverse(m, h):
-    """(3, 3): of 1 − h a m, a the tableau's inner part; how velocities follow from the right-hand sides of (V4)."""
+    """(3, 3): the inverse of 1 − h a m, a the inner part of the tableau: from right sides of (V4) to velocities."""
     (m11, m12, m13), (m21, m22, m23), (m31, m32, m33) = m
     (_, l11, l12, l13), (_, l21, l22, l23), (_, l31, l32, l33) = LOBATTO
     n11 = 1.0 - h * (l11 * m11 + l12 * m21 + l13 * m31)
@@ -126,7 +126,7 @@ def _inverse(m, h):
 
 @inlined
 def gather(tile, g, total):
-    """Derivatives to the parameters of what g is of, at a fixed time and state."""
+    """Derivatives, to the parameters, of the quantity whose slopes g has, at a fixed time and state."""
     for lane in range(LANES):
         total[lane] = 0.0
     for row in range(tile.row_count):
@@ -185,7 +185,7 @@ def _vary_tile(tile, g, h, by_velocity, solved):
     b, dense = tile.b, tile.dense
     for lane in range(LANES):
         x, v = tile.x[lane], tile.v[lane]
-        # Accelerations at the nodes, without what the velocities after the start add.
+        # Accelerations at the nodes, without the contribution of the velocities after the start.
         f0 = a0 * x + c0 * v + b[0, lane]
         f1 = a1 * (x + h * l10 * v) + b[1, lane]
         f2 = a2 * (x + h * l20 * v) + b[2, lane]
@@ -212,7 +212,7 @@ def _vary_tile(tile, g, h, by_velocity, solved):
 
 @inner
 def commit_variations(vary):
-    """Go on from the end of the step, whose slopes are those of the next one's start."""
+    """Make the end of the step, with its slopes, the start of the next one."""
     if vary is None:
         return
     tiles, _, nodes, _, _ = vary

@@ -1,11 +1,11 @@
-"""Effects that the reference model lacks: one file each, which says everything about its effect.
+"""Effects that the reference model lacks: one file each, with everything about its effect.
 
 The fit, parameter files, reports and the reference page follow from the entry. An effect enters the model by
 
 * `term`, a compiled force f(x, v, u, t, *parameters) in newtons, + opens,
 * `adds_to`, a declared parameter that is larger by one of its own, or
-* `rewrite`, which changes the record of the compiled core: a declared parameter, or `fields` of a mechanism that the
-  core has for it.
+* `rewrite`, which changes the record of the compiled core: a declared parameter, or the `fields` of a mechanism that
+  is built into the core.
 
 The `EFFECT` of every module here takes part. So does every effect that an installed package names in the entry-point
 group `valve_sim.effects`, and what a program registers.

@@ -1,4 +1,4 @@
-"""Friction and damping by direction: a mechanism of the core, because it makes plungers stick."""
+"""Friction and damping by direction: a mechanism of the core, because dry friction can hold the plungers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A pick-up elsewhere: more of the pilot gap."""
+"""A pilot gap that is not as declared: added to `pilot_gap`."""
 
 from __future__ import annotations
 

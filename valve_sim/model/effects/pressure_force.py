@@ -1,4 +1,4 @@
-"""Pressure across the main plunger: a mechanism of the core, because it begins anew at each opening."""
+"""Pressure across the main plunger: a mechanism of the core, because it starts again at each opening."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a valve is, to the compiled core: one record a parameter set, made of the entries of the catalogue."""
+"""The parameters of a valve as the compiled core reads them: one record, made from the entries of the catalogue."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from valve_sim.model.parameters import DECLARED
 
 
 def _neutral_fields() -> dict[str, float]:
-    """Every field that the core has for an effect, with the value at which it changes nothing."""
+    """Every field that the core has for an effect, with its neutral value."""
     fields: dict[str, float] = {}
     for effect in shipped():
         for name, neutral in effect.fields.items():
@@ -38,7 +38,7 @@ VALVE_RECORD: Final = np.dtype(
     ],
     align=True,
 )
-"""What a valve is, to the compiled core."""
+"""The parameters of a valve, with its effects, in the compiled core."""
 
 
 def _blank_record() -> Any:
@@ -63,7 +63,7 @@ def new_record(declared: Mapping[str, float], effects: Mapping[str, Mapping[str,
         (1,) VALVE_RECORD array.
     """
     records = _BLANK.copy().view(VALVE_RECORD)
-    # Written at once, as the numbers that they are: by name it takes longer than a simulation.
+    # Written at once, as one array: field by field takes longer than a simulation.
     records.view(np.float64)[: len(DECLARED)] = [declared[name] for name in DECLARED]
     entries = [(CATALOGUE[name], values) for name, values in effects.items()]
     whole = [

@@ -1,4 +1,4 @@
-"""Attraction at the largest gap: more of a0."""
+"""Attraction at the largest gap: added to a0."""
 
 from __future__ import annotations
 

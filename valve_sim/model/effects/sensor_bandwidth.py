@@ -1,4 +1,4 @@
-"""Positions that pass a low-pass: a mechanism of the core, which solves it exactly."""
+"""Low-pass of the position sensor: a mechanism of the core, which solves it exactly."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from valve_sim.model.parameters import Parameter
 
 
 def _rewrite(record: Any, values: Values) -> None:
-    # A time constant, because what is off is then 0 and no infinity.
+    # A time constant, because it is 0, not infinite, while the effect is off.
     record["sensor_time_constant"] = 1.0 / (2.0 * math.pi * values["cutoff_frequency"])
 
 

@@ -1,4 +1,4 @@
-"""Positions that are shown late: read where a valve is sampled."""
+"""Delay of the position sensor: applied where a valve is sampled."""
 
 from __future__ import annotations
 

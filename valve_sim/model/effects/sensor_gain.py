@@ -1,4 +1,4 @@
-"""A scale of the position sensors that is off: read where a valve is sampled."""
+"""Gain error of the position sensors: applied where a valve is sampled."""
 
 from __future__ import annotations
 
