@@ -20,6 +20,7 @@ from valve_sim.identification.selection.table import (
     competing_models,
     delta_scores,
     larger_alternatives,
+    smaller_alternatives,
 )
 
 LARGEST_CLASS: Final = 4
@@ -152,7 +153,9 @@ def share_of_evidence(table: ScoreTable, claim: Claim, curves: Sequence[float]) 
     spring hardening), so weak evidence is never certain.
     """
     best, least = claim.best, table[claim.best].score
-    near = {**delta_scores(table, best), **larger_alternatives(table, best)}
+    near = {
+        **delta_scores(table, best), **smaller_alternatives(table, best), **larger_alternatives(table, best),
+    }  # fmt: skip
     weight: dict[tuple[str, ...], float] = {}
     for other, one in table.scores.items():
         extends = bool(best.effects) and set(other.effects) > set(best.effects)

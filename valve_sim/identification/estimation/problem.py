@@ -26,6 +26,8 @@ Mask = Callable[[int, NDArray[np.int64]], NDArray[np.bool_]]
 
 LONGEST_RUN: Final = 4
 """Identical readings in a row, beyond which a coarse sensor repeats one reading."""
+ELSEWHERE: Final = 4.0
+"""Steps of a coarse sensor by which the declared model misses it, beyond which the model does not say what is still."""
 
 
 class Problem:
@@ -155,10 +157,23 @@ class Problem:
             # A coarse sensor at rest repeats one reading; a thousand copies are not a thousand measurements. The runs
             # are the declared model's: weights by the readings themselves depend on their errors, which with 1 µm
             # of noise and 5 µm steps biases the dampings by 0.16 standard errors.
-            runs = still_runs(np.round(self.plant.predict({})[index] / noise.step))
+            shown = self.plant.predict({})[index]
+            runs = still_runs(np.round(shown / noise.step))
             weight = np.where(runs > LONGEST_RUN, 1.0 / np.sqrt(runs), weight)
+            is_elsewhere = np.abs(channel.data - shown) > ELSEWHERE * noise.step
             for start, stop in stretches(channel.quiet):
                 weight[start:stop] = np.minimum(weight[start:stop], 1.0 / math.sqrt(stop - start))
+                # A valve that stays where the declared one moves is still for longer than what is surely quiet.
+                still = np.arange(*_stays(channel.data, start, stop, noise.step))
+                missed = still[is_elsewhere[still]]
+                weight[missed] = np.minimum(weight[missed], 1.0 / math.sqrt(len(still)))
         if takes_part is not None:
             weight = np.where(takes_part(index, channel.group), weight, 0.0)
         return weight
+
+
+def _stays(data: Array, start: int, stop: int, step: float) -> tuple[int, int]:
+    """Where a coarse sensor that is still from `start` to `stop` begins and ends to read so, but for one step."""
+    moved = np.flatnonzero(np.abs(data - np.median(data[start:stop])) > 1.5 * step)
+    before, after = moved[moved < start], moved[moved >= stop]
+    return (int(before[-1]) + 1 if len(before) else 0), (int(after[0]) if len(after) else len(data))

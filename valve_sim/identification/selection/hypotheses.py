@@ -31,6 +31,12 @@ from valve_sim.model.parameters import Parameter
 
 SMALL, LARGE = 0.05, (0.5, 1.5, 3.0)
 """Starts, in prior scales of a parameter: one near off, which follows the gradient, and some far from it."""
+FROM_DECLARED: Final = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
+"""The same where all else is as declared: a strong effect that is left out bends all else away from there."""
+BETWEEN: Final = math.sqrt(2.0)
+"""Factor by which the best of these is then refined."""
+EXPLAINS: Final = 2.0 / 3.0
+"""Cost with an effect over that without, both with all else as declared, below which a fit starts from there, too."""
 SHAPES: Final = (1.0, 0.2, 5.0)
 """Likewise for parameters that shape an effect but do not switch it."""
 ANNEALING: Final = (100.0, 20.0, 5.0)
@@ -170,13 +176,17 @@ class Search:
             yield from (("untimed", found) for found in self._attempt(hypothesis, self.log[untimed].values))
         known = [name for name in hypothesis.effects if hypothesis.without(name) in self.log]
         added = min(known, key=lambda name: self.score(hypothesis.without(name))) if known else hypothesis.effects[-1]
-        warm = self.fit(hypothesis.without(added)).values
+        smaller = hypothesis.without(added)
+        warm = self.fit(smaller).values
         effect = self.problem.plant.effects[added]
         fits: list[Fit] = []
-        for start in effect_starts(self.problem, effect, warm):
-            for found in self._attempt(hypothesis, {**warm, **start}):
+        starts = [("sizes", {**warm, **start}) for start in effect_starts(self.problem, effect, warm)]
+        known = {name: warm[name] for other in smaller.effects for name in self.problem.plant.effects[other].free_names()}
+        starts += [("as declared", start) for start in starts_from_declared(self.problem, effect, known)]
+        for kind, start in starts:
+            for found in self._attempt(hypothesis, start):
                 fits.append(found)
-                yield "sizes", found
+                yield kind, found
         if fits and _has_lost_its_shape(min(fits, key=lambda result: result.chi2), effect):
             for shape in SHAPES:
                 start = _start(effect, [SMALL] * len(effect.parameters), shape)
@@ -215,13 +225,48 @@ def effect_starts(problem: Problem, effect: EffectChoice, warm: Mapping[str, flo
     far = [_start(effect, sizes, shape) for sizes in combinations for shape in shapes]
 
     def cost(start: Mapping[str, float]) -> float:
-        try:
-            residuals = problem.residuals({**warm, **start})
-        except SimulationError:
-            return math.inf
-        return float(np.sum(np.log1p(np.square(residuals / ROBUST))))
+        return _robust_cost(problem, {**warm, **start})
 
     return near + sorted(far, key=cost)[: 1 if near and sum(amplitudes) == 1 else 2]
+
+
+def starts_from_declared(
+    problem: Problem, effect: EffectChoice, known: Mapping[str, float]
+) -> list[dict[str, float]]:
+    """A start with all but effects as declared, where a further effect explains much from there; else none.
+
+    A model that lacks a strong effect is refitted to dampings of 0 and values that its tolerances make incredible, and
+    from there even the true size of the effect does not lead back.
+
+    Args:
+        problem: what is fitted. effect: what is added. known: values of the effects that it is added to.
+    """
+    switches = [parameter for parameter in effect.parameters if parameter.off is not None]
+    if effect.is_declared_value or not switches:
+        return []
+    is_two_sided = len(switches) == 1 and _is_two_sided(switches[0])
+    shapes = SHAPES if len(switches) < len(effect.parameters) else SHAPES[:1]
+
+    def start(size: float, shape: float) -> dict[str, float]:
+        return {**known, **_start(effect, [size] * len(effect.parameters), shape)}
+
+    def best_of(choices: Iterable[tuple[float, float]]) -> tuple[float, tuple[float, float]]:
+        return min((_robust_cost(problem, start(*choice)), choice) for choice in choices)
+
+    signs = (1.0, -1.0) if is_two_sided else (1.0,)
+    coarse = best_of(itertools.product([sign * size for sign in signs for size in FROM_DECLARED], shapes))
+    most = EXPLAINS * _robust_cost(problem, known)
+    size, shape = coarse[1]
+    least, choice = min(coarse, best_of([(size / BETWEEN, shape), (size * BETWEEN, shape)]))
+    return [start(*choice)] if least < most else []
+
+
+def _robust_cost(problem: Problem, values: Mapping[str, float]) -> float:
+    try:
+        residuals = problem.residuals(values)
+    except SimulationError:
+        return math.inf
+    return float(np.sum(np.log1p(np.square(residuals / ROBUST))))
 
 
 def start_near_off(effect: EffectChoice) -> dict[str, float]:
@@ -246,10 +291,12 @@ def _is_saddle(effect: EffectChoice) -> bool:
 
 
 def _sizes(parameter: Parameter) -> list[float]:
+    return [sign * size for size in LARGE for sign in ((1.0, -1.0) if _is_two_sided(parameter) else (1.0,))]
+
+
+def _is_two_sided(parameter: Parameter) -> bool:
     lower, upper = internal_bounds(parameter)
-    assert parameter.off is not None
-    two_sided = lower < to_internal(parameter, parameter.off) < upper
-    return [sign * size for size in LARGE for sign in ((1.0, -1.0) if two_sided else (1.0,))]
+    return parameter.off is not None and lower < to_internal(parameter, parameter.off) < upper
 
 
 def _start(effect: EffectChoice, sizes: Sequence[float], shape: float) -> dict[str, float]:

@@ -12,12 +12,16 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
+import numpy as np
+
 from valve_sim.identification.estimation.result import MOSTLY, Fit
 from valve_sim.identification.plants.effect_titles import titles_of
 from valve_sim.identification.selection.cross_validation import CrossValidation, predicts_better
 
 DECISIVE: Final = 10.0
 """Difference of the score S, theory, eq. (41), that decides: odds of 150 to 1."""
+NEGLIGIBLE: Final = 0.1
+"""Difference of χ² that is no reason to put a parameter on its bound, where it names nothing."""
 
 
 class Hypothesis(NamedTuple):
@@ -91,7 +95,7 @@ class FitLog:
             self._rows.append(row)
             self._order.setdefault(row.hypothesis)
             before = self._best.get(row.hypothesis)
-            if before is None or row.fit.chi2 < before.chi2:
+            if before is None or _is_better(row.fit, before):
                 self._best[row.hypothesis] = row.fit
 
     def close(self) -> None:
@@ -104,6 +108,12 @@ class FitLog:
 
     def __getitem__(self, hypothesis: Hypothesis) -> Fit:
         return self._best[hypothesis]
+
+
+def _is_better(new: Fit, old: Fit) -> bool:
+    """Whether a fit is better than another of the same hypothesis; of equal ones the one with less on its bounds."""
+    on_bounds = [sum(one.on_bound(name) is not None for name in one.free) for one in (new, old)]
+    return new.chi2 < old.chi2 + NEGLIGIBLE * float(np.sign(on_bounds[1] - on_bounds[0]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,10 +180,17 @@ class ScoreTable:
 
 
 def choose(table: ScoreTable) -> Hypothesis:
-    """The hypothesis that training strokes speak for: the best criterion, after backward elimination."""
+    """The hypothesis that training strokes speak for: the best criterion, after backward elimination.
+
+    A look-alike with more parameters takes its place where its evidence is decisively better: S charges ln N for a
+    parameter even where tolerances, not the number of samples, limit what is known of it.
+    """
     best = backward(table, best_claimable(table))
     near = competing_models(table, best)
-    return next((other for other in near if table[other].is_claimable and other.base in table), best)
+    best = next((other for other in near if table[other].is_claimable and other.base in table), best)
+    larger = larger_alternatives(table, best)
+    likeliest = min(larger, key=larger.__getitem__, default=best)
+    return likeliest if larger.get(likeliest, 0.0) < -DECISIVE else best
 
 
 def best_claimable(table: ScoreTable) -> Hypothesis:
@@ -199,14 +216,19 @@ def _is_missed(table: ScoreTable, rest: Hypothesis, best: Hypothesis) -> bool:
 
 
 def delta_scores(table: ScoreTable, best: Hypothesis) -> dict[Hypothesis, float]:
-    """By how much each hypothesis of equal size and a similar criterion is worse than the best, by one criterion."""
+    """By how much each hypothesis of equal size and a similar criterion is worse than the best, by one criterion.
+
+    Look-alikes with fewer parameters are compared by their evidence; those with more are `larger_alternatives`.
+    """
     is_white, count = table[best].is_white, max(1, len(best.effects))
     least = table[best].criterion(residual_is_white=is_white)
+    resized = _by_evidence(table, best)
     worse = {
         other: one.criterion(residual_is_white=is_white) - least
         for other, one in table.scores.items()
-        if len(other.effects) == count
+        if len(other.effects) == count and other not in resized
     }
+    worse.update(smaller_alternatives(table, best))
     return {other: by for other, by in worse.items() if by < 2.0 * DECISIVE}
 
 
@@ -216,6 +238,12 @@ def competing_models(table: ScoreTable, best: Hypothesis) -> list[Hypothesis]:
     return sorted((other for other, by in worse.items() if by < DECISIVE), key=worse.__getitem__)
 
 
+def smaller_alternatives(table: ScoreTable, best: Hypothesis) -> dict[Hypothesis, float]:
+    """Look-alikes with fewer parameters, each in place of a member: by how much their evidence is worse."""
+    fewer = table[best].parameters
+    return {other: by for other, by in _by_evidence(table, best).items() if table[other].parameters < fewer}
+
+
 def larger_alternatives(table: ScoreTable, best: Hypothesis) -> dict[Hypothesis, float]:
     """Look-alikes with more parameters, each in place of a member: by how much their evidence is worse.
 
@@ -223,6 +251,19 @@ def larger_alternatives(table: ScoreTable, best: Hypothesis) -> dict[Hypothesis,
     exclude stiction where Coulomb friction is named: the evidence, eq. (42), compares these. What is on a bound names
     nothing: stiction whose Stribeck velocity is too small to be seen is Coulomb's. Nor is it a hypothesis of its own
     where its further parameters explain no more than their number, as they would of noise.
+    """
+    return {
+        other: by
+        for other, by in _by_evidence(table, best).items()
+        if table[other].is_claimable and _explains_more(table[best], table[other])
+    }
+
+
+def _by_evidence(table: ScoreTable, best: Hypothesis) -> dict[Hypothesis, float]:
+    """Look-alikes with another number of parameters: by how much their evidence is worse; none where no form is right.
+
+    S and the evidence charge alike for parameters that the data determine. Beside declared values within tolerances
+    they determine less, and more samples do not change that.
     """
     if not table[best].is_white:
         return {}
@@ -235,7 +276,7 @@ def larger_alternatives(table: ScoreTable, best: Hypothesis) -> dict[Hypothesis,
     return {
         other: table[other].evidence - table[best].evidence
         for other in alike
-        if other in table and table[other].is_claimable and _explains_more(table[best], table[other])
+        if other in table and table[other].parameters != table[best].parameters
     }
 
 
