@@ -5,10 +5,13 @@ import pytest
 from plants.declared import CAMPAIGN_VALVE
 
 from identification.live_strokes import LiveValve, feed
+from valve_sim.identification.estimation.intervals import Interval
+from valve_sim.identification.monitoring.fault_isolation import estimates, is_credible
 from valve_sim.identification.monitoring.findings import StrokeState
 from valve_sim.identification.monitoring.memory import load_commissioning, save_commissioning
 from valve_sim.identification.monitoring.monitor import Monitor
 from valve_sim.identification.plants.commissioned import CommissionedPlant
+from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import Drive, Valve
 from valve_sim.traces import Trace
 
@@ -52,6 +55,21 @@ def test_what_commissioning_leaves_open_is_known_beside_a_fault(commissioned):
     moved = np.array([plant.predict({error.name: error.sigma})[0] - plant.predict({})[0] for error in errors])
     # The data have pinned them together: whatever moves within what is left moves the stroke by hardly more than noise.
     assert 0.0 < np.max(np.abs(moved)) < 20e-6
+
+
+def test_a_declared_value_is_credible_and_reported_by_the_name_that_a_fit_frees():
+    trace = Trace("at rest", Drive.of([1e-3], [9.0]), np.arange(0.0, 0.01, 1e-4), np.zeros(100))
+    plant = ValvePlant([trace], declared({**TOLERANCES, "spring_rate": 12.8}))
+    off, on = Interval(430.0, 3.0, 424.0, 436.0), Interval(500.0, 3.0, 494.0, 506.0)
+    assert not is_credible("valve.spring_rate", plant, {"spring_rate": off})
+    assert is_credible("valve.spring_rate", plant, {"spring_rate": on})
+    assert not is_credible("valve.spring_rate", plant, {})
+    force = Interval(0.2, 0.01, 0.18, 0.22)
+    found = estimates(
+        ("coulomb_friction", "valve.spring_rate", "valve.moving_mass"), plant,
+        {"coulomb_friction.force": force, "spring_rate": on, "main_mass": off, "main_damping": on},
+    )  # fmt: skip
+    assert found == {"coulomb_friction.force": force, "valve.spring_rate": on, "valve.main_mass": off}
 
 
 def test_a_commissioning_is_kept_with_its_declared_values(commissioned, tmp_path):

@@ -51,7 +51,8 @@ def found(
     verdict = Verdict(
         kind, effects, {name: alike for name in effects}, 0.9, 0.9, Grounds(effects, False, 0.9, (), 8, False)
     )
-    return FaultFinding(verdict, is_credible, parameters, {"main_damping": 4.0}, 8)
+    commissioned = {"main_damping": 4.0, "valve.spring_rate": 428.0}
+    return FaultFinding(verdict, is_credible, parameters, commissioned, 8)
 
 
 def test_what_has_changed_is_said_with_its_size_and_what_it_was() -> None:
@@ -70,6 +71,15 @@ def test_what_has_changed_is_said_with_its_size_and_what_it_was() -> None:
         "Squeeze film: B, damping at contact 0.310 ± 0.020 N·s/m, h, film left at contact 21.0 ± 1.0 µm, none when "
         "commissioned"
     )
+
+
+def test_a_declared_value_that_has_changed_is_said_with_what_it_was() -> None:
+    spring = {"valve.spring_rate": Interval(500.0, 3.0, 494.0, 506.0)}
+    assert finding_words(found(("valve.spring_rate",), spring)) == (
+        "Spring rate 500.0 ± 3.0 N/m, 428 N/m when commissioned"
+    )
+    shape = {"valve.attraction[0]": Interval(9.0, 1.0, 7.0, 11.0)}
+    assert finding_words(found(("valve.attraction_polynomial",), shape)) == "Wrong attraction polynomial"
 
 
 def test_a_finding_that_names_nothing_says_why() -> None:

@@ -30,6 +30,8 @@ FEWEST: Final = 6
 HELD_OUT: Final = 3
 """Every third stroke is held out."""
 
+WRONG: Final = "valve."
+"""Begins the name of a declared value that is taken for wrong."""
 MOST_PRIOR_SCALES: Final = 100.0
 """Multiple of an effect's prior scale beyond which a value is not plausible: 5 N of friction, 30 N of pressure."""
 
@@ -44,7 +46,8 @@ class FaultFinding:
         verdict: of the diagnosis; its effects may be dampings, which are candidates here. It is "unknown" and names
             nothing where the estimates of what it named are not credible.
         is_credible: whether they are.
-        parameters: by `<effect>.<parameter>`, estimates. commissioned: by name, the values of named dampings before.
+        parameters: estimates, of an effect by `<effect>.<parameter>`, of a declared value by `valve.<name>`.
+        commissioned: the values before of named dampings, by name, and of declared values, by `valve.<name>`.
         strokes: how many were used.
     """
 
@@ -74,12 +77,31 @@ def isolate_fault(strokes: Sequence[Trace], baseline: Baseline, progress: Progre
     ]
     result = diagnose_plant(plants[0], plants[1], progress)
     verdict, intervals = result.verdict, result.after.intervals
-    parameters = {name: interval for name, interval in intervals.items() if name.split(".")[0] in verdict.effects}
-    if not all(is_credible(effect, plants[0], parameters) for effect in verdict.effects):
+    if not all(is_credible(effect, plants[0], intervals) for effect in verdict.effects):
         nothing = replace(verdict, kind="unknown", effects=(), confusable_with={}, probability=0.0)
         return FaultFinding(nothing, False, {}, {}, len(strokes))
+    parameters = estimates(verdict.effects, plants[0], intervals)
     before = {name: baseline.valve.declared()[name] for name in verdict.effects if name in DEFAULT_FREE}
+    before |= {name: plants[0].declared(name.partition(".")[2]) for name in parameters if name.startswith(WRONG)}
     return FaultFinding(verdict, True, parameters, before, len(strokes))
+
+
+def estimates(effects: Sequence[str], plant: Plant, intervals: Mapping[str, Interval]) -> dict[str, Interval]:
+    """What was estimated of named effects, and of declared values that are named.
+
+    Args:
+        effects: their names. plant: whose effects they are. intervals: by the names that a fit frees.
+
+    Returns:
+        Intervals by `<effect>.<parameter>`, or by `valve.<name>`.
+    """
+    choices = [plant.effects[effect] for effect in effects]
+    return {
+        f"{WRONG}{name}" if choice.is_declared_value else name: intervals[name]
+        for choice in choices
+        for name in choice.free_names()
+        if name in intervals
+    }
 
 
 def is_credible(effect: str, plant: Plant, intervals: Mapping[str, Interval]) -> bool:
@@ -87,12 +109,12 @@ def is_credible(effect: str, plant: Plant, intervals: Mapping[str, Interval]) ->
 
     Args:
         effect: its name. plant: whose effect it is.
-        intervals: by `<effect>.<parameter>`, 95 %.
+        intervals: by the names that a fit frees, 95 %.
     """
-    switches = [switch for switch in plant.effects[effect].parameters if switch.off is not None]
-    known = [
-        (switch, intervals[f"{effect}.{switch.name}"]) for switch in switches if f"{effect}.{switch.name}" in intervals
-    ]
+    choice = plant.effects[effect]
+    switches = [switch for switch in choice.parameters if switch.off is not None]
+    found = [(switch, intervals.get(choice.free_name(switch))) for switch in switches]
+    known = [(switch, interval) for switch, interval in found if interval is not None]
     return all(_is_plausible(switch, interval) for switch, interval in known) and any(
         not _holds(interval, switch.off) for switch, interval in known if switch.off is not None
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from valve_sim.identification.estimation.identify import DEFAULT_FREE
-from valve_sim.identification.monitoring.fault_isolation import FaultFinding
+from valve_sim.identification.monitoring.fault_isolation import WRONG, FaultFinding
 from valve_sim.identification.monitoring.findings import (
     DidNotClose,
     DidNotOpen,
@@ -96,7 +96,9 @@ def finding_words(finding: FaultFinding) -> str:
 
 
 def _change(effect: str, finding: FaultFinding) -> str:
-    """An effect with its values, and what it was at commissioning."""
+    """An effect or a declared value with its values, and what it was at commissioning."""
+    if effect.startswith(WRONG):
+        return _changed_value(effect, finding)
     own = {name.partition(".")[2]: found for name, found in finding.parameters.items() if name.startswith(f"{effect}.")}
     if effect in DEFAULT_FREE:
         unit = DECLARED[effect].unit
@@ -108,6 +110,15 @@ def _change(effect: str, finding: FaultFinding) -> str:
         return f"{title_of(effect)} {values[0]}, none when commissioned"
     listed = ", ".join(f"{rule.description} {value}" for rule, value in zip(rules, values, strict=True))
     return f"{title_of(effect)}: {listed}, none when commissioned"
+
+
+def _changed_value(effect: str, finding: FaultFinding) -> str:
+    """A declared value that is another now; what is estimated by other coordinates has no one number."""
+    if effect not in finding.parameters:
+        return title_of(effect)
+    name = effect.removeprefix(WRONG)
+    value, before = measured(finding.parameters[effect], DECLARED[name].unit), finding.commissioned[effect]
+    return f"{title_of(name)} {value}, {quantity(before, DECLARED[name].unit)} when commissioned"
 
 
 def _mm(metres: float) -> str:
