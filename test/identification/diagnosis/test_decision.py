@@ -163,6 +163,17 @@ def test_the_evidence_is_shared_with_what_is_near() -> None:
     assert share_of_evidence(larger, alone, ()) == pytest.approx(1.0, abs=1e-4)
 
 
+def test_a_look_alike_of_fewer_parameters_has_the_share_of_its_evidence() -> None:
+    """However good its S is."""
+    found = table(
+        scored(BASE, 2000.0), scored(of("a"), 98.0, evidence=125.0),
+        scored(of("b"), 100.0, evidence=100.0, parameters=6),
+    )  # fmt: skip
+    claim = Claim(of("b"), is_unknown=False, names_most=False)
+    assert share_of_evidence(found, claim, []) == pytest.approx(1.0, abs=1e-5)
+    assert look_alikes(found, claim) == {"b": ()}
+
+
 def test_weak_evidence_is_never_certain() -> None:
     weak = table(scored(BASE, 130.0), scored(of("a"), 100.0))
     gained = 1.0 - math.exp(-1.0)

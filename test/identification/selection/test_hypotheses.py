@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,7 +18,9 @@ from valve_sim.identification.selection.hypotheses import (
     Search,
     effect_starts,
     start_near_off,
+    starts_from_declared,
 )
+from valve_sim.identification.selection.table import FitLog, Row
 from valve_sim.model import Parameter, SimulationError
 
 ONE_SIDED = Parameter("force", "N", "added", 0.0, 100.0, 2.0, 0.0)
@@ -104,6 +107,47 @@ def test_a_size_whose_off_is_its_upper_bound_starts_below() -> None:
     # Beyond the other bound it starts on it.
     assert starts((top,), {"a.gain": -9.0})[1] == {"a.gain": pytest.approx(0.4)}
     assert starts((top._replace(lower=0.8),), {"a.gain": -9.0})[1] == {"a.gain": pytest.approx(0.8)}
+
+
+# -- starts from what is declared --------------------------------------------------------------------------------------
+
+
+def from_declared(
+    parameters: tuple[Parameter, ...], aim: Mapping[str, float], known: Mapping[str, float] | None = None
+) -> list[dict[str, float]]:
+    """Starts of an effect whose values are sought; what is missing is off."""
+    effect = EffectChoice("a", parameters)
+    world = World({"": 0.0}, {"a": effect})
+    world.missed = lambda values: sum(abs(values.get(name, 0.0) - at) for name, at in aim.items())
+    return starts_from_declared(world.problem, effect, known or {})
+
+
+def test_a_strong_effect_starts_from_what_is_declared_and_near_its_size() -> None:
+    """Of 1, 2, 4 ... 64 N the best, and of that the best of 0.7, 1 and 1.4."""
+    for aim, best in ((22.0, 16.0 * math.sqrt(2.0)), (31.0, 32.0), (1.0, 1.0), (99.0, 64.0 * math.sqrt(2.0))):
+        assert from_declared((ONE_SIDED,), {"a.force": aim}) == [{"a.force": pytest.approx(best)}]
+    assert from_declared((TWO_SIDED,), {"a.offset": -22.0}) == [{"a.offset": pytest.approx(-16.0 * math.sqrt(2.0))}]
+
+
+def test_effects_that_are_there_already_keep_their_values() -> None:
+    found = from_declared((ONE_SIDED,), {"a.force": 32.0, "b.size": 3.0}, {"b.size": 3.0})
+    assert found == [{"a.force": 32.0, "b.size": 3.0}]
+
+
+def test_two_sizes_are_alike_and_shapes_are_tried() -> None:
+    both = (ONE_SIDED, TWO_SIDED)
+    assert from_declared(both, {"a.force": 16.0, "a.offset": 16.0}) == [{"a.force": 16.0, "a.offset": 16.0}]
+    (found,) = from_declared((ONE_SIDED, SHAPE), {"a.force": 16.0, "a.time": 0.8})
+    assert found == {"a.force": 16.0, "a.time": pytest.approx(0.8)}
+
+
+def test_what_explains_little_from_there_needs_no_such_start() -> None:
+    """An aim of 10 beyond reach: the best of all sizes leaves 10 of 11, or of 13."""
+    out_of_reach = {"a.force": 1.0, "elsewhere": 10.0}
+    assert from_declared((ONE_SIDED,), out_of_reach) == []
+    assert from_declared((ONE_SIDED,), {**out_of_reach, "a.force": 8.0}) != []
+    mass = EffectChoice("valve.m", (Parameter("m", "kg", "", 0.1, 9.0, 0.2, 1.0),), is_declared_value=True)
+    assert starts_from_declared(World({"": 0.0}, {"a": mass}).problem, mass, {}) == []
 
 
 # -- fits of a hypothesis ----------------------------------------------------------------------------------------------
@@ -256,3 +300,25 @@ def test_what_is_left_when_the_time_is_used_up_is_noted(monkeypatch: pytest.Monk
     with pytest.raises(OutOfTimeError):
         search.fit_each([of("a"), of("b"), of("c")], (0.0, 1.0))
     assert search.untried == [str(of("b")), str(of("c"))]
+
+
+def test_a_hypothesis_is_fitted_from_what_is_declared_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = World({"": 300.0, "a": 90.0}, switches("a"))
+    world.missed = lambda values: abs(values.get("a.size", 0.0) + 32.0)
+    search = searched(monkeypatch, world)
+    search.fit(of("a"))
+    assert kinds(search, "a")[-1] == "as declared"
+    assert world.starts[-1] == ("a", {"a.size": -32.0}, ())
+
+
+def test_of_equal_fits_the_one_without_a_parameter_on_its_bound_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is on a bound names nothing: a residual magnetism that always holds the valve open may be of any size."""
+    world = World({"": 300.0, "a": 50.0}, switches("a"))
+    inside = searched(monkeypatch, world).fit(of("a"))
+    for worse, kept in ((0.05, True), (0.15, False), (-0.05, True)):
+        on_bound = replace(inside, chi2=inside.chi2 - worse, coordinates=np.array([35.0, 100.0]))
+        for order in ((inside, on_bound), (on_bound, inside)):
+            log = FitLog()
+            for one in order:
+                log.append(Row(of("a"), "made up", one))
+            assert (log[of("a")] is inside) is kept

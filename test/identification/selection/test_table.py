@@ -108,6 +108,39 @@ def test_look_alikes_of_more_parameters_are_compared_by_evidence(
     assert larger_alternatives(found, of("a")) == ({of("b"): 2.5} if listed else {})
 
 
+@pytest.mark.parametrize(("evidence", "chosen"), [(44.9, "b"), (45.1, "a")])
+def test_a_look_alike_of_more_parameters_is_chosen_where_its_evidence_is_decisively_better(
+    evidence: float, chosen: str
+) -> None:
+    """S charges ln N for what tolerances, not samples, limit: friction by direction passed for Coulomb's."""
+    found = table(
+        scored(BASE, 300.0), scored(of("a"), 50.0, evidence=55.0),
+        scored(of("b"), 53.0, evidence=evidence, parameters=6, chi2=26.0),
+    )  # fmt: skip
+    assert choose(found) == of(chosen)
+
+
+@pytest.mark.parametrize(("evidence", "chosen", "listed"), [(45.0, "a", True), (54.0, "b", True), (56.0, "b", False)])
+def test_a_look_alike_of_fewer_parameters_is_compared_by_evidence(evidence: float, chosen: str, listed: bool) -> None:
+    """Not by S, which is better for it by what it charges the larger one for."""
+    found = table(
+        scored(BASE, 300.0), scored(of("a"), 55.0, evidence=evidence),
+        scored(of("b"), 50.0, evidence=46.0, parameters=6, chi2=20.0), scored(of("c"), 58.0),
+    )  # fmt: skip
+    assert choose(found) == of(chosen)
+    assert (of("a") in competing_models(found, of("b"))) is listed
+    assert delta_scores(found, of("b"))[of("a")] == evidence - 46.0
+
+
+def test_a_look_alike_of_more_parameters_is_no_competitor_by_score_alone() -> None:
+    """One whose evidence speaks against it was listed: a wrong attraction polynomial beside attraction at rest."""
+    found = table(
+        scored(BASE, 300.0), scored(of("a"), 50.0, evidence=55.0),
+        scored(of("b"), 58.0, evidence=71.0, parameters=6, chi2=40.0),
+    )  # fmt: skip
+    assert competing_models(found, of("a")) == [of("a")]
+
+
 @pytest.mark.parametrize(
     ("of_declared", "chi2", "improves"),
     [(31.0, 60.0, True), (30.0, 60.0, False), (30.0, -60.0, False), (-31.0, -60.0, False), (0.0, 0.0, False)],

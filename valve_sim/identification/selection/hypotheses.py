@@ -181,7 +181,9 @@ class Search:
         effect = self.problem.plant.effects[added]
         fits: list[Fit] = []
         starts = [("sizes", {**warm, **start}) for start in effect_starts(self.problem, effect, warm)]
-        known = {name: warm[name] for other in smaller.effects for name in self.problem.plant.effects[other].free_names()}
+        known = {
+            name: warm[name] for other in smaller.effects for name in self.problem.plant.effects[other].free_names()
+        }
         starts += [("as declared", start) for start in starts_from_declared(self.problem, effect, known)]
         for kind, start in starts:
             for found in self._attempt(hypothesis, start):
@@ -230,9 +232,7 @@ def effect_starts(problem: Problem, effect: EffectChoice, warm: Mapping[str, flo
     return near + sorted(far, key=cost)[: 1 if near and sum(amplitudes) == 1 else 2]
 
 
-def starts_from_declared(
-    problem: Problem, effect: EffectChoice, known: Mapping[str, float]
-) -> list[dict[str, float]]:
+def starts_from_declared(problem: Problem, effect: EffectChoice, known: Mapping[str, float]) -> list[dict[str, float]]:
     """A start with all but effects as declared, where a further effect explains much from there; else none.
 
     A model that lacks a strong effect is refitted to dampings of 0 and values that its tolerances make incredible, and
