@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
@@ -12,11 +13,12 @@ from plants.recording import Profile, Recorder, holdout_profile, record, train_p
 from benchmarks.campaign.running import as_trace
 from benchmarks.hard_recordings.cases import CAMPAIGN
 from identification.diagnosis.test_sound_verdicts import Decay
+from identification.selection.linear_plant import SAMPLES, SIGMA, TIMES, LinearPlant, problem_of
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose_plant
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit, rmse
 from valve_sim.identification.estimation.solver import fit
-from valve_sim.identification.plants.protocol import Array, EffectChoice
+from valve_sim.identification.plants.protocol import Array, EffectChoice, Nuisance
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.diagnosis_json import to_json
 from valve_sim.identification.reporting.wording import holdout_words
@@ -114,3 +116,30 @@ def test_stamps_that_err_in_held_out_data_alone_excuse_no_model(trained: Fit) ->
     assert found is not None
     assert rmse(found) < 1.1e-6
     assert not held.open(trained)[0].is_white
+
+
+class Ringing(LinearPlant):
+    """Rings from a command's stamp on, so that an error of it by a period is a local minimum."""
+
+    timing_errors = (Nuisance("stamp[0]", 5e-3, "s", step=1e-6),)
+
+    def __init__(self, seed: int, stamp: float) -> None:
+        noise = SIGMA * np.random.default_rng(seed).standard_normal(SAMPLES)
+        super().__init__(noise, self._rings)
+        self.channels[0].data[:] += self.predict({"level": 2.0, "stamp[0]": stamp})[0]
+
+    @staticmethod
+    def _rings(values: Mapping[str, float]) -> Array:
+        since = TIMES - values.get("stamp[0]", 0.0)
+        return np.asarray(40.0 * np.exp(-3.0 * since) * np.sin(2.0 * np.pi * since / 6e-3))
+
+
+def test_no_model_is_refuted_by_where_the_search_for_stamps_began() -> None:
+    plant = Ringing(1, 0.0)
+    trained = fit(problem_of(plant), plant.base, {}, nuisances=plant.timing_errors)
+    # A period and a half away.
+    held = HeldOut(trained.problem.plant, problem_of(Ringing(2, 9e-3)))
+    found = held.fit(trained, timing=True)
+    assert found is not None
+    assert found.values["stamp[0]"] == pytest.approx(9e-3, abs=1e-4)
+    assert held.open(trained)[0].is_white

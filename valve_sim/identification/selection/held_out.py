@@ -10,10 +10,12 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
+import numpy as np
+
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit, is_relief, rmse
 from valve_sim.identification.estimation.solver import fit
-from valve_sim.identification.plants.protocol import Nuisance, Plant
+from valve_sim.identification.plants.protocol import Array, Nuisance, Plant
 from valve_sim.identification.selection.predictive_density import Prediction, knowledge_for, predict_held_out
 from valve_sim.identification.selection.residual_tests import adequacy, whiteness
 from valve_sim.identification.selection.table import DECISIVE
@@ -24,6 +26,12 @@ FAILS_HELD_OUT: Final = 1.2
 SAME: Final = 1e-9
 """Relative difference up to which two errors are equal but for rounding."""
 
+DRAWS: Final = 32
+"""Errors of the stamps that are drawn to start a fit from."""
+ROBUST: Final = 20.0
+"""σ: scale of the cost by which these are compared, so that one impact at another time does not decide."""
+REDRAWN: Final = 3
+"""How often they are drawn, at most."""
 ALIKE: Final = 0.01
 """Likewise of models that explain the same motion, one by values that their tolerances make incredible."""
 
@@ -100,23 +108,47 @@ class HeldOut:
             own = {nuisance.name for nuisance in errors if not nuisance.is_of_machine}
             machine = {name: value for name, value in result.values.items() if name not in own}
             try:
-                self._fits[key] = self._updated(result, machine, nuisances) or fit(
-                    self.problem, (), {}, nuisances=nuisances, fixed=machine
-                )
+                found = self._fitted(result, machine, nuisances, {})
+                is_credible = timing and adequacy(result).is_white
+                self._fits[key] = self._redrawn(result, machine, nuisances, found) if is_credible else found
             except SimulationError:
                 self._fits[key] = None
         return self._fits[key]
 
-    def _updated(self, result: Fit, machine: Mapping[str, float], of_recording: Sequence[Nuisance]) -> Fit | None:
-        """The fit to held-out data within what training data leave open; None where all declared values are exact."""
+    def _fitted(
+        self,
+        result: Fit,
+        machine: Mapping[str, float],
+        of_recording: Sequence[Nuisance],
+        start: Mapping[str, float],
+    ) -> Fit:
+        """The fit to held-out data, from these errors of the recording, within what training data leave open.
+
+        Where all declared values are exact, the machine stays as it is.
+        """
         assert self.problem is not None
         tolerated = [nuisance for nuisance in result.nuisances if nuisance.is_of_machine]
         if not tolerated:
-            return None
+            return fit(self.problem, (), start, nuisances=of_recording, fixed=machine)
         known = knowledge_for(result)
         fixed = {name: value for name, value in machine.items() if name not in known.names}
         nuisances = (*tolerated, *of_recording)
-        return fit(self.problem, result.free, machine, nuisances=nuisances, fixed=fixed, prior=known)
+        return fit(self.problem, result.free, {**machine, **start}, nuisances=nuisances, fixed=fixed, prior=known)
+
+    def _redrawn(self, result: Fit, machine: Mapping[str, float], of_recording: Sequence[Nuisance], found: Fit) -> Fit:
+        """The fit, again from other errors of the stamps where it may have ended in a local minimum.
+
+        A plunger that turns beside a contact touches it or does not, by some microseconds of a stamp; a model that
+        explains the training data would be refuted by where the search began.
+        """
+        assert self.problem is not None
+        stamps = [nuisance for nuisance in of_recording if nuisance in self.problem.plant.timing_errors]
+        for seed in range(REDRAWN):
+            if self._is_white(found, predict_held_out(result, found)):
+                break
+            start = likely_stamps(self.problem, stamps, machine, seed)
+            found = min(found, self._fitted(result, machine, of_recording, start), key=lambda one: one.chi2)
+        return found
 
     def needs_timing(self, result: Fit) -> bool:
         """Whether held-out data are compared with errors of their stamps estimated.
@@ -176,3 +208,24 @@ class HeldOut:
         # The plain error too: for coloured noise, whitening removes most of the slow part of any residual.
         is_large = rmse(held) > FAILS_HELD_OUT * held.problem.noise.sigma
         return not is_large and whiteness(held.problem, prediction.residuals, 0).is_white
+
+
+def likely_stamps(
+    problem: Problem, stamps: Sequence[Nuisance], machine: Mapping[str, float], seed: int
+) -> dict[str, float]:
+    """Errors of the stamps, drawn from their priors: of several draws the best for what each of them acts on."""
+    random = np.random.default_rng(seed)
+    costs: list[Array] = []
+    draws = [
+        {own.name: own.sigma * z for own, z in zip(stamps, random.standard_normal(len(stamps)).tolist(), strict=True)}
+        for _ in range(DRAWS)
+    ]
+    for draw in draws:
+        try:
+            residuals = problem.residuals({**machine, **draw})
+        except SimulationError:
+            residuals = np.full(sum(len(channel.data) for channel in problem.plant.channels), math.inf)
+        costs.append(np.log1p(np.square(residuals / ROBUST)))
+    reaches = {own.name: problem.reach(own) for own in stamps}
+    best = {name: int(np.argmin([cost[reach].sum() for cost in costs])) for name, reach in reaches.items()}
+    return {name: draws[index][name] for name, index in best.items()}

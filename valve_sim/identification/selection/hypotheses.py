@@ -181,10 +181,8 @@ class Search:
         effect = self.problem.plant.effects[added]
         fits: list[Fit] = []
         starts = [("sizes", {**warm, **start}) for start in effect_starts(self.problem, effect, warm)]
-        known = {
-            name: warm[name] for other in smaller.effects for name in self.problem.plant.effects[other].free_names()
-        }
-        starts += [("as declared", start) for start in starts_from_declared(self.problem, effect, known)]
+        kept = {name: warm[name] for name in self.free_names(smaller) if name not in self._base}
+        starts += [("as declared", start) for start in starts_from_declared(self.problem, effect, kept)]
         for kind, start in starts:
             for found in self._attempt(hypothesis, start):
                 fits.append(found)
