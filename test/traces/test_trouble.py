@@ -81,3 +81,13 @@ def test_a_voltage_behind_a_divider_of_ten_that_opened_a_valve_is_refused() -> N
         refuse_doubtful_units(trace(volts=0.1), OPENS)
     assert doubtful_units(trace(volts=0.6), OPENS) == (), "a true valve may need less than the declared one"
     assert doubtful_units(replace(trace(volts=0.1), pilot_position=trace(position=0.0).pilot_position), OPENS) == ()
+
+
+def test_a_usual_voltage_is_no_reason_to_simulate(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*arguments: object) -> None:
+        raise AssertionError("compiled code takes most of the time that looking at a recording takes")
+
+    monkeypatch.setattr("valve_sim.traces.trouble.simulate", fails)
+    assert doubtful_units(trace(), OPENS) == ()
+    with pytest.raises(AssertionError):
+        doubtful_units(trace(volts=0.2), OPENS)
