@@ -1,8 +1,8 @@
 """ROS 2 messages (CDR) to arrays and back, many at a time.
 
-Messages of one topic mostly have one layout: the same lengths, the same names, other numbers. So one message is walked
-with the type's definition, and every message whose lengths and names are the same bytes is read with it, as columns of
-one matrix. A message that fits no common layout is walked alone: the general way, some hundred times slower.
+Messages of one topic mostly share one layout: the same lengths and names, with different numbers. So one message is
+parsed by the definition of its type, and all messages with the same bytes for lengths and names are read as columns of
+one matrix. A message that shares no layout is parsed alone, which is some hundred times slower.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ ENCAPSULATION_SIZE = 4
 """Bytes before the message: representation (big or little endian CDR) and options."""
 
 LARGEST_PADDING = 3
-"""A middleware may pad a message to 4 bytes; more than this after the last field is rubbish."""
+"""A middleware may pad a message to 4 bytes; more than this after the last field is invalid."""
 
 STAMP = "header.stamp."
 
 MOST_LAYOUTS = 16
-"""Layouts tried on all messages of one length before the rest is read one by one (bounds the work on rubbish)."""
+"""Layouts tried on all messages of one length before the rest is read one by one (bounds the work on bad data)."""
 
 _BASE_TYPES = {
     "bool": "u1",
@@ -58,7 +58,7 @@ def typestore() -> Typestore:
     return get_typestore(Stores.ROS2_JAZZY)
 
 
-class MalformedMessage(Exception):  # noqa: N818 -- never leaves this room: it is counted, not shown
+class MalformedMessage(Exception):  # noqa: N818 -- internal: it is counted, not shown
     """These bytes are not a message of this type."""
 
 
@@ -75,9 +75,9 @@ class Layout(NamedTuple):
 
     Attributes:
         fields: Dotted path ("header.stamp.sec") to the place of its numbers.
-        texts: Dotted path to the strings found there.
+        texts: Dotted path to its strings.
         fixed: Byte ranges [start, stop) that another message must share to have this layout: lengths and names.
-        end: Where the last field ends; bytes beyond are padding or rubbish.
+        end: Where the last field ends; bytes beyond are padding, or invalid.
     """
 
     fields: Mapping[str, Field]
@@ -107,7 +107,7 @@ class Decoded(NamedTuple):
 
 
 class _Walker:
-    """Walks one message along its type's definition and notes where everything is."""
+    """Parses one message by the definition of its type and notes where each field is."""
 
     def __init__(self, payload: bytes, definitions: Definitions) -> None:
         if len(payload) < ENCAPSULATION_SIZE or payload[0] != 0 or payload[1] not in {0, 1}:
@@ -142,7 +142,7 @@ class _Walker:
                     self.walk(what, f"{path}[{number}].")
 
     def check_count(self, count: int) -> None:
-        """Each message in a list has at least a byte: rubbish may claim billions of them."""
+        """Each message in a list has at least one byte; invalid data may claim billions of them."""
         if count > len(self.payload) - self.position:
             raise MalformedMessage
 
@@ -178,11 +178,11 @@ class _Walker:
             raise MalformedMessage from error
 
     def align(self, size: int) -> None:
-        """Go to the next multiple of `size`, counted from the end of the encapsulation."""
+        """Advance to the next multiple of `size`, counted from the end of the encapsulation."""
         self.position += -(self.position - ENCAPSULATION_SIZE) % size
 
     def advance(self, size: int) -> None:
-        """Go on, but never beyond the message."""
+        """Advance, but never beyond the end of the message."""
         self.position += size
         if self.position > len(self.payload):
             raise MalformedMessage
@@ -192,7 +192,7 @@ class _Walker:
 
 
 def find_layout(payload: bytes, message_type: str, definitions: Definitions | None = None) -> Layout:
-    """Walk one message.
+    """Parse one message.
 
     Raises:
         MalformedMessage: The bytes end too early, or are no plain CDR.
@@ -203,7 +203,7 @@ def find_layout(payload: bytes, message_type: str, definitions: Definitions | No
 
 
 class Decoder:
-    """Reads the messages of one topic as they come, many at a time, and keeps nothing of them but their numbers.
+    """Reads the messages of one topic as they arrive, many at a time, and keeps only their numbers.
 
     Args:
         message_type: Their type.
@@ -281,7 +281,7 @@ def decode_messages(payloads: Sequence[bytes], message_type: str, definitions: D
 class _Growing:
     """A batch to which messages are added.
 
-    Byte arrays grow where they are, so that nothing is there twice; NumPy's arrays would have to be joined at the end.
+    Byte arrays grow in place, so that nothing is held twice; NumPy arrays would have to be concatenated at the end.
 
     Args:
         layout: Of the messages.
@@ -329,7 +329,7 @@ class _Rows(NamedTuple):
         return found
 
     def kind(self) -> bytes:
-        """Return what tells this layout from others: its lengths and names, and its end."""
+        """Return what distinguishes this layout from others: its lengths and names, and its end."""
         fixed = b"".join(self.matrix[0, start:stop].tobytes() for start, stop in self.layout.fixed)
         return self.layout.end.to_bytes(8, "little") + fixed
 
@@ -355,7 +355,7 @@ def _split_by_layout(
             yield _Rows(index, layout, matrix)
             return
         yield _Rows(index[same], layout, matrix[same])
-        # The general way drops one row from the front: a view. Copying what is left each time would be quadratic.
+        # A message parsed alone is dropped from the front as a view; copying the rest each time would be quadratic.
         only_first = layouts > MOST_LAYOUTS
         matrix, index = (matrix[1:], index[1:]) if only_first else (matrix[~same], index[~same])
 

@@ -1,8 +1,8 @@
-"""Which sample was taken when: reordered, duplicated and jumping stamps, and two clocks in one bag.
+"""When each sample was taken: reordered, duplicated and jumping stamps, and two clocks in one bag.
 
-A recorder writes down when a message came (bag time); a sensor stamps when it measured. The stamp is the better time,
-as long as its clock did not jump. Whether a late message was only delivered late or its stamp is wrong shows in the
-samples around it: a late message fills a hole that it left, a wrong stamp lands where a sample is already.
+A recorder notes when a message arrived (bag time); a sensor stamps when it measured. The stamp is the better time, as
+long as its clock did not jump. The neighbouring samples show whether a late message was only delivered late or has a
+wrong stamp: a late message fills the gap that it left, a wrong stamp falls where there already is a sample.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ SECOND = 1_000_000_000
 """ns."""
 
 DAY = 86_400 * SECOND
-"""Stamps and bag times further apart are two clocks (model time from 0 beside wall time), not one clock and a delay."""
+"""Stamps and bag times further apart are of two clocks (model time from 0, wall time), not of one with a delay."""
 
 LONG_DELAY = SECOND
-"""Stamps older than this when recorded are worth a word: the clocks of two computers may differ."""
+"""Stamps older than this when recorded are reported: the clocks of two computers may differ."""
 
 JUMP_RUN = 20
-"""So many wrong stamps in a row mean that the clock was set, not that a message went astray."""
+"""So many wrong stamps in a row mean that the clock was set, not that messages were misdelivered."""
 
 FORWARD_JUMP = SECOND // 10
 """A step of the stamps that exceeds the step of bag time by so much means that the clock was set forward."""
@@ -40,7 +40,7 @@ class Ordered(NamedTuple):
 
     Attributes:
         places: Where they are in the recording, in the order of their stamps, shape (n,).
-        shift: What to add to the samples' clock of an unjumped stretch to get the kept one's, ns: commands follow it.
+        shift: What to add to the clock of the samples before a jump to get that of the samples kept, ns; for commands.
         findings: What was reordered and dropped.
     """
 
@@ -50,7 +50,7 @@ class Ordered(NamedTuple):
 
 
 def order_samples(stamps: Stamps, bag_times: Stamps, values: NDArray[np.float64], topic: str) -> Ordered:
-    """Put samples into the order of their stamps; drop those that are twice there or whose stamp is wrong.
+    """Put samples into the order of their stamps; drop duplicates and those with a wrong stamp.
 
     Args:
         stamps: ns, shape (n,), in bag order.
@@ -110,7 +110,7 @@ def _without_foreign(
 def _without_repeated(
     index: NDArray[np.intp], stamps: Stamps, values: NDArray[np.float64], topic: str, findings: list[str]
 ) -> NDArray[np.intp]:
-    """Drop messages that are there twice: same stamp and same values."""
+    """Drop duplicated messages: same stamp and same values."""
     order = index[np.argsort(stamps[index], kind="stable")]
     same_stamp = np.diff(stamps[order]) == 0
     same = same_stamp & (values[order[1:]] == values[order[:-1]]).all(axis=1)
@@ -121,7 +121,7 @@ def _without_repeated(
 
 
 def _misfits(stamps: Stamps) -> NDArray[np.bool_]:
-    """Return which late samples do not fill a hole between those in order."""
+    """Return which late samples do not fill a gap between those in order."""
     late = _is_late(stamps)
     result = np.zeros(len(stamps), dtype=bool)
     if not late.any():
@@ -129,7 +129,7 @@ def _misfits(stamps: Stamps) -> NDArray[np.bool_]:
     in_order = stamps[~late]
     usual = max(1.0, float(np.median(np.diff(np.unique(stamps)))))
     right = np.searchsorted(in_order, stamps[late])
-    # Before the first sample there is a hole without end: who comes late from there fits.
+    # The gap before the first sample has no end: a late sample from there always fits.
     hole = np.where(right == 0, np.inf, in_order[right] - in_order[right - 1])
     room = np.round(hole / usual) - 1
     crowd = np.bincount(right, minlength=len(in_order))[right]
@@ -152,7 +152,7 @@ def _longest_stretch(
     backward = _runs_start(_misfits(kept_stamps))
     forward = np.flatnonzero(_jumps_forward(kept_stamps, kept_bag)) + 1
     if len(backward) == 0:
-        # A message delivered late is followed by a step forward, too: only a step that is never taken back is a jump.
+        # A message delivered late is followed by a step forward, too: only a step that is not undone later is a jump.
         lowest_ahead = np.minimum.accumulate(kept_stamps[::-1])[::-1]
         forward = forward[lowest_ahead[forward] > np.maximum.accumulate(kept_stamps)[forward - 1]]
     cuts = np.union1d(backward, forward)
@@ -185,7 +185,7 @@ def _without_wrong(index: NDArray[np.intp], stamps: Stamps, topic: str, findings
 def clock_offset(stamps: Stamps, bag_times: Stamps, topic: str) -> tuple[int, tuple[str, ...]]:
     """Return what to take from bag times to get the stamps' clock, ns, and what to say about it.
 
-    Bag times and stamps are of one clock unless they are days apart: then the usual delay between them is taken out.
+    Bag times and stamps are of one clock unless they are days apart; in that case the median difference is removed.
     """
     delay = int(np.median(bag_times - stamps))
     if abs(delay) > DAY:

@@ -1,4 +1,4 @@
-"""The times of commands by the log of who sent them: `command_profile` stamps each, as std_msgs/Float64 cannot be."""
+"""The times of commands by the log of their sender: `command_profile` logs stamps, which std_msgs/Float64 lacks."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ if TYPE_CHECKING:
 LOG: Final = "commanded"
 LOG_TYPE: Final = "sensor_msgs/msg/BatteryState"
 LONGEST_WAY: Final = SECOND
-"""ns between the stamp of a command and its recording; what is further apart is another command, or another clock."""
+"""ns between the stamp of a command and its recording; beyond it, it is another command or another clock."""
 SLACK: Final = 3
 """Commands by which a recording may lag behind the log."""
 
 
 class Commands(NamedTuple):
-    """Commands as somebody knows them: times in ns, ascending, and volts, both of shape (n,)."""
+    """Commands from one source: times in ns, ascending, and volts, both of shape (n,)."""
 
     times: NDArray[np.int64]
     volts: NDArray[np.float64]
@@ -34,26 +34,26 @@ def logs_among(types: Mapping[str, str]) -> tuple[str, ...]:
 
 
 def commands_by_logs(recorded: Commands, logs: Iterable[Commands]) -> Commands | None:
-    """The commands as they were sent, by the log of who sent them.
+    """The commands as they were sent, by the log of their sender.
 
-    A log is laid beside the commands so that every voltage agrees. Where several places do, as with equal pulses, or
-    several logs, the one holds that covers most commands, then that of the shortest way from stamp to recording.
-    Commands before and after the log stay as they were recorded; those that only the log has, since the recorder came
-    late or left early, are taken from it.
+    A log is aligned with the commands so that all voltages agree. If several alignments do, as with equal pulses, or
+    several logs, the one that covers most commands is taken, then the one with the shortest delay from stamp to
+    recording. Commands before and after the log stay as they were recorded; those that only the log has, because the
+    recorder started late or ended early, are taken from it.
 
     Args:
         recorded: the commands, by the times of their recording.
         logs: the same by their stamps, of the same clock; of other valves, too.
 
     Returns:
-        the commands, shape (n,) or longer; None where no log is of these commands.
+        the commands, shape (n,) or longer; None if no log matches these commands.
     """
     fits = [fit for log in logs for fit in _fits(recorded, log)]
     return min(fits, key=lambda fit: fit[:2])[2] if fits else None
 
 
 def _fits(recorded: Commands, log: Commands) -> Iterator[tuple[int, int, Commands]]:
-    """Where a log fits: how many commands it lacks, the usual way from stamp to recording, ns, and the result."""
+    """Each alignment of a log: how many commands it lacks, the usual delay to the recording, ns, and the result."""
     count = len(recorded.times)
     beside = np.searchsorted(log.times, recorded.times, side="right") - 1 - np.arange(count)
     for shift in range(int(beside.min()) - SLACK, int(beside.max()) + SLACK + 1):

@@ -1,4 +1,4 @@
-"""The error of the traces room."""
+"""The error that reading a recording raises."""
 
 from __future__ import annotations
 
@@ -6,4 +6,4 @@ from valve_sim.model.errors import ValveError
 
 
 class TraceError(ValveError):
-    """A recording cannot be used: one line that names the file and the topic, what was found, and the mend."""
+    """A recording cannot be used: one line with the file and the topic, what was found, and the remedy."""

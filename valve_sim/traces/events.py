@@ -1,7 +1,7 @@
-"""When the plungers arrived, read from the sensors alone: from the positions, and from the accelerometer's spikes.
+"""Arrival times of the plungers from the sensors alone: from the positions, and from spikes of the acceleration.
 
-No model is used, so that the model can be judged by it. The paper read both events off the accelerometer: a small spike
-when the pilot plunger meets the main plunger, a large one at the stop.
+No model is used, so that the model can be judged by them. The paper took both events from the accelerometer: a
+small spike when the pilot plunger meets the main plunger, a large one at the stop.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ PARABOLA_ERROR = 1e-6
 """s; what a parabola misses of the real motion: at most 0.9 µs on 8 noise-free strokes, 7.5 to 14 V at 20 kHz."""
 
 SPIKE_SIGMAS = 6.0
-"""An acceleration this far out of the noise is a spike."""
+"""An acceleration above this many standard deviations of the noise is a spike."""
 
 SPIKE_SEARCH = 1e-3
 """s; a spike further than this from the arrival seen by the position belongs to something else."""
@@ -122,8 +122,8 @@ def _by_position(trace: Trace, stroke: StrokePart, levels: _Levels) -> Iterator[
 def _rest_levels(position: Array, pilot_gap: float) -> _Levels:
     """Find seat and stop: the median of the samples near the trace's lowest and highest.
 
-    A valve rests there for most of its time, so that these samples are many and mostly still. The whole trace is
-    looked at, so this is done once for all strokes.
+    A valve rests there most of the time, so these samples are many and mostly still. The whole trace is used, so this
+    is done once for all strokes.
     """
     noise = sample_noise(position)
     low, high = np.quantile(position, [0.001, 0.999])
@@ -136,7 +136,7 @@ def _rest_levels(position: Array, pilot_gap: float) -> _Levels:
 def _arrival(times: Array, position: Array, begin: float, level: float, noise: float) -> tuple[float, float] | None:
     """Return when a motion from `begin` first gets to `level`, and the standard error; None if it does not.
 
-    A parabola is fitted to the samples between the two, none of which feels the contact yet, and carried on to there.
+    A parabola is fitted to the samples between the two, all of them before the contact, and extrapolated to `level`.
     """
     direction = 1.0 if level > begin else -1.0
     way = direction * (position - begin)
@@ -192,7 +192,7 @@ def _by_acceleration(signal: Signal | None, stroke: StrokePart, seen: tuple[Sens
     times, values = signal.times[inside], signal.values[inside]
     if len(times) < FEWEST_SAMPLES:
         return
-    # Jerk, not acceleration: the slow pull of the magnet drops out, a contact stays.
+    # Jerk, not acceleration: it removes the slow attraction of the magnet and keeps the contact.
     change = np.abs(np.diff(values))
     noise = MAD_TO_SIGMA * float(np.median(change))
     for event in seen:

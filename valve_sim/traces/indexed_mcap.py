@@ -1,7 +1,7 @@
 """Reading an intact MCAP file by its message indexes: about ten times faster than message by message.
 
-An index lists the time and place of a channel's messages in a chunk as one array, so that the messages are cut out of
-the unpacked chunk without a look at the records between them.
+An index lists the times and places of a channel's messages in a chunk as one array, so the messages are cut out of
+the unpacked chunk without parsing the records between them.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ MESSAGE_HEAD = RECORD_HEAD + 22
 """Bytes before a message's payload: the record's head, channel, sequence, log time and publish time."""
 
 
-class NotIndexed(Exception):  # noqa: N818 -- never leaves this room: the file is read in another way
+class NotIndexed(Exception):  # noqa: N818 -- internal: the file is then read in another way
     """The file has no message indexes, or they do not fit the data."""
 
 
@@ -49,7 +49,7 @@ def read_indexed_mcap(path: Path, select: Select, take: Take) -> dict[str, str]:
         every topic and its type.
 
     Raises:
-        NotIndexed: It cannot be read so; nothing is said about whether it is damaged. What was taken is to be dropped.
+        NotIndexed: It cannot be read this way, damaged or not. What was taken so far must be dropped.
     """
     with path.open("rb") as stream:
         summary = make_reader(stream).get_summary()

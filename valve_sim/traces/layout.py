@@ -1,4 +1,4 @@
-"""Where a recording has what: the topics that this package itself writes, or those that a map names."""
+"""Where a recording has each quantity: in the topics that this package writes, or in those that a map names."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Many messages at once into a recording: the records of rosbags' MCAP writer, each packed by one call.
 
-All else of the file is rosbags' own: chunks, indexes, summary and metadata.
+The rest of the file is written by rosbags: chunks, indexes, summary and metadata.
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ HINTS: Mapping[str, str] = {
     "pressure": r"press|druck|_bar",
     "temperature": r"temp",
 }
-"""What names of a quantity's topics, fields and columns are made of."""
+"""Words in the names of a quantity's topics, fields and columns."""
 PLAIN = re.compile(r"(?:time|t|zeit|timestamp|sec|seconds|elapsed).*", re.IGNORECASE)
 FEW_MESSAGES = 0.2
 """A topic with less than this share of the positions' messages is a command: sent when it changes."""
@@ -37,7 +37,7 @@ MOST_LEVELS = 12
 """A voltage rests at so few levels at most."""
 MOST_LISTED = 40
 YAML_WORDS = ("y", "n", "yes", "no", "on", "off", "true", "false", "null")
-"""Words that are none in YAML."""
+"""Words that YAML reads as something other than text."""
 
 
 class Guess(NamedTuple):
@@ -61,10 +61,10 @@ def draft_map(path: Path, parameters: ValveParameters, command: str) -> str:
     Args:
         path: A bag or a table.
         parameters: The declared valve, whose stroke and voltage tell units apart.
-        command: How it was asked for, for the first line.
+        command: The command that asked for it, for the first line.
 
     Returns:
-        The map's YAML; what is guessed says from what, and CHECK marks what only its user can know.
+        The map's YAML; a comment says what each guess is based on, and CHECK marks what only its user can know.
 
     Raises:
         ValveError: The recording cannot be read, or nothing in it moves.
@@ -116,7 +116,7 @@ def _valves(series: Sequence[Series], parameters: ValveParameters) -> dict[str, 
 
 
 def _guesses(series: Sequence[Series], parameters: ValveParameters) -> list[Guess]:
-    """The quantities of one valve, the voltage first: what moves when it steps is the position."""
+    """The quantities of one valve, the voltage first: the series that moves at its steps is the position."""
     rest = list(series)
     guesses: list[Guess] = []
     voltage = _best(rest, _voltage_score)
@@ -134,7 +134,7 @@ def _guesses(series: Sequence[Series], parameters: ValveParameters) -> list[Gues
             guesses.append(_position_guess("main_position", main, parameters))
     for quantity in ("current", "acceleration", "pressure", "temperature"):
         named = [entry for entry in rest if _names(entry, quantity)]
-        # A current without a name is what is left of an oscilloscope's channels.
+        # A current without a name is taken to be the remaining channel of an oscilloscope.
         unnamed = rest if quantity == "current" and len(rest) == 1 and "column" in rest[0].place else []
         for entry in (named or unnamed)[:1]:
             rest.remove(entry)

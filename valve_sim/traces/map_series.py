@@ -1,4 +1,4 @@
-"""Every series of numbers in a recording, with what can be told of it without knowing what it is."""
+"""Every series of numbers in a recording, with its properties that need no knowledge of what it is."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Series:
 
     @property
     def words(self) -> str:
-        """What hints are looked for in."""
+        """The text that is searched for hints."""
         return self.name.lower()
 
     @property
@@ -88,13 +88,13 @@ class Series:
 
     @functools.cached_property
     def rest_share(self) -> float:
-        """Share of samples within 5 % of the span of either end: near 1 for what moves between two stops."""
+        """Share of samples within 5 % of the span of either end: near 1 for a motion between two stops."""
         share = (self.values - self.low) / self.span
         return float(np.mean((share < 0.05) | (share > 0.95)))
 
     @functools.cached_property
     def sharpness(self) -> float:
-        """Share of the whole travel that is made in steps of a tenth of the span or more: 1 for what is switched."""
+        """Share of the whole travel that is made in steps of a tenth of the span or more: 1 for a switched quantity."""
         steps = np.abs(np.diff(self.values))
         large = steps[steps > 0.1 * self.span].sum()
         return float(large / max(large, np.abs(np.diff(medians_of_three(self.values))).sum(), 1e-300))

@@ -100,7 +100,7 @@ def number_paths(batch: Batch) -> list[str]:
     for path, field in batch.layout.fields.items():
         if path.startswith("header."):
             continue
-        # A list has its index even when it is of one number now: the next message's may be longer.
+        # A list has an index even if it has one number now: that of the next message may be longer.
         is_list = field.size != 1 or _is_list(path)
         paths += [f"{path}[{place}]" for place in range(field.size)] if is_list else [path]
     return paths

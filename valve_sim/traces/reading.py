@@ -1,4 +1,4 @@
-"""Recordings to traces: one valve's commands and samples, checked at the edge."""
+"""Recordings to traces: one valve's commands and samples, validated."""
 
 from __future__ import annotations
 
@@ -219,7 +219,7 @@ class _Assembly:
                 values[batch.places] = found
             if source.clock != "bag" and has_stamp(batch):
                 taken = header_stamps(batch)
-                # Model time begins at 0, where a sample may be; of other messages, 0 means that nobody stamped them.
+                # Model time begins at 0, where a sample may be; in other messages, 0 means that they were not stamped.
                 usable = np.full(len(taken), True) if quantity in POSITIONS else taken != 0
                 is_stamped[batch.places] = usable
                 stamps[batch.places] = np.where(usable, taken, stamps[batch.places])
@@ -382,7 +382,7 @@ class _Assembly:
         return when, steps.volts, DriveErrors(steps.time_errors, steps.volt_errors)
 
     def sent(self, recorded: Commands, offset: int) -> Commands:
-        """Return commands as they were sent, as far as who sent them logged it; else as they were recorded."""
+        """Return commands as they were sent, as far as their sender logged them; the rest as they were recorded."""
         logs = []
         for topic in self.plan.logs:
             messages = self.recording.topics.get(topic)

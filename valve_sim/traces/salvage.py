@@ -37,7 +37,7 @@ KEPT_TYPES = frozenset(
         "sensor_msgs/msg/BatteryState",
     }
 )
-"""Types this package reads; a salvage holds all it keeps in memory, and a camera beside the valve must not fill it."""
+"""Types this package reads; a salvage is held in memory, which the images of a camera must not fill."""
 
 
 @dataclass
@@ -107,7 +107,7 @@ def _unpack_pieces(unpack: object, data: bytes) -> bytes:
 
 
 def salvage_mcap(path: Path, wanted: frozenset[str] = frozenset()) -> Salvaged:
-    """Read an MCAP file from its start for as long as it makes sense; order within a topic is by bag time."""
+    """Read an MCAP file from its start as far as it is valid; messages of a topic are in the order of bag time."""
     salvaged = Salvaged(wanted=wanted)
     channels: dict[int, str] = {}
     with path.open("rb") as stream:
@@ -163,7 +163,7 @@ def _cut_chunk(stream: BinaryIO, start: int) -> Chunk | None:
         start_time, end_time, size = rest.read8(), rest.read8(), rest.read8()
         checksum, compression = rest.read4(), rest.read_prefixed_string()
         rest.read8()
-    except Exception:  # cut within the chunk's head, or rubbish in it: nothing to read
+    except Exception:  # cut within the chunk's head, or invalid: nothing to read
         return None
     return Chunk(compression, stream.read(), end_time, start_time, checksum, size)
 
@@ -172,7 +172,7 @@ def _chunk_records(chunk: Chunk, salvaged: Salvaged) -> Iterator[McapRecord]:
     data = unpack_chunk(chunk)
     salvaged.damaged_chunks += not chunk_is_sound(chunk, data)
     if len(data) == chunk.uncompressed_size and not chunk_is_sound(chunk, data):
-        # Nothing tells which bytes are wrong: a wrong position is worse than a missing one.
+        # It is unknown which bytes are wrong, and a wrong position is worse than a missing one.
         return
     records = StreamReader(BytesIO(data), skip_magic=True).records
     while True:

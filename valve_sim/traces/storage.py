@@ -151,7 +151,7 @@ def _read_whole(path: Path, select: Select, most: int | None = None) -> _Part:
             return _read_indexed(path, select, most)
         except TraceError:
             raise
-        except Exception:  # no index, or a damaged one: rosbags says what is the matter
+        except Exception:  # no index, or a damaged one: rosbags reports which
             return _read_by_rosbags(path, select, most)
     return _read_by_rosbags(path, select, most)
 
@@ -230,7 +230,7 @@ def _describe_salvage(path: Path, kept: Sequence[_Part], count: int, reason: str
 
 
 def _declared_count(path: Path) -> int | None:
-    """Return how many messages a folder's metadata promise, where they can be read at all."""
+    """Return how many messages a folder's metadata declare, if the metadata can be read."""
     file = path / "metadata.yaml"
     try:
         found = re.search(r"^  message_count: (\d+)", file.read_text("utf-8"), re.MULTILINE)

@@ -1,7 +1,7 @@
 """The strokes of a trace, and their parts: what each voltage step made the valve do.
 
 A stroke begins when the voltage leaves zero, and lasts until it leaves zero again (`begins_stroke`). Its parts are the
-steps of the voltage in it: an opening, perhaps a hold, a closing. Whoever counts strokes counts them by this page.
+steps of the voltage in it: an opening, perhaps a hold, a closing. All other code counts strokes by this module.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ FULL_TRAVEL = 0.9
 """An opening that ends below this share of the trace's travel did not reach the stop: a pulse."""
 
 BEFORE_STROKE = 0.25
-"""The part of a rest, at its end, that is counted to the stroke after it, whose command may be earlier than stamped."""
+"""The share of a rest, at its end, that belongs to the next stroke, whose command may be earlier than its stamp."""
 
 
 class StrokePart(NamedTuple):
@@ -65,7 +65,7 @@ class StrokePart(NamedTuple):
 
 
 def sample_noise(position: Array) -> float:
-    """Return the standard deviation of white noise on a position, m, from second differences, which motion spares."""
+    """Return the standard deviation of white noise on a position, m, from second differences (insensitive to motion)."""
     if len(position) < 4:
         return 0.0
     return float(MAD_TO_SIGMA * np.median(np.abs(np.diff(position, 2))) / np.sqrt(6.0))
@@ -80,7 +80,7 @@ def _smallest_change(position: Array) -> float:
 
 
 def motion_threshold(position: Array) -> float:
-    """Return the span, m, beyond which a position has moved and not only shown noise."""
+    """Return the span, m, above which a position has moved; below it may be noise."""
     return MOTION_SIGMAS * sample_noise(position) + MOTION_STEPS * _smallest_change(position) + SMALLEST_MOTION
 
 

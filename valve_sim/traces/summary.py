@@ -1,4 +1,4 @@
-"""What there is to say about a trace before anything is fitted to it."""
+"""Summary of a trace, before anything is fitted to it."""
 
 from __future__ import annotations
 

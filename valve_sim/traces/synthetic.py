@@ -1,4 +1,4 @@
-"""Recordings made from the model, with a sensor's noise: bags to play with, to test a fit on, to draw."""
+"""Recordings made by the model, with the noise of sensors: to try things out, to test a fit, to draw."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _PROFILE_FORM: Final = "expected rows of time in s and volts, such as [[0.01, 9.
 
 @dataclass(frozen=True)
 class Sensor:
-    """What measuring does to the truth.
+    """Errors of the sensors.
 
     Attributes:
         position_noise: standard deviation of white noise on both positions, m.
@@ -72,7 +72,7 @@ def record(valve: Valve, drive: Drive, duration: float, rate: float, sensor: Sen
         drive: commanded voltage, times from 0 on, s.
         duration: s, of which samples k / rate are taken, k from 0 on, the end left out.
         rate: samples a second, Hz.
-        sensor: what measuring does.
+        sensor: the errors of the sensors.
 
     Raises:
         ValveError: no command, no sample, or too many of them fall into the duration.

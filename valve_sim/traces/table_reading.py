@@ -1,4 +1,4 @@
-"""Tables of a data logger to traces: one clock for all columns, the rows' own."""
+"""Tables of a data logger to traces: all columns share the clock of the rows."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The messages of a recording's topics, decoded while they are read: what is kept of them are times and numbers."""
+"""The messages of a recording's topics, decoded while they are read: only times and numbers are kept."""
 
 from __future__ import annotations
 

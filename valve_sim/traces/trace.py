@@ -27,7 +27,7 @@ class Signal(NamedTuple):
 
 
 class DriveErrors(NamedTuple):
-    """How well commands are known that were not recorded as such but read from samples of a voltage.
+    """How well commands are known that were read from samples of a voltage, not recorded as commands.
 
     Attributes:
         times: Standard deviation of each command's time, s, shape (k,); 0 where it is exact.

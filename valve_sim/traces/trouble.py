@@ -1,4 +1,4 @@
-"""What makes a sound trace hard to use: gaps, no command, no motion, numbers of another unit."""
+"""Problems of a readable trace: gaps, no command, no motion, numbers in another unit."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ PILOT = "pilot_plunger"
 LARGEST_POSITION = 0.1
 """m; a solenoid valve's plunger moves millimetres: beyond this the unit is most likely not metres."""
 MOST_STROKES = 10.0
-"""No position lies so many strokes from the closed one, or it is no metre."""
+"""No position lies so many strokes from the closed one, or its unit is not metres."""
 TOO_SMALL = {1e3: "m were taken for mm, or mm for um", 1e6: "m were taken for um"}
 """A travel so many times smaller than the stroke is another unit; what lies between may be a valve that sticks."""
 ALIKE = 3.0
 """Declared and true stroke differ by less than this factor."""
 OPEN_SHARE = 0.9
-"""Of the travel: from here on it has arrived."""
+"""Share of the travel from which on the plunger has arrived."""
 SHORTEST_LIFT, LONGEST_LIFT = 20e-6, 0.5
 """s from the gap to the stop or back: it takes milliseconds."""
 MOST_VOLTS = 30.0
@@ -61,7 +61,7 @@ def trouble_in(trace: Trace, positions: str, voltage: str) -> list[str]:
 
 
 def doubtful_units(trace: Trace, parameters: ValveParameters) -> tuple[str, ...]:
-    """What in a trace is off by such a factor that it is in another unit, or is not what it is said to be.
+    """Quantities of a trace that are off by so large a factor that they are in another unit, or are another quantity.
 
     Args:
         trace: What was read.
@@ -83,7 +83,7 @@ def refuse_doubtful_units(trace: Trace, parameters: ValveParameters) -> None:
     """Stop before anything is fitted to numbers of another unit; see `doubtful_units`.
 
     Raises:
-        TraceError: One line with the recording, the topic or column, what was found and is expected, and the mend.
+        TraceError: One line with the recording, the topic or column, what was found and is expected, and the remedy.
     """
     for line in doubtful_units(trace, parameters):
         raise TraceError(f"{trace.source}: {line}")
@@ -196,5 +196,5 @@ def _has_moved(trace: Trace) -> bool:
 
 
 def _unit_of(ratio: float, factors: Mapping[str, float]) -> tuple[str, float]:
-    """The unit whose numbers are so many times too large, most nearly, and its factor."""
+    """The unit whose factor is closest to the ratio, and that factor."""
     return min(factors.items(), key=lambda item: abs(np.log(ratio / item[1])))

@@ -1,7 +1,7 @@
-"""Commands out of a measured voltage: where it stepped, to which level, and how well either is known.
+"""Commands from a measured voltage: when it stepped, to which level, and how well both are known.
 
-A force goes with the square of the voltage, and 1 mV of 10 V moves the pilot plunger's damping by as much as all the
-noise of two strokes, so that neither a date nor a level can be taken for exact.
+The force grows with the square of the voltage, and 1 mV of 10 V changes the estimate of the pilot plunger's damping by
+as much as all the noise of two strokes, so neither the time nor the level of a step can be taken as exact.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ REST_SHARE = 0.002
 LEVEL_SHARE = 0.04
 """Levels nearer than this share of the whole span are one: ripple and droop are no commands."""
 SHORTEST_LEVEL = 3
-"""Samples; what is shorter is the way from one level to the next."""
+"""Samples; a shorter rest is part of the transition from one level to the next."""
 SMALLEST_SPAN = 0.05
 """V; a voltage that stays within this was never switched."""
 ZERO_SHARE = 0.03
-"""Levels below this share of the highest are 0 V: what is left is the probe's offset."""
+"""Levels below this share of the highest are 0 V: the rest is the probe's offset."""
 
 
 OFFSET_SIGMAS = 3.0
 """A voltage at rest that is further than this many standard errors from 0 shows the probe's offset."""
 UNIFORM = 1.0 / np.sqrt(12.0)
-"""Standard deviation of what lies anywhere in an interval of length 1."""
+"""Standard deviation of a uniform distribution over an interval of length 1."""
 BATCHES = 8
 """Parts of a level whose means show slow noise, ripple and droop."""
 SHORTEST_BATCH = 5
@@ -49,7 +49,7 @@ COARSEST = 1.0 / 128.0
 ROUNDING = 1e-9
 """Share of the largest reading below which two readings differ for rounding alone."""
 SMALLEST_ERROR = 1e-9
-"""V: no mean is known better."""
+"""V: no mean is known more accurately."""
 
 
 class Steps(NamedTuple):
@@ -81,9 +81,9 @@ def find_steps(times: Array, volts: Array, source: str) -> Steps:
     """Return when a measured voltage changed its level, and to which, piecewise constant.
 
     A level is the mean of the samples that rest at it between two steps. A step from one sample to the next is dated in
-    the middle between them, for nothing says where it was; a slower one where a straight line between the samples
-    crosses the middle between the levels. It can have been anywhere between the last sample that rests at the old level
-    and the first at the new one.
+    the middle between them, because nothing more is known; a slower one where linear interpolation crosses the middle
+    between the levels. It may have happened anywhere between the last sample that rests at the old level and the first
+    at the new one.
 
     Args:
         times: s, strictly ascending, shape (n,).
