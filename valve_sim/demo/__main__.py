@@ -1,4 +1,4 @@
-"""The command line of the demonstration, and what it does from start to end."""
+"""The command line of the demonstration, and its course."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from valve_sim.traces import BagRecorder, events_from_sensors, read_trace
 
 VOLTS: Final = 9.0
 SPEED: Final = 0.02
-"""Model seconds a second: a stroke of 10 ms takes half a second, which eyes can follow."""
+"""Model seconds a second: a stroke of 10 ms takes half a second, slow enough to watch."""
 DISCOVERY: Final = 0.4
-"""s in which ROS finds out who else is there."""
+"""s in which ROS discovers other nodes."""
 
 
 def perform(folder: Path, strokes: int, speed: float, console: Console, signals: StopSignals) -> None:
@@ -35,7 +35,7 @@ def perform(folder: Path, strokes: int, speed: float, console: Console, signals:
 
     Raises:
         DemoError: no ROS 2, or the node failed.
-        StoppedError: a signal came; what it began is put away.
+        StoppedError: a signal came; unfinished files are removed.
         ValveError: the folder cannot be written to.
     """
     bag = folder / "strokes"
@@ -85,7 +85,7 @@ def _enter_ros(folder: Path) -> None:
         raise DemoError(
             f"ROS 2 is not here ({error}); source your ROS 2, or type make run, which installs its wheels"
         ) from error
-    # Signals stay this process's own: ROS would shut down under a bag that is not closed yet.
+    # Signals are handled by this process: ROS would shut down while a bag is still open.
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
 
 

@@ -1,4 +1,4 @@
-"""This process's ROS node: hears the valve's topics and commands its coil."""
+"""This process's ROS node: subscribes to the valve's topics and commands its coil."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ TOPICS: Final[Mapping[str, str]] = {
     "/valve/phase": "std_msgs/msg/UInt8",
     "/valve/is_open": "std_msgs/msg/Bool",
 }
-"""What is heard, by type."""
+"""The topics, by type."""
 COMMAND: Final = "/valve/coil_voltage"
 
 
@@ -60,7 +60,7 @@ class Listener:
 
     def _hear(self, topic: str) -> Any:
         def hear(payload: bytes, information: Mapping[str, int]) -> None:
-            # A middleware that does not say when a message was published has 0 there.
+            # A middleware without the time of publication gives 0.
             published = information["source_timestamp"] or time.time_ns()
             self.messages.put(Message(topic, bytes(payload), published))
 
@@ -82,14 +82,14 @@ class Listener:
 
     @property
     def is_heard(self) -> bool:
-        """Whether somebody listens to the commands."""
+        """Whether there is a subscriber to the commands."""
         return bool(self._commands.get_subscription_count() > 0)
 
     def expect_valves(self, most: int) -> None:
-        """No more nodes than so many publish as this valve.
+        """Check that no more than so many nodes publish as this valve.
 
         Raises:
-            DemoError: more do, and one would be mistaken for the other.
+            DemoError: more do, so that their messages would be mixed up.
         """
         if self.node.count_publishers("/valve/joint_states") > most:
             raise DemoError(
@@ -97,7 +97,7 @@ class Listener:
             )
 
     def close(self) -> None:
-        """Leave ROS."""
+        """Shut down the node."""
         from rclpy.utilities import try_shutdown
 
         self._executor.shutdown()

@@ -1,4 +1,4 @@
-"""Model time of what has no stamp, from the stamps that were published beside it."""
+"""Model time of messages without a stamp, from the stamps that were published with them."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ class ModelTime:
     """Relates the wall's clock to the valve's, by messages that show both.
 
     valve_node publishes all that belongs to one step at once, the stamped joint states first. So a message without a
-    stamp belongs to the last joint states published before it. When it arrives says nothing: on a busy machine one
-    topic is heard tens of milliseconds later than another.
+    stamp belongs to the last joint states published before it. Its arrival does not tell: on a busy machine one
+    topic arrives tens of milliseconds later than another.
 
     Args:
         speed: model seconds a second.
@@ -39,7 +39,7 @@ class ModelTime:
     def observe(self, stamp: int, published: int) -> None:
         """A stamp (ns) was published at this time of the wall's clock (ns)."""
         if self._published and published < self._published[-1]:
-            return  # the wall's clock was set back; what is known already is the better guide
+            return  # the wall's clock was set back; keep the relation known so far
         self._stamps.append(stamp)
         self._published.append(published)
         self._lead = max(self._lead, (stamp - self._stamps[0]) - self._speed * (published - self._published[0]))
@@ -51,7 +51,7 @@ class ModelTime:
         return self._stamps[max(bisect_right(self._published, published) - 1, 0)]
 
     def at(self, wall: int) -> int:
-        """Model time, ns, at a time of the wall's clock, ns: the least delayed stamp counts."""
+        """Model time, ns, at a time of the wall's clock, ns, from the stamp with the least delay."""
         if not self._stamps:
             raise RuntimeError("a stamp comes before the first question")
         return self._stamps[0] + round(self._speed * (wall - self._published[0]) + self._lead)

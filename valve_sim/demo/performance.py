@@ -1,4 +1,4 @@
-"""One run of the demonstration: messages in, bag and story out."""
+"""One run of the demonstration: from messages to a bag and a story."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from valve_sim.model import Phase
 from valve_sim.traces import BagRecorder
 
 FRAME: Final = 1.0 / 30.0
-"""s between two looks at what came."""
+"""s between two updates."""
 LONG_START: Final = 5.0
 """s to its first message after which a node is most likely compiling the model, which `make` has done before."""
 LONGEST_SILENCE: Final = 20.0
 """s by which it may be late before it counts as silent: a busy machine holds a process up for some."""
 START_LIMIT: Final = 120.0
-"""s that the node may take to its first message."""
+"""s within which the first message of the node must come."""
 
 
 class Performance:
@@ -57,7 +57,7 @@ class Performance:
 
     @contextlib.contextmanager
     def shown(self) -> Iterator[None]:
-        """While this lasts, a terminal shows the valve as it moves; elsewhere lines must do."""
+        """Context in which a terminal shows the valve as it moves; without a terminal, lines are printed."""
         if not self._console.is_terminal:
             yield
             return
@@ -132,7 +132,7 @@ class Performance:
         self._record(message, stamp)
 
     def _take_unstamped(self, message: Message) -> bool:
-        """Whether the time of a message is known by now; if so, it is told and recorded."""
+        """Tell and record a message whose time is known by now; whether it was."""
         stamp = self._clock.stamp_of(message.published)
         if stamp is None:
             return False

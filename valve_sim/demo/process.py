@@ -11,7 +11,7 @@ from typing import Final
 from valve_sim.model import ValveError
 
 STOP_LIMIT: Final = 20.0
-"""s that the node may take to end after it was asked to; one that is killed haunts its topics for as long."""
+"""s within which the node must end after it was asked to; a killed one would stay on its topics for as long."""
 
 
 class DemoError(ValveError):
@@ -32,12 +32,12 @@ class ValveProcess:
                 list(command),
                 stdout=output,
                 stderr=subprocess.STDOUT,
-                # Ctrl-C is this process's to handle: it stops the node when the bag is safe.
+                # Ctrl-C is handled by this process, which stops the node once the bag is closed.
                 start_new_session=True,
             )
 
     def check(self) -> None:
-        """The node lives.
+        """Check that the node is running.
 
         Raises:
             DemoError: it has ended.

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM, taken between two looks at the valve."""
+"""Ctrl-C and SIGTERM, handled between two updates."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ class StoppedError(Exception):
 
 
 class StopSignals:
-    """While inside, SIGINT and SIGTERM leave a note that `check` raises.
+    """Context in which SIGINT and SIGTERM are noted, and raised by `check`.
 
-    An exception out of the handler could come up at any place, also while ROS or the recorder is at work, which may
-    turn it into another error, lose it or leave half a bag.
+    An exception from the handler could be raised anywhere, also inside ROS or the recorder, which might turn it into
+    another error, lose it or leave half a bag.
     """
 
     def __init__(self) -> None:
@@ -36,7 +36,7 @@ class StopSignals:
             signal.signal(number, handler)
 
     def check(self) -> None:
-        """Go on, unless a signal came.
+        """Raise if a signal came.
 
         Raises:
             StoppedError: one came.

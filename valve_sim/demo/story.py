@@ -1,4 +1,4 @@
-"""What the valve has done so far, and how to say it."""
+"""What the valve has done so far, and its description."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class Story:
         self._currents.append((when, amperes))
 
     def phase(self, when: float, phase: Phase) -> str | None:
-        """A phase began at `when`, s; the line to show, if it is worth one."""
+        """A phase began at `when`, s; returns the line to show, if any."""
         step = self._phases[-1][1], phase
         self._phases.append((when, phase))
         words = _STEPS.get(step)
@@ -84,7 +84,7 @@ class Story:
         if words is None or place < 0:
             return None
         commanded, volts = self.commands[place]
-        # The last trace of current lifts a closed pilot plunger by less than an atom: no news.
+        # The last of the current lifts a closed pilot plunger by less than an atom: not shown.
         if step == (Phase.CLOSED, Phase.PILOT) and volts == 0.0:
             return None
         return f"{1e3 * (when - commanded):8.2f} ms  {words}"

@@ -1,4 +1,4 @@
-"""Tables of a data logger: CSV with preamble, units and decimal commas; Parquet; MATLAB. Columns by name out."""
+"""Tables of a data logger as columns by name: CSV with preamble, units and decimal commas; Parquet; MATLAB."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ TABLE_SUFFIXES: Final = (*TEXT_SUFFIXES, *PARQUET_SUFFIXES, ".mat")
 _DELIMITERS: Final = (";", "\t", ",", None)
 _COMMENTS: Final = ("#", "%", "//", "!")
 _LONGEST_PREAMBLE: Final = 500
-"""Lines before the numbers that are looked through."""
+"""Lines that are searched for the first numbers."""
 _UNIT_WORDS: Final = frozenset(
     {unit for units in UNITS.values() for unit in units}
     | {"volt", "volts", "second", "seconds", "sec", "ampere", "amp", "amps", "ohm", "Ω", "N", "Hz", "%", "-", ""}
 )
 _WHOLE: Final = 3
-"""So many lines of numbers in a row are the beginning of the data."""
+"""So many lines of numbers in a row begin the data."""
 
 
 class DataTable:
@@ -50,7 +50,7 @@ class DataTable:
         """The numbers of a column, (n,), NaN where a cell is empty; `name` may be its number, from 1 on.
 
         Raises:
-            TableError: there is no such column, or a cell of it is no number.
+            TableError: there is no such column, or one of its cells is not a number.
         """
         if name in self.names:
             return self._numbers(self.names.index(name))
@@ -70,7 +70,7 @@ def open_table(path: Path) -> DataTable:
     """Open a table by its suffix, one of `TABLE_SUFFIXES`.
 
     Raises:
-        TableError: it cannot be read as what its name says; one line with the mend.
+        TableError: it cannot be read as its suffix says; one line with the remedy.
     """
     suffix = path.suffix.lower()
     try:
@@ -87,7 +87,7 @@ def open_table(path: Path) -> DataTable:
 class TextTable(DataTable):
     """A text file: lines of numbers after a preamble of any kind.
 
-    Cells are parted by semicolons, tabs, commas or blanks; where commas do not part, they are decimal points. The names
+    Cells are separated by semicolons, tabs, commas or blanks; commas that are not separators are decimal points. Names
     are in the last line before the numbers that has as many cells, or in the one before if the last one holds units.
     """
 
@@ -119,7 +119,7 @@ class TextTable(DataTable):
         return np.asarray(found)
 
     def _one_by_one(self, place: int) -> Array:
-        """Slowly: empty cells are allowed, and what is no number is named with its line."""
+        """Cell by cell, slowly: empty cells are allowed, and a cell that is not a number is named with its line."""
         values = []
         for number, line in enumerate(self._lines[self._first :], start=self._first + 1):
             if not line.strip():
@@ -162,7 +162,7 @@ def _number(cell: str | None) -> float | None:
 def _find_data(path: Path, lines: Sequence[str]) -> tuple[str | None, int, int]:
     """The delimiter, the first line of numbers, and how many cells it has."""
     head = lines[: _LONGEST_PREAMBLE + _WHOLE]
-    for words in (0, 1):  # one column of words, such as a time of day, is allowed where nothing else fits
+    for words in (0, 1):  # one column of text, such as a time of day, is allowed if nothing else fits
         for delimiter in _DELIMITERS:
             widths = [_width_of_numbers(line, delimiter, words) for line in head]
             start = _first_run(widths)
@@ -188,7 +188,7 @@ def _first_run(widths: Sequence[int | None]) -> int | None:
 
 
 def _width_of_numbers(line: str, delimiter: str | None, words: int) -> int | None:
-    """How many cells a line of numbers has, of which `words` may be none; 0 for another line, None for an empty one."""
+    """How many cells a line of numbers has, of which `words` may be text; 0 for another line, None for an empty one."""
     if not line.strip():
         return None
     if line.lstrip().startswith(_COMMENTS):
@@ -199,7 +199,7 @@ def _width_of_numbers(line: str, delimiter: str | None, words: int) -> int | Non
 
 
 def _find_names(lines: Sequence[str], delimiter: str | None, width: int) -> tuple[list[str], dict[str, str]]:
-    """Names and units out of what stands before the numbers."""
+    """Names and units from the lines before the numbers."""
     rows: list[list[str]] = []
     for line in reversed(lines):
         text = line.strip()
@@ -234,7 +234,7 @@ def _bare(cell: str) -> str:
 
 
 def _unique(names: Sequence[str]) -> list[str]:
-    """Names with a number where one is empty or there twice."""
+    """Names, with a number added to those that are empty or occur twice."""
     result: list[str] = []
     for number, name in enumerate(names, start=1):
         result.append(name if name and name not in result else f"{name or 'column'}_{number}")
@@ -245,7 +245,7 @@ def _unique(names: Sequence[str]) -> list[str]:
 
 
 class _ArrayTable(DataTable):
-    """Columns that are there already."""
+    """Columns that are in memory already."""
 
     def __init__(self, path: Path, columns: Mapping[str, Any]) -> None:
         super().__init__(path, list(columns), {})

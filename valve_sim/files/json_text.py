@@ -1,4 +1,4 @@
-"""Results as JSON: records become mappings, and numbers that are not finite, which JSON does not have, null."""
+"""Results as JSON: records become mappings, and numbers that are not finite become null, as JSON has none."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from typing import Any
 
 
 def finite_or_none(value: float) -> float | None:
-    """A number that JSON has, or None."""
+    """The number if it is finite, else None."""
     return float(value) if math.isfinite(value) else None
 
 
 def plain(value: Any) -> Any:
-    """What JSON has: mappings, lists, words, finite numbers, null."""
+    """The value in the types of JSON: mappings, lists, strings, finite numbers, null."""
     if isinstance(value, float):
         return finite_or_none(value)
     if dataclasses.is_dataclass(value):
@@ -31,7 +31,7 @@ def plain(value: Any) -> Any:
 
 
 def plain_mapping(report: Mapping[str, Any]) -> dict[str, Any]:
-    """A report as JSON has it."""
+    """A report in the types of JSON."""
     return {str(key): plain(item) for key, item in report.items()}
 
 

@@ -17,7 +17,7 @@ class Ledger:
     written: list[Path] = field(default_factory=list)
 
     def words(self) -> str:
-        """What to say of them when the run is stopped."""
+        """What to say of the files when the run is stopped."""
         missing = [path for path in self.planned if path not in self.written]
         done = f"wrote {', '.join(map(str, self.written))}" if self.written else "nothing was written"
         return f"{done}; not written: {', '.join(map(str, missing))}" if self.written and missing else done
@@ -28,7 +28,7 @@ _LEDGER: ContextVar[Ledger | None] = ContextVar("ledger", default=None)
 
 @contextmanager
 def keeping_ledger() -> Iterator[Ledger]:
-    """Note the files that are planned and written inside."""
+    """Context that notes the files planned and written inside."""
     ledger = Ledger()
     token = _LEDGER.set(ledger)
     try:
@@ -38,14 +38,14 @@ def keeping_ledger() -> Iterator[Ledger]:
 
 
 def plan_files(*paths: Path) -> None:
-    """Say which files are going to be written, for the ledger."""
+    """Tell the ledger which files are going to be written."""
     ledger = _LEDGER.get()
     if ledger is not None:
         ledger.planned += paths
 
 
 def note_written(path: Path) -> None:
-    """Say that a file was written whole, for the ledger; `replacing` does."""
+    """Tell the ledger that a file was written whole; `replacing` does."""
     ledger = _LEDGER.get()
     if ledger is not None and path not in ledger.written:
         ledger.written.append(path)

@@ -40,7 +40,7 @@ from valve_sim.model.parameters import closest
 from valve_sim.model.tolerances import COVARIANCE_NAME
 
 DEFAULT_FILE: Final = "valve.yaml"
-"""The shipped parameter file whose values hold where a file gives none."""
+"""The shipped parameter file, whose values are the defaults of others."""
 
 LARGEST_INTEGER: Final = 2**63 - 1
 """ROS 2 parameters hold 64 bit."""
@@ -61,7 +61,7 @@ class Section(NamedTuple):
     values: dict[str, object]
 
     def applies_to(self, node: str) -> bool:
-        """Whether ROS 2 hands these parameters to the node of this full name."""
+        """Whether ROS 2 gives these parameters to the node of this full name."""
         pattern = re.escape(self.node).replace(r"/\*\*", "(/[^/]+)*").replace(r"\*", "[^/]+")
         return re.fullmatch(pattern, node) is not None
 
@@ -74,7 +74,7 @@ class Section(NamedTuple):
 def load_valve(path: Path | str, node: str | None = None) -> Valve:
     """The valve that a parameter file describes.
 
-    Keys beside `valve` and `effects` belong to nodes and are passed over.
+    Keys beside `valve` and `effects` belong to nodes and are ignored.
 
     Args:
         path: a ROS 2 parameter file.
@@ -88,7 +88,7 @@ def load_valve(path: Path | str, node: str | None = None) -> Valve:
     sections = [section for section in candidates if section.is_about_valve]
     if not sections:
         for section in candidates:
-            valve_from_flat(section.values, str(path))  # perhaps all that is wrong is where a name stands
+            valve_from_flat(section.values, str(path))  # perhaps a name is only in the wrong place
         meant = "" if node is None else f" of {node}"
         raise ParameterError(f"{path}: holds no parameters{meant} of a valve; {_FORM}")
     named = sorted({section.node for section in sections if "*" not in section.node})
@@ -102,7 +102,7 @@ def valve_from_flat(values: Mapping[str, object], source: str, base: Valve | Non
     """A checked valve from flat dotted names.
 
     Args:
-        values: such as {"valve.pilot_mass": 0.109, "effects.stiction.force": 0.3}; other nodes' names are passed over.
+        values: such as {"valve.pilot_mass": 0.109, "effects.stiction.force": 0.3}; other nodes' names are ignored.
         source: the file or node they come from, for messages.
         base: has the values that are not given, tolerances apart; default: the shipped config/valve.yaml.
 
@@ -164,7 +164,7 @@ def is_on(effect: Effect, values: Mapping[str, float]) -> bool:
 
 
 def off_value(parameter: Parameter) -> float:
-    """What an effect's parameter is while it is not given: its off-value, or its prior scale if it has none."""
+    """The value of an effect's parameter that is not given: its off-value, or its prior scale if it has none."""
     return parameter.neutral if parameter.not_declared is None else parameter.not_declared
 
 
@@ -192,10 +192,10 @@ def default_valve() -> Valve:
 
 
 def read_sections(path: Path | str) -> tuple[Section, ...]:
-    """Every node's parameters in a file, in the file's order. Knows no names: any ROS 2 parameter file will do.
+    """Every node's parameters in a file, in the file's order; of any ROS 2 parameter file: names are not checked.
 
     Raises:
-        ParameterError: the file cannot be read, is no YAML, or has not the form of a parameter file.
+        ParameterError: the file cannot be read, is not YAML, or does not have the form of a parameter file.
     """
     document = read_yaml(path, "expected a ROS 2 parameter file", ParameterError)
     try:
@@ -212,7 +212,7 @@ def save_valve(path: Path | str, valve: Valve, provenance: str) -> None:
 
     Args:
         path: the file, replaced if it exists.
-        valve: what is written.
+        valve: the valve to write.
         provenance: where the values are from; becomes a comment at the top.
 
     Raises:
@@ -225,7 +225,7 @@ def save_valve(path: Path | str, valve: Valve, provenance: str) -> None:
 
 
 def write_sections(path: Path, sections: Sequence[Section]) -> None:
-    """Write parameters in the plainest form, whole or not at all: flat names, and lists of one type.
+    """Write parameters in the simplest form, whole or not at all: flat names, and lists of one type.
 
     ROS 2's own parser refuses a file where one list holds 0 and 0.5, or where a mapping is empty.
 
@@ -267,7 +267,7 @@ def _find_sections(found: object, prefix: str, path: str) -> Iterator[Section]:
 
 
 def _flat(found: object, prefix: str, path: str) -> Iterator[tuple[str, object]]:
-    """Dotted names and values. An empty mapping has none, unless it stands where an effect's parameters belong."""
+    """Dotted names and values. An empty mapping has none, unless it is in the place of an effect's parameters."""
     if found is None and prefix in ("", *_ROOT_KEYS, "tolerances.effects"):
         return
     if not isinstance(found, Mapping):
@@ -296,7 +296,7 @@ def _one_type(value: object) -> object:
 
 
 def _plain(value: Any) -> Any:
-    """Mappings, lists and floats only, where NumPy's own may have crept in."""
+    """The value as mappings, lists and floats, without types of NumPy."""
     if isinstance(value, Mapping):
         return {name: _plain(item) for name, item in value.items()}
     if isinstance(value, list | tuple):
@@ -329,7 +329,7 @@ def _add_tolerance(tolerances: dict[str, Any], key: str, value: object, source: 
     """Put a flat name's tolerance where `Tolerances.from_mapping` looks for it.
 
     Raises:
-        ParameterError: the name stops short of a value's.
+        ParameterError: the name is that of a group, not of a value.
     """
     name = key.partition(".")[2]
     if not name:
@@ -347,7 +347,7 @@ def _add_tolerance(tolerances: dict[str, Any], key: str, value: object, source: 
 
 
 def _check_misplaced(name: str, value: object, source: str) -> None:
-    """Other nodes' names pass; names that look like the valve's own, in the wrong place or misspelt, do not."""
+    """Accept names of other nodes, but none that look like a misplaced or misspelt name of the valve."""
     root = name.partition(".")[0]
     if root in ValveParameters._fields:
         raise ParameterError(

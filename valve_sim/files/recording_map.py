@@ -4,8 +4,8 @@
     position: {topic: /lvdt, unit: mm, sign: -1, offset: 12.5}
     voltage: {topic: /daq, field: "channels[2].value", scale: 10}
 
-A reading becomes SI as unit × (sign × scale × reading + offset). A map is read and checked once, here; what it names is
-looked for by who reads the recording.
+A reading becomes SI as unit × (sign × scale × reading + offset). A map is read and checked once, here; whether the
+recording has what it names is checked when the recording is read.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class MapError(ValveError):
 
 
 class Unit(NamedTuple):
-    """What a number in this unit is in SI: factor × number + zero."""
+    """A unit and its conversion to SI: factor × number + zero."""
 
     factor: float
     zero: float = 0.0
@@ -68,11 +68,11 @@ UNITS: Final[Mapping[str, Mapping[str, Unit]]] = {
         "min": Unit(60.0),
     },
 }
-"""Units by what they measure; the first of each is the one that holds where none is given."""
+"""Units by dimension; the first of each is the default."""
 
 
 class Quantity(NamedTuple):
-    """Something that a recording can hold: what it measures, and what it is for people."""
+    """A quantity that a recording can hold: its dimension, and its name for people."""
 
     dimension: str
     meaning: str
@@ -99,7 +99,7 @@ class Source:
 
     Attributes:
         topic: of a bag.
-        field: dotted path in the message, "point.z" or "position[2]"; empty: the only number there is.
+        field: dotted path in the message, "point.z" or "position[2]"; empty: its only number.
         joint: of a JointState, in place of an index into `field` (default position).
         column: name or number (from 1) of a table's column.
         type: of the message, needed by live nodes only where it cannot be told from `joint`.
@@ -138,7 +138,7 @@ class Source:
 
 @dataclass(frozen=True)
 class TimeAxis:
-    """When a table's rows were taken: by a column, or at a rate (Hz) that is known."""
+    """The times of a table's rows: from a column, or by a known rate (Hz)."""
 
     column: str = ""
     unit: str = "s"
@@ -180,7 +180,7 @@ def load_map(path: Path | str) -> RecordingMap:
     """Read and check a map.
 
     Raises:
-        MapError: it cannot be read, or a key, unit or value in it is none; one line that names file, key and mend.
+        MapError: it cannot be read, or a key, unit or value in it is invalid; one line with file, key and remedy.
     """
     found = read_yaml(path, "expected a map of a recording; valve-sim map RECORDING writes a first one", MapError)
     return map_from(found, str(path))

@@ -1,4 +1,4 @@
-"""Where the files that ship beside the code are: config/ of a checkout, or share/valve_sim of an installation."""
+"""The place of the files that ship with the code: config/ of a checkout, or share/valve_sim of an installation."""
 
 from pathlib import Path
 
@@ -8,7 +8,7 @@ from valve_sim.model.errors import ValveError
 def config_path(name: str) -> Path:
     """The parameter file that ships under this name, such as "valve.yaml".
 
-    Found from where the code itself lies, so that no environment variable can lead to another version's file.
+    Found from the place of the code itself, so that no environment variable can select a file of another version.
 
     Raises:
         ValveError: no such file ships, or the installation lacks its share folder.

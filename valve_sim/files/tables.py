@@ -24,19 +24,19 @@ class TableError(ValveError):
 def read_table(path: Path | str, columns: Mapping[str, Sequence[str]]) -> dict[str, Array]:
     """Columns of numbers from a CSV file.
 
-    Cells are parted by commas, semicolons, tabs or blanks; a comma is a decimal point where semicolons or tabs part. A
-    first line of names chooses the columns and may name others beside; without it, columns come in the order asked for.
-    Empty lines and lines that begin with # are passed over.
+    Cells are separated by commas, semicolons, tabs or blanks; beside semicolons or tabs, a comma is a decimal point. A
+    first line of names selects the columns and may name others; without it, columns are in the order of `columns`.
+    Empty lines and lines that begin with # are ignored.
 
     Args:
         path: the file.
-        columns: what to read, and under which names a header may call it.
+        columns: the columns to read, each with the names that a header may give it.
 
     Returns:
         by the same keys, (n,) each.
 
     Raises:
-        TableError: the file cannot be read, a column is missing, or a cell is no finite number.
+        TableError: the file cannot be read, a column is missing, or a cell is not a finite number.
     """
     lines = _content(path, columns)
     delimiter = next((mark for mark in _DELIMITERS if mark in lines[0][1]), None)

@@ -14,7 +14,7 @@ from valve_sim.model.errors import ValveError
 
 @contextmanager
 def replacing(path: Path, refusal: type[ValveError] = ValveError) -> Iterator[Path]:
-    """Give a name to write to; move the file to its own name when all went well. Its folder is made.
+    """Yield a temporary name to write to; on success, move the file to its own name. Creates its folder.
 
     Args:
         path: the file, replaced if it exists.
@@ -35,7 +35,7 @@ def replacing(path: Path, refusal: type[ValveError] = ValveError) -> Iterator[Pa
     except OSError as error:
         raise refusal(f"{path}: cannot be written ({error.strerror}); choose another place") from error
     finally:
-        # Where the folder is none, there is nothing to take away, and the error above says why.
+        # Without the folder there is nothing to remove, and the error above says why.
         with suppress(OSError):
             partial.unlink(missing_ok=True)
 

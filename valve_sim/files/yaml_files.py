@@ -1,4 +1,4 @@
-"""YAML in: numbers as people write them, keys given twice refused, every fault one line with its place."""
+"""Reading YAML: numbers as people write them, duplicate keys refused, every error one line with its place."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from valve_sim.model.errors import ValveError
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML 1.1 with two mends: 1e-3 is a number, and a key given twice is an error."""
+    """YAML 1.1 with two changes: 1e-3 is a number, and a duplicate key is an error."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: set[str] = set()
@@ -32,7 +32,7 @@ _Loader.add_implicit_resolver(
 
 
 def read_yaml(path: Path | str, expected: str, refusal: type[ValveError]) -> object:
-    """What a YAML file holds.
+    """The content of a YAML file.
 
     Args:
         path: the file.
@@ -40,7 +40,7 @@ def read_yaml(path: Path | str, expected: str, refusal: type[ValveError]) -> obj
         refusal: the error that is raised.
 
     Raises:
-        ValveError: it cannot be read, or is no YAML; of the type `refusal`; one line that names file and line.
+        ValveError: it cannot be read, or is not YAML; of the type `refusal`; one line that names file and line.
     """
     try:
         return yaml.load(Path(path).read_text(encoding="utf-8"), Loader=_Loader)

@@ -382,7 +382,7 @@ class _Assembly:
         return when, steps.volts, DriveErrors(steps.time_errors, steps.volt_errors)
 
     def sent(self, recorded: Commands, offset: int) -> Commands:
-        """Return commands as they were sent, as far as their sender logged them; the rest as they were recorded."""
+        """Return commands as they were sent, as far as who sent them logged it; else as they were recorded."""
         logs = []
         for topic in self.plan.logs:
             messages = self.recording.topics.get(topic)

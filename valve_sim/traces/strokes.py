@@ -65,7 +65,7 @@ class StrokePart(NamedTuple):
 
 
 def sample_noise(position: Array) -> float:
-    """Return the standard deviation of white noise on a position, m, from second differences (insensitive to motion)."""
+    """Return the standard deviation of white noise on a position, m, from second differences (robust to motion)."""
     if len(position) < 4:
         return 0.0
     return float(MAD_TO_SIGMA * np.median(np.abs(np.diff(position, 2))) / np.sqrt(6.0))
