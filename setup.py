@@ -42,6 +42,7 @@ ROS_KILTED = [
     "ros-std-srvs==5.5.1",
 ]
 PARQUET = ["pyarrow>=14.0"]
+FLEET = ["dask>=2024.1", "distributed>=2024.1", "fsspec>=2024.2", "s3fs>=2024.2", *PARQUET]
 CHECKS = ["hypothesis", "import-linter", "mypy", "pytest", "pytest-xdist", "ruff", "scipy-stubs", "types-PyYAML"]
 DOCUMENTATION = ["furo", "ipykernel", "latex2mathml", "myst-nb", "sphinx>=7.3", "sphinx-click"]
 
@@ -62,7 +63,10 @@ setup(
     license=MANIFEST.findtext("license"),
     python_requires=">=3.10,<3.14",
     packages=find_packages(include=["valve_sim", "valve_sim.*"]),
-    package_data={f"{NAME}.identification.reporting": ["templates/*.j2"]},
+    package_data={
+        f"{NAME}.fleet": ["templates/*.j2"],
+        f"{NAME}.identification.reporting": ["templates/*.j2"],
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (str(SHARE), ["package.xml"]),
@@ -77,7 +81,8 @@ setup(
         "ros": ROS_JAZZY,
         "ros-kilted": ROS_KILTED,
         "parquet": PARQUET,
-        "test": [*CHECKS, *PARQUET],
+        "fleet": FLEET,
+        "test": [*CHECKS, *FLEET],
         "docs": DOCUMENTATION,
     },
     entry_points={

@@ -11,6 +11,7 @@ from valve_sim.cli.command_line import CommandLine
 from valve_sim.cli.diagnose import diagnose
 from valve_sim.cli.draft import draft
 from valve_sim.cli.fit_force import fit_force
+from valve_sim.cli.fleet import fleet
 from valve_sim.cli.identify import identify
 from valve_sim.cli.info import info
 from valve_sim.cli.simulate import simulate
@@ -41,5 +42,5 @@ def main() -> None:
     """
 
 
-for _command in (simulate, info, draft, identify, diagnose, validate, fit_force):
+for _command in (simulate, info, draft, identify, diagnose, validate, fit_force, fleet):
     main.add_command(_command)

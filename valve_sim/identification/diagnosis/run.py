@@ -52,6 +52,8 @@ def diagnose(
     valve: Valve,
     progress: Progress | None = None,
     budget: Budget | None = None,
+    *,
+    is_full: bool = False,
 ) -> Diagnosis:
     """Trace the residual of a declared valve to the effect it lacks.
 
@@ -60,23 +62,30 @@ def diagnose(
         valve: the declared valve.
         progress: told what is being tried, and the fraction done.
         budget: how long it may take, e.g. `Budget(60.0, time.monotonic)`; default as long as it takes.
+        is_full: whether effects are tried where the declared valve leaves nothing to be found, too.
 
     Raises:
         OutOfTimeError: the budget is used up before the declared valve could be fitted.
         SimulationError: the declared valve cannot be simulated.
     """
-    return diagnose_plant(ValvePlant(traces, valve), ValvePlant(holdout, valve) if holdout else None, progress, budget)
+    plant, others = ValvePlant(traces, valve), ValvePlant(holdout, valve) if holdout else None
+    return diagnose_plant(plant, others, progress, budget, is_full=is_full)
 
 
 def diagnose_plant(
-    plant: Plant, holdout: Plant | None, progress: Progress | None = None, budget: Budget | None = None
+    plant: Plant,
+    holdout: Plant | None,
+    progress: Progress | None = None,
+    budget: Budget | None = None,
+    *,
+    is_full: bool = False,
 ) -> Diagnosis:
     """The same for any plant; `holdout` is the same machine with other data."""
     budget = budget or Budget.unlimited()
     with budget.until(BEGUN_BY):
         exploration, held_out = _begun(plant, holdout, progress, budget)
     with budget.until(EXPLORED_BY):
-        exploration.explore()
+        exploration.explore(is_full=is_full)
     return Conclusion(exploration, held_out).conclude()
 
 

@@ -11,6 +11,15 @@ from typing import Final, TypeVar
 MOST_THREADS: Final = 4
 """Between two simulations a fit holds the interpreter lock, so that more threads would wait for each other."""
 
+_most = MOST_THREADS
+
+
+def use_threads(most: int) -> None:
+    """Let this process use no more threads than this, from now on: 1 where other processes use the other processors."""
+    global _most  # noqa: PLW0603
+    _most = max(1, min(most, MOST_THREADS))
+
+
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
@@ -42,7 +51,7 @@ def run_parallel(
             failed.set()
             raise
 
-    pool = ThreadPoolExecutor(min(os.cpu_count() or 1, MOST_THREADS))
+    pool = ThreadPoolExecutor(min(os.cpu_count() or 1, _most))
     try:
         results = []
         for item, future in [(item, pool.submit(guarded, item)) for item in items]:

@@ -23,7 +23,11 @@ FILES: Final = ("report.json", "report.html", "corrected.yaml")
 
 
 def write_diagnosis(
-    diagnosis: Diagnosis, directory: Path | str, provenance: str, picture: Path | None = None
+    diagnosis: Diagnosis,
+    directory: Path | str,
+    provenance: str,
+    picture: Path | None = None,
+    final: Path | None = None,
 ) -> tuple[Path, ...]:
     """Write what a diagnosis found, each file whole or not at all.
 
@@ -32,6 +36,7 @@ def write_diagnosis(
         directory: made where it is missing.
         provenance: how the diagnosis was made; goes into report.html and corrected.yaml.
         picture: where to draw the page's plots, too; default nowhere.
+        final: the folder that the files will be moved to, for the commands that the page prints; default `directory`.
 
     Returns:
         the files, report.json first.
@@ -42,7 +47,7 @@ def write_diagnosis(
     folder = Path(directory)
     data, page, corrected = (folder / name for name in FILES)
     write_whole(data, json_text(to_json(diagnosis)))
-    write_report(diagnosis, page, provenance)
+    write_report(diagnosis, page, provenance, final)
     written = [data, page]
     if isinstance(diagnosis.plant, ValvePlant):
         save_valve(corrected, diagnosis.valve, provenance)

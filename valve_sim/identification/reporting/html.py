@@ -59,13 +59,14 @@ _SMALLEST_PROBABILITY: Final = 1e-6
 """Smaller p-values are shown as below this one."""
 
 
-def write_report(diagnosis: Diagnosis, path: Path | str, provenance: str = "") -> None:
+def write_report(diagnosis: Diagnosis, path: Path | str, provenance: str = "", folder: Path | None = None) -> None:
     """Write report.html, whole or not at all.
 
     Args:
         diagnosis: what was found.
         path: of the page.
         provenance: how it was made, shown as it stands.
+        folder: where the page will lie, for the commands that it prints; default that of `path`.
 
     Raises:
         ValveError: the page cannot be written.
@@ -77,7 +78,7 @@ def write_report(diagnosis: Diagnosis, path: Path | str, provenance: str = "") -
         lstrip_blocks=True,
     )
     page = environment.get_template("report.html.j2").render(
-        _content(diagnosis), **_typed(diagnosis, Path(path).parent), provenance=provenance
+        _content(diagnosis), **_typed(diagnosis, folder or Path(path).parent), provenance=provenance
     )
     write_whole(Path(path), page)
 

@@ -66,10 +66,10 @@ class Exploration:
         self.screened: dict[str, float] = {}
         self._away: dict[tuple[Fit, str], bool | None] = {}
 
-    def explore(self) -> None:
-        """Try all that the time allows, beside the declared model."""
+    def explore(self, *, is_full: bool = False) -> None:
+        """Try all that the time allows, beside the declared model; `is_full`: also where that leaves nothing."""
         try:
-            self._explore()
+            self._explore(is_full=is_full)
         except OutOfTimeError:
             self.is_cut_short = True
 
@@ -100,10 +100,10 @@ class Exploration:
         """Whether not even every single effect was tried, although there was a reason to."""
         return not self.screened and any(Hypothesis((name,)) not in self.search.log for name in self.plant.effects)
 
-    def _explore(self) -> None:
+    def _explore(self, *, is_full: bool) -> None:
         """Singles, then pairs and triples while something is left."""
         search, names, declared = self.search, list(self.plant.effects), Hypothesis(())
-        if self._is_adequate_without_doubt(declared):
+        if not is_full and self._is_adequate_without_doubt(declared):
             gains = score_gains(search.fit(declared))
             # An adequate declared model costs one fit.
             if not self._is_promising(gains):

@@ -1,0 +1,147 @@
+"""`valve-sim fleet`."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import click
+
+from valve_sim.cli.command_line import Command
+from valve_sim.cli.options import FILE, finite_number, params_option
+from valve_sim.cli.printing import progress_bar, refuse, say_when_compiling, shown
+
+if TYPE_CHECKING:
+    from valve_sim.fleet.run import Forecast, Outcome
+    from valve_sim.fleet.units import Options, ParameterChoice
+
+NEEDED: Final = ("dask", "distributed", "fsspec", "pyarrow")
+"""Packages of the extra `fleet`; s3fs is needed for S3 alone, and fsspec says so."""
+
+
+@click.command(cls=Command)
+@click.argument("sources", metavar="SOURCE...", nargs=-1, required=True)
+@params_option
+@click.option(
+    "--params-for",
+    metavar="PATTERN=FILE",
+    multiple=True,
+    help="Parameter file of the valves whose names fit, e.g. '/tank_1/*=tank_1.yaml'. Repeatable; the first counts.",
+)
+@click.option("--output", metavar="DIR", type=FILE, default=Path("fleet"), help="Folder for table, page and reports.")
+@click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler, e.g. tcp://10.0.0.1:8786. Default: this machine.")
+@click.option(
+    "--workers", metavar="N", type=click.IntRange(min=1), help="Processes on this machine. Default: one per processor."
+)
+@click.option("--full", is_flag=True, help="Search for missing effects in every bag, also where nothing is left.")
+@click.option(
+    "--budget",
+    metavar="SECONDS",
+    type=finite_number(1.0),
+    default=120.0,
+    help="A processor's time for one valve of a bag.",
+)
+@click.option(
+    "--largest-bag", metavar="GB", type=finite_number(0.0, is_open=True), default=4.0, help="Larger bags are not read."
+)
+@click.option("--dry-run", is_flag=True, help="Say what would be done, and how long it should take; open no bag.")
+def fleet(
+    *,
+    sources: tuple[str, ...],
+    params: Path | None,
+    params_for: tuple[str, ...],
+    output: Path,
+    scheduler: str | None,
+    workers: int | None,
+    full: bool,
+    budget: float,
+    largest_bag: float,
+    dry_run: bool,
+) -> None:
+    """Examine thousands of bags: a table, and a page that shows which valve drifts.
+
+    SOURCE is a bag, a folder that is searched for bags, a glob in quotes, or a URL such as s3://bucket/bags. Every
+    valve of every bag is refitted within its tolerances; where something is left, the missing effect is searched for.
+
+    Writes DIR/fleet.parquet, one row for each bag and valve, DIR/fleet.html, and DIR/reports. The same command again
+    does only what is missing: after a crash, for new bags, and for those whose parameter file has changed.
+
+      valve-sim fleet bags --output results
+      valve-sim fleet 's3://plant/2026-*' --params-for '/tank_1/*=tank_1.yaml' --output results
+      valve-sim fleet bags --output results --scheduler tcp://10.0.0.1:8786
+    """
+    missing = [name for name in NEEDED if importlib.util.find_spec(name) is None]
+    if missing:
+        refuse(f"fleet needs {', '.join(missing)}, which is not here; install the extra: pip install '.[fleet]'")
+    if scheduler is not None and workers is not None:
+        raise click.UsageError("--workers is for this machine; a --scheduler has its own", click.get_current_context())
+    from valve_sim.fleet.units import Options, ParameterChoice
+
+    chosen = ParameterChoice(params, tuple(_pattern(text) for text in params_for))
+    options = Options(full, budget, int(largest_bag * 1e9))
+    if dry_run:
+        from valve_sim.fleet.run import forecast
+
+        _print_forecast(forecast(sources, output, chosen, options), workers)
+        return
+    _print_outcome(_examined(sources, output, (scheduler, workers), chosen, options))
+
+
+def _examined(
+    sources: tuple[str, ...],
+    output: Path,
+    cluster: tuple[str | None, int | None],
+    chosen: ParameterChoice,
+    options: Options,
+) -> Outcome:
+    from valve_sim.files.ledger import plan_files
+    from valve_sim.fleet.cluster import Cluster
+    from valve_sim.fleet.results import TABLE
+    from valve_sim.fleet.run import PAGE, examine_with
+    from valve_sim.fleet.sources import find_bags
+    from valve_sim.warm import warm
+
+    # What can be refused at once is not worth the start of a cluster.
+    chosen.check()
+    find_bags(sources)
+    plan_files(output / TABLE, output / PAGE)
+    say_when_compiling()
+    with progress_bar() as progress, Cluster(*cluster, before=warm) as started:
+        return examine_with(started.client, sources, output, chosen, options, progress)
+
+
+def _pattern(text: str) -> tuple[str, Path]:
+    pattern, equals, file = text.partition("=")
+    if not (pattern and equals and file):
+        refuse(f"--params-for {text!r}: expected a pattern of valves' names and a file, e.g. '/tank_1/*=tank_1.yaml'")
+    return pattern, Path(file)
+
+
+def _print_forecast(found: Forecast, workers: int | None) -> None:
+    click.echo(f"{found.bags} bags, {found.size / 1e9:.3g} GB; {found.new} of them new")
+    if math.isnan(found.seconds):
+        click.echo(f"would examine about {found.units} valves; how long one takes is not known before the first run")
+        return
+    total = found.units * found.seconds
+    each = f"{found.seconds:.2g} s of a processor each, as earlier ones took"
+    click.echo(f"would examine about {found.units} valves, {each}: {_duration(total / (workers or 1))} on "
+               f"{workers or 1} processor{'s' if (workers or 1) > 1 else ''}")  # fmt: skip
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 120.0:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 7200.0 else f"{seconds / 3600.0:.1f} h"
+
+
+def _print_outcome(found: Outcome) -> None:
+    states, verdicts = found.states, found.verdicts
+    listed = ", ".join(f"{count} {words}" for words, count in sorted(states.items()))
+    click.echo(f"{len(found.rows)} rows ({listed}), {found.done} of them new")
+    if verdicts:
+        click.echo("verdicts: " + ", ".join(f"{count} {words}" for words, count in sorted(verdicts.items())))
+    for valve in found.drifting:
+        click.echo(shown(f"drifts: {valve}"))
+    click.echo(shown(f"wrote {', '.join(str(path) for path in found.files)}"))
