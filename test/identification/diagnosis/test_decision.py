@@ -174,6 +174,15 @@ def test_a_look_alike_of_fewer_parameters_has_the_share_of_its_evidence() -> Non
     assert look_alikes(found, claim) == {"b": ()}
 
 
+def test_smaller_errors_of_stamps_are_no_evidence_where_stamps_refute_their_prior() -> None:
+    timed = BASE._replace(timing=True)
+    late = scored(of("a", timing=True), 100.0, of_recordings=284.0, stamp_variance=28.0)
+    found = table(scored(timed, 150.0, of_recordings=340.0), late)
+    share = share_of_evidence(found, Claim(timed, is_unknown=False, names_most=False), [])
+    # Of 50, 56 (1 - 1/28) = 54 are relief, so that it is worse by 4.
+    assert share == pytest.approx(1.0 / (1.0 + math.exp(-2.0)))
+
+
 def test_weak_evidence_is_never_certain() -> None:
     weak = table(scored(BASE, 130.0), scored(of("a"), 100.0))
     gained = 1.0 - math.exp(-1.0)

@@ -160,7 +160,7 @@ class Steep(Decay):
 
 
 def test_derivatives_that_are_too_large_to_be_squared_are_an_error() -> None:
-    problem = Problem(Steep("current", "A", Decay("current", "A").predict({"gain": 1.3})[0]))
+    problem = Problem(Steep("current", "A", Decay("current", "A").predict({"gain": 1.3})))
     with pytest.raises(SimulationError, match="derivatives are too large"):
         fit(problem, ("gain",), {})
 

@@ -57,6 +57,8 @@ class MadeUpFit:
     covariance: Array
     residuals: Array
     chi2_of_declared: float = 0.0
+    chi2_of_recordings: float = 0.0
+    stamp_variance: float = 1.0
     variance_inflation: float = 1.0
 
     @property

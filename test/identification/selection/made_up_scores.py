@@ -27,6 +27,8 @@ def scored(
     chi2: float | None = None,
     of_declared: float = 0.0,
     inflation: float = 1.0,
+    of_recordings: float = 0.0,
+    stamp_variance: float = 1.0,
 ) -> Score:
     """A score; `left_out`: the size of ten residuals of strokes that are left out in turn."""
     held = None if left_out is None else CrossValidation(np.full(10, left_out), 10.0 * left_out**2, 2)
@@ -34,6 +36,7 @@ def scored(
         hypothesis, score, score if evidence is None else evidence,
         2 + len(hypothesis.effects) if parameters is None else parameters, white, claimable,
         inflation, score if chi2 is None else chi2, of_declared, cross_validation=lambda: held,
+        of_recordings=of_recordings, stamp_variance=stamp_variance,
     )  # fmt: skip
 
 

@@ -44,7 +44,7 @@ def recorded(seed: int, **values: float) -> TwoEffects:
     plant = TwoEffects("current", "A")
     named = {name.replace("_", "."): value for name, value in values.items()}
     noise = np.random.default_rng(seed).normal(0.0, 0.01, len(plant.times))
-    return TwoEffects("current", "A", plant.predict({"gain": 1.3, **named})[0] + noise)
+    return TwoEffects("current", "A", [plant.predict({"gain": 1.3, **named})[0] + noise])
 
 
 def diagnosed(held_out: TwoEffects | None, **values: float) -> Diagnosis:
@@ -79,7 +79,7 @@ def test_nothing_held_out_is_said() -> None:
     few = TwoEffects("current", "A", groups=3)
     noise = np.random.default_rng(5).normal(0.0, 0.01, len(few.times))
     shown = few.predict({"gain": 1.3, "ramp.slope": 2.0})[0] + noise
-    found = diagnose_plant(TwoEffects("current", "A", shown, groups=3), None)
+    found = diagnose_plant(TwoEffects("current", "A", [shown], groups=3), None)
     assert found.verdict.effects == ("ramp",)
     assert found.looks == 0
     assert "No strokes were held out" in holdout_words(found)

@@ -80,7 +80,7 @@ class Sloping(Decay):
 def test_the_gain_of_a_declared_value_is_that_of_its_refit(slope: float) -> None:
     shown = Sloping("current", "A").predict({"gain": 1.3, "slope": slope})[0]
     shown += np.random.default_rng(7).normal(0.0, 0.05, len(shown))
-    problem = Problem(Sloping("current", "A", shown))
+    problem = Problem(Sloping("current", "A", [shown]))
     base = fit(problem, ("gain",), {}, nuisances=problem.plant.nuisances)
     refitted = fit(problem, ("gain", "slope"), {}, nuisances=problem.plant.nuisances)
     assert score_gains(base)["valve.slope"] == pytest.approx(base.score - refitted.score, rel=2e-3, abs=0.05)

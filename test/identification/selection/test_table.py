@@ -10,6 +10,7 @@ from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.selection.hypotheses import Search
 from valve_sim.identification.selection.stepwise import Exploration
 from valve_sim.identification.selection.table import (
+    Hypothesis,
     backward,
     best_claimable,
     choose,
@@ -63,6 +64,18 @@ def test_stamps_that_err_are_dropped_where_they_cost_more_than_they_explain() ->
         scored(BASE, 200.0), scored(BASE._replace(timing=True), 190.0), scored(of("a"), 50.0), scored(timed, 55.0)
     )
     assert backward(found, timed) == of("a")
+
+
+@pytest.mark.parametrize(("variance", "chosen"), [(1.0, of("a", timing=True)), (26.0, BASE._replace(timing=True))])
+def test_smaller_errors_of_stamps_count_by_the_variance_that_they_have(variance: float, chosen: Hypothesis) -> None:
+    """Stamps of a live node are off by many of their prior's deviations, whatever effect is assumed."""
+    found = table(
+        scored(BASE, 900.0), scored(BASE._replace(timing=True), 150.0, of_recordings=340.0),
+        scored(of("a", timing=True), 100.0, of_recordings=284.0, stamp_variance=variance),
+    )  # fmt: skip
+    assert choose(found) == chosen
+    gain = 50.0 if variance == 1.0 else 50.0 - 56.0 * 25.0 / 26.0
+    assert found[of("a", timing=True)].gain_on(found[BASE._replace(timing=True)]) == pytest.approx(gain)
 
 
 def test_where_no_form_is_right_what_is_left_out_decides() -> None:

@@ -161,14 +161,17 @@ def share_of_evidence(table: ScoreTable, claim: Claim, curves: Sequence[float]) 
         extends = bool(best.effects) and set(other.effects) > set(best.effects)
         if extends or other in claim.refuted:
             continue
-        evidence = _weight(near.get(other, one.score - least))
-        weight[other.effects] = max(weight.get(other.effects, 0.0), evidence)
+        worse = near.get(other, one.score - least)
+        if not best.effects:
+            # What it gains only by errors of the recording counts less where these are beyond their prior anyway.
+            worse += least - one.score - one.gain_on(table[best])
+        weight[other.effects] = max(weight.get(other.effects, 0.0), _weight(worse))
     if not best.effects:
         weight.update({(name,): _weight(-gain) for name, gain in table.screened.items() if (name,) not in weight})
     share = weight[best.effects] / (sum(weight.values()) + math.exp(-0.5 * _nearest(curves, least)))
     if not best.effects:
         return share
-    gain = table[best.base].score - least
+    gain = table[best].gain_on(table[best.base])
     return share * -math.expm1(-gain / WEAK_EVIDENCE)
 
 

@@ -21,6 +21,7 @@ from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 import numpy as np
+from scipy import special
 
 from valve_sim.identification.estimation.gram import gram
 from valve_sim.identification.estimation.problem import Problem
@@ -40,6 +41,10 @@ NO_INFORMATION: Final = 1e-290
 """Information below which a parameter has no influence at all."""
 SMALLEST_SHARE: Final = 1e-14
 """Smallest eigenvalue of the information, scaled to a unit diagonal, that is not rounding error."""
+DETERMINED: Final = 2.0
+"""Information of data and prior together, over that of the prior, from which on the data say more than the prior."""
+REFUTED: Final = 1e-3
+"""Probability of larger errors of the stamps, below which their prior is taken to be too narrow."""
 MOSTLY: Final = 0.5
 """Share of a gain that is most of it."""
 COLLINEAR: Final = 100.0
@@ -125,6 +130,26 @@ class Fit:
         """What declared values off their tolerances add to the criterion."""
         pairs = zip(self.deviations, self.nuisances, strict=True)
         return float(sum(deviation**2 for deviation, own in pairs if own.is_of_machine))
+
+    @property
+    def chi2_of_recordings(self) -> float:
+        """What errors of clocks and of stamps add to the criterion."""
+        return float(np.sum(np.square(self.deviations))) - self.chi2_of_declared
+
+    @property
+    def stamp_variance(self) -> float:
+        """Mean square of the errors of the commands' stamps, in their prior's variances; 1 where it may be that.
+
+        Only those count that the data determine. Stamps of a live node are off by far more than their prior says, and
+        then so may be what else is wrong with the clocks.
+        """
+        stamps = [own in self.problem.plant.timing_errors for own in self.nuisances]
+        sigmas = np.array([own.sigma for own in self.nuisances])
+        known = np.diag(self.information)[len(self.free) :] * np.square(sigmas) > DETERMINED
+        squares = np.square(self.deviations)[np.array(stamps, dtype=bool) & known]
+        if special.chdtrc(max(1, len(squares)), float(np.sum(squares))) > REFUTED:
+            return 1.0
+        return float(np.mean(squares))
 
     @property
     def score(self) -> float:

@@ -212,7 +212,7 @@ class Exploration:
         return Score(
             hypothesis, result.score, self.criteria.evidence(result), len(result.free), self.criteria.is_white(result),
             self.is_claimable(hypothesis), result.problem.variance_inflation, result.chi2, result.chi2_of_declared,
-            functools.partial(self.criteria.cross_validation, result),
+            functools.partial(self.criteria.cross_validation, result), result.chi2_of_recordings, result.stamp_variance,
         )  # fmt: skip
 
     def _bears_its_name(self, hypothesis: Hypothesis) -> bool:

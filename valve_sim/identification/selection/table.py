@@ -125,6 +125,8 @@ class Score:
         is_white: whether its residual is. is_claimable: whether every effect is significantly on and on no bound.
         variance_inflation: f. chi2: the criterion. of_declared: what values off their tolerances add to it.
         cross_validation: what it predicts of strokes left out; None of one stroke.
+        of_recordings: what errors of clocks and stamps add to the criterion. stamp_variance: mean square of the errors
+            of stamps, in variances of their prior, where they refute it; else 1.
     """
 
     hypothesis: Hypothesis
@@ -137,6 +139,17 @@ class Score:
     chi2: float
     of_declared: float
     cross_validation: Callable[[], CrossValidation | None] = field(default=lambda: None, repr=False)
+    of_recordings: float = 0.0
+    stamp_variance: float = 1.0
+
+    def gain_on(self, smaller: Score) -> float:
+        """By how much S is less than that of a smaller model, theory, eq. (45a).
+
+        Where even this model leaves stamps that refute their prior, that errors of the recording are smaller counts by
+        the variance that these have.
+        """
+        relief = max(0.0, smaller.of_recordings - self.of_recordings) / self.variance_inflation
+        return smaller.score - self.score - relief * (1.0 - 1.0 / self.stamp_variance)
 
     def criterion(self, *, residual_is_white: bool) -> float:
         """The selection criterion, theory, eq. (45), where it is said whether a form is right."""
@@ -187,6 +200,8 @@ def choose(table: ScoreTable) -> Hypothesis:
     """
     best = backward(table, best_claimable(table))
     near = competing_models(table, best)
+    if table[best].is_white and not best.effects:
+        near = [other for other in near if table[other].gain_on(table[best]) > 0.0]
     best = next((other for other in near if table[other].is_claimable and other.base in table), best)
     larger = larger_alternatives(table, best)
     likeliest = min(larger, key=larger.__getitem__, default=best)
@@ -211,7 +226,7 @@ def backward(table: ScoreTable, best: Hypothesis) -> Hypothesis:
 
 def _is_missed(table: ScoreTable, rest: Hypothesis, best: Hypothesis) -> bool:
     # Where no form is right any effect lowers the score, and must predict other strokes better besides.
-    is_decisive = table[rest].score >= table[best].score + DECISIVE
+    is_decisive = table[best].gain_on(table[rest]) >= DECISIVE
     return is_decisive and (table[best].is_white or table[best].improves_on(table[rest]))
 
 
