@@ -50,7 +50,7 @@ def test_no_time_at_all_is_refused(seconds: float) -> None:
         Budget(seconds, lambda: 0.0)
 
 
-@pytest.mark.parametrize("seconds", [200.0, 600.0, 1500.0])
+@pytest.mark.parametrize("seconds", [200.0, 600.0, 900.0])
 def test_a_diagnosis_keeps_to_its_budget_and_says_what_it_left(seconds: float) -> None:
     trace = measured(FRICTION, train_profile(), Recorder(), 10)
     clock = ticking()

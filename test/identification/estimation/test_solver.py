@@ -13,9 +13,10 @@ from scipy.optimize import least_squares
 from identification.diagnosis.test_sound_verdicts import Decay
 from identification.recordings import TRUTH, one_opening, recorded
 from valve_sim.files.parameter_files import default_valve
+from valve_sim.identification.estimation.budget import Budget
 from valve_sim.identification.estimation.intervals import Interval, Unbounded, covariance_interval, profile_interval
 from valve_sim.identification.estimation.problem import Problem
-from valve_sim.identification.estimation.solver import _Search, fit
+from valve_sim.identification.estimation.solver import TRIAL, Effort, _Search, fit
 from valve_sim.identification.plants.protocol import (
     Direction,
     Sensitivities,
@@ -52,6 +53,34 @@ def test_it_finds_the_optimum_that_scipy_finds(problem: Problem) -> None:
     assert ours.chi2 == pytest.approx(2.0 * theirs.cost, abs=0.02)
     for name, value in zip(BOTH, theirs.x, strict=False):
         assert abs(ours.values[name] - value) < 0.1 * ours.stderr(name)
+
+
+def test_a_fit_that_cannot_reach_its_goal_is_given_up(problem: Problem) -> None:
+    afar = {"pilot_damping": 0.05, "main_damping": 20.0}
+    whole = fit(problem, BOTH, afar)
+    begun = fit(problem, BOTH, afar, effort=Effort(most=2))
+    assert not begun.converged
+    assert begun.chi2 > whole.chi2 + 1.0
+    # What it would have to gain is a thousand times what a step would gain.
+    hopeless = fit(problem, BOTH, begun.values, effort=Effort(goal=-1e3 * begun.chi2, made=TRIAL))
+    assert hopeless.values == pytest.approx(begun.values, rel=1e-12)
+    assert not hopeless.converged
+    # A goal within reach changes nothing.
+    again = fit(problem, BOTH, begun.values, effort=Effort(goal=whole.chi2, made=TRIAL))
+    assert again.converged
+    assert again.chi2 == pytest.approx(whole.chi2, abs=0.02)
+
+
+def test_a_jacobian_that_was_dropped_is_worked_out_again_even_when_the_time_is_used_up() -> None:
+    clock = [0.0]
+    problem = Problem(ValvePlant([recorded()], EXACT_VALVE), budget=Budget(1.0, lambda: clock[0]))
+    found = fit(problem, BOTH, {}, nuisances=problem.plant.nuisances)
+    before = found.jacobian
+    assert found.jacobian is before
+    clock[0] = 2.0
+    found.derivatives.drop()
+    assert found.jacobian is not before
+    np.testing.assert_allclose(found.jacobian, before, rtol=1e-9, atol=1e-9 * float(np.max(np.abs(before))))
 
 
 @pytest.mark.parametrize("start", [(0.05, 20.0), (10.0, 0.3), (1.0, 4.0)])

@@ -16,6 +16,8 @@ import numpy as np
 import pytest
 
 from valve_sim.identification.estimation.budget import OutOfTimeError
+from valve_sim.identification.estimation.result import Derivatives
+from valve_sim.identification.estimation.solver import TRIAL, WHOLE, Effort
 from valve_sim.identification.plants.protocol import (
     Array,
     EffectChoice,
@@ -60,6 +62,8 @@ class MadeUpFit:
     chi2_of_recordings: float = 0.0
     stamp_variance: float = 1.0
     variance_inflation: float = 1.0
+    converged: bool = True
+    derivatives: Derivatives = field(default_factory=lambda: Derivatives(np.empty((0, 0)), lambda: np.empty((0, 0))))
 
     @property
     def score(self) -> float:
@@ -89,6 +93,8 @@ class World:
         left_out: root mean square of what the strokes left out miss, of 100 samples.
         misses: each of 50 whitened residuals; default that of the declared model.
         timing: whether stamps may err. tolerances: of declared values.
+        ends_with: the key at whose fit it is when that is carried on.
+        unfinished: effects that fits of a few iterations do not settle. efforts: key and effort of each fit.
         out_of_time: keys at whose fit the time is used up. fails: whether nothing can be simulated from a start.
         missed: the residual of values. told: progress, as told. starts: key, start and robust scales of each fit.
     """
@@ -104,10 +110,13 @@ class World:
     timing: bool = False
     tolerances: tuple[Nuisance, ...] = ()
     out_of_time: Sequence[str] = ()
+    unfinished: str = ""
+    ends_with: str = ""
     fails: Callable[[Mapping[str, float]], bool] = lambda start: False
     missed: Callable[[Mapping[str, float]], float] = lambda values: 0.0
     told: list[tuple[str, float]] = field(default_factory=list)
     starts: list[tuple[str, dict[str, float], tuple[float, ...]]] = field(default_factory=list)
+    efforts: list[tuple[str, Effort]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self._lock = threading.Lock()
@@ -140,19 +149,20 @@ class World:
         start: Mapping[str, float],
         *,
         nuisances: Sequence[Nuisance],
-        robust: Sequence[float] = (),
+        effort: Effort = WHOLE,
     ) -> MadeUpFit:
         """In place of a real one."""
         names = [name for name, effect in self.effects.items() if set(effect.free_names()) & set(free)]
         key = "".join(sorted(names)) + ("'" if STAMP in nuisances else "")
         with self._lock:
-            self.starts.append((key, dict(start), tuple(robust)))
-        if key in self.out_of_time:
+            self.efforts.append((key, effort))
+            self.starts.append((key, dict(start), tuple(effort.robust)))
+        if key in self.out_of_time or (effort.made and key == self.ends_with):
             raise OutOfTimeError("no time is left")
         if self.fails(start):
             raise SimulationError("it cannot be simulated")
         score = self.score(key)
-        if robust:
+        if effort.robust:
             score = self.annealed.get(key, score)
         found, scales = [], []
         for name in free:
@@ -175,6 +185,7 @@ class World:
             np.array(found),
             np.diag(np.square(scales)),
             np.full(50, self.misses.get(key, self.misses.get("", 0.0))),
+            converged=effort.most > TRIAL or not set(key) & set(self.unfinished),
         )
 
     def use(self, patch: pytest.MonkeyPatch) -> World:

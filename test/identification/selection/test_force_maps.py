@@ -17,6 +17,7 @@ from valve_sim.identification.selection.force_maps import (
     PERIOD_STEP,
     PLACES,
     describe,
+    explains_all,
     fit_local_forces,
     fit_maps,
     on_top,
@@ -56,7 +57,7 @@ class Fits:
         self.calls: list[dict[str, Any]] = []
         self.further = 0
         self.plant = SimpleNamespace(force_maps=maps, timing_errors=(STAMP,))
-        self.problem = SimpleNamespace(plant=self.plant)
+        self.problem = SimpleNamespace(plant=self.plant, variance_inflation=1.0)
         self.search = SimpleNamespace(problem=self.problem, untried=[], say=lambda what, share: None, fit=self.rest)
         values = {"mass": 2.0, "gain": 3.0, "clock": 1e-5}
         self.base = SimpleNamespace(
@@ -85,6 +86,7 @@ class Fits:
         *,
         nuisances: Sequence[Nuisance] = (),
         fixed: Mapping[str, float] | None = None,
+        effort: Any = None,
         prior: Any = None,
     ) -> Any:
         given = dict(
@@ -103,7 +105,13 @@ class Fits:
         length = [own.mean for own in nuisances if own.name.startswith("end")]
         score += 5.0 * (length == [0.1])
         return SimpleNamespace(
-            problem=self.problem, free=tuple(free), nuisances=tuple(nuisances), values=values, score=score, key=key
+            problem=self.problem,
+            free=tuple(free),
+            nuisances=tuple(nuisances),
+            values=values,
+            score=score,
+            key=key,
+            chi2=score,
         )
 
     def fitted(self) -> list[tuple[str, float]]:
@@ -143,6 +151,35 @@ def test_what_cannot_be_fitted_is_left_out_and_noted(monkeypatch: pytest.MonkeyP
     assert fits.search.untried == ["a force over x", "a force over v"]
     late = Fits(monkeypatch, {"x": 60.0, "'": -1.0}, OVER_X)
     assert late.fitted() == [("x", 60.0)]
+
+
+def test_where_effects_explain_all_neither_stamps_nor_waves_over_time_are_tried(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    fits = Fits(monkeypatch, {"x": 60.0, "t, periodic": 20.0, "x, periodic": 30.0}, OVER_X, BEATS, TURNS)
+    found = fit_maps(cast("Any", fits.search), cast("Any", fits.base), is_explained=True)
+    assert [entry.choice.variable for entry in found] == ["x, periodic", "x"]
+    assert not any(STAMP in call["nuisances"] for call in fits.calls)
+
+
+@pytest.mark.parametrize(
+    ("further", "samples", "white", "is_explained"),
+    [
+        (1, 10_000, "b", True),
+        (4, 10_000, "b", True),
+        (4, 30_000, "b", False),
+        (5, 10_000, "b", False),
+        (1, 10_000, "", False),
+    ],
+)
+def test_a_wave_has_three_parameters_at_the_least(
+    monkeypatch: pytest.MonkeyPatch, further: int, samples: int, white: str, *, is_explained: bool
+) -> None:
+    """One further parameter costs ln 10 000 = 9.2 or ln 30 000 = 10.3, of which 10 decide."""
+    fits = Fits(monkeypatch, {}, OVER_X, white=white)
+    problem = SimpleNamespace(effective_samples=samples)
+    best = SimpleNamespace(free=("gain", *map(str, range(further))), key="b", problem=problem)
+    assert explains_all(cast("Any", fits.base), cast("Any", best)) is is_explained
 
 
 @pytest.mark.parametrize("white", ["", "x", "x,"])

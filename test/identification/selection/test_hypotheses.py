@@ -11,9 +11,12 @@ import pytest
 
 from identification.selection.made_up_fits import SIZE, World, of, switches
 from valve_sim.identification.estimation.budget import OutOfTimeError
+from valve_sim.identification.estimation.solver import TRIAL, Effort
 from valve_sim.identification.plants.protocol import EffectChoice
 from valve_sim.identification.selection.hypotheses import (
     ANNEALING,
+    KEPT,
+    NEAR,
     SCATTER,
     Search,
     effect_starts,
@@ -292,6 +295,47 @@ def test_fits_side_by_side_are_told_of_in_order_and_made_once(monkeypatch: pytes
     assert list(search.log.best) == [of(key) for key in ("", "c", "d", "a", "b")]
     assert kinds(search, "c") == ["sizes", "sizes"]
     assert len(search.log.rows) == before + 6
+
+
+def test_fits_side_by_side_are_carried_on_towards_the_best_few(monkeypatch: pytest.MonkeyPatch) -> None:
+    scores = {"": 9000.0, "a": 1000.0, "b": 1100.0, "c": 1200.0, "d": 1300.0, "e": 1350.0, "f": 8000.0}
+    world = World(scores, switches("abcdef"), unfinished="cf")
+    search = searched(monkeypatch, world)
+    search.fit_each([of(key) for key in "abcdef"], (0.0, 1.0))
+    assert kinds(search, "a") == ["sizes", "sizes"]
+    assert kinds(search, "c") == kinds(search, "f") == ["sizes", "sizes", "continued", "continued"]
+    efforts = [(key, effort) for key, effort in world.efforts if key in scores and effort.made]
+    # The fourth best has 1300; what is within 100 of it is near enough.
+    limit = 1300.0 + NEAR
+    assert sorted(efforts) == [("c", Effort(goal=1200.0, made=TRIAL))] * 2 + [("f", Effort(goal=limit, made=TRIAL))] * 2
+    begun = [effort for key, effort in world.efforts if key == "c" and not effort.made]
+    assert [effort.most for effort in begun] == [TRIAL, TRIAL]
+    # Of a few, each is carried to its end.
+    few = World(scores, switches("abc"), unfinished="c")
+    searched(monkeypatch, few).fit_each([of(key) for key in "abc"], (0.0, 1.0))
+    assert [effort.goal for key, effort in few.efforts if effort.made] == [1200.0, 1200.0]
+
+
+def test_jacobians_are_kept_of_the_best_few_fits_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    names = "abcdefghijklmnopqrstu"
+    world = World({"": 9000.0, **{name: 100.0 + place for place, name in enumerate(names)}}, switches(names))
+    search = searched(monkeypatch, world)
+    search.fit_each([of(name) for name in names], (0.0, 1.0))
+    kept = [key for key in names if search.log[of(key)].derivatives.is_at_hand]
+    assert kept == list(names[:KEPT])
+    assert [row.fit.derivatives.is_at_hand for row in search.log.rows_of(of("a"))] == [True, False]
+
+
+def test_what_was_only_begun_when_the_time_was_used_up_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = World({"": 300.0, "a": 100.0, "b": 120.0}, switches("ab"), unfinished="b")
+    search = searched(monkeypatch, world)
+    world.ends_with = "b"
+    with pytest.raises(OutOfTimeError):
+        search.fit_each([of("a"), of("b")], (0.0, 1.0))
+    assert search.untried == [str(of("b"))]
+    assert search.is_tried(of("a"))
+    assert of("b") in search.log
+    assert not search.is_tried(of("b"))
 
 
 def test_what_is_left_when_the_time_is_used_up_is_noted(monkeypatch: pytest.MonkeyPatch) -> None:

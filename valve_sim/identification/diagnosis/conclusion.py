@@ -38,6 +38,7 @@ from valve_sim.identification.selection.force_maps import (
     NonparametricFit,
     Unexplained,
     describe,
+    explains_all,
     fit_local_forces,
     fit_maps,
     on_top,
@@ -61,10 +62,14 @@ Result = TypeVar("Result")
 
 
 class _Curves(NamedTuple):
-    """Nonparametric forces on the declared model, and at one place in place of an effect; best score first."""
+    """Nonparametric forces on the declared model, and at one place in place of an effect; best score first.
+
+    Not whole are those on the declared model where effects explain all.
+    """
 
     maps: list[NonparametricFit]
     local: list[NonparametricFit]
+    is_whole: bool
 
     @property
     def all(self) -> list[NonparametricFit]:
@@ -147,13 +152,15 @@ class Conclusion:
     def curves(self, table: ScoreTable, best: Hypothesis) -> _Curves:
         """Nonparametric forces on the base, where it does not explain all, and in place of members of the best."""
         with self.budget.until(MAPPED_BY):
-            maps = [] if table[best.base].is_white else fit_maps(self.search, self.fit(best.base))
+            base, chosen = self.fit(best.base), self.fit(best)
+            is_explained = explains_all(base, chosen)
+            maps = [] if table[best.base].is_white else fit_maps(self.search, base, is_explained=is_explained)
             has_rests = all(best.without(member) in table for member in best.effects)
             nothing: list[NonparametricFit] = []
             if not (table[best].is_white and has_rests and self.strokes > 1):
-                return _Curves(maps, nothing)
+                return _Curves(maps, nothing, not is_explained)
             find = functools.partial(fit_local_forces, self.search, best)
-            return _Curves(maps, self.in_time(MAPPED_BY, "forces at one place", find, nothing))
+            return _Curves(maps, self.in_time(MAPPED_BY, "forces at one place", find, nothing), not is_explained)
 
     # -- the judgement -------------------------------------------------------------------------------------------------
 
@@ -177,7 +184,8 @@ class Conclusion:
         if claim.names_most:
             return best_fit, self.beside(best_fit, base_fit, curves)
         with self.budget.until(CONCLUDED_BY):
-            left = (curves.maps if best_fit is base_fit else []) or fit_maps(self.search, best_fit)
+            fitted = curves.maps if best_fit is base_fit and curves.is_whole else []
+            left = fitted or fit_maps(self.search, best_fit)
         options = [*curves.all[:COMPARED_MAPS], *left[:COMPARED_MAPS]]
         criteria = self.exploration.criteria
         chosen = min(options, key=lambda entry: criteria.score(entry.fit), default=None)

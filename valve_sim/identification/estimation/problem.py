@@ -90,6 +90,12 @@ class Problem:
         same.variance_inflation = max(noise.variance_inflation for noise in same.noises.values())
         return same
 
+    def without_limit(self) -> Problem:
+        """The same without a limit of time."""
+        same = copy.copy(self)
+        same.budget = Budget.unlimited()
+        return same
+
     @property
     def noise(self) -> Noise:
         """The noise of the response in which errors are reported."""

@@ -17,6 +17,7 @@ decisive from √14.6 = 3.8 tolerances on: theory, eq. (82).
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
@@ -64,6 +65,34 @@ class MachineKnowledge(NamedTuple):
     information: Array
 
 
+class Derivatives:
+    """The Jacobian of a fit. It is by far the largest part of one, and may be dropped: it is worked out when asked for.
+
+    Args:
+        found: (n, k + m). again: works it out again.
+    """
+
+    def __init__(self, found: Array, again: Callable[[], Array]) -> None:
+        self._found: Array | None = found
+        self._again = again
+
+    def matrix(self) -> Array:
+        """(n, k + m)."""
+        found = self._found
+        if found is None:
+            self._found = found = self._again()
+        return found
+
+    @property
+    def is_at_hand(self) -> bool:
+        """Whether it need not be worked out."""
+        return self._found is not None
+
+    def drop(self) -> None:
+        """Free the memory."""
+        self._found = None
+
+
 @dataclass(frozen=True, eq=False)
 class Fit:
     """The outcome of one fit; hashed by identity for caching.
@@ -74,7 +103,7 @@ class Fit:
         values: every freed parameter and nuisance at the optimum, in its unit.
         chi2: criterion at the optimum, nuisance priors included.
         residuals: whitened residuals there.
-        jacobian: (n, k + m) d(residuals)/d(internal coordinate), nuisances last.
+        derivatives: of the residuals there.
         information: (k + m, k + m), priors included.
         converged: whether the last step was small enough.
         smooth: the curve among what was freed, with its prior, which `chi2` and `information` include.
@@ -86,11 +115,16 @@ class Fit:
     values: dict[str, float]
     chi2: float
     residuals: Array
-    jacobian: Array
+    derivatives: Derivatives
     information: Array
     converged: bool
     coordinates: Array = field(repr=False)
     smooth: Smoothness | None = None
+
+    @property
+    def jacobian(self) -> Array:
+        """(n, k + m) d(residuals)/d(internal coordinate), nuisances last."""
+        return self.derivatives.matrix()
 
     @property
     def covariance(self) -> Array:

@@ -100,7 +100,7 @@ class Smoothness:
             at: (m,) where the fit is. where: (K,) indices of the coefficients among them. inflation: f.
         """
         curve = self._about(information, gradient, at, where, inflation)
-        common = min(WEIGHTS, key=lambda weight: curve.criterion(np.full(HATS, weight)))
+        common = curve.common_weight()
         best, before = np.exp(_settled(curve, np.full(HATS, math.log(common)))), np.array(self.weights)
         # A curve that is far from the best of its weights would be led astray by what is linearised about it.
         weights = np.clip(best, before / LARGEST_CHANGE, before * LARGEST_CHANGE)
@@ -229,10 +229,27 @@ class _Quadratic(NamedTuple):
         _, volume = np.linalg.slogdet(normal)
         fitted = float(self.target * scale @ np.linalg.solve(normal, scale * self.target))
         rows = self.roughness.hats @ weights
-        # Of second differences that go around, one follows from the others.
-        rank = len(self.target) - 1 if len(rows) == len(self.target) else len(rows)
-        certain = float(np.mean(np.log(rows))) * rank
+        certain = float(np.mean(np.log(rows))) * self._rank
         return -fitted + float(volume) - 2.0 * float(np.sum(np.log(scale))) - certain
+
+    def common_weight(self) -> float:
+        """The one weight for all of the curve of the least R."""
+        weights, nothing = np.array(WEIGHTS), np.zeros(HATS)
+        ridge = self.roughness.precision(nothing)
+        bends = self.roughness.precision(nothing + 1.0) - ridge
+        normals = self.information + ridge + weights[:, None, None] * bends
+        scales = 1.0 / np.sqrt(np.diagonal(normals, axis1=1, axis2=2))
+        normals *= scales[:, :, None] * scales[:, None, :]
+        targets = scales * self.target
+        fitted = np.sum(targets * np.linalg.solve(normals, targets[:, :, None])[:, :, 0], axis=1)
+        volumes = np.linalg.slogdet(normals)[1] - 2.0 * np.sum(np.log(scales), axis=1)
+        return float(weights[np.argmin(volumes - fitted - self._rank * np.log(weights))])
+
+    @property
+    def _rank(self) -> int:
+        """Of the second differences: of those that go around, one follows from the others."""
+        count, rows = len(self.target), len(self.roughness.hats)
+        return count - 1 if rows == count else rows
 
     def objective(self, logs: Array) -> float:
         """R of the logarithms of weights with what their differences add, but for a constant."""
@@ -252,7 +269,7 @@ class _Quadratic(NamedTuple):
         differences, hats = self.roughness
         weights = np.exp(logs)
         fitted, covariance = self.fitted(logs)
-        spread = np.einsum("ij,jk,ik->i", differences, covariance, differences)
+        spread = np.sum((differences @ covariance) * differences, axis=1)
         determined = hats.T @ np.maximum(1.0 / (hats @ weights) - spread, 0.0)
         return weights * determined, weights * (hats.T @ (differences @ fitted) ** 2)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from valve_sim.identification.estimation.column_groups import columns_decouple, group_columns
 from valve_sim.identification.estimation.gram import gram, sum_squares
 from valve_sim.identification.estimation.problem import Problem
-from valve_sim.identification.estimation.result import NO_INFORMATION, Fit, MachineKnowledge
+from valve_sim.identification.estimation.result import NO_INFORMATION, Derivatives, Fit, MachineKnowledge
 from valve_sim.identification.estimation.smoothing import Smoothness
 from valve_sim.identification.plants.protocol import (
     Array,
@@ -29,6 +29,11 @@ from valve_sim.model import Parameter, SimulationError
 DIFFERENCE: Final = 2e-3
 """Step of a difference quotient, in prior scales of its parameter: theory, eq. (28)."""
 MOST_ITERATIONS: Final = 40
+TRIAL: Final = 6
+"""Iterations that a fit may make before it is asked whether it can still reach its goal."""
+CATCHES_UP: Final = 10.0
+"""Times the last decrease, or the next that is promised, beyond which a goal is out of reach: each decrease is smaller
+than the one before, and where by a tenth of it, all that are left come to ten."""
 CONVERGED: Final = 1e-2
 """A fit has converged when a step would lower χ² by less than this: a tenth of a standard error."""
 CURVE_CONVERGED: Final = 0.3
@@ -45,6 +50,25 @@ FEW: Final = 4
 """Up to this many nuisances, derivatives are renewed in every step; of more they are reused while they serve."""
 
 
+class Effort(NamedTuple):
+    """How far a fit is carried.
+
+    Attributes:
+        robust: scales in σ of a Cauchy loss that is used first, one after the other, to leave local minima.
+        goal: χ² that is of interest: a fit that cannot reach it any more is given up. Default: all are.
+        made: iterations that were made before, from other values to these. most: at which the fit ends.
+    """
+
+    robust: Sequence[float] = ()
+    goal: float = math.inf
+    made: int = 0
+    most: int = MOST_ITERATIONS
+
+
+WHOLE: Final = Effort()
+"""Until a fit has converged."""
+
+
 def fit(
     problem: Problem,
     free: Sequence[str],
@@ -52,7 +76,7 @@ def fit(
     *,
     nuisances: Sequence[Nuisance] = (),
     fixed: Mapping[str, float] | None = None,
-    robust: Sequence[float] = (),
+    effort: Effort = WHOLE,
     prior: MachineKnowledge | Smoothness | None = None,
 ) -> Fit:
     """Minimise χ² from one start.
@@ -63,19 +87,21 @@ def fit(
         start: values to start from, by name; what is missing starts at its declared value (nuisances at their mean).
         nuisances: estimated along, with their priors, but for what is freed or held, by name or as the same thing.
         fixed: further values to hold, e.g. an effect's parameter in a profile.
-        robust: scales in σ of a Cauchy loss that is used first, one after the other, to leave local minima.
+        effort: how far it is carried; one that ends early has not converged.
         prior: beside those of the nuisances: what other data of the same machine say, in place of these; or that a
             curve among what is freed is smooth, whose weights are chosen along.
     """
     settled = {*free, *(fixed or {})}
     estimated = tuple(own for own in nuisances if not {own.name, own.same_as} & settled)
-    search = _Search(problem, tuple(free), estimated, dict(fixed or {}), prior)
+    of_fit = (tuple(free), estimated, dict(fixed or {}), prior)
+    search = _Search(problem, *of_fit)
     at = search.start(start)
-    for scale in robust:
+    for scale in effort.robust:
         at, *_ = search.descend(at, scale)
-    at, chi2, residuals, jacobian, information, converged = search.descend(at, math.inf)
+    at, chi2, residuals, jacobian, information, converged = search.descend(at, math.inf, effort)
     return Fit(
-        problem, tuple(free), estimated, search.values(at), chi2, residuals, jacobian, information,
+        problem, tuple(free), estimated, search.values(at), chi2, residuals,
+        Derivatives(jacobian, lambda: _Search(problem.without_limit(), *of_fit).jacobian(at, residuals)), information,
         converged, at, search.smooth,
     )  # fmt: skip
 
@@ -229,50 +255,60 @@ class _Search:
                 return np.asarray((there - residuals) / actual)
         return np.zeros(len(residuals))
 
-    def descend(self, at: Array, cauchy: float) -> tuple[Array, float, Array, Array, Array, bool]:
+    def descend(
+        self, at: Array, cauchy: float, effort: Effort = WHOLE
+    ) -> tuple[Array, float, Array, Array, Array, bool]:
         """Gauss–Newton with Levenberg's damping, variables on a bound held while the gradient points outwards."""
         residuals = self.residuals(at)
         if residuals is None:
             raise SimulationError("the model cannot be simulated at the start of the fit")
-        damping, converged = 1e-4, False
+        damping, converged, is_stale, decrease = 1e-4, False, False, 0.0
         jacobian = self.jacobian(at, residuals)
-        is_stale = False
-        information, gradient = self._normal(at, residuals, jacobian, cauchy)
+        of_data = self._normal(at, residuals, jacobian, cauchy)
+        information, gradient = self._with_curve(at, *of_data)
         cost = self._cost(at, residuals, cauchy)  # the weight of a curve is another now
-        for _ in range(MOST_ITERATIONS):
+        for iteration in range(effort.made, effort.most):
             move, gain = self._step(at, information, gradient, damping)
             if gain < self._small:
                 converged = True
+                break
+            if iteration >= TRIAL and cost - CATCHES_UP * max(gain, decrease) > effort.goal:
                 break
             candidate = np.clip(at + move, self.lower, self.upper)
             there = self.residuals(candidate)
             new_cost = self._cost(candidate, there, cauchy) if there is not None else math.inf
             if there is not None and new_cost < cost:
-                converged = cost - new_cost < self._small
-                self._weights_hold = self._weights_hold or cost - new_cost < WEIGHTS_HOLD
-                damping = max(1e-9, damping * (0.1 if cost - new_cost > 0.5 * gain else 0.5))
-                if len(self.nuisances) <= FEW or cost - new_cost > 0.01 * cost:
+                decrease = cost - new_cost
+                converged = decrease < self._small
+                self._weights_hold = self._weights_hold or decrease < WEIGHTS_HOLD
+                damping = max(1e-9, damping * (0.1 if decrease > 0.5 * gain else 0.5))
+                if len(self.nuisances) <= FEW or decrease > 0.01 * cost:
                     self._nuisance_columns = None
                 is_stale = self._nuisance_columns is not None
                 at, residuals, cost = candidate, there, new_cost
-                jacobian = self.jacobian(at, residuals)
             elif is_stale:
-                self._nuisance_columns = None
-                jacobian = self.jacobian(at, residuals)
-                is_stale = False
+                self._nuisance_columns, is_stale = None, False
             else:
                 damping *= 10.0
-                converged = damping > LARGEST_DAMPING
+                if damping > LARGEST_DAMPING:
+                    converged = True
+                    break
+                # The derivatives are those of before; the weights of a curve are chosen once more.
+                information, gradient = self._with_curve(at, *of_data)
+                cost = self._cost(at, residuals, cauchy)
+                continue
+            jacobian = self.jacobian(at, residuals)
             if converged:
                 break
-            information, gradient = self._normal(at, residuals, jacobian, cauchy)
+            of_data = self._normal(at, residuals, jacobian, cauchy)
+            information, gradient = self._with_curve(at, *of_data)
             cost = self._cost(at, residuals, cauchy)
         if math.isfinite(cauchy):
-            information, _ = self._normal(at, residuals, jacobian, math.inf)
+            information, _ = self._with_curve(at, *self._normal(at, residuals, jacobian, math.inf))
         return at, cost, residuals, jacobian, information, converged
 
     def _normal(self, at: Array, residuals: Array, jacobian: Array, cauchy: float) -> tuple[Array, Array]:
-        """Information matrix and half the gradient of the criterion, priors included."""
+        """Information matrix and half the gradient of the criterion, priors included but for that of a curve."""
         if math.isfinite(cauchy):
             weighted = jacobian / (1.0 + np.square(residuals / cauchy))[:, None]
         else:
@@ -285,10 +321,15 @@ class _Search:
         if self._known is not None:
             information += self._known
             gradient += self._known @ (at - self.mean)
+        return information, gradient
+
+    def _with_curve(self, at: Array, information: Array, gradient: Array) -> tuple[Array, Array]:
+        """The same with what says that a curve is smooth, whose weights are chosen anew until they hold."""
         if self.smooth is not None:
             curve, inflation = self._curve, self.problem.variance_inflation
             if not self._weights_hold:
                 self.smooth = self.smooth.chosen(information, gradient, at, curve, inflation)
+            information, gradient = information.copy(), gradient.copy()
             information[np.ix_(curve, curve)] += self.smooth.precision
             gradient[curve] += self.smooth.precision @ at[curve]
         return information, gradient

@@ -26,7 +26,7 @@ from valve_sim.identification.estimation.intervals import Interval, covariance_i
 from valve_sim.identification.estimation.noise import Noise
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
-from valve_sim.identification.estimation.solver import fit
+from valve_sim.identification.estimation.solver import Effort, fit
 from valve_sim.identification.monitoring.command_timing import UNINFORMATIVE
 from valve_sim.identification.plants.commissioned import Commissioned, CommissionedCurrent, commission_current
 from valve_sim.identification.plants.protocol import Array, Nuisance, perturbed
@@ -267,7 +267,7 @@ class _Stroke:
             return result
         # A fault of the stroke, or a bad starting point: contacts make shallow local minima.
         again = [
-            fit(self.problem, free, other, nuisances=self._shifts(), fixed=self._fixed, robust=ANNEALING)
+            fit(self.problem, free, other, nuisances=self._shifts(), fixed=self._fixed, effort=Effort(ANNEALING))
             for other in (start, {})
         ]
         return min((result, *again), key=lambda found: found.chi2)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -19,13 +20,13 @@ from valve_sim.identification.estimation.budget import OutOfTimeError
 from valve_sim.identification.estimation.parallel import run_parallel
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.smoothing import Smoothness
-from valve_sim.identification.estimation.solver import fit
+from valve_sim.identification.estimation.solver import WHOLE, Effort, fit
 from valve_sim.identification.plants.protocol import Array, ForceMap, Nuisance
 from valve_sim.identification.plants.root_mean_square import root_mean_square
-from valve_sim.identification.selection.hypotheses import Search
+from valve_sim.identification.selection.hypotheses import NEAR, Search
 from valve_sim.identification.selection.periods import likely_periods
 from valve_sim.identification.selection.residual_tests import adequacy
-from valve_sim.identification.selection.table import Hypothesis
+from valve_sim.identification.selection.table import DECISIVE, Hypothesis
 from valve_sim.model import SimulationError
 from valve_sim.model.effects import basis
 
@@ -33,6 +34,8 @@ PLACES: Final = 8
 """Over so many places of the stroke a force at one of them alone is tried."""
 PERIOD_STEP: Final = 0.01
 """Step of a difference quotient, in standard deviations of a period."""
+WAVE_PARAMETERS: Final = 3
+"""Of a wave, at the least: an amplitude, a phase and a period."""
 AT_ONCE: Final = 3
 """So many periods are fitted before it is asked whether one makes the residual white, which ends the search."""
 NOTHING: Final[Mapping[str, float]] = MappingProxyType({})
@@ -69,16 +72,21 @@ class NonparametricFit(NamedTuple):
     fit: Fit
 
 
-def fit_maps(search: Search, base: Fit) -> list[NonparametricFit]:
+def fit_maps(search: Search, base: Fit, *, is_explained: bool = False) -> list[NonparametricFit]:
     """Force maps on top of a fit, best score first; those for which the time was too short are left out.
 
     Where none makes the residual white, errors of the commands' stamps are estimated beside each, too: what they leave
     behind in every stroke is easily taken for a force over time.
+
+    Args:
+        search: that is told what is being tried. base: the fit.
+        is_explained: whether effects explain all with so few parameters that no wave over time can do better, nor
+            anything with errors of the stamps: these are left out.
     """
     plant = base.problem.plant
-    found = _fitted_maps(search, base)
+    found = _fitted_maps(search, base, is_explained=is_explained)
     is_timed = set(plant.timing_errors) <= set(base.nuisances)
-    if found and not is_timed and not any(adequacy(entry.fit).is_white for entry in found):
+    if found and not is_explained and not is_timed and not any(adequacy(entry.fit).is_white for entry in found):
         with contextlib.suppress(OutOfTimeError, SimulationError):
             found += _fitted_maps(search, _with_timing(base))
     return sorted(found, key=lambda entry: entry.fit.score)
@@ -96,7 +104,14 @@ def _held(base: Fit) -> dict[str, float]:
     return {name: value for name, value in base.values.items() if name not in estimated}
 
 
-def _fitted_maps(search: Search, base: Fit) -> list[NonparametricFit]:
+def explains_all(base: Fit, best: Fit) -> bool:
+    """Whether a model with a white residual frees so few parameters that no wave is decisively better, beside a fit."""
+    further = len(best.free) - len(base.free) - WAVE_PARAMETERS
+    is_white = bool(best.free) and adequacy(best).is_white
+    return is_white and further * math.log(best.problem.effective_samples) <= DECISIVE
+
+
+def _fitted_maps(search: Search, base: Fit, *, is_explained: bool = False) -> list[NonparametricFit]:
     """Every force map beside what a fit estimates."""
 
     def fitted(choice: ForceMap) -> list[NonparametricFit]:
@@ -118,20 +133,25 @@ def _fitted_maps(search: Search, base: Fit) -> list[NonparametricFit]:
     long = [choice for choice in maps if choice.end and choice.unit == "s"]
     found = fitted_each([choice for choice in maps if choice not in long])
     # Hundreds of periods fit into a recording, so they are tried last.
-    if any(entry.choice.variable != OVER_TIME and adequacy(entry.fit).is_white for entry in found):
+    if is_explained or any(entry.choice.variable != OVER_TIME and adequacy(entry.fit).is_white for entry in found):
         return found
     return [*found, *fitted_each(long)]
 
 
 def _beside(
-    choice: ForceMap, base: Fit, nuisances: Sequence[Nuisance], start: Mapping[str, float] = NOTHING
+    choice: ForceMap,
+    base: Fit,
+    nuisances: Sequence[Nuisance],
+    start: Mapping[str, float] = NOTHING,
+    effort: Effort = WHOLE,
 ) -> NonparametricFit:
     free, fixed = (*base.free, *choice.free), {**_held(base), **choice.held}
     smooth = _smooth(choice)
     for nuisance in nuisances:
         fixed.pop(nuisance.name, None)
     values = {**base.values, **start}
-    return NonparametricFit(choice, fit(base.problem, free, values, nuisances=nuisances, fixed=fixed, prior=smooth))
+    found = fit(base.problem, free, values, nuisances=nuisances, fixed=fixed, effort=effort, prior=smooth)
+    return NonparametricFit(choice, found)
 
 
 def _periodic(choice: ForceMap, base: Fit) -> list[NonparametricFit]:
@@ -145,7 +165,10 @@ def _periodic(choice: ForceMap, base: Fit) -> list[NonparametricFit]:
             is_of_machine=True,
         )  # fmt: skip
         with contextlib.suppress(SimulationError):
-            entry = _beside(choice.with_period(period.length), base, (*base.nuisances, length), period.wave)
+            least = min((entry.fit.chi2 for entry in found), default=math.inf)
+            effort = Effort(goal=least + NEAR * base.problem.variance_inflation)
+            with_period = choice.with_period(period.length)
+            entry = _beside(with_period, base, (*base.nuisances, length), period.wave, effort)
             fitted = choice.with_period(entry.fit.values[choice.end] - choice.low)
             found.append(NonparametricFit(fitted, entry.fit))
     return sorted(found, key=lambda entry: entry.fit.score)[:1]

@@ -17,7 +17,7 @@ from valve_sim.identification.estimation.budget import OutOfTimeError
 from valve_sim.identification.estimation.parallel import run_parallel
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
-from valve_sim.identification.estimation.solver import fit
+from valve_sim.identification.estimation.solver import TRIAL, WHOLE, Effort, fit
 from valve_sim.identification.plants.protocol import (
     EffectChoice,
     from_internal,
@@ -43,6 +43,12 @@ ANNEALING: Final = (100.0, 20.0, 5.0)
 """σ: scales of the Cauchy loss, theory, eq. (30), that lead a fit with impacts out of local minima."""
 ROBUST: Final = 20.0
 """σ: scale of the cost by which starts are ranked, so that one impact at another time does not decide."""
+RIVALS: Final = 4
+"""Of fits side by side, those that cannot come near this many best are given up."""
+NEAR, NEAR_SHARE = 100.0, 0.05
+"""How near to the last of these: a difference of S, or a share of its χ², whichever is larger."""
+KEPT: Final = 16
+"""Of so many of the best fits the Jacobian is kept."""
 SCATTER: Final = (1.0, 3.0, 3.0, 10.0, 10.0, 30.0)
 """Standard errors by which the starts of a polish are scattered."""
 
@@ -68,6 +74,11 @@ class Search:
         self.untried: list[str] = []
         self._annealed: set[Hypothesis] = set()
         self._polished: set[Hypothesis] = set()
+        self._on_trial: set[Hypothesis] = set()
+
+    def is_tried(self, hypothesis: Hypothesis) -> bool:
+        """Whether a hypothesis was fitted, and not only begun when the time was used up."""
+        return hypothesis in self.log and hypothesis not in self._on_trial
 
     def say(self, what: str, fraction: float) -> None:
         """Report progress."""
@@ -81,17 +92,17 @@ class Search:
             SimulationError: the machine cannot be simulated from any start.
         """
         if hypothesis not in self.log:
-            for start, found in self._fits(hypothesis):
-                self.log.append(Row(hypothesis, start, found))
-            if hypothesis not in self.log:
-                raise SimulationError(f"{hypothesis}: the model cannot be simulated from any start of the fit")
+            self._begin(hypothesis, WHOLE)
+            self._end(hypothesis, math.inf)
         if anneal and hypothesis not in self._annealed:
             self._annealed.add(hypothesis)
-            self._append(hypothesis, "annealed", dict(self.log[hypothesis].values), ANNEALING)
+            self._append(hypothesis, "annealed", dict(self.log[hypothesis].values), Effort(ANNEALING))
         return self.log[hypothesis]
 
     def fit_each(self, hypotheses: Sequence[Hypothesis], fractions: tuple[float, float]) -> None:
         """Fit hypotheses of equal size in parallel: they start from smaller ones, not from each other.
+
+        All make a few iterations; then those that cannot come near the best few any more are given up.
 
         Args:
             hypotheses: what to fit.
@@ -102,10 +113,56 @@ class Search:
         done = {hypothesis: index / len(new) for index, hypothesis in enumerate(new)}
         self.log.expect(new)
         try:
-            run_parallel(self.fit, new, lambda h: self.say(str(h), before + (after - before) * done[h]))
+            trial = Effort(most=TRIAL)
+            run_parallel(
+                lambda h: self._begin(h, trial), new, lambda h: self.say(str(h), before + (after - before) * done[h])
+            )
+            limit = self._limit(new)
+            run_parallel(lambda h: self._end(h, limit), new)
         except OutOfTimeError:
-            self.untried.extend(str(hypothesis) for hypothesis in new if hypothesis not in self.log)
+            self.untried.extend(str(hypothesis) for hypothesis in new if not self.is_tried(hypothesis))
             raise
+        self.log.drop_derivatives(KEPT)
+
+    def _limit(self, hypotheses: Sequence[Hypothesis]) -> float:
+        """The score S that is near enough to those of the best few."""
+        if len(hypotheses) <= RIVALS:
+            return math.inf
+        last = sorted((self.log[hypothesis] for hypothesis in hypotheses), key=lambda found: found.score)[RIVALS - 1]
+        return last.score + max(NEAR, NEAR_SHARE * last.chi2 / self.problem.variance_inflation)
+
+    def _begin(self, hypothesis: Hypothesis, effort: Effort) -> None:
+        """Fit a hypothesis from each start."""
+        for start, found in self._fits(hypothesis, effort):
+            self.log.append(Row(hypothesis, start, found))
+            if not found.converged:
+                self._on_trial.add(hypothesis)
+        if hypothesis not in self.log:
+            raise SimulationError(f"{hypothesis}: the model cannot be simulated from any start of the fit")
+
+    def _end(self, hypothesis: Hypothesis, limit: float) -> None:
+        """Go on with fits that have not converged and may come near a score S, the best first; then try more shapes."""
+        begun = [row.fit for row in self.log.rows_of(hypothesis) if not row.fit.converged]
+        for found in sorted(begun, key=lambda one: one.chi2):
+            self._append(hypothesis, "continued", found.values, Effort(goal=self._goal(hypothesis, limit), made=TRIAL))
+        self._try_shapes(hypothesis, limit)
+        self._on_trial.discard(hypothesis)
+
+    def _try_shapes(self, hypothesis: Hypothesis, limit: float) -> None:
+        """Start from other shapes of the effect that is added, where its shape was lost."""
+        if not hypothesis.effects:
+            return
+        effect, smaller = self._origin(hypothesis)
+        if _has_lost_its_shape(self.log[hypothesis], effect):
+            warm = self.fit(smaller).values
+            for shape in SHAPES:
+                start = _start(effect, [SMALL] * len(effect.parameters), shape)
+                self._append(hypothesis, "shapes", {**warm, **start}, Effort(goal=self._goal(hypothesis, limit)))
+
+    def _goal(self, hypothesis: Hypothesis, limit: float) -> float:
+        """χ² with which a hypothesis would have a score S."""
+        best = self.log[hypothesis]
+        return best.chi2 + (limit - best.score) * self.problem.variance_inflation
 
     def polish(self, hypothesis: Hypothesis) -> Fit:
         """Fit again from around the best fit: contacts that come and go make shallow local minima near the global one.
@@ -150,13 +207,11 @@ class Search:
         plant = self.problem.plant
         return (*plant.base, *itertools.chain(*(plant.effects[name].free_names() for name in hypothesis.effects)))
 
-    def _append(
-        self, hypothesis: Hypothesis, kind: str, start: Mapping[str, float], robust: Sequence[float] = ()
-    ) -> None:
-        for found in self._attempt(hypothesis, start, robust):
+    def _append(self, hypothesis: Hypothesis, kind: str, start: Mapping[str, float], effort: Effort = WHOLE) -> None:
+        for found in self._attempt(hypothesis, start, effort):
             self.log.append(Row(hypothesis, kind, found))
 
-    def _fits(self, hypothesis: Hypothesis) -> Iterator[tuple[str, Fit]]:
+    def _fits(self, hypothesis: Hypothesis, effort: Effort) -> Iterator[tuple[str, Fit]]:
         """Fits from each start, with its kind; a smaller hypothesis that was fitted gives initial values."""
         if not hypothesis.effects:
             plain = Hypothesis(())
@@ -169,40 +224,38 @@ class Search:
                 ]
             )
             for kind, start in starts:
-                yield from ((kind, found) for found in self._attempt(hypothesis, start))
+                yield from ((kind, found) for found in self._attempt(hypothesis, start, effort))
             return
         untimed = hypothesis._replace(timing=False)
         if hypothesis.timing and untimed in self.log:
-            yield from (("untimed", found) for found in self._attempt(hypothesis, self.log[untimed].values))
+            start = self.log[untimed].values
+            yield from (("untimed", found) for found in self._attempt(hypothesis, start, effort))
+        effect, smaller = self._origin(hypothesis)
+        warm = self.fit(smaller).values
+        begun = [("sizes", {**warm, **start}) for start in effect_starts(self.problem, effect, warm)]
+        kept = {name: warm[name] for name in self.free_names(smaller) if name not in self._base}
+        begun += [("as declared", start) for start in starts_from_declared(self.problem, effect, kept)]
+        for kind, start in begun:
+            yield from ((kind, found) for found in self._attempt(hypothesis, start, effort))
+
+    def _origin(self, hypothesis: Hypothesis) -> tuple[EffectChoice, Hypothesis]:
+        """The effect that makes a hypothesis of the best smaller one, and that."""
         known = [name for name in hypothesis.effects if hypothesis.without(name) in self.log]
         added = min(known, key=lambda name: self.score(hypothesis.without(name))) if known else hypothesis.effects[-1]
-        smaller = hypothesis.without(added)
-        warm = self.fit(smaller).values
-        effect = self.problem.plant.effects[added]
-        fits: list[Fit] = []
-        starts = [("sizes", {**warm, **start}) for start in effect_starts(self.problem, effect, warm)]
-        kept = {name: warm[name] for name in self.free_names(smaller) if name not in self._base}
-        starts += [("as declared", start) for start in starts_from_declared(self.problem, effect, kept)]
-        for kind, start in starts:
-            for found in self._attempt(hypothesis, start):
-                fits.append(found)
-                yield kind, found
-        if fits and _has_lost_its_shape(min(fits, key=lambda result: result.chi2), effect):
-            for shape in SHAPES:
-                start = _start(effect, [SMALL] * len(effect.parameters), shape)
-                yield from (("shapes", found) for found in self._attempt(hypothesis, {**warm, **start}))
+        return self.problem.plant.effects[added], hypothesis.without(added)
 
     @property
     def _base(self) -> Sequence[str]:
         return self.problem.plant.base
 
-    def _attempt(
-        self, hypothesis: Hypothesis, start: Mapping[str, float], robust: Sequence[float] = ()
-    ) -> Iterator[Fit]:
+    def _attempt(self, hypothesis: Hypothesis, start: Mapping[str, float], effort: Effort) -> Iterator[Fit]:
         plant = self.problem.plant
         nuisances = (*plant.nuisances, *(plant.timing_errors if hypothesis.timing else ()))
+        if hypothesis in self.log:
+            # What does not come to the best of its rows is of no use.
+            effort = effort._replace(goal=min(effort.goal, self.log[hypothesis].chi2))
         try:
-            yield fit(self.problem, self.free_names(hypothesis), start, nuisances=nuisances, robust=robust)
+            yield fit(self.problem, self.free_names(hypothesis), start, nuisances=nuisances, effort=effort)
         except SimulationError:
             return
 

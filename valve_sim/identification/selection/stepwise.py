@@ -98,7 +98,7 @@ class Exploration:
 
     def singles_untried(self) -> bool:
         """Whether not even every single effect was tried, although there was a reason to."""
-        return not self.screened and any(Hypothesis((name,)) not in self.search.log for name in self.plant.effects)
+        return not self.screened and any(not self.search.is_tried(Hypothesis((name,))) for name in self.plant.effects)
 
     def _explore(self, *, is_full: bool) -> None:
         """Singles, then pairs and triples while something is left."""

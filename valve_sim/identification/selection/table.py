@@ -77,6 +77,10 @@ class FitLog:
         with self._lock:
             return {hypothesis: self._best[hypothesis] for hypothesis in self._order if hypothesis in self._best}
 
+    def rows_of(self, hypothesis: Hypothesis) -> list[Row]:
+        """Those of one hypothesis."""
+        return [row for row in self.rows if row.hypothesis == hypothesis]
+
     def expect(self, hypotheses: Iterable[Hypothesis]) -> None:
         """Fix the order of what is fitted in parallel: ties must not depend on what is ready first."""
         with self._lock:
@@ -97,6 +101,16 @@ class FitLog:
             before = self._best.get(row.hypothesis)
             if before is None or _is_better(row.fit, before):
                 self._best[row.hypothesis] = row.fit
+                superseded = before
+            else:
+                superseded = row.fit
+        if superseded is not None:
+            superseded.derivatives.drop()
+
+    def drop_derivatives(self, kept: int) -> None:
+        """Drop the Jacobians of all but the best few fits: they are worked out again when asked for."""
+        for found in sorted(self.best.values(), key=lambda found: found.score)[kept:]:
+            found.derivatives.drop()
 
     def close(self) -> None:
         """Take no further row."""
