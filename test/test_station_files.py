@@ -22,9 +22,17 @@ from valve_sim.reference import interfaces
 CONFIG = Path(__file__).parents[1] / "config"
 TANKS = ("tank_1", "tank_2", "tank_3")
 SHELLS = {"valve": "valve_shell.py", "monitor": "monitor_shell.py"}
-FIELDS = {"JointState": r"position\[[01]\]", "Float64": "data", "UInt8": "data", "Bool": "data"}
+FIELDS = {
+    "BatteryState": "current|voltage",
+    "JointState": r"position\[[01]\]",
+    "Float64": "data",
+    "UInt8": "data",
+    "Bool": "data",
+}
 """What may be plotted of each message, as Foxglove names it."""
+STAMPED = ("JointState", "BatteryState")
 SERIES = {
+    "BatteryState": "current|voltage",
     "JointState": r"(pilot|main)_plunger/(position|velocity|effort)",
     "Float64": "data",
     "UInt8": "data",
@@ -87,9 +95,9 @@ def test_foxglove_plots_fields_that_the_topics_have(foxglove: Any, topics: dict[
         message, field = split_path(path["value"], topics, ".")
         assert re.fullmatch(FIELDS[message], field), path["value"]
         # What has no header is placed by the time at which it came.
-        assert path["timestampMethod"] == ("headerStamp" if message == "JointState" else "receiveTime")
+        assert path["timestampMethod"] == ("headerStamp" if message in STAMPED else "receiveTime")
     shown = {path["value"].rpartition("/")[2] for path in paths}
-    assert shown == {"joint_states.position[0]", "residual.data", "phase.data", "is_open.data"}
+    assert shown == {"joint_states.position[0]", "residual.data", "coil.current", "phase.data", "is_open.data"}
 
 
 def test_foxglove_shows_diagnostics_and_findings(foxglove: Any, topics: dict[str, str]) -> None:

@@ -18,7 +18,7 @@ from valve_sim.model.parameters import Parameter
 from valve_sim.nodes import monitor_parameters, profile_parameters
 from valve_sim.nodes.identification_parameters import DESCRIPTIONS, Settings
 from valve_sim.nodes.parameters import NodeParameter, table
-from valve_sim.traces.layout import CHANNELS, MEASURED
+from valve_sim.traces.layout import CHANNELS, COIL, COIL_STATE, MEASURED
 
 _NODES: Final = {
     "valve_node": "valve_shell.py",
@@ -94,8 +94,16 @@ def _bag_topics() -> Iterator[str]:
         ("`coil_voltage`", "std_msgs/msg/Float64", "`data`, V"),
         (f"`{MEASURED}`", "sensor_msgs/msg/JointState", "`position`, m"),
     ]
+    rows.append((f"`{COIL}`", COIL_STATE, "`current`, A; `voltage` at the terminals, V; `temperature`, °C"))
     rows += [(f"`{entry.topic}`", entry.message_type, f"`{entry.path}`") for entry in CHANNELS.values()]
     yield _table(("topic", "type", "what is read"), rows)
+    yield (
+        f"`{COIL}` goes before the topics of its own quantities; NaN says that something was not measured. A measured "
+        "voltage is the input in place of the commands: it is interpolated between them, never across one, and not "
+        "used while the command is 0 V and `valve.release_voltage` is above 0. It dates commands that were recorded "
+        "late. Where measured positions and current are missing, `joint_states`, `coil` and `coil_current` of a node "
+        "are read in their place."
+    )
 
 
 def _node_parameters() -> Iterator[str]:

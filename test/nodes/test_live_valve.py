@@ -47,6 +47,31 @@ def test_commands_act_at_their_own_time_however_time_is_cut(seed: int) -> None:
     assert [step.stamp for step in steps] == [START + round(cut * MILLISECOND) for cut in cuts]
 
 
+def test_each_change_of_the_voltage_is_two_readings_of_the_coil_a_nanosecond_apart() -> None:
+    live = started()
+    live.command(START + 1_234_567, 9.0)
+    live.command(START + 2_000_000, 9.0)
+    live.command(START + 30_000_001, 0.0)
+    first, second, third = run(live, [0.0, 2.0, 40.0])
+    assert first.switches == ()
+    assert [(stamp - START, coil.voltage) for stamp, coil in second.switches] == [(1_234_566, 0.0), (1_234_567, 9.0)]
+    assert [(stamp - START, coil.voltage) for stamp, coil in third.switches] == [(30_000_000, 9.0), (30_000_001, 0.0)]
+    assert third.switches[0][1].current == third.switches[1][1].current == pytest.approx(0.9, abs=1e-3)
+    assert second.reading.coil_voltage == 9.0
+    assert third.reading.coil_voltage == 0.0
+
+
+def test_a_switch_at_a_sample_is_not_told_twice_and_stamps_ascend() -> None:
+    live = started()
+    live.command(START + 2 * MILLISECOND, 9.0)
+    steps = run(live, [0.0, 2.0])
+    live.command(START + 2 * MILLISECOND, 0.0)
+    steps += run(live, [3.0])
+    stamps = [stamp - START for step in steps for stamp in [*(stamp for stamp, _ in step.switches), step.stamp]]
+    assert stamps == sorted(set(stamps))
+    assert [[coil.voltage for _, coil in step.switches] for step in steps] == [[], [0.0], [0.0]]
+
+
 def test_no_phase_is_left_out_by_a_slow_rate() -> None:
     live = started()
     live.command(START, 9.0)

@@ -14,7 +14,7 @@ from valve_sim.nodes.parameters import table
 std_msgs = pytest.importorskip("std_msgs.msg", reason="there is no ROS 2 here: its messages cannot be imported")
 
 from rclpy.serialization import deserialize_message, serialize_message  # noqa: E402
-from sensor_msgs.msg import JointState  # noqa: E402
+from sensor_msgs.msg import BatteryState, JointState  # noqa: E402
 from std_msgs.msg import Float64  # noqa: E402
 
 from valve_sim.nodes import messages  # noqa: E402
@@ -44,6 +44,20 @@ def test_what_is_encoded_here_is_what_ros_encodes_to_the_byte() -> None:
         assert serialize_message(deserialize_message(joints, JointState)) == joints
         assert serialize_message(deserialize_message(current, Float64)) == current
         assert deserialize_message(current, Float64).data == reading.coil_current
+
+
+@pytest.mark.parametrize("frame_id", ["", "tank", "a frame of thirty characters …"])
+def test_the_coil_carries_current_and_voltage_and_nothing_else(frame_id: str) -> None:
+    coil = messages.ReadingMessages(frame_id).coil(1_500_000_002, 0.75, -24.5)
+    message = deserialize_message(coil, BatteryState)
+    assert len(serialize_message(message)) == len(coil)  # what pads it is whatever was in memory
+    assert (message.header.stamp.sec, message.header.stamp.nanosec) == (1, 500_000_002)
+    assert (message.header.frame_id, message.current, message.voltage) == (frame_id, 0.75, -24.5)
+    unmeasured = ("temperature", "charge", "capacity", "design_capacity", "percentage")
+    assert all(math.isnan(getattr(message, name)) for name in unmeasured)
+    extreme = deserialize_message(messages.ReadingMessages("").coil(7, math.nan, -1e300), BatteryState)
+    assert math.isnan(extreme.current)
+    assert extreme.voltage == -math.inf
 
 
 @pytest.mark.parametrize("phase", list(Phase))

@@ -11,11 +11,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from installed_effect import MAGNET_DRAG, Installed
 
 from valve_sim.files.parameter_files import load_valve
 from valve_sim.files.resources import config_path
+from valve_sim.model import published_times, simulate
+from valve_sim.traces import BagRecorder, events_from_sensors, read_trace
 
 from .dumps import TOLERATED, dump, plain_values
 from .ros_process import ENDS_WITHIN, NodeProcess, Probe, running
@@ -26,8 +29,9 @@ pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imp
 import rclpy  # noqa: E402
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
+from rclpy.serialization import serialize_message  # noqa: E402
 from rosgraph_msgs.msg import Clock  # noqa: E402
-from sensor_msgs.msg import JointState  # noqa: E402
+from sensor_msgs.msg import BatteryState, JointState  # noqa: E402
 from std_msgs.msg import Bool, Float64, UInt8  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
@@ -77,7 +81,7 @@ def commander(probe: Probe) -> Any:
     return connected(probe, probe.talker("coil_voltage", Float64))
 
 
-def nanoseconds(message: JointState) -> int:
+def nanoseconds(message: JointState | BatteryState) -> int:
     return int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)
 
 
@@ -112,6 +116,31 @@ def test_a_valve_opens_and_closes_on_topics(rested: Probe) -> None:
     command.publish(Float64(data=0.0))
     assert rested.until(lambda: not is_open[-1].data)
     assert rested.until(lambda: list(joints[-1].position)[1] == 0.0)
+
+
+def test_a_recording_with_the_coil_dates_a_command_that_was_recorded_late(rested: Probe, tmp_path: Path) -> None:
+    joints, coil = rested.hear("joint_states", JointState), rested.hear("coil", BatteryState)
+    command = commander(rested)
+    assert rested.until(lambda: len(joints) > 20 and len(coil) > 20)
+    # As on a busy machine, on which the recorder comes to write the command down milliseconds later.
+    late = time.time_ns() + 7_000_000
+    command.publish(Float64(data=9.0))
+    assert rested.until(lambda: coil[-1].current > 0.899 and joints[-1].position[0] >= 1.23e-3)
+    command.publish(Float64(data=0.0))
+    with BagRecorder(tmp_path / "late.mcap") as recorder:
+        recorder.write("/valve/coil_voltage", "std_msgs/msg/Float64", serialize_message(Float64(data=9.0)), late)
+        for topic, kind, heard in (("joint_states", "JointState", joints), ("coil", "BatteryState", coil)):
+            for message in heard:
+                stamp = nanoseconds(message)
+                recorder.write(f"/valve/{topic}", f"sensor_msgs/msg/{kind}", serialize_message(message), stamp)
+    found = read_trace(tmp_path / "late.mcap")
+    assert found.drive_errors is not None and found.drive_errors.times.tolist() == [0.0]
+    response = simulate(load_valve(config_path("valve.yaml")), found.input(0.0), found.times)
+    # t1 is when 260 µm are passed at 0.1 m/s: 0.1 µm are a microsecond of it.
+    assert np.max(np.abs(response.pilot_position - found.pilot_position)) < 0.1e-6
+    assert published_times(response)[0] - found.drive.times[0] == pytest.approx(5.3e-3, abs=2e-6)
+    (opening, *_) = events_from_sensors(found, 260e-6)
+    assert opening.events[0].after_command == pytest.approx(5.3e-3, abs=0.1e-3)
 
 
 def test_who_comes_late_still_learns_phase_and_is_open(rested: Probe) -> None:

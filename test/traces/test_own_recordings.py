@@ -241,7 +241,6 @@ WRONG_MAPS = {
     "an unknown clock": ("clock: wall\n" + LAB, "clock: found 'wall', expected header or bag"),
     "no voltage": (LAB.splitlines()[1], "neither command nor voltage"),
     "no position": (LAB.splitlines()[0], "names no position"),
-    "two inputs": (LAB + "voltage: {topic: /daq}\n", "both command and voltage"),
     "topic and column": (LAB + "current: {column: i}\n", "current is a column and command a topic"),
     "a table without time": (TABLE.replace("time: Time\n", ""), "names no time"),
     "a bag with time": (LAB + "time: {rate: 100}\n", "time: is for tables"),

@@ -49,8 +49,14 @@ def info(*, bag: Path, name: str | None, params: Path | None, as_json: bool) -> 
         _print_summary(summary, arrivals)
 
 
-def _print_summary(summary: TraceSummary, arrivals: Sequence[StrokeEvents]) -> None:
+def _judged_words(summary: TraceSummary) -> str:
+    if summary.position_range is None:
+        return f"no position; noise of the current {1e3 * summary.noise:.3g} mA"
     low, high = (1e6 * position for position in summary.position_range)
+    return f"pilot plunger from {low:.2f} to {high:.2f} µm, noise {1e6 * summary.noise:.3g} µm"
+
+
+def _print_summary(summary: TraceSummary, arrivals: Sequence[StrokeEvents]) -> None:
     clock = f"{summary.clock} stamps" if summary.clock in ("header", "bag") else f"its {summary.clock}"
     click.echo(shown(summary.source) + f": {summary.duration:.6g} s, timed by {clock}")
     for signal, rate in summary.signals.items():
@@ -58,10 +64,7 @@ def _print_summary(summary: TraceSummary, arrivals: Sequence[StrokeEvents]) -> N
             f"  {signal:<18}{rate.samples:>9} samples{rate.rate:>12.6g} Hz{', in bursts' if rate.in_bursts else ''}"
         )
     click.echo(f"  {'commands':<18}{summary.commands:>9} at {', '.join(f'{volts:g}' for volts in summary.voltages)} V")
-    click.echo(
-        f"  pilot plunger from {low:.2f} to {high:.2f} µm, noise {1e6 * summary.noise:.3g} µm; "
-        f"sample interval within {1e6 * summary.jitter:.3f} µs of its median (99 %)"
-    )
+    click.echo(f"  {_judged_words(summary)}; sample interval within {1e6 * summary.jitter:.3f} µs of its median (99 %)")
     for gap in summary.gaps[:10]:
         click.echo(f"  gap at {gap.start:.6f} s: {1e3 * gap.length:.3f} ms without samples")
     if len(summary.gaps) > 10:

@@ -39,6 +39,10 @@ if TYPE_CHECKING:
     help="Noise of the coil current, mA.",
 )
 @click.option(
+    "--voltage-noise-mv", metavar="MV", type=finite_number(0.0), default=0.0, help="Noise of the coil's voltage, mV."
+)
+@click.option("--without-position", is_flag=True, help="Record the coil alone, as where no position can be measured.")
+@click.option(
     "--seed", type=click.IntRange(min=0), default=0, help="Seed of the noise; the same seed gives the same recording."
 )
 @click.option("--output", metavar="FILE", type=FILE, required=True, help="x.mcap, x.csv, or x for a rosbag2 folder.")
@@ -54,6 +58,8 @@ def simulate(
     noise_um: float,
     quantisation_um: float,
     current_noise_ma: float | None,
+    voltage_noise_mv: float,
+    without_position: bool,
     seed: int,
     output: Path,
     plot: Path | None,
@@ -74,12 +80,12 @@ def simulate(
     A CSV that simulate wrote is a profile too.
 
     The CSV has the columns time, coil_voltage, coil_current, pilot_position, main_position, pilot_velocity, phase, in
-    SI units. The bag has /valve/coil_voltage, /valve/measured/joint_states and /valve/measured/coil_current, and
-    its stamps begin at 0.
+    SI units. The bag has /valve/coil_voltage, /valve/measured/joint_states and /valve/measured/coil (voltage and
+    current at the coil's terminals), and its stamps begin at 0.
     """
     if (voltage is None) == (profile is None):
         raise click.UsageError("give either --voltage or --profile", click.get_current_context())
-    from valve_sim.model import Drive, published_times
+    from valve_sim.model import Drive
     from valve_sim.traces import write_bag, write_csv
     from valve_sim.traces.synthetic import Sensor, read_profile, record
 
@@ -87,7 +93,10 @@ def simulate(
         refuse(f"--output {output}: expected x.mcap, x.csv, or a name without ending for a rosbag2 folder")
     drive = Drive.of([0.0], [voltage or 0.0]) if profile is None else read_profile(profile)
     current_noise = (1.0 if noise_um else 0.0) if current_noise_ma is None else current_noise_ma
-    sensor = Sensor(1e-6 * noise_um, 1e-6 * quantisation_um, 1e-3 * current_noise, seed)
+    sensor = Sensor(
+        1e-6 * noise_um, 1e-6 * quantisation_um, 1e-3 * current_noise, seed, 1e-3 * voltage_noise_mv,
+        has_positions=not without_position,
+    )  # fmt: skip
     valve = declared_valve(params)
     recording = record(valve, drive, duration, rate, sensor)
     if output.suffix == ".csv":
@@ -97,13 +106,19 @@ def simulate(
     if plot is not None:
         _plot(plot, recording, valve, str(params or "valve.yaml"))
     if as_json:
-        events = [{**event._asdict(), "kind": event.kind.name.lower()} for event in recording.response.events]
-        t1, t2 = published_times(recording.response)
-        times = {"t1_ms": 1e3 * t1, "t2_ms": 1e3 * t2}
-        print_json({"output": output, "samples": len(recording.trace.times), **times, "events": events})
+        _print_json(recording, output)
         return
     _print_events(recording.response.events)
-    click.echo(f"wrote {output} ({len(recording.trace.times)} samples)" + (f" and {plot}" if plot else ""))
+    click.echo(f"wrote {output} ({len(recording.trace.sample_times)} samples)" + (f" and {plot}" if plot else ""))
+
+
+def _print_json(recording: Recording, output: Path) -> None:
+    from valve_sim.model import published_times
+
+    events = [{**event._asdict(), "kind": event.kind.name.lower()} for event in recording.response.events]
+    t1, t2 = published_times(recording.response)
+    times = {"t1_ms": 1e3 * t1, "t2_ms": 1e3 * t2}
+    print_json({"output": output, "samples": len(recording.trace.sample_times), **times, "events": events})
 
 
 def _plot(path: Path, recording: Recording, valve: Valve, title: str) -> None:

@@ -27,6 +27,13 @@ OUTSIDE: Final = 1
     show_default="3 times the noise",
     help="Largest rms error, µm.",
 )
+@click.option(
+    "--tolerance-ma",
+    metavar="MA",
+    type=finite_number(0.0, is_open=True),
+    show_default="3 times the noise",
+    help="The same of the current, mA, for recordings without positions.",
+)
 @click.option("--command-jitter", is_flag=True, help="Estimate an error of each command's stamp, prior N(0, 50 µs).")
 @click.option("--junit", metavar="XML", type=FILE, help="Write a JUnit report, a test case for each stroke.")
 @click.option(
@@ -40,6 +47,7 @@ def validate(
     bags: tuple[Path, ...],
     params: Path,
     tolerance_um: float | None,
+    tolerance_ma: float | None,
     command_jitter: bool,
     junit: Path | None,
     plot: Path | None,
@@ -68,8 +76,12 @@ def validate(
     valve = declared_valve(params)
     traces = read_recordings(bags, name, valve)
     tolerance = None if tolerance_um is None else 1e-6 * tolerance_um
+    current_tolerance = None if tolerance_ma is None else 1e-3 * tolerance_ma
     with progress_bar() as progress:
-        result = replay(traces, valve, tolerance, command_jitter=command_jitter, progress=progress)
+        result = replay(
+            traces, valve, tolerance, current_tolerance=current_tolerance, command_jitter=command_jitter,
+            progress=progress,
+        )  # fmt: skip
     if junit is not None:
         write_whole(junit, shown(validation_junit(result)))  # XML has no place for control characters
     if plot is not None:

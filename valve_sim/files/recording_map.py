@@ -80,7 +80,7 @@ class Quantity(NamedTuple):
 
 QUANTITIES: Final[Mapping[str, Quantity]] = {
     "command": Quantity("voltage", "commanded voltage, held until the next message or row"),
-    "voltage": Quantity("voltage", "measured voltage of the coil, where no command was recorded: its steps are found"),
+    "voltage": Quantity("voltage", "measured at the coil: the input; without a command, its steps are the commands"),
     "position": Quantity("length", "pilot plunger, 0 where the valve is closed, positive towards the core"),
     "main_position": Quantity("length", "main plunger"),
     "current": Quantity("current", "coil current"),
@@ -226,16 +226,17 @@ def _named_valves(found: object, clock: str, path: str) -> dict[str, Mapping[str
 def _sources(entries: Mapping[Any, Any], clock: str, path: str, prefix: str) -> Mapping[str, Source]:
     sources = {key: _source(key, value, clock, f"{path}: {prefix}{key}") for key, value in entries.items()}
     where = f"{path}: {prefix.rstrip('.')}: " if prefix else f"{path}: "
-    if "position" not in sources:
-        raise MapError(f"{where}names no position; say where it is: position: {{topic: ..., unit: mm}}")
+    if "position" not in sources and "current" not in sources:
+        raise MapError(
+            f"{where}names no position; say where it is: position: {{topic: ..., unit: mm}}, or where the coil's "
+            "current is: current:"
+        )
     inputs = [key for key in ("command", "voltage") if key in sources]
     if not inputs:
         raise MapError(
             f"{where}names neither command nor voltage: without the coil's voltage nothing can be fitted; "
             "add one of them"
         )
-    if len(inputs) > 1:
-        raise MapError(f"{where}names both command and voltage; keep the one that is to be the input")
     return sources
 
 

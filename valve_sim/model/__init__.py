@@ -14,7 +14,7 @@ from valve_sim.model.simulation import (
     simulate,
     simulate_many,
 )
-from valve_sim.model.stepper import Reading, Stepper
+from valve_sim.model.stepper import CoilReading, Reading, Stepper
 from valve_sim.model.tolerances import EXACT, Tolerances
 
 __all__ = [
@@ -22,6 +22,7 @@ __all__ = [
     "DECLARED",
     "EXACT",
     "TOLERANCE",
+    "CoilReading",
     "Drive",
     "Effect",
     "Event",

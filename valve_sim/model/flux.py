@@ -75,6 +75,14 @@ def flux_rate(p, s, u, w, resistance_ratio):
 
 
 @inlined
+def terminal_voltage(p, s, w):
+    """V at the terminals, V: what the coil sees, or what its flux induces while the diode blocks."""
+    if s.path == BLOCKED and follows_flux(p):
+        return p.reference_voltage * flux_rate(p, s, 0.0, w, 1.0)
+    return s.seen
+
+
+@inlined
 def current_rate(p, x, v, w, rate):
     """Equation (C4), with φ'."""
     share = share_per_power(p)

@@ -11,9 +11,11 @@ from valve_sim.model.compiling import inlined, inner
 from valve_sim.model.core_types import MAIN
 from valve_sim.model.dormand_prince import POSITION, VELOCITY, coil_within, interpolate
 from valve_sim.model.equations import attraction, pull_squared
+from valve_sim.model.flux import terminal_voltage
 
-ROW: Final = 6
-"""Columns of a whole row of output: pilot and main plunger as shown, velocity, attraction, phase, the pilot itself."""
+ROW: Final = 7
+"""Columns of a whole row of output: pilot and main plunger as shown, velocity, attraction, phase, the pilot itself, and
+the voltage at the coil's terminals."""
 
 
 @inner
@@ -73,6 +75,7 @@ def sample(p, s, work, h, theta, rows, i):
     rows[i, 3] = attraction(p, x, pull_squared(p, w, max(s.peak_current, abs(u))))
     rows[i, 4] = s.mode
     rows[i, 5] = x
+    rows[i, 6] = terminal_voltage(p, s, w)
 
 
 @inlined

@@ -61,8 +61,8 @@ class Samples(NamedTuple):
 
     Attributes:
         times: (n,) s, of the positions.
-        rows: (n, 1) or (n, 6), written: pilot and main position as shown (m), velocity (m/s), attraction (N), phase,
-            position of the pilot itself (m).
+        rows: (n, 1) or (n, 7), written: pilot and main position as shown (m), velocity (m/s), attraction (N), phase,
+            position of the pilot itself (m), voltage at the coil's terminals (V).
         current_times: (m,) s.
         currents: (m,), written: normalised current u.
     """
@@ -177,7 +177,7 @@ class Response:
     Attributes:
         time: (n,) s. pilot_position, main_position: (n,) m. pilot_velocity: (n,) m/s, of the plunger itself.
         coil_current: (n,) A. attraction: (n,) N. phase: (n,) Phase as uint8.
-        events: what happened, in order.
+        events: what happened, in order. coil_voltage: (n,) V, at the terminals.
     """
 
     time: Array
@@ -188,6 +188,7 @@ class Response:
     attraction: Array
     phase: NDArray[np.uint8]
     events: tuple[Event, ...]
+    coil_voltage: Array = field(default_factory=lambda: np.empty(0))
 
     def first(self, *kinds: EventKind) -> float:
         """The time of the first event of any of these kinds, s; nan when there is none."""
@@ -245,7 +246,7 @@ def simulate(
         rows[:, :2] = shown
     return Response(
         times, rows[:, 0], rows[:, 1], rows[:, 2], currents * rated_current(record), rows[:, 3],
-        rows[:, 4].astype(np.uint8), event_tuple(events, count),
+        rows[:, 4].astype(np.uint8), event_tuple(events, count), rows[:, 6],
     )  # fmt: skip
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,8 +25,16 @@ from valve_sim.model.simulation import (
 from valve_sim.model.transitions import set_voltage, settle
 
 
+class CoilReading(NamedTuple):
+    """What is measured at the coil's terminals at one time: s, A, V."""
+
+    time: float
+    current: float
+    voltage: float
+
+
 class Reading(NamedTuple):
-    """A valve at one time: m, m/s, A, N; `main_effort` is the spring's force on the main plunger (− closes)."""
+    """A valve at one time: m, m/s, A, N, V; `main_effort` is the spring's force on the main plunger (− closes)."""
 
     time: float
     pilot_position: float
@@ -37,6 +46,7 @@ class Reading(NamedTuple):
     main_effort: float
     phase: Phase
     events: tuple[Event, ...]
+    coil_voltage: float = math.nan
 
 
 class Stepper:
@@ -77,13 +87,20 @@ class Stepper:
         self._commands = []
         self._pending = []
 
-    def command(self, time: float, volts: float) -> None:
-        """A voltage in force from `time` on; a time that is past takes effect at the latest time stepped to."""
+    def command(self, time: float, volts: float) -> tuple[CoilReading, CoilReading]:
+        """A voltage in force from `time` on; a time that is past takes effect at the latest time stepped to.
+
+        Returns:
+            the coil just before and just after.
+        """
         time = max(time, float(self._state[0]["time"]))
         self._go(self._state, time, commit=True, collect=True)
+        before = self._coil(time)
         set_voltage(self._record, self._state, volts)
         if self._delay:
             self._commands.append((time, volts))
+        self._go(self._state, time, commit=False, collect=True)
+        return before, self._coil(time)
 
     def advance(self, time: float) -> Reading:
         """Step to `time`, s (not before the last command), and read the valve there.
@@ -93,7 +110,7 @@ class Stepper:
         """
         self._go(self._state, time, commit=False, collect=True)
         row = self._row[0]
-        pilot, main, velocity, attraction, phase_number, x = (float(value) for value in row)
+        pilot, main, velocity, attraction, phase_number, x, volts = (float(value) for value in row)
         current = float(self._current[0])
         phase = Phase(int(phase_number))
         moves_main = phase is Phase.MAIN
@@ -105,7 +122,7 @@ class Stepper:
         events, self._pending = tuple(self._pending), []
         return Reading(
             time, pilot, main, velocity, velocity if moves_main else 0.0, current * rated_current(self._record),
-            attraction, effort, phase, events,
+            attraction, effort, phase, events, volts,
         )  # fmt: skip
 
     def set_valve(self, valve: Valve, time: float) -> None:
@@ -125,6 +142,10 @@ class Stepper:
         settle(self._record, self._state)
         self._shown = self._state.copy()
         self._commands = []
+
+    def _coil(self, time: float) -> CoilReading:
+        """The coil as it was shown last."""
+        return CoilReading(time, float(self._current[0]) * rated_current(self._record), float(self._row[0, 6]))
 
     @property
     def _delay(self) -> float:

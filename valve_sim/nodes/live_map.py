@@ -60,11 +60,15 @@ def live_inputs(path: str, valve: str) -> Mapping[str, LiveInput]:
     file = Path(path).expanduser()
     found = load_map(file)
     name, sources = found.choose(valve if len(found.valves) > 1 else None)
+    if "position" not in sources:
+        raise MapError(f"{file}: of {name}: names no position, which a live node needs: position: {{topic: ...}}")
     inputs = {}
     for quantity, source in sources.items():
         where = f"{file}: {quantity}"
         if source.column:
             raise MapError(f"{where}: names a column; a live node hears topics: give topic: in its place")
+        if quantity == "voltage" and "command" in sources:
+            continue
         if quantity == "voltage":
             raise MapError(
                 f"{where}: of {name}: a live node needs the commands as they are sent, not a measured voltage; "

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Final, NamedTuple
 
-from valve_sim.model import Event, EventKind, Phase, Reading, SimulationError, Stepper, Valve
+from valve_sim.model import CoilReading, Event, EventKind, Phase, Reading, SimulationError, Stepper, Valve
 from valve_sim.nodes.realtime import NANOSECONDS, Mailbox
 
 _PHASE_AFTER: Final = {
@@ -63,12 +63,15 @@ class Step(NamedTuple):
         reading: the valve.
         phases: the phases entered since the step before, in order; a brief one is not left out.
         failure: why the valve was put back to rest; empty if it was not.
+        switches: the coil just before and just after each change of its voltage since the step before, with stamps,
+            ns, that ascend and lie between those of the two steps.
     """
 
     stamp: int
     reading: Reading
     phases: tuple[Phase, ...]
     failure: str
+    switches: tuple[tuple[int, CoilReading], ...] = ()
 
 
 class LiveValve:
@@ -102,6 +105,8 @@ class LiveValve:
         self._reached = 0
         self._stepper: Stepper | None = None
         self._announced: Phase | None = None
+        self._switches: list[tuple[int, CoilReading]] = []
+        self._stamp = -1
 
     @property
     def valve(self) -> Valve:
@@ -145,11 +150,12 @@ class LiveValve:
         self._timeline = Timeline(clock, stamp, self._scale)
         self._stepper = Stepper(self._valve, 0.0)
         self._announced = None
+        self._stamp = stamp - 1
         self._forget_command()
 
     def step(self, clock: int) -> Step:
         """Advance to clock time `clock`, ns. The state does not depend on how often this is called."""
-        failure = ""
+        failure, self._switches = "", []
         try:
             # A command cannot act before what is published already.
             self._mailbox.deliver(self._reached, clock)
@@ -164,7 +170,9 @@ class LiveValve:
         self.strokes += sum(event.kind is EventKind.REACHED_STOP for event in reading.events)
         self.phase = reading.phase
         self.volts = self._running.volts
-        return Step(self._timeline.stamp(clock), reading, self._phases_to_announce(reading), failure)
+        self._stamp = self._timeline.stamp(clock)
+        switches = tuple(switch for switch in self._switches if switch[0] < self._stamp)
+        return Step(self._stamp, reading, self._phases_to_announce(reading), failure, switches)
 
     @property
     def _running(self) -> Stepper:
@@ -174,7 +182,7 @@ class LiveValve:
 
     def _energise(self, clock: int, volts: float) -> None:
         self._watch_command(clock)
-        self._running.command(self._timeline.model_time(clock), volts)
+        self._switch(clock, volts)
         self.last_command = clock
         self.timed_out = False
 
@@ -183,13 +191,25 @@ class LiveValve:
             return
         deadline = max(self._reached, self.last_command + round(self.command_timeout * NANOSECONDS))
         if clock >= deadline:
-            self._running.command(self._timeline.model_time(deadline), 0.0)
+            self._switch(deadline, 0.0)
             self.timed_out = True
 
     def _withdraw_beyond(self, clock: int, max_voltage: float) -> None:
         if abs(self._running.volts) > max_voltage:
-            self._running.command(self._timeline.model_time(clock), 0.0)
+            self._switch(clock, 0.0)
             self._forget_command()
+
+    def _switch(self, clock: int, volts: float) -> None:
+        """Another voltage from clock time `clock` on, ns; what jumps then is kept with two stamps, 1 ns apart."""
+        old = self._running.volts
+        before, after = self._running.command(self._timeline.model_time(clock), volts)
+        if volts == old:
+            return
+        last = self._switches[-1][0] if self._switches else self._stamp
+        stamp = max(self._timeline.stamp(clock), last + 1)
+        if stamp - 1 > last:
+            self._switches.append((stamp - 1, before))
+        self._switches.append((stamp, after))
 
     def _rest(self, clock: int) -> None:
         self._running.reset(self._timeline.model_time(clock))

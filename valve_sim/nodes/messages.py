@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import array
+import math
 import struct
 from collections.abc import Sequence
 from typing import Final
@@ -11,7 +12,7 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from rclpy.serialization import serialize_message
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import BatteryState, JointState
 from std_msgs.msg import Bool, Float64, UInt8
 
 from valve_sim.model import Phase, Reading
@@ -24,14 +25,17 @@ LAST_STAMP: Final = 2**31 * NANOSECONDS - 1
 """ns, in 2038: a stamp has 32 bits for seconds. At a thousand times real time a node reaches that in days."""
 _STAMP_MARKS: Final = (1_234_567_891, 123_456_789)
 _MARKS: Final = (-1.1e301, -2.2e302, -3.3e303, -4.4e304, -5.5e305, -6.6e306)
-"""Placeholders: numbers that occur in no reading and no other field of a message."""
+_SINGLE_MARKS: Final = struct.unpack("=ff", b"\xa1\xb2\xc3\x74\xa5\xb6\xc7\x75")
+"""Placeholders: numbers that occur in no reading and no other field of a message. The latter are in single precision, and
+no byte of them is 0: what pads a message is whatever was in memory, such as a mark of the one before."""
+_LARGEST_SINGLE: Final = 3e38
 
 
 class ReadingMessages:
-    """The two messages of each sample, encoded: `publish` takes bytes, which cost a third of a message.
+    """The messages of each sample, encoded: `publish` takes bytes, which cost a third of a message.
 
     Args:
-        frame_id: of the joint states; may be set anew.
+        frame_id: of joint states and coil; may be set anew.
     """
 
     def __init__(self, frame_id: str) -> None:
@@ -39,12 +43,16 @@ class ReadingMessages:
         self.set_frame_id(frame_id)
 
     def set_frame_id(self, frame_id: str) -> None:
-        """Set the frame of the joint states."""
+        """Set the frame of joint states and coil."""
         joints = JointState(name=list(JOINT_NAMES))
         joints.header.frame_id = frame_id
         joints.header.stamp.sec, joints.header.stamp.nanosec = _STAMP_MARKS
         joints.position, joints.velocity, joints.effort = (array.array("d", _MARKS[at : at + 2]) for at in (0, 2, 4))
         self._joints = _Encoding(joints, ["i", "I", *"dddddd"], [*_STAMP_MARKS, *_MARKS])
+        coil = _blank_coil()
+        coil.header = joints.header
+        coil.voltage, coil.current = _SINGLE_MARKS
+        self._coil = _Encoding(coil, ["i", "I", *"ff"], [*_STAMP_MARKS, *_SINGLE_MARKS])
 
     def joint_states(self, stamp: int, reading: Reading) -> bytes:
         """Positions m, velocities m/s, efforts N; `stamp` in ns, LAST_STAMP at most."""
@@ -60,9 +68,27 @@ class ReadingMessages:
             reading.main_effort,
         )
 
+    def coil(self, stamp: int, current: float, voltage: float) -> bytes:
+        """Current A and voltage V at the coil's terminals; `stamp` in ns, LAST_STAMP at most."""
+        seconds, nanoseconds = divmod(min(stamp, LAST_STAMP), NANOSECONDS)
+        return self._coil.filled(seconds, nanoseconds, _single(voltage), _single(current))
+
     def coil_current(self, reading: Reading) -> bytes:
         """The coil current, A."""
         return self._current.filled(reading.coil_current)
+
+
+def _blank_coil() -> BatteryState:
+    """A message of a coil: what nobody measures is NaN."""
+    nothing = math.nan
+    return BatteryState(
+        temperature=nothing, charge=nothing, capacity=nothing, design_capacity=nothing, percentage=nothing, present=True
+    )
+
+
+def _single(number: float) -> float:
+    """A number within the range of single precision."""
+    return number if abs(number) < _LARGEST_SINGLE or math.isnan(number) else math.copysign(math.inf, number)
 
 
 class _Encoding:

@@ -25,7 +25,9 @@ _TOLERANCES: Final = "tolerances."
 _EXACT_COVARIANCE: Final = 16 * (0.0,)
 _SETTINGS: Final = (
     (
-        Parameter("publish_rate", "Hz", "samples a second of the clock on ~/joint_states and ~/coil_current", 0.1, 1e4),
+        Parameter(
+            "publish_rate", "Hz", "samples a second of the clock on ~/joint_states, ~/coil and ~/coil_current", 0.1, 1e4
+        ),
         1000.0,
     ),
     (

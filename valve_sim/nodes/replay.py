@@ -92,7 +92,8 @@ def predict(trace: Trace, valve: Valve, clock_offset: float, model: str) -> Pred
     Raises:
         SimulationError: the valve cannot be simulated.
     """
-    return Prediction(simulate(valve, trace.drive, trace.times - clock_offset), model)
+    drive = trace.input(valve.parameters.release_voltage)
+    return Prediction(simulate(valve, drive, trace.sample_times - clock_offset), model)
 
 
 def measured_reading(trace: Trace, index: int) -> Reading:

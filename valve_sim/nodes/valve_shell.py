@@ -19,7 +19,7 @@ from rclpy.clock_type import ClockType
 from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
 from rclpy.parameter import Parameter
 from rclpy.qos import qos_policy_name_from_kind
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import BatteryState, JointState
 from std_msgs.msg import Bool, Float64, UInt8
 from std_srvs.srv import Trigger
 
@@ -67,7 +67,7 @@ _BETWEEN_WARNINGS: Final = 5.0
 class ValveShell:
     """The node `valve`.
 
-    Topics (docs/reference/topics.md): in ~/coil_voltage; out ~/joint_states and ~/coil_current at publish_rate,
+    Topics (docs/reference/topics.md): in ~/coil_voltage; out ~/joint_states, ~/coil and ~/coil_current at publish_rate,
     ~/phase and ~/is_open on change (latched), /diagnostics at 1 Hz. Services: ~/reset (rests closed, no current, no
     command), ~/self_test (one stroke of a copy of the valve, off line). Parameters: the table of
     `valve_sim.nodes.parameters`; all can be set at run time.
@@ -144,6 +144,7 @@ class ValveShell:
     def _wire(self) -> None:
         node = self._node
         self._joint_states = node.create_publisher(JointState, "~/joint_states", RELIABLE)
+        self._coil = node.create_publisher(BatteryState, "~/coil", RELIABLE)
         self._coil_current = node.create_publisher(Float64, "~/coil_current", RELIABLE)
         self._phase = node.create_publisher(UInt8, "~/phase", LATCHED)
         self._is_open = node.create_publisher(Bool, "~/is_open", LATCHED)
@@ -180,7 +181,8 @@ class ValveShell:
         limit, rate = self._settings.max_voltage, self._settings.publish_rate
         self._node.get_logger().info(
             f"ready: obeys {self._voltage.topic_name} (V, ±{limit:g} at most), publishes "
-            f"{self._joint_states.topic_name} and {self._coil_current.topic_name} at {rate:g} Hz, "
+            f"{self._joint_states.topic_name}, {self._coil.topic_name} and {self._coil_current.topic_name} "
+            f"at {rate:g} Hz, "
             f"{self._phase.topic_name} and {self._is_open.topic_name} on change{waits}"
         )
 
@@ -195,6 +197,10 @@ class ValveShell:
     def _step(self, deadline: int) -> None:
         step = self._live.step(deadline)
         self._joint_states.publish(self._messages.joint_states(step.stamp, step.reading))
+        for stamp, coil in step.switches:
+            self._coil.publish(self._messages.coil(stamp, coil.current, coil.voltage))
+        shown = step.reading
+        self._coil.publish(self._messages.coil(step.stamp, shown.coil_current, shown.coil_voltage))
         self._coil_current.publish(self._messages.coil_current(step.reading))
         if step.phases:
             self._publish_phases(step)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from valve_sim.traces.current_bends import find_bends
 from valve_sim.traces.strokes import MAD_TO_SIGMA, find_stroke_parts, sample_noise
 
 if TYPE_CHECKING:
@@ -34,6 +35,9 @@ FEWEST_SAMPLES = 5
 ARRIVAL_SIGMAS = 4.0
 """A sample this close to a level may already rest on it."""
 
+GOES_ON = 0.05
+"""Share of the last step by which a motion that goes on is beyond the level: at a stop it is not."""
+
 PARABOLA_ERROR = 1e-6
 """s; what a parabola misses of the real motion: at most 0.9 µs on 8 noise-free strokes, 7.5 to 14 V at 20 kHz."""
 
@@ -52,7 +56,7 @@ class SensorEvent(NamedTuple):
         time: s on the trace's clock.
         after_command: s since the stroke's command.
         uncertainty: Standard error of the time, s, from the sensor's noise.
-        sensor: "position" or "acceleration".
+        sensor: "position" or "acceleration"; "current" where no position was recorded.
     """
 
     kind: str
@@ -79,6 +83,8 @@ def events_from_sensors(trace: Trace, pilot_gap: float) -> tuple[StrokeEvents, .
     strokes = [stroke for stroke in find_stroke_parts(trace) if stroke.moved and stroke.kind != "hold"]
     if not strokes:
         return ()
+    if not trace.has_positions:
+        return tuple(StrokeEvents(stroke, tuple(_by_current(trace.coil_current, stroke))) for stroke in strokes)
     levels = _rest_levels(trace.pilot_position, pilot_gap)
     found = []
     for stroke in strokes:
@@ -153,7 +159,10 @@ def _arrival(times: Array, position: Array, begin: float, level: float, noise: f
 
 
 def _between_samples(times: Array, way: Array, length: float, last: int) -> tuple[float, float] | None:
-    """Return the crossing by a straight line, where samples are too few for a parabola: good to the sample interval."""
+    """Return the crossing where samples are too few for a fit: good to the sample interval.
+
+    Where the motion goes on beyond, by a parabola through the samples around it and the one before; else by a line.
+    """
     crossed = np.flatnonzero(way[last - 1 :] >= length)
     after = last - 1 + int(crossed[0]) if len(crossed) else last
     before = after - 1
@@ -161,7 +170,18 @@ def _between_samples(times: Array, way: Array, length: float, last: int) -> tupl
         return None
     share = float(np.clip((length - way[before]) / (way[after] - way[before]), 0.0, 1.0))
     interval = float(times[after] - times[before])
+    if before > 0 and way[after] > length + (way[after] - way[before]) * GOES_ON:
+        found = _by_parabola(times[before - 1 : after + 1], way[before - 1 : after + 1], length)
+        share = share if found is None else found
     return float(times[before] + share * interval), float(interval / np.sqrt(12.0))
+
+
+def _by_parabola(times: Array, way: Array, length: float) -> float | None:
+    """Return which share of the last of two intervals passes before the parabola through their ends is at `length`."""
+    since = (times - times[1]) / (times[2] - times[1])
+    roots = np.roots(np.polyfit(since, way - length, 2))
+    real = [float(root.real) for root in roots if abs(root.imag) < 1e-9 and 0.0 <= root.real <= 1.0]
+    return real[0] if len(real) == 1 else None
 
 
 def _extrapolate(times: Array, way: Array, length: float) -> tuple[float, float] | None:
@@ -182,6 +202,19 @@ def _extrapolate(times: Array, way: Array, length: float) -> tuple[float, float]
     at_root = np.vander([root], 3)[0]
     spread = variance * float(at_root @ np.linalg.solve(design.T @ design, at_root))
     return float(origin + root * scale), float(np.hypot(np.sqrt(spread) / abs(speed) * scale, PARABOLA_ERROR))
+
+
+def _by_current(signal: Signal | None, stroke: StrokePart) -> Iterator[SensorEvent]:
+    """Yield the arrivals that bend the current, by the voltage that motion induces."""
+    if signal is None:
+        return
+    inside = slice(*np.searchsorted(signal.times, [stroke.start, stroke.stop]))
+    is_closing = stroke.kind == "closing"
+    halted, slowed = find_bends(signal.times[inside], signal.values[inside], closes=is_closing)
+    kinds = ("reaches_seat", "main_seats") if is_closing else ("reaches_stop", "pilot_reaches_main")
+    for kind, bend in ((kinds[1], slowed), (kinds[0], halted)):
+        if bend is not None:
+            yield SensorEvent(kind, bend.time, bend.time - stroke.start, bend.uncertainty, "current")
 
 
 def _by_acceleration(signal: Signal | None, stroke: StrokePart, seen: tuple[SensorEvent, ...]) -> Iterator[SensorEvent]:

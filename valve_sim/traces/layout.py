@@ -17,6 +17,10 @@ JOINT_STATE = "sensor_msgs/msg/JointState"
 COMMAND = "coil_voltage"
 MEASURED = "measured/joint_states"
 LIVE = "joint_states"
+COIL = "measured/coil"
+LIVE_COIL = "coil"
+COIL_STATE = "sensor_msgs/msg/BatteryState"
+"""Of both: `current` and `voltage` at the coil's terminals, `temperature`; NaN where it was not measured."""
 PILOT = "pilot_plunger"
 MAIN = "main_plunger"
 
@@ -27,6 +31,7 @@ SIGNALS = {
     "acceleration": "acceleration",
     "pressure": "inlet_pressure",
     "temperature": "coil_temperature",
+    "voltage": "coil_voltage",
 }
 """What a map calls a quantity, and what a trace calls it."""
 
@@ -57,6 +62,8 @@ class Plan(NamedTuple):
         is_live: Whether a node's own output stands in for measured positions.
         map_path: The map that says so; empty for the topics of this package.
         logs: Topics in which nodes stamped the commands that they sent, to whichever valve.
+        others: Quantity to where else it may be, if it is nowhere in its source.
+        ignored: A node's positions that were not taken for measured ones; empty for none.
     """
 
     valve: str
@@ -64,12 +71,19 @@ class Plan(NamedTuple):
     is_live: bool = False
     map_path: str = ""
     logs: tuple[str, ...] = ()
+    others: Mapping[str, Source] = {}
+    ignored: str = ""
+
+    @property
+    def has_positions(self) -> bool:
+        """Whether positions are recorded; else the current must be."""
+        return "position" in self.sources
 
     @property
     def fields(self) -> dict[str, frozenset[str] | None]:
         """The topics to read, and the fields to keep of each; None: all."""
         found: dict[str, frozenset[str] | None] = {log: frozenset({"voltage"}) for log in self.logs}
-        for source in self.sources.values():
+        for source in (*self.sources.values(), *self.others.values()):
             path = source.field or ("position" if source.joint else None)
             known = found.get(source.topic, frozenset())
             # A place in a list ("position[0]") is kept with its list.
@@ -78,8 +92,16 @@ class Plan(NamedTuple):
 
 
 def valves_among(types: Mapping[str, str]) -> tuple[str, ...]:
-    """A valve is known by its command or its measured positions; joint states alone may be anybody's."""
-    names = {topic[: -len(end) - 1] for topic in types for end in (COMMAND, MEASURED) if topic.endswith("/" + end)}
+    """A valve is known by its command, its measured positions or its coil; joint states alone may be anybody's."""
+    names = {
+        topic[: -len(end) - 1] for topic in types for end in (COMMAND, MEASURED, COIL) if topic.endswith("/" + end)
+    }
+    live = f"/{LIVE_COIL}"
+    names |= {
+        topic[: -len(live)]
+        for topic, kind in types.items()
+        if kind == COIL_STATE and topic.endswith(live) and not topic.endswith("/" + COIL)
+    }
     return tuple(sorted(name or "/" for name in names))
 
 
@@ -96,31 +118,57 @@ def standard_plan(path: Path, valve: str | None, types: Mapping[str, str]) -> Pl
     """
     name = _choose_valve(path, valve, types)
     command, measured, live = (topic_of(name, end) for end in (COMMAND, MEASURED, LIVE))
-    if command not in types:
+    # A node's coil belongs to a node's positions; beside measured ones it is another valve's.
+    ends = (COIL,) if measured in types or _has_current(name, types) else (COIL, LIVE_COIL)
+    coil = next((topic for end in ends if (topic := topic_of(name, end)) in types), "")
+    if command not in types and not coil:
         raise TraceError(
             f"{path}: topic {command} is missing: without the commanded voltage nothing can be fitted; record it"
         )
-    positions = measured if measured in types else live
-    if positions not in types:
-        raise TraceError(f"{path}: neither {measured} nor {live} is in it; record the measured positions")
-    for topic, expected in ((command, FLOAT), (positions, JOINT_STATE)):
-        if types[topic] != expected:
-            raise TraceError(f"{path}: topic {topic} is {types[topic]}, expected {expected}; publish it as that")
-    channels = dict(CHANNELS)
+    is_measured_coil = coil == topic_of(name, COIL)
+    positions = measured if measured in types or is_measured_coil else live
+    if positions not in types and not coil and not _has_current(name, types):
+        raise TraceError(
+            f"{path}: neither {measured} nor {live} is in it, nor the coil's current ({topic_of(name, COIL)}); record "
+            "the measured positions or the current"
+        )
+    expected = {command: FLOAT, positions: JOINT_STATE, coil: COIL_STATE}
+    for topic, kind in expected.items():
+        if topic in types and types[topic] != kind:
+            raise TraceError(f"{path}: topic {topic} is {types[topic]}, expected {kind}; publish it as that")
     is_live = measured not in types
-    if is_live and topic_of(name, CHANNELS["coil_current"].topic) not in types:
+    sources: dict[str, Source] = {}
+    if command in types:
+        sources["command"] = Source(command, "data", type=FLOAT, clock="bag")
+    if positions in types:
+        sources["position"] = Source(positions, "position", PILOT, type=JOINT_STATE)
+        sources["main_position"] = Source(positions, "position", MAIN, type=JOINT_STATE)
+    others = _optional(name, types, is_live=is_live and not is_measured_coil)
+    if coil:
+        sources |= {key: Source(coil, key, type=COIL_STATE) for key in ("voltage", "current", "temperature")}
+        if is_measured_coil and "temperature" in others:
+            sources["temperature"] = others.pop("temperature")
+    sources = {**others, **sources}
+    others = {key: source for key, source in others.items() if sources[key] != source}
+    ignored = live if live in types and is_measured_coil and is_live else ""
+    return Plan(name, sources, is_live and positions in types, logs=logs_among(types), others=others, ignored=ignored)
+
+
+def _has_current(valve: str, types: Mapping[str, str]) -> bool:
+    return topic_of(valve, CHANNELS["coil_current"].topic) in types
+
+
+def _optional(valve: str, types: Mapping[str, str], *, is_live: bool) -> dict[str, Source]:
+    """What is recorded in topics of its own, by quantity."""
+    channels = dict(CHANNELS)
+    if is_live and not _has_current(valve, types):
         channels["coil_current"] = LIVE_CURRENT
-    sources = {
-        "command": Source(command, "data", type=FLOAT, clock="bag"),
-        "position": Source(positions, "position", PILOT, type=JOINT_STATE),
-        "main_position": Source(positions, "position", MAIN, type=JOINT_STATE),
-    }
+    found = {}
     for key, attribute in SIGNALS.items():
-        channel = channels[attribute]
-        topic = topic_of(name, channel.topic)
-        if topic in types:
-            sources[key] = Source(topic, channel.path, type=channel.message_type)
-    return Plan(name, sources, is_live, logs=logs_among(types))
+        channel = channels.get(attribute)
+        if channel is not None and (topic := topic_of(valve, channel.topic)) in types:
+            found[key] = Source(topic, channel.path, type=channel.message_type)
+    return found
 
 
 def mapped_plan(path: Path, valve: str | None, recording_map: RecordingMap, types: Mapping[str, str]) -> Plan:
@@ -149,8 +197,9 @@ def _choose_valve(path: Path, valve: str | None, types: Mapping[str, str]) -> st
     if not valves:
         found = ", ".join(sorted(types)[:8]) or "none"
         raise TraceError(
-            f"{path}: no valve in it: no topic ends with /{COMMAND} or /{MEASURED}; topics: {found}; record those two, "
-            "or say with --map which topic is what (valve-sim map writes a first map)"
+            f"{path}: no valve in it: no topic ends with /{COMMAND} or /{MEASURED}; topics: {found}; record those two "
+            f"(or /{COIL} in place of the latter), or say with --map which topic is what (valve-sim map writes a first "
+            "map)"
         )
     if valve is None:
         if len(valves) > 1:

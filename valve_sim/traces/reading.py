@@ -11,10 +11,12 @@ import numpy as np
 from valve_sim.files.data_tables import TABLE_SUFFIXES
 from valve_sim.files.recording_map import QUANTITIES
 from valve_sim.model import Drive
-from valve_sim.traces.clocks import SECOND, clock_offset, order_samples
+from valve_sim.traces.clocks import SECOND, clock_offset
+from valve_sim.traces.command_dates import dates_by_voltage
 from valve_sim.traces.command_log import Commands, commands_by_logs
 from valve_sim.traces.errors import TraceError
 from valve_sim.traces.layout import (
+    COIL_STATE,
     INPUTS,
     MAIN,
     MEASURED,
@@ -29,10 +31,11 @@ from valve_sim.traces.layout import (
 )
 from valve_sim.traces.message_fields import field_values, has_stamp, missing_field
 from valve_sim.traces.message_fields import stamps as header_stamps
+from valve_sim.traces.samples import Samples, in_order, is_broken
 from valve_sim.traces.storage import Recording, read_recording
 from valve_sim.traces.table_reading import read_table_trace, standard_map
 from valve_sim.traces.trace import DriveErrors, Signal, Trace
-from valve_sim.traces.trouble import LARGEST_POSITION, trouble_in
+from valve_sim.traces.trouble import trouble_in
 from valve_sim.traces.voltage_steps import find_steps
 
 if TYPE_CHECKING:
@@ -45,27 +48,8 @@ if TYPE_CHECKING:
     from valve_sim.traces.cdr import Batch, Decoded
     from valve_sim.traces.topics import Fields
 
-MOST_REPEATED = 0.05
-"""Share of samples that may have another sample's stamp; beyond it nobody can say which is right."""
-
 ZERO_ERROR = 10e-6
 """m: how well the zero of a sensor is known that was brought to 0 by a map's offset."""
-BROKEN_READING = 1.0
-"""m; what is beyond this among metres is no position, and what is a million times beyond it is none in any unit."""
-MICROMETRES = 1e6
-"""In a metre."""
-
-
-class Samples(NamedTuple):
-    """Checked messages of one topic: stamps and bag times in ns, values (n, columns)."""
-
-    stamps: NDArray[np.int64]
-    bag_times: NDArray[np.int64]
-    values: NDArray[np.float64]
-
-    def take(self, chosen: NDArray[np.intp] | NDArray[np.bool_]) -> Samples:
-        """Return some of the samples."""
-        return Samples(self.stamps[chosen], self.bag_times[chosen], self.values[chosen])
 
 
 def list_valves(path: str | PathLike[str], recording_map: RecordingMap | None = None) -> tuple[str, ...]:
@@ -143,13 +127,14 @@ class _Assembly:
         self.recording = recording
         self.findings = list(recording.findings)
         self._reported: set[str] = set()
-        self.positions_topic = plan.sources["position"].topic
+        self.samples_topic = plan.sources["position" if plan.has_positions else "current"].topic
 
     def trace(self) -> Trace:
         """Put the trace together."""
-        samples, clock = self.samples()
-        samples, shift = self.in_order(samples)
-        offset, findings = clock_offset(samples.stamps, samples.bag_times + shift, self.positions_topic)
+        samples, clock = self.samples() if self.plan.has_positions else self.currents()
+        samples, shift, findings = in_order(samples, f"{self.path}: topic {self.samples_topic}", self.samples_topic)
+        self.findings += findings
+        offset, findings = clock_offset(samples.stamps, samples.bag_times + shift, self.samples_topic)
         self.findings += findings
         samples = self.with_main_from_elsewhere(samples, offset - shift)
         command_times, volts, errors = self.commands(offset - shift)
@@ -157,22 +142,26 @@ class _Assembly:
         times = (samples.stamps - epoch) / SECOND
         signals = self.signals(epoch, offset - shift)
         pilot, main = samples.values.T
+        if not self.plan.has_positions:
+            signals["coil_current"] = Signal(times, np.ascontiguousarray(pilot))
+            times, pilot, main = np.empty((3, 0))
         trace = Trace(
             source=f"{self.path} ({self.plan.valve})",
             drive=Drive((command_times - epoch) / SECOND, volts),
             drive_errors=errors,
             times=times,
             pilot_position=np.ascontiguousarray(pilot),
-            main_position=None if np.isnan(main).any() else np.ascontiguousarray(main),
+            main_position=None if not len(main) or np.isnan(main).any() else np.ascontiguousarray(main),
             epoch_ns=epoch,
             clock=clock,
             origins={key: source.name for key, source in self.plan.sources.items()},
             coil_current=signals["coil_current"],
+            coil_voltage=signals["coil_voltage"],
             acceleration=signals["acceleration"],
             inlet_pressure=signals["inlet_pressure"],
             coil_temperature=signals["coil_temperature"],
         )
-        trouble = trouble_in(trace, self.positions_topic, self.input.topic)
+        trouble = trouble_in(trace, self.samples_topic, self.input.topic)
         return replace(trace, findings=(*self.findings, *trouble))
 
     def decoded(self, source: Source) -> tuple[NDArray[np.int64], Decoded]:
@@ -204,9 +193,9 @@ class _Assembly:
         if decoded.trimmed:
             self.findings.append(f"{topic}: trimmed surplus bytes after {decoded.trimmed} of {count} messages")
 
-    def readings(self, quantity: str) -> Readings:
-        """Return what one source recorded, in SI."""
-        source = self.plan.sources[quantity]
+    def readings(self, quantity: str, source: Source | None = None) -> Readings:
+        """Return what one source recorded, in SI; by default the first place of the quantity."""
+        source = source or self.plan.sources[quantity]
         times, decoded = self.decoded(source)
         values = np.full(len(times), np.nan)
         stamps, is_stamped = times.copy(), np.zeros(len(times), dtype=bool)
@@ -242,7 +231,7 @@ class _Assembly:
 
     def samples(self) -> tuple[Samples, str]:
         """Return the positions of pilot and main plunger (NaN where the main one is not recorded) and their clock."""
-        topic = self.positions_topic
+        topic = self.samples_topic
         if self.plan.is_live:
             self.findings.append(
                 f"{topic_of(self.plan.valve, MEASURED)} is not in the bag: {topic} (a node's output) was taken instead"
@@ -253,7 +242,7 @@ class _Assembly:
         main = self.plan.sources.get("main_position")
         if main is not None and main.topic == topic:
             values[:, 1] = self.main_beside_pilot()
-        broken = self._broken(values)
+        broken = is_broken(values)
         if broken.any():
             self.findings.append(f"{topic}: {broken.sum()} positions are none, such as {values[broken][0]:.3g} m")
             values = np.where(broken, np.nan, values)
@@ -281,6 +270,33 @@ class _Assembly:
             return samples._replace(stamps=samples.bag_times), "bag"
         return samples, "header"
 
+    def currents(self) -> tuple[Samples, str]:
+        """Return the current in the place of positions that were not recorded, and its clock."""
+        if self.plan.ignored:
+            self.findings.append(
+                f"{self.plan.ignored} is a node's output beside a measured coil: it was not taken for positions"
+            )
+        places = [self.plan.sources["current"]]
+        places += [self.plan.others["current"]] if "current" in self.plan.others else []
+        for source in places:
+            found = self.readings("current", source)
+            finite = np.isfinite(found.values)
+            if finite.any():
+                break
+        else:
+            raise TraceError(
+                f"{self.path}: topic {source.topic}: no finite current in {len(found.values)} samples, and no position "
+                "is recorded; fill current"
+            )
+        self.samples_topic = source.topic
+        if not finite.all():
+            self.findings.append(
+                f"{source.topic}: dropped {(~finite).sum()} of {len(finite)} samples without a finite current"
+            )
+        values = np.column_stack([found.values[finite], np.full(finite.sum(), np.nan)])
+        stamps = np.where(found.is_stamped, found.stamps, found.bag_times)[finite]
+        return Samples(stamps, found.bag_times[finite], values), "header" if found.is_stamped.any() else "bag"
+
     def main_beside_pilot(self) -> NDArray[np.float64]:
         """Return the main plunger's positions in the messages that hold the pilot's; NaN where they do not."""
         try:
@@ -288,12 +304,12 @@ class _Assembly:
         except TraceError:
             if self.plan.map_path:
                 raise
-            return np.full(len(self.recording.topics[self.positions_topic].times), np.nan)
+            return np.full(len(self.recording.topics[self.samples_topic].times), np.nan)
 
     def with_main_from_elsewhere(self, samples: Samples, offset: int) -> Samples:
         """Return samples with a main plunger that another topic has, by straight lines between its samples."""
         main = self.plan.sources.get("main_position")
-        if main is None or main.topic == self.positions_topic:
+        if main is None or main.topic == self.samples_topic or not self.plan.has_positions:
             return samples
         signal = self.signal("main_position", int(samples.stamps[0]), offset)
         if signal is None:
@@ -301,14 +317,8 @@ class _Assembly:
         times = (samples.stamps - samples.stamps[0]) / SECOND
         values = samples.values.copy()
         values[:, 1] = np.interp(times, signal.times, signal.values)
-        self.findings.append(f"{main.topic}: {MAIN} was interpolated at the samples of {self.positions_topic}")
+        self.findings.append(f"{main.topic}: {MAIN} was interpolated at the samples of {self.samples_topic}")
         return samples._replace(values=values)
-
-    def _broken(self, values: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """(n, 2) readings that no plunger can have, as broken messages hold; other units than metres are no break."""
-        sizes = np.abs(np.where(np.isfinite(values), values, 0.0))
-        is_metres = float(np.median(sizes[:, 0])) <= LARGEST_POSITION
-        return np.asarray(sizes > (BROKEN_READING if is_metres else BROKEN_READING * MICROMETRES))
 
     def _main_positions(self, topic: str, values: NDArray[np.float64], *, is_recorded: bool) -> NDArray[np.float64]:
         """Drop the main plunger where too little of it is there; a few bad samples of it go with the sample."""
@@ -323,30 +333,6 @@ class _Assembly:
             return np.column_stack([values[:, 0], np.full(len(values), np.nan)])
         self.findings.append(f"{topic}: dropped {missing} of {len(values)} samples without a finite {MAIN} position")
         return values
-
-    def in_order(self, samples: Samples) -> tuple[Samples, int]:
-        """Return samples with strictly ascending stamps, and how far their clock leads that of the commands, ns."""
-        topic = self.positions_topic
-        ordered = order_samples(samples.stamps, samples.bag_times, np.nan_to_num(samples.values), topic)
-        self.findings += ordered.findings
-        if len(ordered.places) == 0:
-            raise TraceError(
-                f"{self.path}: topic {topic}: none of {len(samples.stamps)} samples has a stamp that can be believed; "
-                "stamp them with the time of sampling"
-            )
-        samples = samples.take(ordered.places)
-        fresh = np.concatenate([[True], np.diff(samples.stamps) > 0])
-        repeated = int((~fresh).sum())
-        if repeated > MOST_REPEATED * len(fresh):
-            raise TraceError(
-                f"{self.path}: topic {topic}: {repeated} of {len(fresh)} samples have the stamp of another sample but "
-                "another position; two publishers, a clock set back or coarse stamps; record one, finely stamped"
-            )
-        if repeated:
-            self.findings.append(
-                f"{topic}: dropped {repeated} of {len(fresh)} samples that differ from another sample of the same stamp"
-            )
-        return samples.take(fresh), ordered.shift
 
     def commands(self, offset: int) -> tuple[NDArray[np.int64], NDArray[np.float64], DriveErrors | None]:
         """Return when the voltage changed, ns, samples' clock, strictly ascending, volts, and errors of a measured one.
@@ -375,11 +361,26 @@ class _Assembly:
             self.findings.append(f"{topic}: {(~last).sum()} {what} were replaced by another at the same time")
         times, volts = times[last], volts[last]
         if is_command:
-            return times, volts, None
+            return self.dated(Commands(times, volts), offset)
         steps = find_steps((times - times[0]) / SECOND, volts, f"{self.path}: topic {topic}")
         self.findings += steps.findings(topic)
         when = times[0] + np.rint(SECOND * steps.times).astype(np.int64)
         return when, steps.volts, DriveErrors(steps.time_errors, steps.volt_errors)
+
+    def dated(
+        self, commands: Commands, offset: int
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64], DriveErrors | None]:
+        """Return commands as the measured voltage dates them, where it was recorded and says other than their times."""
+        epoch = int(commands.times[0])
+        voltage = self.signal("voltage", epoch, offset)
+        found = (
+            None if voltage is None else dates_by_voltage((commands.times - epoch) / SECOND, commands.volts, voltage)
+        )
+        if found is None:
+            return commands.times, commands.volts, None
+        self.findings.append(f"{self.input.topic}: {found.finding} by {self.plan.sources['voltage'].topic}")
+        times = epoch + np.rint(SECOND * found.times).astype(np.int64)
+        return times, found.volts, DriveErrors(found.errors, np.zeros(len(times)))
 
     def sent(self, recorded: Commands, offset: int) -> Commands:
         """Return commands as they were sent, as far as who sent them logged it; else as they were recorded."""
@@ -406,22 +407,30 @@ class _Assembly:
 
     def signals(self, epoch: int, offset: int) -> dict[str, Signal | None]:
         """Return the optional quantities by their names in a trace."""
-        return {name: self.signal(key, epoch, offset) for key, name in SIGNALS.items()}
+        found = {name: self.signal(key, epoch, offset) for key, name in SIGNALS.items()}
+        if self.plan.map_path and "command" not in self.plan.sources:
+            found["coil_voltage"] = None  # its steps are all that is used of it
+        return found
 
     def signal(self, quantity: str, epoch: int, offset: int) -> Signal | None:
         """Return one optional quantity, None where it is not recorded or cannot be used.
 
         What is wrong with one of this package's own topics is a finding; what a map names must be there.
         """
-        source = self.plan.sources.get(quantity)
+        source, other = self.plan.sources.get(quantity), self.plan.others.get(quantity)
         if source is None:
             return None
+        signal = self.signal_of(source, quantity, epoch, offset)
+        return signal if signal is not None or other is None else self.signal_of(other, quantity, epoch, offset)
+
+    def signal_of(self, source: Source, quantity: str, epoch: int, offset: int) -> Signal | None:
+        """Return the same from one of its places."""
         topic, found = source.topic, self.recording.types[source.topic]
         if source.type and found != source.type:
             self.findings.append(f"{topic} is {found}, expected {source.type}: it was left out")
             return None
         try:
-            readings = self.readings(quantity)
+            readings = self.readings(quantity, source)
         except TraceError:
             if self.plan.map_path:
                 raise
@@ -432,6 +441,8 @@ class _Assembly:
         values = readings.values[first]
         finite = np.isfinite(values)
         dropped = len(readings.values) - int(finite.sum())
+        if source.type == COIL_STATE and not finite.any():
+            return None  # which its NaN says
         if dropped:
             self.findings.append(
                 f"{topic}: dropped {dropped} of {len(readings.values)} messages (not finite, or twice there)"

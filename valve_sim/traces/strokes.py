@@ -126,22 +126,27 @@ def command_strokes(drive: Drive) -> list[tuple[float, float]]:
 
 
 def find_stroke_parts(trace: Trace) -> tuple[StrokePart, ...]:
-    """Return the parts of a trace's strokes in time order; commands that repeat the voltage start none."""
+    """Return the parts of a trace's strokes in time order; commands that repeat the voltage start none.
+
+    Without positions every part is taken to have moved the valve.
+    """
     times, volts = _steps(trace.drive.times, trace.drive.volts)
     if len(times) == 0:
         return ()
-    end = np.nextafter(max(float(trace.times[-1]), float(times[-1])), np.inf)
+    end = np.nextafter(max(float(trace.sample_times[-1]), float(times[-1])), np.inf)
     stops = [*times[1:], end]
     before = [0.0, *volts[:-1]]
     threshold = motion_threshold(trace.pilot_position)
-    closed, opened = _extent(trace.pilot_position)
+    closed, opened = _extent(trace.pilot_position) if trace.has_positions else (0.0, 0.0)
     numbers = stroke_numbers(trace.drive, np.array(times)).tolist()
     parts = []
     for start, stop, old, new, number in zip(times, stops, before, volts, numbers, strict=True):
         window = trace.pilot_position[np.searchsorted(trace.times, start) : np.searchsorted(trace.times, stop)]
-        moved = len(window) > 0 and largest_travel(window) > threshold
+        moved = not trace.has_positions or (len(window) > 0 and largest_travel(window) > threshold)
         share = (window - closed) / max(opened - closed, threshold) if len(window) else np.zeros(1)
-        kind = _kind(abs(old), abs(new), share, moved=moved)
+        kind = (
+            _kind(abs(old), abs(new), share, moved=moved) if trace.has_positions else _kind_of_step(abs(old), abs(new))
+        )
         name = f"{kind} at {start:.3f} s, {new:.1f} V"
         parts.append(StrokePart(kind, float(start), float(stop), float(new), name, moved, number))
     return tuple(parts)
@@ -157,6 +162,13 @@ def _extent(position: Array) -> tuple[float, float]:
     """Return the closed and the open end of a trace's motion, m."""
     smooth = medians_of_three(position)
     return float(smooth.min()), float(smooth.max())
+
+
+def _kind_of_step(old: float, new: float) -> str:
+    """Name a step of the absolute voltage of which no position was seen."""
+    if new == 0.0:
+        return "closing"
+    return "opening" if old == 0.0 else "hold"
 
 
 def _kind(old: float, new: float, share: Array, *, moved: bool) -> str:

@@ -59,8 +59,9 @@ class TraceSummary:
         gaps: Intervals over three times the usual one.
         commands: How many commands there are.
         voltages: The commanded levels, V, ascending.
-        position_range: Lowest and highest position of the pilot plunger, m.
-        noise: Standard deviation of the position's noise from sample to sample, m.
+        position_range: Lowest and highest position of the pilot plunger, m; None where none was recorded.
+        noise: Standard deviation of the noise from sample to sample: of the position, m, or without any of the
+            current, A.
         strokes: What the commands did: the parts of its strokes.
         findings: What reading the trace found.
     """
@@ -74,7 +75,7 @@ class TraceSummary:
     gaps: tuple[Gap, ...]
     commands: int
     voltages: tuple[float, ...]
-    position_range: tuple[float, float]
+    position_range: tuple[float, float] | None
     noise: float
     strokes: tuple[StrokePart, ...]
     findings: tuple[str, ...]
@@ -82,30 +83,42 @@ class TraceSummary:
 
 def describe(trace: Trace) -> TraceSummary:
     """Sum up a trace for `valve-sim info`."""
-    intervals = np.diff(trace.times)
+    times = trace.sample_times
+    intervals = np.diff(times)
     jitter = float(np.quantile(np.abs(intervals - np.median(intervals)), 0.99)) if len(intervals) else 0.0
     return TraceSummary(
         source=trace.source,
-        duration=float(trace.times[-1] - trace.times[0]),
+        duration=float(times[-1] - times[0]),
         epoch_ns=trace.epoch_ns,
         clock=trace.clock,
         signals=_rates(trace),
         jitter=jitter,
-        gaps=tuple(Gap(float(trace.times[place]), float(intervals[place])) for place in find_gaps(trace.times)),
+        gaps=tuple(Gap(float(times[place]), float(intervals[place])) for place in find_gaps(times)),
         commands=len(trace.drive.times),
         voltages=tuple(np.unique(trace.drive.volts).tolist()),
-        position_range=(float(trace.pilot_position.min()), float(trace.pilot_position.max())),
-        noise=sample_noise(trace.pilot_position),
+        position_range=_position_range(trace),
+        noise=sample_noise(_judged_signal(trace)),
         strokes=find_stroke_parts(trace),
         findings=trace.findings,
     )
 
 
+def _judged_signal(trace: Trace) -> NDArray[np.float64]:
+    if trace.has_positions or trace.coil_current is None:
+        return trace.pilot_position
+    return trace.coil_current.values
+
+
+def _position_range(trace: Trace) -> tuple[float, float] | None:
+    position = trace.pilot_position
+    return (float(position.min()), float(position.max())) if trace.has_positions else None
+
+
 def _rates(trace: Trace) -> dict[str, Rate]:
-    times = {"position": trace.times}
+    times = {"position": trace.times} if trace.has_positions else {}
     if trace.main_position is not None:
         times["main_position"] = trace.times
-    for name in ("coil_current", "acceleration", "inlet_pressure", "coil_temperature"):
+    for name in ("coil_current", "coil_voltage", "acceleration", "inlet_pressure", "coil_temperature"):
         signal = getattr(trace, name)
         if signal is not None:
             times[name] = signal.times

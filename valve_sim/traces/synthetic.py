@@ -34,12 +34,16 @@ class Sensor:
         quantisation: step that the noisy positions are rounded to, m; 0 for none.
         current_noise: standard deviation of white noise on the coil current, A.
         seed: of the noise; the same seed gives the same recording.
+        voltage_noise: standard deviation of white noise on the coil's voltage, V.
+        has_positions: whether there is a position sensor.
     """
 
     position_noise: float = 0.0
     quantisation: float = 0.0
     current_noise: float = 0.0
     seed: int = 0
+    voltage_noise: float = 0.0
+    has_positions: bool = True
 
 
 class Recording(NamedTuple):
@@ -49,15 +53,19 @@ class Recording(NamedTuple):
     trace: Trace
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """The table of `CSV_COLUMNS`: positions and current as measured, velocity and phase as they were."""
+        """The table of `CSV_COLUMNS`: positions and current as measured, velocity and phase as they were.
+
+        Positions that were not measured are NaN.
+        """
         trace, response = self.trace, self.response
-        assert trace.main_position is not None and trace.coil_current is not None
+        assert trace.coil_current is not None
+        nothing = np.full(len(response.time), np.nan)
         values: tuple[NDArray[Any], ...] = (
-            trace.times,
-            trace.drive.at(trace.times),
+            response.time,
+            trace.drive.at(response.time),
             trace.coil_current.values,
-            trace.pilot_position,
-            trace.main_position,
+            trace.pilot_position if trace.has_positions else nothing,
+            nothing if trace.main_position is None else trace.main_position,
             response.pilot_velocity,
             response.phase,
         )
@@ -95,8 +103,14 @@ def record(valve: Valve, drive: Drive, duration: float, rate: float, sensor: Sen
     pilot = _measured(response.pilot_position, sensor, random)
     main = _measured(response.main_position, sensor, random)
     current = response.coil_current + sensor.current_noise * random.standard_normal(count)
+    voltage = response.coil_voltage + sensor.voltage_noise * random.standard_normal(count)
     commands = Drive(drive.times[inside], drive.volts[inside])
-    return Recording(response, Trace("simulation", commands, times, pilot, main, coil_current=Signal(times, current)))
+    seen = slice(None) if sensor.has_positions else slice(0)
+    trace = Trace(
+        "simulation", commands, times[seen], pilot[seen], main if sensor.has_positions else None,
+        coil_current=Signal(times, current), coil_voltage=Signal(times, voltage),
+    )  # fmt: skip
+    return Recording(response, trace)
 
 
 def read_profile(path: Path | str) -> Drive:

@@ -86,23 +86,27 @@ class _TableAssembly:
 
     def trace(self, valve: str) -> Trace:
         """Put the trace together."""
-        pilot = self.column("position")
+        judged = "position" if "position" in self.sources else "current"
+        pilot = self.column(judged)
         times, kept = self.times(len(pilot))
         finite = np.isfinite(pilot)
         if not (finite & kept).any():
-            raise TraceError(f"{self.path}: {self.sources['position'].name}: no finite position; name another column")
+            raise TraceError(f"{self.path}: {self.sources[judged].name}: no finite {judged}; name another column")
         if not finite.all():
             dropped = int((~finite).sum())
-            self.findings.append(f"{self.sources['position'].name}: dropped {dropped} of {len(pilot)} rows without it")
+            self.findings.append(f"{self.sources[judged].name}: dropped {dropped} of {len(pilot)} rows without it")
         use = finite & kept
         start = float(times[kept][0])
         epoch = max(0, round(start * SECOND))
         times = times - start
-        main = self.column("main_position")[use] if "main_position" in self.sources else None
+        has_main = judged == "position" and "main_position" in self.sources
+        main = self.column("main_position")[use] if has_main else None
         if main is not None and not np.isfinite(main).all():
             self.findings.append(f"{self.sources['main_position'].name}: has empty cells and was left out")
             main = None
-        signals = {attribute: self.signal(key, times, kept) for key, attribute in SIGNALS.items()}
+        signals = {attribute: self.signal(key, times, kept) for key, attribute in SIGNALS.items() if key != self.input}
+        if judged == "current":
+            use = np.zeros_like(use)
         drive, errors = self.drive(times, kept)
         trace = Trace(
             source=f"{self.path} ({valve})",
@@ -115,11 +119,12 @@ class _TableAssembly:
             origins={key: source.name for key, source in self.sources.items()},
             clock="time column" if self.axis.column else "rate",
             coil_current=signals["coil_current"],
+            coil_voltage=signals.get("coil_voltage"),
             acceleration=signals["acceleration"],
             inlet_pressure=signals["inlet_pressure"],
             coil_temperature=signals["coil_temperature"],
         )
-        trouble = trouble_in(trace, self.sources["position"].name, self.sources[self.input].name)
+        trouble = trouble_in(trace, self.sources[judged].name, self.sources[self.input].name)
         return replace(trace, findings=(*self.findings, *trouble))
 
     @property

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import KW_ONLY, dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
+
+from valve_sim.traces.measured_input import MeasuredInput, measured_input
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -45,12 +48,13 @@ class Trace:
     Attributes:
         source: The file and the valve, for messages.
         drive: Commanded voltage (V), held between commands, 0 V before the first.
-        times: Sample times, strictly ascending, s, shape (n,).
+        times: Times of position samples, strictly ascending, s, shape (n,); none where no position was recorded.
         pilot_position: Pilot plunger, m, shape (n,).
         drive_errors: How well the commands are known; None where they were recorded as they were sent.
         zero_error: Standard deviation of what the position sensor shows of a closed valve, m; 0 where that is 0.
         main_position: Main plunger, m, shape (n,); None where it was not recorded.
         coil_current: Measured current, A.
+        coil_voltage: Measured at the coil's terminals, V: the input in place of the command, see `input`.
         acceleration: Along the axis, m/s².
         inlet_pressure: Pa.
         coil_temperature: °C.
@@ -70,6 +74,7 @@ class Trace:
     drive_errors: DriveErrors | None = None
     zero_error: float = 0.0
     coil_current: Signal | None = None
+    coil_voltage: Signal | None = None
     acceleration: Signal | None = None
     inlet_pressure: Signal | None = None
     coil_temperature: Signal | None = None
@@ -77,3 +82,29 @@ class Trace:
     clock: str = "header"
     findings: tuple[str, ...] = ()
     origins: Mapping[str, str] = field(default_factory=dict)
+
+    @cached_property
+    def measured_input(self) -> MeasuredInput | None:
+        """The measured voltage as steps; None where none was measured."""
+        return None if self.coil_voltage is None else measured_input(self.drive, self.coil_voltage)
+
+    def input(self, release_voltage: float) -> Drive:
+        """The voltage that drives a model: as measured, or else as commanded.
+
+        Args:
+            release_voltage: V, of the model; above 0 it freewheels by itself while the command is 0.
+        """
+        measured = self.measured_input
+        return self.drive if measured is None else measured.drive(self.drive, freewheels=release_voltage > 0.0)
+
+    @property
+    def has_positions(self) -> bool:
+        """Whether positions were recorded; else the coil's current was."""
+        return len(self.times) > 0
+
+    @property
+    def sample_times(self) -> NDArray[np.float64]:
+        """Times of the positions or, without any, of the current, s."""
+        if self.has_positions or self.coil_current is None:
+            return self.times
+        return self.coil_current.times

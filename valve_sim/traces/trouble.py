@@ -41,23 +41,32 @@ LEAST_AMPERES = 0.01
 
 
 def trouble_in(trace: Trace, positions: str, voltage: str) -> list[str]:
-    """Return one sentence for each trouble; `positions` and `voltage` are the names of where they are recorded."""
+    """Return one sentence for each trouble.
+
+    Args:
+        trace: What was read. positions: Where the positions, or without any the current, are recorded.
+        voltage: Where the voltage is.
+    """
     findings = []
-    gaps = find_gaps(trace.times)
+    times = trace.sample_times
+    gaps = find_gaps(times)
     if len(gaps):
-        longest = float(np.diff(trace.times).max())
+        longest = float(np.diff(times).max())
         findings.append(f"{positions}: {len(gaps)} gaps in the samples, the longest {longest:.6f} s")
     if not trace.drive.volts.any():
         findings.append(f"{voltage} never leaves 0 V")
+    is_beside = trace.drive.times[0] > times[-1] or trace.drive.times[-1] < 2 * times[0] - times[-1]
+    beside = [f"{voltage}: no command falls into the time of the samples"] if is_beside else []
+    if not trace.has_positions:
+        return findings + beside
     reach = float(np.abs(trace.pilot_position).max())
     if reach > LARGEST_POSITION:
         findings.append(f"{positions}: {PILOT} reaches {reach:.6g} m: positions must be in metres")
     travel = largest_travel(trace.pilot_position)
     if travel <= motion_threshold(trace.pilot_position):
         findings.append(f"{positions}: no motion: {PILOT} stays within {travel * 1e6:.3g} µm")
-    elif trace.drive.times[0] > trace.times[-1] or trace.drive.times[-1] < 2 * trace.times[0] - trace.times[-1]:
-        findings.append(f"{voltage}: no command falls into the time of the samples")
-    return findings
+        beside = []
+    return findings + beside
 
 
 def doubtful_units(trace: Trace, parameters: ValveParameters) -> tuple[str, ...]:
@@ -70,12 +79,8 @@ def doubtful_units(trace: Trace, parameters: ValveParameters) -> tuple[str, ...]
     Returns:
         One line each: where, what was found, what is expected, and the mend.
     """
-    found = (
-        _position(trace, parameters),
-        _time(trace, parameters),
-        _voltage(trace, parameters),
-        _current(trace, parameters),
-    )
+    checks = (_position, _time, _voltage, _current) if trace.has_positions else (_voltage, _current)
+    found = [check(trace, parameters) for check in checks]
     return tuple(line for line in found if line)
 
 
@@ -150,7 +155,7 @@ def _voltage(trace: Trace, parameters: ValveParameters) -> str:
         )
     is_too_low = highest < reference / MOST_VOLTS
     # What opens with the reference voltage opens with more: that needs no simulation, which would load compiled code.
-    is_in_doubt = not is_too_low and ALIKE * highest < reference
+    is_in_doubt = not is_too_low and trace.has_positions and ALIKE * highest < reference
     if is_in_doubt and largest_travel(trace.pilot_position) > 0.5 * parameters.stroke:
         # Behind a divider of ten, say. A valve that cannot open as declared does not tell.
         is_too_low = not _opens(parameters, ALIKE * highest) and _opens(parameters, reference)
@@ -192,6 +197,9 @@ def _where(trace: Trace, quantity: str) -> str:
 
 
 def _has_moved(trace: Trace) -> bool:
+    """Whether it has; without positions, every valve is taken to have."""
+    if not trace.has_positions:
+        return True
     return largest_travel(trace.pilot_position) > motion_threshold(trace.pilot_position)
 
 

@@ -94,7 +94,7 @@ def find_steps(times: Array, volts: Array, source: str) -> Steps:
         TraceError: The voltage never changes.
     """
     span = float(np.ptp(volts)) if len(volts) else 0.0
-    sigma = _noise(volts)
+    sigma = sample_noise_of(volts)
     if span < max(SMALLEST_SPAN, 2.0 * LEVEL_SIGMAS * sigma) and span < 0.5 * float(np.abs(volts).max(initial=0.0)) + (
         SMALLEST_SPAN
     ):
@@ -138,7 +138,7 @@ def held_steps(times: Array, volts: Array) -> Steps:
 
 def count_levels(volts: Array) -> int:
     """Return how many levels a voltage has; 0 where it rests nowhere."""
-    return len(_all_levels(volts, _noise(volts), float(np.ptp(volts)))[1]) if len(volts) else 0
+    return len(_all_levels(volts, sample_noise_of(volts), float(np.ptp(volts)))[1]) if len(volts) else 0
 
 
 def _dates(
@@ -213,7 +213,7 @@ def _offset(means: Array, errors: Array) -> tuple[float, float]:
     return (offset, error) if abs(offset) > OFFSET_SIGMAS * error else (0.0, 0.0)
 
 
-def _noise(values: Array) -> float:
+def sample_noise_of(values: Array) -> float:
     """Standard deviation of white noise, from second differences: steps are too few to count."""
     if len(values) < 4:
         return 0.0

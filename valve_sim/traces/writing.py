@@ -18,7 +18,7 @@ from valve_sim.files.whole_files import replacing
 from valve_sim.traces.cdr import encode_messages, typestore
 from valve_sim.traces.clocks import SECOND
 from valve_sim.traces.errors import TraceError
-from valve_sim.traces.layout import CHANNELS, COMMAND, FLOAT, JOINT_STATE, MAIN, MEASURED, PILOT
+from valve_sim.traces.layout import CHANNELS, COIL, COIL_STATE, COMMAND, FLOAT, JOINT_STATE, MAIN, MEASURED, PILOT
 from valve_sim.traces.many_messages import ManyWriter
 
 if TYPE_CHECKING:
@@ -212,7 +212,7 @@ def write_bags(
     """Write several valves, by name, into one recording; otherwise as `write_bag`."""
     topics = []
     for valve, trace in traces.items():
-        if trace.epoch_ns + SECOND * min(float(trace.drive.times.min(initial=0.0)), float(trace.times[0])) < 0:
+        if trace.epoch_ns + SECOND * min(float(trace.drive.times.min(initial=0.0)), float(trace.sample_times[0])) < 0:
             raise TraceError(f"{path}: stamps before 0 cannot be stored in a bag; start the trace at 0 or later")
         prefix = "/" + valve.strip("/") if valve.strip("/") else ""
         topics += [
@@ -238,14 +238,31 @@ def _measured_topics(
     volts = {"data": trace.drive.volts}
     times = _nanoseconds(trace, trace.drive.times)
     topics = {COMMAND: (FLOAT, times, _messages(FLOAT, volts, times))}
-    stamps = _nanoseconds(trace, trace.times)
-    topics[MEASURED] = (JOINT_STATE, stamps, _joint_states(trace, stamps, velocities, efforts))
+    if trace.has_positions:
+        stamps = _nanoseconds(trace, trace.times)
+        topics[MEASURED] = (JOINT_STATE, stamps, _joint_states(trace, stamps, velocities, efforts))
+    if trace.coil_voltage is not None:
+        times = _nanoseconds(trace, trace.coil_voltage.times)
+        topics[COIL] = (COIL_STATE, times, _coil_states(trace.coil_voltage, _current_beside(trace), times))
     for name, channel in CHANNELS.items():
         signal: Signal | None = getattr(trace, name)
-        if signal is not None:
+        if signal is not None and not (name == "coil_current" and _current_beside(trace) is not None):
             times = _nanoseconds(trace, signal.times)
             topics[channel.topic] = (channel.message_type, times, _channel_messages(channel, signal, times))
     return topics
+
+
+def _current_beside(trace: Trace) -> NDArray[np.float64] | None:
+    """The current, A, where it was sampled together with the voltage: both go into one message."""
+    current, voltage = trace.coil_current, trace.coil_voltage
+    if current is None or voltage is None or not np.array_equal(current.times, voltage.times):
+        return None
+    return current.values
+
+
+def _coil_states(voltage: Signal, current: NDArray[np.float64] | None, stamps: NDArray[np.int64]) -> list[bytes]:
+    columns = {"voltage": voltage.values, "current": np.full(len(stamps), np.nan) if current is None else current}
+    return _messages(COIL_STATE, columns, stamps)
 
 
 def _nanoseconds(trace: Trace, times: NDArray[np.float64]) -> NDArray[np.int64]:
@@ -298,6 +315,10 @@ def _blank(message_type: str) -> object:
 
     if message_type == FLOAT:
         return types[FLOAT](0.0)
+    if message_type == COIL_STATE:
+        nothing, empty = float("nan"), np.zeros(0, np.float32)
+        measures = (nothing,) * 7  # voltage, temperature, current, and four of a battery
+        return types[COIL_STATE](header, *measures, 0, 0, 0, True, empty, empty, "", "")
     if message_type == JOINT_STATE:
         return types[JOINT_STATE](header, [PILOT, MAIN], np.zeros(2), np.zeros(2), np.zeros(2))
     if message_type == "sensor_msgs/msg/Imu":

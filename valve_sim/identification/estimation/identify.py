@@ -15,7 +15,7 @@ from valve_sim.identification.estimation.intervals import Interval, profile_inte
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
-from valve_sim.identification.plants.protocol import Nuisance, Plant, judged_channels
+from valve_sim.identification.plants.protocol import Channel, Nuisance, Plant, judged_channels
 from valve_sim.identification.plants.root_mean_square import root_mean_square
 from valve_sim.identification.plants.valve import DAMPINGS, ValvePlant
 from valve_sim.model import CATALOGUE, DECLARED, ParameterError, Valve
@@ -39,7 +39,9 @@ class Identification:
         fit: the best fit. intervals: by freed parameter, 95 % by profile likelihood.
         profiles: by freed parameter, (value, rise of χ²) pairs.
         findings: what the data do not determine, and what else is off.
-        rmse_before, rmse_after: m, of the pilot plunger's position, as declared and refitted.
+        rmse_before, rmse_after: of what is judged, as declared and refitted: m, of the pilot plunger's position; A, of
+            the current where no position was recorded.
+        current_before, current_after: A, of the current; NaN where none was recorded.
         valve: the identified valve.
         declared: values that are known within a tolerance, as declared and as the data see them.
     """
@@ -53,6 +55,14 @@ class Identification:
     valve: Valve
     sources: tuple[str, ...] = field(default=())
     declared: tuple[DeclaredValue, ...] = ()
+    current_before: float = math.nan
+    current_after: float = math.nan
+
+    @property
+    def judged(self) -> Channel:
+        """One of the channels by which the errors are meant."""
+        plant = self.fit.problem.plant
+        return plant.channels[judged_channels(plant)[0]]
 
 
 def identify(
@@ -87,9 +97,9 @@ def identify(
     say("done", 1.0)
     offsets = {nuisance.name: best.values[nuisance.name] for nuisance in best.nuisances if not nuisance.is_of_machine}
     return Identification(
-        best, intervals, profiles, findings(best, intervals), position_rmse(plant, offsets),
-        position_rmse(plant, best.values), estimated_valve(best, plant), tuple(trace.source for trace in traces),
-        declared_values(best),
+        best, intervals, profiles, findings(best, intervals), judged_rmse(plant, offsets),
+        judged_rmse(plant, best.values), estimated_valve(best, plant), tuple(trace.source for trace in traces),
+        declared_values(best), current_rmse(plant, offsets), current_rmse(plant, best.values),
     )  # fmt: skip
 
 
@@ -137,11 +147,20 @@ def _best_of_starts(
     return fit(problem, free, {**best.values, **without_influence}, nuisances=nuisances)
 
 
-def position_rmse(plant: Plant, values: Mapping[str, float]) -> float:
-    """Root mean square of measured less predicted position over all samples, m."""
+def judged_rmse(plant: Plant, values: Mapping[str, float]) -> float:
+    """Root mean square of measured less predicted over all samples of the channels by which a model is judged."""
+    return _rmse(plant, values, judged_channels(plant))
+
+
+def current_rmse(plant: Plant, values: Mapping[str, float]) -> float:
+    """The same of the currents, A; NaN where there are none."""
+    currents = [index for index, channel in enumerate(plant.channels) if channel.kind == "current"]
+    return _rmse(plant, values, currents) if currents else math.nan
+
+
+def _rmse(plant: Plant, values: Mapping[str, float], channels: Sequence[int]) -> float:
     shown = plant.predict(values)
-    left = [plant.channels[index].data - shown[index] for index in judged_channels(plant)]
-    return root_mean_square(np.concatenate(left))
+    return root_mean_square(np.concatenate([plant.channels[index].data - shown[index] for index in channels]))
 
 
 def _started(plant: Plant, name: str, factor: float) -> float:

@@ -138,8 +138,10 @@ class ForceMap:
         return [replace(few, only=index) for index in range(1, places + 1)]
 
 
-READABLE_UNITS: Final = {"m": (1e6, "µm")}
+READABLE_UNITS: Final = {"m": (1e6, "µm"), "A": (1e3, "mA")}
 """SI unit to factor and name of the display unit."""
+KEY_OF_UNIT: Final = {"µm": "um", "mA": "ma"}
+"""Display unit to what a name in JSON ends with: rmse_um."""
 
 Role = Literal["response", "actuation"]
 """What a channel shows: the machine's response, by which models are judged, or the actuator that drives it.

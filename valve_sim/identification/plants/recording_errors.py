@@ -57,6 +57,8 @@ def reading_errors(trace: Trace, index: int, channels: Channels) -> list[Nuisanc
         for command, sigma in enumerate(trace.drive_errors.times)
         if sigma > 0.0
     ]
+    if trace.coil_voltage is not None:
+        return found
     levels, first, which = np.unique(trace.drive.volts, return_index=True, return_inverse=True)
     for level, command in enumerate(first.tolist()):
         sigma = float(trace.drive_errors.volts[command])
@@ -68,8 +70,22 @@ def reading_errors(trace: Trace, index: int, channels: Channels) -> list[Nuisanc
     return found
 
 
-def drive_with(trace: Trace, index: int, values: Mapping[str, float]) -> Drive:
-    """The commands as they took effect, by the values of the nuisances."""
+def drive_with(trace: Trace, index: int, values: Mapping[str, float], release_voltage: float = 0.0) -> Drive:
+    """The voltage as it took effect, by the values of the nuisances.
+
+    Args:
+        trace: the recording. index: of it. values: of nuisances, by name.
+        release_voltage: V, of the valve; above 0 a measured voltage is not used while the command is 0.
+    """
+    commands = _commands_with(trace, index, values)
+    measured = trace.measured_input
+    if measured is None:
+        return commands
+    return measured.drive(commands, lateness_with(index, values), freewheels=release_voltage > 0.0)
+
+
+def _commands_with(trace: Trace, index: int, values: Mapping[str, float]) -> Drive:
+    """The commands as they took effect."""
     drive = trace.drive
     late = np.array([values.get(f"command_error[{index},{command}]", 0.0) for command in range(len(drive.times))])
     volts = drive.volts

@@ -35,12 +35,13 @@ from valve_sim.identification.plants.valve_sensitivities import sensitivities
 from valve_sim.identification.plants.valve_sensors import (
     channels_of,
     fastest_motion,
+    followed,
     predicted,
     with_usable_current,
 )
 from valve_sim.model import Drive, Parameter, Valve
 from valve_sim.model.effects import FORCE_MAP_VARIABLES
-from valve_sim.traces import Trace
+from valve_sim.traces import Signal, Trace
 
 DAMPINGS: Final = ("pilot_damping", "main_damping")
 """Declared values that every fit frees, because they are not known beforehand."""
@@ -68,8 +69,8 @@ class ValvePlant:
     """
 
     def __init__(self, traces: Sequence[Trace], valve: Valve) -> None:
-        is_instant = valve.parameters.coil_time_constant == 0.0
-        self.traces = tuple(with_usable_current(trace, is_instant=is_instant) for trace in traces)
+        jumps = valve.parameters.coil_time_constant == 0.0 or "motional_emf" in valve.effects
+        self.traces = tuple(with_usable_current(trace, jumps=jumps) for trace in traces)
         self._model = ValveModel(valve, DAMPINGS)
         self._channels = [channel for index, trace in enumerate(self.traces) for channel in channels_of(index, trace)]
 
@@ -116,20 +117,22 @@ class ValvePlant:
     @property
     def force_maps(self) -> Sequence[ForceMap]:
         """Curves over position, velocity and time, and such curves times v or u²."""
-        fastest = max(fastest_motion(trace) for trace in self.traces)
-        furthest = max(float(np.max(trace.pilot_position)) for trace in self.traces)
         declared = self.valve.parameters
+        fastest = max(fastest_motion(trace) for trace in self.traces)
+        furthest = max(float(np.max(trace.pilot_position, initial=0.0)) for trace in self.traces)
+        if not all(trace.has_positions for trace in self.traces):
+            furthest = declared.stroke
         spans = {
             "x": (0.0, min(max(furthest, declared.pilot_gap), declared.stroke), "m"),
             "v": (-fastest, fastest, "m/s"),
-            "t": (0.0, max(float(trace.times[-1]) for trace in self.traces), "s"),
+            "t": (0.0, max(float(trace.sample_times[-1]) for trace in self.traces), "s"),
         }
         return [force_map_over(variable, *spans[variable[0]]) for variable in FORCE_MAP_VARIABLES]
 
     @property
     def experiments(self) -> Sequence[Experiment]:
         """Single pulses, from those that lift the valve partly to full strokes, sampled as the first trace is."""
-        interval = float(np.median(np.diff(self.traces[0].times)))
+        interval = float(np.median(np.diff(self.traces[0].sample_times)))
         times = np.arange(0.0, PULSE_RECORDING, interval)
         return [
             Experiment(
@@ -154,7 +157,12 @@ class ValvePlant:
     def _recorded(self, volts: float, duration: float, times: Array, values: Mapping[str, float]) -> ValvePlant:
         """A pulse recorded from a valve of these values, without noise."""
         drive = Drive.of([PULSE_START, PULSE_START + duration], [volts, 0.0])
-        trace = Trace("an experiment", drive, times, np.zeros_like(times))
+        nothing = np.zeros_like(times)
+        if not self.traces[0].has_positions:
+            trace = Trace("an experiment", drive, times[:0], times[:0], coil_current=Signal(times, nothing))
+            (current,) = ValvePlant([trace], self.valve).predict(values)
+            return ValvePlant([replace(trace, coil_current=Signal(times, current))], self.valve)
+        trace = Trace("an experiment", drive, times, nothing)
         (position,) = ValvePlant([trace], self.valve).predict(values)
         return ValvePlant([replace(trace, pilot_position=position)], self.valve)
 
@@ -181,6 +189,19 @@ class ValvePlant:
         """As of its model: declared scalars, and their covariance, for those of what was estimated."""
         return self._model.propagated(names, covariance)
 
+    def followed_positions(self, values: Mapping[str, float]) -> dict[int, Array]:
+        """The positions that follow from the current, m, at its samples, by the number of each trace without positions.
+
+        Raises:
+            SimulationError: the simulation could not be carried to its end.
+        """
+        record, release = self._model.record(values), self.valve.parameters.release_voltage
+        return {
+            index: followed(record, trace, drive_with(trace, index, values, release), lateness_with(index, values))
+            for index, trace in enumerate(self.traces)
+            if not trace.has_positions
+        }
+
     def sensitivities(self, values: Mapping[str, float], directions: Sequence[Direction]) -> Sensitivities:
         """The derivatives of what `predict` returns, by the model's variational equations.
 
@@ -198,7 +219,8 @@ class ValvePlant:
         record = self._model.record(values)
         shown: list[Array] = []
         for index, trace in enumerate(self.traces):
-            drive, lateness = drive_with(trace, index, values), lateness_with(index, values)
-            position, *current = predicted(record, trace, drive, lateness)
-            shown.extend([position + zero_with(index, values), *current])
+            drive = drive_with(trace, index, values, self.valve.parameters.release_voltage)
+            position, *current = predicted(record, trace, drive, lateness_with(index, values))
+            positions = [position + zero_with(index, values)] if trace.has_positions else []
+            shown.extend([*positions, *current])
         return shown

@@ -49,18 +49,18 @@ def sensitivities(
     columns: list[Array] = []
     if not known.any():
         return Sensitivities([np.empty((0, len(directions)))], known)
+    release = model.valve.parameters.release_voltage
     for index, trace in enumerate(traces):
-        at = _recording(trace, index, values)
+        at = _recording(trace, index, values, release)
         theirs = [
-            _recording(trace, index, there) if any(map(is_of_recording, direction.slopes)) else None
+            _recording(trace, index, there, release) if any(map(is_of_recording, direction.slopes)) else None
             for direction, there in zip(directions, moved, strict=True)
         ]
         tangents, zeros = _tangents(slopes, at, theirs, directions)
         state, samples = prepared(trace, at.drive, at.lateness)
         positions, currents = run_tangents(record, state, at.drive, samples, tangents, FIT_TOLERANCE)
-        if zeros.any():
-            positions += zeros
-        columns.append(positions)
+        if trace.has_positions:
+            columns.append(positions + zeros if zeros.any() else positions)
         if trace.coil_current is not None:
             columns.append(rated_current(record) * currents + np.outer(samples.currents, rated_slopes(record, slopes)))
     return Sensitivities(columns, known)
@@ -102,5 +102,6 @@ def _moved(values: Mapping[str, float], direction: Direction) -> dict[str, float
     return there
 
 
-def _recording(trace: Trace, index: int, values: Mapping[str, float]) -> _Recording:
-    return _Recording(drive_with(trace, index, values), lateness_with(index, values), zero_with(index, values))
+def _recording(trace: Trace, index: int, values: Mapping[str, float], release_voltage: float) -> _Recording:
+    drive = drive_with(trace, index, values, release_voltage)
+    return _Recording(drive, lateness_with(index, values), zero_with(index, values))

@@ -10,22 +10,25 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.identification.plants.protocol import Array, Channel
+from valve_sim.identification.plants.protocol import Array, Channel, Role
 from valve_sim.model import Drive, SimulationError
 from valve_sim.model.core_types import EVENT_RECORD
 from valve_sim.model.simulation import Samples, new_states, rated_current, run_record
 from valve_sim.traces import Signal, Trace, stroke_numbers
+from valve_sim.traces.measured_input import AT_COMMAND
 
 FIT_TOLERANCE: Final = 1e-8
 """Of one step while fitting: a thousandth of the noise at most."""
 STAMPS: Final = math.sqrt(2.0) * 1e-9
 """s: a sample and the command before it are stamped in whole nanoseconds each."""
-AT_COMMAND: Final = 1e-8
-"""s: a sample this near a command may be before or after it, for rounded stamps."""
 SETTLING: Final = 0.3
 """The part of each interval between commands that is never taken for quiet, at its beginning."""
 JITTERED: Final = 0.01
 """Relative scatter of a current's sampling interval beyond which its samples are taken to be timed by arrival."""
+FASTEST_UNSEEN: Final = 1.0
+"""m/s, above what plungers of such valves reach: where no position shows it."""
+ROUNDING: Final = 2.0**-24 / math.sqrt(3.0)
+"""Relative standard deviation of a number in single precision, as `sensor_msgs/BatteryState` has it, at its largest."""
 STILL: Final = 6.0
 """Standard deviations within which a still sensor stays."""
 
@@ -71,6 +74,8 @@ def _position_resolution(trace: Trace) -> float:
 
 def fastest_motion(trace: Trace) -> float:
     """The largest speed of the plunger but for outliers, m/s, from the positions."""
+    if not trace.has_positions:
+        return FASTEST_UNSEEN
     stride = max(1, len(trace.times) // 2000)
     speed = np.abs(np.diff(trace.pilot_position[::stride]) / np.diff(trace.times[::stride]))
     return max(float(np.quantile(speed, 0.995)), 0.05)
@@ -81,13 +86,14 @@ def _coarse_step(data: Array) -> float:
     return float(np.median(np.diff(levels))) if 1 < len(levels) < 0.5 * len(data) else 0.0
 
 
-def with_usable_current(trace: Trace, *, is_instant: bool) -> Trace:
-    """The trace, less a current timed by its arrival; of a coil without a time constant also less ambiguous samples.
+def with_usable_current(trace: Trace, *, jumps: bool) -> Trace:
+    """The trace, less a current timed by its arrival; of a current that may jump also less ambiguous samples.
 
-    Such a current jumps with the command, and rounded stamps do not say on which side of the jump a sample is.
+    It jumps with the command, where the coil has no time constant or eddy currents lie beside its flux, and rounded
+    stamps do not say on which side of the jump a sample is.
     """
-    trace = without_jittered_current(trace)
-    if not is_instant or trace.coil_current is None:
+    trace = without_jittered_current(trace) if trace.has_positions else trace
+    if not jumps or trace.coil_current is None:
         return trace
     times, values = trace.coil_current
     commands = np.concatenate([[-np.inf], trace.drive.times, [np.inf]])
@@ -107,20 +113,28 @@ def without_jittered_current(trace: Trace) -> Trace:
 
 
 def channels_of(index: int, trace: Trace) -> list[Channel]:
-    """Pilot position and, where recorded, coil current of the recording of this number."""
+    """Pilot position and coil current, where recorded, of the recording of this number.
+
+    Without positions the current is the machine's response; beside them it shows the actuator.
+    """
+    if not trace.has_positions:
+        return [_current_channel(index, trace, "response")]
     position = Channel(
         f"{trace.source}: pilot_position", "position", trace.times, trace.pilot_position, still_mask(trace),
         stroke_numbers(trace.drive, trace.times), recording=index, resolution=_position_resolution(trace),
     )  # fmt: skip
-    if trace.coil_current is None:
-        return [position]
+    return [position] if trace.coil_current is None else [position, _current_channel(index, trace, "actuation")]
+
+
+def _current_channel(index: int, trace: Trace, role: Role) -> Channel:
+    assert trace.coil_current is not None
     times, data = trace.coil_current
-    current = Channel(
+    is_single = bool(np.array_equal(data, data.astype(np.float32)))
+    return Channel(
         f"{trace.source}: coil_current", "current", times, data, _settled(trace.drive, trace.coil_current),
-        stroke_numbers(trace.drive, times), "A", role="actuation", recording=index, drifts=True,
-        resolution=FIT_TOLERANCE * float(np.max(np.abs(data), initial=0.0)),
+        stroke_numbers(trace.drive, times), "A", role=role, recording=index, drifts=True,
+        resolution=(ROUNDING if is_single else FIT_TOLERANCE) * float(np.max(np.abs(data), initial=0.0)),
     )  # fmt: skip
-    return [position, current]
 
 
 def prepared(trace: Trace, drive: Drive, offset: float) -> tuple[Any, Samples]:
@@ -128,7 +142,8 @@ def prepared(trace: Trace, drive: Drive, offset: float) -> tuple[Any, Samples]:
     times = trace.times - offset
     current_times = trace.coil_current.times - offset if trace.coil_current is not None else _NO_TIMES
     samples = Samples(times, np.empty((len(times), 1)), current_times, np.empty(len(current_times)))
-    return new_states(np.empty(1), min(float(drive.times[0]), float(times[0]))), samples
+    first = times[0] if trace.has_positions else current_times[0]
+    return new_states(np.empty(1), min(float(drive.times[0]), float(first))), samples
 
 
 def predicted(record: Any, trace: Trace, drive: Drive, offset: float) -> list[Array]:
@@ -149,6 +164,19 @@ def predicted(record: Any, trace: Trace, drive: Drive, offset: float) -> list[Ar
     if record[0]["coil_resistance"] <= 0.0:
         raise SimulationError("coil_resistance: found 0 Ω, which leaves the current infinite")
     return [rows[:, 0], currents * rated_current(record)]
+
+
+def followed(record: Any, trace: Trace, drive: Drive, offset: float) -> Array:
+    """The pilot plunger's positions at the samples of a trace's current, m; arguments as of `predicted`.
+
+    Raises:
+        SimulationError: the simulation could not be carried to its end.
+    """
+    times = trace.sample_times - offset
+    samples = Samples(times, np.empty((len(times), 1)), _NO_TIMES, _NO_TIMES)
+    state = new_states(np.empty(1), min(float(drive.times[0]), float(times[0])))
+    run_record(record, state, drive, samples, _NO_EVENTS, FIT_TOLERANCE)
+    return samples.rows[:, 0]
 
 
 def _settled(drive: Drive, current: Signal) -> NDArray[np.bool_]:

@@ -7,8 +7,9 @@ from typing import Any
 from valve_sim.files.json_text import plain_mapping
 from valve_sim.identification.diagnosis.experiment_design import Recommendation
 from valve_sim.identification.diagnosis.run import Diagnosis, State
-from valve_sim.identification.plants.protocol import judged_channels
+from valve_sim.identification.plants.protocol import KEY_OF_UNIT, judged_channels
 from valve_sim.identification.reporting.declared_values import declared_json
+from valve_sim.identification.reporting.followed_positions import strokes_followed, strokes_json
 from valve_sim.identification.reporting.force_curves import Motion, force_curve, motion_of
 from valve_sim.identification.reporting.interval_json import interval_json, intervals_json
 from valve_sim.identification.reporting.summary import recording_advice, summarise
@@ -19,8 +20,8 @@ from valve_sim.identification.selection.force_maps import Unexplained
 def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
     """The content of report.json.
 
-    Errors are in `unit`, the one in which people read the response: µm of a position, N of a force. Of a position they
-    also stand under the older names `noise_um` and `rmse_um`.
+    Errors are in `unit`, the one in which people read the response: µm of a position, mA of a current, N of a force. Of
+    a position they also stand under the names `noise_um` and `rmse_um`, of a current under `noise_ma` and `rmse_ma`.
     """
     motion = motion_of(diagnosis)
     problem = diagnosis.before.fit.problem
@@ -55,6 +56,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
             for candidate in diagnosis.candidates
         ],
         "unexplained": None if diagnosis.unexplained is None else _unexplained_json(diagnosis.unexplained, motion),
+        "position_from_current": strokes_json(strokes_followed(diagnosis)),
         "force_maps": [_unexplained_json(entry, motion) for entry in diagnosis.maps],
         "record_next": recording_advice(diagnosis) or None,
         "record_next_gain": None if diagnosis.recommendation is None else recommendation_json(diagnosis.recommendation),
@@ -78,7 +80,7 @@ def recommendation_json(found: Recommendation) -> dict[str, Any]:
 
 
 def _in_unit(name: str, value: Any, unit: str) -> dict[str, Any]:
-    return {name: value, f"{name}_um": value} if unit == "µm" else {name: value}
+    return {name: value, f"{name}_{KEY_OF_UNIT[unit]}": value} if unit in KEY_OF_UNIT else {name: value}
 
 
 def _errors(train: float, holdout: float, scale: float, unit: str) -> dict[str, Any]:

@@ -69,24 +69,26 @@ def plot_response(
 
 
 def plot_replay(path: Path | str, replay: Replay) -> None:
-    """Draw measured and predicted displacement, and the residual beside the tolerance.
+    """Draw measured and predicted displacement, or without positions current, and the residual beside the tolerance.
 
     Raises:
         ValveError: the picture cannot be written.
     """
     figure = Figure(figsize=(10.0, 6.0), layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
-    times = 1e3 * replay.trace.times
-    above.plot(times, 1e6 * replay.trace.pilot_position, color=QUIET, linewidth=2.6, label="measured")
-    above.plot(times, 1e6 * replay.predicted, color=PILOT, linewidth=1.0, label="model")
-    above.set_ylabel("pilot plunger, µm")
+    scale, unit = replay.readable
+    times, measured = 1e3 * replay.measured.times, replay.measured.values
+    above.plot(times, scale * measured, color=QUIET, linewidth=2.6, label="measured")
+    above.plot(times, scale * replay.predicted, color=PILOT, linewidth=1.0, label="model")
+    above.set_ylabel(f"{'pilot plunger' if replay.trace.has_positions else 'coil current'}, {unit}")
     above.legend(loc="upper right", frameon=False)
-    below.plot(times, 1e6 * (replay.trace.pilot_position - replay.predicted), color=MAIN, linewidth=0.7)
+    below.plot(times, scale * (measured - replay.predicted), color=MAIN, linewidth=0.7)
     for sign in (-1.0, 1.0):
-        below.axhline(sign * 1e6 * replay.tolerance, color=QUIET, linestyle="--", linewidth=0.8)
-    below.set_ylabel("measured − model, µm")
+        below.axhline(sign * scale * replay.tolerance, color=QUIET, linestyle="--", linewidth=0.8)
+    below.set_ylabel(f"measured − model, {unit}")
     verdict = "within" if replay.passed else "outside"
-    _finish(figure, path, f"{replay.trace.source}: {verdict} {1e6 * replay.tolerance:.3g} µm (dashed)", "time, ms")
+    title = f"{replay.trace.source}: {verdict} {scale * replay.tolerance:.3g} {unit} (dashed)"
+    _finish(figure, path, title, "time, ms")
 
 
 def plot_static_force(path: Path | str, fitted: StaticForce) -> None:

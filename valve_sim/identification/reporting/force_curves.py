@@ -104,7 +104,8 @@ def _currents(plant: Plant, values: Mapping[str, float], times: Array) -> Array:
         return np.ones(len(times))
     valve = plant.with_values(values)
     rated = valve.parameters.reference_voltage / valve.parameters.coil_resistance
-    return np.asarray(simulate(valve, trace.drive, times).coil_current / rated)
+    drive = trace.input(valve.parameters.release_voltage)
+    return np.asarray(simulate(valve, drive, times).coil_current / rated)
 
 
 def force_curve(entry: Unexplained, motion: Motion) -> ForceCurve:

@@ -26,6 +26,7 @@ from valve_sim.identification.reporting.curves import StrokeCurves, strokes_of
 from valve_sim.identification.reporting.declared_values import declared_section
 from valve_sim.identification.reporting.detection_limits import limit_rows
 from valve_sim.identification.reporting.findings import remark_on
+from valve_sim.identification.reporting.followed_positions import stroke_plot, stroke_words, strokes_followed
 from valve_sim.identification.reporting.force_curves import ForceCurve, force_curve, motion_of
 from valve_sim.identification.reporting.recording_profile import duration_of, profile_to_record
 from valve_sim.identification.reporting.summary import recording_advice, summarise
@@ -316,7 +317,7 @@ def force_curves(diagnosis: Diagnosis) -> list[ForceCurve]:
 
 
 def _forces(diagnosis: Diagnosis) -> dict[str, Any]:
-    curves = force_curves(diagnosis)
+    curves, followed = force_curves(diagnosis), strokes_followed(diagnosis)
     maps = [
         {
             "variable": curve.label.partition(",")[0] + _FACTOR_WORDS.get(curve.variable[1:], ""),
@@ -332,7 +333,8 @@ def _forces(diagnosis: Diagnosis) -> dict[str, Any]:
         unexplained = f"{quantity(curve.rms, 'N')} rms while it moves, strongest at {curve.where}."
     return {
         "maps": maps,
-        "maps_data": [_curve_plot(curve) for curve in curves],
+        "followed": [stroke_words(stroke) for stroke in followed[:SHOWN_STROKES]],
+        "maps_data": [*map(_curve_plot, curves), *map(stroke_plot, followed[:SHOWN_STROKES])],
         "unexplained": unexplained,
         "is_partial": any(curve.is_partial for curve in curves),
     }

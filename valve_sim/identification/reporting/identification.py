@@ -7,6 +7,7 @@ from typing import Any
 
 from valve_sim.files.json_text import plain_mapping
 from valve_sim.identification.estimation.identify import Identification
+from valve_sim.identification.plants.protocol import KEY_OF_UNIT
 from valve_sim.identification.reporting.declared_values import declared_json, declared_lines
 from valve_sim.identification.reporting.findings import remarks
 from valve_sim.identification.reporting.interval_json import intervals_json
@@ -15,15 +16,20 @@ from valve_sim.identification.reporting.units import limits, measured, quantity
 
 def identification_json(result: Identification) -> dict[str, Any]:
     """The content of identify.json."""
-    noise = result.fit.problem.noises["position"]
+    noise = result.fit.problem.noises[result.judged.kind]
+    scale, unit = result.judged.readable
+    key = KEY_OF_UNIT[unit]
+    errors = {f"rmse_{key}": {"before": scale * result.rmse_before, "after": scale * result.rmse_after}}
+    if not math.isnan(result.current_after):
+        errors["rmse_ma"] = {"before": 1e3 * result.current_before, "after": 1e3 * result.current_after}
     report = {
         "schema": "valve_sim/identification/1",
         "sources": list(result.sources),
-        "noise_um": 1e6 * noise.sigma,
+        f"noise_{key}": scale * noise.sigma,
         "noise": {
-            "sigma_um": 1e6 * noise.sigma,
+            f"sigma_{key}": scale * noise.sigma,
             "colour": list(noise.coefficients),
-            "quantisation_um": 1e6 * noise.step,
+            f"quantisation_{key}": scale * noise.step,
         },
         "parameters": intervals_json(result.intervals),
         **declared_json(result.declared),
@@ -32,7 +38,7 @@ def identification_json(result: Identification) -> dict[str, Any]:
             for nuisance in result.fit.problem.plant.nuisances
             if nuisance.name.startswith("clock_offset")
         ],
-        "rmse_um": {"before": 1e6 * result.rmse_before, "after": 1e6 * result.rmse_after},
+        **errors,
         "chi2_per_sample": result.fit.chi2 / result.fit.problem.effective_samples,
         "converged": result.fit.converged,
         "profiles": {
@@ -53,9 +59,13 @@ def identification_text(result: Identification) -> str:
         found = f"{measured(interval, unit):<30}{limits(interval, unit):<30}"
         lines.append(f"{name:<28}{found}{quantity(declared, unit)}")
     lines += declared_lines(result.declared)
-    noise = result.fit.problem.noises["position"]
+    noise = result.fit.problem.noises[result.judged.kind]
+    scale, unit = result.judged.readable
     lines.append(
-        f"residual {1e6 * result.rmse_before:.3g} µm as declared, {1e6 * result.rmse_after:.3g} µm refitted; "
-        f"sensor noise {1e6 * noise.sigma:.3g} µm"
+        f"residual {scale * result.rmse_before:.3g} {unit} as declared, {scale * result.rmse_after:.3g} {unit} "
+        f"refitted; sensor noise {scale * noise.sigma:.3g} {unit}"
     )
+    if result.judged.kind != "current" and not math.isnan(result.current_after):
+        before, after = 1e3 * result.current_before, 1e3 * result.current_after
+        lines.append(f"residual of the current {before:.3g} mA as declared, {after:.3g} mA refitted")
     return "\n".join([*lines, *remarks(result.findings)])

@@ -8,12 +8,13 @@ from typing import Any
 from xml.etree import ElementTree
 
 from valve_sim.files.json_text import plain_mapping
+from valve_sim.identification.plants.protocol import KEY_OF_UNIT
 from valve_sim.identification.reporting.declared_values import amount_words, declared_json, summary_words
 from valve_sim.identification.validation.replay import MICRO, Arrival, Errors, Replay, Validation
 
 
 def validation_json(result: Validation) -> dict[str, Any]:
-    """The whole report; lengths in µm, times in ms and µs, as the names say."""
+    """The whole report; lengths in µm, currents in mA, times in ms and µs, as the names say."""
     report = {
         "schema": "valve_sim/validation/1",
         "passed": result.passed,
@@ -51,18 +52,20 @@ def validation_junit(result: Validation) -> str:
 
 def _replay_json(replay: Replay) -> dict[str, Any]:
     """One entry of the report."""
+    scale, unit = replay.readable
+    key = KEY_OF_UNIT[unit]
     return {
         "source": replay.trace.source,
         "passed": replay.passed,
-        "tolerance_um": MICRO * replay.tolerance,
-        "noise_um": MICRO * replay.noise,
+        f"tolerance_{key}": scale * replay.tolerance,
+        f"noise_{key}": scale * replay.noise,
         "clock_offset_us": MICRO * replay.clock_offset,
-        **_errors_json(replay.errors),
+        **_errors_json(replay.errors, scale, key),
         "strokes": [
             {
                 "name": stroke.name,
                 "passed": stroke.errors.judged <= replay.tolerance,
-                **_errors_json(stroke.errors),
+                **_errors_json(stroke.errors, scale, key),
                 "arrivals": [_arrival_json(arrival) for arrival in stroke.arrivals],
             }
             for stroke in replay.strokes
@@ -70,13 +73,13 @@ def _replay_json(replay: Replay) -> dict[str, Any]:
     }
 
 
-def _errors_json(errors: Errors) -> dict[str, Any]:
-    """In µm; the moving error is nan where the model does not move."""
+def _errors_json(errors: Errors, scale: float, key: str) -> dict[str, Any]:
+    """In the unit that the names end with; the moving error is nan where the model does not move."""
     return {
         "samples": errors.samples,
-        "rmse_um": MICRO * errors.rmse,
-        "moving_rmse_um": MICRO * errors.moving_rmse,
-        "maximum_um": MICRO * errors.maximum,
+        f"rmse_{key}": scale * errors.rmse,
+        f"moving_rmse_{key}": scale * errors.moving_rmse,
+        f"maximum_{key}": scale * errors.maximum,
     }
 
 
@@ -93,16 +96,17 @@ def _arrival_json(arrival: Arrival) -> dict[str, Any]:
 
 def _replay_text(replay: Replay) -> str:
     """For the terminal."""
+    scale, unit = replay.readable
     lines = [
-        f"{replay.trace.source}: {'within' if replay.passed else 'OUTSIDE'} {MICRO * replay.tolerance:.3g} µm "
-        f"(noise {MICRO * replay.noise:.3g} µm, clock offset {MICRO * replay.clock_offset:.1f} µs)",
-        f"  {'part of a stroke':<32}{'rmse':>9}{'moving':>9}{'maximum':>9}  µm",
+        f"{replay.trace.source}: {'within' if replay.passed else 'OUTSIDE'} {scale * replay.tolerance:.3g} {unit} "
+        f"(noise {scale * replay.noise:.3g} {unit}, clock offset {MICRO * replay.clock_offset:.1f} µs)",
+        f"  {'part of a stroke':<32}{'rmse':>9}{'moving':>9}{'maximum':>9}  {unit}",
     ]
     rows = [*((stroke.name, stroke.errors) for stroke in replay.strokes), ("in all", replay.errors)]
     for name, errors in rows:
-        moving = "–" if math.isnan(errors.moving_rmse) else f"{MICRO * errors.moving_rmse:.3g}"
+        moving = "–" if math.isnan(errors.moving_rmse) else f"{scale * errors.moving_rmse:.3g}"
         lines.append(
-            f"  {name:<32}{MICRO * errors.rmse:>9.3g}{moving:>9}{MICRO * errors.maximum:>9.3g}"
+            f"  {name:<32}{scale * errors.rmse:>9.3g}{moving:>9}{scale * errors.maximum:>9.3g}"
             f"  {'' if errors.judged <= replay.tolerance else 'outside'}".rstrip()
         )
     return "\n".join([*lines, *_arrival_lines(replay)])
@@ -121,10 +125,11 @@ def _arrival_lines(replay: Replay) -> Iterator[str]:
 
 def _add_recording(root: ElementTree.Element, replay: Replay) -> None:
     cases = {}
+    scale, unit = replay.readable
     for name, errors in (*((stroke.name, stroke.errors) for stroke in replay.strokes), ("in all", replay.errors)):
         words = (
-            f"rmse {MICRO * errors.rmse:.3g} µm, moving {MICRO * errors.moving_rmse:.3g} µm, maximum "
-            f"{MICRO * errors.maximum:.3g} µm, tolerance {MICRO * replay.tolerance:.3g} µm"
+            f"rmse {scale * errors.rmse:.3g} {unit}, moving {scale * errors.moving_rmse:.3g} {unit}, maximum "
+            f"{scale * errors.maximum:.3g} {unit}, tolerance {scale * replay.tolerance:.3g} {unit}"
         )
         cases[name] = words, errors.judged > replay.tolerance
     _add_suite(root, replay.trace.source, cases)

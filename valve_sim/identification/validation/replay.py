@@ -19,17 +19,19 @@ from numpy.typing import NDArray
 from valve_sim.identification.estimation.declared_values import DeclaredValue, declared_values, out_of_tolerance
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.solver import fit
-from valve_sim.identification.plants.protocol import Array
+from valve_sim.identification.plants.protocol import READABLE_UNITS, Array
 from valve_sim.identification.plants.recording_errors import CLOCK_SIGMA, drive_with, zero_with
 from valve_sim.identification.plants.root_mean_square import root_mean_square
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import EXACT, Event, EventKind, Response, Valve, ValveError, simulate
-from valve_sim.traces import SensorEvent, StrokePart, Trace, events_from_sensors, find_stroke_parts
+from valve_sim.traces import SensorEvent, Signal, StrokePart, Trace, events_from_sensors, find_stroke_parts
 
 NOISE_FACTOR: Final = 3.0
 """The default tolerance, in standard deviations of the sensor's noise."""
 FINEST_TOLERANCE: Final = 0.15e-6
 """m: three times the repeatability of the paper's laser, for recordings without noise."""
+FINEST_CURRENT: Final = 0.1e-3
+"""A: the same of a current, three steps of a converter of 15 bits over 1 A."""
 MARGIN: Final = 1e-3
 """s around the model's motion that still counts as moving, so that a valve that is late there is seen."""
 STILL_SPEED: Final = 1e-5
@@ -47,7 +49,7 @@ Progress = Callable[[str, float], None]
 
 
 class Errors(NamedTuple):
-    """Measured less predicted position of the pilot plunger, m.
+    """Measured less predicted position of the pilot plunger, m, or, where none was recorded, current of the coil, A.
 
     Attributes:
         samples: how many there are.
@@ -63,7 +65,7 @@ class Errors(NamedTuple):
 
     @property
     def judged(self) -> float:
-        """The error that is compared with the tolerance, m: a long rest must not hide a wrong motion."""
+        """The error that is compared with the tolerance: a long rest must not hide a wrong motion."""
         return self.rmse if math.isnan(self.moving_rmse) else max(self.rmse, self.moving_rmse)
 
 
@@ -91,21 +93,27 @@ class Replay:
 
     Attributes:
         trace: what was measured. valve: what was simulated.
-        predicted: (n,) m, at the trace's samples.
+        measured: what is judged: the positions, m, or where none were recorded the currents, A.
+        predicted: (n,) the same by the model.
         clock_offset: s, by which samples are stamped late.
-        noise: standard deviation of the position sensor, m.
-        tolerance: m.
+        noise: standard deviation of the sensor. tolerance: of the errors, both in the unit of `measured`.
         errors: over the whole recording. strokes: one by one.
     """
 
     trace: Trace
     valve: Valve
+    measured: Signal
     predicted: Array
     clock_offset: float
     noise: float
     tolerance: float
     errors: Errors
     strokes: tuple[StrokeCheck, ...]
+
+    @property
+    def readable(self) -> tuple[float, str]:
+        """Factor from SI and name of the unit in which people read the errors."""
+        return READABLE_UNITS["m" if self.trace.has_positions else "A"]
 
     @property
     def passed(self) -> bool:
@@ -136,6 +144,7 @@ def validate(
     valve: Valve,
     tolerance: float | None = None,
     *,
+    current_tolerance: float | None = None,
     command_jitter: bool = False,
     progress: Progress | None = None,
 ) -> Validation:
@@ -147,7 +156,8 @@ def validate(
     Args:
         traces: measured strokes.
         valve: the declared valve.
-        tolerance: m; default NOISE_FACTOR times the noise of each recording, at least FINEST_TOLERANCE.
+        tolerance: m, of recordings with positions; default NOISE_FACTOR times the noise of each recording, at least
+            FINEST_TOLERANCE. current_tolerance: A, of those without; at least FINEST_CURRENT.
         command_jitter: estimate an error of each command's stamp too, prior N(0, CLOCK_SIGMA).
         progress: told what is being done, and the fraction done.
 
@@ -157,12 +167,15 @@ def validate(
     """
     if tolerance is not None and not 0.0 < tolerance < math.inf:
         raise ValveError(f"--tolerance-um {MICRO * tolerance:g}: expected a length above 0")
+    if current_tolerance is not None and not 0.0 < current_tolerance < math.inf:
+        raise ValveError(f"--tolerance-ma {1e3 * current_tolerance:g}: expected a current above 0")
     valve, declared = _within_tolerances(traces, valve, command_jitter=command_jitter)
     replays = []
     for index, trace in enumerate(traces):
         if progress is not None:
             progress(f"replaying {trace.source}", index / len(traces))
-        replays.append(replay_trace(trace, valve, tolerance, command_jitter=command_jitter))
+        own = tolerance if trace.has_positions else current_tolerance
+        replays.append(replay_trace(trace, valve, own, command_jitter=command_jitter))
     return Validation(tuple(replays), declared)
 
 
@@ -173,29 +186,43 @@ def replay_trace(trace: Trace, valve: Valve, tolerance: float | None = None, *, 
         SimulationError: the valve cannot be simulated.
     """
     valve = replace(valve, tolerances=EXACT)
-    # The current takes no part: the declared coil resistance is an assumption, and would pull at the clock offset.
-    plant = ValvePlant([replace(trace, coil_current=None)], valve)
+    plant = ValvePlant([_judged(trace)], valve)
     problem = Problem(plant)
     timing = plant.timing_errors if command_jitter else ()
     nuisances = fit(problem, (), {}, nuisances=(*plant.nuisances, *timing)).values
     offset = nuisances["clock_offset[0]"]
-    drive = drive_with(trace, 0, nuisances)
-    noise = problem.noises["position"].sigma
-    start = min(float(drive.times.min(initial=math.inf)), float(trace.times[0])) - CLOCK_SIGMA
-    response = simulate(valve, drive, np.maximum(trace.times - offset, start), start_time=start)
-    shown = response.pilot_position + zero_with(0, nuisances)
-    residual = trace.pilot_position - shown
-    errors_of = partial(_errors, residual, _moving(trace, response))
+    drive = drive_with(trace, 0, nuisances, valve.parameters.release_voltage)
+    times = trace.sample_times
+    start = min(float(drive.times.min(initial=math.inf)), float(times[0])) - CLOCK_SIGMA
+    response = simulate(valve, drive, np.maximum(times - offset, start), start_time=start)
+    if trace.has_positions:
+        kind, finest, measured = "position", FINEST_TOLERANCE, Signal(times, trace.pilot_position)
+        shown = response.pilot_position + zero_with(0, nuisances)
+    else:
+        assert trace.coil_current is not None
+        kind, finest, measured, shown = "current", FINEST_CURRENT, trace.coil_current, response.coil_current
+    noise = problem.noises[kind].sigma
+    residual = measured.values - shown
+    errors_of = partial(_errors, residual, _moving(times, response))
     return Replay(
         trace,
         valve,
+        measured,
         shown,
         offset,
         noise,
-        max(NOISE_FACTOR * noise, FINEST_TOLERANCE) if tolerance is None else tolerance,
+        max(NOISE_FACTOR * noise, finest) if tolerance is None else tolerance,
         errors_of(np.ones(len(residual), dtype=bool)),
         tuple(_stroke_checks(trace, valve, response.events, offset, errors_of)),
     )
+
+
+def _judged(trace: Trace) -> Trace:
+    """The trace less a current beside positions.
+
+    The declared coil resistance is an assumption, and would pull at the clock offset.
+    """
+    return replace(trace, coil_current=None) if trace.has_positions else trace
 
 
 def _within_tolerances(
@@ -204,20 +231,20 @@ def _within_tolerances(
     """The valve with the estimates of its toleranced values; itself where all are exact."""
     if valve.tolerances.is_exact:
         return valve, ()
-    plant = ValvePlant([replace(trace, coil_current=None) for trace in traces], valve)
+    plant = ValvePlant([_judged(trace) for trace in traces], valve)
     timing = plant.timing_errors if command_jitter else ()
     found = fit(Problem(plant), (), {}, nuisances=(*plant.nuisances, *timing))
     return plant.with_values(found.values), declared_values(found)
 
 
-def _moving(trace: Trace, response: Response) -> NDArray[np.bool_]:
+def _moving(times: Array, response: Response) -> NDArray[np.bool_]:
     """(n,) samples no further than MARGIN from one in which the model moves."""
-    when = trace.times[np.abs(response.pilot_velocity) > STILL_SPEED]
+    when = times[np.abs(response.pilot_velocity) > STILL_SPEED]
     if len(when) == 0:
-        return np.zeros(len(trace.times), dtype=bool)
-    after = np.minimum(np.searchsorted(when, trace.times), len(when) - 1)
+        return np.zeros(len(times), dtype=bool)
+    after = np.minimum(np.searchsorted(when, times), len(when) - 1)
     before = np.maximum(after - 1, 0)
-    distance = np.minimum(np.abs(when[after] - trace.times), np.abs(when[before] - trace.times))
+    distance = np.minimum(np.abs(when[after] - times), np.abs(when[before] - times))
     return np.asarray(distance <= MARGIN)
 
 
@@ -240,7 +267,7 @@ def _stroke_checks(
     """Every stroke that has samples."""
     seen = {found.stroke: found.events for found in events_from_sensors(trace, valve.parameters.pilot_gap)}
     for stroke in find_stroke_parts(trace):
-        chosen = (trace.times >= stroke.start) & (trace.times < stroke.stop)
+        chosen = (trace.sample_times >= stroke.start) & (trace.sample_times < stroke.stop)
         if chosen.any():
             arrivals = (_arrival(event, stroke, events, offset) for event in seen.get(stroke, ()))
             yield StrokeCheck(stroke.name, errors_of(chosen), tuple(arrivals))

@@ -1,0 +1,121 @@
+"""Recordings without any position: identified, validated and diagnosed by the current of an independent plant."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from plants.coil_alone import Build, simulate
+
+from valve_sim.identification.diagnosis.run import diagnose
+from valve_sim.identification.estimation.followed_positions import followed_positions
+from valve_sim.identification.estimation.identify import identify
+from valve_sim.identification.reporting.diagnosis_json import to_json
+from valve_sim.identification.reporting.identification import identification_json, identification_text
+from valve_sim.identification.reporting.validation import validation_json, validation_text
+from valve_sim.identification.validation.replay import validate
+from valve_sim.model import Drive, Tolerances, Valve
+from valve_sim.traces import Signal, Trace, events_from_sensors
+
+NOISE = 1e-3
+"""A."""
+BUILD = Build(supply_resistance=0.3, eddy_resistance=40.0)
+DRIVE = Drive.of([0.010, 0.040, 0.070, 0.100], [9.0, 0.0, 12.0, 0.0])
+
+
+def declared(build: Build) -> Valve:
+    """The valve as its file has it: its supply droops, and nobody says so."""
+    names = (
+        "pilot_damping", "main_damping", "spring_rate", "spring_preload", "seat_load", "pilot_gap", "stroke",
+        "pilot_mass", "a0", "a1", "a2", "a3", "reference_voltage",
+    )  # fmt: skip
+    valve = Valve().with_values(
+        moving_mass=build.pilot_mass + build.main_mass, coil_resistance=build.resistance,
+        coil_time_constant=build.inductance / build.resistance, release_voltage=build.clamp_voltage,
+        **{name: getattr(build, name) for name in names},
+    )  # fmt: skip
+    lag = build.inductance / build.eddy_resistance
+    return replace(valve, effects={"motional_emf": {"share": 1.0}, "eddy_lag": {"time_constant": lag}})
+
+
+@functools.cache
+def recorded(build: Build = BUILD, seed: int = 1) -> tuple[Trace, np.ndarray]:
+    """A recording of two strokes at 10 kHz, and the positions that nobody measured."""
+    random = np.random.default_rng(seed)
+    times = np.arange(1300) / 10e3 + 3e-5
+    shown = simulate(build, DRIVE.times, DRIVE.volts, times)
+    current = shown.current + NOISE * random.standard_normal(len(times))
+    voltage = shown.voltage + 5e-3 * random.standard_normal(len(times))
+    trace = Trace(
+        "coil alone", DRIVE, times[:0], times[:0], coil_current=Signal(times, current),
+        coil_voltage=Signal(times, voltage),
+    )  # fmt: skip
+    return trace, shown.position
+
+
+def test_dampings_are_refitted_and_the_position_follows() -> None:
+    trace, position = recorded()
+    wrong = declared(BUILD).with_values(main_damping=8.0)
+    result = identify([trace], wrong)
+    assert result.valve.parameters.main_damping == pytest.approx(
+        BUILD.main_damping, abs=4 * result.fit.stderr("main_damping")
+    )
+    assert result.rmse_before > 2 * NOISE
+    assert result.rmse_after == pytest.approx(NOISE, rel=0.1)
+    (followed,) = followed_positions(result.fit)
+    error = followed.position - position
+    assert np.sqrt(np.mean(error**2)) < 5e-6
+    moves = followed.stderr > 0.05e-6
+    assert np.mean(np.abs(error[moves]) < 3 * followed.stderr[moves]) > 0.9
+    report = identification_json(result)
+    assert report["rmse_ma"]["after"] == pytest.approx(1e3 * result.rmse_after)
+    assert not any(key.endswith("_um") for key in [*report, *report["noise"]])
+    assert "mA as declared" in identification_text(result)
+
+
+def test_a_command_without_its_droop_is_not_the_input_where_the_voltage_was_measured() -> None:
+    trace, _ = recorded()
+    blind = replace(trace, coil_voltage=None)
+    seen, unseen = (validate([entry], declared(BUILD)).replays[0] for entry in (trace, blind))
+    assert seen.passed
+    assert not unseen.passed
+    assert unseen.errors.rmse > 5 * seen.errors.rmse
+    report = validation_json(validate([trace], declared(BUILD), current_tolerance=1e-6))
+    assert not report["passed"]
+    assert report["recordings"][0]["tolerance_ma"] == pytest.approx(1e-3)
+    assert "mA" in validation_text(validate([trace], declared(BUILD)))
+
+
+def test_the_stop_bends_the_current() -> None:
+    trace, _ = recorded()
+    truth = simulate(BUILD, DRIVE.times, DRIVE.volts, np.array([0.13])).reached_stop
+    openings = [found for found in events_from_sensors(trace, 0.26e-3) if found.stroke.kind == "opening"]
+    found = [event for stroke in openings for event in stroke.events if event.kind == "reaches_stop"]
+    assert [event.sensor for event in found] == ["current", "current"]
+    assert [event.time for event in found] == pytest.approx(truth.tolist(), abs=30e-6)
+
+
+def test_nothing_bends_the_current_of_a_valve_that_is_held() -> None:
+    trace, position = recorded(BUILD._replace(seat_load=100.0))
+    assert not position.any()
+    assert not [event for found in events_from_sensors(trace, 0.26e-3) for event in found.events]
+
+
+def test_a_diagnosis_reports_in_milliamperes_and_gives_the_position() -> None:
+    trace, position = recorded()
+    result = diagnose([trace], [], replace(declared(BUILD), tolerances=Tolerances({"pilot_gap": 4e-6}, None, {})))
+    assert result.verdict.kind == "none"
+    report = to_json(result)
+    assert report["unit"] == "mA"
+    assert report["after"]["rmse_ma"]["train"] == pytest.approx(1e3 * NOISE, rel=0.1)
+    strokes = report["position_from_current"]
+    assert [stroke["stroke"] for stroke in strokes] == [1, 2]
+    largest = max(
+        abs(x - 1e6 * at)
+        for stroke in strokes
+        for t, x in zip(stroke["time_s"], stroke["position_um"], strict=True)
+        for at in [np.interp(t, trace.sample_times, position)]
+    )
+    assert largest < 40.0

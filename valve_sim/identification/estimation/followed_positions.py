@@ -1,0 +1,86 @@
+"""The position that follows from a coil's current, where none was measured, and how well it is known."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from valve_sim.identification.estimation.result import Fit
+from valve_sim.identification.plants.protocol import Array, from_internal, internal_bounds
+from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.model import SimulationError
+from valve_sim.traces import Trace
+
+SMALLEST_SHARE: Final = 1e-10
+"""Of a covariance scaled to a unit diagonal: eigenvalues below this share of the largest change nothing."""
+
+
+class FollowedPosition(NamedTuple):
+    """What a fit says of the pilot plunger's position in one recording.
+
+    Attributes:
+        trace: the recording. position: (n,) m, at the samples of its current. stderr: (n,) m.
+    """
+
+    trace: Trace
+    position: Array
+    stderr: Array
+
+
+def followed_positions(found: Fit) -> list[FollowedPosition]:
+    """Positions by the fitted model, with standard errors by the delta method, of all recordings without positions.
+
+    With the covariance C = S Sᵀ of what was estimated, the variance of x is Σ_j ((x(θ + s_j) − x(θ − s_j)) / 2)²: each
+    column s_j is a step of one standard error, so that what an impact bends over that range is not lost. Directions in
+    which a simulation fails are left out.
+
+    Args:
+        found: a fit to a valve's recordings.
+    """
+    plant = found.problem.plant
+    if not isinstance(plant, ValvePlant) or all(trace.has_positions for trace in plant.traces):
+        return []
+    middle = plant.followed_positions(found.values)
+    squares = {index: np.zeros(len(position)) for index, position in middle.items()}
+    for pair in a_standard_error_apart(found):
+        try:
+            ahead, behind = (plant.followed_positions(values) for values in pair)
+        except SimulationError:
+            continue
+        for index in middle:
+            squares[index] += np.square(0.5 * (ahead[index] - behind[index]))
+    return [
+        FollowedPosition(plant.traces[index], position, np.sqrt(squares[index])) for index, position in middle.items()
+    ]
+
+
+def a_standard_error_apart(found: Fit) -> Iterator[tuple[Mapping[str, float], Mapping[str, float]]]:
+    """What was estimated, one standard error to either side along each s_j of the square root of its covariance."""
+    for step in _root(found.covariance).T:
+        yield _values(found, found.coordinates + step), _values(found, found.coordinates - step)
+
+
+def _values(found: Fit, at: Array) -> Mapping[str, float]:
+    """Values of internal coordinates, kept within their bounds."""
+    values = {}
+    for name, coordinate in zip(found.free, at, strict=False):
+        parameter = found.problem.plant.parameter(name)
+        low, high = internal_bounds(parameter)
+        values[name] = from_internal(parameter, float(np.clip(coordinate, low, high)))
+    for nuisance, coordinate in zip(found.nuisances, at[len(found.free) :], strict=True):
+        low, high = nuisance.bounds
+        values[nuisance.name] = float(np.clip(coordinate, low, high))
+    return values
+
+
+def _root(covariance: Array) -> Array:
+    """(k, r) S with S Sᵀ = C; what the data do not determine at all is left out."""
+    errors = np.sqrt(np.diag(covariance))
+    known = np.isfinite(errors)
+    scale = np.where(known & (errors > 0.0), errors, 1.0)
+    kept = np.where(np.outer(known, known), covariance, 0.0)
+    sizes, directions = np.linalg.eigh(kept / np.outer(scale, scale))
+    is_kept = sizes > SMALLEST_SHARE * max(float(sizes[-1]), 0.0)
+    return np.asarray(scale[:, None] * directions[:, is_kept] * np.sqrt(sizes[is_kept]))

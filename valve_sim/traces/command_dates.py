@@ -1,0 +1,92 @@
+"""When commands took effect, by a voltage that was measured with stamps beside them.
+
+A command without a stamp is dated by its arrival at the recorder, on a busy machine milliseconds after the voltage has
+changed.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from valve_sim.traces.voltage_steps import UNIFORM, sample_noise_of
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from valve_sim.traces.trace import Signal
+
+    Array = NDArray[np.float64]
+
+SEEN: Final = 10.0
+"""Standard deviations of the voltage's noise that a step has at least, to be dated."""
+STAMP_ERROR: Final = 50e-6
+"""s: how well a command is dated that the voltage does not show; such a share of it, that both clocks may differ."""
+EXACT: Final = 1e-8
+"""s: what is known better is taken as exact."""
+
+
+class Dates(NamedTuple):
+    """Commands that change the voltage, (k,) s and V, standard deviations of their times, s, and what was found."""
+
+    times: Array
+    volts: Array
+    errors: Array
+    finding: str
+
+
+def dates_by_voltage(times: Array, volts: Array, measured: Signal) -> Dates | None:
+    """Date commands by the steps of a measured voltage; None where it dates them as they were recorded.
+
+    A command's step is the one crossing, in its direction, of the middle between its voltage and the one before, after
+    the step of the command before it and until the next command was recorded. Where there are several, as with pulses
+    of a modulated voltage, or none, it stays where it was recorded.
+
+    Args:
+        times: of the commands as recorded, s, ascending, shape (n,). volts: V, shape (n,).
+        measured: the voltage at the coil's terminals.
+    """
+    changes = np.flatnonzero(np.diff(volts, prepend=0.0) != 0.0)
+    least = SEEN * sample_noise_of(measured.values)
+    found, errors = times[changes].copy(), np.full(len(changes), STAMP_ERROR)
+    before, lateness = -np.inf, []
+    for place, change in enumerate(changes.tolist()):
+        old, new = (volts[change - 1] if change else 0.0), volts[change]
+        until = times[changes[place + 1]] if place + 1 < len(changes) else np.inf
+        step = _crossing(measured, (before, until), 0.5 * (old + new), new > old) if abs(new - old) > least else None
+        if step is not None:
+            first, date, last = step
+            errors[place] = (last - first) * UNIFORM
+            if not first - STAMP_ERROR <= found[place] <= last + STAMP_ERROR:
+                lateness.append(float(found[place] - date))
+                found[place] = date
+        before = found[place]
+    if not lateness:
+        return None
+    worst = max(lateness, key=abs)
+    words = f"{len(lateness)} of {len(changes)} commands were recorded up to {1e3 * abs(worst):.3g} ms "
+    words += f"{'after' if worst > 0.0 else 'before'} the voltage changed: they are dated"
+    errors[errors < EXACT] = 0.0
+    return Dates(np.maximum.accumulate(found), volts[changes], errors, words)
+
+
+def _crossing(
+    measured: Signal, window: tuple[float, float], middle: float, rises: bool
+) -> tuple[float, float, float] | None:
+    """When a voltage crosses a level in a direction, if it does once in a window: the samples around it, and between.
+
+    Returns:
+        time of the sample before, of the crossing by a straight line, and of the sample after, s.
+    """
+    times, values = measured
+    start, stop = np.searchsorted(times, window, side="right").tolist()
+    inside = slice(max(0, start - 1), stop)
+    is_over = values[inside] >= middle if rises else values[inside] <= middle
+    crossings = np.flatnonzero(is_over[1:] & ~is_over[:-1]) + 1
+    if len(crossings) != 1:
+        return None
+    after = inside.start + int(crossings[0])
+    first, last, low, high = times[after - 1], times[after], values[after - 1], values[after]
+    share = (middle - low) / (high - low)
+    return float(first), float(first + share * (last - first)), float(last)
