@@ -26,8 +26,8 @@ LAST_STAMP: Final = 2**31 * NANOSECONDS - 1
 _STAMP_MARKS: Final = (1_234_567_891, 123_456_789)
 _MARKS: Final = (-1.1e301, -2.2e302, -3.3e303, -4.4e304, -5.5e305, -6.6e306)
 _SINGLE_MARKS: Final = struct.unpack("=ff", b"\xa1\xb2\xc3\x74\xa5\xb6\xc7\x75")
-"""Placeholders: numbers that occur in no reading and no other field of a message. The latter are in single precision, and
-no byte of them is 0: what pads a message is whatever was in memory, such as a mark of the one before."""
+"""Placeholders: numbers that occur in no reading and no other field of a message. The latter are in single precision,
+and no byte of them is 0: what pads a message is whatever was in memory, such as a mark of the one before."""
 _LARGEST_SINGLE: Final = 3e38
 
 
