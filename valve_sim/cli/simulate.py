@@ -86,7 +86,6 @@ def simulate(
     if (voltage is None) == (profile is None):
         raise click.UsageError("give either --voltage or --profile", click.get_current_context())
     from valve_sim.model import Drive
-    from valve_sim.traces import write_bag, write_csv
     from valve_sim.traces.synthetic import Sensor, read_profile, record
 
     if output.suffix not in (".csv", ".mcap", ""):
@@ -99,10 +98,7 @@ def simulate(
     )  # fmt: skip
     valve = declared_valve(params)
     recording = record(valve, drive, duration, rate, sensor)
-    if output.suffix == ".csv":
-        write_csv(output, recording.columns())
-    else:
-        write_bag(output, recording.trace)
+    _write(output, recording)
     if plot is not None:
         _plot(plot, recording, valve, str(params or "valve.yaml"))
     if as_json:
@@ -110,6 +106,15 @@ def simulate(
         return
     _print_events(recording.response.events)
     click.echo(f"wrote {output} ({len(recording.trace.sample_times)} samples)" + (f" and {plot}" if plot else ""))
+
+
+def _write(output: Path, recording: Recording) -> None:
+    from valve_sim.traces import write_bag, write_csv
+
+    if output.suffix == ".csv":
+        write_csv(output, recording.columns())
+    else:
+        write_bag(output, recording.trace)
 
 
 def _print_json(recording: Recording, output: Path) -> None:

@@ -1,0 +1,209 @@
+"""Valves seen through their current alone, diagnosed: `python -m benchmarks.sensorless --cases 16`.
+
+The plant is test/plants/coil_alone.py, which shares no line with the package. Every declared number is off as its
+tolerance allows; the coil has 6 to 12 Ω, is shorted or clamped at release, its supply droops; current is sampled at
+10 or 20 kHz with 1 to 5 mA of noise, some samples are lost, and the voltage is measured in every second case. In the
+first half of the cases nothing is missing, in the others one effect. Held-out strokes are judged by the true positions.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from plants import coil_alone, tolerances
+from rich.console import Console
+from rich.table import Table
+
+from valve_sim.identification.diagnosis.run import diagnose
+from valve_sim.identification.estimation.followed_positions import followed_positions
+from valve_sim.model import Drive, Valve, published_times, simulate
+from valve_sim.traces import Signal, Trace
+
+SHEET: Final[dict[str, Any]] = {
+    **tolerances.SHEET_VALVE, "attraction_polynomial": (6.0, 17.096e3, -30.931e6, 24.026e9),
+    "coil_time_constant": 2.2e-3,
+}  # fmt: skip
+"""What the data sheet says, at 9 V."""
+EFFECTS: Final[Mapping[str, tuple[str, float, float]]] = {
+    "coulomb_friction": ("friction", 0.2, 0.5),
+    "constant_force": ("extra_force", -0.5, -0.2),
+    "pressure_force": ("pressure", 1.0, 2.0),
+    "quadratic_drag": ("drag", 5.0, 15.0),
+    "coil_heating": ("heating", 20.0, 60.0),
+    "magnetic_saturation": ("knee", 1.5, 2.5),
+    "eddy_lag": ("eddy_resistance", 30.0, 80.0),
+    "motional_emf": ("", 0.0, 0.0),
+}
+"""What may be missing: the plant's field, and its range."""
+LEVELS: Final = (9.0, 12.0, 7.5, 14.0, 10.3, 8.4, 13.0, 11.2)
+HELD_OUT: Final = (8.1, 13.4, 9.6, 11.6)
+"""V."""
+PERIOD: Final = 0.070
+ON: Final = 0.035
+"""s."""
+
+
+class Case(NamedTuple):
+    """A valve, what its file says, and its recordings with the positions that nobody measured."""
+
+    missing: str
+    declared: Valve
+    traces: tuple[Trace, Trace]
+    positions: tuple[np.ndarray, np.ndarray]
+    times: tuple[float, float]
+    words: str
+
+
+def drawn(seed: int, missing: str) -> Case:
+    """A case; the same seed gives the same."""
+    random = np.random.default_rng([seed, 18])
+    resistance = float(random.uniform(6.0, 12.0))
+    true: dict[str, Any] = tolerances.deviated(SHEET, tolerances.drawn_deviations(random))
+    a0, a1, a2, a3 = true["attraction_polynomial"]
+    release = float(random.choice([0.0, 24.0]))
+    build = coil_alone.Build(
+        pilot_mass=true["pilot_mass"], main_mass=true["moving_mass"] - true["pilot_mass"],
+        pilot_damping=float(random.uniform(0.5, 2.0)), main_damping=float(random.uniform(3.0, 6.0)),
+        spring_rate=true["spring_rate"], spring_preload=true["spring_preload"], seat_load=true["seat_load"],
+        pilot_gap=true["pilot_gap"], stroke=true["stroke"], a0=a0, a1=a1, a2=a2, a3=a3, resistance=resistance,
+        inductance=resistance * true["coil_time_constant"], clamp_voltage=release,
+        supply_resistance=float(random.uniform(0.0, 0.3)), eddy_resistance=50.0,
+    )  # fmt: skip
+    has_voltage = seed % 2 == 0
+    if not has_voltage:
+        build = build._replace(supply_resistance=0.0)
+    effects: dict[str, Mapping[str, float]] = {
+        "motional_emf": {"share": 1.0}, "eddy_lag": {"time_constant": SHEET["coil_time_constant"] * resistance / 50.0},
+    }  # fmt: skip
+    if missing in ("motional_emf", "eddy_lag"):
+        del effects[missing]
+    if missing == "motional_emf":
+        del effects["eddy_lag"]
+        build = build._replace(eddy_resistance=0.0)
+    elif missing:
+        field, low, high = EFFECTS[missing]
+        build = build._replace(**{field: float(random.uniform(low, high))})
+    mapping = {
+        "valve": {**SHEET, "coil_resistance": resistance, "release_voltage": release},
+        "effects": effects,
+        "tolerances": tolerances.declared_tolerances(SHEET),
+    }
+    noise, rate = float(random.uniform(1e-3, 5e-3)), float(random.choice([10e3, 20e3]))
+    recorded = [_recorded(build, levels, noise, rate, random, has_voltage=has_voltage) for levels in (LEVELS, HELD_OUT)]
+    opening = coil_alone.simulate(
+        build._replace(supply_resistance=0.0), np.array([0.0]), np.array([9.0]), np.array([0.04])
+    )
+    words = f"{resistance:.1f} Ω, {'clamp' if release else 'short'}, {1e3 * noise:.1f} mA, {1e-3 * rate:g} kHz"
+    return Case(
+        missing, Valve.from_mapping(mapping, f"case {seed}"), (recorded[0][0], recorded[1][0]),
+        (recorded[0][1], recorded[1][1]), (float(opening.reached_gap[0]), float(opening.reached_stop[0])),
+        f"{words}, {'voltage' if has_voltage else 'no voltage'}",
+    )  # fmt: skip
+
+
+def _recorded(
+    build: coil_alone.Build, levels: tuple[float, ...], noise: float, rate: float, random: Any, *, has_voltage: bool
+) -> tuple[Trace, np.ndarray]:
+    starts = 0.010 + PERIOD * np.arange(len(levels))
+    drive = Drive(
+        np.column_stack([starts, starts + ON]).ravel(), np.column_stack([levels, np.zeros(len(levels))]).ravel()
+    )
+    times = np.arange(round((0.010 + PERIOD * len(levels)) * rate)) / rate + 0.37 / rate
+    times = times[random.uniform(size=len(times)) > random.choice([0.0, 0.01])]
+    shown = coil_alone.simulate(build, drive.times, drive.volts, times)
+    current = shown.current + noise * random.standard_normal(len(times))
+    voltage = shown.voltage + 5e-3 * random.standard_normal(len(times))
+    trace = Trace(
+        "coil alone", drive, times[:0], times[:0], coil_current=Signal(times, current),
+        coil_voltage=Signal(times, voltage) if has_voltage else None,
+    )  # fmt: skip
+    return trace, shown.position
+
+
+class Found(NamedTuple):
+    """What a diagnosis made of a case."""
+
+    kind: str
+    effects: tuple[str, ...]
+    in_class: bool
+    is_wrong: bool
+    x_error: float
+    covered: float
+    t1_error: float
+    t2_error: float
+    seconds: float
+
+
+def examined(case: Case) -> Found:
+    """Diagnose it, and judge the corrected valve by the held-out strokes' true positions."""
+    started = time.process_time()
+    result = diagnose([case.traces[0]], [case.traces[1]], case.declared)
+    seconds = time.process_time() - started
+    verdict = result.verdict
+    names = {*verdict.effects, *(name for others in verdict.confusable_with.values() for name in others)}
+    in_class = case.missing in names if case.missing else verdict.kind == "none"
+    is_wrong = verdict.kind == "effects" and not in_class and verdict.probability >= 0.9
+    assert result.after.holdout is not None
+    (followed,) = followed_positions(result.after.holdout)
+    error = followed.position - case.positions[1]
+    (band,) = followed_positions(result.after.fit)
+    moves = np.abs(np.gradient(case.positions[0], band.trace.sample_times)) > 1e-2
+    covered = np.mean(np.abs(band.position - case.positions[0])[moves] < 1.96 * band.stderr[moves])
+    corrected = replace(result.valve, parameters=result.valve.parameters)
+    t1, t2 = published_times(simulate(corrected, Drive.of([0.0], [9.0]), [0.0, 0.04]))
+    return Found(
+        verdict.kind, verdict.effects, in_class, is_wrong, float(np.sqrt(np.mean(error**2))), float(covered),
+        t1 - case.times[0], t2 - case.times[1], seconds,
+    )  # fmt: skip
+
+
+def main() -> None:
+    """Run and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--cases", type=int, default=16)
+    parser.add_argument("--first", type=int, default=0, help="seed of the first case")
+    parser.add_argument("--effects", action="store_true", help="only cases in which something is missing")
+    options = parser.parse_args()
+    columns = ("case", "", "missing", "verdict", "class", "x, µm rms", "in 95 %", "t1, µs", "t2, µs", "CPU, s")
+    table = Table(*columns, title="Current alone, independent plant")
+    outcomes = []
+    for number in range(options.cases):
+        seed = options.first + number
+        is_none = not options.effects and number < options.cases // 2
+        case = drawn(seed, "" if is_none else list(EFFECTS)[seed % len(EFFECTS)])
+        found = examined(case)
+        outcomes.append((case, found))
+        row = (
+            f"{seed}", case.words, case.missing or "–", f"{found.kind} {' + '.join(found.effects)}".strip(),
+            "yes" if found.in_class else "WRONG" if found.is_wrong else "no", f"{1e6 * found.x_error:.2f}",
+            f"{found.covered:.2f}", f"{1e6 * found.t1_error:+.1f}", f"{1e6 * found.t2_error:+.1f}",
+            f"{found.seconds:.1f}",
+        )  # fmt: skip
+        print(" | ".join(row), flush=True)
+        table.add_row(*row)
+    Console(width=170).print(table)
+    for words, is_missing in (("nothing missing", False), ("one effect missing", True)):
+        chosen = [found for case, found in outcomes if bool(case.missing) == is_missing]
+        if chosen:
+            print(f"{words}: {_summary(chosen)}")
+
+
+def _summary(chosen: list[Found]) -> str:
+    """Counts of what is asked for."""
+    counts = {
+        "right": sum(found.in_class for found in chosen),
+        "confidently wrong": sum(found.is_wrong for found in chosen),
+        "x within 10 µm": sum(found.x_error <= 10e-6 for found in chosen),
+        "t1 within 40 µs": sum(abs(found.t1_error) <= 40e-6 for found in chosen),
+        "t2 within 15 µs": sum(abs(found.t2_error) <= 15e-6 for found in chosen),
+    }
+    return ", ".join(f"{words} {count} of {len(chosen)}" for words, count in counts.items())
+
+
+if __name__ == "__main__":
+    main()
