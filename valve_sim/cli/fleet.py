@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Final
 import click
 
 from valve_sim.cli.command_line import Command
-from valve_sim.cli.options import FILE, finite_number, params_option
-from valve_sim.cli.printing import progress_bar, refuse, say_when_compiling, shown
+from valve_sim.cli.options import FILE, finite_number, json_option, params_option
+from valve_sim.cli.printing import print_report, progress_bar, refuse, say_when_compiling
 
 if TYPE_CHECKING:
     from valve_sim.fleet.run import Forecast, Outcome
@@ -47,6 +47,7 @@ NEEDED: Final = ("dask", "distributed", "fsspec", "pyarrow")
     "--largest-bag", metavar="GB", type=finite_number(0.0, is_open=True), default=4.0, help="Larger bags are not read."
 )
 @click.option("--dry-run", is_flag=True, help="Say what would be done, and how long it should take; open no bag.")
+@json_option
 def fleet(
     *,
     sources: tuple[str, ...],
@@ -59,6 +60,7 @@ def fleet(
     budget: float,
     largest_bag: float,
     dry_run: bool,
+    as_json: bool,
 ) -> None:
     """Examine thousands of bags: a table, and a page that shows which valve drifts.
 
@@ -86,7 +88,7 @@ def fleet(
 
         _print_forecast(forecast(sources, output, chosen, options), workers)
         return
-    _print_outcome(_examined(sources, output, (scheduler, workers), chosen, options))
+    _print_outcome(_examined(sources, output, (scheduler, workers), chosen, options), as_json=as_json)
 
 
 def _examined(
@@ -136,12 +138,14 @@ def _duration(seconds: float) -> str:
     return f"{seconds / 60.0:.0f} min" if seconds < 7200.0 else f"{seconds / 3600.0:.1f} h"
 
 
-def _print_outcome(found: Outcome) -> None:
+def _print_outcome(found: Outcome, *, as_json: bool) -> None:
     states, verdicts = found.states, found.verdicts
     listed = ", ".join(f"{count} {words}" for words, count in sorted(states.items()))
-    click.echo(f"{len(found.rows)} rows ({listed}), {found.done} of them new")
+    lines = [f"{len(found.rows)} rows ({listed}), {found.done} of them new"]
     if verdicts:
-        click.echo("verdicts: " + ", ".join(f"{count} {words}" for words, count in sorted(verdicts.items())))
-    for valve in found.drifting:
-        click.echo(shown(f"drifts: {valve}"))
-    click.echo(shown(f"wrote {', '.join(str(path) for path in found.files)}"))
+        lines.append("verdicts: " + ", ".join(f"{count} {words}" for words, count in sorted(verdicts.items())))
+    lines += [f"drifts: {valve}" for valve in found.drifting]
+    report = {
+        "rows": len(found.rows), "new": found.done, "states": states, "verdicts": verdicts, "drifting": found.drifting,
+    }  # fmt: skip
+    print_report(report, "\n".join(lines), found.files, as_json)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime, timezone
@@ -28,6 +29,8 @@ MOST_DRAWN: Final = 400
 """Points of one plot: of more bags as many are drawn, evenly."""
 MOST_LISTED: Final = 5000
 """Bags of one list; the table has all."""
+FIRST_LISTED: Final = 8
+"""Of them, those that are shown at once; the others unfold."""
 _VERDICTS: Final = {
     "none": "nothing missing", "effects": "effects found", "unknown": "something without a name",
     "insufficient": "cannot be told",
@@ -77,6 +80,7 @@ def content(rows: Sequence[Row]) -> dict[str, Any]:
         "false_alarms": f"{100.0 * FALSE_ALARMS:g} %",
         "tested": sum(len(own) for own in series.values()),
         "fewest": FEWEST,
+        "shown": FIRST_LISTED,
         "version": __version__,
         "data": [valve.pop("drawn") for valve in valves],
     }
@@ -118,7 +122,7 @@ def _valve(name: str, rows: Sequence[Row], series: Sequence[Series], found: Sequ
             min((drift.p_value for drift in found), default=1.0),
             not _is_wrong(ordered[0]),
             -len(wrong) / len(rows),
-            name,
+            [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", name)],
         ),
         "drawn": [_drawn(one, drifting.get(one.quantity.name)) for one in shown],
     }  # fmt: skip
