@@ -37,7 +37,8 @@ KILTED_TESTS := $(foreach name,messages valve_node identification_node monitor_n
 RETEST := tools/retest.py
 export UNSTEADY_TESTS := $(CURDIR)/build/unsteady_tests.txt
 DECLARED := setup.py setup.cfg package.xml tools/environment
-# The environments are installed side by side: one waits for the network while the other unpacks.
+# The environments are installed side by side: one waits for the network while the other unpacks. What one has compiled
+# the other finds.
 SETS_UP := $(MAKE) --no-print-directory --jobs 2
 # Each command's output comes when the command is done, or the two would be mixed.
 SIDE_BY_SIDE := $(MAKE) --no-print-directory --jobs 2 --output-sync=line
@@ -80,7 +81,7 @@ check:
 	@$(SIDE_BY_SIDE) nodes all-but-nodes
 
 # One after the other: nodes of both distributions at once would hold each other up.
-nodes-on-both:
+nodes-on-both: compiled
 	@$(MAKE) --no-print-directory nodes
 	@$(MAKE) --no-print-directory kilted-nodes
 
@@ -115,10 +116,12 @@ $(WARM): $(RUN_READY) $(COMPILED)
 
 $(ENVIRONMENT)/.ready-to-run: $(DECLARED)
 	@tools/environment make $(ENVIRONMENT) "$(RUN_EXTRAS)"
+	@$(PYTHON) -m valve_sim.warm
 	@touch $@ $(WARM)
 
 $(ENVIRONMENT)/.ready-to-test: $(DECLARED)
 	@tools/environment make $(ENVIRONMENT) "$(if $(RUN_EXTRAS),$(RUN_EXTRAS)$(COMMA))test,docs"
+	@$(PYTHON) -m valve_sim.warm
 	@touch $@ $(WARM)
 
 $(KILTED_ENVIRONMENT)/.ready-to-test: $(DECLARED)
