@@ -72,12 +72,12 @@ def cross_validate(result: Fit) -> CrossValidation | None:
     if len(folds) < 2:
         return None
     residuals, rise = np.zeros(len(result.residuals)), 0.0
-    movable = _movable(result)
+    movable, pull = _movable(result), gram(result.jacobian, result.residuals)
     for fold in folds:
         columns, before = result.jacobian[fold], result.residuals[fold]
         own = len(result.free) + own_nuisances(result, fold)
         shared = np.flatnonzero(movable & ~np.isin(np.arange(len(movable)), own))
-        moved = before + columns[:, shared] @ _without(result, fold, shared)
+        moved = before + columns[:, shared] @ _without(result, fold, shared, pull[shared])
         after, cost = _refitted(result, columns[:, own], before, moved, own)
         residuals[fold] = after
         rise += sum_squares(after) - sum_squares(before) + cost
@@ -108,17 +108,17 @@ def _movable(result: Fit) -> NDArray[np.bool_]:
     return alive
 
 
-def _without(result: Fit, fold: NDArray[np.bool_], shared: NDArray[np.intp]) -> Array:
-    """By how much the shared coordinates move when the samples of a fold are left out."""
+def _without(result: Fit, fold: NDArray[np.bool_], shared: NDArray[np.intp], pull: Array) -> Array:
+    """By how much the shared coordinates move when the samples of a fold are left out; `pull` is that of all."""
     k, plant = len(result.free), result.problem.plant
-    columns = result.jacobian[:, shared]
-    information = information_less(result.information[np.ix_(shared, shared)], gram(columns[fold], columns[fold]))
+    columns = result.jacobian[fold][:, shared]
+    information = information_less(result.information[np.ix_(shared, shared)], gram(columns, columns))
     # At the optimum all samples and priors cancel. Where there is no prior the others' pull is not taken from the fold,
     # turned round: what is left of a fit's last step would move what the others do not determine.
     curve = () if result.smooth is None else result.smooth.names
-    own, others = (gram(columns[chosen], result.residuals[chosen]) for chosen in (fold, ~fold))
+    own = gram(columns, result.residuals[fold])
     has_prior = np.array([index >= k or result.free[index] in curve for index in shared])
-    gradient = np.where(has_prior, -own, others)
+    gradient = np.where(has_prior, -own, pull - own)
     at, lower, upper = result.coordinates[shared], np.full(len(shared), -math.inf), np.full(len(shared), math.inf)
     for row, index in enumerate(shared[shared < k]):
         parameter = plant.parameter(result.free[index])
