@@ -12,6 +12,7 @@ from plants.coil_alone import Build, simulate
 from valve_sim.identification.diagnosis.run import diagnose
 from valve_sim.identification.estimation.followed_positions import followed_positions
 from valve_sim.identification.estimation.identify import identify
+from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.diagnosis_json import to_json
 from valve_sim.identification.reporting.identification import identification_json, identification_text
 from valve_sim.identification.reporting.validation import validation_json, validation_text
@@ -119,3 +120,20 @@ def test_a_diagnosis_reports_in_milliamperes_and_gives_the_position() -> None:
         for at in [np.interp(t, trace.sample_times, position)]
     )
     assert largest < 40.0
+
+
+def test_the_motional_emf_is_tried_where_the_current_is_measured_and_the_coil_has_inductance() -> None:
+    trace, position = recorded()
+    plain = replace(declared(BUILD), effects={})
+    with_positions = replace(trace, times=trace.sample_times, pilot_position=position)
+    for recording, valve, is_tried in (
+        (trace, plain, True),
+        (with_positions, plain, True),
+        (replace(with_positions, coil_current=None), plain, False),
+        (with_positions, plain.with_values(coil_time_constant=0.0), False),
+        (trace, declared(BUILD), False),
+    ):
+        effects = ValvePlant([recording], valve).effects
+        assert ("motional_emf" in effects) == is_tried
+        alike = {other for choice in effects.values() for other in choice.confused_with}
+        assert ("motional_emf" in alike) <= (is_tried or "motional_emf" in valve.effects)

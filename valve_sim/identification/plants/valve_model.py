@@ -18,6 +18,7 @@ class ValveModel:
     Args:
         valve: the declared valve; effects that it has on already stay on as they are, unless freed.
         refitted: declared values that every fit frees.
+        measures_current: whether the coil's current is measured, so that effects are tried that need it.
 
     Attributes:
         valve: as given.
@@ -26,14 +27,20 @@ class ValveModel:
         nuisances: declared values with a tolerance.
     """
 
-    def __init__(self, valve: Valve, refitted: tuple[str, ...] = ()) -> None:
+    def __init__(self, valve: Valve, refitted: tuple[str, ...] = (), *, measures_current: bool = False) -> None:
         self.valve = valve
         self._tolerated = ToleratedValues(valve)
         self.nuisances: tuple[Nuisance, ...] = self._tolerated.nuisances
+        # Without inductance a coil has no flux that motion could change.
+        left_out = {name for name, entry in CATALOGUE.items() if not entry.tried}
+        if not measures_current or valve.parameters.coil_time_constant == 0.0:
+            left_out |= {name for name, entry in CATALOGUE.items() if entry.needs_current}
         effects = {
-            name: EffectChoice(name, entry.parameters, entry.confused_with)
+            name: EffectChoice(
+                name, entry.parameters, tuple(other for other in entry.confused_with if other not in left_out)
+            )
             for name, entry in CATALOGUE.items()
-            if entry.named and entry.tried and name not in valve.effects
+            if entry.named and name not in left_out and name not in valve.effects
         }
         self.effects: Mapping[str, EffectChoice] = self._tolerated.with_hypotheses(effects, refitted)
         self._declared = valve.declared()

@@ -125,6 +125,7 @@ class Effect(_Words):
         named: whether a diagnosis may claim it; False for shapes without a physical name.
         tried: whether a diagnosis tries it where it is not declared; False for what is to be declared, because it
             changes what all others mean.
+        needs_current: it is tried only where the coil's current is measured.
         tags: what kind of effect it is; the first is the main one.
         fields: of the core's record, that a mechanism of the core reads for this effect, with their neutral values.
         core_force: part of the compiled equations, f(p, t, motion, coil, condition) in newtons, + opens, for a force
@@ -154,6 +155,7 @@ class Effect(_Words):
     confused_with: tuple[str, ...] = ()
     named: bool = True
     tried: bool = True
+    needs_current: bool = False
     tags: tuple[Tag, ...] = (Tag.FORCE,)
     fields: Values = field(default_factory=dict, hash=False)
     core_force: Any = None
