@@ -157,7 +157,7 @@ class Score:
     stamp_variance: float = 1.0
 
     def gain_on(self, smaller: Score) -> float:
-        """By how much S is less than that of a smaller model, theory, eq. (45a).
+        """By how much S is less than that of a smaller model, theory, below eq. (46).
 
         Where even this model leaves stamps that refute their prior, that errors of the recording are smaller counts by
         the variance that these have.
