@@ -62,8 +62,19 @@ def sensitivities(
         if trace.has_positions:
             columns.append(positions + zeros if zeros.any() else positions)
         if trace.coil_current is not None:
-            columns.append(rated_current(record) * currents + np.outer(samples.currents, rated_slopes(record, slopes)))
+            columns.append(_rated(record, samples.currents, currents, rated_slopes(record, slopes)))
     return Sensitivities(columns, known)
+
+
+def _rated(record: Any, currents: Array, derivatives: Array, rated: Array) -> Array:
+    """(m, k) derivatives of currents in A, from those of normalised ones, which are overwritten.
+
+    A new array this large would take as long as the model does.
+    """
+    derivatives *= rated_current(record)
+    for column in np.flatnonzero(rated):
+        derivatives[:, column] += rated[column] * currents
+    return derivatives
 
 
 def _tangents(
