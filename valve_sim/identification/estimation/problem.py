@@ -180,6 +180,16 @@ class Problem:
 
 def _stays(data: Array, start: int, stop: int, step: float) -> tuple[int, int]:
     """Where a coarse sensor that is still from `start` to `stop` begins and ends to read so, but for one step."""
-    moved = np.flatnonzero(np.abs(data - np.median(data[start:stop])) > 1.5 * step)
-    before, after = moved[moved < start], moved[moved >= stop]
-    return (int(before[-1]) + 1 if len(before) else 0), (int(after[0]) if len(after) else len(data))
+    level, margin = float(np.median(data[start:stop])), 1.5 * step
+    return start - _readings_near(data[:start][::-1], level, margin), stop + _readings_near(data[stop:], level, margin)
+
+
+def _readings_near(data: Array, level: float, margin: float) -> int:
+    """How many readings there are before the first that is off a level; those long after it are not looked at."""
+    done, size = 0, 256
+    while done < len(data):
+        off = np.flatnonzero(np.abs(data[done : done + size] - level) > margin)
+        if len(off):
+            return done + int(off[0])
+        done, size = done + size, 2 * size
+    return len(data)

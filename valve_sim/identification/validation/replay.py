@@ -212,7 +212,7 @@ def replay_trace(trace: Trace, valve: Valve, tolerance: float | None = None, *, 
         offset,
         noise,
         max(NOISE_FACTOR * noise, finest) if tolerance is None else tolerance,
-        errors_of(np.ones(len(residual), dtype=bool)),
+        errors_of(slice(None)),
         tuple(_stroke_checks(trace, valve, response.events, offset, errors_of)),
     )
 
@@ -248,12 +248,10 @@ def _moving(times: Array, response: Response) -> NDArray[np.bool_]:
     return np.asarray(distance <= MARGIN)
 
 
-def _errors(residual: Array, moving: NDArray[np.bool_], chosen: NDArray[np.bool_]) -> Errors:
+def _errors(residual: Array, moving: NDArray[np.bool_], chosen: slice) -> Errors:
+    left = residual[chosen]
     return Errors(
-        int(np.count_nonzero(chosen)),
-        root_mean_square(residual[chosen]),
-        root_mean_square(residual[chosen & moving]),
-        float(np.max(np.abs(residual[chosen]))),
+        len(left), root_mean_square(left), root_mean_square(left[moving[chosen]]), float(np.max(np.abs(left)))
     )
 
 
@@ -262,21 +260,20 @@ def _stroke_checks(
     valve: Valve,
     events: Sequence[Event],
     offset: float,
-    errors_of: Callable[[NDArray[np.bool_]], Errors],
+    errors_of: Callable[[slice], Errors],
 ) -> Iterator[StrokeCheck]:
-    """Every stroke that has samples."""
+    """Every stroke that has samples; of samples and events each stroke looks at its own alone."""
+    when = np.array([event.time for event in events])
     seen = {found.stroke: found.events for found in events_from_sensors(trace, valve.parameters.pilot_gap)}
     for stroke in find_stroke_parts(trace):
-        chosen = (trace.sample_times >= stroke.start) & (trace.sample_times < stroke.stop)
-        if chosen.any():
-            arrivals = (_arrival(event, stroke, events, offset) for event in seen.get(stroke, ()))
-            yield StrokeCheck(stroke.name, errors_of(chosen), tuple(arrivals))
+        first, last = np.searchsorted(trace.sample_times, [stroke.start, stroke.stop])
+        if first < last:
+            own = events[slice(*np.searchsorted(when, [stroke.start, stroke.stop]))]
+            arrivals = (_arrival(event, stroke, own, offset) for event in seen.get(stroke, ()))
+            yield StrokeCheck(stroke.name, errors_of(slice(first, last)), tuple(arrivals))
 
 
 def _arrival(event: SensorEvent, stroke: StrokePart, events: Sequence[Event], offset: float) -> Arrival:
-    modelled = (
-        found.time - stroke.start
-        for found in events
-        if found.kind in _ARRIVALS[event.kind] and stroke.start <= found.time < stroke.stop
-    )
+    """What the sensors saw beside what the model has of a stroke's events."""
+    modelled = (found.time - stroke.start for found in events if found.kind in _ARRIVALS[event.kind])
     return Arrival(event.kind, event.sensor, event.after_command - offset, event.uncertainty, next(modelled, math.nan))
