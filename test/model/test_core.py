@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import assume, given, seed, settings
@@ -257,3 +259,27 @@ def test_any_accepted_valve_stays_between_its_contacts(declared, names, share, v
         assert np.all(x[phase == Phase.GAP_HOLD] == gap)
         assert np.all(x[phase == Phase.MAIN] >= gap - 1e-9)
         assert np.all(x[phase == Phase.OPEN] == stroke)
+
+
+@pytest.mark.parametrize("time_constant", [0.0, 1e-7, 0.9934e-3, 5e-2])
+@pytest.mark.parametrize("spacing", ["even", "rounded stamps", "jittered", "twice at one time"])
+def test_currents_follow_the_exponential_however_samples_are_spaced(time_constant: float, spacing: str) -> None:
+    """Each current follows from the one before while intervals are alike, through commands and long rests too."""
+    times = np.arange(3000) / 18_000.0
+    if spacing == "rounded stamps":
+        times = np.round(times, 9)
+    elif spacing == "jittered":
+        times = np.sort(times + np.random.default_rng(1).uniform(-4e-5, 4e-5, len(times)))
+    elif spacing == "twice at one time":
+        times = np.repeat(times[::2], 2)
+    commands, volts = [2e-3, 40e-3, 60.0001e-3], [9.0, -4.5, 0.0]
+    valve = CALIBRATED.with_values(coil_time_constant=time_constant)
+    shown = simulate(valve, Drive.of(commands, volts), times, start_time=-1e-3).coil_current / 0.9
+    expected, start = np.zeros(len(times)), 0.0
+    for begin, end, target in zip(commands, [*commands[1:], np.inf], np.array(volts) / 9.0, strict=True):
+        powered = times >= begin
+        left = np.exp(-(times[powered] - begin) / time_constant) if time_constant else np.zeros(powered.sum())
+        expected[powered] = target + (start - target) * left
+        start = target + (start - target) * (math.exp(-(end - begin) / time_constant) if time_constant else 0.0)
+    at_command = np.isclose(times[:, None], commands, rtol=0.0, atol=1e-12).any(axis=1)
+    assert np.abs(shown - expected)[~at_command].max() < 1e-12

@@ -44,6 +44,12 @@ WORK_RECORD: Final = np.dtype(
         ("k", "f8", (STAGES, ALL_STATES)),  # y' at the stages
         ("dense", "f8", (ALL_STATES, 4)),  # coefficients of the dense output
         ("slopes", "f8", (4,)),  # of what a sensor filters
+        # The last sample of a current: see `sampling`.
+        ("decayed_at", "f8"),  # s after the last command
+        ("decay", "f8"),  # what was left there of the current's start
+        ("interval", "f8"),  # s, between samples
+        ("factor", "f8"),  # by which `decay` falls over it
+        ("chained", "i8"),  # so many samples may still follow by it
     ],
     align=True,
 )

@@ -133,7 +133,7 @@ def force_slopes(p, s, g, t, x, v):
     to_u = _add_term_slopes(p, g, s.mode, (x, v, u, t)) if p.term_count > 0 else 0.0
     _friction_slopes(p, g, v, s.direction)
     to_u_of_pull, to_w = _pull_slopes(p, s, g, u, w, per_pull)
-    _coil_slopes(p, s, g, (elapsed, decay), to_u + to_u_of_pull, to_w)
+    coil_slopes_since(p, s, g, (elapsed, decay), to_u + to_u_of_pull, to_w)
 
 
 @inlined
@@ -178,11 +178,11 @@ def coil_slopes(p, s, g, t, to_u, to_w):
         p, s, g, t: as of `force_slopes`. to_u, to_w: the weights of the derivatives of u and of w.
     """
     elapsed = t - s.segment_time
-    _coil_slopes(p, s, g, (elapsed, coil_decay(p, elapsed)), to_u, to_w)
+    coil_slopes_since(p, s, g, (elapsed, coil_decay(p, elapsed)), to_u, to_w)
 
 
 @inlined
-def _coil_slopes(p, s, g, since, to_u, to_w):
+def coil_slopes_since(p, s, g, since, to_u, to_w):
     """The same, given the time since the last command and the coil's decay meanwhile."""
     elapsed, decay = since
     target, tau, tau_e = s.volts / p.reference_voltage, p.coil_time_constant, p.eddy_time_constant

@@ -30,10 +30,12 @@ function here compiles to nothing. Otherwise `vary` is
 
 from __future__ import annotations
 
+from typing import Final
+
 from valve_sim.model.compiling import inlined, inner
 from valve_sim.model.core_types import MAIN, PILOT
 from valve_sim.model.dormand_prince import LAST, POSITION, VELOCITY, interpolate
-from valve_sim.model.equations import coil_now
+from valve_sim.model.equations import coil_decay, coil_now
 from valve_sim.model.linearised import (
     PEAK_CURRENT,
     SEGMENT_TIME,
@@ -43,10 +45,14 @@ from valve_sim.model.linearised import (
     UNSEATED_TIME,
     add_term_time_slopes,
     coil_slopes,
+    coil_slopes_since,
     force_slopes,
 )
 from valve_sim.model.location import CONTACT, TURN
 from valve_sim.model.variational_steps import LANES, OF_U, OF_W, SCRATCH, gather
+
+LEAST_CHANGE: Final = 1e-3
+"""Of u since the last command, from which on a current says how much of its start is left, to twelve digits."""
 
 
 @inner
@@ -200,18 +206,34 @@ def show_variations(p, s, work, h, samples, done, vary):
     """
     if vary is None:
         return
-    times, _, current_times, _ = samples
-    tiles, slopes, _, _, (positions, currents) = vary
+    times, _, _, _ = samples
+    tiles, _, _, _, (positions, _) = vary
     (first, first_current), (end, end_current) = done
     for i in range(len(tiles)):
         _show_positions(p, s, work, h, (times, first, end), tiles[i], positions[:, i])
-    for at in range(first_current, end_current):
-        coil_slopes(p, s, slopes[OF_U], current_times[at], 1.0, 0.0)
+    _show_currents(p, s, samples, (first_current, end_current), vary)
+
+
+@inner
+def _show_currents(p, s, samples, which, vary):
+    """Write the derivatives of currents, of which the values are written already."""
+    _, _, times, values = samples
+    first, end = which
+    tiles, slopes, _, _, (_, currents) = vary
+    g = slopes[OF_U]
+    target = s.volts / p.reference_voltage
+    from_target = s.segment_u - target
+    for at in range(first, end):
+        elapsed = times[at] - s.segment_time
+        # The current says how much of its start is left: cheaper than an exponential.
+        is_said = abs(from_target) > LEAST_CHANGE
+        decay = (values[at] - target) / from_target if is_said else coil_decay(p, elapsed)
+        coil_slopes_since(p, s, g, (elapsed, decay), 1.0, 0.0)
         for i in range(len(tiles)):
             tile = tiles[i]
-            gather(tile, slopes[OF_U], tile.total)
+            gather(tile, g, tile.total)
             for lane in range(LANES):
-                currents[at, i, lane] = tile.total[lane] - slopes[OF_U].segment_time * tile.current_time[lane]
+                currents[at, i, lane] = tile.total[lane] - g.segment_time * tile.current_time[lane]
 
 
 @inner
