@@ -71,8 +71,9 @@ class ValvePlant:
     def __init__(self, traces: Sequence[Trace], valve: Valve) -> None:
         jumps = valve.parameters.coil_time_constant == 0.0 or "motional_emf" in valve.effects
         self.traces = tuple(with_usable_current(trace, jumps=jumps) for trace in traces)
-        measures_current = all(trace.coil_current is not None for trace in self.traces)
-        self._model = ValveModel(valve, DAMPINGS, measures_current=measures_current)
+        # Beside positions a current of another form is believed to what is missed of it, see `selection.current_check`.
+        goes_by_current = not any(trace.has_positions for trace in self.traces)
+        self._model = ValveModel(valve, DAMPINGS, goes_by_current=goes_by_current)
         self._channels = [channel for index, trace in enumerate(self.traces) for channel in channels_of(index, trace)]
 
     @property

@@ -18,7 +18,7 @@ class ValveModel:
     Args:
         valve: the declared valve; effects that it has on already stay on as they are, unless freed.
         refitted: declared values that every fit frees.
-        measures_current: whether the coil's current is measured, so that effects are tried that need it.
+        goes_by_current: whether only the coil's current is measured, so that effects are tried that need that.
 
     Attributes:
         valve: as given.
@@ -27,13 +27,13 @@ class ValveModel:
         nuisances: declared values with a tolerance.
     """
 
-    def __init__(self, valve: Valve, refitted: tuple[str, ...] = (), *, measures_current: bool = False) -> None:
+    def __init__(self, valve: Valve, refitted: tuple[str, ...] = (), *, goes_by_current: bool = False) -> None:
         self.valve = valve
         self._tolerated = ToleratedValues(valve)
         self.nuisances: tuple[Nuisance, ...] = self._tolerated.nuisances
         # Without inductance a coil has no flux that motion could change.
         left_out = {name for name, entry in CATALOGUE.items() if not entry.tried}
-        if not measures_current or valve.parameters.coil_time_constant == 0.0:
+        if not goes_by_current or valve.parameters.coil_time_constant == 0.0:
             left_out |= {name for name, entry in CATALOGUE.items() if entry.needs_current}
         effects = {
             name: EffectChoice(

@@ -125,7 +125,7 @@ class Effect(_Words):
         named: whether a diagnosis may claim it; False for shapes without a physical name.
         tried: whether a diagnosis tries it where it is not declared; False for what is to be declared, because it
             changes what all others mean.
-        needs_current: it is tried only where the coil's current is measured.
+        needs_current: it is tried only where the coil's current is all that is measured of the motion.
         tags: what kind of effect it is; the first is the main one.
         fields: of the core's record, that a mechanism of the core reads for this effect, with their neutral values.
         core_force: part of the compiled equations, f(p, t, motion, coil, condition) in newtons, + opens, for a force
