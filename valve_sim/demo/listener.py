@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 
 TOPICS: Final[Mapping[str, str]] = {
     "/valve/joint_states": "sensor_msgs/msg/JointState",
-    "/valve/coil": "sensor_msgs/msg/BatteryState",
     "/valve/coil_current": "std_msgs/msg/Float64",
     "/valve/phase": "std_msgs/msg/UInt8",
     "/valve/is_open": "std_msgs/msg/Bool",
@@ -109,11 +108,10 @@ class Listener:
 
 def message_classes() -> dict[str, Any]:
     """The message types of the topics by name."""
-    from sensor_msgs.msg import BatteryState, JointState
+    from sensor_msgs.msg import JointState
     from std_msgs.msg import Bool, Float64, UInt8
 
     return {
-        "sensor_msgs/msg/BatteryState": BatteryState,
         "sensor_msgs/msg/JointState": JointState,
         "std_msgs/msg/Float64": Float64,
         "std_msgs/msg/UInt8": UInt8,

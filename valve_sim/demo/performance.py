@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Iterator
-from typing import Any, Final
+from typing import Final
 
 from rich.console import Console
 from rich.live import Live
@@ -118,8 +118,6 @@ class Performance:
             message = self._listener.messages.get()
             if message.topic == "/valve/joint_states":
                 self._take_joint_states(message)
-            elif message.topic == "/valve/coil":
-                self._record(message, stamp_of(self._listener.decode(message)))
             else:
                 self._held.append(message)
         self._held = [message for message in self._held if not self._take_unstamped(message)]
@@ -128,7 +126,7 @@ class Performance:
 
     def _take_joint_states(self, message: Message) -> None:
         content = self._listener.decode(message)
-        stamp = stamp_of(content)
+        stamp = content.header.stamp.sec * NANOSECONDS + content.header.stamp.nanosec
         self._clock.observe(stamp, message.published)
         self.story.joint_states(stamp / NANOSECONDS, content.position, content.velocity[0], content.effort[0])
         self._record(message, stamp)
@@ -153,8 +151,3 @@ class Performance:
 
     def _say(self, line: str) -> None:
         self._console.print(line, highlight=False)
-
-
-def stamp_of(message: Any) -> int:
-    """The time in a message's header, ns."""
-    return int(message.header.stamp.sec * NANOSECONDS + message.header.stamp.nanosec)
