@@ -164,17 +164,22 @@ def made(kind: str, unit: str, extra: Array | float = 0.0, slope: float = 0.0, *
     return Decay(kind, unit, [one + random.normal(0.0, 0.01, len(one)) + extra for one in shown], **form)
 
 
-@pytest.mark.parametrize(("kind", "unit"), [("current", "A"), ("force", "N"), ("temperature", "K")])
-def test_a_user_s_only_channel_counts_whatever_its_kind(kind: str, unit: str) -> None:
+@pytest.mark.parametrize(
+    ("kind", "unit", "shown", "scale", "key"),
+    [("current", "A", "mA", 1e3, "rmse_ma"), ("force", "N", "N", 1.0, "rmse"), ("temperature", "K", "K", 1.0, "rmse")],
+)
+def test_a_user_s_only_channel_counts_whatever_its_kind(
+    kind: str, unit: str, shown: str, scale: float, key: str
+) -> None:
     found = diagnose_plant(made(kind, unit, slope=2.0), None)
     assert found.verdict.effects == ("ramp",)
     assert found.before.train_rmse > 2.0 * found.after.train_rmse
     assert found.after.holdout_rmse == pytest.approx(0.01, rel=0.1)
     assert "V" not in summarise(found)
     report = to_json(found)
-    assert report["unit"] == unit
-    assert "rmse_um" not in report["after"]
-    assert report["after"]["rmse"]["train"] == pytest.approx(found.after.train_rmse)
+    assert report["unit"] == shown
+    assert {name for name in report["after"] if name.startswith("rmse")} == {"rmse", key}
+    assert report["after"][key]["train"] == pytest.approx(scale * found.after.train_rmse)
 
 
 @pytest.mark.parametrize("role", ["response", "actuation"])
