@@ -13,6 +13,7 @@ from typing import Any
 import pyarrow.parquet as pq
 import pytest
 
+from valve_sim.files.ledger import Ledger
 from valve_sim.fleet import run as fleet_run
 from valve_sim.fleet.results import PARTS, Results
 from valve_sim.fleet.run import examine_fleet, forecast
@@ -208,3 +209,9 @@ def test_the_page_lists_valves_and_reasons_and_carries_its_data(examined: Path) 
     series: list[Any] = json.loads(found[1])[0]
     assert [len(one["t"]) for one in series] == [len(one["v"]) for one in series]
     assert "://" not in page.replace("http://www.w3.org/2000/svg", "")
+
+
+def test_a_run_that_is_stopped_says_in_one_short_line_what_it_wrote(tmp_path: Path) -> None:
+    parts = [tmp_path / PARTS / f"00001-{number:05d}.parquet" for number in range(1000)]
+    words = Ledger([tmp_path / "fleet.html"], parts).words()
+    assert words == f"wrote 1000 files in {tmp_path / PARTS}; not written: {tmp_path / 'fleet.html'}"

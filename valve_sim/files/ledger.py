@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Final
+
+MOST_NAMED: Final = 8
+"""Files that are named one by one; a run of a day writes thousands."""
 
 
 @dataclass
@@ -19,8 +24,13 @@ class Ledger:
     def words(self) -> str:
         """What to say of the files when the run is stopped."""
         missing = [path for path in self.planned if path not in self.written]
-        done = f"wrote {', '.join(map(str, self.written))}" if self.written else "nothing was written"
+        done = f"wrote {self._listed()}" if self.written else "nothing was written"
         return f"{done}; not written: {', '.join(map(str, missing))}" if self.written and missing else done
+
+    def _listed(self) -> str:
+        if len(self.written) <= MOST_NAMED:
+            return ", ".join(map(str, self.written))
+        return f"{len(self.written)} files in {os.path.commonpath([path.absolute() for path in self.written])}"
 
 
 _LEDGER: ContextVar[Ledger | None] = ContextVar("ledger", default=None)
