@@ -28,7 +28,7 @@ NEEDED: Final = ("dask", "distributed", "fsspec", "pyarrow")
     "--params-for",
     metavar="PATTERN=FILE",
     multiple=True,
-    help="Parameter file of the valves whose names fit, e.g. '/tank_1/*=tank_1.yaml'. Repeatable; the first counts.",
+    help="Parameter file of the valves whose names fit, e.g. `/tank_1/*=tank_1.yaml`. Repeatable; the first counts.",
 )
 @click.option("--output", metavar="DIR", type=FILE, default=Path("fleet"), help="Folder for table, page and reports.")
 @click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler, e.g. tcp://10.0.0.1:8786. Default: this machine.")
@@ -71,7 +71,7 @@ def fleet(
     does only what is missing: after a crash, for new bags, and for those whose parameter file has changed.
 
       valve-sim fleet bags --output results
-      valve-sim fleet 's3://plant/2026-*' --params-for '/tank_1/*=tank_1.yaml' --output results
+      valve-sim fleet s3://plant/2026 --params-for /tank_1/valve=tank_1.yaml --output results
       valve-sim fleet bags --output results --scheduler tcp://10.0.0.1:8786
     """
     missing = [name for name in NEEDED if importlib.util.find_spec(name) is None]
