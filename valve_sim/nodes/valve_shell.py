@@ -323,7 +323,7 @@ class ValveShell:
         if settings.publish_rate != self._settings.publish_rate:
             self._worker.set_rate(settings.publish_rate)
         self._settings = settings
-        if any(name.startswith(("valve.", "effects.")) for name in names):
+        if any(name.startswith(("valve.", "effects.", "gas.")) for name in names):
             valve = self._current_valve()
             self._live.set_valve(now, valve)
             if self._is_ready:
