@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import dataclasses
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from valve_sim.files.parameter_files import default_valve
+from valve_sim.files.parameter_files import default_valve, load_valve
 from valve_sim.model import Drive, Phase, SimulationError, Stepper, simulate
 from valve_sim.nodes.live_valve import LiveValve, Step, Timeline, self_test
 from valve_sim.nodes.realtime import NANOSECONDS
 
 START = 1_700_000_000 * NANOSECONDS
 MILLISECOND = 1_000_000
+CONFIG = Path(__file__).parents[2] / "config"
 
 
 def started(**options: float) -> LiveValve:
@@ -165,3 +170,23 @@ def test_the_self_test_answers_with_event_times() -> None:
     failed = self_test(default_valve().with_values(a0=0.0))
     assert not failed.passed
     assert "stop reached never" in failed.summary
+
+
+def test_the_self_test_waits_until_the_pressure_has_equalised() -> None:
+    result = self_test(load_valve(CONFIG / "hydrogen_35mpa.yaml"))
+    assert result.passed, result.summary
+    opened = re.search(r"stop reached after ([\d.]+) ms", result.summary)
+    assert opened is not None
+    assert float(opened[1]) == pytest.approx(549.0, abs=1.0)
+
+
+def test_the_self_test_says_how_far_the_pressure_came_where_a_valve_stays_shut() -> None:
+    valve = load_valve(CONFIG / "hydrogen_70mpa.yaml")
+    assert valve.gas is not None
+    held_shut = dataclasses.replace(valve, gas=valve.gas._replace(pilot_orifice_diameter=0.23e-3))
+    never_equal = dataclasses.replace(valve, gas=valve.gas._replace(demand_orifice_diameter=1e-3))
+    for stuck, words in ((held_shut, "the outlet is at 0.1 MPa"), (never_equal, "MPa, the tank at 70 MPa")):
+        result = self_test(stuck)
+        assert not result.passed
+        assert "stop reached never (after 1" in result.summary
+        assert words in result.summary

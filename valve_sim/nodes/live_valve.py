@@ -20,7 +20,11 @@ _PHASE_AFTER: Final = {
     EventKind.SEATED: Phase.CLOSED,
 }
 SELF_TEST_SECONDS: Final = 0.5
-"""s for which a self-test holds the voltage, and then 0 V."""
+"""s for which a self-test holds the voltage, and then 0 V; with gas it may hold the voltage for several times that."""
+LONGEST_SELF_TEST: Final = 60.0
+"""s after which a self-test no longer waits for the pressure to equalise."""
+_STILL_RISING: Final = 1e-6
+"""Share of the tank's pressure; an outlet that changes by less within SELF_TEST_SECONDS has come to rest."""
 
 
 class Timeline:
@@ -242,25 +246,52 @@ class SelfTest(NamedTuple):
 
 
 def self_test(valve: Valve) -> SelfTest:
-    """Open and close a valve with these parameters; the running one is not affected."""
+    """Open and close a valve with these parameters; the running one is not affected.
+
+    With gas the voltage stays until the pressure has equalised, which may take far longer than the motion.
+    """
     stepper = Stepper(valve)
     volts = valve.parameters.reference_voltage
     try:
         stepper.command(0.0, volts)
-        opening = stepper.advance(SELF_TEST_SECONDS).events
-        stepper.command(SELF_TEST_SECONDS, 0.0)
-        closing = stepper.advance(2 * SELF_TEST_SECONDS).events
+        opening, held = _open(stepper)
+        stepper.command(held.time, 0.0)
+        closing = stepper.advance(held.time + SELF_TEST_SECONDS).events
     except SimulationError as error:
         return SelfTest(False, str(error))
     opened = _milliseconds(opening, 0.0, EventKind.REACHED_STOP, EventKind.BOUNCED_AT_STOP)
-    closed = _milliseconds(closing, SELF_TEST_SECONDS, EventKind.MAIN_SEATED)
+    closed = _milliseconds(closing, held.time, EventKind.MAIN_SEATED)
     picked_up = _milliseconds(opening, 0.0, EventKind.PICKED_UP, EventKind.HELD_AT_GAP)
-    released = _milliseconds(closing, SELF_TEST_SECONDS, EventKind.RELEASED)
+    released = _milliseconds(closing, held.time, EventKind.RELEASED)
     summary = (
-        f"at {volts:g} V: main plunger picked up {picked_up}, stop reached {opened}; "
+        f"at {volts:g} V: main plunger picked up {picked_up}, stop reached {opened}{_pressures(valve, held, opened)}; "
         f"at 0 V: stop left {released}, main plunger seated {closed}"
     )
     return SelfTest("never" not in (opened, closed), summary)
+
+
+def _open(stepper: Stepper) -> tuple[tuple[Event, ...], Reading]:
+    """Hold the voltage; with gas until the valve is open or nothing changes any more.
+
+    Returns:
+        the events, and the valve at the end of that time.
+    """
+    reading = stepper.advance(SELF_TEST_SECONDS)
+    events, gas, is_changing = reading.events, stepper.valve.gas, True
+    while gas is not None and is_changing and reading.phase is not Phase.OPEN and reading.time < LONGEST_SELF_TEST:
+        before, reading = reading, stepper.advance(reading.time + SELF_TEST_SECONDS)
+        events += reading.events
+        rise = abs(reading.outlet_pressure - before.outlet_pressure)
+        is_changing = bool(reading.events) or rise > _STILL_RISING * gas.inlet_pressure
+    return events, reading
+
+
+def _pressures(valve: Valve, held: Reading, opened: str) -> str:
+    """Where a valve with gas has not opened: how far the pressure has equalised."""
+    if valve.gas is None or opened != "never":
+        return ""
+    outlet, inlet = held.outlet_pressure / 1e6, valve.gas.inlet_pressure / 1e6
+    return f" (after {held.time:g} s the outlet is at {outlet:.3g} MPa, the tank at {inlet:.3g} MPa)"
 
 
 def _milliseconds(events: tuple[Event, ...], since: float, *kinds: EventKind) -> str:
