@@ -125,5 +125,5 @@ $(ENVIRONMENT)/.ready-to-test: $(DECLARED)
 	@touch $@ $(WARM)
 
 $(KILTED_ENVIRONMENT)/.ready-to-test: $(DECLARED)
-	@tools/environment make $(KILTED_ENVIRONMENT) "ros-kilted,test"
+	@tools/environment make $(KILTED_ENVIRONMENT) "ros-kilted,checks"
 	@touch $@

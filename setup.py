@@ -82,6 +82,7 @@ setup(
         "ros-kilted": ROS_KILTED,
         "parquet": PARQUET,
         "fleet": FLEET,
+        "checks": CHECKS,
         "test": [*CHECKS, *FLEET],
         "docs": DOCUMENTATION,
     },

@@ -122,7 +122,7 @@ def _variance_inflation(days: Array, values: Array) -> float:
 
     The autocorrelation r of the ranks of what a straight line leaves is corrected for its bias (Kendall 1954), and,
     where it is above 0, taken one standard error larger: measured, alarms are then as rare as is said from 60 bags on
-    for r up to 0.7, and up to three times as frequent with 20.
+    for r up to 0.7, and up to five times as frequent with 20.
     """
     count = len(values)
     slope = theil_sen(days, values)[0]
