@@ -12,9 +12,11 @@ from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.diagnosis.decision import Claim, decide
 from valve_sim.identification.diagnosis.experiment_design import Recommendation
 from valve_sim.identification.diagnosis.run import Diagnosis, Grounds, Verdict, diagnose
+from valve_sim.identification.estimation.declared_values import DeclaredValue
 from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.identification.plants.effect_titles import title_of
 from valve_sim.identification.plants.protocol import Experiment
+from valve_sim.identification.reporting.declared_values import declared_lines, summary_words
 from valve_sim.identification.reporting.diagnosis_json import to_json
 from valve_sim.identification.reporting.summary import recording_advice, summarise
 from valve_sim.identification.reporting.text import diagnosis_text
@@ -155,3 +157,22 @@ def test_the_report_for_programs_has_the_same_words(diagnosis: Diagnosis) -> Non
     assert report["verdict"]["headline"] == headline(diagnosis)
     assert report["meaning"]["coulomb_friction"]["severity"] == "4 % of the spring preload"
     assert report["meaning"]["coulomb_friction"]["what_to_do"] == meaning.what_to_do
+
+
+def within(deviation: float) -> DeclaredValue:
+    return DeclaredValue("spring_rate", "N/m", 428.0, 10.0, 428.0 + 10.0 * deviation, 1.0, deviation, 0.1)
+
+
+@pytest.mark.parametrize(
+    ("deviation", "words"),
+    [
+        (-0.04, "where they are declared"),
+        (0.0, "where they are declared"),
+        (-0.06, "off by −0.1"),
+        (1.5, "off by +1.5"),
+    ],
+)
+def test_no_value_is_off_by_a_signed_nothing(deviation: float, words: str) -> None:
+    told = [summary_words([within(deviation)]), *declared_lines([within(deviation)])]
+    assert words in told[0]
+    assert not any(nothing in line for line in told for nothing in ("−0.0", "+0.0"))

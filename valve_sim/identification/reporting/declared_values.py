@@ -16,6 +16,8 @@ NORMAL_95: Final = 1.96
 """Half width of a 95 % interval, in standard errors."""
 LEAST_REACH, MOST_REACH = 4, 15
 """Least and most range of the scale on the page, in tolerances."""
+_LEAST_TOLD: Final = 0.05
+"""Tolerances: less is 0.0 as it is printed."""
 TAKEN_AS_EXACT: Final = "declared values are taken as exact: the parameter file gives no tolerances."
 
 
@@ -61,8 +63,8 @@ def as_estimated(found: DeclaredValue) -> str:
 
 
 def signed(deviation: float) -> str:
-    """With its sign, and U+2212 for a minus."""
-    return f"{deviation:+.1f}".replace("-", "−")
+    """With its sign, and U+2212 for a minus; 0.0 has none."""
+    return "0.0" if abs(deviation) < _LEAST_TOLD else f"{deviation:+.1f}".replace("-", "−")
 
 
 def out_words(found: DeclaredValue) -> str:
@@ -94,6 +96,8 @@ def summary_words(values: Sequence[DeclaredValue]) -> str:
     if out:
         return "; ".join(out)
     furthest = max(values, key=lambda found: abs(found.deviation))
+    if abs(furthest.deviation) < _LEAST_TOLD:
+        return f"all {len(values)} are where they are declared, within a tenth of a tolerance"
     return (
         f"all {len(values)} are within {BEYOND:g} tolerances of what is declared; the furthest is the "
         f"{plain_name(furthest.name)}, off by {signed(furthest.deviation)}"
