@@ -6,6 +6,7 @@ import math
 from typing import Final, NamedTuple
 
 from valve_sim.model import CoilReading, Event, EventKind, Phase, Reading, SimulationError, Stepper, Valve
+from valve_sim.model.gas import GAS
 from valve_sim.nodes.realtime import NANOSECONDS, Mailbox
 
 _PHASE_AFTER: Final = {
@@ -81,8 +82,8 @@ class Step(NamedTuple):
 class LiveValve:
     """A stepper with its clock, its command and its watchdog; which command holds: docs/reference/command_safety.md.
 
-    `command`, `limit`, `set_valve`, `set_scale`, `reset` may be called in any thread: they store, the next `step`
-    consumes, each at its own time. `restart` and `step` belong to one stepping thread.
+    `command`, `supply`, `limit`, `set_valve`, `set_scale`, `reset` may be called in any thread: they store, the next
+    `step` consumes, each at its own time. `restart` and `step` belong to one stepping thread.
 
     Args:
         valve: what is simulated.
@@ -102,6 +103,7 @@ class LiveValve:
         self.volts = 0.0
         self.failures = 0
         self._max_voltage = max_voltage
+        self._supplied: float | None = None
         self._valve = valve
         self._scale = scale
         self._timeline = Timeline(0, 0, scale)
@@ -124,6 +126,24 @@ class LiveValve:
         self._mailbox.post(clock, lambda time: self._energise(time, volts), "command")
         return True
 
+    @property
+    def inlet_pressure(self) -> float:
+        """The tank's pressure, Pa, as it was heard last, or else as declared; NaN for a valve without gas."""
+        gas, supplied = self._valve.gas, self._supplied
+        if gas is None:
+            return math.nan
+        return gas.inlet_pressure if supplied is None else supplied
+
+    def supply(self, clock: int, pressure: float) -> bool:
+        """The tank's pressure, Pa, from clock time `clock` on, ns; False, and nothing else, if no tank can have it.
+
+        It stays through a reset, until another is heard or declared. A valve without gas has no use for it.
+        """
+        if not GAS["inlet_pressure"].lower <= pressure <= GAS["inlet_pressure"].upper:
+            return False
+        self._mailbox.post(clock, lambda time: self._supply(time, pressure), "supply")
+        return True
+
     def limit(self, clock: int, max_voltage: float) -> None:
         """Limit commands from now on, V; a voltage in force beyond the limit ends at clock time `clock`, ns."""
         self._max_voltage = max_voltage
@@ -132,7 +152,7 @@ class LiveValve:
     def set_valve(self, clock: int, valve: Valve) -> None:
         """Continue with another valve, without a jump in state."""
         self._valve = valve
-        self._mailbox.post(clock, lambda time: self._running.set_valve(valve, self._timeline.model_time(time)), "valve")
+        self._mailbox.post(clock, lambda time: self._continue_as(time, valve), "valve")
 
     def set_scale(self, clock: int, scale: float) -> None:
         """Continue at another time scale."""
@@ -153,6 +173,7 @@ class LiveValve:
         self._reached = clock
         self._timeline = Timeline(clock, stamp, self._scale)
         self._stepper = Stepper(self._valve, 0.0)
+        self._supplied = None
         self._announced = None
         self._stamp = stamp - 1
         self._forget_command()
@@ -190,6 +211,19 @@ class LiveValve:
         self.last_command = clock
         self.timed_out = False
 
+    def _supply(self, clock: int, pressure: float) -> None:
+        if self._running.valve.gas is None:
+            return
+        self._watch_command(clock)
+        self._running.supply(self._timeline.model_time(clock), pressure)
+        self._supplied = pressure
+
+    def _continue_as(self, clock: int, valve: Valve) -> None:
+        before = self._running.valve.gas
+        if before is None or valve.gas is None or valve.gas.inlet_pressure != before.inlet_pressure:
+            self._supplied = None
+        self._running.set_valve(valve, self._timeline.model_time(clock))
+
     def _watch_command(self, clock: int) -> None:
         if self.command_timeout <= 0.0 or self.last_command is None or self.timed_out:
             return
@@ -217,6 +251,8 @@ class LiveValve:
 
     def _rest(self, clock: int) -> None:
         self._running.reset(self._timeline.model_time(clock))
+        if self._supplied is not None:
+            self._running.supply(self._timeline.model_time(clock), self._supplied)
         self._forget_command()
 
     def _forget_command(self) -> None:
