@@ -40,7 +40,14 @@ def test_a_place_that_takes_no_file_is_refused_in_one_line(
     assert issubclass(TraceError, ValveError)
 
 
-@pytest.mark.parametrize(("name", "why"), [("file/below/it", "Not a directory"), ("closed/below", "Permission denied")])
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [
+        ("file/below/it", "Not a directory"),
+        ("closed/below", "Permission denied"),
+        (f"{300 * 'a'}/it", "File name too long"),
+    ],
+)
 def test_a_place_is_known_to_take_no_file_before_anything_is_made(
     name: str, why: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -39,7 +39,10 @@ if TYPE_CHECKING:
     help="Noise of the coil current, mA.",
 )
 @click.option(
-    "--voltage-noise-mv", metavar="MV", type=finite_number(0.0), default=0.0, help="Noise of the coil's voltage, mV."
+    "--voltage-noise-mv",
+    metavar="MV",
+    type=finite_number(0.0),
+    help="Measure the voltage at the coil, too, with this noise, mV.",
 )
 @click.option("--without-position", is_flag=True, help="Record the coil alone, as where no position can be measured.")
 @click.option(
@@ -58,7 +61,7 @@ def simulate(
     noise_um: float,
     quantisation_um: float,
     current_noise_ma: float | None,
-    voltage_noise_mv: float,
+    voltage_noise_mv: float | None,
     without_position: bool,
     seed: int,
     output: Path,
@@ -81,8 +84,8 @@ def simulate(
 
     The CSV has the columns time, coil_voltage, coil_current, pilot_position, main_position, pilot_velocity, phase and,
     of a valve with gas, outlet_pressure and mass_flow (from inlet to outlet), in SI units. The bag has
-    /valve/coil_voltage, /valve/measured/joint_states and /valve/measured/coil (voltage and current at the coil's
-    terminals), and its stamps begin at 0.
+    /valve/coil_voltage, /valve/measured/joint_states and /valve/measured/coil_current, and its stamps begin at 0. With
+    --voltage-noise-mv, voltage and current at the coil's terminals are in /valve/measured/coil.
     """
     if (voltage is None) == (profile is None):
         raise click.UsageError("give either --voltage or --profile", click.get_current_context())
@@ -93,8 +96,9 @@ def simulate(
         refuse(f"--output {output}: expected x.mcap, x.csv, or a name without ending for a rosbag2 folder")
     drive = Drive.of([0.0], [voltage or 0.0]) if profile is None else read_profile(profile)
     current_noise = (1.0 if noise_um else 0.0) if current_noise_ma is None else current_noise_ma
+    voltage_noise = None if voltage_noise_mv is None else 1e-3 * voltage_noise_mv
     sensor = Sensor(
-        1e-6 * noise_um, 1e-6 * quantisation_um, 1e-3 * current_noise, seed, 1e-3 * voltage_noise_mv,
+        1e-6 * noise_um, 1e-6 * quantisation_um, 1e-3 * current_noise, seed, voltage_noise,
         has_positions=not without_position,
     )  # fmt: skip
     valve = declared_valve(params)

@@ -53,9 +53,12 @@ def refuse_unwritable(*paths: Path) -> None:
         ValveError: the folder of one is a file, or is not ours to write to.
     """
     for path in paths:
-        place = next(above for above in path.absolute().parents if above.exists())
-        why_not = 0 if os.access(place, os.W_OK | os.X_OK) else errno.EACCES
-        if not place.is_dir():
-            why_not = errno.ENOTDIR
+        try:
+            place = next(above for above in path.absolute().parents if above.exists())
+            why_not = 0 if os.access(place, os.W_OK | os.X_OK) else errno.EACCES
+            if not place.is_dir():
+                why_not = errno.ENOTDIR
+        except OSError as error:  # a name that is too long, say
+            why_not = error.errno or errno.EINVAL
         if why_not:
             raise ValveError(f"{path}: cannot be written ({os.strerror(why_not)}); choose another place")

@@ -103,15 +103,15 @@ def _diagnosed(unit: Unit, place: Path, output: Path) -> tuple[Row, dict[str, st
     from valve_sim.fleet.rows import row_values
     from valve_sim.identification.diagnosis.run import diagnose
     from valve_sim.identification.estimation.budget import Budget
-    from valve_sim.identification.estimation.parallel import use_threads
+    from valve_sim.identification.estimation.parallel import threads_limited_to
     from valve_sim.traces import read_trace, refuse_doubtful_units
 
-    use_threads(1)
     trace = read_trace(place, unit.valve)
     refuse_doubtful_units(trace, unit.declared.parameters)
     trace = dataclasses.replace(trace, source=f"{unit.bag.source} ({unit.valve})")
     budget = Budget(unit.options.budget, time.process_time)
-    diagnosis = diagnose([trace], [], unit.declared, None, budget, is_full=unit.options.full)
+    with threads_limited_to(1):
+        diagnosis = diagnose([trace], [], unit.declared, None, budget, is_full=unit.options.full)
     values = row_values(trace, diagnosis)
     report: dict[str, str] = {}
     if values["verdict"] != "none" or values["out_of_tolerance"]:

@@ -34,7 +34,7 @@ class Sensor:
         quantisation: step that the noisy positions are rounded to, m; 0 for none.
         current_noise: standard deviation of white noise on the coil current, A.
         seed: of the noise; the same seed gives the same recording.
-        voltage_noise: standard deviation of white noise on the coil's voltage, V.
+        voltage_noise: standard deviation of white noise on the coil's voltage, V; None where it is not measured.
         has_positions: whether there is a position sensor.
     """
 
@@ -42,7 +42,7 @@ class Sensor:
     quantisation: float = 0.0
     current_noise: float = 0.0
     seed: int = 0
-    voltage_noise: float = 0.0
+    voltage_noise: float | None = None
     has_positions: bool = True
 
 
@@ -106,12 +106,14 @@ def record(valve: Valve, drive: Drive, duration: float, rate: float, sensor: Sen
     pilot = _measured(response.pilot_position, sensor, random)
     main = _measured(response.main_position, sensor, random)
     current = response.coil_current + sensor.current_noise * random.standard_normal(count)
-    voltage = response.coil_voltage + sensor.voltage_noise * random.standard_normal(count)
+    voltage = None
+    if sensor.voltage_noise is not None:
+        voltage = Signal(times, response.coil_voltage + sensor.voltage_noise * random.standard_normal(count))
     commands = Drive(drive.times[inside], drive.volts[inside])
     seen = slice(None) if sensor.has_positions else slice(0)
     trace = Trace(
         "simulation", commands, times[seen], pilot[seen], main if sensor.has_positions else None,
-        coil_current=Signal(times, current), coil_voltage=Signal(times, voltage),
+        coil_current=Signal(times, current), coil_voltage=voltage,
     )  # fmt: skip
     return Recording(response, trace)
 

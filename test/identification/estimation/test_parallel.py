@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from valve_sim.identification.estimation import parallel as module
-from valve_sim.identification.estimation.parallel import run_parallel
+from valve_sim.identification.estimation.parallel import run_parallel, threads_limited_to
 
 
 @pytest.fixture(autouse=True)
@@ -57,3 +57,10 @@ def test_what_is_raised_meanwhile_leaves_the_rest_undone(monkeypatch: pytest.Mon
 def test_what_the_work_raises_is_raised() -> None:
     with pytest.raises(ZeroDivisionError):
         run_parallel(lambda item: 1 // item, [1, 0])
+
+
+def test_a_limit_holds_for_the_work_that_it_is_for() -> None:
+    with threads_limited_to(1):
+        assert len(set(run_parallel(lambda item: threading.get_ident(), range(4)))) == 1
+    both = threading.Barrier(2)
+    run_parallel(lambda item: both.wait(60.0), range(2))  # ends only where two are at work

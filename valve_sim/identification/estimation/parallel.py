@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError, ThreadPoolExecutor
+from contextlib import contextmanager
 from typing import Final, TypeVar
 
 MOST_THREADS: Final = 4
@@ -14,10 +15,15 @@ MOST_THREADS: Final = 4
 _most = MOST_THREADS
 
 
-def use_threads(most: int) -> None:
-    """Let this process use no more threads than this, from now on: 1 where other processes use the other processors."""
+@contextmanager
+def threads_limited_to(most: int) -> Iterator[None]:
+    """No more threads than this meanwhile, in this process: 1 where other processes use the other processors."""
     global _most  # noqa: PLW0603
-    _most = max(1, min(most, MOST_THREADS))
+    before, _most = _most, max(1, min(most, MOST_THREADS))
+    try:
+        yield
+    finally:
+        _most = before
 
 
 Item = TypeVar("Item")
