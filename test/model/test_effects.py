@@ -88,6 +88,25 @@ def test_look_alikes_are_declared_once_and_mutual() -> None:
     assert both["mine"].confused_with == ("yours",)
 
 
+def test_ranges_follow_from_what_a_parameter_is() -> None:
+    either_sign = (
+        "constant_force",
+        "pressure_force",
+        "rest_attraction",
+        "spring_hardening",
+        "gap_offset",
+        "stroke_offset",
+    )
+    for name in either_sign:
+        parameter = CATALOGUE[name].parameters[0]
+        assert parameter.lower == -parameter.upper < 0.0, name
+    for name in ("drive_gain", "sensor_gain"):
+        gain = CATALOGUE[name].parameters[0]
+        assert gain.lower * gain.upper == pytest.approx(1.0), name
+    for effect in CATALOGUE.tagged(Tag.DISSIPATIVE):
+        assert all(parameter.lower >= 0.0 for parameter in effect.parameters), effect.name
+
+
 def test_tags_find_what_others_ask_for() -> None:
     assert {effect.name for effect in CATALOGUE.tagged(Tag.SENSOR)} == {
         "sensor_delay", "sensor_bandwidth", "sensor_gain",
