@@ -103,6 +103,10 @@ def test_ranges_follow_from_what_a_parameter_is() -> None:
     for name in ("drive_gain", "sensor_gain"):
         gain = CATALOGUE[name].parameters[0]
         assert gain.lower * gain.upper == pytest.approx(1.0), name
+    for effect in CATALOGUE.values():
+        for parameter in effect.parameters:
+            # What may be infinite is divided by, or a rate: 0 and less have no meaning.
+            assert parameter.lower > 0.0 or not parameter.infinite_at_upper, (effect.name, parameter.name)
     for effect in CATALOGUE.tagged(Tag.DISSIPATIVE):
         assert all(parameter.lower >= 0.0 for parameter in effect.parameters), effect.name
 
