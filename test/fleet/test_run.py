@@ -14,14 +14,20 @@ import pyarrow.parquet as pq
 import pytest
 
 from valve_sim.files.ledger import Ledger
+from valve_sim.files.parameter_files import load_valve
 from valve_sim.fleet import run as fleet_run
 from valve_sim.fleet.results import PARTS, Results
 from valve_sim.fleet.run import examine_fleet, forecast
 from valve_sim.fleet.units import Options, ParameterChoice, Row, Unit
 from valve_sim.fleet.work import Examined
+from valve_sim.model import Drive, published_times, simulate
 from valve_sim.model.errors import ValveError
+from valve_sim.traces import write_bag
+from valve_sim.traces.synthetic import Sensor, record
 
 from .bags import make_bag
+
+CONFIG = Path(__file__).parents[2] / "config"
 
 
 @pytest.fixture(scope="module")
@@ -94,6 +100,19 @@ def test_a_row_holds_what_was_found_with_errors_in_si(examined: Path) -> None:
         assert abs(row[name] - truth) < 4.0 * row[f"{name}_stderr"]
     assert 0.0 < row["t2_stderr"] < 50e-6
     assert row["spring_rate_stderr"] < 12.8
+
+
+def test_a_bag_of_the_current_alone_has_no_errors_in_metres(tmp_path: Path) -> None:
+    drive = Drive.of([0.01, 0.04, 0.07, 0.10], [9.0, 0.0, 12.0, 0.0])
+    sensor = Sensor(current_noise=1e-3, voltage_noise=5e-3, has_positions=False)
+    valve = load_valve(CONFIG / "energy_consistent.yaml")
+    write_bag(tmp_path / "alone.mcap", record(valve, drive, 0.13, 5e3, sensor).trace)
+    parameters = ParameterChoice(CONFIG / "energy_consistent.yaml")
+    row = examine_fleet([str(tmp_path / "alone.mcap")], tmp_path / "results", parameters=parameters).rows[0]
+    assert (row["state"], row["verdict"], row["samples"]) == ("examined", "none", 650)
+    assert row["noise"] is row["rmse_before"] is row["rmse_after_holdout"] is None
+    assert row["t1"] == pytest.approx(published_times(simulate(valve, Drive.of([0.0], [9.0]), [0.02]))[0], abs=5e-5)
+    assert 0.0 < row["t1_stderr"] < 5e-5
 
 
 def test_the_schema_has_units_and_meanings_in_its_metadata(examined: Path) -> None:

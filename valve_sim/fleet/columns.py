@@ -30,7 +30,7 @@ _OF_A_BAG: Final = (
     Column("start_time", TIME, "", "first stamp of commands or samples, UTC"),
     Column("duration", NUMBER, "s", "from the first to the last sample"),
     Column("strokes", COUNT, "", "strokes in the bag"),
-    Column("samples", COUNT, "", "samples of the position"),
+    Column("samples", COUNT, "", "samples of the position or, without any, of the current"),
     Column("findings", LIST, "", "what was dropped or repaired on reading"),
 )
 _OF_A_DIAGNOSIS: Final = (
@@ -41,7 +41,7 @@ _OF_A_DIAGNOSIS: Final = (
     Column("summary", TEXT, "", "the verdict in one sentence"),
     Column("white", TRUTH, "", "whether what the refitted declared valve leaves is noise"),
     Column("p_value", NUMBER, "", "of that test"),
-    Column("noise", NUMBER, "m", "standard deviation of the position sensor's noise"),
+    Column("noise", NUMBER, "m", "of the position sensor; null, as errors are, where no position was recorded"),
     Column("rmse_before", NUMBER, "m", "rms error of the declared valve, refitted, on fitted strokes"),
     Column("rmse_before_holdout", NUMBER, "m", "the same on held-out strokes; null where none were held out"),
     Column("rmse_after", NUMBER, "m", "rms error of the corrected valve on fitted strokes"),

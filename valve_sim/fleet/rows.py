@@ -24,9 +24,9 @@ def row_values(trace: Trace, diagnosis: Diagnosis) -> Row:
     assert isinstance(plant, ValvePlant)
     return {
         "start_time": trace.epoch_ns,
-        "duration": float(trace.times[-1] - trace.times[0]),
+        "duration": float(trace.sample_times[-1] - trace.sample_times[0]),
         "strokes": len(stroke_starts(trace.drive)),
-        "samples": len(trace.times),
+        "samples": len(trace.sample_times),
         "findings": list(trace.findings),
         "verdict": verdict.kind,
         "effects": list(verdict.effects),
@@ -35,13 +35,20 @@ def row_values(trace: Trace, diagnosis: Diagnosis) -> Row:
         "summary": summarise(diagnosis),
         "white": bool(before.adequacy.is_white),
         "p_value": float(before.adequacy.p_value),
+        **(_errors_of_position(diagnosis) if trace.has_positions else {}),
+        **estimates(diagnosis),
+        **motion_columns(after.fit, plant),
+    }
+
+
+def _errors_of_position(diagnosis: Diagnosis) -> Row:
+    before, after = diagnosis.before, diagnosis.after
+    return {
         "noise": before.fit.problem.noise.sigma,
         "rmse_before": before.train_rmse,
         "rmse_before_holdout": _known(before.holdout_rmse),
         "rmse_after": after.train_rmse,
         "rmse_after_holdout": _known(after.holdout_rmse),
-        **estimates(diagnosis),
-        **motion_columns(after.fit, plant),
     }
 
 
