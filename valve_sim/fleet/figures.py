@@ -12,24 +12,17 @@ from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from valve_sim.fleet.columns import MOTION, effect_column
 from valve_sim.fleet.units import Row
 from valve_sim.identification.diagnosis.outcome import Diagnosis
+from valve_sim.identification.estimation.followed_positions import a_standard_error_apart
 from valve_sim.identification.estimation.result import Fit
-from valve_sim.identification.plants.protocol import from_internal
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.model import DECLARED, Drive, EventKind, SimulationError, Valve, ValveError, simulate
+from valve_sim.model import DECLARED, Drive, EventKind, Valve, ValveError, simulate
 
 HELD: Final = 1.0
 """s for which the reference voltage is on, and then off."""
-STEP: Final = 0.5
-"""Standard errors by which an estimate is varied for its derivative."""
-LEAST_INFORMATION: Final = 1e-12
-"""Smallest eigenvalue of the scaled information that is not rounding."""
-
-Array = NDArray[np.float64]
 
 
 def motion(valve: Valve) -> tuple[float, ...]:
@@ -53,42 +46,26 @@ _BACK: Final = (EventKind.SEATED, EventKind.BOUNCED_AT_SEAT)
 
 
 def motion_columns(result: Fit, plant: ValvePlant) -> Row:
-    """The motion of the fitted valve, with standard errors, by column."""
-    known = result.machine
+    """The motion of the fitted valve, with standard errors by the delta method, by column.
+
+    Raises:
+        SimulationError: the fitted valve cannot be simulated.
+    """
     at = motion(plant.with_values(result.values))
-    covariance = _covariance(known.information) * result.problem.variance_inflation
-    slopes = np.zeros((len(MOTION), len(known.names)))
-    for index, name in enumerate(known.names):
-        error = math.sqrt(covariance[index, index])
-        slopes[:, index] = _slope(result, plant, name, float(known.coordinates[index]), STEP * error)
-    errors = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", slopes, covariance, slopes), 0.0))
+    variances = np.zeros(len(MOTION))
+    for pair in a_standard_error_apart(result):
+        try:
+            ahead, behind = (np.array(motion(plant.with_values(values))) for values in pair)
+        except ValveError:  # beyond what can be declared or simulated: nothing is known of the error
+            variances += math.nan
+            break
+        variances += np.square(0.5 * (ahead - behind))
     found: Row = {}
-    for own, value, error in zip(MOTION, at, errors.tolist(), strict=True):
+    for own, value, error in zip(MOTION, at, np.sqrt(variances).tolist(), strict=True):
         if math.isfinite(value):
             found[own.name] = value
             found[own.stderr] = error if math.isfinite(error) else None
     return found
-
-
-def _slope(result: Fit, plant: ValvePlant, name: str, at: float, step: float) -> Array:
-    """(4,) derivative of the motion by an internal coordinate; nan where the valve beside it cannot be simulated."""
-
-    def shifted(by: float) -> Array:
-        value = from_internal(plant.parameter(name), at + by) if name in result.free else at + by
-        return np.array(motion(plant.with_values({**result.values, name: value})))
-
-    try:
-        return (shifted(step) - shifted(-step)) / (2.0 * step) if step > 0.0 else np.zeros(len(MOTION))
-    except (SimulationError, ValveError):
-        return np.full(len(MOTION), math.nan)
-
-
-def _covariance(information: Array) -> Array:
-    """(k, k); directions that nothing is known of are left out, as they move nothing that was measured."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
-    sizes, directions = np.linalg.eigh(information * np.outer(scale, scale))
-    inverse = np.where(sizes > LEAST_INFORMATION, 1.0 / np.maximum(sizes, LEAST_INFORMATION), 0.0)
-    return np.asarray((directions * inverse) @ directions.T * np.outer(scale, scale))
 
 
 def estimates(diagnosis: Diagnosis) -> Row:
