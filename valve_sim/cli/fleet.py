@@ -102,12 +102,8 @@ def _examined(
     from valve_sim.fleet.cluster import Cluster
     from valve_sim.fleet.results import TABLE
     from valve_sim.fleet.run import PAGE, examine_with
-    from valve_sim.fleet.sources import find_bags
     from valve_sim.warm import warm
 
-    # What can be refused at once is not worth the start of a cluster.
-    chosen.check()
-    find_bags(sources)
     plan_files(output / TABLE, output / PAGE)
     say_when_compiling()
     with progress_bar() as progress, Cluster(*cluster, before=warm) as started:

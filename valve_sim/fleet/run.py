@@ -123,14 +123,7 @@ def _surveys(
     connect: Connect, bags: Sequence[Bag], known: Iterable[Row], options: Options, say: Progress
 ) -> list[tuple[Bag, Survey]]:
     """What is in each bag: remembered, or looked at."""
-    by_source: dict[str, list[Row]] = {}
-    for row in known:
-        by_source.setdefault(row["source"], []).append(row)
-    found: dict[str, Survey] = {}
-    for bag in bags:
-        survey = _too_large(bag, options) or remembered(bag, by_source.get(bag.source, []))
-        if survey is not None:
-            found[bag.source] = survey
+    found = _without_a_look(bags, known, options)
     new = [bag for bag in bags if bag.source not in found]
     done = 0
     for batch in run_batches(connect, survey_bags, new, _seconds):
@@ -140,6 +133,15 @@ def _surveys(
         done += len(batch.items)
         say(f"bags looked at: {done} of {len(new)}", SURVEYED * done / len(new))
     return [(bag, found[bag.source]) for bag in bags]
+
+
+def _without_a_look(bags: Sequence[Bag], known: Iterable[Row], options: Options) -> dict[str, Survey]:
+    """What is known of bags that need not be opened, by their sources: they are too large, or in the table."""
+    by_source: dict[str, list[Row]] = {}
+    for row in known:
+        by_source.setdefault(row["source"], []).append(row)
+    surveys = {bag.source: _too_large(bag, options) or remembered(bag, by_source.get(bag.source, [])) for bag in bags}
+    return {source: survey for source, survey in surveys.items() if survey is not None}
 
 
 def _too_large(bag: Bag, options: Options) -> Survey | None:
@@ -212,15 +214,9 @@ def forecast(
     parameters, options = parameters or ParameterChoice(), options or Options()
     parameters.check()
     bags, known = find_bags(sources), Results(output).rows()
-    by_source: dict[str, list[Row]] = {}
-    for row in known:
-        by_source.setdefault(row["source"], []).append(row)
-    surveys, new = [], 0
-    for bag in bags:
-        survey = _too_large(bag, options) or remembered(bag, by_source.get(bag.source, []))
-        new += survey is None
-        if survey is not None:
-            surveys.append((bag, survey))
+    remembered_of = _without_a_look(bags, known, options)
+    surveys = [(bag, remembered_of[bag.source]) for bag in bags if bag.source in remembered_of]
+    new = len(bags) - len(surveys)
     valves = statistics.fmean([len(survey.valves) for _, survey in surveys if survey.valves] or [1])
     seconds = [row["seconds"] for row in known if row["state"] == EXAMINED and row["seconds"] is not None]
     units: list[Unit] = plan(surveys, parameters, options, known).units
