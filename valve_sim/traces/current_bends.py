@@ -97,10 +97,9 @@ def _refined(times: Array, values: Array, order: int) -> Bend:
         design = np.column_stack([np.vander(shifted, 4), np.maximum(shifted, 0.0) ** order])
         left[index] = np.sum(np.square(values - design @ np.linalg.lstsq(design, values, rcond=None)[0]))
     best = int(np.argmin(left))
-    curvature, slope, _ = np.polyfit(places - places[best], left, 2)
     variance = left[best] / (len(times) - 6)
     time = float(places[best])
-    if 0 < best < STEPS - 1 and curvature > 0.0:
+    if 0 < best < STEPS - 1:
         around = slice(max(0, best - 3), best + 4)
         curvature, slope, _ = np.polyfit(places[around] - places[best], left[around], 2)
         if curvature > 0.0:
