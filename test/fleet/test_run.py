@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 from collections import Counter
@@ -12,7 +13,9 @@ from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
+from click.testing import CliRunner
 
+from valve_sim.cli import main
 from valve_sim.files.ledger import Ledger
 from valve_sim.files.parameter_files import load_valve
 from valve_sim.fleet import run as fleet_run
@@ -234,3 +237,17 @@ def test_a_run_that_is_stopped_says_in_one_short_line_what_it_wrote(tmp_path: Pa
     parts = [tmp_path / PARTS / f"00001-{number:05d}.parquet" for number in range(1000)]
     words = Ledger([tmp_path / "fleet.html"], parts).words()
     assert words == f"wrote 1000 files in {tmp_path / PARTS}; not written: {tmp_path / 'fleet.html'}"
+
+
+def test_a_forecast_is_for_the_processors_there_are_and_for_machines_too(
+    fleet: Path, examined: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "cpu_count", lambda: 6)
+    wanted = ["fleet", str(fleet), "--full", "--dry-run", "--output"]
+    known = CliRunner().invoke(main, [*wanted, str(examined)])
+    assert known.exit_code == 0, known.output
+    assert "would examine about 3 valves" in known.output
+    assert "on 6 processors" in known.output
+    new = json.loads(CliRunner().invoke(main, [*wanted, str(tmp_path), "--json"]).output)
+    assert new["seconds"] is None
+    assert new["bags"] > new["units"] > 0

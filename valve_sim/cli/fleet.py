@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import math
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -12,6 +13,7 @@ import click
 from valve_sim.cli.command_line import Command
 from valve_sim.cli.options import FILE, finite_number, json_option, params_option
 from valve_sim.cli.printing import print_report, progress_bar, refuse, say_when_compiling
+from valve_sim.files.json_text import finite_or_none
 
 if TYPE_CHECKING:
     from valve_sim.fleet.run import Forecast, Outcome
@@ -86,7 +88,7 @@ def fleet(
     if dry_run:
         from valve_sim.fleet.run import forecast
 
-        _print_forecast(forecast(sources, output, chosen, options), workers)
+        _print_forecast(forecast(sources, output, chosen, options), workers or os.cpu_count() or 1, as_json=as_json)
         return
     _print_outcome(_examined(sources, output, (scheduler, workers), chosen, options), as_json=as_json)
 
@@ -117,15 +119,16 @@ def _pattern(text: str) -> tuple[str, Path]:
     return pattern, Path(file)
 
 
-def _print_forecast(found: Forecast, workers: int | None) -> None:
-    click.echo(f"{found.bags} bags, {found.size / 1e9:.3g} GB; {found.new} of them new")
-    if math.isnan(found.seconds):
-        click.echo(f"would examine about {found.units} valves; how long one takes is not known before the first run")
-        return
-    total = found.units * found.seconds
-    each = f"{found.seconds:.2g} s of a processor each, as earlier ones took"
-    click.echo(f"would examine about {found.units} valves, {each}: {_duration(total / (workers or 1))} on "
-               f"{workers or 1} processor{'s' if (workers or 1) > 1 else ''}")  # fmt: skip
+def _print_forecast(found: Forecast, workers: int, *, as_json: bool) -> None:
+    lines = [f"{found.bags} bags, {found.size / 1e9:.3g} GB; {found.new} of them new"]
+    first, total = f"would examine about {found.units} valves", found.units * found.seconds / workers
+    if math.isnan(total):
+        lines.append(f"{first}; how long one takes is not known before the first run")
+    else:
+        each = f"{found.seconds:.2g} s of a processor each, as earlier ones took"
+        lines.append(f"{first}, {each}: {_duration(total)} on {workers} processor{'s' if workers > 1 else ''}")
+    report = {**found._asdict(), "seconds": finite_or_none(found.seconds)}
+    print_report(report, "\n".join(lines), (), as_json)
 
 
 def _duration(seconds: float) -> str:
