@@ -16,8 +16,8 @@ from valve_sim.fleet.units import Row
 
 DAY_NS = 86_400_000_000_000
 MEANS = {
-    "opening_delay": (0.20e-3, 4e-6), "t1": (5.3e-3, 10e-6), "t2": (9.9e-3, 4e-6), "closing_time": (12.7e-3, 4e-6),
-    "pilot_damping": (1.0, 0.13), "main_damping": (4.0, 0.05),
+    "opening_delay_before": (0.20e-3, 4e-6), "t1_before": (5.3e-3, 10e-6), "t2_before": (9.9e-3, 4e-6),
+    "closing_time_before": (12.7e-3, 4e-6), "pilot_damping_before": (1.0, 0.13), "main_damping_before": (4.0, 0.05),
 }  # fmt: skip
 """Of a healthy valve: value and standard error."""
 
@@ -31,8 +31,8 @@ def station(bags: int = 2000, valves: int = 20) -> list[Row]:
         valve, share = number % valves, number / bags
         friction, tired = (share if valve in (3, 8) else 0.0), (share if valve == 12 else 0.0)
         values = {name: mean + error * random.standard_normal() for name, (mean, error) in MEANS.items()}
-        values["t2"] += 0.6e-3 * friction - 0.3e-3 * tired
-        values["closing_time"] += 1.2e-3 * friction + 0.5e-3 * tired
+        values["t2_before"] += 0.6e-3 * friction - 0.3e-3 * tired
+        values["closing_time_before"] += 1.2e-3 * friction + 0.5e-3 * tired
         is_found = friction > 0.4
         rows.append(
             {

@@ -14,10 +14,15 @@ from typing import Any
 import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
+from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
+from plants.recording import BAG_START_NS, Recorder, train_bags
+from plants.recording import record as plant_record
+from plants.recording import write_bag as write_plant_bag
 
 from valve_sim.cli import main
 from valve_sim.files.ledger import Ledger
 from valve_sim.files.parameter_files import load_valve
+from valve_sim.fleet import columns
 from valve_sim.fleet import run as fleet_run
 from valve_sim.fleet.results import PARTS, Results
 from valve_sim.fleet.run import examine_fleet, forecast
@@ -30,6 +35,7 @@ from valve_sim.traces.synthetic import Sensor, record
 
 from .bags import make_bag
 
+STAMPS_ERR = Recorder(quantisation=0.1e-6, command_jitter=40e-6, sample_rate=10e3)
 CONFIG = Path(__file__).parents[2] / "config"
 
 
@@ -191,6 +197,25 @@ def test_what_was_lost_is_done_again(fleet: Path, tmp_path: Path, monkeypatch: p
     examine_fleet([str(fleet)], tmp_path)
     assert len(asked) == 3
     assert Counter(row["state"] for row in table(tmp_path))["lost"] == 0
+
+
+def test_what_is_followed_is_fitted_alike_whether_effects_are_searched_for_or_not(tmp_path: Path) -> None:
+    """Two bags of one valve whose stamps err: the times agree within their errors, and the search changes none."""
+    for day in (1, 2):
+        made = plant_record(DeclaredPlant({}, dict(CAMPAIGN_VALVE)), train_bags(8)[day], STAMPS_ERR, day)
+        write_plant_bag(made, tmp_path / "bags" / f"day_{day}", "/valve", BAG_START_NS + day)
+    examine_fleet([str(tmp_path / "bags")], tmp_path / "fits", options=Options(search=False))
+    fits = by_name(tmp_path / "fits")
+    for row in fits.values():
+        assert (row["verdict"], row["white"], row["t1"]) == ("none", True, row["t1_before"])
+        for name, truth in (("t1_before", 5.3e-3), ("t2_before", 9.9e-3), ("main_damping_before", 4.0)):
+            assert abs(row[name] - truth) < 4.0 * row[f"{name}_stderr"]
+    examine_fleet([str(tmp_path / "bags" / "day_1")], tmp_path / "searched", options=Options(budget=1.0))
+    searched = by_name(tmp_path / "searched")["day_1"]
+    followed = {name: fits["day_1"][name] for own in columns.followed() for name in (own.name, own.stderr)}
+    known = {name: value for name, value in followed.items() if value is not None}
+    assert len(known) > 20
+    assert {name: searched[name] for name in known} == pytest.approx(known, rel=1e-9)
 
 
 def test_a_found_effect_has_a_report_and_a_hostile_name_stays_inside(tmp_path: Path) -> None:

@@ -38,6 +38,7 @@ NEEDED: Final = ("dask", "distributed", "fsspec", "pyarrow")
     "--workers", metavar="N", type=click.IntRange(min=1), help="Processes on this machine. Default: one per processor."
 )
 @click.option("--full", is_flag=True, help="Search for missing effects in every bag, also where nothing is left.")
+@click.option("--no-search", is_flag=True, help="Refit and test alone: drifts are seen, effects are not named. Cheap.")
 @click.option(
     "--budget",
     metavar="SECONDS",
@@ -59,6 +60,7 @@ def fleet(
     scheduler: str | None,
     workers: int | None,
     full: bool,
+    no_search: bool,
     budget: float,
     largest_bag: float,
     dry_run: bool,
@@ -81,10 +83,12 @@ def fleet(
         refuse(f"fleet needs {', '.join(missing)}, which is not here; install the extra: pip install '.[fleet]'")
     if scheduler is not None and workers is not None:
         raise click.UsageError("--workers is for this machine; a --scheduler has its own", click.get_current_context())
+    if full and no_search:
+        raise click.UsageError("--full searches in every bag, --no-search in none", click.get_current_context())
     from valve_sim.fleet.units import Options, ParameterChoice
 
     chosen = ParameterChoice(params, tuple(_pattern(text) for text in params_for))
-    options = Options(full, budget, int(largest_bag * 1e9))
+    options = Options(full, budget, int(largest_bag * 1e9), not no_search)
     if dry_run:
         from valve_sim.fleet.run import forecast
 

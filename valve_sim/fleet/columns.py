@@ -81,28 +81,48 @@ MOTION: Final = (
 """Of the valve as it was identified, at one voltage, so that bags of any strokes can be compared."""
 
 
+BEFORE: Final = "_before"
+"""Ends the name of a column of the declared valve as it was refitted to each bag, in the same way: bags compare."""
+
+
 def effect_column(name: str) -> str:
     """The column of `<effect>.<parameter>`: without a dot, which stands for nesting in Parquet."""
     return name.replace(".", "_")
 
 
-def quantities() -> tuple[Quantity, ...]:
-    """All that is estimated: motion, declared parameters, parameters of effects."""
-    declared = [Quantity(own.name, own.unit, own.description) for own in DECLARED.values()]
-    of_effects = [
+def declared_quantities() -> tuple[Quantity, ...]:
+    """Every declared value of a valve."""
+    return tuple(Quantity(own.name, own.unit, own.description) for own in DECLARED.values())
+
+
+def effect_quantities() -> tuple[Quantity, ...]:
+    """Every parameter of every effect."""
+    return tuple(
         Quantity(effect_column(f"{effect.name}.{own.name}"), own.unit, f"{effect.name}.{own.name}: {own.description}")
         for effect in CATALOGUE.values()
         if effect.named
         for own in effect.parameters
-    ]
-    return (*MOTION, *declared, *of_effects)
+    )
+
+
+def quantities() -> tuple[Quantity, ...]:
+    """All that is estimated of the corrected valve: motion, declared parameters, parameters of effects."""
+    return (*MOTION, *declared_quantities(), *effect_quantities())
+
+
+def followed() -> tuple[Quantity, ...]:
+    """What is followed over time: motion and declared parameters of the declared valve, refitted."""
+    return tuple(
+        Quantity(f"{own.name}{BEFORE}", own.unit, f"{own.meaning}; of the declared valve, refitted")
+        for own in (*MOTION, *declared_quantities())
+    )
 
 
 def columns() -> tuple[Column, ...]:
     """All columns, in order."""
     estimates = [
         column
-        for own in quantities()
+        for own in (*quantities(), *followed())
         for column in (
             Column(own.name, NUMBER, own.unit, own.meaning),
             Column(own.stderr, NUMBER, own.unit, f"standard error of {own.name}"),

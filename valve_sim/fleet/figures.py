@@ -13,11 +13,12 @@ from typing import Final
 
 import numpy as np
 
-from valve_sim.fleet.columns import MOTION, effect_column
+from valve_sim.fleet.columns import BEFORE, MOTION, declared_quantities, effect_column
 from valve_sim.fleet.units import Row
-from valve_sim.identification.diagnosis.outcome import Diagnosis
+from valve_sim.identification.estimation.declared_values import declared_values, estimated_valve
 from valve_sim.identification.estimation.followed_positions import a_standard_error_apart
 from valve_sim.identification.estimation.result import Fit
+from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import DECLARED, Drive, EventKind, Valve, ValveError, simulate
 
@@ -68,24 +69,57 @@ def motion_columns(result: Fit, plant: ValvePlant) -> Row:
     return found
 
 
-def estimates(diagnosis: Diagnosis) -> Row:
-    """Every declared value and every effect of the corrected valve, with standard errors, by column."""
-    fit, found = diagnosis.after.fit, dict[str, float | None]()
-    valve = diagnosis.valve
+def estimates(result: Fit, plant: ValvePlant) -> Row:
+    """Every declared value and every effect of a fitted valve, with standard errors, by column."""
+    valve, found = estimated_valve(result, plant), dict[str, float | None]()
     for name, value in valve.declared().items():
         found[name] = value
     for effect, values in valve.effects.items():
         found.update({effect_column(f"{effect}.{name}"): value for name, value in values.items()})
     found.update(_errors_of_polynomial(valve))
-    for declared in diagnosis.declared:
+    for declared in declared_values(result):
         column = effect_column(declared.name)
         if column in found and declared.name in (*DECLARED, *_dotted(valve)):
             found[column], found[f"{column}_stderr"] = declared.estimate, declared.stderr
-    for name in fit.free:
+    for name in result.free:
         column = effect_column(name)
         if column in found:
-            found[f"{column}_stderr"] = fit.stderr(name)
+            found[f"{column}_stderr"] = result.stderr(name)
     return {name: value if value is not None and math.isfinite(value) else None for name, value in found.items()}
+
+
+def with_errors_of_stamps(declared: Fit) -> Fit:
+    """The same fit with an error of each command's stamp, needed or not: so that all bags are fitted alike.
+
+    Stamps that are 20 µs off, which a recorder's often are, scatter what is estimated six times as much as noise does
+    if they are taken as they stand.
+
+    Raises:
+        OutOfTimeError: its budget is used up. SimulationError: the valve cannot be simulated.
+    """
+    plant = declared.problem.plant
+    nuisances = (*plant.nuisances, *plant.timing_errors)
+    return fit(declared.problem, plant.base, declared.values, nuisances=nuisances)
+
+
+def valve_columns(result: Fit, plant: ValvePlant) -> Row:
+    """Estimates and motion of a fitted valve, with standard errors, by column.
+
+    Raises:
+        SimulationError: that valve cannot be simulated at its reference voltage.
+    """
+    return {**estimates(result, plant), **motion_columns(result, plant)}
+
+
+def followed_columns(columns: Row) -> Row:
+    """Of the columns of the refitted declared valve, those that are followed, by the names that they then have."""
+    names = [own.name for own in (*MOTION, *declared_quantities())]
+    return {
+        f"{name}{BEFORE}{end}": columns[f"{name}{end}"]
+        for name in names
+        for end in ("", "_stderr")
+        if f"{name}{end}" in columns
+    }
 
 
 def _dotted(valve: Valve) -> list[str]:

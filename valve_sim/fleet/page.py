@@ -16,12 +16,15 @@ from jinja2 import ChoiceLoader, Environment, PackageLoader
 
 from valve_sim import __version__
 from valve_sim.files.whole_files import write_whole
-from valve_sim.fleet.trends import FALSE_ALARMS, FEWEST, Drift, Series, drifts, series_of
+from valve_sim.fleet.columns import BEFORE
+from valve_sim.fleet.trends import FALSE_ALARMS, FEWEST, Drift, Series, drifts, effects_of, series_of
 from valve_sim.fleet.units import EXAMINED, Row
 from valve_sim.identification.plants.effect_titles import named
 from valve_sim.identification.reporting.units import quantity, readable
 
-FOLLOWED: Final = ("opening_delay", "t1", "t2", "closing_time", "pilot_damping", "main_damping")
+FOLLOWED: Final = tuple(
+    f"{name}{BEFORE}" for name in ("opening_delay", "t1", "t2", "closing_time", "pilot_damping", "main_damping")
+)
 """Quantities that are drawn of every valve; beside these, what drifts and what effects were named."""
 DIGITS: Final = 5
 """Significant digits of what is drawn."""
@@ -59,7 +62,7 @@ def write_page(rows: Sequence[Row], path: Path) -> list[str]:
 
 def content(rows: Sequence[Row]) -> dict[str, Any]:
     """The template's variables."""
-    series = series_of(rows)
+    series, effects = series_of(rows), effects_of(rows)
     found: dict[str, list[Drift]] = defaultdict(list)
     for drift in drifts(series):
         found[drift.valve].append(drift)
@@ -67,7 +70,7 @@ def content(rows: Sequence[Row]) -> dict[str, Any]:
     for row in rows:
         if row["state"] == EXAMINED:
             by_valve[row["valve"]].append(row)
-    valves = [_valve(name, by_valve[name], series[name], found.get(name, [])) for name in by_valve]
+    valves = [_valve(name, by_valve[name], (series[name], effects[name]), found.get(name, [])) for name in by_valve]
     valves.sort(key=lambda valve: valve["order"])
     refused = [row for row in rows if row["state"] != EXAMINED]
     return {
@@ -105,12 +108,15 @@ def _counts(rows: Iterable[Row]) -> str:
 # --- a valve --------------------------------------------------------------------------------------------------------
 
 
-def _valve(name: str, rows: Sequence[Row], series: Sequence[Series], found: Sequence[Drift]) -> dict[str, Any]:
+def _valve(
+    name: str, rows: Sequence[Row], series: tuple[Sequence[Series], Sequence[Series]], found: Sequence[Drift]
+) -> dict[str, Any]:
+    """A valve's part of the template's variables; `series`: what is followed, and the effects that were named."""
     ordered = sorted(rows, key=lambda row: (row["start_time"], row["source"]), reverse=True)
     wrong = [row for row in ordered if _is_wrong(row)]
     drifting = {drift.series.quantity.name: drift for drift in found}
-    shown = [one for one in series if one.quantity.name in drifting or one.quantity.name in FOLLOWED]
-    shown.sort(key=lambda one: _place(one, drifting))
+    followed = [one for one in series[0] if one.quantity.name in drifting or one.quantity.name in FOLLOWED]
+    shown = sorted([*followed, *series[1]], key=lambda one: _place(one, drifting))
     return {
         "name": name,
         "bags": len(rows),
@@ -131,7 +137,7 @@ def _valve(name: str, rows: Sequence[Row], series: Sequence[Series], found: Sequ
 def _place(series: Series, drifting: Mapping[str, Drift]) -> tuple[float, int]:
     """What drifts most surely first, then in the usual order; without any drift, t2 leads."""
     name = series.quantity.name
-    usual = ("t2", *FOLLOWED)
+    usual = (f"t2{BEFORE}", *FOLLOWED)
     p_value = drifting[name].p_value if name in drifting else 1.0
     return p_value, usual.index(name) if name in usual else len(usual)
 
@@ -163,7 +169,7 @@ def _drift_words(drift: Drift) -> str:
 
 
 def _title(column: str) -> str:
-    return column.replace("_", " ")
+    return column.removesuffix(BEFORE).replace("_", " ")
 
 
 def _finding(row: Row) -> dict[str, str]:

@@ -35,11 +35,13 @@ class Options:
         full: whether missing effects are searched for where the declared valve leaves nothing, too.
         budget: s of a processor for one unit.
         largest: bytes of a bag that is still read.
+        search: whether missing effects are searched for at all.
     """
 
     full: bool = False
     budget: float = 120.0
     largest: int = 4 << 30
+    search: bool = True
 
 
 class Survey(NamedTuple):
@@ -194,7 +196,7 @@ def remembered(bag: Bag, rows: Sequence[Row]) -> Survey | None:
 
 
 def _key(content: str, valve: str, declared: Valve, options: Options) -> str:
-    return _digest(content, valve, declared.to_mapping(), __version__, options.full, options.budget)
+    return _digest(content, valve, declared.to_mapping(), __version__, options.full, options.budget, options.search)
 
 
 def _digest(*parts: Any) -> str:

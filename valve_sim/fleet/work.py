@@ -100,8 +100,7 @@ def _examined(unit: Unit, place: Path, output: Path) -> Examined:
 
 
 def _diagnosed(unit: Unit, place: Path, output: Path) -> tuple[Row, dict[str, str]]:
-    from valve_sim.fleet.rows import row_values
-    from valve_sim.identification.diagnosis.run import diagnose
+    from valve_sim.fleet.rows import refitted, row_values, row_without_search
     from valve_sim.identification.estimation.budget import Budget
     from valve_sim.identification.estimation.parallel import threads_limited_to
     from valve_sim.traces import read_trace, refuse_doubtful_units
@@ -111,8 +110,11 @@ def _diagnosed(unit: Unit, place: Path, output: Path) -> tuple[Row, dict[str, st
     trace = dataclasses.replace(trace, source=f"{unit.bag.source} ({unit.valve})")
     budget = Budget(unit.options.budget, time.process_time)
     with threads_limited_to(1):
-        diagnosis = diagnose([trace], [], unit.declared, None, budget, is_full=unit.options.full)
-    values = row_values(trace, diagnosis)
+        begun, followed = refitted(trace, unit.declared, budget)
+        if not unit.options.search:
+            return unit.row(EXAMINED, **row_without_search(trace, followed)), {}
+        diagnosis = begun.end(is_full=unit.options.full)
+    values = row_values(trace, diagnosis, followed)
     report: dict[str, str] = {}
     if values["verdict"] != "none" or values["out_of_tolerance"]:
         from valve_sim.identification.reporting.files import write_diagnosis

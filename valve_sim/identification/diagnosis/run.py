@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +31,7 @@ from valve_sim.identification.selection.table import Hypothesis
 from valve_sim.model import SimulationError, Valve
 from valve_sim.traces import Trace
 
-__all__ = ["Candidate", "Diagnosis", "Grounds", "State", "Verdict", "diagnose", "diagnose_plant"]
+__all__ = ["Begun", "Candidate", "Diagnosis", "Grounds", "State", "Verdict", "begin", "diagnose", "diagnose_plant"]
 
 EVERY_FOURTH: Final = 4
 """Every fourth stroke is held out where no hold-out bag is given."""
@@ -81,18 +81,42 @@ def diagnose_plant(
     is_full: bool = False,
 ) -> Diagnosis:
     """The same for any plant; `holdout` is the same machine with other data."""
+    return begin(plant, holdout, progress, budget).end(is_full=is_full)
+
+
+class Begun(NamedTuple):
+    """A diagnosis of which the declared model has been fitted, and nothing else tried yet.
+
+    Attributes:
+        declared: that fit. exploration: the search. held_out: what judges it. budget: of the whole.
+    """
+
+    declared: Fit
+    exploration: Exploration
+    held_out: HeldOut
+    budget: Budget
+
+    def end(self, *, is_full: bool = False) -> Diagnosis:
+        """Search for what is missing, and conclude."""
+        with self.budget.until(EXPLORED_BY):
+            self.exploration.explore(is_full=is_full)
+        return Conclusion(self.exploration, self.held_out).conclude()
+
+
+def begin(
+    plant: Plant, holdout: Plant | None = None, progress: Progress | None = None, budget: Budget | None = None
+) -> Begun:
+    """The first part of `diagnose_plant`: the declared model, refitted.
+
+    Raises:
+        OutOfTimeError: the budget is used up before. SimulationError: the declared model cannot be simulated.
+    """
     budget = budget or Budget.unlimited()
     with budget.until(BEGUN_BY):
-        exploration, held_out = _begun(plant, holdout, progress, budget)
-    with budget.until(EXPLORED_BY):
-        exploration.explore(is_full=is_full)
-    return Conclusion(exploration, held_out).conclude()
+        return _begun(plant, holdout, progress, budget)
 
 
-def _begun(
-    plant: Plant, holdout: Plant | None, progress: Progress | None, budget: Budget
-) -> tuple[Exploration, HeldOut]:
-    """The search and the hold-out, with the declared model fitted and nothing else tried yet."""
+def _begun(plant: Plant, holdout: Plant | None, progress: Progress | None, budget: Budget) -> Begun:
     train_mask, holdout_mask = _split(plant) if holdout is None else (None, None)
     problem = Problem(plant, train_mask, budget=budget)
     never_still = [kind for kind, noise in problem.noises.items() if noise.samples == 0]
@@ -117,7 +141,7 @@ def _begun(
         # From one start it may be fitted all the same.
         if Hypothesis(()) not in search.log:
             raise
-    return Exploration(search), HeldOut(plant, held_out)
+    return Begun(search.log[Hypothesis(())], Exploration(search), HeldOut(plant, held_out), budget)
 
 
 def _largest_fit(problem: Problem) -> Fit:
