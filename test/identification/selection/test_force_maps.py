@@ -48,6 +48,7 @@ class Fits:
 
     Attributes:
         scores: of the variable of a map, with a "'" where stamps are estimated. calls: of `fit`, its arguments.
+        scans: for periods, the stamps' marks of the fits that they are made beside.
     """
 
     def __init__(
@@ -55,6 +56,7 @@ class Fits:
     ) -> None:
         self.scores, self.maps, self.white = scores, maps, white
         self.calls: list[dict[str, Any]] = []
+        self.scans: list[list[str]] = []
         self.further = 0
         self.plant = SimpleNamespace(force_maps=maps, timing_errors=(STAMP,))
         self.problem = SimpleNamespace(plant=self.plant, variance_inflation=1.0)
@@ -71,9 +73,11 @@ class Fits:
             lambda one: Adequacy(1.0 if one.key and one.key in white.split("; ") else 0.0, "", 0.0),
         )
 
-    def periods(self, choice: ForceMap, base: Any) -> list[Period]:
+    def periods(self, choice: ForceMap, *bases: Any) -> list[list[Period]]:
+        self.scans.append(["'" * (STAMP in one.nuisances) for one in bases])
         lengths = [(0.1, 0.01), (0.02, 0.001), *[(0.03, 0.001)] * self.further]
-        return [Period(length, sigma, 50.0, dict.fromkeys(choice.coefficients, length)) for length, sigma in lengths]
+        found = [Period(length, sigma, 50.0, dict.fromkeys(choice.coefficients, length)) for length, sigma in lengths]
+        return [found for _ in bases]
 
     def rest(self, hypothesis: Hypothesis) -> Any:
         return SimpleNamespace(**{**vars(self.base), "free": ("gain", *hypothesis.effects), "nuisances": (STAMP,)})
@@ -295,3 +299,13 @@ def test_where_a_curve_is_strong_is_said_in_words(choice: ForceMap, bump: int, w
     coefficients = np.zeros(12)
     coefficients[bump] = -2.0
     assert where(choice, curved(choice, coefficients)) == words
+
+
+def test_a_long_scan_over_time_is_made_once_for_both_fits(monkeypatch: pytest.MonkeyPatch) -> None:
+    fits = Fits(monkeypatch, {}, OVER_X, TURNS, BEATS)
+    fits.fitted()
+    assert fits.scans == [[""], ["", "'"], ["'"]]
+    # Where curves over the stroke explain all, there is none.
+    fits = Fits(monkeypatch, {"x": 60.0}, OVER_X, BEATS, white="x")
+    fits.fitted()
+    assert fits.scans == []

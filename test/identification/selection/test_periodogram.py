@@ -50,7 +50,7 @@ def found(data: Array, choice: ForceMap = CHOICE, free: Sequence[str] = ("level"
     def shown(values: Mapping[str, float]) -> Array:
         return curve(values) + values.get("known", 0.0) * wave(10.0)
 
-    return likely_periods(choice, fit(problem_of(LinearPlant(data, shown, **more)), free, {}))  # type: ignore[arg-type]
+    return likely_periods(choice, fit(problem_of(LinearPlant(data, shown, **more)), free, {}))[0]  # type: ignore[arg-type]
 
 
 def gain_of(cycles: float, data: Array) -> float:
@@ -118,4 +118,4 @@ def test_periods_that_cannot_be_simulated_gain_nothing() -> None:
     plant = LinearPlant(measured() + wave(13.0) + 0.5 * wave(10.0), shown)
     plant.declared = lambda name: 1.0 if name == "end" else 0.0  # type: ignore[method-assign]
     base = fit(problem_of(plant), ("level",), {}, fixed={"end": 1.0})
-    assert likely_periods(CHOICE, base)[0].length == pytest.approx(SPAN / 10.0)
+    assert likely_periods(CHOICE, base)[0][0].length == pytest.approx(SPAN / 10.0)

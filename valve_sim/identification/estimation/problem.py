@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -108,6 +109,18 @@ class Problem:
     def weight(self, index: int) -> Array:
         """(n,) how much each sample of a channel counts; 0 where it takes no part."""
         return self._weights[index]
+
+    @functools.cached_property
+    def strokes(self) -> NDArray[np.int64]:
+        """(n,) for each of the residuals the number of its stroke, from 0 on; −1 where it takes no part."""
+        recordings = np.concatenate([np.full(len(own.data), own.recording) for own in self.plant.channels])
+        groups = np.concatenate([channel.group for channel in self.plant.channels])
+        used = np.concatenate(self._weights) > 0.0
+        number = np.full(len(used), -1)
+        if used.any():
+            keys = recordings[used] * (1 + int(groups.max())) + groups[used]
+            number[used] = np.unique(keys, return_inverse=True)[1]
+        return number
 
     def reach(self, nuisance: Nuisance) -> NDArray[np.bool_]:
         """(n,) which of the residuals a nuisance acts on."""

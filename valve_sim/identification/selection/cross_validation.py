@@ -54,16 +54,10 @@ class CrossValidation:
 
 def folds_of(problem: Problem) -> list[NDArray[np.bool_]]:
     """For each stroke that takes part, (n,) which residuals are its own; of many strokes, several in a fold."""
-    keys: list[Array] = []
-    takes_part: list[NDArray[np.bool_]] = []
-    for index, channel in enumerate(problem.plant.channels):
-        keys.append(np.column_stack([np.full(len(channel.data), channel.recording), channel.group]))
-        takes_part.append(problem.weight(index) > 0.0)
-    used = np.concatenate(takes_part)
-    strokes, number = np.unique(np.concatenate(keys)[used], axis=0, return_inverse=True)
-    fold = np.full(len(used), -1)
-    fold[used] = number.ravel() % MOST_FOLDS
-    return [fold == one for one in range(min(len(strokes), MOST_FOLDS))]
+    strokes = problem.strokes
+    count = int(strokes.max(initial=-1)) + 1
+    fold = np.where(strokes < 0, -1, strokes % MOST_FOLDS)
+    return [fold == one for one in range(min(count, MOST_FOLDS))]
 
 
 def cross_validate(result: Fit) -> CrossValidation | None:

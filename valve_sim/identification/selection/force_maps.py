@@ -7,6 +7,7 @@ A curve has many B-splines, and a penalty on its second differences whose weight
 from __future__ import annotations
 
 import contextlib
+import functools
 import itertools
 import math
 from collections.abc import Mapping, Sequence
@@ -24,7 +25,7 @@ from valve_sim.identification.estimation.solver import WHOLE, Effort, fit
 from valve_sim.identification.plants.protocol import Array, ForceMap, Nuisance
 from valve_sim.identification.plants.root_mean_square import root_mean_square
 from valve_sim.identification.selection.hypotheses import NEAR, Search
-from valve_sim.identification.selection.periods import likely_periods
+from valve_sim.identification.selection.periods import Period, likely_periods
 from valve_sim.identification.selection.residual_tests import adequacy
 from valve_sim.identification.selection.table import DECISIVE, Hypothesis
 from valve_sim.model import SimulationError
@@ -83,13 +84,39 @@ def fit_maps(search: Search, base: Fit, *, is_explained: bool = False) -> list[N
         is_explained: whether effects explain all with so few parameters that no wave over time can do better, nor
             anything with errors of the stamps: these are left out.
     """
-    plant = base.problem.plant
-    found = _fitted_maps(search, base, is_explained=is_explained)
-    is_timed = set(plant.timing_errors) <= set(base.nuisances)
-    if found and not is_explained and not is_timed and not any(adequacy(entry.fit).is_white for entry in found):
-        with contextlib.suppress(OutOfTimeError, SimulationError):
-            found += _fitted_maps(search, _with_timing(base))
+    beside = _Beside(base)
+    found = _fitted_maps(search, beside, base, is_explained=is_explained)
+    if found and not is_explained and not any(adequacy(entry.fit).is_white for entry in found):
+        with contextlib.suppress(OutOfTimeError):
+            if timed := beside.timed:
+                found += _fitted_maps(search, beside, timed)
     return sorted(found, key=lambda entry: entry.fit.score)
+
+
+class _Beside:
+    """A fit, the same with errors of the commands' stamps, and the periods of forces over time beside both."""
+
+    def __init__(self, base: Fit) -> None:
+        self.base = base
+        self._periods: dict[str, list[list[Period]]] = {}
+
+    @functools.cached_property
+    def timed(self) -> Fit | None:
+        """With errors of the stamps estimated along; None where they are estimated anyway, or cannot be."""
+        if set(self.base.problem.plant.timing_errors) <= set(self.base.nuisances):
+            return None
+        with contextlib.suppress(SimulationError):
+            return _with_timing(self.base)
+        return None
+
+    def periods(self, choice: ForceMap, base: Fit) -> list[Period]:
+        """Likely periods beside one of both fits; over time, where a scan is long, both are scanned at once."""
+        if choice.unit != "s":
+            return likely_periods(choice, base)[0]
+        both = [self.base] if self.timed is None else [self.base, self.timed]
+        if choice.variable not in self._periods:
+            self._periods[choice.variable] = likely_periods(choice, *both)
+        return self._periods[choice.variable][both.index(base)]
 
 
 def _with_timing(base: Fit) -> Fit:
@@ -111,13 +138,13 @@ def explains_all(base: Fit, best: Fit) -> bool:
     return is_white and further * math.log(best.problem.effective_samples) <= DECISIVE
 
 
-def _fitted_maps(search: Search, base: Fit, *, is_explained: bool = False) -> list[NonparametricFit]:
+def _fitted_maps(search: Search, beside: _Beside, base: Fit, *, is_explained: bool = False) -> list[NonparametricFit]:
     """Every force map beside what a fit estimates."""
 
     def fitted(choice: ForceMap) -> list[NonparametricFit]:
         try:
             if choice.end:
-                return _periodic(choice, base)
+                return _periodic(choice, base, beside.periods(choice, base))
             return [_beside(choice, base, base.nuisances)]
         except (OutOfTimeError, SimulationError):
             return []
@@ -154,10 +181,10 @@ def _beside(
     return NonparametricFit(choice, found)
 
 
-def _periodic(choice: ForceMap, base: Fit) -> list[NonparametricFit]:
+def _periodic(choice: ForceMap, base: Fit, periods: Sequence[Period]) -> list[NonparametricFit]:
     """A force that repeats itself, with the period of the best fit; the period is estimated along."""
     found: list[NonparametricFit] = []
-    for number, period in enumerate(likely_periods(choice, base)):
+    for number, period in enumerate(periods):
         if number % AT_ONCE == 0 and any(adequacy(entry.fit).is_white for entry in found):
             break
         length = Nuisance(

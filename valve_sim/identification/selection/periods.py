@@ -10,7 +10,7 @@ wave has twice the effect.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import zip_longest
 from typing import Final, NamedTuple
 
@@ -59,11 +59,17 @@ class _Wave(NamedTuple):
 NO_WAVE: Final = _Wave(0.0, np.zeros(PHASES))
 
 
-def likely_periods(choice: ForceMap, base: Fit) -> list[Period]:
-    """The periods of a force beside a fit that would lower its χ² most, by turns of all samples and of those in motion.
+def likely_periods(choice: ForceMap, *bases: Fit) -> list[list[Period]]:
+    """For each fit the periods of a force beside it that would lower its χ² most.
 
-    Each of both leads astray at times: what a resting plunger does is not linear, and of a weak force of a high
-    frequency only what lifts a resting plunger is to be seen.
+    They are taken by turns from all samples and from those in motion. Each of both leads astray at times: what a
+    resting plunger does is not linear, and of a weak force of a high frequency only what lifts a resting plunger is to
+    be seen.
+
+    Args:
+        choice: a force map that repeats itself.
+        bases: fits to the same data that differ in nothing that matters to what a wave does: waves are simulated once,
+            beside the first.
 
     Raises:
         OutOfTimeError: the time is used up.
@@ -72,8 +78,14 @@ def likely_periods(choice: ForceMap, base: Fit) -> list[Period]:
     most = MOST_OVER_STROKE if choice.unit == "m" else MOST_CYCLES
     cycles = np.arange(FEWEST_CYCLES, most, STEP)
     shapes = _shapes(len(choice.coefficients))
-    best_waves = _best_waves_of(choice, base, shapes)
+    best_waves = _best_waves_of(choice, bases, shapes)
     waves = run_parallel(lambda count: best_waves(span / count), cycles.tolist())
+    return [_periods(choice, cycles, shapes, of_base) for of_base in zip(*waves, strict=True)]
+
+
+def _periods(choice: ForceMap, cycles: Array, shapes: Array, waves: Sequence[tuple[_Wave, ...]]) -> list[Period]:
+    """The highest peaks of the waves of each period, by turns of those by all samples and by those in motion."""
+    span = choice.high - choice.low
     peaks = [_peaks(np.array([wave.gain for wave in of_samples])) for of_samples in zip(*waves, strict=True)]
     by_turns = [(peak, samples) for same_rank in zip_longest(*peaks) for samples, peak in enumerate(same_rank)]
     found = {peak: waves[peak][samples] for peak, samples in reversed(by_turns) if peak is not None}
@@ -99,29 +111,37 @@ def _shapes(count: int) -> Array:
     return np.asarray(np.cos(2.0 * np.pi * (along[:, None] - np.arange(PHASES) / PHASES)))
 
 
-def _best_waves_of(choice: ForceMap, base: Fit, shapes: Array) -> Callable[[float], tuple[_Wave, ...]]:
-    """The waves of a period that would lower χ² most, by all samples and by those in motion."""
-    problem, values = base.problem, base.values
-    anyway = base.information
-    left = np.linalg.lstsq(anyway, gram(base.jacobian, base.residuals), rcond=1e-13)[0]
+def _best_waves_of(
+    choice: ForceMap, bases: Sequence[Fit], shapes: Array
+) -> Callable[[float], tuple[tuple[_Wave, ...], ...]]:
+    """The waves of a period that would lower χ² most, beside each fit: by all samples, and by those in motion."""
+    (first, *_), problem = bases, bases[0].problem
     small = [dict(zip(choice.coefficients, AMPLITUDE * shape, strict=True)) for shape in shapes.T]
     moves = ~np.concatenate([channel.quiet for channel in problem.plant.channels])
+    pulls = [gram(base.jacobian, base.residuals) for base in bases]
+    left: list[Array] = [
+        np.asarray(np.linalg.lstsq(base.information, pull, rcond=1e-13)[0], dtype=np.float64)
+        for base, pull in zip(bases, pulls, strict=True)
+    ]
 
     def column(period: float, shape: dict[str, float]) -> Array:
-        there = problem.residuals({**values, **choice.with_period(period).held, **shape})
-        return np.asarray((there - base.residuals) / AMPLITUDE)
+        there = problem.residuals({**first.values, **choice.with_period(period).held, **shape})
+        return np.asarray((there - first.residuals) / AMPLITUDE)
 
-    def best(columns: Array) -> _Wave:
+    def best(base: Fit, taken: Array, columns: Array) -> _Wave:
         shared = gram(base.jacobian, columns)
-        own = gram(columns, columns) - shared.T @ np.linalg.lstsq(anyway, shared, rcond=1e-13)[0]
-        return best_wave(own, gram(columns, base.residuals) - shared.T @ left)
+        own = gram(columns, columns) - shared.T @ np.linalg.lstsq(base.information, shared, rcond=1e-13)[0]
+        return best_wave(own, gram(columns, base.residuals) - shared.T @ taken)
 
-    def waves(period: float) -> tuple[_Wave, ...]:
+    def waves(period: float) -> tuple[tuple[_Wave, ...], ...]:
         try:
             columns = np.column_stack([column(period, shape) for shape in small])
         except SimulationError:
-            return NO_WAVE, NO_WAVE
-        return best(columns), best(np.where(moves[:, None], columns, 0.0))
+            return ((NO_WAVE, NO_WAVE),) * len(bases)
+        moving = np.where(moves[:, None], columns, 0.0)
+        return tuple(
+            (best(base, taken, columns), best(base, taken, moving)) for base, taken in zip(bases, left, strict=True)
+        )
 
     return waves
 
