@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from traces.test_summary import Weighed
 
 from valve_sim.identification.estimation.noise import Noise
 from valve_sim.identification.estimation.problem import Problem, _stays
+from valve_sim.identification.estimation.result import Fit, effective_rmse, rmse
 from valve_sim.identification.plants.protocol import Array, Channel
 
 STEP = 5e-6
@@ -18,12 +20,22 @@ SAMPLES = 1000
 CLOSING = np.concatenate([np.full(200, OPEN), np.linspace(OPEN, 0.0, 600), np.zeros(200)])
 
 
-def weights(data: Array, quiet: Array, declared: Array) -> Array:
-    """Of readings, where the declared model shows something."""
+def problem(data: Array, quiet: Array, declared: Array) -> Problem:
+    """Of readings, where the declared model shows something, and a model of its own what `shown` holds."""
     groups = np.zeros(SAMPLES, dtype=np.int64)
     channel = Channel("seen", "position", np.arange(SAMPLES) / 2e4, STEP * np.round(data / STEP), quiet, groups)
-    plant = SimpleNamespace(channels=[channel], predict=lambda values: [declared])
-    return Problem(plant, noises={"position": Noise(1e-6, 1e-6, (), STEP, 1.0, 200)}).weight(0)  # type: ignore[arg-type]
+    plant = SimpleNamespace(channels=[channel], predict=lambda values: [values.get("shown", declared)])
+    return Problem(plant, noises={"position": Noise(1e-6, 1e-6, (), STEP, 1.0, 200)})  # type: ignore[arg-type]
+
+
+def weights(data: Array, quiet: Array, declared: Array) -> Array:
+    """Of the only channel."""
+    return problem(data, quiet, declared).weight(0)
+
+
+def fit(of: Problem, shown: Array) -> Fit:
+    """One that predicts this."""
+    return cast("Fit", SimpleNamespace(problem=of, values={"shown": shown}))
 
 
 def test_a_valve_that_stays_where_the_declared_one_moves_counts_once() -> None:
@@ -58,3 +70,12 @@ def test_how_long_a_reading_stays_is_found_from_what_is_near_it() -> None:
         return Weighed.elements
 
     assert 0 < work(100_000) == work(1_000)
+
+
+def test_models_are_not_compared_by_copies_of_a_rounding_error() -> None:
+    """The true stop is 2 µm beyond what a coarse sensor reads there, for as long as the valve is open."""
+    truth = CLOSING + 2e-6 * (CLOSING / OPEN)
+    readings = problem(truth, np.arange(SAMPLES) < 200, CLOSING)
+    true, at_the_reading = fit(readings, truth), fit(readings, CLOSING)
+    assert rmse(true) > rmse(at_the_reading)
+    assert effective_rmse(true) < 0.99 * effective_rmse(at_the_reading)

@@ -121,7 +121,8 @@ def test_stamps_there_may_err_where_held_out_data_miss_the_model(
 ) -> None:
     monkeypatch.setattr(held_out, "adequacy", lambda result: Adequacy(1.0, "made up", 0.0))
     monkeypatch.setattr(held_out, "whiteness", lambda *given: Adequacy(p_value, "made up", 0.0))
-    monkeypatch.setattr(held_out, "rmse", lambda held: error)
+    for name in ("rmse", "effective_rmse"):
+        monkeypatch.setattr(held_out, name, lambda held: error)
     result, held = trained(CLOCK)
     assert held.needs_timing(result) is is_needed
     # What those stamps explain is compared, and excuses nothing.
@@ -140,7 +141,8 @@ class Judged:
     def __init__(self, patch: pytest.MonkeyPatch, *, relief: bool = False, p_value: float = 1.0) -> None:
         self.known: dict[str, tuple[float, float] | None] = {}
         self.timing: list[bool] = []
-        patch.setattr(held_out, "rmse", lambda held: self.known[held.name][0])  # type: ignore[index]
+        for error in ("rmse", "effective_rmse"):
+            patch.setattr(held_out, error, lambda held: self.known[held.name][0])  # type: ignore[index]
         patch.setattr(held_out, "predict_held_out", self.predicted)
         patch.setattr(held_out, "is_relief", lambda base, result: relief)
         patch.setattr(held_out, "adequacy", lambda result: Adequacy(1.0, "made up", 0.0))

@@ -3,7 +3,8 @@
 The search is settled, its log of fits is closed, and everything that follows is drawn from the table of scores: the
 choice, by training strokes alone; the judgement, for which held-out strokes are opened; the verdict. One rule
 precedes all others: what is claimed or written never has a larger error than the refitted declared model, neither
-on fitted nor on held-out data. Where it would, or where the time is too short to tell, the declared model stands.
+on fitted nor on held-out data, where copies of one reading of a coarse sensor count once. Where it would, or where the
+time is too short to tell, the declared model stands.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from valve_sim.identification.diagnosis.experiment_design import Recommendation,
 from valve_sim.identification.diagnosis.outcome import Candidate, Diagnosis, Grounds, State, Verdict
 from valve_sim.identification.estimation.budget import OutOfTimeError
 from valve_sim.identification.estimation.intervals import Interval, covariance_interval, profile_interval
-from valve_sim.identification.estimation.result import Fit, is_relief, rmse
+from valve_sim.identification.estimation.result import Fit, effective_rmse, is_relief, rmse
 from valve_sim.identification.plants.effect_titles import named_value
 from valve_sim.identification.plants.protocol import strokes_of_plant
 from valve_sim.identification.selection.bootstrap import NOT_ASKED, FalseAlarm, false_alarm
@@ -300,6 +301,6 @@ class Conclusion:
 
 
 def is_larger(result: Fit, base: Fit) -> bool:
-    """Whether a fit's error on training strokes is larger than the base's, but for rounding."""
+    """Whether a fit's error on training strokes is larger than the base's, but for rounding; copies count once."""
     slack = ALIKE if is_relief(base, result) else SAME
-    return rmse(result) > (1.0 + slack) * rmse(base)
+    return effective_rmse(result) > (1.0 + slack) * effective_rmse(base)

@@ -300,11 +300,24 @@ def is_relief(smaller: Fit, larger: Fit) -> bool:
 
 def rmse(result: Fit) -> float:
     """Root mean square of measured less predicted response over the samples that take part, in its unit."""
+    return _root_mean_square(result, lambda weight: np.asarray(weight > 0.0, dtype=np.float64))
+
+
+def effective_rmse(result: Fit) -> float:
+    """The same with each sample's weight in the fit, in its unit: to compare models of one recording.
+
+    A coarse sensor at rest repeats one rounding error. Where its copies counted each, a model that puts the plunger at
+    the reading would have a smaller error than the true one, whatever it predicts of the motion.
+    """
+    return _root_mean_square(result, np.square)
+
+
+def _root_mean_square(result: Fit, share: Callable[[Array], Array]) -> float:
     plant, problem = result.problem.plant, result.problem
-    squares, count = 0.0, 0
+    squares, total = 0.0, 0.0
     predictions = plant.predict(result.values)
     for index in judged_channels(plant):
-        takes_part = problem.weight(index) > 0.0
-        squares += float(np.sum(np.square((plant.channels[index].data - predictions[index])[takes_part])))
-        count += int(np.count_nonzero(takes_part))
-    return math.sqrt(squares / max(1, count))
+        shares = share(problem.weight(index))
+        squares += float(shares @ np.square(plant.channels[index].data - predictions[index]))
+        total += float(np.sum(shares))
+    return math.sqrt(squares / total) if total > 0.0 else 0.0

@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from valve_sim.identification.estimation.problem import Problem
-from valve_sim.identification.estimation.result import Fit, is_relief, rmse
+from valve_sim.identification.estimation.result import Fit, effective_rmse, is_relief, rmse
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Array, Nuisance, Plant
 from valve_sim.identification.selection.predictive_density import Prediction, knowledge_for, predict_held_out
@@ -196,7 +196,7 @@ class HeldOut:
         predicts_better = there is None or (
             prediction.neg2_log_density < predict_held_out(base, there).neg2_log_density - DECISIVE + known
         )
-        error, reference = rmse(here), 0.0 if there is None else rmse(there)
+        error, reference = effective_rmse(here), 0.0 if there is None else effective_rmse(there)
         ratio = error / reference if reference > 0.0 else 1.0 if there is not None and error == 0.0 else math.inf
         if there is None:
             ratio = 0.0
