@@ -21,7 +21,7 @@ from valve_sim.reference import interfaces
 
 CONFIG = Path(__file__).parents[1] / "config"
 TANKS = ("tank_1", "tank_2", "tank_3")
-SHELLS = {"valve": "valve_shell.py", "monitor": "monitor_shell.py"}
+SHELLS = {"valve": ("valve_shell.py",), "monitor": ("monitor_shell.py", "monitor_inputs.py")}
 FIELDS = {
     "BatteryState": "current|voltage",
     "JointState": r"position\[[01]\]",
@@ -45,9 +45,9 @@ SERIES = {
 def topics() -> dict[str, str]:
     """Every topic of the station, and its message."""
     found = {}
-    for node, file in SHELLS.items():
-        source = (resources.files("valve_sim.nodes") / file).read_text(encoding="utf-8")
-        for entry in interfaces(source):
+    for node, files in SHELLS.items():
+        sources = [(resources.files("valve_sim.nodes") / file).read_text(encoding="utf-8") for file in files]
+        for entry in interfaces(*sources):
             if entry.direction != "service":
                 found.update({entry.name.replace("~", f"/{tank}/{node}"): entry.message for tank in TANKS})
     return found

@@ -21,10 +21,10 @@ from valve_sim.nodes.parameters import NodeParameter, table
 from valve_sim.traces.layout import CHANNELS, COIL, COIL_STATE, MEASURED
 
 _NODES: Final = {
-    "valve_node": "valve_shell.py",
-    "identification_node": "identification_shell.py",
-    "monitor_node": "monitor_shell.py",
-    "command_profile": "command_profile_shell.py",
+    "valve_node": ("valve_shell.py",),
+    "identification_node": ("identification_shell.py",),
+    "monitor_node": ("monitor_shell.py", "monitor_inputs.py"),
+    "command_profile": ("command_profile_shell.py",),
 }
 _CALLS: Final = {"create_publisher": "out", "create_subscription": "in", "create_service": "service"}
 
@@ -37,12 +37,13 @@ class Interface(NamedTuple):
     direction: str
 
 
-def interfaces(source: str) -> list[Interface]:
-    """The topics and services that a node's source makes, in the order in which it makes them.
+def interfaces(*sources: str) -> list[Interface]:
+    """The topics and services that a node's source files make, in the order in which they make them.
 
     Read from the source, so that neither ROS nor a running node is needed.
     """
-    return sorted(_interfaces(ast.parse(source)), key=lambda entry: list(_CALLS.values()).index(entry.direction))
+    found = [entry for source in sources for entry in _interfaces(ast.parse(source))]
+    return sorted(found, key=lambda entry: list(_CALLS.values()).index(entry.direction))
 
 
 def _interfaces(tree: ast.AST) -> Iterator[Interface]:
@@ -80,9 +81,9 @@ def pages() -> dict[str, str]:
 
 def _topics() -> Iterator[str]:
     folder = resources.files("valve_sim.nodes")
-    for node, file in _NODES.items():
+    for node, files in _NODES.items():
         yield f"## {node}"
-        found = interfaces((folder / file).read_text(encoding="utf-8"))
+        found = interfaces(*((folder / file).read_text(encoding="utf-8") for file in files))
         yield _table(("name", "type", "direction"), [(f"`{e.name}`", e.message, e.direction) for e in found])
     yield "`<valve>` and `<measured>` are parameters of monitor_node; `<sensors>` is where `<measured>` is."
 

@@ -221,6 +221,16 @@ def test_a_stuck_valve_is_an_error(probe: Probe, tmp_path: Path) -> None:
         assert "did not open" in report["fault"]
 
 
+def test_with_the_topic_of_the_coil_a_valve_is_watched_by_its_current_alone(probe: Probe, tmp_path: Path) -> None:
+    ears = Ears(probe)
+    with running(tmp_path), monitoring(tmp_path, measured="coil"):
+        ears.ready()
+        (report,) = ears.strokes(1)
+    assert "residual_rms_ma" in report
+    assert "residual_rms_um" not in report
+    assert report["fault"] is None
+
+
 def test_bad_samples_are_counted_and_harm_nothing(probe: Probe, tmp_path: Path) -> None:
     ears = Ears(probe)
     samples = probe.talker("measured/joint_states", JointState)

@@ -60,8 +60,11 @@ def live_inputs(path: str, valve: str) -> Mapping[str, LiveInput]:
     file = Path(path).expanduser()
     found = load_map(file)
     name, sources = found.choose(valve if len(found.valves) > 1 else None)
-    if "position" not in sources:
-        raise MapError(f"{file}: of {name}: names no position, which a live node needs: position: {{topic: ...}}")
+    if not {"position", "current"} & set(sources):
+        raise MapError(
+            f"{file}: of {name}: names neither a position nor a current, of which a live node needs one: "
+            "position: {topic: ...}"
+        )
     inputs = {}
     for quantity, source in sources.items():
         where = f"{file}: {quantity}"

@@ -31,7 +31,8 @@ _TEXTS: Final = {
     "valve_node": ("valve", "node whose topics are heard, relative to this node's namespace"),
     "measured": (
         "measured/joint_states",
-        "topic of the measured positions below it; joint_states: a simulated valve's",
+        "topic of the measured positions below it, or of the coil (measured/coil): the current alone; joint_states and "
+        "coil: a simulated valve's",
     ),
     "map": ("", "file that says which topics, fields and units those of the valve are; empty: those of this package"),
     "frame_id": ("", "header.frame_id of the predicted joint states"),

@@ -8,20 +8,17 @@ from __future__ import annotations
 
 import contextlib
 import gc
-import itertools
 import json
 import math
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
-from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
-from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, String
 from std_srvs.srv import Trigger
@@ -36,8 +33,9 @@ from valve_sim.identification.reporting.monitoring import finding_json, stroke_j
 from valve_sim.identification.reporting.monitoring_words import finding_words
 from valve_sim.model import ParameterError, Stepper
 from valve_sim.nodes.diagnostics import Level
-from valve_sim.nodes.live_map import LiveInput, live_inputs
-from valve_sim.nodes.messages import JOINT_NAMES, ReadingMessages, diagnostic_array
+from valve_sim.nodes.live_map import live_inputs
+from valve_sim.nodes.messages import ReadingMessages, diagnostic_array
+from valve_sim.nodes.monitor_inputs import MonitorInputs, Takers
 from valve_sim.nodes.monitor_parameters import FORMER_NAMES, Given, check_given, descriptions
 from valve_sim.nodes.monitor_status import (
     HealthLog,
@@ -53,13 +51,10 @@ from valve_sim.nodes.node_clock import NodeClock
 from valve_sim.nodes.parameters import sources_of
 from valve_sim.nodes.realtime import LONGEST_LEAP_SECONDS, NANOSECONDS
 from valve_sim.nodes.shell_parts import LATCHED, RELIABLE, declare_read_only, full_name, given_parameters, make_node
-from valve_sim.nodes.spinning import guarded, log_left_out, spin, waiting_messages
+from valve_sim.nodes.spinning import guarded, spin
 from valve_sim.traces import Trace
 from valve_sim.traces.trouble import MOST_STROKES
 
-_MEASURED: Final = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""Best effort accepts sensors of either reliability; deep, because samples may come while the model compiles."""
-_COMMANDS: Final = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
 _PAUSE: Final = 10e-3
 """s between polls: waking up for each sample would cost rclpy more than the model's step."""
 _JUMP_SECONDS: Final = 1.0
@@ -70,9 +65,11 @@ _MOST_WAITING: Final = 100_000
 class MonitorShell:
     """The node `monitor`.
 
-    Topics of the valve <valve>, in: <valve>/coil_voltage, <valve>/<measured>, and coil_current beside the latter, where
-    there is one: with it fault isolation tells a change of the coil from one of the magnetic circuit. Out:
-    ~/predicted/joint_states and ~/residual (m, measured less predicted position of the pilot plunger) with each sample;
+    Topics of the valve <valve>, in: <valve>/coil_voltage, <valve>/<measured>, and coil or coil_current beside the
+    latter, where there is one: with it fault isolation tells a change of the coil from one of the magnetic circuit.
+    Where no position comes, or <measured> is that of the coil, the valve is watched by its current alone. Out:
+    ~/predicted/joint_states and ~/residual (m, measured less predicted position of the pilot plunger; by the current
+    alone A, measured less predicted current) with each sample;
     ~/stroke_report (JSON) and ~/stroke_diagnostics (its numbers, to be plotted) with each stroke; ~/finding (JSON,
     latched), what has changed, after an alarm; /diagnostics at 1 Hz. Service: ~/recommission (the next strokes are
     the new baseline). Parameters: those of `valve_sim.nodes.monitor_parameters`; they are read once, at the start.
@@ -90,15 +87,14 @@ class MonitorShell:
             given = self._declare(sections)
             self._settings = given.settings
             self._valve = full_name(self._node, given.settings.valve_node, "valve_node")
-            self._measured = full_name(self._node, f"{self._valve}/{given.settings.measured}", "measured")
-            self._sensors = self._measured.rpartition("/")[0]
-            self._voltage = f"{self._valve}/coil_voltage"
-            self._inputs = live_inputs(given.settings.map, self._valve) if given.settings.map else {}
-            self._entries: dict[Subscription, LiveInput] = {}
+            measured = full_name(self._node, f"{self._valve}/{given.settings.measured}", "measured")
+            entries = live_inputs(given.settings.map, self._valve) if given.settings.map else {}
             self._clock = NodeClock(self._node)
             self._state = Path(given.settings.state).expanduser() if given.settings.state else None
             self._kept = None if self._state is None else load_commissioning(self._state, given.valve)
             self._wire()
+            take = Takers(self._on_command, self._on_position, self._on_coil, self._on_unusable)
+            self._inputs = MonitorInputs(self._node, self._clock, self._valve, measured, entries, take)
         except BaseException:
             self._node.destroy_node()
             raise
@@ -109,6 +105,9 @@ class MonitorShell:
         self._input = InputCount()
         self._declared = given.valve
         self._segmenter = StrokeSegmenter(given.valve, given.settings.monitor)
+        if self._inputs.by_current:
+            self._segmenter.go_by_current()
+        self._is_by_current = self._segmenter.by_current
         self._stroke_monitor = StrokeMonitor(given.valve, given.settings.monitor)
         if self._kept is not None:
             self._stroke_monitor.use(self._kept)
@@ -132,7 +131,7 @@ class MonitorShell:
     def spin(self) -> None:
         """Monitor until ROS is shut down."""
         self._monitor_thread.start()
-        spin(self._node, lambda: 0.0 if self._is_simulated() else _PAUSE)
+        spin(self._node, lambda: 0.0 if self._inputs.is_simulated() else _PAUSE)
 
     def close(self, timeout: float | None) -> bool:
         """Stop and release everything; whether both threads have ended."""
@@ -158,109 +157,23 @@ class MonitorShell:
         self._finding = node.create_publisher(String, "~/finding", LATCHED)
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
         self._messages = ReadingMessages(self._settings.frame_id)
-        events = SubscriptionEventCallbacks(incompatible_qos=guarded(self._on_incompatible_qos))
-        if self._inputs:
-            self._subscribe_by_map(events)
-        else:
-            self._subscribe_to_own_topics(events)
         node.create_service(Trigger, "~/recommission", guarded(self._recommission))
         # Wall time: diagnostics must also report that /clock is silent.
         node.create_timer(1.0, guarded(self._diagnose), clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def _subscribe_to_own_topics(self, events: SubscriptionEventCallbacks) -> None:
-        node = self._node
-        on_command: Any = guarded(self._on_command)  # its second argument, message info, is missing in rclpy's types
-        self._commands = node.create_subscription(
-            Float64, f"{self._valve}/coil_voltage", on_command, _COMMANDS, event_callbacks=events
-        )
-        on_samples: Any = guarded(self._on_samples)
-        self._samples = node.create_subscription(JointState, self._measured, on_samples, _MEASURED)
-        on_currents: Any = guarded(self._on_currents)
-        self._currents = node.create_subscription(Float64, f"{self._sensors}/coil_current", on_currents, _MEASURED)
+    # --- what is heard, in the main thread ---
 
-    def _subscribe_by_map(self, events: SubscriptionEventCallbacks) -> None:
-        """Subscribe to the topics that the map names; each message is converted to the type of this package."""
+    def _on_command(self, stamp: int, volts: float) -> None:
+        self._when_ready(partial(self._command, stamp, volts))
 
-        def subscription_to(quantity: str, callback: Callable[..., None], qos: QoSProfile, **settings: Any) -> Any:
-            entry = self._inputs[quantity]
-            subscription = subscribe(
-                entry.message_class,
-                entry.source.topic,
-                guarded(lambda message, info: callback(*self._as_own_message(entry, message, info))),
-                qos,
-                **settings,
-            )
-            self._entries[subscription] = entry
-            return subscription
+    def _on_position(self, stamp: int, position: float, received: int) -> None:
+        self._when_ready(partial(self._sample, stamp, position, received))
 
-        subscribe: Any = self._node.create_subscription
-        self._measured, self._voltage = (self._inputs[key].source.topic for key in ("position", "command"))
-        self._commands = subscription_to("command", self._on_command, _COMMANDS, event_callbacks=events)
-        self._samples = subscription_to("position", self._on_samples, _MEASURED)
-        if "current" in self._inputs:
-            self._currents = subscription_to("current", self._on_currents, _MEASURED)
+    def _on_coil(self, stamp: int, current: float, voltage: float, received: int) -> None:
+        self._when_ready(partial(self._coil, stamp, current, voltage, received))
 
-    def _as_own_message(self, entry: LiveInput | None, message: Any, info: Any) -> tuple[Any, Any]:
-        """A message and its times in the types of this package; `entry` is None where they are already."""
-        if entry is None:
-            return message, info
-        value, stamp = entry.value(message), entry.stamp(message)
-        if entry.quantity != "position":
-            return Float64(data=value), {"stamp": stamp} if stamp else info
-        seconds, nanoseconds = divmod(stamp or self._arrival(info), NANOSECONDS)
-        joints = JointState(name=[JOINT_NAMES[0]], position=[value])
-        joints.header.stamp.sec, joints.header.stamp.nanosec = seconds, nanoseconds
-        return joints, info
-
-    # --- callbacks, in the main thread ---
-
-    def _on_command(self, message: Float64, info: Any) -> None:
-        stamp = self._arrival(info)
-        self._when_ready(lambda: self._command(stamp, message.data))
-
-    def _on_currents(self, message: Float64, info: Any) -> None:
-        self._take_current(message, info)
-        for waiting in self._waiting_on(self._currents):
-            self._take_current(*waiting)
-
-    def _take_current(self, message: Float64, info: Any) -> None:
-        stamp = self._arrival(info)
-        self._when_ready(lambda: self._segmenter.measure_current(self._seconds(stamp), message.data))
-
-    def _on_samples(self, message: JointState, info: Any) -> None:
-        """Take all queued samples, each after the commands received before it."""
-        for sample in itertools.chain([(message, info)], self._waiting_on(self._samples)):
-            for command in self._waiting_on(self._commands):
-                self._on_command(*command)
-            self._take_sample(*sample)
-
-    def _waiting_on(self, subscription: Subscription) -> Iterator[tuple[Any, Any]]:
-        """Queued messages with their times; none in simulated time, where the order with /clock must be kept."""
-        if self._is_simulated():
-            return
-        try:
-            for waiting in waiting_messages(subscription):
-                yield self._as_own_message(self._entries.get(subscription), *waiting)
-        except Exception as error:  # of rclpy; callbacks of this package are not called in here
-            log_left_out(self._node, error)
-
-    def _is_simulated(self) -> bool:
-        reading = self._clock.read()
-        return reading is None or reading.is_simulated
-
-    def _arrival(self, info: Any) -> int:
-        """Receive time of a message without a stamp, ns; in simulated time, when this thread processes it.
-
-        A message that a map names may have one.
-        """
-        if isinstance(info, dict) and "stamp" in info:
-            return int(info["stamp"])
-        received = _received(info)
-        return self._clock.stamp() if self._is_simulated() or not received else received
-
-    def _take_sample(self, message: JointState, info: Any) -> None:
-        received = 0 if self._is_simulated() else _received(info)
-        self._when_ready(lambda: self._sample(message, received))
+    def _on_unusable(self, why: str) -> None:
+        self._input.reject(why)
 
     def _when_ready(self, action: Callable[[], None]) -> None:
         if not self._is_ready:
@@ -274,49 +187,55 @@ class MonitorShell:
         rejected = self._segmenter.rejected
         self._segmenter.command(self._seconds(stamp), volts)
         if self._segmenter.rejected > rejected:
-            self._input.reject(f"{self._voltage}: {volts:g} V")
+            self._input.reject(f"{self._inputs.voltage}: {volts:g} V")
         else:
             self._input.commands += 1
         self._hand_over()
 
-    def _sample(self, message: JointState, received: int) -> None:
-        position = self._position_of(message)
-        if position is None:
-            return
+    def _sample(self, stamp: int, position: float, received: int) -> None:
         largest = MOST_STROKES * self._declared.parameters.stroke
         if abs(position) > largest:
-            words = f"{self._measured}: {position:g} m, expected metres, at most {largest:g} m; the map's unit:"
+            words = f"{self._inputs.measured}: {position:g} m, expected metres, at most {largest:g} m; the map's unit:"
             self._input.reject(words)
             return
-        header = message.header.stamp
-        stamp = header.sec * NANOSECONDS + header.nanosec
+        self._watch_for_jumps(stamp)
+        prediction = self._segmenter.measure(self._seconds(stamp), position, self._arrival(received))
+        self._follow(stamp, prediction, f"{position:g} m")
+
+    def _coil(self, stamp: int, current: float, voltage: float, received: int) -> None:
+        if self._segmenter.by_current:
+            self._watch_for_jumps(stamp)
+        prediction = self._segmenter.measure_current(self._seconds(stamp), current, voltage, self._arrival(received))
+        if self._segmenter.by_current:
+            self._follow(stamp, prediction, f"{current:g} A")
+
+    def _arrival(self, received: int) -> float:
+        return self._seconds(received) if received else math.nan
+
+    def _watch_for_jumps(self, stamp: int) -> None:
+        """Begin anew where the clock was set, or a bag starts again."""
         moved = (stamp - self._last_stamp) / NANOSECONDS if self._last_stamp is not None else 0.0
         if moved < -_JUMP_SECONDS or moved > LONGEST_LEAP_SECONDS:
             words = f"the stamps jumped by {moved:g} s: the valve is taken to be at rest"
             self._node.get_logger().warning(words, throttle_duration_sec=1.0)
             self._segmenter.reset()
             self._epoch, self._last_stamp, self._next_message = stamp, stamp - 1, 0
-        time_of = self._seconds
-        prediction = self._segmenter.measure(time_of(stamp), position, time_of(received) if received else math.nan)
+
+    def _follow(self, stamp: int, prediction: Prediction | None, sample: str) -> None:
+        """After a sample: publish what was predicted, and hand strokes over that it has ended."""
+        if self._segmenter.by_current is not self._is_by_current:
+            self._is_by_current = self._segmenter.by_current
+            words = (
+                "goes by the coil's current alone: no position comes" if self._is_by_current else "goes by positions"
+            )
+            self._node.get_logger().warning(words)
         if prediction is None:
-            self._input.reject(f"{self._measured}: {position:g} m at {stamp} ns, the last at {self._last_stamp} ns")
+            self._input.reject(f"{self._inputs.measured}: {sample} at {stamp} ns, the last at {self._last_stamp} ns")
             return
         self._last_stamp = stamp
         self._input.samples += 1
         self._publish(stamp, prediction)
         self._hand_over()
-
-    def _position_of(self, message: JointState) -> float | None:
-        """The pilot plunger's position, m; None, and counted, where the message has none."""
-        names, positions = message.name, message.position
-        if JOINT_NAMES[0] not in names:
-            self._input.reject(f"{self._measured}: joints {list(names)}, expected {JOINT_NAMES[0]} among them")
-            return None
-        index = names.index(JOINT_NAMES[0])
-        if len(positions) <= index:
-            self._input.reject(f"{self._measured}: {len(positions)} positions for {len(names)} joints")
-            return None
-        return float(positions[index])
 
     def _publish(self, stamp: int, prediction: Prediction) -> None:
         """Publish prediction and residual, at most at max_rate and only if there are subscribers."""
@@ -344,12 +263,6 @@ class MonitorShell:
             self._epoch = stamp
         return (stamp - self._epoch) / NANOSECONDS
 
-    def _on_incompatible_qos(self, event: QoSRequestedIncompatibleQoSInfo) -> None:
-        policy = qos_policy_name_from_kind(event.last_policy_kind)
-        self._node.get_logger().warning(
-            f"{self._voltage}: a publisher offers an incompatible QoS ({policy}) and cannot be heard; publish reliable"
-        )
-
     def _recommission(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._monitor_thread.recommission()
         response.success = True
@@ -361,9 +274,9 @@ class MonitorShell:
         if self._is_ready and self._clock.read() is None:
             waiting_for = "/clock (use_sim_time is true)"
         elif self._is_ready and not self._input.samples:
-            waiting_for = f"samples on {self._measured}"
+            waiting_for = f"samples on {self._inputs.wanted}"
         elif self._is_ready and not self._input.commands:
-            waiting_for = f"a command on {self._voltage}"
+            waiting_for = f"a command on {self._inputs.voltage}"
         facts = self._input.look(self._clock.elapsed(), self._monitor_thread.lost, waiting_for)
         wanted = self._settings.commissioning_strokes
         statuses = (
@@ -385,7 +298,7 @@ class MonitorShell:
         gc.freeze()
         self._is_ready = True
         self._node.get_logger().info(
-            f"ready: hears {self._commands.topic_name} and {self._measured}, reports each stroke on "
+            f"ready: hears {self._inputs.voltage} and {self._inputs.measured}, reports each stroke on "
             f"{self._stroke_report.topic_name} and what has changed on {self._finding.topic_name}"
         )
 
@@ -442,8 +355,3 @@ class MonitorShell:
             self._exit_code = 1
             self._node.get_logger().fatal(f"monitoring ended: {error!r}")
             self._node.context.try_shutdown()
-
-
-def _received(info: Any) -> int:
-    """Receive time by the middleware, ns; 0 where it gives none."""
-    return int(info.get("received_timestamp", 0)) if isinstance(info, dict) else 0

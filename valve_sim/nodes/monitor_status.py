@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Final, NamedTuple
 
 from valve_sim.identification.monitoring.findings import Fault, StrokeState
@@ -55,9 +56,11 @@ def health_status(
         "scatter of commands (ms)": _number(1e3 * monitor.command_scatter),
         "highest sum": "none" if last is None or math.isnan(last.sum) else f"{last.sum:.2f} ({last.cause})",
         "threshold": "none" if last is None or math.isnan(last.threshold) else f"{last.threshold:.2f}",
-        "residual (µm)": "none" if last is None or math.isnan(last.rms) else f"{1e6 * last.rms:.3f}",
+        **({"residual (µm)": "none"} if last is None else _texts(_errors(last, "residual"))),
         "cause": cause,
     }
+    if fault is None and last is not None and not last.has_positions:
+        fault = last.record.fault
     if fault is not None:
         return Status("valve", Level.ERROR, fault_words(fault), values)
     alarm = monitor.alarm
@@ -82,7 +85,7 @@ def model_status(monitor: StrokeMonitor) -> Status:
     values = {
         "pilot_damping (N·s·m⁻¹)": f"{parameters.pilot_damping:.5g}",
         "main_damping (N·s·m⁻¹)": f"{parameters.main_damping:.5g}",
-        "noise (µm)": f"{1e6 * baseline.noise.sigma:.3f}",
+        **_texts({_with_unit("noise", baseline.has_positions): _scale(baseline.has_positions) * baseline.noise.sigma}),
         "lateness (µs)": f"{1e6 * baseline.lateness:.1f}",
         "scatter of commands (µs)": f"{1e6 * baseline.scatter:.1f}",
     }
@@ -129,8 +132,7 @@ def stroke_status(report: StrokeReport) -> Status:
         "t1 (ms)": 1e3 * report.t1,
         "t2 (ms)": 1e3 * report.t2,
         "closing time (ms)": 1e3 * report.closing_time,
-        "residual (µm)": 1e6 * report.rms,
-        "noise (µm)": 1e6 * report.noise,
+        **_errors(report, "residual", "noise"),
         "scatter of commands (ms)": 1e3 * report.command_scatter,
         "highest sum": report.sum,
         "threshold": report.threshold,
@@ -154,6 +156,24 @@ def _state(monitor: StrokeMonitor) -> StrokeState:
     if monitor.baseline is None:
         return StrokeState.COMMISSIONING
     return StrokeState.TIMING_UNCERTAIN if monitor.is_timing_uncertain else StrokeState.WATCHING
+
+
+def _errors(report: StrokeReport, *names: str) -> dict[str, float]:
+    """The residual, and the noise, of the position in µm, or of the current alone in mA."""
+    values = {"residual": report.rms, "noise": report.noise}
+    return {_with_unit(name, report.has_positions): _scale(report.has_positions) * values[name] for name in names}
+
+
+def _with_unit(name: str, has_positions: bool) -> str:
+    return f"{name} ({'µm' if has_positions else 'mA'})"
+
+
+def _scale(has_positions: bool) -> float:
+    return 1e6 if has_positions else 1e3
+
+
+def _texts(values: Mapping[str, float]) -> dict[str, str]:
+    return {name: _number(value) for name, value in values.items()}
 
 
 def _number(value: float) -> str:

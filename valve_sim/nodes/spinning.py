@@ -74,6 +74,11 @@ def waiting_messages(subscription: Subscription) -> Iterator[tuple[Any, Any]]:
         yield waiting
 
 
+def received_time(info: Any) -> int:
+    """When the middleware received a message, ns; 0 where it does not say."""
+    return int(info.get("received_timestamp", 0)) if isinstance(info, dict) else 0
+
+
 def log_left_out(node: Node, error: Exception) -> None:
     """Log, once a second at most, that rclpy refused a message with this exception."""
     node.get_logger().error(f"a message was left out that ROS cannot take: {error!r}", throttle_duration_sec=1.0)

@@ -12,7 +12,8 @@ from scipy.special import ndtri, stdtr
 
 from valve_sim.identification.monitoring.command_timing import StrokeTiming, scatter_levels
 from valve_sim.identification.monitoring.findings import StrokeRecord
-from valve_sim.identification.monitoring.scores import SIZE, Baseline, commission, delays_of, score_stroke
+from valve_sim.identification.monitoring.scores import SIZE, Baseline, commission, score_stroke
+from valve_sim.identification.monitoring.stroke_delays import delays_of
 from valve_sim.model import Drive, EventKind, Valve, simulate
 from valve_sim.traces import Trace
 

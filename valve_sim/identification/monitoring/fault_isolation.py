@@ -20,7 +20,7 @@ from valve_sim.identification.diagnosis.run import Verdict, diagnose_plant
 from valve_sim.identification.estimation.identify import DEFAULT_FREE
 from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.identification.monitoring.scores import Baseline
-from valve_sim.identification.plants.commissioned import CommissionedCurrent, CommissionedPlant
+from valve_sim.identification.plants.commissioned import CommissionedPlant
 from valve_sim.identification.plants.protocol import Array, Plant
 from valve_sim.model import Drive, Parameter
 from valve_sim.traces import Signal, Trace
@@ -134,35 +134,34 @@ def _is_plausible(parameter: Parameter, interval: Interval) -> bool:
 
 def join(strokes: Sequence[Trace], baseline: Baseline) -> Trace:
     """Strokes as one trace, with the rests between them as they were; motion and current put back in time."""
-    lateness = baseline.lateness
     epoch = strokes[0].epoch_ns
     starts = [(stroke.epoch_ns - epoch) / 1e9 for stroke in strokes]
-    times = np.concatenate([stroke.times + start - lateness for stroke, start in zip(strokes, starts, strict=True)])
-    # Rest before a stroke may have been kept with the stroke before it, too.
-    is_later = _rises(times)
-    commands = [stroke.drive.times + start for stroke, start in zip(strokes, starts, strict=True)]
-    return Trace(
-        f"{strokes[0].source} to {strokes[-1].source}",
-        Drive(np.concatenate(commands), np.concatenate([stroke.drive.volts for stroke in strokes])),
-        times[is_later],
-        np.concatenate([stroke.pilot_position for stroke in strokes])[is_later],
-        coil_current=_join_currents(strokes, starts, baseline.current),
-        epoch_ns=epoch,
-    )
+    commands = np.concatenate([stroke.drive.times + start for stroke, start in zip(strokes, starts, strict=True)])
+    drive = Drive(commands, np.concatenate([stroke.drive.volts for stroke in strokes]))
+    source = f"{strokes[0].source} to {strokes[-1].source}"
+    back = [start - baseline.lateness for start in starts]
+    if not baseline.has_positions:
+        current = _joined([stroke.coil_current for stroke in strokes], back)
+        voltage = _joined([stroke.coil_voltage for stroke in strokes], back)
+        nothing = np.empty(0)
+        return Trace(source, drive, nothing, nothing, coil_current=current, coil_voltage=voltage, epoch_ns=epoch)
+    position = _joined([Signal(stroke.times, stroke.pilot_position) for stroke in strokes], back)
+    assert position is not None
+    commissioned = baseline.current
+    currents = [
+        commissioned and stroke.coil_current and commissioned.as_modelled(stroke.coil_current) for stroke in strokes
+    ]
+    return Trace(source, drive, *position, coil_current=_joined(currents, starts), epoch_ns=epoch)
 
 
-def _join_currents(
-    strokes: Sequence[Trace], starts: Sequence[float], commissioned: CommissionedCurrent | None
-) -> Signal | None:
-    """None where the current was not commissioned, or a stroke has none."""
-    if commissioned is None:
+def _joined(signals: Sequence[Signal | None], starts: Sequence[float]) -> Signal | None:
+    """Signals of one stroke each in a row; None where one is missing. Rest that two strokes have is there once."""
+    known = [signal for signal in signals if signal is not None]
+    if len(known) < len(signals):
         return None
-    known = [commissioned.as_modelled(stroke.coil_current) for stroke in strokes if stroke.coil_current is not None]
-    if len(known) < len(strokes):
-        return None
-    times = np.concatenate([current.times + start for current, start in zip(known, starts, strict=True)])
+    times = np.concatenate([signal.times + start for signal, start in zip(known, starts, strict=True)])
     is_later = _rises(times)
-    return Signal(times[is_later], np.concatenate([current.values for current in known])[is_later])
+    return Signal(times[is_later], np.concatenate([signal.values for signal in known])[is_later])
 
 
 def _rises(times: Array) -> NDArray[np.bool_]:

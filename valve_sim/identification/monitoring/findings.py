@@ -59,6 +59,8 @@ class Unusable(enum.Enum):
     """The valve or the model was not at rest when it began."""
     TOO_FEW_SAMPLES = enum.auto()
     """Too few samples between its first command and its last."""
+    OTHER_SENSOR = enum.auto()
+    """The valve was commissioned on positions, and it has none; or the other way round."""
     HELD_TOO_BRIEFLY = enum.auto()
     """The valve was held open for less than half as long as commanded: when its voltage was off is too uncertain."""
 
@@ -87,7 +89,8 @@ class StrokeRecord(NamedTuple):
     Attributes:
         number: from 0 on. time: of the opening command, s. trace: times since `trace.epoch_ns`.
         remark: why it cannot be compared with the model; None if it can.
-        opened, closed: whether the valve was seen to; None where the model did not, or where timing was too uncertain.
+        opened, closed: whether the valve was seen to; None where the model did not, where timing was too uncertain, or
+            where the current alone does not say so.
         fault: what went wrong; None where nothing did.
         arrival_spread: s, largest delay of its samples above the smallest of late; nan where arrivals are not known.
     """

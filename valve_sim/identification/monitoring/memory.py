@@ -122,6 +122,7 @@ def _to_plain(commissioning: Commissioning) -> dict[str, Any]:
         "scatter": baseline.scatter,
         "jitter": baseline.jitter,
         "noise": noise.__dict__,
+        "has_positions": baseline.has_positions,
         "current": None if baseline.current is None else baseline.current._asdict(),
         "strokes": [
             [stroke.volts, [finite_or_none(shift) for shift in stroke.shifts], finite_or_none(stroke.arrival_spread)]
@@ -146,6 +147,7 @@ def _from_plain(plain: Mapping[str, Any], declared: Valve) -> Commissioning:
         np.array(plain["damping_covariance"]),
         None if current is None else CommissionedCurrent(**current),
         tuple(values),
+        plain.get("has_positions", True),
     )
     strokes = tuple(
         StrokeTiming(volts, tuple(_or_nan(shift) for shift in shifts), _or_nan(arrival))

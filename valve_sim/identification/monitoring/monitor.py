@@ -47,6 +47,18 @@ class Monitor:
         self.segmenter.measure_many(times, positions)
         return self._reports()
 
+    def measure_current(
+        self, time: float, current: float, voltage: float = math.nan, arrival: float = math.nan
+    ) -> list[StrokeReport]:
+        """As `StrokeSegmenter.measure_current`."""
+        self.segmenter.measure_current(time, current, voltage, arrival)
+        return self._reports()
+
+    def measure_currents(self, times: Array, currents: Array, voltages: Array) -> list[StrokeReport]:
+        """As `StrokeSegmenter.measure_currents`."""
+        self.segmenter.measure_currents(times, currents, voltages)
+        return self._reports()
+
     def _reports(self) -> list[StrokeReport]:
         reports = [self.stroke_monitor.assess(record, refit=self._refit) for record in self.segmenter.take_finished()]
         if reports and math.isfinite(self.stroke_monitor.command_scatter):

@@ -28,6 +28,7 @@ from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import Effort, fit
 from valve_sim.identification.monitoring.command_timing import UNINFORMATIVE
+from valve_sim.identification.monitoring.stroke_delays import rough_shifts, start_before
 from valve_sim.identification.plants.commissioned import Commissioned, CommissionedCurrent, commission_current
 from valve_sim.identification.plants.protocol import Array, Nuisance, perturbed
 from valve_sim.identification.plants.recording_errors import CLOCK_SIGMA
@@ -35,7 +36,7 @@ from valve_sim.identification.plants.root_mean_square import root_mean_square
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.selection.hypotheses import ANNEALING
 from valve_sim.identification.selection.residual_tests import moving_residuals
-from valve_sim.model import EXACT, Drive, SimulationError, Valve, simulate
+from valve_sim.model import EXACT, SimulationError, Valve, simulate
 from valve_sim.model.parameters import Parameter
 from valve_sim.traces import Trace
 
@@ -43,8 +44,9 @@ SIZE: Final = "size"
 """Name of the score of the residual's size."""
 DELAYS: Final = ("opening delay", "closing delay")
 """Names of the scores of the stamps' errors."""
-FINEST: Final = 0.05e-6
-"""m: smallest noise that is assumed, the repeatability of the paper's laser; a simulated valve has none."""
+FINEST: Final = {"position": 0.05e-6, "current": 20e-6}
+"""m and A: smallest noise that is assumed, as a simulated valve has none: the repeatability of the paper's laser, and
+what 14 bits resolve of 1 A."""
 MOST_SHIFTS: Final = 6
 """Largest number of commands whose stamp errors are all estimated; of more (a ramp), only the first and last."""
 LEAST_SENSITIVITY: Final = 1e-3
@@ -55,10 +57,6 @@ POOR_FIT: Final = 2.0
 """χ² per sample beyond which other starting points are tried too."""
 MEDIAN_OF_NORMAL: Final = 0.6745
 """Median absolute value of a standard normal number."""
-SHIFT_ITERATIONS: Final = 4
-"""Iterations that find the delays of the commands before a fit."""
-SHIFT_TOLERANCE: Final = 1e-3
-"""s: iterations end when the delays change by less."""
 EXTREME_SIGMAS: Final = 3.0
 """Standard deviations that the largest of some forty normal numbers rarely exceeds."""
 FURTHEST: Final = 15.0
@@ -73,10 +71,11 @@ class Baseline:
         valve: the declared one with refitted dampings, and with estimates of declared values that have a tolerance.
         lateness: s by which its motion is later than its stamps say: the clock offset, and the mean error of a command.
         scatter: s, standard deviation of a command's own error, as estimated. jitter: s, as used, never less.
-        noise: of the position.
+        noise: of the position or, without positions, of the current.
         covariance: (k, k) of what was estimated.
         current: how the measured current relates to the model's; None where there is none that can be used.
         estimated: (k,) names of what was: the dampings, then declared values that have a tolerance.
+        has_positions: whether it was commissioned on positions; else on the current alone.
     """
 
     valve: Valve
@@ -87,6 +86,7 @@ class Baseline:
     covariance: Array
     current: CommissionedCurrent | None = None
     estimated: tuple[str, ...] = DEFAULT_FREE
+    has_positions: bool = True
 
     @property
     def commissioned(self) -> Commissioned:
@@ -101,7 +101,7 @@ class Scored:
     Attributes:
         scores: by name of a direction, each about standard normal while nothing has changed.
         shifts: (commands,) s, estimated errors of the stamps.
-        rms: m, of the position's residual.
+        rms: of the position's residual, m, or of the current's, A.
     """
 
     scores: Mapping[str, float]
@@ -165,21 +165,23 @@ def commission(traces: Sequence[Trace], valve: Valve, noise: float) -> Baseline:
     Raises:
         SimulationError: the declared valve cannot be simulated.
     """
-    plant = ValvePlant([_position_only(trace) for trace in traces], valve)
-    noises = None if noise == 0.0 else {"position": Noise(noise, noise, (), 0.0, 1.0, len(traces[0].times))}
-    problem = Problem(plant, noises=noises)
-    measured = _at_least_finest(problem.noises["position"])
-    problem = Problem(plant, noises={"position": measured})
+    plant = ValvePlant([_judged(trace) for trace in traces], valve)
+    kind = plant.channels[0].kind
+    given = None
+    if noise > 0.0 and kind == "position":
+        given = {kind: Noise(noise, noise, (), 0.0, 1.0, len(traces[0].times))}
+    measured = _at_least_finest(Problem(plant, noises=given).noises[kind], kind)
+    problem = Problem(plant, noises={kind: measured})
     rough = {
         f"command_error[{index},{command}]": lateness
         for index, trace in enumerate(traces)
-        for command, lateness in enumerate(_rough_shifts(trace, valve, 0.0))
+        for command, lateness in enumerate(rough_shifts(trace, valve, 0.0))
     }
     prior = max(CLOCK_SIGMA, float(np.max(np.abs(list(rough.values())))) / FURTHEST)
     result = _commissioning_fit(problem, rough, prior)
-    if noise == 0.0 and measured.samples == 0:
+    if given is None and measured.samples == 0:
         # Its rests were too short to show the noise by themselves; what the fit leaves of them does.
-        problem = Problem(plant, noises={"position": _at_least_finest(_noise_at_rest(plant, result))})
+        problem = Problem(plant, noises={kind: _at_least_finest(_noise_at_rest(plant, result), kind)})
         result = _commissioning_fit(problem, result.values, prior)
     late = [
         result.values[f"clock_offset[{index}]"] + result.values[f"command_error[{index},{command}]"]
@@ -198,10 +200,11 @@ def commission(traces: Sequence[Trace], valve: Valve, noise: float) -> Baseline:
         lateness,
         scatter,
         max(CLOCK_SIGMA, scatter),
-        problem.noises["position"],
+        problem.noises[kind],
         covariance,
-        commission_current(traces, commissioned),
+        commission_current(traces, commissioned) if kind == "position" else None,
         estimated,
+        kind == "position",
     )
 
 
@@ -216,13 +219,13 @@ def _noise_at_rest(plant: ValvePlant, result: Fit) -> Noise:
     """White noise, from the residuals where the model rests and does not start within a sample."""
     valve = plant.with_values(result.values)
     squares, count = 0.0, 0
-    for index, (trace, shown) in enumerate(zip(plant.traces, plant.predict(result.values), strict=True)):
-        offset = result.values[f"clock_offset[{index}]"]
+    for index, (channel, shown) in enumerate(zip(plant.channels, plant.predict(result.values), strict=True)):
+        trace, offset = plant.traces[index], result.values[f"clock_offset[{index}]"]
         speed = np.abs(
-            simulate(valve, trace.drive, trace.times - offset, start_time=_before(trace, offset)).pilot_velocity
+            simulate(valve, trace.drive, channel.times - offset, start_time=start_before(trace, offset)).pilot_velocity
         )
         is_still = np.convolve(speed > STILL, [1, 1, 1], mode="same") == 0
-        squares += float(np.sum(np.square((trace.pilot_position - shown)[is_still])))
+        squares += float(np.sum(np.square((channel.data - shown)[is_still])))
         count += int(np.count_nonzero(is_still))
     sigma = math.sqrt(squares / max(1, count))
     return Noise(sigma, sigma, (), 0.0, 1.0, count)
@@ -238,10 +241,9 @@ def _scatter(apart: Array) -> float:
     return max(bound, float(np.max(apart)) / EXTREME_SIGMAS)
 
 
-def _at_least_finest(noise: Noise) -> Noise:
-    if noise.sigma >= FINEST:
-        return noise
-    return Noise(FINEST, FINEST, (), noise.step, 1.0, noise.samples)
+def _at_least_finest(noise: Noise, kind: str) -> Noise:
+    finest = FINEST[kind]
+    return noise if noise.sigma >= finest else Noise(finest, finest, (), noise.step, 1.0, noise.samples)
 
 
 class _Stroke:
@@ -251,13 +253,13 @@ class _Stroke:
         self._trace = trace
         self._baseline = baseline
         self._jitter = baseline.jitter if jitter is None else jitter
-        self._plant = ValvePlant([_position_only(trace)], baseline.valve)
-        self.problem = Problem(self._plant, noises={"position": baseline.noise})
+        self._plant = ValvePlant([_judged(trace)], baseline.valve)
+        self.problem = Problem(self._plant, noises={self._plant.channels[0].kind: baseline.noise})
         self._fixed = {"clock_offset[0]": baseline.lateness}
 
     def fit(self, free: Sequence[str]) -> Fit:
         """Estimate the stamps' errors and the parameters in `free`."""
-        rough = _rough_shifts(self._trace, self._baseline.valve, self._baseline.lateness)
+        rough = rough_shifts(self._trace, self._baseline.valve, self._baseline.lateness)
         furthest = FURTHEST * self._jitter
         start = {
             f"command_error[0,{index}]": float(np.clip(shift, -furthest, furthest)) for index, shift in enumerate(rough)
@@ -293,9 +295,9 @@ class _Stroke:
                 yield DELAYS[which], column * nuisance.sigma
 
     def rms(self, result: Fit) -> float:
-        """Root mean square of measured less predicted position, m."""
+        """Root mean square of measured less predicted position, m, or current, A."""
         (shown,) = self._plant.predict(result.values)
-        return root_mean_square(self._trace.pilot_position - shown)
+        return root_mean_square(self._plant.channels[0].data - shown)
 
     def _direction(self, result: Fit, name: str, values: Mapping[str, float]) -> Iterator[tuple[str, Array]]:
         try:
@@ -328,54 +330,6 @@ def _size(problem: Problem, left: Array) -> float:
     return float(np.cbrt(ratio) - 1.0 + narrow) / math.sqrt(narrow)
 
 
-def delays_of(trace: Trace, valve: Valve, lateness: float) -> tuple[float, float]:
-    """Delays of the measured stroke behind the simulated one at mid-travel, opening and closing, s; nan if not seen."""
-    shown = simulate(valve, trace.drive, trace.times - lateness, start_time=_before(trace, lateness)).pilot_position
-    middle = 0.5 * valve.parameters.stroke
-    opening, closing = (
-        crossing(trace.times, trace.pilot_position, middle, rises=rises)
-        - crossing(trace.times, shown, middle, rises=rises)
-        for rises in (True, False)
-    )
-    return opening, closing
-
-
-def _rough_shifts(trace: Trace, valve: Valve, lateness: float) -> list[float]:
-    """(commands,) s: as `delays_of`, 0 where not seen and for the commands between.
-
-    Iterated with the commands delayed: a valve that is held open for a shorter time closes sooner, and one that has
-    just begun to open closes differently.
-    """
-    shifts = np.zeros(len(trace.drive.times))
-    for _ in range(SHIFT_ITERATIONS):
-        times = trace.drive.times + shifts
-        if np.any(np.diff(times) <= 0.0):
-            break
-        opening, closing = delays_of(replace(trace, drive=Drive(times, trace.drive.volts)), valve, lateness)
-        if len(shifts) > 1 and math.isfinite(closing):
-            shifts[-1] += closing
-        if math.isfinite(opening):
-            shifts[0] += opening
-        if not max(abs(opening), abs(closing)) > SHIFT_TOLERANCE:
-            break
-    return shifts.tolist()
-
-
-def _position_only(trace: Trace) -> Trace:
-    """Without the current, which only fault isolation uses: its stamps are those of its reception."""
-    return replace(trace, coil_current=None)
-
-
-def _before(trace: Trace, lateness: float) -> float:
-    return float(min(trace.drive.times[0], trace.times[0] - lateness)) - CLOCK_SIGMA
-
-
-def crossing(times: Array, position: Array, level: float, *, rises: bool) -> float:
-    """When a position first rises past a level, or last falls past it, by a straight line between samples; or nan."""
-    beyond = position >= level if rises else position < level
-    passed = np.flatnonzero(beyond[1:] & ~beyond[:-1])
-    if len(passed) == 0:
-        return math.nan
-    at = int(passed[0 if rises else -1])
-    share = (level - position[at]) / (position[at + 1] - position[at])
-    return float(times[at] + share * (times[at + 1] - times[at]))
+def _judged(trace: Trace) -> Trace:
+    """Beside positions without the current, which only fault isolation uses: it may be timed by its reception."""
+    return replace(trace, coil_current=None) if trace.has_positions else trace

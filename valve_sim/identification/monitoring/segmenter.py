@@ -6,10 +6,8 @@ for longer than `settle`, samples are not kept. Time is passed in with commands 
 
 from __future__ import annotations
 
-import bisect
 import math
 from collections import deque
-from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -25,16 +23,14 @@ from valve_sim.identification.monitoring.findings import (
     TimingTooUncertain,
     Unusable,
 )
+from valve_sim.identification.monitoring.kept_samples import MOST_SAMPLES, KeptSamples, StrokeInProgress
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.plants.protocol import Array
-from valve_sim.model import Drive, Phase, Reading, SimulationError, Stepper, Valve
-from valve_sim.traces import Signal, Trace
+from valve_sim.model import Phase, Reading, SimulationError, Stepper, Valve
 from valve_sim.traces.strokes import begins_stroke
 
 LEAD: Final = 0.25
 """s of rest before a stroke that are kept with it, for the noise."""
-MOST_SAMPLES: Final = 100_000
-"""Samples of a stroke; one that has more is ended."""
 MOST_COMMANDS: Final = 1000
 """Commands of a stroke; further ones are not kept."""
 OPENED: Final = 0.9
@@ -63,10 +59,12 @@ STILL_AFTER: Final = 0.01
 """s after it was last seen open: the remaining motion is below the noise."""
 CONFIRMED: Final = 5
 """Failed strokes in a row that make a fault where the times of commands are too uncertain for one to do so."""
+ALONE: Final = 1.0
+"""s of currents without any position, after which the valve is watched by its current alone."""
 
 
 class Prediction(NamedTuple):
-    """The model at the time of one sample; the residual is measured less predicted, m."""
+    """The model at the time of one sample; the residual is measured less predicted, m, or A by the current alone."""
 
     reading: Reading
     residual: float
@@ -75,7 +73,9 @@ class Prediction(NamedTuple):
 class StrokeSegmenter:
     """Steps a model along with the samples and cuts the stream into strokes. Some µs per sample.
 
-    Times are seconds since any fixed moment. Samples come in the order of their times, and so do commands.
+    Times are seconds since any fixed moment. Samples come in the order of their times, and so do commands. Where no
+    position comes, those of the coil's current are the samples; where the valve is then only the model says, so that
+    neither opening nor closing is judged here, see `held_valve`.
 
     Args:
         valve: the declared valve.
@@ -91,6 +91,8 @@ class StrokeSegmenter:
         self.rejected = 0
         self.scatter = 0.0
         """s, standard deviation of the commands' times, as the `StrokeMonitor` has last found it."""
+        self._has_positions = self._by_current = False
+        self._first_current = math.inf
         self.reset()
 
     @property
@@ -99,9 +101,14 @@ class StrokeSegmenter:
         return self._valve
 
     @property
+    def by_current(self) -> bool:
+        """Whether the samples are those of the coil's current, for no position comes."""
+        return self._by_current
+
+    @property
     def kept(self) -> int:
         """How many samples are in memory."""
-        return len(self._times)
+        return len(self._samples.times)
 
     @property
     def uncertainty(self) -> float:
@@ -124,15 +131,17 @@ class StrokeSegmenter:
         self._position = math.nan
         self._last_open = -math.inf
         self._pending: deque[tuple[float, float]] = deque()
-        self._times: list[float] = []
-        self._positions: list[float] = []
-        self._current_times: list[float] = []
-        self._currents: list[float] = []
+        self._samples = KeptSamples(by_current=self._by_current)
         self._phase = Phase.CLOSED
         self._phase_since = -math.inf
         self._rest_since = math.inf
-        self._stroke: _Stroke | None = None
+        self._stroke: StrokeInProgress | None = None
         self._finished: deque[StrokeRecord] = deque()
+
+    def go_by_current(self) -> None:
+        """Take currents as the samples, from a valve at rest on; until a position comes."""
+        self._by_current = True
+        self.reset()
 
     def use(self, valve: Valve, lateness: float) -> None:
         """Step this valve from the next stroke on, its motion delayed by `lateness`, s, against the stamps."""
@@ -183,34 +192,77 @@ class StrokeSegmenter:
         Returns:
             the model at that time; None where the sample was rejected.
         """
-        if not (math.isfinite(time) and math.isfinite(position)) or time <= self._last:
+        last = -math.inf if self._by_current else self._last
+        if not (math.isfinite(time) and math.isfinite(position)) or time <= last:
             self.rejected += 1
             return None
-        self._apply_due(time)
-        reading = self._step(time)
-        self._keep(time, [time], [position])
-        self._arrivals.add(time, arrival - time)
-        if self._stroke is not None and arrival - time > self._stroke.latest:
-            self._stroke.latest = arrival - time
+        self._go_by_positions()
+        reading = self._take(time, [time], [position], [math.nan])
+        self._note_arrival(time, arrival)
         self._observe(time, position, position, reading)
         return Prediction(reading, position - reading.pilot_position)
 
     def measure_many(self, times: Array, positions: Array) -> None:
         """Take a batch of some milliseconds, valid and in order; the model is stepped to its end only."""
+        self._go_by_positions()
         last = float(times[-1])
-        self._apply_due(last)
-        reading = self._step(last)
-        self._keep(last, times.tolist(), positions.tolist())
+        reading = self._take(last, times.tolist(), positions.tolist(), [math.nan] * len(times))
         self._observe(last, float(positions[-1]), float(positions.max()), reading)
 
-    def measure_current(self, time: float, current: float) -> None:
-        """Take one sample of the coil current, A, for fault isolation; rejected as positions are."""
-        last = self._current_times[-1] if self._current_times else -math.inf
+    def measure_current(
+        self, time: float, current: float, voltage: float = math.nan, arrival: float = math.nan
+    ) -> Prediction | None:
+        """Take one sample of the coil: beside positions for fault isolation, without any in their place.
+
+        Args:
+            time: its stamp, s. current: A. voltage: at the coil's terminals, V; nan where not measured.
+            arrival: s, by the clock that times commands; nan where not known.
+
+        Returns:
+            the model at that time; None where the sample was rejected, or is one beside positions.
+        """
+        self._first_current = min(self._first_current, time)
+        if not self._has_positions and not self._by_current and time - self._first_current > ALONE:
+            self.go_by_current()
+        last = self._last if self._by_current else self._samples.latest_current
         if not (math.isfinite(time) and math.isfinite(current)) or time <= last:
             self.rejected += 1
-        elif len(self._current_times) < MOST_SAMPLES and self._is_kept(time):
-            self._current_times.append(time)
-            self._currents.append(current)
+        elif self._by_current:
+            reading = self._take(time, [time], [current], [voltage])
+            self._note_arrival(time, arrival)
+            self._observe(time, reading.pilot_position, reading.pilot_position, reading)
+            return Prediction(reading, current - reading.coil_current)
+        elif self._is_kept(time):
+            self._samples.add_current(time, current)
+        return None
+
+    def measure_currents(self, times: Array, currents: Array, voltages: Array) -> None:
+        """Take a batch of some milliseconds of the coil alone, valid and in order, as `measure_many` does."""
+        if not self._by_current:
+            self.go_by_current()
+        last = float(times[-1])
+        reading = self._take(last, times.tolist(), currents.tolist(), voltages.tolist())
+        self._observe(last, reading.pilot_position, reading.pilot_position, reading)
+
+    def _go_by_positions(self) -> None:
+        """A position has come: the current is no longer alone."""
+        self._has_positions = True
+        if self._by_current:
+            self._by_current = False
+            self.reset()
+
+    def _take(self, time: float, times: list[float], values: list[float], voltages: list[float]) -> Reading:
+        """Step the model to the last of these samples, and keep them where they are needed."""
+        self._apply_due(time)
+        reading = self._step(time)
+        if self._is_kept(time):
+            self._samples.add(times, values, voltages)
+        return reading
+
+    def _note_arrival(self, time: float, arrival: float) -> None:
+        self._arrivals.add(time, arrival - time)
+        if self._stroke is not None and arrival - time > self._stroke.latest:
+            self._stroke.latest = arrival - time
 
     def take_finished(self) -> list[StrokeRecord]:
         """The strokes that have ended since it was last asked."""
@@ -240,13 +292,8 @@ class StrokeSegmenter:
         except SimulationError:
             return self._rest_model(at).advance(at)
 
-    def _keep(self, time: float, times: list[float], positions: list[float]) -> None:
-        """Keep all of a stroke except after a long rest of the model; between strokes, the last moments."""
-        if self._is_kept(time):
-            self._times.extend(times)
-            self._positions.extend(positions)
-
     def _is_kept(self, time: float) -> bool:
+        """Keep all of a stroke except after a long rest of the model; between strokes, the last moments."""
         return self._stroke is None or time - self._rest_since <= self._settle
 
     @property
@@ -271,8 +318,8 @@ class StrokeSegmenter:
         self._judge_position(time, position)
         if stroke is not None:
             self._end_if_over(stroke, time)
-        elif self._times[-1] - self._times[0] > 2.0 * LEAD or len(self._times) > MOST_SAMPLES:
-            self._keep_from(time - LEAD)
+        elif self._samples.times[-1] - self._samples.times[0] > 2.0 * LEAD or self.kept > MOST_SAMPLES:
+            self._samples.drop_before(time - LEAD)
 
     def _judge_position(self, time: float, position: float) -> None:
         """Compare the valve with a model that has been open, or closed, for longer than `patience`."""
@@ -296,7 +343,7 @@ class StrokeSegmenter:
         """For the valve, and for the model, which without seat load rests some picometres above its seat."""
         return position <= CLOSED * self._valve.parameters.stroke
 
-    def _judge_opening(self, stroke: _Stroke) -> None:
+    def _judge_opening(self, stroke: StrokeInProgress) -> None:
         parameters = self._valve.parameters
         stroke.opened = stroke.highest >= OPENED * parameters.stroke
         if stroke.opened:
@@ -308,7 +355,7 @@ class StrokeSegmenter:
             self.fault = OpenedPartly(stroke.highest, parameters.stroke)
         stroke.fault = self.fault
 
-    def _judge_late(self, stroke: _Stroke) -> TimingTooUncertain | None:
+    def _judge_late(self, stroke: StrokeInProgress) -> TimingTooUncertain | None:
         """Of a stroke that ended before `patience` had passed; why it cannot be judged, None if it can.
 
         A valve that may have received its opening command together with the closing one need not have opened. What
@@ -339,53 +386,47 @@ class StrokeSegmenter:
         has_current = abs(reading.coil_current) * parameters.coil_resistance > NO_CURRENT * parameters.reference_voltage
         is_closed = math.isnan(self._position) or self._is_closed(self._position) or begins_early
         is_at_rest = is_closed and self._phase is Phase.CLOSED and not has_current
-        self._stroke = _Stroke(is_at_rest)
+        self._stroke = StrokeInProgress(is_at_rest)
         if begins_early:
-            self._stroke.highest = max(self._positions[bisect.bisect_left(self._times, left_seat) :], default=0.0)
+            self._stroke.highest = 0.0 if self._by_current else self._samples.highest_since(left_seat)
         if self._next is not None and is_at_rest:
             (self._valve, self._lateness), self._next = self._next, None
             self._stepper = Stepper(self._valve, min(time, at))
 
     def _left_seat(self) -> float:
-        """When the valve was last at rest, s, if it moved before its command arrived; nan if it did not."""
-        limit = RESTING * self._valve.parameters.stroke
-        index = len(self._positions) - 1
-        while index >= 0 and self._positions[index] > limit and self._last - self._times[index] <= EARLIEST:
-            index -= 1
-        closing = self._stroke.drive[-1][0] if self._stroke is not None else -math.inf
-        if index < 0 or self._positions[index] > limit or self._times[index] < closing:
-            return math.nan
-        return self._times[index] if index < len(self._positions) - 1 else math.nan
+        """When the valve was last at rest, s, if it moved before its command arrived; nan if it did not.
 
-    def _end_if_over(self, stroke: _Stroke, time: float) -> None:
+        By the current alone: when the coil was last without current.
+        """
+        parameters = self._valve.parameters
+        full = parameters.reference_voltage / parameters.coil_resistance if self._by_current else parameters.stroke
+        left = self._samples.last_within(RESTING * full, self._last - EARLIEST)
+        closing = self._stroke.drive[-1][0] if self._stroke is not None else -math.inf
+        return math.nan if left < closing else left
+
+    def _end_if_over(self, stroke: StrokeInProgress, time: float) -> None:
         if time - stroke.drive[0][0] > self._settings.stroke_timeout:
             self._finish(stroke, Unusable.TIMED_OUT)
-        elif len(self._times) > MOST_SAMPLES or len(stroke.drive) >= MOST_COMMANDS:
+        elif self.kept > MOST_SAMPLES or len(stroke.drive) >= MOST_COMMANDS:
             self._finish(stroke, Unusable.TOO_LONG)
         elif self._volts == 0.0 and time - self._rest_since > self._settle and (
             stroke.closed is not None or self._phase is not Phase.CLOSED
         ):  # fmt: skip
             self._finish(stroke, None)
 
-    def _finish(self, stroke: _Stroke, remark: Remark | None, until: float = math.inf) -> None:
+    def _finish(self, stroke: StrokeInProgress, remark: Remark | None, until: float = math.inf) -> None:
         """Emit the stroke; its last samples at rest are also the first of the next one."""
         remark = remark or self._judge_late(stroke)
         if stroke.fault is None:
             self.fault = None
-        start = self._times[0] if self._times else stroke.drive[0][0]
-        times, volts = np.array(stroke.drive, dtype=np.float64).T
-        stop = bisect.bisect_right(self._times, until)
-        trace = Trace(
-            f"stroke {self.strokes}",
-            Drive(times - start, volts.copy()),
-            np.array(self._times[:stop]) - start,
-            np.array(self._positions[:stop]),
-            coil_current=self._current_since(start),
-            epoch_ns=round(start * 1e9),
-        )
+        # Later currents than the last position belong to the next stroke.
+        trace = self._samples.trace(f"stroke {self.strokes}", stroke.drive, until, self._last)
+        if self._by_current:
+            stroke.opened = stroke.closed = None
         remark = remark or (None if stroke.is_at_rest else Unusable.NOT_AT_REST) or stroke.fault
         first, last = float(trace.drive.times[0]), float(trace.drive.times[-1])
-        opening = (trace.times > first) & ((trace.times < last) | (last == first))
+        at = trace.sample_times
+        opening = (at > first) & ((at < last) | (last == first))
         if np.count_nonzero(opening) < FEWEST_SAMPLES:
             remark = remark or Unusable.TOO_FEW_SAMPLES
         self._finished.append(
@@ -397,35 +438,8 @@ class StrokeSegmenter:
         self.strokes += 1
         self._stroke = None
         if math.isfinite(until):
-            self._keep_from(until)
+            self._samples.drop_before(until)
             return
         is_closed = self._phase is Phase.CLOSED and math.isfinite(self._rest_since)
         still = max(self._rest_since + self.uncertainty / TAIL, self._last_open + STILL_AFTER, self._last - LEAD)
-        self._keep_from(still if is_closed else math.inf)
-
-    def _current_since(self, start: float) -> Signal | None:
-        """Until the last sample of the position: later ones belong to the next stroke."""
-        stop = bisect.bisect_right(self._current_times, self._last)
-        if stop == 0:
-            return None
-        return Signal(np.array(self._current_times[:stop]) - start, np.array(self._currents[:stop]))
-
-    def _keep_from(self, time: float) -> None:
-        for times, values in ((self._times, self._positions), (self._current_times, self._currents)):
-            first = max(bisect.bisect_left(times, time), len(times) - MOST_SAMPLES // 2)
-            del times[:first], values[:first]
-
-
-@dataclass
-class _Stroke:
-    """A stroke in progress."""
-
-    is_at_rest: bool
-    drive: list[tuple[float, float]] = field(default_factory=list)
-    highest: float = 0.0
-    model_opened: bool = False
-    model_opened_at: float = math.nan
-    latest: float = -math.inf
-    opened: bool | None = None
-    closed: bool | None = None
-    fault: Fault | None = None
+        self._samples.drop_before(still if is_closed else math.inf)

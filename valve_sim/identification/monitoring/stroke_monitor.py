@@ -29,18 +29,26 @@ from valve_sim.identification.monitoring.commissioning import (
     stroke_timing,
 )
 from valve_sim.identification.monitoring.cusum import Alarm, Sums
-from valve_sim.identification.monitoring.findings import NotSimulated, Remark, StrokeRecord, StrokeState, Unusable
+from valve_sim.identification.monitoring.findings import (
+    DidNotClose,
+    NotSimulated,
+    Remark,
+    StrokeRecord,
+    StrokeState,
+    Unusable,
+)
+from valve_sim.identification.monitoring.held_valve import held_fault
 from valve_sim.identification.monitoring.scores import (
     DELAYS,
     SIZE,
     Baseline,
     Scored,
-    crossing,
     refitted,
     score_stroke,
 )
 from valve_sim.identification.monitoring.segmenter import FEWEST_SAMPLES
 from valve_sim.identification.monitoring.settings import MonitorSettings
+from valve_sim.identification.monitoring.stroke_delays import crossing, delays_of
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.model import Drive, EventKind, SimulationError, Valve, simulate
 from valve_sim.traces import Trace, events_from_sensors
@@ -58,8 +66,8 @@ class StrokeReport(NamedTuple):
         record: the stroke. volts: its largest command, V, with its sign.
         opening_delay: until the pilot plunger leaves its seat. t1: until it reaches the main plunger. t2: until the
             stop. closing_time: from the closing command until the pilot plunger is back.
-        rms: m, of the residual; nan where it was not compared with the model.
-        noise: m, of the sensor; nan before commissioning. damping: refitted to this stroke alone, or empty.
+        rms: m, of the residual, or A where the record has no positions; nan where it was not compared with the model.
+        noise: m or A, of the sensor; nan before commissioning. damping: refitted to this stroke alone, or empty.
         scores: standard normal while healthy, by direction; empty where the stroke was not scored.
         state: what it was used for. remark: why it was not compared with the baseline; None where it was.
         command_scatter: s, standard deviation of its commands' times; nan before commissioning.
@@ -83,6 +91,11 @@ class StrokeReport(NamedTuple):
     cause: str
     sum: float
     threshold: float
+
+    @property
+    def has_positions(self) -> bool:
+        """Whether it was judged by positions; else by the coil's current alone."""
+        return self.record.trace.has_positions
 
 
 class StrokeMonitor:
@@ -189,6 +202,7 @@ class StrokeMonitor:
             record: from a `StrokeSegmenter`.
             refit: whether to refit the dampings to it, for the report.
         """
+        record = self._with_fault(record)
         scored, scores, alarm, state, remark = None, {}, None, StrokeState.NOT_JUDGED, record.remark
         if remark is None:
             try:
@@ -210,7 +224,25 @@ class StrokeMonitor:
         damping = self._refitted(record.trace) if refit and scored is not None else {}
         return self._report(record, scored, scores, alarm, state, remark, damping)
 
+    def _with_fault(self, record: StrokeRecord) -> StrokeRecord:
+        """A stroke with what its current says of the valve, and whether it is by the sensor of the baseline."""
+        if record.remark is not None:
+            return record
+        baseline, has_positions = self.baseline, record.trace.has_positions
+        if baseline is not None and baseline.has_positions != has_positions:
+            return record._replace(remark=Unusable.OTHER_SENSOR)
+        if has_positions:
+            return record
+        valve, lateness = (baseline.valve, baseline.lateness) if baseline is not None else (self._declared, 0.0)
+        fault = held_fault(record.trace, valve, lateness)
+        is_open = isinstance(fault, DidNotClose)
+        return record._replace(
+            fault=fault, remark=fault, opened=fault is None or is_open, closed=None if fault is None else not is_open
+        )
+
     def _commission(self, record: StrokeRecord) -> None:
+        if self._first and self._first[0].trace.has_positions != record.trace.has_positions:
+            self._first = []
         self._first.append(record)
         if len(self._first) < self._settings.commissioning_strokes:
             return
@@ -281,7 +313,7 @@ class StrokeMonitor:
         damping: Mapping[str, Interval],
     ) -> StrokeReport:
         baseline, trace = self.baseline, record.trace
-        seen = _arrivals(trace, self._declared) if len(trace.times) >= FEWEST_SAMPLES else {}
+        seen = _arrivals(trace, self._declared) if len(trace.sample_times) >= FEWEST_SAMPLES else {}
         lateness = baseline.lateness if baseline is not None else 0.0
         volts = trace.drive.volts
         return StrokeReport(
@@ -316,18 +348,19 @@ class _Assessed(NamedTuple):
 def _retimed(trace: Trace, shifts: Array) -> Trace:
     """The stroke with its commands moved to where they took effect; those between move with the first.
 
-    Without its current, whose stamps are those of its arrival.
+    Without a current beside positions, whose stamps are those of its arrival.
     """
     late = np.full(len(trace.drive.times), shifts[0])
     late[-1] = shifts[-1]
     if len(shifts) == len(late):
         late = shifts
     times = np.maximum.accumulate(trace.drive.times + late)
-    return replace(trace, drive=Drive(times, trace.drive.volts), coil_current=None)
+    current = None if trace.has_positions else trace.coil_current
+    return replace(trace, drive=Drive(times, trace.drive.volts), coil_current=current)
 
 
 def _arrivals(trace: Trace, valve: Valve) -> dict[str, float]:
-    """By kind of arrival: s after its command, by the position sensor."""
+    """By kind of arrival: s after its command, by the position sensor, or by the bends of the current."""
     strokes = events_from_sensors(trace, valve.parameters.pilot_gap)
     return {event.kind: event.after_command for stroke in strokes for event in stroke.events}
 
@@ -336,16 +369,20 @@ def _opening_delay(trace: Trace, valve: Valve, lateness: float) -> float:
     """When the pilot plunger left its seat, s after the command: the model's time, and the delay at a low level.
 
     The first micrometres hide in the noise, and grow with the third power of time; the level is a quarter of the gap.
+    By the current alone the delay is that with which the current rises.
     """
     drive = Drive(trace.drive.times[:1], trace.drive.volts[:1])
-    before_next = trace.times < (trace.drive.times[1] if len(trace.drive.times) > 1 else math.inf)
-    times, position = trace.times[before_next], trace.pilot_position[before_next]
+    is_before_next = trace.sample_times < (trace.drive.times[1] if len(trace.drive.times) > 1 else math.inf)
+    times = trace.sample_times[is_before_next]
     try:
         shown = simulate(
             valve, drive, times - lateness, start_time=float(min([drive.times[0], *(times[:1] - lateness)]))
         )
+        late = delays_of(trace, valve, lateness)[0] if not trace.has_positions else math.nan
     except SimulationError:
         return math.nan
-    level = 0.25 * valve.parameters.pilot_gap
-    late = crossing(times, position, level, rises=True) - crossing(times, shown.pilot_position, level, rises=True)
+    if trace.has_positions:
+        level = 0.25 * valve.parameters.pilot_gap
+        measured = crossing(times, trace.pilot_position[is_before_next], level, rises=True)
+        late = measured - crossing(times, shown.pilot_position, level, rises=True)
     return shown.first(EventKind.UNSEATED) - float(drive.times[0]) + late

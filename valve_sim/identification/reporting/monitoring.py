@@ -34,8 +34,7 @@ def stroke_json(report: StrokeReport) -> dict[str, Any]:
         "t1": report.t1,
         "t2": report.t2,
         "closing_time": report.closing_time,
-        "residual_rms_um": 1e6 * report.rms,
-        "noise_um": 1e6 * report.noise,
+        **_errors(report),
         "command_scatter": report.command_scatter,
         "damping": intervals_json(report.damping),
         "scores": dict(largest),
@@ -47,6 +46,13 @@ def stroke_json(report: StrokeReport) -> dict[str, Any]:
         },
     }
     return plain_mapping(plain)
+
+
+def _errors(report: StrokeReport) -> dict[str, float]:
+    """Residual and noise of the position, µm, or of the current alone, mA."""
+    if report.has_positions:
+        return {"residual_rms_um": 1e6 * report.rms, "noise_um": 1e6 * report.noise}
+    return {"residual_rms_ma": 1e3 * report.rms, "noise_ma": 1e3 * report.noise}
 
 
 def finding_json(finding: FaultFinding) -> dict[str, Any]:

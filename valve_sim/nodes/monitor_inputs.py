@@ -1,0 +1,224 @@
+"""What monitor_node hears: messages of its own topics, or of those that a map names, in; stamps and numbers out."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, Final, NamedTuple
+
+from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
+from rclpy.subscription import Subscription
+from sensor_msgs.msg import BatteryState, JointState
+from std_msgs.msg import Float64
+
+from valve_sim.nodes.live_map import LiveInput
+from valve_sim.nodes.messages import JOINT_NAMES
+from valve_sim.nodes.node_clock import NodeClock
+from valve_sim.nodes.realtime import NANOSECONDS
+from valve_sim.nodes.spinning import guarded, log_left_out, received_time, waiting_messages
+
+_MEASURED: Final = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""Best effort accepts sensors of either reliability; deep, because samples may come while the model compiles."""
+_COMMANDS: Final = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
+_OF_COIL: Final = ("coil", "coil_current")
+"""Last part of a measured topic that is no position."""
+
+
+class Takers(NamedTuple):
+    """What is done with what is heard; called in the thread that spins the node.
+
+    Attributes:
+        command: stamp, ns, and volts. position: stamp, m, and the time of reception, ns, 0 where not known.
+        coil: stamp, A, V or nan, and the time of reception. reject: why a message cannot be used.
+    """
+
+    command: Callable[[int, float], None]
+    position: Callable[[int, float, int], None]
+    coil: Callable[[int, float, float, int], None]
+    reject: Callable[[str], None]
+
+
+class MonitorInputs:
+    """The subscriptions of monitor_node.
+
+    Args:
+        node: which subscribes. clock: of it.
+        valve: full name of the node whose commands are heard. measured: topic of positions, or of the coil.
+        entries: of a map, by quantity; none where this package's own topics are heard.
+        take: what is done with what is heard.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        clock: NodeClock,
+        valve: str,
+        measured: str,
+        entries: Mapping[str, LiveInput],
+        take: Takers,
+    ) -> None:
+        self._node, self._clock, self._take = node, clock, take
+        self._valve, self._measured = valve, measured
+        self._sensors = measured.rpartition("/")[0]
+        self._voltage = f"{valve}/coil_voltage"
+        self._entries: dict[Subscription, LiveInput] = {}
+        self._has_stamped_current = False
+        events = SubscriptionEventCallbacks(incompatible_qos=guarded(self._on_incompatible_qos))
+        if entries:
+            self._subscribe_by_map(entries, events)
+        else:
+            self._subscribe_to_own_topics(events)
+
+    @property
+    def measured(self) -> str:
+        """The topic of the samples."""
+        return self._measured
+
+    @property
+    def voltage(self) -> str:
+        """The topic of the commands."""
+        return self._voltage
+
+    @property
+    def by_current(self) -> bool:
+        """Whether no position can come, because the coil is all that is subscribed to."""
+        return not hasattr(self, "_samples")
+
+    @property
+    def wanted(self) -> str:
+        """Where samples are waited for, in words."""
+        is_own = not self._entries and not self.by_current
+        return f"{self._measured}, or a current on {self._sensors}/coil" if is_own else self._measured
+
+    def is_simulated(self) -> bool:
+        """Whether /clock counts, or is waited for."""
+        reading = self._clock.read()
+        return reading is None or reading.is_simulated
+
+    def _subscribe_to_own_topics(self, events: SubscriptionEventCallbacks) -> None:
+        node = self._node
+        on_command: Any = guarded(self._on_command)  # its second argument, message info, is missing in rclpy's types
+        self._commands = node.create_subscription(
+            Float64, f"{self._valve}/coil_voltage", on_command, _COMMANDS, event_callbacks=events
+        )
+        if self._measured.rpartition("/")[2] not in _OF_COIL:
+            on_samples: Any = guarded(self._on_samples)
+            self._samples = node.create_subscription(JointState, self._measured, on_samples, _MEASURED)
+        on_currents: Any = guarded(self._on_currents)
+        self._currents = node.create_subscription(Float64, f"{self._sensors}/coil_current", on_currents, _MEASURED)
+        on_coil: Any = guarded(self._on_coil)
+        self._coil = node.create_subscription(BatteryState, f"{self._sensors}/coil", on_coil, _MEASURED)
+
+    def _subscribe_by_map(self, entries: Mapping[str, LiveInput], events: SubscriptionEventCallbacks) -> None:
+        """Subscribe to the topics that the map names; each message is converted to the type of this package."""
+
+        def subscription_to(quantity: str, callback: Callable[..., None], qos: QoSProfile, **settings: Any) -> Any:
+            entry = entries[quantity]
+            subscription = subscribe(
+                entry.message_class,
+                entry.source.topic,
+                guarded(lambda message, info: callback(*self._as_own_message(entry, message, info))),
+                qos,
+                **settings,
+            )
+            self._entries[subscription] = entry
+            return subscription
+
+        subscribe: Any = self._node.create_subscription
+        samples = "position" if "position" in entries else "current"
+        self._measured, self._voltage = (entries[key].source.topic for key in (samples, "command"))
+        self._commands = subscription_to("command", self._on_command, _COMMANDS, event_callbacks=events)
+        if "position" in entries:
+            self._samples = subscription_to("position", self._on_samples, _MEASURED)
+        if "current" in entries:
+            self._currents = subscription_to("current", self._on_currents, _MEASURED)
+
+    def _as_own_message(self, entry: LiveInput | None, message: Any, info: Any) -> tuple[Any, Any]:
+        """A message and its times in the types of this package; `entry` is None where they are already."""
+        if entry is None:
+            return message, info
+        value, stamp = entry.value(message), entry.stamp(message)
+        if entry.quantity != "position":
+            return Float64(data=value), {"stamp": stamp} if stamp else info
+        seconds, nanoseconds = divmod(stamp or self._arrival(info), NANOSECONDS)
+        joints = JointState(name=[JOINT_NAMES[0]], position=[value])
+        joints.header.stamp.sec, joints.header.stamp.nanosec = seconds, nanoseconds
+        return joints, info
+
+    def _on_command(self, message: Float64, info: Any) -> None:
+        self._take.command(self._arrival(info), message.data)
+
+    def _on_currents(self, message: Float64, info: Any) -> None:
+        for current, received in itertools.chain([(message, info)], self._waiting_on(self._currents)):
+            self._take_commands()
+            if not self._has_stamped_current:
+                self._take.coil(self._arrival(received), current.data, math.nan, 0)
+
+    def _on_coil(self, message: BatteryState, info: Any) -> None:
+        """Take the current where it is stamped, in place of the one that is not."""
+        for coil, received in itertools.chain([(message, info)], self._waiting_on(self._coil)):
+            self._take_commands()
+            if math.isfinite(coil.current):
+                self._has_stamped_current = True
+                self._take.coil(_stamp_of(coil), coil.current, coil.voltage, self._received(received))
+
+    def _on_samples(self, message: JointState, info: Any) -> None:
+        """Take all queued samples, each after the commands received before it."""
+        for sample, received in itertools.chain([(message, info)], self._waiting_on(self._samples)):
+            self._take_commands()
+            position = self._position_of(sample)
+            if position is not None:
+                self._take.position(_stamp_of(sample), position, self._received(received))
+
+    def _take_commands(self) -> None:
+        for command in self._waiting_on(self._commands):
+            self._on_command(*command)
+
+    def _waiting_on(self, subscription: Subscription) -> Iterator[tuple[Any, Any]]:
+        """Queued messages with their times; none in simulated time, where the order with /clock must be kept."""
+        if self.is_simulated():
+            return
+        try:
+            for waiting in waiting_messages(subscription):
+                yield self._as_own_message(self._entries.get(subscription), *waiting)
+        except Exception as error:  # of rclpy; callbacks of this package are not called in here
+            log_left_out(self._node, error)
+
+    def _received(self, info: Any) -> int:
+        return 0 if self.is_simulated() else received_time(info)
+
+    def _arrival(self, info: Any) -> int:
+        """Receive time of a message without a stamp, ns; in simulated time, when this thread processes it.
+
+        A message that a map names may have one.
+        """
+        if isinstance(info, dict) and "stamp" in info:
+            return int(info["stamp"])
+        received = received_time(info)
+        return self._clock.stamp() if self.is_simulated() or not received else received
+
+    def _position_of(self, message: JointState) -> float | None:
+        """The pilot plunger's position, m; None, and rejected, where the message has none."""
+        names, positions = message.name, message.position
+        if JOINT_NAMES[0] not in names:
+            self._take.reject(f"{self._measured}: joints {list(names)}, expected {JOINT_NAMES[0]} among them")
+            return None
+        index = names.index(JOINT_NAMES[0])
+        if len(positions) <= index:
+            self._take.reject(f"{self._measured}: {len(positions)} positions for {len(names)} joints")
+            return None
+        return float(positions[index])
+
+    def _on_incompatible_qos(self, event: QoSRequestedIncompatibleQoSInfo) -> None:
+        policy = qos_policy_name_from_kind(event.last_policy_kind)
+        self._node.get_logger().warning(
+            f"{self._voltage}: a publisher offers an incompatible QoS ({policy}) and cannot be heard; publish reliable"
+        )
+
+
+def _stamp_of(message: Any) -> int:
+    """The header's stamp, ns."""
+    return int(message.header.stamp.sec) * NANOSECONDS + int(message.header.stamp.nanosec)
