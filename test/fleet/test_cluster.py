@@ -133,11 +133,14 @@ def test_a_worker_that_is_killed_costs_nothing_but_what_it_was_doing(machines: M
     assert found == {item: 2.0 * item for item in range(20)}
 
 
-def test_a_scheduler_that_is_killed_is_one_clear_line(machines: Machines, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_scheduler_that_is_killed_is_one_clear_line(
+    machines: Machines, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
     work = partial(deeds.kill_it, process=machines.scheduler.pid)
     with Cluster(machines.address) as cluster, pytest.raises(ClusterError, match="scheduler was lost") as refused:
         answers(run_batches(cluster.client, work, range(5), no_time))
     assert "\n" not in str(refused.value)
+    assert "Traceback" not in capfd.readouterr().err
     monkeypatch.setattr("valve_sim.fleet.cluster.CONNECTS_WITHIN", 1.0)  # s: nobody is there to be waited for
     with Cluster(machines.address) as cluster, pytest.raises(ClusterError, match="no Dask scheduler answers"):
         cluster.client()

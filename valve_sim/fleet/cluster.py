@@ -6,6 +6,7 @@ halving its batch, and left out, with a word why, when it is one item alone.
 
 from __future__ import annotations
 
+import logging
 import math
 import signal
 from collections import deque
@@ -98,6 +99,7 @@ class Cluster:
             import dask
 
             self._stack.enter_context(dask.config.set(_SETTINGS))
+            self._stack.enter_context(_no_logs_of_dask())
             self._client = self._started() if self._scheduler is None else self._reached(self._scheduler)
         return self._client
 
@@ -123,6 +125,8 @@ class Cluster:
             cluster = LocalCluster(
                 n_workers=self._workers, threads_per_worker=1, processes=True, dashboard_address=None,
                 silence_logs="CRITICAL", preload=["valve_sim.fleet.worker"],
+                # What Dask serves by HTTP, without a dashboard too: for this machine, and not where another run does.
+                scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
             )  # fmt: skip
         self._stack.callback(cluster.close, timeout=ENDS_WITHIN)
         client = Client(cluster, set_as_default=False)
@@ -152,6 +156,22 @@ def _interrupts_ignored() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def _no_logs_of_dask() -> Iterator[None]:
+    """A scheduler that is lost is one line, of ours, and no traceback of the client that tries to reach it again."""
+    import distributed  # noqa: F401 (which sets the levels of its loggers)
+
+    names = [name for name in logging.root.manager.loggerDict if name.partition(".")[0] == "distributed"]
+    before = {name: logging.getLogger(name).level for name in names}
+    for name in names:
+        logging.getLogger(name).setLevel(logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        for name, level in before.items():
+            logging.getLogger(name).setLevel(level)
 
 
 def run_batches(
