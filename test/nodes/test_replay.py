@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from valve_sim.files.parameter_files import default_valve
-from valve_sim.model import Drive, ParameterError
+from valve_sim.files.parameter_files import default_valve, load_valve
+from valve_sim.files.resources import config_path
+from valve_sim.model import Drive, ParameterError, simulate
 from valve_sim.nodes.diagnostics import Level
 from valve_sim.nodes.identification_parameters import Settings, check_settings
-from valve_sim.nodes.identification_task import Task
+from valve_sim.nodes.identification_task import Task, fit_or_diagnose, read_recording
 from valve_sim.nodes.realtime import ClockReading
-from valve_sim.nodes.replay import Replay, measured_reading, predict, replay_status, timeline
-from valve_sim.traces import Trace
+from valve_sim.nodes.replay import Replay, measured_reading, measured_voltages, predict, replay_status, timeline
+from valve_sim.traces import Signal, Trace, write_bag
 
 TIMES = np.arange(40) / 1e3
 TRACE = Trace("test", Drive.of([0.0, 0.0205], [9.0, 0.0]), TIMES, np.zeros(40), epoch_ns=5)
@@ -125,6 +127,28 @@ def test_the_prediction_is_at_the_samples_and_knows_the_clock_offset() -> None:
     assert late.response.pilot_position[10] == pytest.approx(shown.response.pilot_position[9], abs=1e-12)
     assert measured_reading(TRACE, 3).time == 3e-3
     assert np.isnan(measured_reading(TRACE, 3).main_position)
+
+
+def test_a_recording_of_the_current_alone_is_replayed_and_fitted(tmp_path: Path) -> None:
+    declared = load_valve(config_path("energy_consistent.yaml"))
+    drive = Drive.of([5e-3, 30e-3], [9.0, 0.0])
+    times = np.arange(300) / 5e3
+    valve = declared.with_values(main_damping=5.0)
+    current = simulate(valve, drive, times).coil_current + 1e-3 * np.random.default_rng(2).standard_normal(300)
+    voltage = Signal(times[::2], np.where((times >= 5e-3) & (times < 30e-3), 9.0, 0.0)[::2])
+    written = Trace(
+        "coil", drive, times[:0], times[:0], coil_current=Signal(times, current), coil_voltage=voltage, epoch_ns=10**9
+    )
+    write_bag(tmp_path / "coil.mcap", written)
+    trace = read_recording(Settings(str(tmp_path / "coil.mcap")), declared)
+    assert sorted(timeline(trace, 1.0).places.tolist()) == [-2, -1, *range(300)]
+    sample = measured_reading(trace, 100)
+    assert (sample.time, sample.coil_current) == (trace.sample_times[100], pytest.approx(current[100], abs=1e-6))
+    assert np.isnan(sample.pilot_position)
+    assert np.isfinite(measured_voltages(trace)).tolist() == [True, False] * 150
+    outcome = fit_or_diagnose(trace, declared, Settings(), tmp_path, lambda what, fraction: None)
+    assert outcome.report["rmse_ma"]["after"] == pytest.approx(1.0, rel=0.15)
+    assert outcome.valve.parameters.main_damping == pytest.approx(5.0, abs=0.6)
 
 
 def test_settings_have_defaults_and_take_integers_and_texts() -> None:

@@ -17,7 +17,7 @@ from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import BatteryState, JointState
 from std_msgs.msg import Float64, String
 from std_srvs.srv import Trigger
 
@@ -38,7 +38,7 @@ from valve_sim.nodes.messages import ReadingMessages, diagnostic_array
 from valve_sim.nodes.node_clock import NodeClock
 from valve_sim.nodes.parameters import VALVE_KEYS, sources_of, table
 from valve_sim.nodes.remote_parameters import RemoteParameters, Values, changes_between
-from valve_sim.nodes.replay import Prediction, Replay, measured_reading, predict, replay_status
+from valve_sim.nodes.replay import Prediction, Replay, measured_reading, measured_voltages, predict, replay_status
 from valve_sim.nodes.shell_parts import LATCHED, declare_read_only, full_name, given_parameters, make_node
 from valve_sim.nodes.spinning import guarded, spin
 
@@ -53,8 +53,9 @@ class IdentificationShell:
 
     Topics: ~/coil_voltage and ~/measured/joint_states as recorded, header stamps too; ~/predicted/joint_states with the
     same stamps, by the declared valve until the refitted one is known; ~/residual, m, measured less predicted position
-    of the pilot plunger; ~/result (JSON, latched) when it is known; /diagnostics at 1 Hz. Service: ~/undo, which gives
-    the valve of `apply_to` its own values back. Parameters: `Settings`; they are read once, at the start.
+    of the pilot plunger. Of a recording without positions ~/measured/coil in their place, ~/predicted/coil, and
+    ~/residual, A, of the current. ~/result (JSON, latched) when it is known; /diagnostics at 1 Hz. Service: ~/undo,
+    which gives the valve of `apply_to` its own values back. Parameters: `Settings`; they are read once, at the start.
 
     It ends when the recording has been played and the result is known, but for `loop` and `linger`.
 
@@ -73,6 +74,7 @@ class IdentificationShell:
             self._target = self._resolved_target()
             self._declared = load_valve(self._settings.params) if self._settings.params else default_valve()
             self._trace = read_recording(self._settings, self._declared)
+            self._voltages = measured_voltages(self._trace)
             self._clock = NodeClock(self._node)
             self._remote = RemoteParameters(self._node, self._target) if self._target else None
             self._before: Values = {}
@@ -124,6 +126,8 @@ class IdentificationShell:
         node = self._node
         self._voltage = node.create_publisher(Float64, "~/coil_voltage", _DEEP)
         self._measured = node.create_publisher(JointState, "~/measured/joint_states", _DEEP)
+        self._measured_coil = node.create_publisher(BatteryState, "~/measured/coil", _DEEP)
+        self._predicted_coil = node.create_publisher(BatteryState, "~/predicted/coil", _DEEP)
         self._predicted = node.create_publisher(JointState, "~/predicted/joint_states", _DEEP)
         self._residual = node.create_publisher(Float64, "~/residual", _DEEP)
         self._result = node.create_publisher(String, "~/result", LATCHED)
@@ -145,7 +149,7 @@ class IdentificationShell:
     def _say_ready(self) -> None:
         settings = self._settings
         what = f"refits {', '.join(settings.free)}" if settings.mode == "identify" else "diagnoses it"
-        topic = self._measured.topic_name
+        topic = (self._measured if self._trace.has_positions else self._measured_coil).topic_name
         self._node.get_logger().info(
             f"ready: replays {settings.bag} on {topic} beside the model, {what}; the result comes on "
             f"{self._result.topic_name} and in {self._folder.resolve()}"
@@ -160,9 +164,15 @@ class IdentificationShell:
         assert self._prediction is not None
         measured, predicted = measured_reading(self._trace, index), self._prediction.reading(index)
         stamp = self._trace.epoch_ns + round(measured.time * 1e9)
-        self._measured.publish(self._messages.joint_states(stamp, measured))
         self._predicted.publish(self._messages.joint_states(stamp, predicted))
-        self._residual.publish(Float64(data=measured.pilot_position - predicted.pilot_position))
+        if self._trace.has_positions:
+            self._measured.publish(self._messages.joint_states(stamp, measured))
+            self._residual.publish(Float64(data=measured.pilot_position - predicted.pilot_position))
+            return
+        volts = float(self._voltages[index])
+        self._measured_coil.publish(self._messages.coil(stamp, measured.coil_current, volts))
+        self._predicted_coil.publish(self._messages.coil(stamp, predicted.coil_current, volts))
+        self._residual.publish(Float64(data=measured.coil_current - predicted.coil_current))
 
     def fail(self, error: Exception) -> None:
         """End the node because the replay failed."""

@@ -21,7 +21,7 @@ from valve_sim.model.errors import ValveError
 from valve_sim.nodes.diagnostics import Level, Status
 from valve_sim.nodes.identification_parameters import Settings
 from valve_sim.nodes.stoppable import StoppableThread
-from valve_sim.traces import Trace, TraceError, read_trace, refuse_doubtful_units
+from valve_sim.traces import Trace, read_trace, refuse_doubtful_units
 
 IDENTIFIED_FILE: Final = "identified.yaml"
 CORRECTED_FILE: Final = "corrected.yaml"
@@ -83,11 +83,6 @@ def read_recording(settings: Settings, declared: Valve) -> Trace:
     """
     recording_map = load_map(Path(settings.map).expanduser()) if settings.map else None
     trace = read_trace(Path(settings.bag).expanduser(), settings.valve_name or None, recording_map)
-    if not trace.has_positions:
-        raise TraceError(
-            f"{trace.source}: holds no position, which this node replays beside the model; "
-            "valve-sim identify and diagnose work on the current alone"
-        )
     refuse_doubtful_units(trace, declared.parameters)
     return trace
 

@@ -98,26 +98,30 @@ def predict(trace: Trace, valve: Valve, clock_offset: float, model: str) -> Pred
 
 def measured_reading(trace: Trace, index: int) -> Reading:
     """A sample as a reading; what was not measured is NaN."""
-    main = _UNKNOWN if trace.main_position is None else float(trace.main_position[index])
-    return Reading(
-        float(trace.times[index]),
-        float(trace.pilot_position[index]),
-        main,
-        _UNKNOWN,
-        _UNKNOWN,
-        _UNKNOWN,
-        _UNKNOWN,
-        _UNKNOWN,
-        Phase.CLOSED,
-        (),
-    )
+    pilot = main = current = _UNKNOWN
+    if trace.has_positions:
+        pilot = float(trace.pilot_position[index])
+        main = _UNKNOWN if trace.main_position is None else float(trace.main_position[index])
+    elif trace.coil_current is not None:
+        current = float(trace.coil_current.values[index])
+    time = float(trace.sample_times[index])
+    return Reading(time, pilot, main, _UNKNOWN, _UNKNOWN, current, _UNKNOWN, _UNKNOWN, Phase.CLOSED, ())
+
+
+def measured_voltages(trace: Trace) -> NDArray[np.float64]:
+    """(n,) V at the coil's terminals at each sample; NaN where no voltage has its stamp."""
+    shown = np.full(len(trace.sample_times), _UNKNOWN)
+    if trace.coil_voltage is not None:
+        _, at, which = np.intersect1d(trace.sample_times, trace.coil_voltage.times, return_indices=True)
+        shown[at] = trace.coil_voltage.values[which]
+    return shown
 
 
 def timeline(trace: Trace, rate: float) -> Timeline:
     """When each command and sample is due; a command precedes a sample of equal time. At rate 0, all at once."""
-    times = np.concatenate([trace.drive.times, trace.times])
+    times = np.concatenate([trace.drive.times, trace.sample_times])
     commands = len(trace.drive.times)
-    places = np.concatenate([-1 - np.arange(commands), np.arange(len(trace.times))])
+    places = np.concatenate([-1 - np.arange(commands), np.arange(len(trace.sample_times))])
     order = np.argsort(times, kind="stable")
     elapsed = times[order] - times[order[0]]
     offsets = np.rint(elapsed * (NANOSECONDS / rate)) if rate > 0.0 else np.zeros(len(elapsed))
@@ -146,8 +150,8 @@ class Replay(StoppableThread):
         self._rate = rate
         self._loop = loop
         self._player = player
-        span = float(trace.times[-1] - trace.times[0])
-        self.samples_a_second = rate * (len(trace.times) - 1) / span if span > 0.0 else 0.0
+        span = float(trace.sample_times[-1] - trace.sample_times[0])
+        self.samples_a_second = rate * (len(trace.sample_times) - 1) / span if span > 0.0 else 0.0
         self._period = NANOSECONDS / self.samples_a_second if self.samples_a_second > 0.0 else math.inf
 
     @property
