@@ -14,8 +14,8 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from valve_sim.files.recording_map import MapError, load_map
-from valve_sim.model import ValveError, ValveParameters
-from valve_sim.traces import Trace, TraceError, list_valves, read_trace
+from valve_sim.model import Drive, ValveError, ValveParameters
+from valve_sim.traces import Signal, Trace, TraceError, list_valves, read_trace, write_bag
 from valve_sim.traces.map_draft import draft_map
 
 from .bag_makers import good_messages, make_mcap
@@ -358,6 +358,31 @@ def test_a_first_map_tells_pilot_from_main(tmp_path: Path) -> None:
     np.testing.assert_array_equal(trace.pilot_position, expected.pilot_position)
     np.testing.assert_array_equal(trace.main_position, expected.main_position)
     np.testing.assert_array_equal(trace.drive.times, expected.drive.times)
+
+
+def test_a_first_map_of_a_coil_alone_takes_no_command_for_a_position(tmp_path: Path) -> None:
+    """The voltage is sampled as the current is, and beside it are the commands as they were sent."""
+    times = np.arange(2000) / 20e3
+    drive = Drive.of([0.010, 0.050, 0.070], [9.0, 0.0, 12.0])
+    volts = np.concatenate([[0.0], drive.volts])[np.searchsorted(drive.times, times, side="right")]
+    random = np.random.default_rng(3)
+    signals = {
+        "coil_current": Signal(times, volts / 8.0 + 1e-3 * random.standard_normal(len(times))),
+        "coil_voltage": Signal(times, volts + 5e-3 * random.standard_normal(len(times))),
+    }
+    nothing = np.empty(0)
+    write_bag(tmp_path / "a.mcap", Trace("a", drive, nothing, nothing, epoch_ns=10**9, **signals))
+    text = draft_map(tmp_path / "a.mcap", VALVE, "valve-sim map")
+    assert "without one the current alone is gone by" in text
+    (tmp_path / "draft.yaml").write_text(text)
+    found, own = (
+        read_trace(tmp_path / "a.mcap", None, load_map(tmp_path / "draft.yaml")),
+        read_trace(tmp_path / "a.mcap"),
+    )
+    assert not found.has_positions
+    assert found.coil_current is not None and found.coil_voltage is not None and own.coil_current is not None
+    np.testing.assert_array_equal(found.coil_current.values, own.coil_current.values)
+    np.testing.assert_array_equal(found.drive.volts, own.drive.volts)
 
 
 def test_nothing_that_moves_is_said(tmp_path: Path, made: Recording) -> None:

@@ -32,7 +32,7 @@ HINTS: Mapping[str, str] = {
 """Words in the names of a quantity's topics, fields and columns."""
 PLAIN = re.compile(r"(?:time|t|zeit|timestamp|sec|seconds|elapsed).*", re.IGNORECASE)
 FEW_MESSAGES = 0.2
-"""A topic with less than this share of the positions' messages is a command: sent when it changes."""
+"""A topic with less than this share of the messages of another is a command: sent when it changes."""
 MOST_LEVELS = 12
 """A voltage rests at so few levels at most."""
 MOST_LISTED = 40
@@ -98,7 +98,10 @@ def draft_map(path: Path, parameters: ValveParameters, command: str) -> str:
 
 def _missing(guesses: Sequence[Guess]) -> list[str]:
     found = {guess.quantity for guess in guesses}
-    words = [] if "position" in found else ["no position found; add position: {...}"]
+    words = []
+    if "position" not in found:
+        alone = "; without one the current alone is gone by" if "current" in found else ""
+        words.append(f"no position found; add position: {{...}}{alone}")
     return words if found & {"command", "voltage"} else [*words, "no voltage found; add command: or voltage: {...}"]
 
 
@@ -116,17 +119,25 @@ def _valves(series: Sequence[Series], parameters: ValveParameters) -> dict[str, 
 
 
 def _guesses(series: Sequence[Series], parameters: ValveParameters) -> list[Guess]:
-    """The quantities of one valve, the voltage first: the series that moves at its steps is the position."""
+    """The quantities of one valve, the voltage first: the series that moves at its steps is the position.
+
+    Beside a voltage that was sampled there may be the commands as they were sent.
+    """
     rest = list(series)
     guesses: list[Guess] = []
     voltage = _best(rest, _voltage_score)
     if voltage is not None:
         rest.remove(voltage)
-    position = _best(rest, _position_score)
+    position = _best([entry for entry in rest if not _is_voltage(entry)], _position_score)
     if position is not None:
         rest.remove(position)
     if voltage is not None:
-        guesses.append(_voltage_guess(voltage, position, parameters))
+        guesses.append(_voltage_guess(voltage, max(len(entry.values) for entry in series), parameters))
+        if guesses[0].quantity == "voltage":
+            sent = [entry for entry in rest if _is_voltage(entry) and len(np.unique(entry.values)) <= MOST_LEVELS]
+            for entry in sent[:1]:
+                rest.remove(entry)
+                guesses.append(Guess("command", entry, {}, [f"reads {entry.low:.4g} to {entry.high:.4g}"]))
     if position is not None:
         guesses.append(_position_guess("position", position, parameters))
         for main in [entry for entry in rest if _is_main(entry) and _names(entry, "position")][:1]:
@@ -169,15 +180,22 @@ def _position_score(entry: Series) -> float:
     )
 
 
+def _is_voltage(entry: Series) -> bool:
+    """Whether its name says that it is a voltage, and not also that it is a position."""
+    says = re.search(f"{HINTS['command']}|{HINTS['voltage']}", entry.words) is not None
+    return says and re.search(HINTS["position"], entry.words) is None
+
+
 def _is_main(entry: Series) -> bool:
     return re.search(r"main", entry.words) is not None
 
 
-def _voltage_guess(entry: Series, position: Series | None, parameters: ValveParameters) -> Guess:
+def _voltage_guess(entry: Series, most: int, parameters: ValveParameters) -> Guess:
+    """What a voltage is; `most`: values of the longest series beside it."""
     reasons = [f"reads {entry.low:.4g} to {entry.high:.4g}"]
     settings: dict[str, object] = {}
     is_bag = "topic" in entry.place
-    few = position is not None and len(entry.values) < FEW_MESSAGES * len(position.values)
+    few = len(entry.values) < FEW_MESSAGES * most
     named = bool(re.search(HINTS["command"], entry.words))
     exact = len(np.unique(entry.values)) <= MOST_LEVELS
     quantity = "command" if (is_bag and few) or (named and exact) or (not is_bag and exact) else "voltage"
