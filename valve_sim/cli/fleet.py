@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import click
 
+from valve_sim.cli.cluster import chosen_cluster, cluster_options, refuse_without_fleet
 from valve_sim.cli.command_line import Command
 from valve_sim.cli.options import FILE, finite_number, json_option, params_option
 from valve_sim.cli.printing import print_report, progress_bar, refuse, say_when_compiling
@@ -18,9 +18,6 @@ from valve_sim.files.json_text import finite_or_none
 if TYPE_CHECKING:
     from valve_sim.fleet.run import Forecast, Outcome
     from valve_sim.fleet.units import Options, ParameterChoice
-
-NEEDED: Final = ("dask", "distributed", "fsspec", "pyarrow")
-"""Packages of the extra `fleet`; s3fs is needed for S3 alone, and fsspec says so."""
 
 
 @click.command(cls=Command)
@@ -33,9 +30,9 @@ NEEDED: Final = ("dask", "distributed", "fsspec", "pyarrow")
     help="Parameter file of the valves whose names fit, e.g. `/tank_1/*=tank_1.yaml`. Repeatable; the first counts.",
 )
 @click.option("--output", metavar="DIR", type=FILE, default=Path("fleet"), help="Folder for table, page and reports.")
-@click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler, e.g. tcp://10.0.0.1:8786. Default: this machine.")
-@click.option(
-    "--workers", metavar="N", type=click.IntRange(min=1), help="Processes on this machine. Default: one per processor."
+@cluster_options(
+    "Dask scheduler, e.g. tcp://10.0.0.1:8786. Default: this machine.",
+    "Processes on this machine. Default: one per processor.",
 )
 @click.option("--full", is_flag=True, help="Search for missing effects in every bag, also where nothing is left.")
 @click.option("--no-search", is_flag=True, help="Refit and test alone: drifts are seen, effects are not named. Cheap.")
@@ -57,8 +54,6 @@ def fleet(
     params: Path | None,
     params_for: tuple[str, ...],
     output: Path,
-    scheduler: str | None,
-    workers: int | None,
     full: bool,
     no_search: bool,
     budget: float,
@@ -78,11 +73,8 @@ def fleet(
       valve-sim fleet s3://plant/2026 --params-for /tank_1/valve=tank_1.yaml --output results
       valve-sim fleet bags --output results --scheduler tcp://10.0.0.1:8786
     """
-    missing = [name for name in NEEDED if importlib.util.find_spec(name) is None]
-    if missing:
-        refuse(f"fleet needs {', '.join(missing)}, which is not here; install the extra: pip install '.[fleet]'")
-    if scheduler is not None and workers is not None:
-        raise click.UsageError("--workers is for this machine; a --scheduler has its own", click.get_current_context())
+    refuse_without_fleet("fleet")
+    cluster = chosen_cluster()
     if full and no_search:
         raise click.UsageError("--full searches in every bag, --no-search in none", click.get_current_context())
     from valve_sim.fleet.units import Options, ParameterChoice
@@ -92,9 +84,9 @@ def fleet(
     if dry_run:
         from valve_sim.fleet.run import forecast
 
-        _print_forecast(forecast(sources, output, chosen, options), workers or os.cpu_count() or 1, as_json=as_json)
+        _print_forecast(forecast(sources, output, chosen, options), cluster[1] or os.cpu_count() or 1, as_json=as_json)
         return
-    _print_outcome(_examined(sources, output, (scheduler, workers), chosen, options), as_json=as_json)
+    _print_outcome(_examined(sources, output, cluster, chosen, options), as_json=as_json)
 
 
 def _examined(

@@ -16,7 +16,7 @@ from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.estimation.budget import Budget
 from valve_sim.identification.estimation.intervals import Interval, Unbounded, covariance_interval, profile_interval
 from valve_sim.identification.estimation.problem import Problem
-from valve_sim.identification.estimation.solver import TRIAL, Effort, _Search, fit
+from valve_sim.identification.estimation.solver import TRIAL, Descent, Effort, fit
 from valve_sim.identification.plants.protocol import (
     Direction,
     Sensitivities,
@@ -235,22 +235,22 @@ def with_current(trace: Trace) -> Trace:
     return replace(trace, coil_current=Signal(times, current + noise))
 
 
-def searched(plant: ValvePlant, effect: str | None) -> tuple[_Search, np.ndarray]:
+def searched(plant: ValvePlant, effect: str | None) -> tuple[Descent, np.ndarray]:
     """A search with everything free beside an effect, and where it starts."""
     parameters = CATALOGUE[effect].parameters if effect else ()
     start = {f"{effect}.{parameter.name}": parameter.prior_scale for parameter in parameters}
     nuisances = (*plant.nuisances, *plant.timing_errors)
-    search = _Search(Problem(plant), (*BOTH, "reference_voltage", *start), nuisances, {}, None)
+    search = Descent(Problem(plant), (*BOTH, "reference_voltage", *start), nuisances, {}, None)
     return search, search.start(start)
 
 
-def residuals(search: _Search, at: np.ndarray) -> np.ndarray:
+def residuals(search: Descent, at: np.ndarray) -> np.ndarray:
     found = search.residuals(at)
     assert found is not None
     return found
 
 
-def size(search: _Search, column: int) -> float:
+def size(search: Descent, column: int) -> float:
     """Of a step in a coordinate: short, yet long enough for what the integrator's tolerance adds."""
     nuisance = column - len(search.free)
     if nuisance >= 0 and search.nuisances[nuisance].is_of_machine:

@@ -94,14 +94,14 @@ def fit(
     settled = {*free, *(fixed or {})}
     estimated = tuple(own for own in nuisances if not {own.name, own.same_as} & settled)
     of_fit = (tuple(free), estimated, dict(fixed or {}), prior)
-    search = _Search(problem, *of_fit)
+    search = Descent(problem, *of_fit)
     at = search.start(start)
     for scale in effort.robust:
         at, *_ = search.descend(at, scale)
     at, chi2, residuals, jacobian, information, converged = search.descend(at, math.inf, effort)
     return Fit(
         problem, tuple(free), estimated, search.values(at), chi2, residuals,
-        Derivatives(jacobian, lambda: _Search(problem.without_limit(), *of_fit).jacobian(at, residuals)), information,
+        Derivatives(jacobian, lambda: Descent(problem.without_limit(), *of_fit).jacobian(at, residuals)), information,
         converged, at, search.smooth,
     )  # fmt: skip
 
@@ -112,8 +112,13 @@ def along(name: str, parameter: Parameter, coordinate: float) -> Direction:
     return Direction({name: slope}, FINE * DIFFERENCE * internal_scale(parameter)) if math.isfinite(slope) else STANDING
 
 
-class _Search:
-    """One minimisation in internal coordinates, with their bounds and difference quotients."""
+class Descent:
+    """One minimisation in internal coordinates, with their bounds and difference quotients.
+
+    Args:
+        problem: data and noise. free: parameters to free. nuisances: estimated along, with their priors.
+        fixed: values to hold. prior: as of `fit`.
+    """
 
     def __init__(
         self,
@@ -155,6 +160,7 @@ class _Search:
         return matrix
 
     def start(self, values: Mapping[str, float]) -> Array:
+        """(k + m,) internal coordinates of values, as `fit` takes them, within bounds."""
         plant = self.problem.plant
         coordinates = [
             to_internal(parameter, values.get(name, plant.declared(name)))
@@ -164,6 +170,7 @@ class _Search:
         return np.clip(np.array(coordinates, dtype=np.float64), self.lower, self.upper)
 
     def values(self, at: Array) -> dict[str, float]:
+        """By name, in their units."""
         values = dict(self.fixed)
         for name, parameter, coordinate in zip(self.free, self.parameters, at, strict=False):
             values[name] = from_internal(parameter, float(coordinate))
@@ -268,7 +275,7 @@ class _Search:
         information, gradient = self._with_curve(at, *of_data)
         cost = self._cost(at, residuals, cauchy)  # the weight of a curve is another now
         for iteration in range(effort.made, effort.most):
-            move, gain = self._step(at, information, gradient, damping)
+            move, gain = self.step(at, information, gradient, damping)
             if gain < self._small:
                 converged = True
                 break
@@ -344,7 +351,7 @@ class _Search:
             return sum_squares(residuals) + prior
         return float(cauchy**2 * np.sum(np.log1p(np.square(residuals / cauchy)))) + prior
 
-    def _step(self, at: Array, information: Array, gradient: Array, damping: float) -> tuple[Array, float]:
+    def step(self, at: Array, information: Array, gradient: Array, damping: float) -> tuple[Array, float]:
         """The damped step within bounds, and the decrease that it promises."""
         scale = np.maximum(np.diag(information), 1e-300)
         held = ((at <= self.lower) & (gradient > 0)) | ((at >= self.upper) & (gradient < 0)) | (scale <= NO_INFORMATION)
