@@ -91,7 +91,7 @@ def drawn(seed: int, missing: str) -> Case:
     mapping = {
         "valve": {**SHEET, "coil_resistance": resistance, "release_voltage": release},
         "effects": effects,
-        "tolerances": tolerances.declared_tolerances(SHEET),
+        "tolerances": declared_tolerances(effects),
     }
     noise, rate = float(random.uniform(1e-3, 5e-3)), float(random.choice([10e3, 20e3]))
     recorded = [_recorded(build, levels, noise, rate, random, has_voltage=has_voltage) for levels in (LEVELS, HELD_OUT)]
@@ -104,6 +104,15 @@ def drawn(seed: int, missing: str) -> Case:
         (recorded[0][1], recorded[1][1]), (float(opening.reached_gap[0]), float(opening.reached_stop[0])),
         f"{words}, {'voltage' if has_voltage else 'no voltage'}",
     )  # fmt: skip
+
+
+def declared_tolerances(effects: Mapping[str, Mapping[str, float]]) -> dict[str, Any]:
+    """Of the file: eddy currents are known as well as the coil's time constant, for L/R_e is declared and L is off."""
+    found: dict[str, Any] = tolerances.declared_tolerances(SHEET)
+    share = tolerances.SHARES["coil_time_constant"]
+    for name in {"eddy_lag"} & set(effects):
+        found["effects"] = {name: {"time_constant": share * effects[name]["time_constant"]}}
+    return found
 
 
 def _recorded(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from plants.recording import Recorder
@@ -65,6 +67,15 @@ def test_noise_slower_than_the_autoregression_discounts_evidence() -> None:
     drifting = estimate_noise([still(1e-6 * (random.standard_normal(40_000) + drift))])
     assert steady.variance_inflation == 1.0
     assert drifting.variance_inflation > 2.0
+
+
+def test_the_tail_of_a_current_that_settles_is_no_noise() -> None:
+    """As in a shorted coil: five to eight time constants after a change of 1 A, its tail is as large as the noise."""
+    random, after = np.random.default_rng(6), np.linspace(5.0, 8.0, 250)
+    windows = [np.exp(-after) + 1e-3 * random.standard_normal(250) for _ in range(16)]
+    noise = estimate_noise([replace(still(window, "current"), drifts=True) for window in windows])
+    assert noise.sigma == pytest.approx(1e-3, rel=0.05)
+    assert noise.coefficients == ()
 
 
 @pytest.mark.parametrize("step", [0.1e-6, 1e-6, 5e-6])

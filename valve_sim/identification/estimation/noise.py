@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
 from valve_sim.identification.plants.protocol import Channel
@@ -30,6 +31,10 @@ PLAINLY_NOISIER: Final = 1.2
 """Standard deviation at one rest over that at the other, beyond chance for that many samples, of coloured noise too."""
 DIGITS: Final = 1e-6
 """Of a signal's range: data that are printed to six digits, the least that anybody writes."""
+LARGEST_DEGREE: Final = 3
+"""Of the drift of what settles."""
+PLAIN_DRIFT: Final = 5.0
+"""Standard errors of a drift's curve, beyond which it is one: less may be slow noise."""
 COARSE: Final = 2.0
 """A quantisation step above this many standard deviations hides the noise: readings at rest then repeat."""
 
@@ -168,9 +173,18 @@ def _at_the_quieter_rest(windows: list[Array]) -> list[Array]:
 
 
 def _without_drift(window: Array) -> Array:
-    """A window less the straight line through it."""
-    at = np.arange(len(window)) - 0.5 * (len(window) - 1)
-    return np.asarray(window - window.mean() - at * float(at @ window) / float(at @ at))
+    """A window less a straight line or, where that plainly leaves a tail of what settles, a curve of third degree.
+
+    Over three time constants a cubic follows an exponential to half a percent of its height.
+    """
+    lines = legvander(np.linspace(-1.0, 1.0, len(window)), LARGEST_DEGREE)
+    basis = np.linalg.qr(lines)[0]
+    sizes = basis.T @ window
+    left = window - basis @ sizes
+    variance = float(left @ left) / max(1, len(window) - len(sizes))
+    plain = np.flatnonzero(np.square(sizes) > PLAIN_DRIFT**2 * variance)
+    degree = max(1, int(plain[-1]) if len(plain) else 0)
+    return np.asarray(window - basis[:, : degree + 1] @ sizes[: degree + 1])
 
 
 def _spread(windows: Sequence[Array]) -> float:
