@@ -71,6 +71,21 @@ def test_a_fit_that_cannot_reach_its_goal_is_given_up(problem: Problem) -> None:
     assert again.chi2 == pytest.approx(whole.chi2, abs=0.02)
 
 
+@pytest.mark.parametrize("is_dropped", [False, True])
+def test_a_fit_that_ended_early_is_gone_on_with(problem: Problem, is_dropped: bool) -> None:
+    afar = {"pilot_damping": 0.05, "main_damping": 20.0}
+    whole = fit(problem, BOTH, afar, nuisances=problem.plant.nuisances)
+    begun = fit(problem, BOTH, afar, nuisances=problem.plant.nuisances, effort=Effort(most=2))
+    assert whole.chi2 > begun.reach
+    if is_dropped:
+        begun.derivatives.drop()
+    on = fit(problem, BOTH, begun, nuisances=problem.plant.nuisances, effort=Effort(made=2))
+    assert on.converged
+    assert on.values == pytest.approx(whole.values, rel=1e-9)
+    assert on.chi2 == pytest.approx(whole.chi2, rel=1e-12)
+    assert on.damping == whole.damping < begun.damping
+
+
 def test_a_jacobian_that_was_dropped_is_worked_out_again_even_when_the_time_is_used_up() -> None:
     clock = [0.0]
     problem = Problem(ValvePlant([recorded()], EXACT_VALVE), budget=Budget(1.0, lambda: clock[0]))

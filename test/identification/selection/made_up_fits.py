@@ -6,6 +6,7 @@ with errors of the commands' stamps, "" for the declared model.
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -63,6 +64,7 @@ class MadeUpFit:
     stamp_variance: float = 1.0
     variance_inflation: float = 1.0
     converged: bool = True
+    reach: float = -math.inf
     derivatives: Derivatives = field(default_factory=lambda: Derivatives(np.empty((0, 0)), lambda: np.empty((0, 0))))
 
     @property
@@ -94,7 +96,8 @@ class World:
         misses: each of 50 whitened residuals; default that of the declared model.
         timing: whether stamps may err. tolerances: of declared values.
         ends_with: the key at whose fit it is when that is carried on.
-        unfinished: effects that fits of a few iterations do not settle. efforts: key and effort of each fit.
+        unfinished: effects that fits of a few iterations do not settle. stuck: those whose fits will come no lower.
+        efforts: key and effort of each fit.
         out_of_time: keys at whose fit the time is used up. fails: whether nothing can be simulated from a start.
         missed: the residual of values. told: progress, as told. starts: key, start and robust scales of each fit.
     """
@@ -111,6 +114,7 @@ class World:
     tolerances: tuple[Nuisance, ...] = ()
     out_of_time: Sequence[str] = ()
     unfinished: str = ""
+    stuck: str = ""
     ends_with: str = ""
     fails: Callable[[Mapping[str, float]], bool] = lambda start: False
     missed: Callable[[Mapping[str, float]], float] = lambda values: 0.0
@@ -146,12 +150,13 @@ class World:
         self,
         problem: Any,
         free: Sequence[str],
-        start: Mapping[str, float],
+        start: Mapping[str, float] | MadeUpFit,
         *,
         nuisances: Sequence[Nuisance],
         effort: Effort = WHOLE,
     ) -> MadeUpFit:
         """In place of a real one."""
+        start = start.values if isinstance(start, MadeUpFit) else start
         names = [name for name, effect in self.effects.items() if set(effect.free_names()) & set(free)]
         key = "".join(sorted(names)) + ("'" if STAMP in nuisances else "")
         with self._lock:
@@ -186,6 +191,7 @@ class World:
             np.diag(np.square(scales)),
             np.full(50, self.misses.get(key, self.misses.get("", 0.0))),
             converged=effort.most > TRIAL or not set(key) & set(self.unfinished),
+            reach=score if set(key) & set(self.stuck) else -math.inf,
         )
 
     def use(self, patch: pytest.MonkeyPatch) -> World:

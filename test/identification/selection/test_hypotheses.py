@@ -310,6 +310,12 @@ def test_fits_side_by_side_are_carried_on_towards_the_best_few(monkeypatch: pyte
     assert sorted(efforts) == [("c", Effort(goal=1200.0, made=TRIAL))] * 2 + [("f", Effort(goal=limit, made=TRIAL))] * 2
     begun = [effort for key, effort in world.efforts if key == "c" and not effort.made]
     assert [effort.most for effort in begun] == [TRIAL, TRIAL]
+    # What cannot come near enough any more is not gone on with.
+    lost = World(scores, switches("abcdef"), unfinished="cf", stuck="cf")
+    search = searched(monkeypatch, lost)
+    search.fit_each([of(key) for key in "abcdef"], (0.0, 1.0))
+    assert kinds(search, "c")[2:] == ["continued", "continued"]
+    assert kinds(search, "f") == ["sizes", "sizes"]
     # Of a few, each is carried to its end.
     few = World(scores, switches("abc"), unfinished="c")
     searched(monkeypatch, few).fit_each([of(key) for key in "abc"], (0.0, 1.0))

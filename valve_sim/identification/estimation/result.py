@@ -38,6 +38,8 @@ from valve_sim.identification.plants.protocol import (
     released_tolerances,
 )
 
+FIRST_DAMPING: Final = 1e-4
+"""Of λ in theory, eq. (29), at the start of a fit."""
 NO_INFORMATION: Final = 1e-290
 """Information below which a parameter has no influence at all."""
 SMALLEST_SHARE: Final = 1e-14
@@ -107,6 +109,7 @@ class Fit:
         information: (k + m, k + m), priors included.
         converged: whether the last step was small enough.
         smooth: the curve among what was freed, with its prior, which `chi2` and `information` include.
+        damping: λ of theory, eq. (29), of the next step. reach: χ² that it can be expected to come to, at the least.
     """
 
     problem: Problem
@@ -120,6 +123,8 @@ class Fit:
     converged: bool
     coordinates: Array = field(repr=False)
     smooth: Smoothness | None = None
+    damping: float = FIRST_DAMPING
+    reach: float = -math.inf
 
     @property
     def jacobian(self) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
@@ -12,7 +13,13 @@ from numpy.typing import NDArray
 from valve_sim.identification.estimation.column_groups import columns_decouple, group_columns
 from valve_sim.identification.estimation.gram import gram, sum_squares
 from valve_sim.identification.estimation.problem import Problem
-from valve_sim.identification.estimation.result import NO_INFORMATION, Derivatives, Fit, MachineKnowledge
+from valve_sim.identification.estimation.result import (
+    FIRST_DAMPING,
+    NO_INFORMATION,
+    Derivatives,
+    Fit,
+    MachineKnowledge,
+)
 from valve_sim.identification.estimation.smoothing import Smoothness
 from valve_sim.identification.plants.protocol import (
     Array,
@@ -30,6 +37,8 @@ DIFFERENCE: Final = 2e-3
 """Step of a difference quotient, in prior scales of its parameter: theory, eq. (28)."""
 MOST_ITERATIONS: Final = 40
 TRIAL: Final = 6
+"""Iterations that fits side by side make before they are compared."""
+ASKED: Final = 3
 """Iterations that a fit may make before it is asked whether it can still reach its goal."""
 CATCHES_UP: Final = 10.0
 """Times the last decrease, or the next that is promised, beyond which a goal is out of reach: each decrease is smaller
@@ -72,7 +81,7 @@ WHOLE: Final = Effort()
 def fit(
     problem: Problem,
     free: Sequence[str],
-    start: Mapping[str, float],
+    start: Mapping[str, float] | Fit,
     *,
     nuisances: Sequence[Nuisance] = (),
     fixed: Mapping[str, float] | None = None,
@@ -85,6 +94,7 @@ def fit(
         problem: data and noise.
         free: parameters to free.
         start: values to start from, by name; what is missing starts at its declared value (nuisances at their mean).
+            Or a fit of the same that ended early, to go on with it: by the derivatives and the damping that it has.
         nuisances: estimated along, with their priors, but for what is freed or held, by name or as the same thing.
         fixed: further values to hold, e.g. an effect's parameter in a profile.
         effort: how far it is carried; one that ends early has not converged.
@@ -95,21 +105,44 @@ def fit(
     estimated = tuple(own for own in nuisances if not {own.name, own.same_as} & settled)
     of_fit = (tuple(free), estimated, dict(fixed or {}), prior)
     search = Descent(problem, *of_fit)
-    at = search.start(start)
-    for scale in effort.robust:
-        at, *_ = search.descend(at, scale)
-    at, chi2, residuals, jacobian, information, converged = search.descend(at, math.inf, effort)
+    if isinstance(start, Fit):
+        end = search.descend(start.coordinates, math.inf, effort, start)
+    else:
+        at = search.start(start)
+        for scale in effort.robust:
+            at = search.descend(at, scale).at
+        end = search.descend(at, math.inf, effort)
+    again = functools.partial(_jacobian_of, problem.without_limit(), of_fit, end.at, end.residuals)
     return Fit(
-        problem, tuple(free), estimated, search.values(at), chi2, residuals,
-        Derivatives(jacobian, lambda: Descent(problem.without_limit(), *of_fit).jacobian(at, residuals)), information,
-        converged, at, search.smooth,
+        problem, tuple(free), estimated, search.values(end.at), end.cost, end.residuals,
+        Derivatives(end.jacobian, again), end.information, end.converged, end.at, search.smooth, end.damping, end.reach,
     )  # fmt: skip
+
+
+def _jacobian_of(problem: Problem, of_fit: _OfFit, at: Array, residuals: Array) -> Array:
+    return Descent(problem, *of_fit).jacobian(at, residuals)
 
 
 def along(name: str, parameter: Parameter, coordinate: float) -> Direction:
     """The direction of a parameter's internal coordinate, or `STANDING` where it has none."""
     slope = value_slope(parameter, coordinate)
     return Direction({name: slope}, FINE * DIFFERENCE * internal_scale(parameter)) if math.isfinite(slope) else STANDING
+
+
+_OfFit = tuple[tuple[str, ...], tuple[Nuisance, ...], dict[str, float], "MachineKnowledge | Smoothness | None"]
+
+
+class _End(NamedTuple):
+    """Where a descent ended."""
+
+    at: Array
+    cost: float
+    residuals: Array
+    jacobian: Array
+    information: Array
+    converged: bool
+    damping: float
+    reach: float
 
 
 class Descent:
@@ -262,15 +295,27 @@ class Descent:
                 return np.asarray((there - residuals) / actual)
         return np.zeros(len(residuals))
 
-    def descend(
-        self, at: Array, cauchy: float, effort: Effort = WHOLE
-    ) -> tuple[Array, float, Array, Array, Array, bool]:
-        """Gauss–Newton with Levenberg's damping, variables on a bound held while the gradient points outwards."""
-        residuals = self.residuals(at)
+    def _begin(self, at: Array, begun: Fit | None) -> tuple[Array, Array]:
+        """Residuals and their derivatives where a descent begins; of a fit that is gone on with, as far as it has them.
+
+        Raises:
+            SimulationError: the model cannot be simulated there.
+        """
+        if begun is not None and begun.derivatives.is_at_hand:
+            self._nuisance_columns = begun.jacobian[:, len(self.free) :]
+            return begun.residuals, begun.jacobian
+        residuals = self.residuals(at) if begun is None else begun.residuals
         if residuals is None:
             raise SimulationError("the model cannot be simulated at the start of the fit")
-        damping, converged, is_stale, decrease = 1e-4, False, False, 0.0
-        jacobian = self.jacobian(at, residuals)
+        return residuals, self.jacobian(at, residuals)
+
+    def descend(self, at: Array, cauchy: float, effort: Effort = WHOLE, begun: Fit | None = None) -> _End:
+        """Gauss–Newton with Levenberg's damping, variables on a bound held while the gradient points outwards."""
+        residuals, jacobian = self._begin(at, begun)
+        damping = FIRST_DAMPING if begun is None else begun.damping
+        converged, decrease, reach = False, 0.0, -math.inf
+        # Columns that serve a fit that is gone on with may be those of some steps before.
+        is_stale = begun is not None and begun.derivatives.is_at_hand and len(self.nuisances) > FEW
         of_data = self._normal(at, residuals, jacobian, cauchy)
         information, gradient = self._with_curve(at, *of_data)
         cost = self._cost(at, residuals, cauchy)  # the weight of a curve is another now
@@ -279,7 +324,8 @@ class Descent:
             if gain < self._small:
                 converged = True
                 break
-            if iteration >= TRIAL and cost - CATCHES_UP * max(gain, decrease) > effort.goal:
+            reach = cost - CATCHES_UP * max(gain, decrease)
+            if iteration >= ASKED and reach > effort.goal:
                 break
             candidate = np.clip(at + move, self.lower, self.upper)
             there = self.residuals(candidate)
@@ -312,7 +358,7 @@ class Descent:
             cost = self._cost(at, residuals, cauchy)
         if math.isfinite(cauchy):
             information, _ = self._with_curve(at, *self._normal(at, residuals, jacobian, math.inf))
-        return at, cost, residuals, jacobian, information, converged
+        return _End(at, cost, residuals, jacobian, information, converged, damping, reach)
 
     def _normal(self, at: Array, residuals: Array, jacobian: Array, cauchy: float) -> tuple[Array, Array]:
         """Information matrix and half the gradient of the criterion, priors included but for that of a curve."""

@@ -144,7 +144,9 @@ class Search:
         """Go on with fits that have not converged and may come near a score S, the best first; then try more shapes."""
         begun = [row.fit for row in self.log.rows_of(hypothesis) if not row.fit.converged]
         for found in sorted(begun, key=lambda one: one.chi2):
-            self._append(hypothesis, "continued", found.values, Effort(goal=self._goal(hypothesis, limit), made=TRIAL))
+            goal = self._goal(hypothesis, limit)
+            if found.reach <= min(goal, self.log[hypothesis].chi2):
+                self._append(hypothesis, "continued", found, Effort(goal=goal, made=TRIAL))
         self._try_shapes(hypothesis, limit)
         self._on_trial.discard(hypothesis)
 
@@ -207,7 +209,9 @@ class Search:
         plant = self.problem.plant
         return (*plant.base, *itertools.chain(*(plant.effects[name].free_names() for name in hypothesis.effects)))
 
-    def _append(self, hypothesis: Hypothesis, kind: str, start: Mapping[str, float], effort: Effort = WHOLE) -> None:
+    def _append(
+        self, hypothesis: Hypothesis, kind: str, start: Mapping[str, float] | Fit, effort: Effort = WHOLE
+    ) -> None:
         for found in self._attempt(hypothesis, start, effort):
             self.log.append(Row(hypothesis, kind, found))
 
@@ -248,7 +252,7 @@ class Search:
     def _base(self) -> Sequence[str]:
         return self.problem.plant.base
 
-    def _attempt(self, hypothesis: Hypothesis, start: Mapping[str, float], effort: Effort) -> Iterator[Fit]:
+    def _attempt(self, hypothesis: Hypothesis, start: Mapping[str, float] | Fit, effort: Effort) -> Iterator[Fit]:
         plant = self.problem.plant
         nuisances = (*plant.nuisances, *(plant.timing_errors if hypothesis.timing else ()))
         if hypothesis in self.log:
