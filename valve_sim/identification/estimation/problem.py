@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.identification.estimation.budget import Budget
+from valve_sim.identification.estimation.column_groups import group_columns
 from valve_sim.identification.estimation.noise import Noise, estimate_noise, noise_of_residuals, still_runs, stretches
 from valve_sim.identification.plants.protocol import (
     Array,
@@ -49,6 +50,8 @@ class Problem:
         budget: Budget | None = None,
     ) -> None:
         self.plant = plant
+        self._reaches: dict[Nuisance, NDArray[np.bool_]] = {}
+        self._groups: dict[tuple[Nuisance, ...], list[list[int]]] = {}
         self.budget = budget or Budget.unlimited()
         kinds = {channel.kind for channel in plant.channels}
         self.noises = dict(noises) if noises is not None else {
@@ -124,14 +127,22 @@ class Problem:
 
     def reach(self, nuisance: Nuisance) -> NDArray[np.bool_]:
         """(n,) which of the residuals a nuisance acts on."""
-        low, high = nuisance.during
-        acts_on = nuisance.channels or range(len(self.plant.channels))
-        return np.concatenate(
-            [
-                (low <= channel.times) & (channel.times < high) & (index in acts_on)
-                for index, channel in enumerate(self.plant.channels)
-            ]
-        )
+        if nuisance not in self._reaches:
+            low, high = nuisance.during
+            acts_on = nuisance.channels or range(len(self.plant.channels))
+            self._reaches[nuisance] = np.concatenate(
+                [
+                    (low <= channel.times) & (channel.times < high) & (index in acts_on)
+                    for index, channel in enumerate(self.plant.channels)
+                ]
+            )
+        return self._reaches[nuisance]
+
+    def groups(self, nuisances: tuple[Nuisance, ...]) -> list[list[int]]:
+        """Indices of nuisances in groups, of which no two act on the same sample."""
+        if nuisances not in self._groups:
+            self._groups[nuisances] = group_columns([self.reach(nuisance) for nuisance in nuisances])
+        return self._groups[nuisances]
 
     def residuals(self, values: Mapping[str, float]) -> Array:
         """Whitened, weighted residuals of all channels in a row (measured − predicted).

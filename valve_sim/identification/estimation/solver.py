@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.identification.estimation.column_groups import columns_decouple, group_columns
+from valve_sim.identification.estimation.column_groups import columns_decouple
 from valve_sim.identification.estimation.gram import gram, sum_squares
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import (
@@ -179,7 +179,7 @@ class Descent:
         if smooth is not None:
             self.lower[self._curve] = np.maximum(self.lower[self._curve], smooth.least)
         self._reach = [problem.reach(nuisance) for nuisance in nuisances]
-        self._groups = group_columns(self._reach)
+        self._groups = problem.groups(nuisances)
         self._nuisance_columns: Array | None = None
 
     def _take(self, known: MachineKnowledge) -> Array:
