@@ -43,6 +43,7 @@ ROS_KILTED = [
 ]
 PARQUET = ["pyarrow>=14.0"]
 FLEET = ["dask>=2024.1", "distributed>=2024.1", "fsspec>=2024.2", "s3fs>=2024.2", *PARQUET]
+S3_SERVER = ["flask", "flask-cors", "moto"]
 CHECKS = ["hypothesis", "import-linter", "mypy", "pytest", "pytest-xdist", "ruff", "scipy-stubs", "types-PyYAML"]
 DOCUMENTATION = ["furo", "ipykernel", "latex2mathml", "myst-nb", "sphinx>=7.3", "sphinx-click"]
 
@@ -83,7 +84,7 @@ setup(
         "parquet": PARQUET,
         "fleet": FLEET,
         "checks": CHECKS,
-        "test": [*CHECKS, *FLEET],
+        "test": [*CHECKS, *FLEET, *S3_SERVER],
         "docs": DOCUMENTATION,
     },
     entry_points={

@@ -9,6 +9,10 @@ cluster; the first bags are examined as a fleet too, and the rows compared.
 --nothing: so many units of nothing on an embedded cluster of two processes. Wanted: at most 10 ms for each, ten times
 as many take ten times as long, and the scheduler, which shares this process, stays within 1 GB.
 
+--workers: the same units on an embedded cluster of one process and of two. On a machine that others use, too, walls say
+nothing; what is compared is the processor's time of everything, useful or not. Wanted: two workers at least 1.85 times
+as fast as one, and a worker's memory that does not grow over 1,000 units.
+
 Needs the extra `fleet`, and no ROS. A bag is one stroke at 10 kHz; 2,000 of them are 0.2 GB in a temporary folder.
 """
 
@@ -30,8 +34,10 @@ from valve_sim.fleet.cluster import Cluster, run_batches
 from valve_sim.fleet.columns import followed as followed_quantities
 from valve_sim.fleet.rows import refitted, row_without_search
 from valve_sim.fleet.run import examine_fleet, examine_with
+from valve_sim.fleet.sources import find_bags
 from valve_sim.fleet.trends import drifts, series_of
-from valve_sim.fleet.units import EXAMINED, Options, Row
+from valve_sim.fleet.units import EXAMINED, Options, ParameterChoice, Row, Unit, plan
+from valve_sim.fleet.work import Examined, examine_units, survey_bags
 from valve_sim.identification.estimation.budget import Budget
 from valve_sim.model import Drive
 from valve_sim.traces import Trace
@@ -185,6 +191,75 @@ def overhead(counts: Sequence[int]) -> None:
             )
 
 
+class Spent(NamedTuple):
+    """What units took on so many workers: s of a processor in units, in all workers, and in client and scheduler."""
+
+    workers: int
+    units: float
+    of_workers: float
+    of_client: float
+    wall: float
+    memory: list[float]
+    """MB of the largest worker, after each tenth of the units."""
+
+
+def spent(folder: Path, workers: int, count: int) -> Spent:
+    """Examine the bags of a folder over and over, so many units in all, on so many workers."""
+    units = [
+        unit
+        for bag in find_bags([str(folder)])
+        for unit in plan([(bag, survey_bags([bag])[0].survey)], ParameterChoice(), Options(search=False), []).units
+    ]
+    repeated = [units[number % len(units)] for number in range(count)]
+    with Cluster(workers=workers) as cluster:
+        client = cluster.client()
+        # Once before: what a process learns is not counted.
+        list(run_batches(cluster.client, _examined, repeated[: 4 * workers], _seconds))
+        before, begun, mine = sum(client.run(time.process_time).values()), time.perf_counter(), time.process_time()
+        useful, done, memory = 0.0, 0, list[float]()
+        for batch in run_batches(cluster.client, _examined, repeated, _seconds):
+            useful += sum(map(_seconds, batch.answers))
+            done += len(batch.answers)
+            if done >= count * (len(memory) + 1) / 10:
+                memory.append(max(client.run(_resident).values()))
+        wall = time.perf_counter() - begun
+        of_workers = sum(client.run(time.process_time).values()) - before
+        return Spent(workers, useful, of_workers, time.process_time() - mine, wall, memory)
+
+
+def _examined(units: Sequence[Unit]) -> list[Examined]:
+    return examine_units(units, Path())
+
+
+def _seconds(answer: Examined) -> float:
+    return answer.seconds
+
+
+def _resident() -> float:
+    """MB of this process now."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * resource.getpagesize() / 2**20
+
+
+def one_and_two(count: int) -> None:
+    """Print what one worker and two take for the same units, and how large they get."""
+    with tempfile.TemporaryDirectory() as place:
+        make_station(Path(place), recordings(40, 20, 1))
+        one, two = (spent(Path(place), workers, count) for workers in (1, 2))
+    for own in (one, two):
+        rest = own.of_workers - own.units
+        print(
+            f"{count} units, workers: {own.workers}; {1e3 * own.units / count:.1f} ms of a "
+            f"processor each, {1e3 * rest / count:.2f} ms more in the worker, {1e3 * own.of_client / count:.2f} ms in "
+            f"client and scheduler; wall {own.wall:.0f} s"
+        )
+        print(f"  a worker's memory, MB: {', '.join(f'{size:.0f}' for size in own.memory)}")
+    # Two processors have to do all of it; with one worker the client has the other processor.
+    faster = 2.0 * one.of_workers / one.units / ((two.of_workers + two.of_client) / two.units)
+    walls = one.wall / two.wall
+    print(f"two workers on two processors of their own: {faster:.2f} times as fast as one; walls here {walls:.2f}")
+
+
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
@@ -196,7 +271,12 @@ def main() -> None:
     parser.add_argument("--budget", type=float, default=120.0, help="s of a processor for one unit that is searched")
     parser.add_argument("--here", action="store_true", help="without bags, files and cluster")
     parser.add_argument("--nothing", type=int, nargs="*", default=[], help="numbers of units")
+    parser.add_argument(
+        "--workers", type=int, default=0, metavar="UNITS", help="so many units on one worker and on two"
+    )
     chosen = parser.parse_args()
+    if chosen.workers:
+        one_and_two(chosen.workers)
     if chosen.nothing:
         overhead(chosen.nothing)
     for seed in range(chosen.first, chosen.first + chosen.seeds):

@@ -105,11 +105,40 @@ def test_batches_are_as_long_as_they_are_to_take_and_shorter_towards_the_end() -
 
 
 def test_what_fails_is_found_alone_and_all_else_is_done() -> None:
-    cluster = LocalCluster(n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None)
+    cluster = LocalCluster(n_workers=2, threads_per_worker=1, processes=False, dashboard_address=":0")
     with cluster, Client(cluster, set_as_default=False) as client:
         found = answers(run_batches(lambda: client, deeds.twice_but_for_seven, range(600), no_time))
     assert found.pop(7) == "the process that worked on it ended: RuntimeError: seven"
     assert found == {item: 2.0 * item for item in range(600) if item != 7}
+
+
+def test_a_scheduler_that_is_gone_when_it_is_asked_for_its_workers_is_one_clear_line(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    cluster = LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=":0")
+    with cluster, Client(cluster, set_as_default=False) as client:
+        known = [client.nthreads()]
+
+        def asked() -> dict[str, int]:
+            if not known:
+                raise OSError("Timed out trying to connect to tcp://127.0.0.1:1 after 30 s")
+            return known.pop()
+
+        monkeypatch.setattr(client, "nthreads", asked)
+        with pytest.raises(ClusterError, match=r"the scheduler was lost \(Timed out"):
+            answers(run_batches(lambda: client, deeds.twice, range(600), no_time))
+
+
+def test_a_process_may_have_one_cluster_after_another() -> None:
+    """In a process of its own, to which Dask is new: its defaults must outlive the settings of the first cluster."""
+    program = (
+        "from valve_sim.fleet.cluster import Cluster\n"
+        "Cluster._started = lambda self: __import__('distributed')\n"
+        "with Cluster() as first: first.client()\n"
+        "import dask; print(dask.config.get('distributed.comm.require-encryption'))"
+    )
+    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert (ran.stdout.strip(), ran.returncode) == ("None", 0), ran.stderr
 
 
 def test_rows_are_the_same_from_one_process_and_from_a_scheduler_by_tcp(machines: Machines, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 
 import pyarrow.parquet as pq
@@ -51,6 +52,26 @@ def test_the_same_rows_from_s3_as_from_files_and_no_credential_anywhere(
         if path.is_file():
             assert KEY.encode() not in path.read_bytes()
             assert SECRET.encode() not in path.read_bytes()
+
+
+def test_a_real_server_of_s3_gives_the_same_rows(bucket: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Moto speaks as S3 does: listings in pages, signatures, checksums; ours above is as little as will do."""
+    server = pytest.importorskip("moto.server", reason="needs moto: pip install moto flask flask-cors")
+    logging.getLogger("werkzeug").setLevel(logging.ERROR)
+    moto = server.ThreadedMotoServer(ip_address="127.0.0.1", port=0)
+    moto.start()
+    try:
+        monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://127.0.0.1:{moto.get_host_and_port()[1]}")
+        storage = s3fs.S3FileSystem()
+        storage.mkdir("plant")
+        storage.put(str(tmp_path / "bucket" / "2026"), "plant/2026", recursive=True)
+        examine_fleet([bucket], tmp_path / "there")
+    finally:
+        moto.stop()
+        s3fs.S3FileSystem.clear_instance_cache()
+    examine_fleet([str(tmp_path / "bucket" / "2026")], tmp_path / "here")
+    assert pq.read_metadata(tmp_path / "there" / "fleet.parquet").num_rows == 3
+    assert_rows_agree(tmp_path / "here", tmp_path / "there", {"source", "stamp", "seconds", "error", "key"})
 
 
 def test_a_refused_key_is_one_line_without_it(bucket: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

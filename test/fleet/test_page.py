@@ -75,6 +75,10 @@ def test_the_page_fits_every_screen_and_unfolds_its_plots(tmp_path: Path) -> Non
             assert browser.evaluate("document.querySelector('a[href]').getAttribute('href')").startswith(
                 "reports/line-"
             )
+        assert browser.errors == []
+        browser.evaluate("setTimeout(() => console.error('seen')); setTimeout(() => { throw 'seen' })")
+        while len(browser.errors) < 2:
+            browser.evaluate("0")
         picture = tmp_path / "fleet.png"
         browser.screenshot(picture)
         if kept := os.environ.get("VALVE_SIM_SCREENSHOT"):

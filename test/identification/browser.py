@@ -24,11 +24,15 @@ class Browser:
 
     Args:
         page: the file. folder: for the browser's profile.
+
+    Attributes:
+        errors: what the page's scripts threw, and what the console shows as an error.
     """
 
     def __init__(self, page: Path, folder: Path) -> None:
         self._page, self._folder, self._count, self._rest = page, folder, 0, b""
         self._events: list[object] = []
+        self.errors: list[str] = []
 
     def __enter__(self) -> Browser:
         theirs_in, self._out = os.pipe()
@@ -45,7 +49,8 @@ class Browser:
         self._session = ""
         target = self.call("Target.createTarget", url="about:blank")["targetId"]
         self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
-        self.call("Page.enable")
+        for domain in ("Page", "Runtime", "Log"):
+            self.call(f"{domain}.enable")
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
@@ -106,4 +111,9 @@ class Browser:
             assert read, "the browser has ended"
             self._rest += read
         line, _, self._rest = self._rest.partition(b"\0")
-        return dict(json.loads(line))
+        message = dict(json.loads(line))
+        said = message.get("params", {})
+        level = {"Runtime.consoleAPICalled": said.get("type"), "Log.entryAdded": said.get("entry", {}).get("level")}
+        if message.get("method") == "Runtime.exceptionThrown" or level.get(message.get("method", "")) == "error":
+            self.errors.append(json.dumps(said)[:1000])
+        return message

@@ -97,6 +97,7 @@ class Cluster:
         """
         if self._client is None:
             import dask
+            import distributed  # noqa: F401 (before the settings, which would take its defaults with them in the end)
 
             self._stack.enter_context(dask.config.set(_SETTINGS))
             self._stack.enter_context(_no_logs_of_dask())
@@ -161,8 +162,6 @@ def _interrupts_ignored() -> Iterator[None]:
 @contextmanager
 def _no_logs_of_dask() -> Iterator[None]:
     """A scheduler that is lost is one line, of ours, and no traceback of the client that tries to reach it again."""
-    import distributed  # noqa: F401 (which sets the levels of its loggers)
-
     names = [name for name in logging.root.manager.loggerDict if name.partition(".")[0] == "distributed"]
     before = {name: logging.getLogger(name).level for name in names}
     for name in names:
@@ -217,7 +216,10 @@ def _on_cluster(
     ready = as_completed(loop=client.loop)
 
     def ask() -> None:
-        threads = max(1, sum(client.nthreads().values()))
+        try:
+            threads = max(1, sum(client.nthreads().values()))
+        except OSError as error:  # asked while nobody has noticed yet that the scheduler is gone
+            raise _lost(error) from error
         while (waiting or halves) and len(asked) < IN_FLIGHT * threads:
             batch = halves.popleft() if halves else _taken(waiting, size.next(len(waiting), threads))
             future = client.submit(work, batch, pure=False)
@@ -231,7 +233,7 @@ def _on_cluster(
             answers = future.result()
         except Exception as error:
             if _is_lost(client, error):
-                raise ClusterError(f"the scheduler was lost ({one_line(error)}); run the same command again") from error
+                raise _lost(error) from error
             if len(batch) > 1:
                 half = len(batch) // 2
                 halves += [batch[:half], batch[half:]]
@@ -246,6 +248,10 @@ def _on_cluster(
 
 def _taken(waiting: deque[Item], count: int) -> list[Item]:
     return [waiting.popleft() for _ in range(min(count, len(waiting)))]
+
+
+def _lost(error: Exception) -> ClusterError:
+    return ClusterError(f"the scheduler was lost ({one_line(error)}); run the same command again")
 
 
 def _is_lost(client: Any, error: Exception) -> bool:
