@@ -132,7 +132,11 @@ class World:
             parameter=parameters.__getitem__, declared=lambda name: 7.0 if name == "gain" else parameters[name].off,
         )  # fmt: skip
         self.problem = SimpleNamespace(
-            plant=plant, variance_inflation=1.0, samples=50, residuals=lambda values: np.array([self.missed(values)])
+            plant=plant,
+            variance_inflation=1.0,
+            samples=50,
+            effective_samples=50.0,
+            residuals=lambda values: np.array([self.missed(values)]),
         )
 
     def search(self) -> Search:

@@ -372,3 +372,14 @@ def test_of_equal_fits_the_one_without_a_parameter_on_its_bound_is_kept(monkeypa
             for one in order:
                 log.append(Row(of("a"), "made up", one))
             assert (log[of("a")] is inside) is kept
+
+
+@pytest.mark.parametrize(("samples", "limit"), [(50.0, 41300.0 + 0.05 * 41250.0), (41000.0, 41300.0 + NEAR)])
+def test_how_near_is_near_enough_is_a_share_of_what_is_not_noise(
+    monkeypatch: pytest.MonkeyPatch, samples: float, limit: float
+) -> None:
+    scores = {"": 9000.0, "a": 1000.0, "b": 1100.0, "c": 1200.0, "d": 1300.0, "e": 1350.0, "f": 8000.0}
+    world = World({key: 40000.0 + score for key, score in scores.items()}, switches("abcdef"), unfinished="f")
+    world.problem.effective_samples = samples
+    searched(monkeypatch, world).fit_each([of(key) for key in "abcdef"], (0.0, 1.0))
+    assert {effort.goal for key, effort in world.efforts if key == "f" and effort.made} == {limit}

@@ -46,7 +46,7 @@ ROBUST: Final = 20.0
 RIVALS: Final = 4
 """Of fits side by side, those that cannot come near this many best are given up."""
 NEAR, NEAR_SHARE = 100.0, 0.05
-"""How near to the last of these: a difference of S, or a share of its χ², whichever is larger."""
+"""How near to the last of these: a difference of S, or a share of what its χ² has beyond noise, the larger of both."""
 KEPT: Final = 16
 """Of so many of the best fits the Jacobian is kept."""
 SCATTER: Final = (1.0, 3.0, 3.0, 10.0, 10.0, 30.0)
@@ -129,7 +129,8 @@ class Search:
         if len(hypotheses) <= RIVALS:
             return math.inf
         last = sorted((self.log[hypothesis] for hypothesis in hypotheses), key=lambda found: found.score)[RIVALS - 1]
-        return last.score + max(NEAR, NEAR_SHARE * last.chi2 / self.problem.variance_inflation)
+        beyond_noise = last.chi2 / self.problem.variance_inflation - self.problem.effective_samples
+        return last.score + max(NEAR, NEAR_SHARE * beyond_noise)
 
     def _begin(self, hypothesis: Hypothesis, effort: Effort) -> None:
         """Fit a hypothesis from each start."""
