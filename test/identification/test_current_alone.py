@@ -122,6 +122,14 @@ def test_a_diagnosis_reports_in_milliamperes_and_gives_the_position() -> None:
     assert largest < 40.0
 
 
+def test_an_experiment_is_recorded_without_samples_at_its_commands_where_the_current_jumps() -> None:
+    trace, _ = recorded()
+    experiment = ValvePlant([trace], declared(BUILD)).experiments[0]
+    (channel,) = experiment.simulated({}).channels
+    assert len(channel.times) == len(channel.data) == 698
+    assert not np.isin(channel.times, [5e-3, 8e-3]).any()
+
+
 def test_the_motional_emf_is_tried_where_only_the_current_is_measured_of_a_coil_with_inductance() -> None:
     trace, position = recorded()
     plain = replace(declared(BUILD), effects={})

@@ -162,8 +162,11 @@ class ValvePlant:
         nothing = np.zeros_like(times)
         if not self.traces[0].has_positions:
             trace = Trace("an experiment", drive, times[:0], times[:0], coil_current=Signal(times, nothing))
-            (current,) = ValvePlant([trace], self.valve).predict(values)
-            return ValvePlant([replace(trace, coil_current=Signal(times, current))], self.valve)
+            plant = ValvePlant([trace], self.valve)
+            (current,) = plant.predict(values)
+            # Samples at a command, where the current may jump, are not among them.
+            shown = Signal(plant.channels[0].times, current)
+            return ValvePlant([replace(trace, coil_current=shown)], self.valve)
         trace = Trace("an experiment", drive, times, nothing)
         (position,) = ValvePlant([trace], self.valve).predict(values)
         return ValvePlant([replace(trace, pilot_position=position)], self.valve)
