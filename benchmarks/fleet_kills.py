@@ -193,7 +193,8 @@ def kill_one(kind: str, share: float, bags: Path, output: Path, cluster: Machine
     os.kill(int(before[-1][1]) if victim is None else victim.pid, signal.SIGKILL)
     code, words = client.wait(timeout=PATIENCE), ""
     if code != 0:
-        words = "" if kind == "client" else said.read_text("utf-8").strip()
+        lines = [] if kind == "client" else said.read_text("utf-8").strip().splitlines()
+        words = "\n".join(line for line in lines if "% done: " not in line)
         cluster.start()
         client = run()
         code = client.wait(timeout=PATIENCE)

@@ -142,6 +142,8 @@ _SETTINGS: Final = {
     # A unit may compute for a minute without letting the event loop of its worker speak.
     "distributed.scheduler.worker-ttl": "30 minutes",
     "distributed.admin.tick.limit": "1 h",
+    # Dask's profile of a worker grows by 10 MB a minute, for an hour.
+    "distributed.worker.profile.enabled": False,
 }
 
 
