@@ -46,7 +46,7 @@ class CoreTime:
 
     def __init__(self) -> None:
         self.spent = 0
-        self._core = driver.run_drive_varied
+        self._core = driver.run_drive
 
     def __enter__(self) -> CoreTime:
         """Begin."""
@@ -57,12 +57,12 @@ class CoreTime:
             self.spent += time.thread_time_ns() - before
             return found
 
-        driver.run_drive_varied = timed
+        driver.run_drive = timed
         return self
 
     def __exit__(self, *_: object) -> None:
         """End."""
-        driver.run_drive_varied = self._core
+        driver.run_drive = self._core
 
 
 def cpu_times(works: Sequence[Callable[[], object]]) -> list[tuple[float, float]]:

@@ -53,3 +53,5 @@ def test_what_is_warm_compiles_nothing_and_what_is_not_says_so(tmp_path: Path) -
     python("-c", USE_ALL)
     assert compiled_code(cache) == warmed
     assert len(warmed) > 10
+    runs = [name for name in warmed if "driver.run-" in name and name.endswith(".nbc")]
+    assert len(runs) == 2, "one plain run of the core and one with derivatives, not another for each type of a count"

@@ -33,8 +33,8 @@ def steps(valve: Valve, until: float) -> int:
         record = valve.record()
         samples = (np.array([until]), np.empty((1, 1)), np.empty(0), np.empty(0))
         control = (TOLERANCE, most)
-        drive = (PULSE.times, PULSE.volts)
-        _, outcome = driver.run_drive(record, new_states(record, 0.0), drive, until, samples, event_log(), control)
+        course = (PULSE.times, PULSE.volts, until)
+        _, outcome = driver.run_drive(record, new_states(record, 0.0), course, samples, event_log(), control, None)
         return bool(outcome == Outcome.FINISHED)
 
     return bisect.bisect_left(range(MOST), True, key=suffice)

@@ -23,6 +23,8 @@ from typing import Any, Final
 
 import numba
 
+from valve_sim.model.linking import LinkedCompiler
+
 _ROOM: Final = 16_000_000
 """Bytes that must be free: the compiled code takes about two million, and Numba fails if it cannot write all of it."""
 
@@ -172,6 +174,7 @@ def compiled_once(function: Callable[..., Any]) -> Any:
 
 
 _INNER: dict[str, Any] = {
+    "pipeline_class": LinkedCompiler,
     "no_cpython_wrapper": True,
     "no_cfunc_wrapper": True,
     "error_model": "numpy",

@@ -74,6 +74,8 @@ LARGEST_GROWTH: Final = 8.0
 """Ratio of one step to the one before, at most."""
 SHORTEST_PROGRESS: Final = 1e-12
 """s: a step that ends sooner made no progress."""
+NONE: Final = np.int64(0)
+"""Where a count begins. A plain 0 is of a type of its own for Numba, and all that takes it is compiled once more."""
 LONGEST_CHATTER: Final = 1000
 """Events in a row without progress in time after which a run is ended with an error."""
 
@@ -270,7 +272,7 @@ def _states(p):
 
 
 @compiled
-def run_varied(valve, state, until, samples, log, control, vary):
+def run(valve, state, until, samples, log, control, vary):
     """Step the valve, and derivatives along with it, from its state to a time under one voltage.
 
     Args:
@@ -292,7 +294,7 @@ def run_varied(valve, state, until, samples, log, control, vary):
     events, count = log
     work = np.zeros(1, WORK_RECORD)[0]
     work.states = _states(p)
-    done, chatter, last_event = (0, 0), 0, s.segment_time
+    done, chatter, last_event = (NONE, NONE), 0, s.segment_time
     for _ in range(most_steps):
         _settle_coil(p, s, work)
         _start_from(p, s, work)
@@ -332,14 +334,8 @@ def run_varied(valve, state, until, samples, log, control, vary):
 
 
 @compiled
-def run(valve, state, until, samples, events, count, control):
-    """The same without derivatives."""
-    return run_varied(valve, state, until, samples, (events, count), control, None)
-
-
-@compiled
-def run_drive_varied(valve, state, course, samples, events, control, vary):
-    """Step the valve through a whole drive; arguments as for `run` and `run_varied`.
+def run_drive(valve, state, course, samples, events, control, vary):
+    """Step the valve through a whole drive; arguments as for `run`.
 
     Args:
         course: (times, volts, t_end): (c,) ascending, s; (c,) V; s.
@@ -351,18 +347,18 @@ def run_drive_varied(valve, state, course, samples, events, control, vary):
         return 0, FLUX_FOLDS
     command_times, volts, t_end = course
     times, rows, current_times, currents = samples
-    at, at_current, count = 0, 0, 0
+    at, at_current, count = NONE, NONE, NONE
     for command in range(len(command_times) + 1):
         is_last = command == len(command_times)
         end = t_end if is_last else min(command_times[command], t_end)
         left = (times[at:], rows[at:], current_times[at_current:], currents[at_current:])
         until, log = (end, not is_last), (events, count)
         if vary is None:
-            done, count, outcome = run_varied(valve, state, until, left, log, control, None)
+            done, count, outcome = run(valve, state, until, left, log, control, None)
         else:
             tiles, slopes, nodes, commands, (positions, of_currents) = vary
             following = (tiles, slopes, nodes, commands, (positions[at:], of_currents[at_current:]))
-            done, count, outcome = run_varied(valve, state, until, left, log, control, following)
+            done, count, outcome = run(valve, state, until, left, log, control, following)
         at += done[0]
         at_current += done[1]
         if outcome != FINISHED or is_last or command_times[command] > t_end:
@@ -372,13 +368,6 @@ def run_drive_varied(valve, state, course, samples, events, control, vary):
         set_voltage(valve, state, volts[command])
         enter_segment(valve[0], state[0], command, peak, vary)
     return count, FINISHED
-
-
-@compiled
-def run_drive(valve, state, drive, t_end, samples, events, control):
-    """The same without derivatives; drive: (times, volts)."""
-    times, volts = drive
-    return run_drive_varied(valve, state, (times, volts, t_end), samples, events, control, None)
 
 
 @compiled
@@ -394,7 +383,8 @@ def run_batch(records, states, drive, times, positions, control):
     for i in range(len(records)):
         shifted = times - records[i].sensor_delay
         samples = (shifted, rows, nothing, nothing)
-        _, outcome = run_drive(records[i : i + 1], states[i : i + 1], drive, shifted[-1], samples, events, control)
+        course = (drive[0], drive[1], shifted[-1])
+        _, outcome = run_drive(records[i : i + 1], states[i : i + 1], course, samples, events, control, None)
         if outcome != FINISHED:
             return i, outcome
         positions[i] = rows[:, 0]

@@ -154,7 +154,7 @@ def current_when_gone(p, s):
 def _first_of_current(p, s, work, h, fraction, ends):
     """The first event of an integrated current and its fraction of the step, or those given if there is none before."""
     if s.path == FREEWHEELING:
-        way = 1.0 if s.seen > 0.0 else -1.0
+        way = 1 if s.seen > 0.0 else -1
         target = current_when_gone(p, s)
         latest = min(fraction, 1.0)
         last = work.y_new[2] if latest == 1.0 else interpolate(work, h, CURRENT, latest)

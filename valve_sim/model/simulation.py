@@ -166,7 +166,7 @@ class Valve:
         settled = 50.0 * float(record[0]["coil_time_constant"] + record[0]["eddy_time_constant"]) + 1e-3
         nothing = (_NO_TIMES, np.empty((0, ROW)), _NO_TIMES, np.empty(0))
         control = (TOLERANCE, most_steps(settled))
-        check_outcome(driver.run(record, state, (settled, True), nothing, event_log(), 0, control)[2])
+        check_outcome(driver.run(record, state, (settled, True), nothing, (event_log(), 0), control, None)[2])
         return bool(state[0]["mode"] != Phase.CLOSED)
 
 
@@ -289,7 +289,7 @@ def run_record(
         (times - delay if delay else times, rows, current_times, currents),
         events, (tolerance, most_steps(end - state["time"].item())),
     )  # fmt: skip
-    count, outcome = driver.run_drive_varied(*run, vary)
+    count, outcome = driver.run_drive(*run, vary)
     check_outcome(outcome)
     return int(count)
 

@@ -155,7 +155,7 @@ class Stepper:
         self._times = np.array([time])
         samples = (self._times, self._row, self._times, self._current)
         control = (self._tolerance, most_steps(time - float(states[0]["time"])))
-        _, count, outcome = driver.run(self._record, states, (time, commit), samples, self._events, 0, control)
+        _, count, outcome = driver.run(self._record, states, (time, commit), samples, (self._events, 0), control, None)
         check_outcome(outcome)
         if collect:
             self._pending.extend(event_tuple(self._events, min(count, len(self._events))))
