@@ -169,7 +169,11 @@ def compiled_callback(signature: Any, function: Callable[..., Any], given: Mappi
 
 
 def compiled_once(function: Callable[..., Any]) -> Any:
-    """The same without storing it: a function that belongs to no module cannot be found again by its name."""
+    """The same without storing it.
+
+    For a function that belongs to no module, so that it cannot be found again by its name, and for one that only
+    compiled code calls, which is stored with its caller.
+    """
     return numba.njit(nogil=True, error_model="numpy")(function)
 
 

@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from valve_sim.model.compiling import compiled, inner
+from valve_sim.model.compiling import compiled, compiled_once, inner
 from valve_sim.model.core_types import EVENT_RECORD, Outcome
 from valve_sim.model.dormand_prince import (
     ALL_STATES,
@@ -288,11 +288,19 @@ def run(valve, state, until, samples, log, control, vary):
     Returns:
         (position samples, current samples) written, events counted, Outcome.
     """
-    p, s = valve[0], state[0]
-    t_end, commit_end = until
-    tolerance, most_steps = control
+    return _run_on(valve, state, np.zeros(1, WORK_RECORD), (*until, *control), samples, log, vary)
+
+
+@compiled_once
+def _run_on(valve, state, works, limits, samples, log, vary):
+    """`run_varied` on a (1,) work record.
+
+    The caller owns that record: Numba frees an array after the last use of its name, so that an array of which this
+    loop only kept the element would be freed while the loop goes on, and other threads would write into it.
+    """
+    p, s, work = valve[0], state[0], works[0]
+    t_end, commit_end, tolerance, most_steps = limits
     events, count = log
-    work = np.zeros(1, WORK_RECORD)[0]
     work.states = _states(p)
     done, chatter, last_event = (NONE, NONE), 0, s.segment_time
     for _ in range(most_steps):
