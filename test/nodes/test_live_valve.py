@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from valve_sim.files.parameter_files import default_valve
+from valve_sim.files.parameter_files import default_valve, load_valve
 from valve_sim.model import Drive, Phase, SimulationError, Stepper, simulate
 from valve_sim.nodes.live_valve import LiveValve, Step, Timeline, self_test
 from valve_sim.nodes.realtime import NANOSECONDS
 
 START = 1_700_000_000 * NANOSECONDS
 MILLISECOND = 1_000_000
+CONFIG = Path(__file__).parents[2] / "config"
 
 
 def started(**options: float) -> LiveValve:
@@ -165,3 +171,91 @@ def test_the_self_test_answers_with_event_times() -> None:
     failed = self_test(default_valve().with_values(a0=0.0))
     assert not failed.passed
     assert "stop reached never" in failed.summary
+
+
+def test_the_self_test_waits_until_the_pressure_has_equalised() -> None:
+    result = self_test(load_valve(CONFIG / "hydrogen_35mpa.yaml"))
+    assert result.passed, result.summary
+    opened = re.search(r"stop reached after ([\d.]+) ms", result.summary)
+    assert opened is not None
+    assert float(opened[1]) == pytest.approx(549.0, abs=1.0)
+
+
+def test_the_self_test_says_how_far_the_pressure_came_where_a_valve_stays_shut() -> None:
+    valve = load_valve(CONFIG / "hydrogen_70mpa.yaml")
+    assert valve.gas is not None
+    held_shut = dataclasses.replace(valve, gas=valve.gas._replace(pilot_orifice_diameter=0.23e-3))
+    never_equal = dataclasses.replace(valve, gas=valve.gas._replace(demand_orifice_diameter=1e-3))
+    for stuck, words in ((held_shut, "the outlet is at 0.1 MPa"), (never_equal, "MPa, the tank at 70 MPa")):
+        result = self_test(stuck)
+        assert not result.passed
+        assert "stop reached never (after 1" in result.summary
+        assert words in result.summary
+
+
+def with_gas(**options: float) -> LiveValve:
+    live = LiveValve(load_valve(CONFIG / "hydrogen_70mpa.yaml"), **options)
+    live.restart(START, START)
+    return live
+
+
+@pytest.mark.parametrize("cuts", [[800.0], list(np.linspace(0.0, 800.0, 161))])
+def test_the_tank_pressure_is_followed_from_its_own_time_on_however_time_is_cut(cuts: list[float]) -> None:
+    live = with_gas()
+    live.command(START, 9.0)
+    assert live.supply(START + 600_000_001, 60e6)
+    assert live.supply(START + 799_000_001, 65e6)
+    reading = run(live, cuts)[-1].reading
+    stepper = Stepper(load_valve(CONFIG / "hydrogen_70mpa.yaml"))
+    stepper.command(0.0, 9.0)
+    stepper.supply(0.600000001, 60e6)
+    stepper.supply(0.799000001, 65e6)
+    expected = stepper.advance(0.8)
+    assert (reading.phase, live.inlet_pressure) == (Phase.OPEN, 65e6)
+    assert 61e6 < reading.outlet_pressure < 65.001e6
+    assert reading.outlet_pressure == pytest.approx(expected.outlet_pressure, rel=1e-6)
+    assert reading.mass_flow == pytest.approx(expected.mass_flow, rel=1e-4)
+
+
+@pytest.mark.parametrize("pressure", [math.nan, math.inf, -math.inf, -70e6, 0.0, 999.0, 1e308])
+def test_a_pressure_that_no_tank_has_is_ignored(pressure: float) -> None:
+    live = with_gas()
+    assert live.supply(START, 60e6)
+    assert not live.supply(START, pressure)
+    run(live, [1.0])
+    assert live.inlet_pressure == 60e6
+
+
+def test_the_tank_pressure_stays_through_a_reset_until_another_is_declared() -> None:
+    live = with_gas()
+    live.supply(START, 0.2e6)
+    live.reset(START + MILLISECOND)
+    live.command(START + 2 * MILLISECOND, 9.0)
+    reading = run(live, [1.0, 200.0])[-1].reading
+    assert reading.outlet_pressure == pytest.approx(0.2e6, rel=1e-6)
+    valve = live.valve
+    assert valve.gas is not None
+    live.set_valve(START + 200 * MILLISECOND, valve.with_values(main_damping=3.5))
+    run(live, [201.0])
+    assert live.inlet_pressure == 0.2e6
+    other = dataclasses.replace(valve, gas=valve.gas._replace(inlet_pressure=50e6))
+    live.set_valve(START + 201 * MILLISECOND, other)
+    run(live, [202.0])
+    assert live.inlet_pressure == 50e6
+    assert run(live, [203.0])[0].reading.outlet_pressure > 0.2001e6
+
+
+def test_without_gas_a_tank_pressure_has_no_effect() -> None:
+    live = started()
+    live.supply(START, 60e6)
+    step = run(live, [1.0])[0]
+    assert (step.failure, math.isnan(live.inlet_pressure), math.isnan(step.reading.outlet_pressure)) == ("", True, True)
+
+
+def test_a_tank_pressure_does_not_delay_the_end_of_a_command() -> None:
+    live = with_gas(command_timeout=0.02)
+    live.command(START, 9.0)
+    live.supply(START + 50 * MILLISECOND, 60e6)
+    (step,) = run(live, [60.0])
+    stamp, coil = step.switches[-1]
+    assert (stamp - START, coil.voltage, coil.time) == (20 * MILLISECOND, 0.0, pytest.approx(0.02))

@@ -14,7 +14,7 @@ from valve_sim.nodes.parameters import table
 std_msgs = pytest.importorskip("std_msgs.msg", reason="there is no ROS 2 here: its messages cannot be imported")
 
 from rclpy.serialization import deserialize_message, serialize_message  # noqa: E402
-from sensor_msgs.msg import BatteryState, JointState  # noqa: E402
+from sensor_msgs.msg import BatteryState, FluidPressure, JointState  # noqa: E402
 from std_msgs.msg import Float64  # noqa: E402
 
 from valve_sim.nodes import messages  # noqa: E402
@@ -83,3 +83,15 @@ def test_descriptors_carry_unit_and_range() -> None:
     bandwidth = messages.descriptor(entries["effects.sensor_bandwidth.cutoff_frequency"])
     assert bandwidth.floating_point_range[0].to_value == math.inf
     assert not messages.descriptor(entries["frame_id"]).floating_point_range
+
+
+@pytest.mark.parametrize("frame_id", ["", "tank", "a frame of thirty characters …"])
+def test_pressure_and_flow_are_those_of_the_reading(frame_id: str) -> None:
+    maker = messages.ReadingMessages(frame_id)
+    reading = READING._replace(outlet_pressure=35.5e6, mass_flow=-1.25e-4)
+    encoded = maker.outlet_pressure(1_500_000_002, reading)
+    pressure = deserialize_message(encoded, FluidPressure)
+    assert serialize_message(pressure) == encoded
+    assert (pressure.header.stamp.sec, pressure.header.stamp.nanosec) == (1, 500_000_002)
+    assert (pressure.header.frame_id, pressure.fluid_pressure, pressure.variance) == (frame_id, 35.5e6, 0.0)
+    assert deserialize_message(maker.mass_flow(reading), Float64).data == -1.25e-4

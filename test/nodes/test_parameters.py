@@ -9,6 +9,7 @@ import pytest
 
 from valve_sim.files.parameter_files import Section, default_valve
 from valve_sim.model import CATALOGUE, EXACT, ParameterError, Tolerances, ValveParameters
+from valve_sim.model.gas import GasParameters
 from valve_sim.nodes.parameters import (
     as_declared,
     check_overrides,
@@ -39,7 +40,8 @@ def test_the_table_holds_the_valve_every_effect_and_the_settings() -> None:
     tolerances = {f"tolerances.{name}" for name in ValveParameters._fields if name != "attraction_polynomial"}
     tolerances |= {f"tolerances.effects.{effect.name}.{rule.name}" for effect in named for rule in effect.parameters}
     tolerances.add("tolerances.attraction_covariance")
-    assert ENTRIES.keys() == valve | effects | tolerances | settings
+    gas = {f"gas.{name}" for name in GasParameters._fields}
+    assert ENTRIES.keys() == valve | effects | tolerances | settings | gas
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import threading
 from collections.abc import Callable
@@ -14,6 +15,7 @@ from valve_sim.nodes.realtime import (
     Mailbox,
     Restart,
     Schedule,
+    Thinning,
     TimingRecord,
     Worker,
     why_restart,
@@ -210,3 +212,12 @@ def test_a_worker_that_cannot_end_yet_says_so() -> None:
     release.set()
     assert worker.stop(10.0)
     assert run.log == []
+
+
+def test_a_slower_topic_has_a_sample_in_each_of_its_periods() -> None:
+    thinning = Thinning(100.0)
+    due = [step for step in range(40) if thinning.is_due(1_700_000_000_003_456_789 + step * 1_000_000)]
+    assert due[0] == 0
+    assert [after - before for before, after in itertools.pairwise(due[1:])] == [10, 10, 10]
+    assert [thinning.is_due(step * 20_000_000) for step in (3, 4, 2)] == [True] * 3, "slow steps, and a clock set back"
+    assert not thinning.is_due(40_000_000)

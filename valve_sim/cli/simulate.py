@@ -82,9 +82,10 @@ def simulate(
     or a YAML file of the same rows: [[0.010, 9.0], [0.040, 0.0]] or [{time: 0.010, volts: 9.0}, ...].
     A CSV that simulate wrote is a profile too.
 
-    The CSV has the columns time, coil_voltage, coil_current, pilot_position, main_position, pilot_velocity, phase, in
-    SI units. The bag has /valve/coil_voltage, /valve/measured/joint_states and /valve/measured/coil_current, and its
-    stamps begin at 0. With --voltage-noise-mv, voltage and current at the coil's terminals are in /valve/measured/coil.
+    The CSV has the columns time, coil_voltage, coil_current, pilot_position, main_position, pilot_velocity, phase and,
+    of a valve with gas, outlet_pressure and mass_flow (from inlet to outlet), in SI units. The bag has
+    /valve/coil_voltage, /valve/measured/joint_states and /valve/measured/coil_current, and its stamps begin at 0. With
+    --voltage-noise-mv, voltage and current at the coil's terminals are in /valve/measured/coil.
     """
     if (voltage is None) == (profile is None):
         raise click.UsageError("give either --voltage or --profile", click.get_current_context())

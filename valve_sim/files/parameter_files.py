@@ -6,18 +6,20 @@
         effects:
           coulomb_friction: {force: 0.3}
         tolerances: {spring_rate: 12.8, effects: {coulomb_friction: {force: 0.05}}}
+        gas: {inlet_pressure: 35.0e+6, outlet_volume: 10.0e-6, ...}
 
 Read are all the forms that ROS 2 itself reads: `/**`, wildcards, node names with and without slash, namespaces nested
 or joined, flat dotted keys (`valve.pilot_mass: 0.109`), and what `ros2 param dump` writes. Beyond these, an integer
 may stand for a double (also among doubles in a list) and 1e-3 is a number.
 The nodes leave their files to ROS 2, which refuses a list of both, and say so.
 
-Three rules make a file complete:
+Four rules make a file complete:
 
 * A valve parameter that is not given has the value of the shipped default, config/valve.yaml.
 * An effect's parameter that is not given has its off-value, or its prior scale if it has none. An effect is on when
   one of its parameters differs from its off-value; so a dump, which lists every effect, switches on only what was on.
 * A tolerance that is not given, or 0, means that the value is exact. Those of the shipped default are its own.
+* Without `gas`, or with a `gas.inlet_pressure` of 0, as a dump has it, no gas flows.
 """
 
 from __future__ import annotations
@@ -36,6 +38,7 @@ from valve_sim.files.resources import config_path
 from valve_sim.files.whole_files import write_whole
 from valve_sim.files.yaml_files import read_yaml
 from valve_sim.model import CATALOGUE, Effect, Parameter, ParameterError, Valve, ValveParameters
+from valve_sim.model.gas import GAS, GasParameters
 from valve_sim.model.parameters import closest
 from valve_sim.model.tolerances import COVARIANCE_NAME
 
@@ -45,7 +48,7 @@ DEFAULT_FILE: Final = "valve.yaml"
 LARGEST_INTEGER: Final = 2**63 - 1
 """ROS 2 parameters hold 64 bit."""
 
-_ROOT_KEYS: Final = ("valve", "effects", "tolerances")
+_ROOT_KEYS: Final = ("valve", "effects", "tolerances", "gas")
 _FORM: Final = "expected a ROS 2 parameter file: '/**:', below it 'ros__parameters:', below it 'valve:' and 'effects:'"
 
 
@@ -113,6 +116,7 @@ def valve_from_flat(values: Mapping[str, object], source: str, base: Valve | Non
     declared: dict[str, object] = dict(mapping["valve"])
     effects: dict[str, dict[str, object]] = {name: dict(found) for name, found in mapping.get("effects", {}).items()}
     tolerances: dict[str, Any] = {}
+    gas: dict[str, object] = dict(mapping.get("gas", {}))
     for name, value in values.items():
         root, _, rest = name.partition(".")
         if name in (COVARIANCE_NAME, f"valve.{COVARIANCE_NAME}"):
@@ -126,12 +130,16 @@ def valve_from_flat(values: Mapping[str, object], source: str, base: Valve | Non
             effect, _, parameter = rest.partition(".")
             _check_effect_name(effect, parameter, name, value, source)
             effects.setdefault(effect, {})[parameter] = value
+        elif root == "gas":
+            _check_name(rest, GasParameters._fields, name, value, source)
+            gas[rest] = value
         elif root == "tolerances":
             _add_tolerance(tolerances, name, value, source)
         else:
             _check_misplaced(name, value, source)
     on = {name: checked for name, found in effects.items() if (checked := complete_effect(name, found, source))}
-    return Valve.from_mapping({"valve": declared, "effects": on, "tolerances": tolerances}, source)
+    flows = gas if gas.get("inlet_pressure") != 0 else {}
+    return Valve.from_mapping({"valve": declared, "effects": on, "tolerances": tolerances, "gas": flows}, source)
 
 
 def complete_effect(name: str, found: Mapping[str, object], source: str) -> dict[str, float] | None:
@@ -301,7 +309,7 @@ def _plain(value: Any) -> Any:
         return {name: _plain(item) for name, item in value.items()}
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
-    return float(value)
+    return value if isinstance(value, str) else float(value)
 
 
 # --- names --------------------------------------------------------------------------------------------------------
@@ -353,6 +361,8 @@ def _check_misplaced(name: str, value: object, source: str) -> None:
         raise ParameterError(
             f"{source}: {name}: found {_short(value)} beside valve:, expected it below, as valve.{name}"
         )
+    if root in GAS:
+        raise ParameterError(f"{source}: {name}: found {_short(value)} beside gas:, expected it below, as gas.{name}")
     if root in CATALOGUE:
         raise ParameterError(f"{source}: {name}: found {_short(value)} beside effects:, expected it as effects.{name}")
     for known in _ROOT_KEYS:

@@ -93,6 +93,12 @@ class EventKind(enum.IntEnum):
     """The plungers broke away from where friction held them."""
     CURRENT_GONE = 13
     """The current of the freewheeling path reached 0, and its diode blocks."""
+    FLOW_CHOKED = 14
+    """The flow of gas through the valve reached the speed of sound."""
+    FLOW_SUBSONIC = 15
+    """The flow of gas through the valve fell below the speed of sound."""
+    FLOW_REVERSED = 16
+    """The pressure became higher on the other side of the valve, and gas flows the other way."""
 
 
 class Outcome(enum.IntEnum):

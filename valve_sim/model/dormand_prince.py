@@ -50,6 +50,13 @@ WORK_RECORD: Final = np.dtype(
         ("interval", "f8"),  # s, between samples
         ("factor", "f8"),  # by which `decay` falls over it
         ("chained", "i8"),  # so many samples may still follow by it
+        # Of gas, see `gas.step`: density, mass in and mass out at the start and at the end of the step; their slopes.
+        ("gas", "f8", (3,)),
+        ("gas_new", "f8", (3,)),
+        ("gas_k", "f8", (6, 3)),
+        ("gas_dense", "f8", (3, 3)),
+        ("regime_ahead", "f8"),  # of the flow, after the event in the step
+        ("stiffness", "f8"),  # how many times the gas relaxes in the step
     ],
     align=True,
 )

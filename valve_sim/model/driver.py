@@ -21,12 +21,7 @@ from valve_sim.model.dormand_prince import (
     LAST,
     MECHANICAL_STATES,
     WORK_RECORD,
-    error_norm,
-    fill_dense,
-    rates,
-    shorten,
     step_factor,
-    try_step,
 )
 from valve_sim.model.equations import coil_now
 from valve_sim.model.flux import (
@@ -37,9 +32,21 @@ from valve_sim.model.flux import (
     resting_current,
     smallest_flux_slope,
 )
+from valve_sim.model.gas.record import has_gas
+from valve_sim.model.gas.step import (
+    commit_gas,
+    fill_dense,
+    norm_of_error,
+    rates,
+    shorten,
+    start_gas,
+    tolerance_of,
+    try_step,
+)
 from valve_sim.model.location import (
     CONTACT,
     CURRENT_GONE,
+    FLOW_SWITCH,
     MOVED_OFF,
     NO_EVENT,
     PULL_SWITCH,
@@ -49,7 +56,7 @@ from valve_sim.model.location import (
     polish,
 )
 from valve_sim.model.sampling import fill_until, is_filled, show
-from valve_sim.model.transitions import end_current, move_off, push_at_rest, set_voltage, touch, turn
+from valve_sim.model.transitions import end_current, move_off, push_now, set_voltage, switch_flow, touch, turn
 from valve_sim.model.variational import enter_segment, leave_segment, show_variations, vary_event, vary_release
 from valve_sim.model.variational_steps import commit_variations, vary_step
 
@@ -92,18 +99,18 @@ def _integrated_step(p, s, work, tolerance):
     h = min(s.step, _rest(p, s) if _has_settled(p, s, work) else LONGEST_STEP)
     while True:
         try_step(p, s, work, h)
-        error = error_norm(work, h, tolerance)
+        error = norm_of_error(p, work, h, tolerance)
         if error <= 1.0:
             break
         h *= max(0.1, step_factor(error)) if math.isfinite(error) else 0.1
         if h < SHORTEST_STEP:
             return h, NO_EVENT, h, STEP_TOO_SMALL
     following = h * min(LARGEST_GROWTH, step_factor(error))
-    fill_dense(work)
+    fill_dense(p, work)
     fraction, ends = first_event(p, s, work, h, tolerance)
     if ends != NO_EVENT:
         h = polish(p, s, work, h * fraction, ends)
-        fill_dense(work)
+        fill_dense(p, work)
     return h, ends, following, FINISHED
 
 
@@ -121,7 +128,7 @@ def _next_step(p, s, work, tolerance):
     if not s.moving and outcome == FINISHED:
         fraction = moved_off(p, s, work, h)
         if fraction <= 1.0:
-            shorten(work, h, fraction)
+            shorten(p, s, work, h, fraction)
             h *= fraction
             ends = MOVED_OFF
     if s.path == FREEWHEELING:
@@ -133,11 +140,13 @@ def _next_step(p, s, work, tolerance):
 
 @inner
 def _is_integrated(p, s, work):
-    """Whether the next step is one of the integrator: plungers in motion, or a coil without a solution in closed form.
+    """Whether the next step is one of the integrator: plungers in motion, gas, or a coil without a closed form.
 
     Writes work.rests.
     """
     work.rests = 0
+    if has_gas(p):
+        return True
     if s.moving or work.states == MECHANICAL_STATES:
         return s.moving != 0
     if follows_flux(p) and is_linear_at_rest(p, s):
@@ -153,9 +162,9 @@ def _until_current_is_gone(p, s, work, h, ends):
     left = max(freewheels_for(p, s, coil_now(p, s)[0]), SHORTEST_STEP)
     if left > h:
         return h, ends
-    if s.moving:
+    if s.moving or has_gas(p):
         try_step(p, s, work, left)
-        fill_dense(work)
+        fill_dense(p, work)
     return left, CURRENT_GONE
 
 
@@ -169,10 +178,12 @@ def _rest(p, s):
 
 @inner
 def _has_settled(p, s, work):
-    """Whether error control alone may choose the step: no current is left, and all that moves creeps.
+    """Whether error control alone may choose the step: no current is left, and all that moves creeps, or only gas.
 
     A pilot plunger that nothing returns may float for hours.
     """
+    if has_gas(p) and not s.moving and work.states == MECHANICAL_STATES:
+        return True
     if s.volts != 0.0:
         return False
     if work.states > MECHANICAL_STATES:
@@ -206,6 +217,7 @@ def _start_from(p, s, work):
     work.y[2] = s.w if follows_flux(p) else s.u
     work.y[3] = s.w
     work.y[4] = s.temperature
+    start_gas(p, s, work)
 
 
 @inner
@@ -214,6 +226,7 @@ def _commit(p, s, work, h, time):
     if p.sensor_time_constant > 0.0:
         s.shown_pilot, s.shown_main = show(p, s, work, h, 1.0)
     s.time = time
+    commit_gas(p, s, work)
     s.x = work.y_new[0]
     s.v = work.y_new[1]
     if work.states > MECHANICAL_STATES:
@@ -244,6 +257,8 @@ def _end_step(p, s, work, ends, events, count):
         s.held_by_residual = 1 - s.held_by_residual
     elif ends == CURRENT_GONE:
         count = end_current(p, s, events, count)
+    elif has_gas(p) and ends == FLOW_SWITCH:
+        count = switch_flow(p, s, work, events, count)
     return count
 
 
@@ -255,9 +270,9 @@ def _cut_step(p, s, work, t_end, vary):
         return
     if work.rests:
         work.y_new[2] = resting_current(p, s, h)
-    elif s.moving or work.states > MECHANICAL_STATES:
+    elif s.moving or work.states > MECHANICAL_STATES or has_gas(p):
         try_step(p, s, work, h)
-        fill_dense(work)
+        fill_dense(p, work)
     vary_step(p, s, work, h, vary)
     commit_variations(vary)
     _commit(p, s, work, h, t_end)
@@ -300,6 +315,7 @@ def _run_on(valve, state, works, limits, samples, log, vary):
     """
     p, s, work = valve[0], state[0], works[0]
     t_end, commit_end, tolerance, most_steps = limits
+    tolerance = tolerance_of(p, tolerance)
     events, count = log
     work.states = _states(p)
     done, chatter, last_event = (NONE, NONE), 0, s.segment_time
@@ -307,8 +323,7 @@ def _run_on(valve, state, works, limits, samples, log, vary):
         _settle_coil(p, s, work)
         _start_from(p, s, work)
         if not s.moving:
-            u, w = coil_now(p, s)
-            push = push_at_rest(p, s, s.time, u, w)
+            push = push_now(p, s)
             if push != 0:
                 count = move_off(p, s, push, events, count)
                 work.start_is_known = 0

@@ -22,13 +22,13 @@ from valve_sim.model.dormand_prince import (
     coil_within,
     dense_slope,
     interpolate,
-    try_step,
 )
 from valve_sim.model.equations import residual_floor
 from valve_sim.model.flux import DRIVEN, FREEWHEELING, follows_flux, last_pulling_current
+from valve_sim.model.gas.step import difference_within, regime_change, try_step
 from valve_sim.model.transitions import push_at_rest
 
-NO_EVENT, CONTACT, TURN, PULL_SWITCH, MOVED_OFF, CURRENT_GONE, CURRENT_PEAK = 0, 1, 2, 3, 4, 5, 6
+NO_EVENT, CONTACT, TURN, PULL_SWITCH, MOVED_OFF, CURRENT_GONE, CURRENT_PEAK, FLOW_SWITCH = 0, 1, 2, 3, 4, 5, 6, 7
 """What ends a step."""
 
 SOONEST: Final = 2e-12
@@ -68,6 +68,9 @@ def first_event(p, s, work, h, tolerance):
     ends = PULL_SWITCH if fraction <= 1.0 else NO_EVENT
     if work.states > MECHANICAL_STATES:
         fraction, ends = _first_of_current(p, s, work, h, fraction, ends)
+    change = regime_change(p, s, work, h)
+    if change < fraction:
+        fraction, ends = change, FLOW_SWITCH
     if not s.moving:
         return fraction, ends
     turn = _first_turn(work, h, s.direction, tolerance)
@@ -127,7 +130,7 @@ def polish(p, s, work, h, ends):
         state, target = VELOCITY, 0.0
     elif ends == CURRENT_GONE:
         state, target = CURRENT, current_when_gone(p, s)
-    is_bisected = ends in (PULL_SWITCH, CURRENT_PEAK)
+    is_bisected = ends in (PULL_SWITCH, CURRENT_PEAK, FLOW_SWITCH)
     longest = h * 1.001
     for _ in range(MOST_POLISHING):
         try_step(p, s, work, h)
@@ -234,5 +237,5 @@ def moved_off(p, s, work, h):
 @inner
 def _push_after(p, s, work, h, theta):
     """Which way the forces push plungers that have rested for the fraction theta of a step."""
-    u, w = coil_within(p, s, work, h, theta)
-    return push_at_rest(p, s, s.time + theta * h, u, w)
+    coil, difference = coil_within(p, s, work, h, theta), difference_within(p, s, work, h, theta)
+    return push_at_rest(p, s, s.time + theta * h, coil, difference)

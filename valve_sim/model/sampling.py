@@ -12,6 +12,7 @@ from valve_sim.model.core_types import MAIN
 from valve_sim.model.dormand_prince import MECHANICAL_STATES, POSITION, VELOCITY, coil_within, interpolate
 from valve_sim.model.equations import attraction, coil_decay, pull_squared
 from valve_sim.model.flux import terminal_voltage
+from valve_sim.model.gas.step import sample_gas
 
 ROW: Final = 7
 """Columns of a whole row of output: pilot and main plunger as shown, velocity, attraction, phase, the pilot itself, and
@@ -83,6 +84,7 @@ def sample(p, s, work, h, theta, rows, i):
     rows[i, 4] = s.mode
     rows[i, 5] = x
     rows[i, 6] = terminal_voltage(p, s, w)
+    sample_gas(p, s, work, (h, theta, x), rows, i)
 
 
 @inner

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from valve_sim.model.core_types import EVENT_RECORD
 from valve_sim.model.effects.record import VALVE_RECORD
+from valve_sim.model.gas.record import is_of_gas
 from valve_sim.model.linearised import FIRST_CONDITION, PARAMETERS, SHAPES, SLOPES_RECORD
 from valve_sim.model.simulation import Array, Drive, Samples, run_record
 from valve_sim.model.variational_steps import CONTACTS, LANES, NODES, SLOPES, TILE_RECORD
@@ -63,7 +64,7 @@ def has_sensitivities(record: Any, numbers: Array) -> NDArray[np.bool_]:
     Difference quotients are needed for a coil that heats, has its flux modelled or freewheels, for a slow sensor, and
     for a parameter that is off at 0 and acts differently on either side of it.
     """
-    if any(record[name][0] != 0.0 for name in _FOREIGN):
+    if is_of_gas(record) or any(record[name][0] != 0.0 for name in _FOREIGN):
         return np.zeros(len(numbers), dtype=bool)
     off = [_PLACES[name] for name in _SWITCHES if record[name][0] == 0.0]
     return np.asarray(np.isfinite(numbers).all(axis=1) & ~numbers[:, off].any(axis=1))

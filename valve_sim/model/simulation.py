@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import Any, Final, NamedTuple
@@ -14,9 +14,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from valve_sim.model import driver
 from valve_sim.model.core_types import EVENT_RECORD, STATE_RECORD, EventKind, Outcome, Phase
-from valve_sim.model.effects import CATALOGUE, check_effects, new_record
+from valve_sim.model.effects import CATALOGUE, check_effects
 from valve_sim.model.errors import ParameterError, SimulationError
 from valve_sim.model.flux import why_no_flux
+from valve_sim.model.gas import GasParameters, check_gas
+from valve_sim.model.gas.record import GAS_STATE_RECORD, is_of_gas, record_of
+from valve_sim.model.gas.step import GAS_COLUMNS, fill_outlets
 from valve_sim.model.parameters import POLYNOMIAL_NAMES, ValveParameters, check_declared, check_geometry
 from valve_sim.model.sampling import ROW
 from valve_sim.model.tolerances import EXACT, Tolerances
@@ -90,15 +93,17 @@ class Valve:
         parameters: the declared valve.
         effects: effect name to its parameters, e.g. {"coulomb_friction": {"force": 0.3}}.
         tolerances: how well these values are known; changes nothing of the motion.
+        gas: what flows through it; None for a valve on a bench, without gas.
     """
 
     parameters: ValveParameters = field(default_factory=ValveParameters)
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     tolerances: Tolerances = EXACT
+    gas: GasParameters | None = None
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, Any], source: str) -> Valve:
-        """A checked valve from {"valve": {...}, "effects": {...}, "tolerances": {...}}, all optional.
+        """A checked valve from {"valve": {...}, "effects": {...}, "tolerances": {...}, "gas": {...}}, all optional.
 
         Args:
             values: as found in a parameter file.
@@ -111,7 +116,10 @@ class Valve:
         effects = check_effects(values.get("effects") or {}, source)
         tolerances = Tolerances.from_mapping(values.get("tolerances") or {}, source, effects)
         tolerances.check_masses(parameters, source)
-        valve = cls(parameters, effects, tolerances)
+        gas = check_gas(values["gas"], source) if values.get("gas") else None
+        if gas is not None:
+            _check_beside_gas(parameters, effects, source)
+        valve = cls(parameters, effects, tolerances, gas)
         record = valve.record()[0]
         check_geometry(float(record["pilot_gap"]), float(record["stroke"]), f"{source} (with effects)")
         if why_not := why_no_flux(valve.record()):
@@ -125,6 +133,8 @@ class Valve:
         mapping: dict[str, dict[str, Any]] = {"valve": declared}
         if self.effects:
             mapping["effects"] = {name: CATALOGUE[name].packed(values) for name, values in self.effects.items()}
+        if self.gas is not None:
+            mapping["gas"] = self.gas._asdict()
         if not self.tolerances.is_exact:
             mapping["tolerances"] = self.tolerances.to_mapping()
         return mapping
@@ -136,8 +146,8 @@ class Valve:
         return {**values, **dict(zip(POLYNOMIAL_NAMES, polynomial, strict=True))}
 
     def record(self) -> Any:
-        """The (1,) VALVE_RECORD array that the compiled core reads."""
-        return new_record(self.declared(), self.effects)
+        """The (1,) VALVE_RECORD array that the compiled core reads; with gas a (1,) GAS_VALVE_RECORD."""
+        return record_of(self.declared(), self.effects, self.gas)
 
     def with_values(self, **values: float) -> Valve:
         """The same valve with some declared scalars (a0 … a3 among them) replaced.
@@ -164,7 +174,7 @@ class Valve:
         state = new_states(record, 0.0)
         set_voltage(record, state, float(record[0]["reference_voltage"]))
         settled = 50.0 * float(record[0]["coil_time_constant"] + record[0]["eddy_time_constant"]) + 1e-3
-        nothing = (_NO_TIMES, np.empty((0, ROW)), _NO_TIMES, np.empty(0))
+        nothing = (_NO_TIMES, np.empty((0, columns_of(record))), _NO_TIMES, np.empty(0))
         control = (TOLERANCE, most_steps(settled))
         check_outcome(driver.run(record, state, (settled, True), nothing, (event_log(), 0), control, None)[2])
         return bool(state[0]["mode"] != Phase.CLOSED)
@@ -178,6 +188,7 @@ class Response:
         time: (n,) s. pilot_position, main_position: (n,) m. pilot_velocity: (n,) m/s, of the plunger itself.
         coil_current: (n,) A. attraction: (n,) N. phase: (n,) Phase as uint8.
         events: what happened, in order. coil_voltage: (n,) V, at the terminals.
+        outlet_pressure: (n,) Pa. mass_flow: (n,) kg/s through the valve, inlet to outlet. None without gas.
     """
 
     time: Array
@@ -189,19 +200,43 @@ class Response:
     phase: NDArray[np.uint8]
     events: tuple[Event, ...]
     coil_voltage: Array = field(default_factory=lambda: np.empty(0))
+    outlet_pressure: Array | None = None
+    mass_flow: Array | None = None
 
     def first(self, *kinds: EventKind) -> float:
         """The time of the first event of any of these kinds, s; nan when there is none."""
         return next((event.time for event in self.events if event.kind in kinds), math.nan)
 
 
+def _check_beside_gas(parameters: ValveParameters, effects: Mapping[str, Mapping[str, float]], source: str) -> None:
+    """What is declared beside gas must go with it."""
+    if "pressure_force" in effects:
+        raise ParameterError(
+            f"{source}: effects.pressure_force: found beside gas, which has the pressure across the main plunger "
+            "itself; take one of the two out"
+        )
+    if not parameters.seat_load > 0.0:
+        raise ParameterError(
+            f"{source}: valve.seat_load: found {parameters.seat_load:g} N beside gas, expected above 0 N: without it "
+            "a pilot plunger at equal pressures floats on its seat"
+        )
+
+
 def new_states(records: Any, start_time: float) -> Any:
-    """States of valves that rest closed and without current: one STATE_RECORD for each record."""
-    states = np.zeros(len(records), STATE_RECORD)
+    """States of valves that rest closed and without current: one STATE_RECORD for each record, longer with gas."""
+    has_gas = is_of_gas(records)
+    states = np.zeros(len(records), GAS_STATE_RECORD if has_gas else STATE_RECORD)
     states["time"] = states["segment_time"] = states["unseated_time"] = start_time
     states["direction"] = 1
     states["step"] = FIRST_STEP
+    if has_gas:
+        fill_outlets(records, states)
     return states
+
+
+def columns_of(records: Any) -> int:
+    """How many columns a whole row of output has."""
+    return ROW + GAS_COLUMNS if is_of_gas(records) else ROW
 
 
 def simulate(
@@ -229,7 +264,7 @@ def simulate(
     if start_time is None:
         start_time = float(min(np.min(drive.times, initial=math.inf), np.min(times, initial=math.inf)))
         start_time = start_time if math.isfinite(start_time) else 0.0
-    rows, currents = np.empty((len(times), ROW)), np.empty(len(times))
+    rows, currents = np.empty((len(times), columns_of(record))), np.empty(len(times))
     room = _EVENT_ROOM
     while True:
         state, events = new_states(record, start_time), event_log(room)
@@ -246,7 +281,7 @@ def simulate(
         rows[:, :2] = shown
     return Response(
         times, rows[:, 0], rows[:, 1], rows[:, 2], currents * rated_current(record), rows[:, 3],
-        rows[:, 4].astype(np.uint8), event_tuple(events, count), rows[:, 6],
+        rows[:, 4].astype(np.uint8), event_tuple(events, count), rows[:, 6], *rows[:, ROW:].T,
     )  # fmt: skip
 
 
@@ -315,9 +350,9 @@ def simulate_many(
         (k, n) m, as the position sensor shows it.
 
     Raises:
-        SimulationError: a run could not be carried to its end; it names the set.
+        SimulationError: a run could not be carried to its end; it names the set. Or some valves have gas, some none.
     """
-    records = valves if isinstance(valves, np.ndarray) else np.concatenate([valve.record() for valve in valves])
+    records = valves if isinstance(valves, np.ndarray) else _records_of(valves)
     times = np.ascontiguousarray(sample_times, dtype=np.float64)
     positions = np.empty((len(records), len(times)))
     states = new_states(records, float(min(np.min(drive.times, initial=math.inf), np.min(times, initial=math.inf))))
@@ -335,6 +370,12 @@ def simulate_many(
         for chunk, (failed, outcome) in zip(chunks, pool.map(work, chunks), strict=True):
             check_outcome(outcome, f"parameter set {int(chunk[0]) + failed}: ")
     return positions
+
+
+def _records_of(valves: Sequence[Valve]) -> Any:
+    if len({valve.gas is None for valve in valves}) > 1:
+        raise SimulationError("some of the valves have gas and some have none; simulate these apart from those")
+    return np.concatenate([valve.record() for valve in valves])
 
 
 def published_times(response: Response) -> tuple[float, float]:

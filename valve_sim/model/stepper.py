@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from valve_sim.model import driver
-from valve_sim.model.core_types import Phase
-from valve_sim.model.sampling import ROW
+from valve_sim.model.core_types import STATE_RECORD, Phase
+from valve_sim.model.gas.step import set_inlet
 from valve_sim.model.simulation import (
     TOLERANCE,
     Event,
     Valve,
     check_flux,
     check_outcome,
+    columns_of,
     event_log,
     event_tuple,
     most_steps,
@@ -23,6 +25,9 @@ from valve_sim.model.simulation import (
     rated_current,
 )
 from valve_sim.model.transitions import set_voltage, settle
+
+Setter = Callable[[Any, Any, float], None]
+"""Changes a valve's state at its time, given its record and a value."""
 
 
 class CoilReading(NamedTuple):
@@ -34,7 +39,10 @@ class CoilReading(NamedTuple):
 
 
 class Reading(NamedTuple):
-    """A valve at one time: m, m/s, A, N, V; `main_effort` is the spring's force on the main plunger (− closes)."""
+    """A valve at one time: m, m/s, A, N, V; `main_effort` is the spring's force on the main plunger (− closes).
+
+    Outlet pressure, Pa, and mass flow, kg/s, are NaN for a valve without gas.
+    """
 
     time: float
     pilot_position: float
@@ -47,6 +55,8 @@ class Reading(NamedTuple):
     phase: Phase
     events: tuple[Event, ...]
     coil_voltage: float = math.nan
+    outlet_pressure: float = math.nan
+    mass_flow: float = math.nan
 
 
 class Stepper:
@@ -62,12 +72,12 @@ class Stepper:
         self._tolerance = tolerance
         self._events = event_log()
         self._pending: list[Event] = []
-        self._row = np.empty((1, ROW))
         self._current = np.empty(1)
         self._valve = valve
         self._record = valve.record()
+        self._row = np.empty((1, columns_of(self._record)))
         check_flux(self._record)
-        self._commands: list[tuple[float, float]] = []
+        self._commands: list[tuple[float, Setter, float]] = []
         self.reset(start_time)
 
     @property
@@ -93,14 +103,26 @@ class Stepper:
         Returns:
             the coil just before and just after.
         """
-        time = max(time, float(self._state[0]["time"]))
-        self._go(self._state, time, commit=True, collect=True)
+        time = self._commit(time)
         before = self._coil(time)
-        set_voltage(self._record, self._state, volts)
-        if self._delay:
-            self._commands.append((time, volts))
+        self._set(time, set_voltage, volts)
         self._go(self._state, time, commit=False, collect=True)
         return before, self._coil(time)
+
+    def supply(self, time: float, pressure: float) -> None:
+        """The tank's pressure, Pa, from `time` on, likewise; of a valve with gas."""
+        self._set(self._commit(time), _set_inlet, pressure)
+
+    def _commit(self, time: float) -> float:
+        """Step exactly to a time, or to the latest time stepped to; returns which, s."""
+        time = max(time, float(self._state[0]["time"]))
+        self._go(self._state, time, commit=True, collect=True)
+        return time
+
+    def _set(self, time: float, setter: Setter, value: float) -> None:
+        setter(self._record, self._state, value)
+        if self._delay:
+            self._commands.append((time, setter, value))
 
     def advance(self, time: float) -> Reading:
         """Step to `time`, s (not before the last command), and read the valve there.
@@ -110,7 +132,7 @@ class Stepper:
         """
         self._go(self._state, time, commit=False, collect=True)
         row = self._row[0]
-        pilot, main, velocity, attraction, phase_number, x, volts = (float(value) for value in row)
+        pilot, main, velocity, attraction, phase_number, x, volts, *of_gas = (float(value) for value in row)
         current = float(self._current[0])
         phase = Phase(int(phase_number))
         moves_main = phase is Phase.MAIN
@@ -122,7 +144,7 @@ class Stepper:
         events, self._pending = tuple(self._pending), []
         return Reading(
             time, pilot, main, velocity, velocity if moves_main else 0.0, current * rated_current(self._record),
-            attraction, effort, phase, events, volts,
+            attraction, effort, phase, events, volts, *of_gas,
         )  # fmt: skip
 
     def set_valve(self, valve: Valve, time: float) -> None:
@@ -137,8 +159,10 @@ class Stepper:
         state = self._state[0]
         volts = float(state["volts"])
         set_voltage(self._record, self._state, volts)  # the current so far belongs to the old coil
+        self._state = _state_of(record, self._state, supplied=_tank(valve) == _tank(self._valve))
         self._valve = valve
         self._record = record
+        self._row = np.empty((1, columns_of(record)))
         settle(self._record, self._state)
         self._shown = self._state.copy()
         self._commands = []
@@ -165,8 +189,34 @@ class Stepper:
         shown = self._shown
         time = max(time, float(shown[0]["time"]))
         while self._commands and self._commands[0][0] <= time:
-            command_time, volts = self._commands.pop(0)
+            command_time, setter, value = self._commands.pop(0)
             self._go(shown, max(command_time, float(shown[0]["time"])), commit=True, collect=False)
-            set_voltage(self._record, shown, volts)
+            setter(self._record, shown, value)
         self._go(shown, time, commit=False, collect=False)
         return float(self._row[0, 0]), float(self._row[0, 1])
+
+
+def _set_inlet(record: Any, state: Any, pressure: float) -> None:
+    set_inlet(record, state, pressure, 0.0)
+
+
+def _tank(valve: Valve) -> float | None:
+    """The declared pressure of the tank, Pa; None without gas."""
+    return None if valve.gas is None else valve.gas.inlet_pressure
+
+
+def _state_of(record: Any, state: Any, *, supplied: bool) -> Any:
+    """A state with what another valve's record asks for: gas as declared where there was none, or no gas.
+
+    Args:
+        record: of the other valve. state: of the valve so far.
+        supplied: whether the tank's pressure is as before; else it is what the other valve declares.
+    """
+    following = new_states(record, float(state[0]["time"]))
+    if following.dtype == state.dtype:
+        if not supplied:
+            set_inlet(record, state, float(record[0]["inlet_pressure"]), 0.0)
+        return state
+    for name in STATE_RECORD.names or ():
+        following[name] = state[name]
+    return following

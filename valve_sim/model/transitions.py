@@ -10,11 +10,14 @@ from valve_sim.model.compiling import compiled, inner
 from valve_sim.model.core_types import CLOSED, GAP_HOLD, MAIN, OPEN, PILOT, EventKind
 from valve_sim.model.equations import coil_now, force_without_dry_friction, pull_squared, residual_floor
 from valve_sim.model.flux import block, close_circuit
+from valve_sim.model.gas.flow import closing_force, pressure_difference
+from valve_sim.model.gas.record import has_gas
+from valve_sim.model.gas.step import switch_regime
 
 # NumPy's numbers: Numba compiles a function once for all of them, but anew for each of Python's literals.
 OPENING, CLOSING = np.array([1, -1])
 UNSEATED, PICKED_UP, HELD_AT_GAP, LIFTED, DROPPED, REACHED_STOP, BOUNCED_AT_STOP = np.array(list(EventKind)[:7])
-RELEASED, MAIN_SEATED, SEATED, BOUNCED_AT_SEAT, STUCK, BROKE_AWAY, GONE = np.array(list(EventKind)[7:])
+RELEASED, MAIN_SEATED, SEATED, BOUNCED_AT_SEAT, STUCK, BROKE_AWAY, GONE = np.array(list(EventKind)[7:14])
 
 SLOW_AT_GAP: Final = 1e-3
 """m/s: a slower contact at the gap may be held there."""
@@ -28,26 +31,39 @@ FIRST_STEP: Final = 1e-5
 
 
 @inner
-def _net_at_rest(p, s, mode, direction, t, u, w):
-    """Net force without dry friction on plungers at rest, N."""
+def _net_at_rest(p, s, way, t, coil, difference):
+    """Net force without dry friction on plungers at rest, N; see `push_at_rest`. way: (mode, direction)."""
+    u, w = coil
+    mode, direction = way
     pull2 = pull_squared(p, w, max(s.peak_current, abs(u)))
-    return force_without_dry_friction(p, t, (s.x, 0.0), (u, pull2), (mode, direction, s.unseated_time))
+    force = force_without_dry_friction(p, t, (s.x, 0.0), (u, pull2), (mode, direction, s.unseated_time))
+    return force - closing_force(p, mode, s.x, difference)
 
 
 @inner
-def push_at_rest(p, s, t, u, w):
-    """Which way the forces move plungers at rest at time t: +1, −1, or 0 for not at all."""
+def push_at_rest(p, s, t, coil, difference):
+    """Which way the forces move plungers at rest at time t: +1, −1, or 0 for not at all.
+
+    Args:
+        p, s, t: valve, state, s. coil: u and w. difference: of the gas's pressures at inlet and outlet, Pa.
+    """
     hold_up = p.friction_opening + p.breakaway
     if s.mode == CLOSED:
         hold_up = max(hold_up, SEAT_HOLDS)
     hold_down = p.friction_closing + p.breakaway
     lifting = PILOT if s.mode <= PILOT else MAIN
-    if s.mode != OPEN and _net_at_rest(p, s, lifting, OPENING, t, u, w) > hold_up:
+    if s.mode != OPEN and _net_at_rest(p, s, (lifting, OPENING), t, coil, difference) > hold_up:
         return 1
     falling = MAIN if s.mode >= MAIN else PILOT
-    if s.mode != CLOSED and _net_at_rest(p, s, falling, CLOSING, t, u, w) < -hold_down:
+    if s.mode != CLOSED and _net_at_rest(p, s, (falling, CLOSING), t, coil, difference) < -hold_down:
         return -1
     return 0
+
+
+@inner
+def push_now(p, s):
+    """The same at the state's time."""
+    return push_at_rest(p, s, s.time, coil_now(p, s), pressure_difference(p, s))
 
 
 @inner
@@ -115,8 +131,7 @@ def touch(p, s, events, count):
             s.unseated_time = s.time
             return _log(events, count, s.time, BOUNCED_AT_SEAT, s.x, v)
         _come_to_rest(s, CLOSED)
-        u, w = coil_now(p, s)
-        if push_at_rest(p, s, s.time, u, w) != 0:
+        if push_now(p, s) != 0:
             # What pulls lifts it again at once: one event, not a seating and an unseating at one time.
             _lift_off(s)
             return _log(events, count, s.time, BOUNCED_AT_SEAT, s.x, v)
@@ -128,12 +143,14 @@ def touch(p, s, events, count):
 def _touch_gap(p, s, events, count):
     """The contact between pilot and main plunger, from below (pick-up) or above (the main plunger seats)."""
     v = s.v
-    if abs(v) < SLOW_AT_GAP:
+    falls_on_gas = has_gas(p) and s.direction < 0
+    if abs(v) < SLOW_AT_GAP or falls_on_gas:
         # Friction takes no part in this decision.
-        u, w = coil_now(p, s)
-        phase_1 = _net_at_rest(p, s, PILOT, s.direction, s.time, u, w)
-        phase_2 = _net_at_rest(p, s, MAIN, s.direction, s.time, u, w)
-        if phase_1 > 0.0 and phase_2 <= 0.0:
+        coil, difference = coil_now(p, s), pressure_difference(p, s)
+        phase_1 = _net_at_rest(p, s, (PILOT, s.direction), s.time, coil, difference)
+        phase_2 = _net_at_rest(p, s, (MAIN, s.direction), s.time, coil, difference)
+        held_by_gas = falls_on_gas and phase_2 <= 0.0 < phase_2 + closing_force(p, MAIN, s.x, difference)
+        if held_by_gas or (abs(v) < SLOW_AT_GAP and phase_1 > 0.0 and phase_2 <= 0.0):
             _come_to_rest(s, GAP_HOLD)
             return _log(events, count, s.time, HELD_AT_GAP, s.x, v)
     if s.direction < 0:
@@ -153,8 +170,7 @@ def turn(p, s, events, count):
     """The velocity reached zero: go on, turn round, or stay where dry friction holds."""
     s.v = 0.0
     s.moving = 0
-    u, w = coil_now(p, s)
-    push = push_at_rest(p, s, s.time, u, w)
+    push = push_now(p, s)
     if push != 0:
         s.moving = 1
         s.direction = push
@@ -168,6 +184,12 @@ def end_current(p, s, events, count):
     _, s.w = coil_now(p, s)
     block(p, s)
     return _log(events, count, s.time, GONE, s.x, s.v)
+
+
+@inner
+def switch_flow(p, s, work, events, count):
+    """The flow of gas became choked or subsonic, or turned round."""
+    return _log(events, count, s.time, switch_regime(p, s, work), s.x, s.v)
 
 
 @compiled

@@ -59,6 +59,20 @@ class CommandFacts(NamedTuple):
     incompatible_publishers: int
 
 
+class Rejections(NamedTuple):
+    """Messages that were ignored.
+
+    Attributes:
+        total: how many, in all. now: those of them since the last look.
+        last: the number in the last of them. is_last: whether no good one has come since.
+    """
+
+    total: int
+    now: int
+    last: float
+    is_last: bool
+
+
 class ValveFacts(NamedTuple):
     """State of the valve.
 
@@ -121,6 +135,22 @@ def command_status(facts: CommandFacts) -> Status:
     return Status("command", Level.OK, "accepted", values)
 
 
+def inlet_pressure_status(pressure: float, rejections: Rejections, incompatible_publishers: int) -> Status:
+    """Whether what is heard of the tank's pressure is accepted; `pressure`, Pa, is the one in force."""
+    values = {
+        "pressure (Pa)": f"{pressure:g}",
+        "rejected": str(rejections.total),
+        "publishers of incompatible QoS": str(incompatible_publishers),
+    }
+    if rejections.now:
+        message = f"{rejections.now} rejected, the last of {rejections.last:g} Pa; the last good one stays"
+        return Status("inlet pressure", Level.WARN, message, values)
+    if rejections.is_last:
+        message = f"the last, of {rejections.last:g} Pa, was rejected; the last good one stays"
+        return Status("inlet pressure", Level.WARN, message, values)
+    return Status("inlet pressure", Level.OK, "accepted", values)
+
+
 def valve_status(facts: ValveFacts) -> Status:
     """The phase and position of the valve, and whether it was put back to rest."""
     values = {
@@ -137,7 +167,7 @@ def valve_status(facts: ValveFacts) -> Status:
 
 
 class CommandCount:
-    """Counts rejected commands; used by one thread."""
+    """Counts rejected commands, or rejected pressures; used by one thread."""
 
     def __init__(self) -> None:
         self.rejected = 0
@@ -150,23 +180,28 @@ class CommandCount:
         """Count one that is obeyed."""
         self._is_last_rejected = False
 
-    def reject(self, volts: float) -> None:
+    def reject(self, value: float) -> None:
         """Count one that is ignored."""
         self.rejected += 1
-        self.last_rejected = volts
+        self.last_rejected = value
         self._is_last_rejected = True
+
+    def rejections(self) -> Rejections:
+        """What was ignored, in all and since the last look."""
+        since, self._before = self.rejected - self._before, self.rejected
+        return Rejections(self.rejected, since, self.last_rejected, self._is_last_rejected)
 
     def look(self, now: int, last_command: int | None, volts: float, timed_out: bool) -> CommandFacts:
         """The state now; `now` and `last_command` in ns of the node's clock."""
-        since, self._before = self.rejected - self._before, self.rejected
+        rejections = self.rejections()
         age = math.nan if last_command is None else (now - last_command) / NANOSECONDS
         return CommandFacts(
             age,
             volts,
-            self.rejected,
-            since,
-            self._is_last_rejected,
-            self.last_rejected,
+            rejections.total,
+            rejections.now,
+            rejections.is_last,
+            rejections.last,
             timed_out,
             self.incompatible_publishers,
         )

@@ -6,6 +6,7 @@ import math
 from typing import Final, NamedTuple
 
 from valve_sim.model import CoilReading, Event, EventKind, Phase, Reading, SimulationError, Stepper, Valve
+from valve_sim.model.gas import GAS
 from valve_sim.nodes.realtime import NANOSECONDS, Mailbox
 
 _PHASE_AFTER: Final = {
@@ -20,7 +21,11 @@ _PHASE_AFTER: Final = {
     EventKind.SEATED: Phase.CLOSED,
 }
 SELF_TEST_SECONDS: Final = 0.5
-"""s for which a self-test holds the voltage, and then 0 V."""
+"""s for which a self-test holds the voltage, and then 0 V; with gas it may hold the voltage for several times that."""
+LONGEST_SELF_TEST: Final = 60.0
+"""s after which a self-test no longer waits for the pressure to equalise."""
+_STILL_RISING: Final = 1e-6
+"""Share of the tank's pressure; an outlet that changes by less within SELF_TEST_SECONDS has come to rest."""
 
 
 class Timeline:
@@ -77,8 +82,8 @@ class Step(NamedTuple):
 class LiveValve:
     """A stepper with its clock, its command and its watchdog; which command holds: docs/reference/command_safety.md.
 
-    `command`, `limit`, `set_valve`, `set_scale`, `reset` may be called in any thread: they store, the next `step`
-    consumes, each at its own time. `restart` and `step` belong to one stepping thread.
+    `command`, `supply`, `limit`, `set_valve`, `set_scale`, `reset` may be called in any thread: they store, the next
+    `step` consumes, each at its own time. `restart` and `step` belong to one stepping thread.
 
     Args:
         valve: what is simulated.
@@ -98,6 +103,7 @@ class LiveValve:
         self.volts = 0.0
         self.failures = 0
         self._max_voltage = max_voltage
+        self._supplied: float | None = None
         self._valve = valve
         self._scale = scale
         self._timeline = Timeline(0, 0, scale)
@@ -120,6 +126,24 @@ class LiveValve:
         self._mailbox.post(clock, lambda time: self._energise(time, volts), "command")
         return True
 
+    @property
+    def inlet_pressure(self) -> float:
+        """The tank's pressure, Pa, as it was heard last, or else as declared; NaN for a valve without gas."""
+        gas, supplied = self._valve.gas, self._supplied
+        if gas is None:
+            return math.nan
+        return gas.inlet_pressure if supplied is None else supplied
+
+    def supply(self, clock: int, pressure: float) -> bool:
+        """The tank's pressure, Pa, from clock time `clock` on, ns; False, and nothing else, if no tank can have it.
+
+        It stays through a reset, until another is heard or declared. A valve without gas has no use for it.
+        """
+        if not GAS["inlet_pressure"].lower <= pressure <= GAS["inlet_pressure"].upper:
+            return False
+        self._mailbox.post(clock, lambda time: self._supply(time, pressure), "supply")
+        return True
+
     def limit(self, clock: int, max_voltage: float) -> None:
         """Limit commands from now on, V; a voltage in force beyond the limit ends at clock time `clock`, ns."""
         self._max_voltage = max_voltage
@@ -128,7 +152,7 @@ class LiveValve:
     def set_valve(self, clock: int, valve: Valve) -> None:
         """Continue with another valve, without a jump in state."""
         self._valve = valve
-        self._mailbox.post(clock, lambda time: self._running.set_valve(valve, self._timeline.model_time(time)), "valve")
+        self._mailbox.post(clock, lambda time: self._continue_as(time, valve), "valve")
 
     def set_scale(self, clock: int, scale: float) -> None:
         """Continue at another time scale."""
@@ -149,6 +173,7 @@ class LiveValve:
         self._reached = clock
         self._timeline = Timeline(clock, stamp, self._scale)
         self._stepper = Stepper(self._valve, 0.0)
+        self._supplied = None
         self._announced = None
         self._stamp = stamp - 1
         self._forget_command()
@@ -186,6 +211,19 @@ class LiveValve:
         self.last_command = clock
         self.timed_out = False
 
+    def _supply(self, clock: int, pressure: float) -> None:
+        if self._running.valve.gas is None:
+            return
+        self._watch_command(clock)
+        self._running.supply(self._timeline.model_time(clock), pressure)
+        self._supplied = pressure
+
+    def _continue_as(self, clock: int, valve: Valve) -> None:
+        before = self._running.valve.gas
+        if before is None or valve.gas is None or valve.gas.inlet_pressure != before.inlet_pressure:
+            self._supplied = None
+        self._running.set_valve(valve, self._timeline.model_time(clock))
+
     def _watch_command(self, clock: int) -> None:
         if self.command_timeout <= 0.0 or self.last_command is None or self.timed_out:
             return
@@ -213,6 +251,8 @@ class LiveValve:
 
     def _rest(self, clock: int) -> None:
         self._running.reset(self._timeline.model_time(clock))
+        if self._supplied is not None:
+            self._running.supply(self._timeline.model_time(clock), self._supplied)
         self._forget_command()
 
     def _forget_command(self) -> None:
@@ -242,25 +282,52 @@ class SelfTest(NamedTuple):
 
 
 def self_test(valve: Valve) -> SelfTest:
-    """Open and close a valve with these parameters; the running one is not affected."""
+    """Open and close a valve with these parameters; the running one is not affected.
+
+    With gas the voltage stays until the pressure has equalised, which may take far longer than the motion.
+    """
     stepper = Stepper(valve)
     volts = valve.parameters.reference_voltage
     try:
         stepper.command(0.0, volts)
-        opening = stepper.advance(SELF_TEST_SECONDS).events
-        stepper.command(SELF_TEST_SECONDS, 0.0)
-        closing = stepper.advance(2 * SELF_TEST_SECONDS).events
+        opening, held = _open(stepper)
+        stepper.command(held.time, 0.0)
+        closing = stepper.advance(held.time + SELF_TEST_SECONDS).events
     except SimulationError as error:
         return SelfTest(False, str(error))
     opened = _milliseconds(opening, 0.0, EventKind.REACHED_STOP, EventKind.BOUNCED_AT_STOP)
-    closed = _milliseconds(closing, SELF_TEST_SECONDS, EventKind.MAIN_SEATED)
+    closed = _milliseconds(closing, held.time, EventKind.MAIN_SEATED)
     picked_up = _milliseconds(opening, 0.0, EventKind.PICKED_UP, EventKind.HELD_AT_GAP)
-    released = _milliseconds(closing, SELF_TEST_SECONDS, EventKind.RELEASED)
+    released = _milliseconds(closing, held.time, EventKind.RELEASED)
     summary = (
-        f"at {volts:g} V: main plunger picked up {picked_up}, stop reached {opened}; "
+        f"at {volts:g} V: main plunger picked up {picked_up}, stop reached {opened}{_pressures(valve, held, opened)}; "
         f"at 0 V: stop left {released}, main plunger seated {closed}"
     )
     return SelfTest("never" not in (opened, closed), summary)
+
+
+def _open(stepper: Stepper) -> tuple[tuple[Event, ...], Reading]:
+    """Hold the voltage; with gas until the valve is open or nothing changes any more.
+
+    Returns:
+        the events, and the valve at the end of that time.
+    """
+    reading = stepper.advance(SELF_TEST_SECONDS)
+    events, gas, is_changing = reading.events, stepper.valve.gas, True
+    while gas is not None and is_changing and reading.phase is not Phase.OPEN and reading.time < LONGEST_SELF_TEST:
+        before, reading = reading, stepper.advance(reading.time + SELF_TEST_SECONDS)
+        events += reading.events
+        rise = abs(reading.outlet_pressure - before.outlet_pressure)
+        is_changing = bool(reading.events) or rise > _STILL_RISING * gas.inlet_pressure
+    return events, reading
+
+
+def _pressures(valve: Valve, held: Reading, opened: str) -> str:
+    """Where a valve with gas has not opened: how far the pressure has equalised."""
+    if valve.gas is None or opened != "never":
+        return ""
+    outlet, inlet = held.outlet_pressure / 1e6, valve.gas.inlet_pressure / 1e6
+    return f" (after {held.time:g} s the outlet is at {outlet:.3g} MPa, the tank at {inlet:.3g} MPa)"
 
 
 def _milliseconds(events: tuple[Event, ...], since: float, *kinds: EventKind) -> str:

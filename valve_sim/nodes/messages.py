@@ -12,7 +12,7 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from rclpy.serialization import serialize_message
-from sensor_msgs.msg import BatteryState, JointState
+from sensor_msgs.msg import BatteryState, FluidPressure, JointState
 from std_msgs.msg import Bool, Float64, UInt8
 
 from valve_sim.model import Phase, Reading
@@ -35,15 +35,15 @@ class ReadingMessages:
     """The messages of each sample, encoded: `publish` takes bytes, which cost a third of a message.
 
     Args:
-        frame_id: of joint states and coil; may be set anew.
+        frame_id: of joint states, coil and outlet pressure; may be set anew.
     """
 
     def __init__(self, frame_id: str) -> None:
-        self._current = _Encoding(Float64(data=_MARKS[0]), ["d"], _MARKS[:1])
+        self._number = _Encoding(Float64(data=_MARKS[0]), ["d"], _MARKS[:1])
         self.set_frame_id(frame_id)
 
     def set_frame_id(self, frame_id: str) -> None:
-        """Set the frame of joint states and coil."""
+        """Set the frame of joint states, coil and outlet pressure."""
         joints = JointState(name=list(JOINT_NAMES))
         joints.header.frame_id = frame_id
         joints.header.stamp.sec, joints.header.stamp.nanosec = _STAMP_MARKS
@@ -53,6 +53,8 @@ class ReadingMessages:
         coil.header = joints.header
         coil.voltage, coil.current = _SINGLE_MARKS
         self._coil = _Encoding(coil, ["i", "I", *"ff"], [*_STAMP_MARKS, *_SINGLE_MARKS])
+        pressure = FluidPressure(header=joints.header, fluid_pressure=_MARKS[0])
+        self._pressure = _Encoding(pressure, ["i", "I", "d"], [*_STAMP_MARKS, _MARKS[0]])
 
     def joint_states(self, stamp: int, reading: Reading) -> bytes:
         """Positions m, velocities m/s, efforts N; `stamp` in ns, LAST_STAMP at most."""
@@ -75,7 +77,16 @@ class ReadingMessages:
 
     def coil_current(self, reading: Reading) -> bytes:
         """The coil current, A."""
-        return self._current.filled(reading.coil_current)
+        return self._number.filled(reading.coil_current)
+
+    def outlet_pressure(self, stamp: int, reading: Reading) -> bytes:
+        """Pressure behind the valve, Pa, absolute; its variance is 0; `stamp` in ns, LAST_STAMP at most."""
+        seconds, nanoseconds = divmod(min(stamp, LAST_STAMP), NANOSECONDS)
+        return self._pressure.filled(seconds, nanoseconds, reading.outlet_pressure)
+
+    def mass_flow(self, reading: Reading) -> bytes:
+        """What flows through the valve from inlet to outlet, kg/s."""
+        return self._number.filled(reading.mass_flow)
 
 
 def _blank_coil() -> BatteryState:

@@ -12,12 +12,13 @@ from typing import Final, NamedTuple
 
 from valve_sim.files.parameter_files import Section, check_with_off, complete_effect, off_value, valve_from_flat
 from valve_sim.model import CATALOGUE, DECLARED, Parameter, ParameterError, Tolerances, Valve, ValveParameters
+from valve_sim.model.gas import FLUIDS, GAS, GasParameters
 from valve_sim.model.parameters import closest
 from valve_sim.model.tolerances import COVARIANCE_FORM, COVARIANCE_NAME, TOLERATED, tolerance_rule
 
 Value = float | str | list[float]
 
-VALVE_KEYS: Final = ("valve.", "effects.", "tolerances.")
+VALVE_KEYS: Final = ("valve.", "effects.", "tolerances.", "gas.")
 """Prefixes of the parameters that describe a valve, not a node."""
 
 _POLYNOMIAL: Final = "valve.attraction_polynomial"
@@ -108,6 +109,7 @@ def table(default: Valve) -> dict[str, NodeParameter]:
     entries = [NodeParameter(rule.name, value, _describe(rule), rule) for rule, value in _SETTINGS]
     entries.append(NodeParameter(_FRAME_ID, "", "header.frame_id of the joint states"))
     entries += _declared_entries(default.parameters)
+    entries += _gas_entries(default.gas)
     entries += _effect_entries(default.effects)
     entries += _tolerance_entries(default.tolerances)
     return {entry.name: entry for entry in entries}
@@ -269,6 +271,13 @@ def _declared_entries(parameters: ValveParameters) -> list[NodeParameter]:
         else:
             entries.append(NodeParameter(f"valve.{name}", float(value), _describe(DECLARED[name]), DECLARED[name]))
     return entries
+
+
+def _gas_entries(gas: GasParameters | None) -> list[NodeParameter]:
+    """Of the group `gas`: without it, what must be declared is 0."""
+    known = GasParameters._field_defaults if gas is None else gas._asdict()
+    entries = [NodeParameter(f"gas.{name}", known.get(name, 0.0), _describe(rule), rule) for name, rule in GAS.items()]
+    return [*entries, NodeParameter("gas.fluid", str(known["fluid"]), f"name of the gas: {', '.join(FLUIDS)}")]
 
 
 def _effect_entries(on: Mapping[str, Mapping[str, float]]) -> list[NodeParameter]:

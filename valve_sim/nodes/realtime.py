@@ -269,6 +269,23 @@ def why_restart(last: ClockReading | None, now: ClockReading) -> str | None:
     return None
 
 
+class Thinning:
+    """Which steps are also samples of a slower topic: the first in each of its periods.
+
+    Args:
+        rate: of the slower topic, samples a second of the clock, Hz.
+    """
+
+    def __init__(self, rate: float) -> None:
+        self._period = round(NANOSECONDS / rate)
+        self._last: int | None = None
+
+    def is_due(self, clock: int) -> bool:
+        """Whether the step at clock time `clock`, ns, is one; to be asked once for each step."""
+        before, self._last = self._last, clock // self._period
+        return self._last != before
+
+
 class Mailbox:
     """A queue between threads: callbacks post actions, the stepper calls those that are due."""
 

@@ -10,7 +10,7 @@ import contextlib
 import gc
 import math
 from collections.abc import Sequence
-from typing import Final
+from typing import Final, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import SetParametersResult
@@ -18,19 +18,23 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
 from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
 from rclpy.qos import qos_policy_name_from_kind
-from sensor_msgs.msg import BatteryState, JointState
+from rclpy.subscription import Subscription
+from sensor_msgs.msg import BatteryState, FluidPressure, JointState
 from std_msgs.msg import Bool, Float64, UInt8
 from std_srvs.srv import Trigger
 
 from valve_sim.files.parameter_files import Section, default_valve
 from valve_sim.model import ParameterError, Stepper, Valve
+from valve_sim.model.gas import GAS
 from valve_sim.nodes.diagnostics import (
     CommandCount,
     Level,
     Reminder,
     ValveFacts,
     command_status,
+    inlet_pressure_status,
     timing_status,
     valve_status,
 )
@@ -55,22 +59,33 @@ from valve_sim.nodes.parameters import (
     table,
     valve_of,
 )
-from valve_sim.nodes.realtime import NANOSECONDS, Restart, Worker
+from valve_sim.nodes.realtime import NANOSECONDS, Restart, Thinning, Worker
 from valve_sim.nodes.shell_parts import LATCHED, RELIABLE, declare, given_parameters, make_node
 from valve_sim.nodes.spinning import guarded, spin
 
 _LONGEST_SLEEP: Final = 0.05
 _BETWEEN_WARNINGS: Final = 5.0
 """s between lines of the log about the same problem, which may occur a thousand times a second."""
+_GAS_RATE: Final = 100.0
+"""Hz of pressure and flow: slower than the plungers, and read by slower programs."""
+
+
+class _GasTopics(NamedTuple):
+    """What a valve with gas has beside the other topics."""
+
+    inlet_pressure: Subscription
+    outlet_pressure: Publisher
+    mass_flow: Publisher
 
 
 class ValveShell:
     """The node `valve`.
 
     Topics (docs/reference/topics.md): in ~/coil_voltage; out ~/joint_states, ~/coil and ~/coil_current at publish_rate,
-    ~/phase and ~/is_open on change (latched), /diagnostics at 1 Hz. Services: ~/reset (rests closed, no current, no
-    command), ~/self_test (one stroke of a copy of the valve, off line). Parameters: the table of
-    `valve_sim.nodes.parameters`; all can be set at run time.
+    ~/phase and ~/is_open on change (latched), /diagnostics at 1 Hz. From when gas is declared also in ~/inlet_pressure;
+    out ~/outlet_pressure and ~/mass_flow at 100 Hz. Services: ~/reset (rests closed, no current, no command),
+    ~/self_test (one stroke of a copy of the valve, off line). Parameters: the table of `valve_sim.nodes.parameters`;
+    all can be set at run time.
 
     Args:
         sections: (file, section) of the parameter files on the command line.
@@ -91,7 +106,9 @@ class ValveShell:
                 command_timeout=self._settings.command_timeout,
                 max_voltage=self._settings.max_voltage,
             )
-            self._commands = CommandCount()
+            self._commands, self._pressures = CommandCount(), CommandCount()
+            self._gas: _GasTopics | None = None
+            self._gas_samples = Thinning(_GAS_RATE)
             self._duplicates = DuplicateNodes(self._node)
             self._failure = ""
             self._exit_code = 0
@@ -149,16 +166,29 @@ class ValveShell:
         self._phase = node.create_publisher(UInt8, "~/phase", LATCHED)
         self._is_open = node.create_publisher(Bool, "~/is_open", LATCHED)
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
-        events = SubscriptionEventCallbacks(incompatible_qos=guarded(self._on_incompatible_qos))
+        events = SubscriptionEventCallbacks(incompatible_qos=guarded(self._on_incompatible_voltage))
         self._voltage = node.create_subscription(
             Float64, "~/coil_voltage", guarded(self._take_command), RELIABLE, event_callbacks=events
         )
+        if self._live.valve.gas is not None:
+            self._gas = self._wire_gas()
         node.create_service(Trigger, "~/reset", guarded(self._reset))
         node.create_service(Trigger, "~/self_test", guarded(self._self_test))
         # Wall time: diagnostics must also report that /clock is silent.
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._too_busy = Reminder()
         node.create_timer(1.0, guarded(self._diagnose), clock=self._steady)
+
+    def _wire_gas(self) -> _GasTopics:
+        node = self._node
+        events = SubscriptionEventCallbacks(incompatible_qos=guarded(self._on_incompatible_pressure))
+        return _GasTopics(
+            node.create_subscription(
+                FluidPressure, "~/inlet_pressure", guarded(self._take_pressure), RELIABLE, event_callbacks=events
+            ),
+            node.create_publisher(FluidPressure, "~/outlet_pressure", RELIABLE),
+            node.create_publisher(Float64, "~/mass_flow", RELIABLE),
+        )
 
     # --- the stepping thread ---
 
@@ -168,6 +198,8 @@ class ValveShell:
         stepper = Stepper(valve)
         stepper.command(1e-3, valve.parameters.reference_voltage)
         stepper.set_valve(valve, 2e-3)
+        if valve.gas is not None:
+            stepper.supply(2e-3, valve.gas.inlet_pressure)
         stepper.advance(3e-3)
         self._warn_if_it_cannot_open(valve)
         # What is loaded now stays; collecting it as garbage would stop the stepper for tens of milliseconds.
@@ -178,12 +210,17 @@ class ValveShell:
     def _say_ready(self) -> None:
         """Log that the node is ready, with the full names of its topics."""
         waits = "; waits for /clock, as use_sim_time is true" if self._clock.read() is None else ""
-        limit, rate = self._settings.max_voltage, self._settings.publish_rate
+        limit, rate, gas = self._settings.max_voltage, self._settings.publish_rate, ""
+        if self._gas is not None:
+            gas = (
+                f"; gas: obeys {self._gas.inlet_pressure.topic_name} (Pa), publishes "
+                f"{self._gas.outlet_pressure.topic_name} and {self._gas.mass_flow.topic_name} at {_GAS_RATE:g} Hz"
+            )
         self._node.get_logger().info(
             f"ready: obeys {self._voltage.topic_name} (V, ±{limit:g} at most), publishes "
             f"{self._joint_states.topic_name}, {self._coil.topic_name} and {self._coil_current.topic_name} "
             f"at {rate:g} Hz, "
-            f"{self._phase.topic_name} and {self._is_open.topic_name} on change{waits}"
+            f"{self._phase.topic_name} and {self._is_open.topic_name} on change{gas}{waits}"
         )
 
     def _restart(self, restart: Restart) -> None:
@@ -202,6 +239,10 @@ class ValveShell:
         shown = step.reading
         self._coil.publish(self._messages.coil(step.stamp, shown.coil_current, shown.coil_voltage))
         self._coil_current.publish(self._messages.coil_current(step.reading))
+        gas = self._gas
+        if gas is not None and self._gas_samples.is_due(deadline) and not math.isnan(shown.outlet_pressure):
+            gas.outlet_pressure.publish(self._messages.outlet_pressure(step.stamp, shown))
+            gas.mass_flow.publish(self._messages.mass_flow(shown))
         if step.phases:
             self._publish_phases(step)
         if step.failure:
@@ -238,11 +279,32 @@ class ValveShell:
             throttle_duration_sec=_BETWEEN_WARNINGS,
         )
 
-    def _on_incompatible_qos(self, event: QoSRequestedIncompatibleQoSInfo) -> None:
-        self._commands.incompatible_publishers = event.total_count
+    def _take_pressure(self, message: FluidPressure) -> None:
+        live, pressure = self._live, message.fluid_pressure
+        if self._gas is None or live.valve.gas is None:
+            return
+        if live.supply(self._now(), pressure):
+            self._pressures.accept()
+            return
+        self._pressures.reject(pressure)
+        rule = GAS["inlet_pressure"]
+        self._node.get_logger().warning(
+            f"{self._gas.inlet_pressure.topic_name}: {pressure:g} Pa is ignored, expected a number from "
+            f"{rule.lower:g} to {rule.upper:g} Pa; the last good pressure stays",
+            throttle_duration_sec=_BETWEEN_WARNINGS,
+        )
+
+    def _on_incompatible_voltage(self, event: QoSRequestedIncompatibleQoSInfo) -> None:
+        self._note_incompatible("~/coil_voltage", self._commands, event)
+
+    def _on_incompatible_pressure(self, event: QoSRequestedIncompatibleQoSInfo) -> None:
+        self._note_incompatible("~/inlet_pressure", self._pressures, event)
+
+    def _note_incompatible(self, topic: str, count: CommandCount, event: QoSRequestedIncompatibleQoSInfo) -> None:
+        count.incompatible_publishers = event.total_count
         policy = qos_policy_name_from_kind(event.last_policy_kind)
         self._node.get_logger().warning(
-            f"{self._voltage.topic_name}: a publisher offers an incompatible QoS ({policy}) "
+            f"{self._node.resolve_topic_name(topic)}: a publisher offers an incompatible QoS ({policy}) "
             "and cannot be heard; publish reliable, as this topic asks"
         )
 
@@ -276,11 +338,15 @@ class ValveShell:
             line = self._too_busy.line(self._steady.now().nanoseconds / NANOSECONDS, timing.message)
             if line:
                 self._node.get_logger().warning(line)
-        statuses = (
+        statuses = [
             timing,
             command_status(self._commands.look(now, live.last_command, live.volts, live.timed_out)),
             valve_status(ValveFacts(live.phase, live.strokes, live.failures, self._failure, self._duplicates.look())),
-        )
+        ]
+        if live.valve.gas is not None:
+            pressures = self._pressures
+            heard = pressures.rejections(), pressures.incompatible_publishers
+            statuses.append(inlet_pressure_status(live.inlet_pressure, *heard))
         name = self._node.get_fully_qualified_name()
         self._diagnostics.publish(diagnostic_array(statuses, name, self._clock.stamp()))
 
@@ -323,9 +389,11 @@ class ValveShell:
         if settings.publish_rate != self._settings.publish_rate:
             self._worker.set_rate(settings.publish_rate)
         self._settings = settings
-        if any(name.startswith(("valve.", "effects.")) for name in names):
+        if any(name.startswith(("valve.", "effects.", "gas.")) for name in names):
             valve = self._current_valve()
             self._live.set_valve(now, valve)
+            if valve.gas is not None and self._gas is None:
+                self._gas = self._wire_gas()
             if self._is_ready:
                 self._warn_if_it_cannot_open(valve)
 

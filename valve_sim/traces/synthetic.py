@@ -53,7 +53,7 @@ class Recording(NamedTuple):
     trace: Trace
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """The table of `CSV_COLUMNS`: positions and current as measured, velocity and phase as they were.
+        """The table of `CSV_COLUMNS`: positions and current as measured, velocity, phase and gas as they were.
 
         Positions that were not measured are NaN.
         """
@@ -69,7 +69,10 @@ class Recording(NamedTuple):
             response.pilot_velocity,
             response.phase,
         )
-        return dict(zip(CSV_COLUMNS, values, strict=True))
+        columns = dict(zip(CSV_COLUMNS, values, strict=True))
+        if response.outlet_pressure is not None and response.mass_flow is not None:
+            columns |= {"outlet_pressure": response.outlet_pressure, "mass_flow": response.mass_flow}
+        return columns
 
 
 def record(valve: Valve, drive: Drive, duration: float, rate: float, sensor: Sensor) -> Recording:

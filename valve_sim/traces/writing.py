@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     Storage = Literal["mcap", "sqlite3"]
 
 CSV_COLUMNS = ("time", "coil_voltage", "coil_current", "pilot_position", "main_position", "pilot_velocity", "phase")
+GAS_COLUMNS = ("outlet_pressure", "mass_flow")
+"""Of a valve with gas, after the others."""
 
 
 class BagRecorder:
@@ -328,7 +330,7 @@ def _blank(message_type: str) -> object:
 
 
 def write_csv(path: str | PathLike[str], columns: Mapping[str, ArrayLike]) -> None:
-    """Write a table in SI units with the columns of `CSV_COLUMNS`, in that order.
+    """Write a table in SI units with the columns of `CSV_COLUMNS` and, where given, `GAS_COLUMNS`, in that order.
 
     Args:
         path: The file; one that exists is replaced.
@@ -338,10 +340,11 @@ def write_csv(path: str | PathLike[str], columns: Mapping[str, ArrayLike]) -> No
         TraceError: The place cannot be written to.
         KeyError: A column is missing.
     """
-    table = [np.asarray(columns[name]).tolist() for name in CSV_COLUMNS]
+    names = [*CSV_COLUMNS, *(name for name in GAS_COLUMNS if name in columns)]
+    table = [np.asarray(columns[name]).tolist() for name in names]
     with replacing(Path(path), TraceError) as partial, partial.open("w", encoding="utf-8", newline="") as stream:
         writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(CSV_COLUMNS)
+        writer.writerow(names)
         writer.writerows(zip(*table, strict=True))
 
 

@@ -9,7 +9,7 @@ from typing import Any
 from valve_sim.identification.plants.protocol import Array, EffectChoice, Nuisance
 from valve_sim.identification.plants.tolerances import ToleratedValues
 from valve_sim.model import CATALOGUE, DECLARED, Parameter, Valve
-from valve_sim.model.effects import new_record
+from valve_sim.model.gas.record import record_of
 
 
 class ValveModel:
@@ -96,4 +96,4 @@ class ValveModel:
                 effects.setdefault(effect, {})[parameter] = value
             elif name in declared:
                 declared[name] = value
-        return new_record(declared, effects)
+        return record_of(declared, effects, self.valve.gas)

@@ -57,7 +57,7 @@ def sensitivities(
             for direction, there in zip(directions, moved, strict=True)
         ]
         tangents, zeros = _tangents(slopes, at, theirs, directions)
-        state, samples = prepared(trace, at.drive, at.lateness)
+        state, samples = prepared(record, trace, at.drive, at.lateness)
         positions, currents = run_tangents(record, state, at.drive, samples, tangents, FIT_TOLERANCE)
         if trace.has_positions:
             columns.append(positions + zeros if zeros.any() else positions)

@@ -137,13 +137,13 @@ def _current_channel(index: int, trace: Trace, role: Role) -> Channel:
     )  # fmt: skip
 
 
-def prepared(trace: Trace, drive: Drive, offset: float) -> tuple[Any, Samples]:
+def prepared(record: Any, trace: Trace, drive: Drive, offset: float) -> tuple[Any, Samples]:
     """A state from which to run, and room for what is shown; arguments as of `predicted`."""
     times = trace.times - offset
     current_times = trace.coil_current.times - offset if trace.coil_current is not None else _NO_TIMES
     samples = Samples(times, np.empty((len(times), 1)), current_times, np.empty(len(current_times)))
     first = times[0] if trace.has_positions else current_times[0]
-    return new_states(np.empty(1), min(float(drive.times[0]), float(first))), samples
+    return new_states(record, min(float(drive.times[0]), float(first))), samples
 
 
 def predicted(record: Any, trace: Trace, drive: Drive, offset: float) -> list[Array]:
@@ -156,7 +156,7 @@ def predicted(record: Any, trace: Trace, drive: Drive, offset: float) -> list[Ar
     Raises:
         SimulationError: the simulation could not be carried to its end.
     """
-    state, samples = prepared(trace, drive, offset)
+    state, samples = prepared(record, trace, drive, offset)
     run_record(record, state, drive, samples, _NO_EVENTS, FIT_TOLERANCE)
     rows, currents = samples.rows, samples.currents
     if trace.coil_current is None:
@@ -174,7 +174,7 @@ def followed(record: Any, trace: Trace, drive: Drive, offset: float) -> Array:
     """
     times = trace.sample_times - offset
     samples = Samples(times, np.empty((len(times), 1)), _NO_TIMES, _NO_TIMES)
-    state = new_states(np.empty(1), min(float(drive.times[0]), float(times[0])))
+    state = new_states(record, min(float(drive.times[0]), float(times[0])))
     run_record(record, state, drive, samples, _NO_EVENTS, FIT_TOLERANCE)
     return samples.rows[:, 0]
 

@@ -34,7 +34,7 @@ def plot_response(
     marks: Mapping[str, float] | None = None,
     levels: Mapping[str, float] | None = None,
 ) -> None:
-    """Draw displacement, velocity, current and phase, one above the other.
+    """Draw displacement, velocity, current, phase and, of a valve with gas, pressure and flow, one above the other.
 
     Args:
         path: of the picture; its ending says the format.
@@ -47,8 +47,9 @@ def plot_response(
     Raises:
         ValveError: the picture cannot be written.
     """
-    figure = Figure(figsize=(9.0, 8.0), layout="constrained")
-    displacement, velocity, current, phase = figure.subplots(4, 1, sharex=True, height_ratios=(3, 2, 2, 1.6))
+    ratios = (3, 2, 2, 1.6) if response.outlet_pressure is None else (3, 2, 2, 1.6, 2, 2)
+    figure = Figure(figsize=(9.0, 8.0 if len(ratios) == 4 else 11.5), layout="constrained")
+    displacement, velocity, current, phase, *of_gas = figure.subplots(len(ratios), 1, sharex=True, height_ratios=ratios)
     times = 1e3 * response.time
     displacement.plot(times, 1e6 * response.pilot_position, color=PILOT, label="pilot plunger", **_STYLE)
     displacement.plot(times, 1e6 * response.main_position, color=MAIN, label="main plunger", **_STYLE)
@@ -63,8 +64,14 @@ def plot_response(
     current.set_ylabel("coil current, A")
     _draw_voltage(current, drive, response.time)
     _draw_phase(phase, times, response.phase)
+    if of_gas and response.outlet_pressure is not None and response.mass_flow is not None:
+        pressure, flow = of_gas
+        pressure.plot(times, 1e-6 * response.outlet_pressure, color=SECOND, **_STYLE)
+        pressure.set_ylabel("outlet, MPa")
+        flow.plot(times, 1e3 * response.mass_flow, color=SECOND, **_STYLE)
+        flow.set_ylabel("flow, g/s")
     for name, time in (marks or {}).items():
-        _mark_time((displacement, velocity, current, phase), name, 1e3 * time)
+        _mark_time((displacement, velocity, current, phase, *of_gas), name, 1e3 * time)
     _finish(figure, path, title, "time, ms")
 
 

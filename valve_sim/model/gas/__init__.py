@@ -1,0 +1,10 @@
+"""Gas: the pressure that the pilot relieves, and the flow through the valve.
+
+`parameters` and `fluids` say what is declared, `record` how the compiled core reads it, `flow` what the gas does at a
+given pressure, and `step` how it is stepped together with the plungers. Whoever declares no gas runs none of this.
+"""
+
+from valve_sim.model.gas.fluids import FLUIDS, Fluid
+from valve_sim.model.gas.parameters import GAS, GasParameters, check_gas
+
+__all__ = ["FLUIDS", "GAS", "Fluid", "GasParameters", "check_gas"]
