@@ -21,7 +21,7 @@ from valve_sim.identification.reporting.diagnosis_json import to_json
 from valve_sim.identification.reporting.summary import recording_advice, summarise
 from valve_sim.identification.reporting.text import diagnosis_text
 from valve_sim.identification.reporting.units import limits, measured, quantity
-from valve_sim.identification.reporting.wording import headline, kind_words, meanings
+from valve_sim.identification.reporting.wording import headline, kind_words, meanings, rounding_words
 from valve_sim.identification.selection.table import Hypothesis
 from valve_sim.model import CATALOGUE
 
@@ -176,3 +176,13 @@ def test_no_value_is_off_by_a_signed_nothing(deviation: float, words: str) -> No
     told = [summary_words([within(deviation)]), *declared_lines([within(deviation)])]
     assert words in told[0]
     assert not any(nothing in line for line in told for nothing in ("−0.0", "+0.0"))
+
+
+def test_an_error_that_grows_by_copies_of_a_rounding_error_is_explained(diagnosis: Diagnosis) -> None:
+    assert rounding_words(diagnosis) == ""
+    assert "rounded reading" not in diagnosis_text(diagnosis)
+    larger = replace(diagnosis, after=replace(diagnosis.after, train_rmse=1.01 * diagnosis.before.train_rmse))
+    errors = (quantity(state.train_rmse, "m") for state in (diagnosis.before, diagnosis.after))
+    assert "counted once" in rounding_words(larger)
+    assert " to ".join(errors) in rounding_words(larger)
+    assert rounding_words(larger) in diagnosis_text(larger)

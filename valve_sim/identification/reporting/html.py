@@ -37,6 +37,7 @@ from valve_sim.identification.reporting.wording import (
     kind_words,
     meanings,
     probability_words,
+    rounding_words,
 )
 from valve_sim.invocation import invocation
 
@@ -212,7 +213,8 @@ def _improvement(diagnosis: Diagnosis, scale: float, unit: str, sigma: float) ->
     words = f"On fitted strokes: {_change(scale * before.train_rmse, scale * after.train_rmse, unit)}."
     if math.isfinite(before.holdout_rmse):
         words += f" On held-out strokes: {_change(scale * before.holdout_rmse, scale * after.holdout_rmse, unit)}."
-    return f"Root-mean-square error before → after. {words} The sensor's noise is {_three_digits(sigma)} {unit}."
+    words += f" The sensor's noise is {_three_digits(sigma)} {unit}. {rounding_words(diagnosis)}"
+    return f"Root-mean-square error before → after. {words.rstrip()}"
 
 
 def _change(before: float, after: float, unit: str) -> str:

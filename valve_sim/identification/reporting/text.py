@@ -19,6 +19,7 @@ from valve_sim.identification.reporting.wording import (
     kind_words,
     meanings,
     probability_words,
+    rounding_words,
 )
 
 _WIDTH = 44
@@ -41,7 +42,7 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
                 f"  {label + ', rms error':<28}{quantity(errors[0], unit)} before, {quantity(errors[1], unit)} after"
             )
     lines.append(f"  {'noise of the sensor':<28}{quantity(noise, unit)}")
-    lines.append(f"  {holdout_words(diagnosis)}")
+    lines += [f"  {words}" for words in (rounding_words(diagnosis), holdout_words(diagnosis)) if words]
     for meaning in meanings(diagnosis):
         severity = f", {meaning.severity}" if meaning.severity else ""
         amounts = "; ".join(f"{what} {value}" for what, value in meaning.amounts)

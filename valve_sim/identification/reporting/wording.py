@@ -6,11 +6,12 @@ from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
 from valve_sim.identification.diagnosis.run import Diagnosis, Verdict
+from valve_sim.identification.estimation.result import effective_rmse
 from valve_sim.identification.plants.effect_titles import capitalised, named, title_of, what_is_missing
-from valve_sim.identification.plants.protocol import Plant
+from valve_sim.identification.plants.protocol import Plant, judged_channels
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.declared_values import amount_words, plain_name
-from valve_sim.identification.reporting.units import measured
+from valve_sim.identification.reporting.units import measured, quantity
 from valve_sim.model import CATALOGUE, Effect
 
 SURE: Final = 0.9
@@ -19,6 +20,9 @@ COORDINATES: Final = {"attraction_polynomial": "attraction"}
 """Declared values that are estimated by coordinates, and the name of these."""
 EVEN: Final = 0.5
 """Probability below which a verdict is more likely wrong than right."""
+
+VISIBLE: Final = 1e-3
+"""Relative difference of two errors that a reader sees."""
 
 
 class Meaning(NamedTuple):
@@ -106,6 +110,29 @@ def holdout_words(diagnosis: Diagnosis) -> str:
         return "No strokes were held out: only the fitted strokes support this."
     times = {1: "once", 2: "twice"}.get(diagnosis.looks, f"{diagnosis.looks} times")
     return f"Held-out strokes were opened {times}, after the choice, to judge it and not to choose."
+
+
+def rounding_words(diagnosis: Diagnosis) -> str:
+    """Why the error after may be larger than before, in a sentence; empty where it is not.
+
+    A coarse sensor at rest repeats one rounding error, and what is reported is over all samples.
+    """
+    before, after = diagnosis.before, diagnosis.after
+    pairs = [(before.fit, after.fit, before.train_rmse, after.train_rmse)]
+    if before.holdout is not None and after.holdout is not None:
+        pairs.append((before.holdout, after.holdout, before.holdout_rmse, after.holdout_rmse))
+    unit = diagnosis.plant.channels[judged_channels(diagnosis.plant)[0]].unit
+    falls = [
+        f"{quantity(effective_rmse(first), unit)} to {quantity(effective_rmse(second), unit)}"
+        for first, second, least, most in pairs
+        if most > (1.0 + VISIBLE) * least
+    ]
+    if not falls:
+        return ""
+    return (
+        "At rest the sensor repeats one rounded reading; counted once in place of with every sample, "
+        f"the error goes from {' and from '.join(falls)}."
+    )
 
 
 def meanings(diagnosis: Diagnosis) -> list[Meaning]:
