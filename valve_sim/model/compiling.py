@@ -169,11 +169,7 @@ def compiled_callback(signature: Any, function: Callable[..., Any], given: Mappi
 
 
 def compiled_once(function: Callable[..., Any]) -> Any:
-    """The same without storing it.
-
-    For a function that belongs to no module, so that it cannot be found again by its name, and for one that only
-    compiled code calls, which is stored with its caller.
-    """
+    """The same without storing it: a function that belongs to no module cannot be found again by its name."""
     return numba.njit(nogil=True, error_model="numpy")(function)
 
 
@@ -194,14 +190,22 @@ def linked(version: tuple[int, int]) -> dict[str, Any]:
     return {"pipeline_class": LinkedCompiler}
 
 
-_INNER: dict[str, Any] = {
+_TAKEN_IN: dict[str, Any] = {
     **linked(numba.version_info.short),
     "no_cpython_wrapper": True,
     "no_cfunc_wrapper": True,
     "error_model": "numpy",
+}
+_INNER: dict[str, Any] = {
+    **_TAKEN_IN,
     "_nrt": False,  # nothing is allocated inside a step, so no references are counted
     "fastmath": {"contract", "arcp"},  # fused multiply-add and shared reciprocals; NaN and infinity stay exact
 }
+
+
+def taken_in(function: Callable[..., Any]) -> Any:
+    """Compile the body of a function that Python calls: without Python's wrappers, and otherwise as that function."""
+    return numba.njit(**_TAKEN_IN)(function)
 
 
 def inner(function: Callable[..., Any]) -> Any:

@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from valve_sim.model.compiling import compiled, compiled_once, inner
+from valve_sim.model.compiling import compiled, inner, taken_in
 from valve_sim.model.core_types import EVENT_RECORD, Outcome
 from valve_sim.model.dormand_prince import (
     ALL_STATES,
@@ -306,9 +306,9 @@ def run(valve, state, until, samples, log, control, vary):
     return _run_on(valve, state, np.zeros(1, WORK_RECORD), (*until, *control), samples, log, vary)
 
 
-@compiled_once
+@taken_in
 def _run_on(valve, state, works, limits, samples, log, vary):
-    """`run_varied` on a (1,) work record.
+    """`run` on a (1,) work record.
 
     The caller owns that record: Numba frees an array after the last use of its name, so that an array of which this
     loop only kept the element would be freed while the loop goes on, and other threads would write into it.
