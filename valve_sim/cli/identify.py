@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     "--free",
     metavar="A,B",
     default="pilot_damping,main_damping",
-    help="What to refit: declared parameters (a0 ... a3: the polynomial) and effects, e.g. coulomb_friction.force.",
+    help="What to refit: declared parameters (a0 ... a3: the polynomial), of effects, e.g. coulomb_friction.force, and "
+    "of gas, e.g. gas.outlet_volume.",
 )
 @click.option("--shared", is_flag=True, help="For many recordings: each is fitted by itself, and the valve is shared.")
 @cluster_options(

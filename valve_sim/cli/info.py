@@ -51,7 +51,9 @@ def info(*, bag: Path, name: str | None, params: Path | None, as_json: bool) -> 
 
 def _judged_words(summary: TraceSummary) -> str:
     if summary.position_range is None:
-        return f"no position; noise of the current {1e3 * summary.noise:.3g} mA"
+        is_current = summary.judged == "current"
+        noise = f"current {1e3 * summary.noise:.3g} mA" if is_current else f"pressure {1e-3 * summary.noise:.3g} kPa"
+        return f"no position; noise of the {noise}"
     low, high = (1e6 * position for position in summary.position_range)
     return f"pilot plunger from {low:.2f} to {high:.2f} µm, noise {1e6 * summary.noise:.3g} µm"
 

@@ -44,7 +44,14 @@ if TYPE_CHECKING:
     type=finite_number(0.0),
     help="Measure the voltage at the coil, too, with this noise, mV.",
 )
-@click.option("--without-position", is_flag=True, help="Record the coil alone, as where no position can be measured.")
+@click.option(
+    "--pressure-noise-kpa",
+    metavar="KPA",
+    type=finite_number(0.0),
+    default=0.0,
+    help="Noise of the outlet's pressure, kPa, of a valve with gas.",
+)
+@click.option("--without-position", is_flag=True, help="Record no position, as where none can be measured.")
 @click.option(
     "--seed", type=click.IntRange(min=0), default=0, help="Seed of the noise; the same seed gives the same recording."
 )
@@ -62,6 +69,7 @@ def simulate(
     quantisation_um: float,
     current_noise_ma: float | None,
     voltage_noise_mv: float | None,
+    pressure_noise_kpa: float,
     without_position: bool,
     seed: int,
     output: Path,
@@ -84,8 +92,9 @@ def simulate(
 
     The CSV has the columns time, coil_voltage, coil_current, pilot_position, main_position, pilot_velocity, phase and,
     of a valve with gas, outlet_pressure and mass_flow (from inlet to outlet), in SI units. The bag has
-    /valve/coil_voltage, /valve/measured/joint_states and /valve/measured/coil_current, and its stamps begin at 0. With
-    --voltage-noise-mv, voltage and current at the coil's terminals are in /valve/measured/coil.
+    /valve/coil_voltage, /valve/measured/joint_states, /valve/measured/coil_current and, with gas,
+    /valve/measured/outlet_pressure, and its stamps begin at 0. With --voltage-noise-mv, voltage and current at the
+    coil's terminals are in /valve/measured/coil.
     """
     if (voltage is None) == (profile is None):
         raise click.UsageError("give either --voltage or --profile", click.get_current_context())
@@ -99,7 +108,7 @@ def simulate(
     voltage_noise = None if voltage_noise_mv is None else 1e-3 * voltage_noise_mv
     sensor = Sensor(
         1e-6 * noise_um, 1e-6 * quantisation_um, 1e-3 * current_noise, seed, voltage_noise,
-        has_positions=not without_position,
+        has_positions=not without_position, pressure_noise=1e3 * pressure_noise_kpa,
     )  # fmt: skip
     valve = declared_valve(params)
     recording = record(valve, drive, duration, rate, sensor)

@@ -34,6 +34,13 @@ OUTSIDE: Final = 1
     show_default="3 times the noise",
     help="The same of the current, mA, for recordings without positions.",
 )
+@click.option(
+    "--tolerance-kpa",
+    metavar="KPA",
+    type=finite_number(0.0, is_open=True),
+    show_default="3 times the noise",
+    help="The same of the outlet's pressure, kPa, of a valve with gas.",
+)
 @click.option("--command-jitter", is_flag=True, help="Estimate an error of each command's stamp, prior N(0, 50 µs).")
 @click.option("--junit", metavar="XML", type=FILE, help="Write a JUnit report, a test case for each stroke.")
 @click.option(
@@ -48,6 +55,7 @@ def validate(
     params: Path,
     tolerance_um: float | None,
     tolerance_ma: float | None,
+    tolerance_kpa: float | None,
     command_jitter: bool,
     junit: Path | None,
     plot: Path | None,
@@ -77,10 +85,11 @@ def validate(
     traces = read_recordings(bags, name, valve)
     tolerance = None if tolerance_um is None else 1e-6 * tolerance_um
     current_tolerance = None if tolerance_ma is None else 1e-3 * tolerance_ma
+    pressure_tolerance = None if tolerance_kpa is None else 1e3 * tolerance_kpa
     with progress_bar() as progress:
         result = replay(
-            traces, valve, tolerance, current_tolerance=current_tolerance, command_jitter=command_jitter,
-            progress=progress,
+            traces, valve, tolerance, current_tolerance=current_tolerance, pressure_tolerance=pressure_tolerance,
+            command_jitter=command_jitter, progress=progress,
         )  # fmt: skip
     if junit is not None:
         write_whole(junit, shown(validation_junit(result)))  # XML has no place for control characters

@@ -86,6 +86,7 @@ QUANTITIES: Final[Mapping[str, Quantity]] = {
     "current": Quantity("current", "coil current"),
     "acceleration": Quantity("acceleration", "along the axis"),
     "pressure": Quantity("pressure", "inlet pressure, absolute"),
+    "outlet_pressure": Quantity("pressure", "behind a valve with gas, absolute"),
     "temperature": Quantity("temperature", "of the coil"),
 }
 CLOCKS: Final = ("header", "bag")
@@ -226,7 +227,7 @@ def _named_valves(found: object, clock: str, path: str) -> dict[str, Mapping[str
 def _sources(entries: Mapping[Any, Any], clock: str, path: str, prefix: str) -> Mapping[str, Source]:
     sources = {key: _source(key, value, clock, f"{path}: {prefix}{key}") for key, value in entries.items()}
     where = f"{path}: {prefix.rstrip('.')}: " if prefix else f"{path}: "
-    if "position" not in sources and "current" not in sources:
+    if not {"position", "current", "outlet_pressure"} & set(sources):
         raise MapError(
             f"{where}names no position; say where it is: position: {{topic: ..., unit: mm}}, or where the coil's "
             "current is: current:"

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from valve_sim.files.recording_map import RecordingMap
 from valve_sim.fleet.cluster import run_batches
 from valve_sim.identification.estimation.declared_values import declared_values, estimated_valve
-from valve_sim.identification.estimation.identify import Identification, check_free, current_rmse, judged_rmse
+from valve_sim.identification.estimation.identify import Identification, check_free, judged_rmse, rmse_of_kind
 from valve_sim.identification.estimation.intervals import covariance_interval
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.shared_fit import Share, Shared, as_fit, fit_shared, share_of
@@ -105,7 +105,7 @@ def _errors(problem: Problem, values: Mapping[str, float], own: Mapping[str, flo
     plant, now = problem.plant, {**values, **own}
     samples = sum(len(plant.channels[index].data) for index in judged_channels(plant))
     judged = judged_rmse(plant, own), judged_rmse(plant, now)
-    return Errors(samples, *judged, current_rmse(plant, own), current_rmse(plant, now))
+    return Errors(samples, *judged, *(rmse_of_kind(plant, found, "current") for found in (own, now)))
 
 
 def identify_shared(
@@ -126,7 +126,7 @@ def identify_shared(
         ValveError: a recording or a name cannot be used, the declared valve cannot be simulated, or the cluster was
             lost.
     """
-    check_free(recordings.free)
+    check_free(recordings.free, has_gas=recordings.valve.gas is not None)
     say, first = progress or (lambda what, fraction: None), recordings.problem(paths[0])
     own: list[Mapping[str, float]] = [{} for _ in paths]
     latest: list[Errors] = []

@@ -26,10 +26,13 @@ MAIN = "main_plunger"
 
 POSITIONS = ("position", "main_position")
 INPUTS = ("command", "voltage")
+JUDGED = ("position", "current", "outlet_pressure")
+"""By which of these a valve is judged: the first that is recorded."""
 SIGNALS = {
     "current": "coil_current",
     "acceleration": "acceleration",
     "pressure": "inlet_pressure",
+    "outlet_pressure": "outlet_pressure",
     "temperature": "coil_temperature",
     "voltage": "coil_voltage",
 }
@@ -48,6 +51,7 @@ CHANNELS = {
     "coil_current": Channel("measured/coil_current", FLOAT, "data"),
     "acceleration": Channel("measured/acceleration", "sensor_msgs/msg/Imu", "linear_acceleration.x"),
     "inlet_pressure": Channel("measured/inlet_pressure", "sensor_msgs/msg/FluidPressure", "fluid_pressure"),
+    "outlet_pressure": Channel("measured/outlet_pressure", "sensor_msgs/msg/FluidPressure", "fluid_pressure"),
     "coil_temperature": Channel("measured/coil_temperature", "sensor_msgs/msg/Temperature", "temperature"),
 }
 LIVE_CURRENT = Channel("coil_current", FLOAT, "data")
@@ -76,8 +80,13 @@ class Plan(NamedTuple):
 
     @property
     def has_positions(self) -> bool:
-        """Whether positions are recorded; else the current must be."""
+        """Whether positions are recorded; else the current or the outlet's pressure must be."""
         return "position" in self.sources
+
+    @property
+    def judged(self) -> str:
+        """By what the valve is judged."""
+        return next((key for key in JUDGED if key in self.sources), JUDGED[-1])
 
     @property
     def fields(self) -> dict[str, frozenset[str] | None]:
@@ -127,10 +136,11 @@ def standard_plan(path: Path, valve: str | None, types: Mapping[str, str]) -> Pl
         )
     is_measured_coil = coil == topic_of(name, COIL)
     positions = measured if measured in types or is_measured_coil else live
-    if positions not in types and not coil and not _has_current(name, types):
+    pressure = topic_of(name, CHANNELS["outlet_pressure"].topic)
+    if positions not in types and not coil and not _has_current(name, types) and pressure not in types:
         raise TraceError(
             f"{path}: neither {measured} nor {live} is in it, nor the coil's current ({topic_of(name, COIL)}); record "
-            "the measured positions or the current"
+            f"the measured positions or the current (or, with gas, {pressure})"
         )
     expected = {command: FLOAT, positions: JOINT_STATE, coil: COIL_STATE}
     for topic, kind in expected.items():

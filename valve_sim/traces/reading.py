@@ -127,11 +127,11 @@ class _Assembly:
         self.recording = recording
         self.findings = list(recording.findings)
         self._reported: set[str] = set()
-        self.samples_topic = plan.sources["position" if plan.has_positions else "current"].topic
+        self.samples_topic = plan.sources[plan.judged].topic
 
     def trace(self) -> Trace:
         """Put the trace together."""
-        samples, clock = self.samples() if self.plan.has_positions else self.currents()
+        samples, clock = self.samples() if self.plan.has_positions else self.in_their_place(self.plan.judged)
         samples, shift, findings = in_order(samples, f"{self.path}: topic {self.samples_topic}", self.samples_topic)
         self.findings += findings
         offset, findings = clock_offset(samples.stamps, samples.bag_times + shift, self.samples_topic)
@@ -143,7 +143,7 @@ class _Assembly:
         signals = self.signals(epoch, offset - shift)
         pilot, main = samples.values.T
         if not self.plan.has_positions:
-            signals["coil_current"] = Signal(times, np.ascontiguousarray(pilot))
+            signals[SIGNALS[self.plan.judged]] = Signal(times, np.ascontiguousarray(pilot))
             times, pilot, main = np.empty((3, 0))
         trace = Trace(
             source=f"{self.path} ({self.plan.valve})",
@@ -155,11 +155,7 @@ class _Assembly:
             epoch_ns=epoch,
             clock=clock,
             origins={key: source.name for key, source in self.plan.sources.items()},
-            coil_current=signals["coil_current"],
-            coil_voltage=signals["coil_voltage"],
-            acceleration=signals["acceleration"],
-            inlet_pressure=signals["inlet_pressure"],
-            coil_temperature=signals["coil_temperature"],
+            **signals,  # type: ignore[arg-type] # by the names that a trace has for them
         )
         trouble = trouble_in(trace, self.samples_topic, self.input.topic)
         return replace(trace, findings=(*self.findings, *trouble))
@@ -270,28 +266,29 @@ class _Assembly:
             return samples._replace(stamps=samples.bag_times), "bag"
         return samples, "header"
 
-    def currents(self) -> tuple[Samples, str]:
-        """Return the current in the place of positions that were not recorded, and its clock."""
+    def in_their_place(self, quantity: str) -> tuple[Samples, str]:
+        """Return the current, or the outlet's pressure, in the place of positions not recorded, and its clock."""
         if self.plan.ignored:
             self.findings.append(
                 f"{self.plan.ignored} is a node's output beside a measured coil: it was not taken for positions"
             )
-        places = [self.plan.sources["current"]]
-        places += [self.plan.others["current"]] if "current" in self.plan.others else []
+        places = [self.plan.sources[quantity]]
+        places += [self.plan.others[quantity]] if quantity in self.plan.others else []
+        what = quantity.replace("_", " ")
         for source in places:
-            found = self.readings("current", source)
+            found = self.readings(quantity, source)
             finite = np.isfinite(found.values)
             if finite.any():
                 break
         else:
             raise TraceError(
-                f"{self.path}: topic {source.topic}: no finite current in {len(found.values)} samples, and no position "
-                "is recorded; fill current"
+                f"{self.path}: topic {source.topic}: no finite {what} in {len(found.values)} samples, and no position "
+                f"is recorded; fill {what}"
             )
         self.samples_topic = source.topic
         if not finite.all():
             self.findings.append(
-                f"{source.topic}: dropped {(~finite).sum()} of {len(finite)} samples without a finite current"
+                f"{source.topic}: dropped {(~finite).sum()} of {len(finite)} samples without a finite {what}"
             )
         values = np.column_stack([found.values[finite], np.full(finite.sum(), np.nan)])
         stamps = np.where(found.is_stamped, found.stamps, found.bag_times)[finite]

@@ -61,7 +61,8 @@ class TraceSummary:
         voltages: The commanded levels, V, ascending.
         position_range: Lowest and highest position of the pilot plunger, m; None where none was recorded.
         noise: Standard deviation of the noise from sample to sample: of the position, m, or without any of the
-            current, A.
+            current, A, or else of the outlet's pressure, Pa.
+        judged: Which of them, as `Trace.judged`.
         strokes: What the commands did: the parts of its strokes.
         findings: What reading the trace found.
     """
@@ -79,6 +80,7 @@ class TraceSummary:
     noise: float
     strokes: tuple[StrokePart, ...]
     findings: tuple[str, ...]
+    judged: str = "position"
 
 
 def describe(trace: Trace) -> TraceSummary:
@@ -97,16 +99,11 @@ def describe(trace: Trace) -> TraceSummary:
         commands=len(trace.drive.times),
         voltages=tuple(np.unique(trace.drive.volts).tolist()),
         position_range=_position_range(trace),
-        noise=sample_noise(_judged_signal(trace)),
+        noise=sample_noise(trace.judged_signal.values),
         strokes=find_stroke_parts(trace),
         findings=trace.findings,
+        judged=trace.judged,
     )
-
-
-def _judged_signal(trace: Trace) -> NDArray[np.float64]:
-    if trace.has_positions or trace.coil_current is None:
-        return trace.pilot_position
-    return trace.coil_current.values
 
 
 def _position_range(trace: Trace) -> tuple[float, float] | None:
@@ -118,7 +115,9 @@ def _rates(trace: Trace) -> dict[str, Rate]:
     times = {"position": trace.times} if trace.has_positions else {}
     if trace.main_position is not None:
         times["main_position"] = trace.times
-    for name in ("coil_current", "coil_voltage", "acceleration", "inlet_pressure", "coil_temperature"):
+    for name in (
+        "coil_current", "coil_voltage", "acceleration", "inlet_pressure", "outlet_pressure", "coil_temperature",
+    ):  # fmt: skip
         signal = getattr(trace, name)
         if signal is not None:
             times[name] = signal.times

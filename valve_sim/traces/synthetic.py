@@ -35,6 +35,7 @@ class Sensor:
         current_noise: standard deviation of white noise on the coil current, A.
         seed: of the noise; the same seed gives the same recording.
         voltage_noise: standard deviation of white noise on the coil's voltage, V; None where it is not measured.
+        pressure_noise: standard deviation of white noise on the outlet's pressure, Pa, of a valve with gas.
         has_positions: whether there is a position sensor.
     """
 
@@ -44,6 +45,7 @@ class Sensor:
     seed: int = 0
     voltage_noise: float | None = None
     has_positions: bool = True
+    pressure_noise: float = 0.0
 
 
 class Recording(NamedTuple):
@@ -53,7 +55,7 @@ class Recording(NamedTuple):
     trace: Trace
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """The table of `CSV_COLUMNS`: positions and current as measured, velocity, phase and gas as they were.
+        """The table of `CSV_COLUMNS`: positions, current, pressure as measured; velocity, phase, flow as they were.
 
         Positions that were not measured are NaN.
         """
@@ -70,8 +72,8 @@ class Recording(NamedTuple):
             response.phase,
         )
         columns = dict(zip(CSV_COLUMNS, values, strict=True))
-        if response.outlet_pressure is not None and response.mass_flow is not None:
-            columns |= {"outlet_pressure": response.outlet_pressure, "mass_flow": response.mass_flow}
+        if trace.outlet_pressure is not None and response.mass_flow is not None:
+            columns |= {"outlet_pressure": trace.outlet_pressure.values, "mass_flow": response.mass_flow}
         return columns
 
 
@@ -109,11 +111,14 @@ def record(valve: Valve, drive: Drive, duration: float, rate: float, sensor: Sen
     voltage = None
     if sensor.voltage_noise is not None:
         voltage = Signal(times, response.coil_voltage + sensor.voltage_noise * random.standard_normal(count))
+    pressure = None
+    if response.outlet_pressure is not None:
+        pressure = Signal(times, response.outlet_pressure + sensor.pressure_noise * random.standard_normal(count))
     commands = Drive(drive.times[inside], drive.volts[inside])
     seen = slice(None) if sensor.has_positions else slice(0)
     trace = Trace(
         "simulation", commands, times[seen], pilot[seen], main if sensor.has_positions else None,
-        coil_current=Signal(times, current), coil_voltage=voltage,
+        coil_current=Signal(times, current), coil_voltage=voltage, outlet_pressure=pressure,
     )  # fmt: skip
     return Recording(response, trace)
 

@@ -12,7 +12,7 @@ from valve_sim.files.recording_map import QUANTITIES, UNITS, RecordingMap, Sourc
 from valve_sim.model import Drive
 from valve_sim.traces.clocks import SECOND
 from valve_sim.traces.errors import TraceError
-from valve_sim.traces.layout import SIGNALS
+from valve_sim.traces.layout import JUDGED, SIGNALS
 from valve_sim.traces.trace import DriveErrors, Signal, Trace
 from valve_sim.traces.trouble import trouble_in
 from valve_sim.traces.voltage_steps import find_steps, held_steps
@@ -32,6 +32,8 @@ OWN_COLUMNS = {
     "current": "coil_current",
 }
 """Of the CSV that `valve-sim simulate` writes."""
+GAS_COLUMN = "outlet_pressure"
+"""The same of a valve with gas, beside these; the quantity has that name, too."""
 
 
 def standard_map(path: Path) -> RecordingMap:
@@ -47,7 +49,8 @@ def standard_map(path: Path) -> RecordingMap:
             f"{path}: is not a recording of ROS topics but a table ({listed}); say with --map which column is what, "
             f"valve-sim map {path} writes a first map"
         )
-    sources = {key: Source(column=column) for key, column in OWN_COLUMNS.items()}
+    own = OWN_COLUMNS | ({GAS_COLUMN: GAS_COLUMN} if GAS_COLUMN in names else {})
+    sources = {key: Source(column=column) for key, column in own.items()}
     return RecordingMap(str(path), {"/valve": sources}, TimeAxis("time"))
 
 
@@ -86,7 +89,7 @@ class _TableAssembly:
 
     def trace(self, valve: str) -> Trace:
         """Put the trace together."""
-        judged = "position" if "position" in self.sources else "current"
+        judged = next(key for key in JUDGED if key in self.sources)
         pilot = self.column(judged)
         times, kept = self.times(len(pilot))
         finite = np.isfinite(pilot)
@@ -105,7 +108,7 @@ class _TableAssembly:
             self.findings.append(f"{self.sources['main_position'].name}: has empty cells and was left out")
             main = None
         signals = {attribute: self.signal(key, times, kept) for key, attribute in SIGNALS.items() if key != self.input}
-        if judged == "current":
+        if judged != "position":
             use = np.zeros_like(use)
         drive, errors = self.drive(times, kept)
         trace = Trace(
@@ -122,6 +125,7 @@ class _TableAssembly:
             coil_voltage=signals.get("coil_voltage"),
             acceleration=signals["acceleration"],
             inlet_pressure=signals["inlet_pressure"],
+            outlet_pressure=signals["outlet_pressure"],
             coil_temperature=signals["coil_temperature"],
         )
         trouble = trouble_in(trace, self.sources[judged].name, self.sources[self.input].name)

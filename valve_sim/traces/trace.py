@@ -56,7 +56,7 @@ class Trace:
         coil_current: Measured current, A.
         coil_voltage: Measured at the coil's terminals, V: the input in place of the command, see `input`.
         acceleration: Along the axis, m/s².
-        inlet_pressure: Pa.
+        inlet_pressure, outlet_pressure: Before and behind a valve with gas, absolute, Pa.
         coil_temperature: °C.
         epoch_ns: The first stamp of commands or samples, ns, on the samples' clock.
         clock: "header" when samples are timed by their stamps, "bag" when by the time they were recorded; of a table
@@ -77,6 +77,7 @@ class Trace:
     coil_voltage: Signal | None = None
     acceleration: Signal | None = None
     inlet_pressure: Signal | None = None
+    outlet_pressure: Signal | None = None
     coil_temperature: Signal | None = None
     epoch_ns: int = 0
     clock: str = "header"
@@ -99,12 +100,23 @@ class Trace:
 
     @property
     def has_positions(self) -> bool:
-        """Whether positions were recorded; else the coil's current was."""
+        """Whether positions were recorded; else the coil's current or the outlet's pressure was."""
         return len(self.times) > 0
 
     @property
+    def judged(self) -> str:
+        """By what the valve is judged: "position", or where none was recorded "current", or else "outlet_pressure"."""
+        if self.has_positions:
+            return "position"
+        return "outlet_pressure" if self.coil_current is None else "current"
+
+    @property
+    def judged_signal(self) -> Signal:
+        """That signal."""
+        signal = self.outlet_pressure if self.coil_current is None else self.coil_current
+        return Signal(self.times, self.pilot_position) if self.has_positions or signal is None else signal
+
+    @property
     def sample_times(self) -> NDArray[np.float64]:
-        """Times of the positions or, without any, of the current, s."""
-        if self.has_positions or self.coil_current is None:
-            return self.times
-        return self.coil_current.times
+        """Its times, s."""
+        return self.judged_signal.times

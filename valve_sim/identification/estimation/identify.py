@@ -18,6 +18,7 @@ from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Channel, Nuisance, Plant, judged_channels
 from valve_sim.identification.plants.root_mean_square import root_mean_square
 from valve_sim.identification.plants.valve import DAMPINGS, ValvePlant
+from valve_sim.identification.plants.valve_model import GAS_NAMES
 from valve_sim.model import CATALOGUE, DECLARED, ParameterError, Valve
 from valve_sim.model.parameters import closest
 from valve_sim.traces import Trace
@@ -40,8 +41,9 @@ class Identification:
         profiles: by freed parameter, (value, rise of χ²) pairs.
         findings: what the data do not determine, and what else is off.
         rmse_before, rmse_after: of what is judged, as declared and refitted: m, of the pilot plunger's position; A, of
-            the current where no position was recorded.
+            the current where no position was recorded; Pa, of the outlet's pressure where that is all there is.
         current_before, current_after: A, of the current; NaN where none was recorded.
+        pressure_before, pressure_after: Pa, of the outlet's pressure; likewise.
         valve: the identified valve.
         declared: values that are known within a tolerance, as declared and as the data see them.
     """
@@ -57,6 +59,8 @@ class Identification:
     declared: tuple[DeclaredValue, ...] = ()
     current_before: float = math.nan
     current_after: float = math.nan
+    pressure_before: float = math.nan
+    pressure_after: float = math.nan
 
     @property
     def judged(self) -> Channel:
@@ -76,7 +80,7 @@ def identify(
     Args:
         traces: measured strokes.
         valve: the declared valve; effects that it has on stay on.
-        free: declared parameters, or `<effect>.<parameter>`, to refit.
+        free: declared parameters, `gas.<name>` or `<effect>.<parameter>`, to refit.
         progress: told what is being done, and the fraction done.
 
     Raises:
@@ -84,7 +88,7 @@ def identify(
         SimulationError: the declared valve cannot be simulated.
     """
     say = progress or (lambda what, fraction: None)
-    check_free(free)
+    check_free(free, has_gas=valve.gas is not None)
     plant = ValvePlant(traces, valve)
     say("noise", 0.0)
     problem = Problem(plant)
@@ -99,22 +103,25 @@ def identify(
     return Identification(
         best, intervals, profiles, findings(best, intervals), judged_rmse(plant, offsets),
         judged_rmse(plant, best.values), estimated_valve(best, plant), tuple(trace.source for trace in traces),
-        declared_values(best), current_rmse(plant, offsets), current_rmse(plant, best.values),
+        declared_values(best), *(
+            rmse_of_kind(plant, values, kind) for kind in ("current", "pressure") for values in (offsets, best.values)
+        ),
     )  # fmt: skip
 
 
-def check_free(free: Sequence[str]) -> None:
-    """All names can be freed.
+def check_free(free: Sequence[str], *, has_gas: bool = True) -> None:
+    """All names can be freed, of a valve with or without gas.
 
     Raises:
         ParameterError: one cannot; the message has the closest that can.
     """
     known = [*DECLARED, *(f"{e.name}.{p.name}" for e in CATALOGUE.values() if e.named for p in e.parameters)]
     for name in free:
-        if name not in known:
-            raise ParameterError(
-                f"{name}: cannot be freed, there is no such parameter; did you mean {closest(name, known)}?"
-            )
+        if not has_gas and name in GAS_NAMES:
+            raise ParameterError(f"{name}: cannot be freed, the valve declares no gas; add gas: to its file")
+        if name not in [*known, *GAS_NAMES]:
+            alike = closest(name, [*known, *GAS_NAMES])
+            raise ParameterError(f"{name}: cannot be freed, there is no such parameter; did you mean {alike}?")
 
 
 def best_fit(problem: Problem, free: Sequence[str], progress: Callable[[float], None]) -> Fit:
@@ -154,10 +161,10 @@ def judged_rmse(plant: Plant, values: Mapping[str, float]) -> float:
     return _rmse(plant, values, judged_channels(plant))
 
 
-def current_rmse(plant: Plant, values: Mapping[str, float]) -> float:
-    """The same of the currents, A; NaN where there are none."""
-    currents = [index for index, channel in enumerate(plant.channels) if channel.kind == "current"]
-    return _rmse(plant, values, currents) if currents else math.nan
+def rmse_of_kind(plant: Plant, values: Mapping[str, float], kind: str) -> float:
+    """The same of all channels of a kind, in their unit; NaN where there are none."""
+    channels = [index for index, channel in enumerate(plant.channels) if channel.kind == kind]
+    return _rmse(plant, values, channels) if channels else math.nan
 
 
 def _rmse(plant: Plant, values: Mapping[str, float], channels: Sequence[int]) -> float:

@@ -138,9 +138,9 @@ class ForceMap:
         return [replace(few, only=index) for index in range(1, places + 1)]
 
 
-READABLE_UNITS: Final = {"m": (1e6, "µm"), "A": (1e3, "mA")}
+READABLE_UNITS: Final = {"m": (1e6, "µm"), "A": (1e3, "mA"), "Pa": (1e-3, "kPa")}
 """SI unit to factor and name of the display unit."""
-KEY_OF_UNIT: Final = {"µm": "um", "mA": "ma"}
+KEY_OF_UNIT: Final = {"µm": "um", "mA": "ma", "kPa": "kpa"}
 """Display unit to what a name in JSON ends with: rmse_um."""
 
 Role = Literal["response", "actuation"]

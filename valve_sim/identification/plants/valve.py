@@ -38,10 +38,12 @@ from valve_sim.identification.plants.valve_sensors import (
     followed,
     predicted,
     with_usable_current,
+    without_pressure,
 )
 from valve_sim.model import Drive, Parameter, Valve
 from valve_sim.model.effects import FORCE_MAP_VARIABLES
 from valve_sim.traces import Signal, Trace
+from valve_sim.traces.layout import SIGNALS
 
 DAMPINGS: Final = ("pilot_damping", "main_damping")
 """Declared values that every fit frees, because they are not known beforehand."""
@@ -70,7 +72,8 @@ class ValvePlant:
 
     def __init__(self, traces: Sequence[Trace], valve: Valve) -> None:
         jumps = valve.parameters.coil_time_constant == 0.0 or "motional_emf" in valve.effects
-        self.traces = tuple(with_usable_current(trace, jumps=jumps) for trace in traces)
+        known = [trace if valve.gas is not None else without_pressure(trace) for trace in traces]
+        self.traces = tuple(with_usable_current(trace, jumps=jumps) for trace in known)
         # Beside positions a current of another form is believed to what is missed of it, see `selection.current_check`.
         goes_by_current = not any(trace.has_positions for trace in self.traces)
         self._model = ValveModel(valve, DAMPINGS, goes_by_current=goes_by_current)
@@ -83,7 +86,7 @@ class ValvePlant:
 
     @property
     def channels(self) -> Sequence[Channel]:
-        """Pilot position and, where recorded, coil current, trace by trace."""
+        """Pilot position, coil current and outlet pressure, as far as recorded, trace by trace."""
         return self._channels
 
     @property
@@ -161,12 +164,14 @@ class ValvePlant:
         drive = Drive.of([PULSE_START, PULSE_START + duration], [volts, 0.0])
         nothing = np.zeros_like(times)
         if not self.traces[0].has_positions:
-            trace = Trace("an experiment", drive, times[:0], times[:0], coil_current=Signal(times, nothing))
+            seen = SIGNALS[self.traces[0].judged]
+            blank = Trace("an experiment", drive, times[:0], times[:0])
+            trace = replace(blank, **{seen: Signal(times, nothing)})  # type: ignore[arg-type] # by name
             plant = ValvePlant([trace], self.valve)
-            (current,) = plant.predict(values)
-            # Samples at a command, where the current may jump, are not among them.
-            shown = Signal(plant.channels[0].times, current)
-            return ValvePlant([replace(trace, coil_current=shown)], self.valve)
+            (predicted_there,) = plant.predict(values)
+            # Samples at a command, where a current may jump, are not among them.
+            shown = Signal(plant.channels[0].times, predicted_there)
+            return ValvePlant([replace(trace, **{seen: shown})], self.valve)  # type: ignore[arg-type]
         trace = Trace("an experiment", drive, times, nothing)
         (position,) = ValvePlant([trace], self.valve).predict(values)
         return ValvePlant([replace(trace, pilot_position=position)], self.valve)
@@ -225,7 +230,7 @@ class ValvePlant:
         shown: list[Array] = []
         for index, trace in enumerate(self.traces):
             drive = drive_with(trace, index, values, self.valve.parameters.release_voltage)
-            position, *current = predicted(record, trace, drive, lateness_with(index, values))
+            position, *others = predicted(record, trace, drive, lateness_with(index, values))
             positions = [position + zero_with(index, values)] if trace.has_positions else []
-            shown.extend([*positions, *current])
+            shown.extend([*positions, *others])
         return shown

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, Final
 
 from valve_sim.identification.plants.protocol import Array, EffectChoice, Nuisance
 from valve_sim.identification.plants.tolerances import ToleratedValues
 from valve_sim.model import CATALOGUE, DECLARED, Parameter, Valve
+from valve_sim.model.gas import GAS, GasParameters
 from valve_sim.model.gas.record import record_of
+
+GAS_NAMES: Final[Mapping[str, str]] = {f"gas.{name}": name for name in GAS}
+"""What fits call a number of the group `gas`, and what the group calls it."""
 
 
 class ValveModel:
@@ -44,18 +48,23 @@ class ValveModel:
         }
         self.effects: Mapping[str, EffectChoice] = self._tolerated.with_hypotheses(effects, refitted)
         self._declared = valve.declared()
+        self._gas = GAS_NAMES if valve.gas is not None else {}
 
     def parameter(self, name: str) -> Parameter:
-        """Unit and range of a declared parameter or of `<effect>.<parameter>`.
+        """Unit and range of a declared parameter, of `gas.<name>`, or of `<effect>.<parameter>`.
 
         Raises:
             KeyError: there is none.
         """
+        if name in self._gas:
+            return GAS[self._gas[name]]
         effect, dot, parameter = name.partition(".")
         return CATALOGUE[effect].parameter(parameter) if dot else self._tolerated.parameter(name) or DECLARED[name]
 
     def declared(self, name: str) -> float:
         """The declared value, or the one at which an effect changes nothing."""
+        if name in self._gas:
+            return float(getattr(self.valve.gas, self._gas[name]))
         effect, dot, parameter = name.partition(".")
         if not dot:
             return self._tolerated.declared(name)
@@ -69,11 +78,17 @@ class ValveModel:
         declared = {}
         for name, value in self._tolerated.as_declared(values).items():
             effect, dot, parameter = name.partition(".")
-            if dot:
-                effects.setdefault(effect, CATALOGUE[effect].neutral_values())[parameter] = float(value)
-            elif name in self._declared:
+            if name in self._declared:
                 declared[name] = float(value)
-        return replace(self.valve.with_values(**declared), effects=effects)
+            elif dot and name not in self._gas:
+                effects.setdefault(effect, CATALOGUE[effect].neutral_values())[parameter] = float(value)
+        return replace(self.valve.with_values(**declared), effects=effects, gas=self._gas_with(values))
+
+    def _gas_with(self, values: Mapping[str, float]) -> GasParameters | None:
+        """The gas that freed values describe."""
+        gas = self.valve.gas
+        freed = {own: float(values[name]) for name, own in self._gas.items() if name in values}
+        return gas if gas is None or not freed else gas._replace(**freed)  # type: ignore[arg-type] # numbers by name
 
     def propagated(self, names: Sequence[str], covariance: Array) -> tuple[tuple[str, ...], Array]:
         """Declared scalars and `<effect>.<parameter>` with their covariance, for those of what was estimated.
@@ -92,8 +107,8 @@ class ValveModel:
         declared = dict(self._declared)
         for name, value in self._tolerated.as_declared(values).items():
             effect, dot, parameter = name.partition(".")
-            if dot:
-                effects.setdefault(effect, {})[parameter] = value
-            elif name in declared:
+            if name in declared:
                 declared[name] = value
-        return record_of(declared, effects, self.valve.gas)
+            elif dot and name not in self._gas:
+                effects.setdefault(effect, {})[parameter] = value
+        return record_of(declared, effects, self._gas_with(values))

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.identification.plants.protocol import Array, Channel, Role
-from valve_sim.model import Drive, SimulationError
+from valve_sim.model import Drive, ParameterError, SimulationError
 from valve_sim.model.core_types import EVENT_RECORD
-from valve_sim.model.simulation import Samples, new_states, rated_current, run_record
+from valve_sim.model.gas.step import FIRST_COLUMN
+from valve_sim.model.simulation import Samples, columns_of, new_states, rated_current, run_record
 from valve_sim.traces import Signal, Trace, stroke_numbers
 from valve_sim.traces.measured_input import AT_COMMAND
 
@@ -29,26 +30,31 @@ FASTEST_UNSEEN: Final = 1.0
 """m/s, above what plungers of such valves reach: where no position shows it."""
 ROUNDING: Final = 2.0**-24 / math.sqrt(3.0)
 """Relative standard deviation of a number in single precision, as `sensor_msgs/BatteryState` has it, at its largest."""
+PRESSURE_RESOLUTION: Final = 1e-6
+"""Relative error of a simulated outlet pressure: a valve with gas is stepped with a looser tolerance."""
 STILL: Final = 6.0
 """Standard deviations within which a still sensor stays."""
+EQUAL: Final = 2.0
+"""The same of a pressure, which comes to rest slowly: what is left of its rise must not be taken for noise."""
 
 _NO_EVENTS: Final = np.empty(0, EVENT_RECORD)
 _NO_TIMES: Final = np.empty(0)
 
 
-def still_mask(trace: Trace) -> NDArray[np.bool_]:
-    """(n,) where the pilot plunger is known to be still: the ends of the intervals between commands.
+def still_mask(drive: Drive, readings: Signal, within: float = STILL) -> NDArray[np.bool_]:
+    """(n,) where what is read is known to be still: the ends of the intervals between commands.
 
-    The quiet end of an interval begins where readings stay within `STILL` standard deviations of its last ones.
+    The quiet end of an interval begins where readings stay within so many standard deviations of their second
+    differences (2.4 times the noise, if that is white) of the interval's last ones.
     """
-    data, times = trace.pilot_position, trace.times
+    times, data = readings
     quiet = np.zeros(len(data), dtype=bool)
     bends = np.abs(np.diff(data, 2)) if len(data) > 2 else np.zeros(1)
-    edges = np.searchsorted(times, np.concatenate([[-np.inf], trace.drive.times, [np.inf]]))
+    edges = np.searchsorted(times, np.concatenate([[-np.inf], drive.times, [np.inf]]))
     resting = [bends[max(0, b - (b - a) // 4) : b - 2] for a, b in itertools.pairwise(edges)]
     spread = [1.4826 * float(np.median(piece)) for piece in resting if len(piece) > 10]
     sigma = float(np.median(spread)) if spread else 0.0
-    width = STILL * max(sigma, 1e-9) + _coarse_step(data)
+    width = within * max(sigma, 1e-9) + _coarse_step(data)
     for index, (start, stop) in enumerate(itertools.pairwise(edges)):
         if stop - start < 20:
             continue
@@ -102,6 +108,20 @@ def with_usable_current(trace: Trace, *, jumps: bool) -> Trace:
     return replace(trace, coil_current=Signal(times[is_clear], values[is_clear]))
 
 
+def without_pressure(trace: Trace) -> Trace:
+    """The trace as a valve without gas explains it.
+
+    Raises:
+        ParameterError: nothing else was recorded of it.
+    """
+    if trace.judged == "outlet_pressure":
+        raise ParameterError(
+            f"{trace.source}: holds the outlet's pressure alone, and the valve declares no gas; give a parameter file "
+            "with the group gas"
+        )
+    return replace(trace, outlet_pressure=None)
+
+
 def without_jittered_current(trace: Trace) -> Trace:
     """The trace, less a current whose times are those of its arrival: they scatter, and would bias the clock offset."""
     if trace.coil_current is None or len(trace.coil_current.times) < 3:
@@ -113,17 +133,35 @@ def without_jittered_current(trace: Trace) -> Trace:
 
 
 def channels_of(index: int, trace: Trace) -> list[Channel]:
-    """Pilot position and coil current, where recorded, of the recording of this number.
+    """Pilot position, coil current and outlet pressure, where recorded, of the recording of this number.
 
     Without positions the current is the machine's response; beside them it shows the actuator.
     """
-    if not trace.has_positions:
-        return [_current_channel(index, trace, "response")]
-    position = Channel(
-        f"{trace.source}: pilot_position", "position", trace.times, trace.pilot_position, still_mask(trace),
-        stroke_numbers(trace.drive, trace.times), recording=index, resolution=_position_resolution(trace),
+    found = []
+    if trace.has_positions:
+        still = still_mask(trace.drive, trace.judged_signal)
+        found.append(
+            Channel(
+                f"{trace.source}: pilot_position", "position", trace.times, trace.pilot_position, still,
+                stroke_numbers(trace.drive, trace.times), recording=index, resolution=_position_resolution(trace),
+            )
+        )  # fmt: skip
+    if trace.coil_current is not None:
+        found.append(_current_channel(index, trace, "actuation" if trace.has_positions else "response"))
+    if trace.outlet_pressure is not None:
+        found.append(_pressure_channel(index, trace))
+    return found
+
+
+def _pressure_channel(index: int, trace: Trace) -> Channel:
+    assert trace.outlet_pressure is not None
+    times, data = trace.outlet_pressure
+    still = still_mask(trace.drive, trace.outlet_pressure, EQUAL)
+    return Channel(
+        f"{trace.source}: outlet_pressure", "pressure", times, data, still,
+        stroke_numbers(trace.drive, times), "Pa", recording=index, drifts=True,
+        resolution=PRESSURE_RESOLUTION * float(np.max(np.abs(data), initial=0.0)),
     )  # fmt: skip
-    return [position] if trace.coil_current is None else [position, _current_channel(index, trace, "actuation")]
 
 
 def _current_channel(index: int, trace: Trace, role: Role) -> Channel:
@@ -142,12 +180,16 @@ def prepared(record: Any, trace: Trace, drive: Drive, offset: float) -> tuple[An
     times = trace.times - offset
     current_times = trace.coil_current.times - offset if trace.coil_current is not None else _NO_TIMES
     samples = Samples(times, np.empty((len(times), 1)), current_times, np.empty(len(current_times)))
-    first = times[0] if trace.has_positions else current_times[0]
-    return new_states(record, min(float(drive.times[0]), float(first))), samples
+    return _state_before(record, drive, trace.sample_times - offset), samples
+
+
+def _state_before(record: Any, drive: Drive, times: Array) -> Any:
+    """A valve at rest at the first command or sample."""
+    return new_states(record, min(float(drive.times[0]), float(times.min())))
 
 
 def predicted(record: Any, trace: Trace, drive: Drive, offset: float) -> list[Array]:
-    """What the channels of a trace would show.
+    """What the channels of a trace would show: positions (none where none were recorded), currents, pressures.
 
     Args:
         record: (1,) VALVE_RECORD. trace: whose sample times count. drive: when the voltage changes, s.
@@ -156,25 +198,47 @@ def predicted(record: Any, trace: Trace, drive: Drive, offset: float) -> list[Ar
     Raises:
         SimulationError: the simulation could not be carried to its end.
     """
+    if trace.outlet_pressure is not None:
+        return _predicted_with_pressure(record, trace, trace.outlet_pressure.times, drive, offset)
     state, samples = prepared(record, trace, drive, offset)
     run_record(record, state, drive, samples, _NO_EVENTS, FIT_TOLERANCE)
-    rows, currents = samples.rows, samples.currents
+    return [samples.rows[:, 0], *_amperes(record, trace, samples.currents)]
+
+
+def _amperes(record: Any, trace: Trace, currents: Array) -> list[Array]:
     if trace.coil_current is None:
-        return [rows[:, 0]]
+        return []
     if record[0]["coil_resistance"] <= 0.0:
         raise SimulationError("coil_resistance: found 0 Ω, which leaves the current infinite")
-    return [rows[:, 0], currents * rated_current(record)]
+    return [currents * rated_current(record)]
+
+
+def _predicted_with_pressure(
+    record: Any, trace: Trace, pressure_times: Array, drive: Drive, offset: float
+) -> list[Array]:
+    """The same where the outlet's pressure was recorded, of a valve with gas."""
+    # The core shows all rows as late as positions are, and a pressure is not.
+    late = record["sensor_delay"].item()
+    times, at = np.unique(np.concatenate([trace.times, pressure_times + late]) - offset, return_inverse=True)
+    current_times = trace.coil_current.times - offset if trace.coil_current is not None else _NO_TIMES
+    rows = np.empty((len(times), columns_of(record)))
+    samples = Samples(times, rows, current_times, np.empty(len(current_times)))
+    state = _state_before(record, drive, np.concatenate([trace.sample_times[:1], pressure_times[:1]]) - offset)
+    run_record(record, state, drive, samples, _NO_EVENTS, FIT_TOLERANCE)
+    count = len(trace.times)
+    pressures = rows[at[count:], FIRST_COLUMN]
+    return [rows[at[:count], 0], *_amperes(record, trace, samples.currents), pressures]
 
 
 def followed(record: Any, trace: Trace, drive: Drive, offset: float) -> Array:
-    """The pilot plunger's positions at the samples of a trace's current, m; arguments as of `predicted`.
+    """The pilot plunger's positions at the samples by which a trace is judged, m; arguments as of `predicted`.
 
     Raises:
         SimulationError: the simulation could not be carried to its end.
     """
     times = trace.sample_times - offset
     samples = Samples(times, np.empty((len(times), 1)), _NO_TIMES, _NO_TIMES)
-    state = new_states(record, min(float(drive.times[0]), float(times[0])))
+    state = _state_before(record, drive, times)
     run_record(record, state, drive, samples, _NO_EVENTS, FIT_TOLERANCE)
     return samples.rows[:, 0]
 

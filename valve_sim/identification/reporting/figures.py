@@ -76,7 +76,7 @@ def plot_response(
 
 
 def plot_replay(path: Path | str, replay: Replay) -> None:
-    """Draw measured and predicted displacement, or without positions current, and the residual beside the tolerance.
+    """Draw measured and predicted displacement, current or pressure, and the residual beside the tolerance.
 
     Raises:
         ValveError: the picture cannot be written.
@@ -87,7 +87,8 @@ def plot_replay(path: Path | str, replay: Replay) -> None:
     times, measured = 1e3 * replay.measured.times, replay.measured.values
     above.plot(times, scale * measured, color=QUIET, linewidth=2.6, label="measured")
     above.plot(times, scale * replay.predicted, color=PILOT, linewidth=1.0, label="model")
-    above.set_ylabel(f"{'pilot plunger' if replay.trace.has_positions else 'coil current'}, {unit}")
+    words = {"position": "pilot plunger", "current": "coil current", "outlet_pressure": "outlet pressure"}
+    above.set_ylabel(f"{words[replay.trace.judged]}, {unit}")
     above.legend(loc="upper right", frameon=False)
     below.plot(times, scale * (measured - replay.predicted), color=MAIN, linewidth=0.7)
     for sign in (-1.0, 1.0):

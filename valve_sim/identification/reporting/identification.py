@@ -22,6 +22,8 @@ def identification_json(result: Identification) -> dict[str, Any]:
     errors = {f"rmse_{key}": {"before": scale * result.rmse_before, "after": scale * result.rmse_after}}
     if not math.isnan(result.current_after):
         errors["rmse_ma"] = {"before": 1e3 * result.current_before, "after": 1e3 * result.current_after}
+    if not math.isnan(result.pressure_after):
+        errors["rmse_kpa"] = {"before": 1e-3 * result.pressure_before, "after": 1e-3 * result.pressure_after}
     report = {
         "schema": "valve_sim/identification/1",
         "sources": list(result.sources),
@@ -68,4 +70,7 @@ def identification_text(result: Identification) -> str:
     if result.judged.kind != "current" and not math.isnan(result.current_after):
         before, after = 1e3 * result.current_before, 1e3 * result.current_after
         lines.append(f"residual of the current {before:.3g} mA as declared, {after:.3g} mA refitted")
+    if result.judged.kind != "pressure" and not math.isnan(result.pressure_after):
+        before, after = 1e-3 * result.pressure_before, 1e-3 * result.pressure_after
+        lines.append(f"residual of the outlet's pressure {before:.3g} kPa as declared, {after:.3g} kPa refitted")
     return "\n".join([*lines, *remarks(result.findings)])

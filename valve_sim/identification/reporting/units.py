@@ -14,9 +14,21 @@ _PREFIXES: Final[Mapping[str, tuple[tuple[float, str], ...]]] = {
     "s": ((1e-3, "µs"), (1.0, "ms"), (math.inf, "s")),
     "A": ((1.0, "mA"), (math.inf, "A")),
     "Hz": ((1e3, "Hz"), (math.inf, "kHz")),
+    "Pa": ((1e6, "kPa"), (math.inf, "MPa")),
+    "m³": ((math.inf, "cm³"),),
 }
 """SI unit to display units, each for sizes below its bound."""
-_FACTORS: Final = {"µm": 1e6, "mm": 1e3, "µs": 1e6, "ms": 1e3, "mA": 1e3, "kHz": 1e-3}
+_FACTORS: Final = {
+    "µm": 1e6,
+    "mm": 1e3,
+    "µs": 1e6,
+    "ms": 1e3,
+    "mA": 1e3,
+    "kHz": 1e-3,
+    "kPa": 1e-3,
+    "MPa": 1e-6,
+    "cm³": 1e6,
+}
 _NO_UNIT: Final = ("", "–")
 _MOST_PLACES: Final = 7
 _LARGE: Final = 1e5

@@ -32,6 +32,8 @@ FINEST_TOLERANCE: Final = 0.15e-6
 """m: three times the repeatability of the paper's laser, for recordings without noise."""
 FINEST_CURRENT: Final = 0.1e-3
 """A: the same of a current, three steps of a converter of 15 bits over 1 A."""
+FINEST_PRESSURE: Final = 1e3
+"""Pa: the same of a pressure, a step of a converter of 16 bits over 70 MPa."""
 MARGIN: Final = 1e-3
 """s around the model's motion that still counts as moving, so that a valve that is late there is seen."""
 STILL_SPEED: Final = 1e-5
@@ -49,7 +51,7 @@ Progress = Callable[[str, float], None]
 
 
 class Errors(NamedTuple):
-    """Measured less predicted position of the pilot plunger, m, or, where none was recorded, current of the coil, A.
+    """Measured less predicted position of the pilot plunger, m, current of the coil, A, or outlet pressure, Pa.
 
     Attributes:
         samples: how many there are.
@@ -93,7 +95,7 @@ class Replay:
 
     Attributes:
         trace: what was measured. valve: what was simulated.
-        measured: what is judged: the positions, m, or where none were recorded the currents, A.
+        measured: what is judged: the positions, m, or where none were recorded the currents, A, or pressures, Pa.
         predicted: (n,) the same by the model.
         clock_offset: s, by which samples are stamped late.
         noise: standard deviation of the sensor. tolerance: of the errors, both in the unit of `measured`.
@@ -113,7 +115,7 @@ class Replay:
     @property
     def readable(self) -> tuple[float, str]:
         """Factor from SI and name of the unit in which people read the errors."""
-        return READABLE_UNITS["m" if self.trace.has_positions else "A"]
+        return READABLE_UNITS[_JUDGED[self.trace.judged].unit]
 
     @property
     def passed(self) -> bool:
@@ -145,6 +147,7 @@ def validate(
     tolerance: float | None = None,
     *,
     current_tolerance: float | None = None,
+    pressure_tolerance: float | None = None,
     command_jitter: bool = False,
     progress: Progress | None = None,
 ) -> Validation:
@@ -157,7 +160,8 @@ def validate(
         traces: measured strokes.
         valve: the declared valve.
         tolerance: m, of recordings with positions; default NOISE_FACTOR times the noise of each recording, at least
-            FINEST_TOLERANCE. current_tolerance: A, of those without; at least FINEST_CURRENT.
+            FINEST_TOLERANCE. current_tolerance: A, of those without; at least FINEST_CURRENT. pressure_tolerance: Pa,
+            of the outlet's pressure, which is judged by itself; at least FINEST_PRESSURE.
         command_jitter: estimate an error of each command's stamp too, prior N(0, CLOCK_SIGMA).
         progress: told what is being done, and the fraction done.
 
@@ -169,13 +173,16 @@ def validate(
         raise ValveError(f"--tolerance-um {MICRO * tolerance:g}: expected a length above 0")
     if current_tolerance is not None and not 0.0 < current_tolerance < math.inf:
         raise ValveError(f"--tolerance-ma {1e3 * current_tolerance:g}: expected a current above 0")
+    if pressure_tolerance is not None and not 0.0 < pressure_tolerance < math.inf:
+        raise ValveError(f"--tolerance-kpa {1e-3 * pressure_tolerance:g}: expected a pressure above 0")
+    given = {"position": tolerance, "current": current_tolerance, "outlet_pressure": pressure_tolerance}
     valve, declared = _within_tolerances(traces, valve, command_jitter=command_jitter)
     replays = []
     for index, trace in enumerate(traces):
         if progress is not None:
             progress(f"replaying {trace.source}", index / len(traces))
-        own = tolerance if trace.has_positions else current_tolerance
-        replays.append(replay_trace(trace, valve, own, command_jitter=command_jitter))
+        for part in _parts(trace, valve):
+            replays.append(replay_trace(part, valve, given[part.judged], command_jitter=command_jitter))
     return Validation(tuple(replays), declared)
 
 
@@ -195,13 +202,14 @@ def replay_trace(trace: Trace, valve: Valve, tolerance: float | None = None, *, 
     times = trace.sample_times
     start = min(float(drive.times.min(initial=math.inf)), float(times[0])) - CLOCK_SIGMA
     response = simulate(valve, drive, np.maximum(times - offset, start), start_time=start)
-    if trace.has_positions:
-        kind, finest, measured = "position", FINEST_TOLERANCE, Signal(times, trace.pilot_position)
-        shown = response.pilot_position + zero_with(0, nuisances)
-    else:
-        assert trace.coil_current is not None
-        kind, finest, measured, shown = "current", FINEST_CURRENT, trace.coil_current, response.coil_current
-    noise = problem.noises[kind].sigma
+    shown = {
+        "position": response.pilot_position + zero_with(0, nuisances),
+        "current": response.coil_current,
+        "outlet_pressure": response.outlet_pressure,
+    }[trace.judged]
+    assert shown is not None
+    kind, _, finest = _JUDGED[trace.judged]
+    noise, measured = problem.noises[kind].sigma, trace.judged_signal
     residual = measured.values - shown
     errors_of = partial(_errors, residual, _moving(times, response))
     return Replay(
@@ -215,6 +223,33 @@ def replay_trace(trace: Trace, valve: Valve, tolerance: float | None = None, *, 
         errors_of(slice(None)),
         tuple(_stroke_checks(trace, valve, response.events, offset, errors_of)),
     )
+
+
+class _Judged(NamedTuple):
+    """What a trace is judged by: kind of its channel, SI unit, and the finest tolerance in it."""
+
+    kind: str
+    unit: str
+    finest: float
+
+
+_JUDGED: Final = {
+    "position": _Judged("position", "m", FINEST_TOLERANCE),
+    "current": _Judged("current", "A", FINEST_CURRENT),
+    "outlet_pressure": _Judged("pressure", "Pa", FINEST_PRESSURE),
+}
+
+
+def _parts(trace: Trace, valve: Valve) -> list[Trace]:
+    """The trace as it is judged: by positions or current, and beside these by the outlet's pressure."""
+    if valve.gas is None or trace.outlet_pressure is None or trace.judged == "outlet_pressure":
+        return [trace]
+    nothing = np.empty(0)
+    pressure = replace(
+        trace, source=f"{trace.source}, outlet pressure", times=nothing, pilot_position=nothing, main_position=None,
+        coil_current=None, zero_error=0.0,
+    )  # fmt: skip
+    return [replace(trace, outlet_pressure=None), pressure]
 
 
 def _judged(trace: Trace) -> Trace:
