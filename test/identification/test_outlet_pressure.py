@@ -16,6 +16,9 @@ from model.gas.cases import gas_valve, independent
 from valve_sim.cli.program import main
 from valve_sim.files.parameter_files import save_valve
 from valve_sim.identification.estimation.identify import Identification, check_free, identify
+from valve_sim.identification.monitoring.findings import OpenedPartly, WaitsForPressure
+from valve_sim.identification.monitoring.segmenter import StrokeSegmenter
+from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.identification import identification_json, identification_text
 from valve_sim.identification.reporting.validation import validation_json, validation_text
@@ -188,3 +191,20 @@ def test_the_command_line_records_and_refits_it(tmp_path: Path) -> None:
     assert report["rmse_kpa"]["after"] == pytest.approx(35.0, rel=0.1)
     for params, code in (("results/identified.yaml", 0), ("declared.yaml", 1)):
         assert run("validate", tmp_path / "outlet.mcap", "--params", tmp_path / params).exit_code == code
+
+
+@pytest.mark.parametrize("has_gas", [True, False])
+def test_a_valve_that_waits_at_the_gap_waits_for_pressure_and_is_not_stuck(*, has_gas: bool) -> None:
+    valve = gas_valve() if has_gas else replace(gas_valve(), gas=None)
+    segmenter = StrokeSegmenter(valve, MonitorSettings(stroke_timeout=10.0))
+    random = np.random.default_rng(0)
+    gap = valve.parameters.pilot_gap
+    for time in np.arange(0.0, 3.0, 1e-3).tolist():
+        if time >= 0.02 > time - 1e-3:
+            segmenter.command(0.02, 9.0)
+        segmenter.measure(time, (gap if time > 0.03 else 0.0) + 1e-6 * random.standard_normal())
+        if time < 0.5 and has_gas:
+            assert segmenter.fault is None, "the model waits, too"
+    expected = WaitsForPressure if has_gas else OpenedPartly
+    assert isinstance(segmenter.fault, expected)
+    assert segmenter.fault.travel == pytest.approx(gap, abs=1e-5)

@@ -18,12 +18,17 @@ from valve_sim.identification.monitoring.findings import (
     StrokeState,
     TimingTooUncertain,
     Unusable,
+    WaitsForPressure,
 )
 from valve_sim.identification.reporting.monitoring_words import finding_words, remark_words, state_words
 
 SENTENCES: list[tuple[Remark, str]] = [
     (DidNotOpen(20e-6), "the valve did not open: the pilot plunger moved 0.020 mm only"),
     (OpenedPartly(0.5e-3, 1.23e-3), "the valve opened to 0.500 mm only, of 1.230 mm"),
+    (
+        WaitsForPressure(0.26e-3),
+        "the pilot is open, at 0.260 mm; the main plunger waits for the pressure to equalise, longer than it should",
+    ),
     (DidNotClose(0.4e-3), "the valve did not close: 0.400 mm open, without voltage"),
     (TimingTooUncertain(4.4e-3), "timing too uncertain to judge: held open for 4 ms only"),
     (NotSimulated("no such voltage"), "it could not be compared with the model: no such voltage"),

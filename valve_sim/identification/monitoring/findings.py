@@ -39,13 +39,23 @@ class OpenedPartly:
 
 
 @dataclass(frozen=True)
+class WaitsForPressure:
+    """The pilot is open, and the pressure that it relieves still holds the main plunger; travel: m, as far as the gap.
+
+    Of a valve with gas, longer than the model waits.
+    """
+
+    travel: float
+
+
+@dataclass(frozen=True)
 class DidNotClose:
     """Without voltage the pilot plunger stayed at `position`, m."""
 
     position: float
 
 
-Fault: TypeAlias = DidNotOpen | OpenedPartly | DidNotClose
+Fault: TypeAlias = DidNotOpen | OpenedPartly | WaitsForPressure | DidNotClose
 
 
 class Unusable(enum.Enum):

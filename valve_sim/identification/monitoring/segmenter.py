@@ -15,14 +15,13 @@ import numpy as np
 from valve_sim.identification.monitoring.command_timing import EXTREME_SIGMAS, ArrivalSpread
 from valve_sim.identification.monitoring.findings import (
     DidNotClose,
-    DidNotOpen,
     Fault,
-    OpenedPartly,
     Remark,
     StrokeRecord,
     TimingTooUncertain,
     Unusable,
 )
+from valve_sim.identification.monitoring.held_valve import opening_fault
 from valve_sim.identification.monitoring.kept_samples import MOST_SAMPLES, KeptSamples, StrokeInProgress
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.plants.protocol import Array
@@ -344,16 +343,11 @@ class StrokeSegmenter:
         return position <= CLOSED * self._valve.parameters.stroke
 
     def _judge_opening(self, stroke: StrokeInProgress) -> None:
-        parameters = self._valve.parameters
-        stroke.opened = stroke.highest >= OPENED * parameters.stroke
+        stroke.opened = stroke.highest >= OPENED * self._valve.parameters.stroke
         if stroke.opened:
             self._missed = 0
             return
-        if stroke.highest < parameters.pilot_gap:
-            self.fault = DidNotOpen(max(stroke.highest, 0.0))
-        else:
-            self.fault = OpenedPartly(stroke.highest, parameters.stroke)
-        stroke.fault = self.fault
+        self.fault = stroke.fault = opening_fault(stroke.highest, self._valve)
 
     def _judge_late(self, stroke: StrokeInProgress) -> TimingTooUncertain | None:
         """Of a stroke that ended before `patience` had passed; why it cannot be judged, None if it can.

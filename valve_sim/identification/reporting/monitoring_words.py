@@ -16,6 +16,7 @@ from valve_sim.identification.monitoring.findings import (
     StrokeState,
     TimingTooUncertain,
     Unusable,
+    WaitsForPressure,
 )
 from valve_sim.identification.monitoring.stroke_monitor import StrokeReport
 from valve_sim.identification.plants.effect_titles import named, title_of
@@ -61,6 +62,11 @@ def fault_words(fault: Fault) -> str:
             words = f"the valve did not open: the pilot plunger moved {_mm(travel)} only"
         case OpenedPartly(travel, stroke):
             words = f"the valve opened to {_mm(travel)} only, of {_mm(stroke)}"
+        case WaitsForPressure(travel):
+            words = (
+                f"the pilot is open, at {_mm(travel)}; the main plunger waits for the pressure to equalise, longer "
+                "than it should"
+            )
         case DidNotClose(position):
             words = f"the valve did not close: {_mm(position)} open, without voltage"
     return words
