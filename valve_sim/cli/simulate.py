@@ -15,7 +15,7 @@ from valve_sim.cli.printing import print_json, refuse
 from valve_sim.cli.reading import declared_valve
 
 if TYPE_CHECKING:
-    from valve_sim.model import Event, Valve
+    from valve_sim.model import Drive, Event, Valve
     from valve_sim.traces.synthetic import Recording
 
 
@@ -96,14 +96,11 @@ def simulate(
     /valve/measured/outlet_pressure, and its stamps begin at 0. With --voltage-noise-mv, voltage and current at the
     coil's terminals are in /valve/measured/coil.
     """
-    if (voltage is None) == (profile is None):
-        raise click.UsageError("give either --voltage or --profile", click.get_current_context())
-    from valve_sim.model import Drive
-    from valve_sim.traces.synthetic import Sensor, read_profile, record
+    from valve_sim.traces.synthetic import Sensor, record
 
+    drive = _drive(voltage, profile)
     if output.suffix not in (".csv", ".mcap", ""):
         refuse(f"--output {output}: expected x.mcap, x.csv, or a name without ending for a rosbag2 folder")
-    drive = Drive.of([0.0], [voltage or 0.0]) if profile is None else read_profile(profile)
     current_noise = (1.0 if noise_um else 0.0) if current_noise_ma is None else current_noise_ma
     voltage_noise = None if voltage_noise_mv is None else 1e-3 * voltage_noise_mv
     sensor = Sensor(
@@ -120,6 +117,16 @@ def simulate(
         return
     _print_events(recording.response.events)
     click.echo(f"wrote {output} ({len(recording.trace.sample_times)} samples)" + (f" and {plot}" if plot else ""))
+
+
+def _drive(voltage: float | None, profile: Path | None) -> Drive:
+    """One voltage from the start, or a profile."""
+    if (voltage is None) == (profile is None):
+        raise click.UsageError("give either --voltage or --profile", click.get_current_context())
+    from valve_sim.model import Drive
+    from valve_sim.traces.synthetic import read_profile
+
+    return Drive.of([0.0], [voltage or 0.0]) if profile is None else read_profile(profile)
 
 
 def _write(output: Path, recording: Recording) -> None:
