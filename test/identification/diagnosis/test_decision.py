@@ -230,3 +230,11 @@ def test_where_the_form_is_wrong_known_look_alikes_are_listed() -> None:
     found = two(near=100.0)
     assert look_alikes(found, Claim(of("a"), False, False)) == {"a": ()}
     assert look_alikes(found, Claim(of("a"), True, True)) == {"a": ("b",)}
+
+
+@pytest.mark.parametrize(("names", "others"), [(("a", "c"), ()), (("a", "c", "d"), ("b",))])
+def test_where_many_names_put_the_form_in_doubt_known_look_alikes_are_listed(
+    names: tuple[str, ...], others: tuple[str, ...]
+) -> None:
+    found = table(scored(BASE, 400.0, left_out=3.0), scored(of(*names), 100.0, left_out=1.0))
+    assert look_alikes(found, Claim(of(*names), False, False))["a"] == others

@@ -28,6 +28,9 @@ LARGEST_CLASS: Final = 4
 LIKELY: Final = 4.0
 """Difference of evidence within which a larger look-alike is listed, too: odds of 7 to 1. Measured: where friction is
 Coulomb's, stiction is worse by 5 to 8; where it is a stiction too small to be distinguished, by −8 to 3.4."""
+MANY: Final = 3
+"""Named effects from which the form of the model is in doubt: on plants of another form they stand for its parts, and
+friction with a look-alike of it as the truth was named without that one in two of fifteen recordings."""
 JUDGED: Final = 2 * LARGEST_CLASS
 """How many competing models are judged by held-out data, beside the best."""
 WEAK_EVIDENCE: Final = 30.0
@@ -188,12 +191,13 @@ def _nearest(curves: Sequence[float], least: float) -> float:
 def look_alikes(table: ScoreTable, claim: Claim) -> dict[str, tuple[str, ...]]:
     """Of each named effect, what else it could be.
 
-    Where the form is wrong, scores mislead, and known look-alikes are listed too.
+    Where the form is wrong, or in doubt because many effects are named, scores mislead, and known look-alikes are
+    listed too.
     """
     found: dict[str, tuple[str, ...]] = {}
     for name in claim.best.effects:
         others = _in_place_of(table, claim, name)
-        if claim.is_unknown:
+        if claim.is_unknown or len(claim.best.effects) >= MANY:
             others = tuple(dict.fromkeys([*others, *table.look_alikes.get(name, ())]))[: LARGEST_CLASS - 1]
         found[name] = others
     return found
