@@ -8,6 +8,7 @@ from plants.tolerances import SHEET_VALVE
 
 from benchmarks.campaign.cases import draw_case
 from benchmarks.campaign.limits import DETECTABLE, Knowledge, detection_limit, yardstick
+from benchmarks.campaign.running import true_effects
 
 POWERS: FloatArray = np.linspace(0.0, 1.2e-3, 7)[:, np.newaxis] ** np.arange(4)
 
@@ -65,3 +66,12 @@ def test_a_limit_within_tolerances_is_what_they_cannot_imitate() -> None:
     assert measure.distance_of_deviation("stroke") == pytest.approx(1.0, abs=0.02)
     assert measure.distance_of_deviation("main_mass") < 0.3
     assert SHEET_VALVE["seat_load"] == 0.3
+
+
+def test_an_effect_that_takes_up_an_unknown_deviation_is_not_judged() -> None:
+    assert set(draw_case("reluctance", 16).truth) == {"stroke_offset"}
+    assert true_effects(draw_case("reluctance", 16)) == {}
+    within = draw_case("single_within", 17)
+    assert true_effects(within)["stroke_offset.offset"] == pytest.approx(
+        within.truth["stroke_offset"]["offset"] + within.true_scalars["stroke"] - within.declared.parameters.stroke
+    )

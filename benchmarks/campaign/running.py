@@ -296,13 +296,18 @@ def _coverage(case: Case, answer: Answer, diagnosis: Diagnosis) -> dict[str, boo
 def true_effects(case: Case) -> dict[str, float]:
     """True values of the effects' parameters, by the names of a diagnosis.
 
-    Of a declared value that is off within its tolerance, the effect that is the same thing takes up that, too.
+    Of a declared value that is off within its tolerance, the effect that is the same thing takes up that, too; where a
+    plant of another form does not say by how much, that effect is left out.
     """
     true = {f"{effect}.{name}": value for effect, values in case.effects.items() for name, value in values.items()}
     declared, is_off = case.declared.declared(), case.declared.tolerances.declared
     for name, same in SAME_AS.items():
-        if same in true and name in is_off:
+        if same not in true or name not in is_off:
+            continue
+        if name in case.true_scalars:
             true[same] += case.true_scalars[name] - declared[name]
+        else:
+            del true[same]
     return true
 
 
