@@ -16,7 +16,7 @@ import numpy as np
 
 from valve_sim.identification.estimation.gram import gram, sum_squares
 from valve_sim.identification.estimation.problem import Problem
-from valve_sim.identification.estimation.result import Fit, MachineKnowledge
+from valve_sim.identification.estimation.result import FIRST_DAMPING, Fit, MachineKnowledge
 from valve_sim.identification.estimation.solver import LARGEST_DAMPING, Descent, Effort, fit
 from valve_sim.identification.plants.protocol import Array, Nuisance, Plant
 from valve_sim.model import SimulationError
@@ -117,7 +117,7 @@ def fit_shared(problem: Problem, free: Sequence[str], shares_at: SharesAt) -> Sh
         SimulationError: the declared machine cannot be simulated.
     """
     search = Descent(problem, tuple(free), machine_nuisances(problem.plant, free), {}, None)
-    at, damping, converged = search.start({}), 1e-4, False
+    at, damping, converged = search.start({}), FIRST_DAMPING, False
     shares = shares_at(search.values(at))
     chi2 = _chi2(search, at, shares)
     for _ in range(MOST_STEPS):
