@@ -97,6 +97,17 @@ def test_help_imports_nothing_heavy():
     assert done.stdout.strip() == "[]"
 
 
+def test_a_recording_is_shown_without_compiled_code():
+    script = (
+        "import sys; from valve_sim.cli.program import main\n"
+        "try: main(['info', sys.argv[1]])\n"
+        "except SystemExit as end: print(end.code, [m for m in ('numba', 'scipy') if m in sys.modules])"
+    )
+    command = [sys.executable, "-c", script, str(Path(__file__).parents[1] / "bags" / "one_opening.mcap")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=True)
+    assert done.stdout.splitlines()[-1] == "0 []"
+
+
 def test_version():
     assert __version__ in run_well("--version").output
 

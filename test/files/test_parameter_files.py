@@ -13,14 +13,8 @@ import pytest
 from hypothesis import HealthCheck, given, seed, settings
 from hypothesis import strategies as st
 
-from valve_sim.files.parameter_files import (
-    Section,
-    default_valve,
-    load_valve,
-    read_sections,
-    save_valve,
-    write_sections,
-)
+from valve_sim.files.parameter_files import default_valve, load_valve, save_valve
+from valve_sim.files.parameter_sections import Section, default_parameters, read_sections, write_sections
 from valve_sim.files.resources import config_path
 from valve_sim.model import CATALOGUE, DECLARED, EXACT, Drive, ParameterError, Valve, published_times, simulate
 from valve_sim.model.tolerances import TOLERATED
@@ -34,6 +28,10 @@ def written(folder: Path, text: str) -> Path:
 
 def below_parameters(text: str) -> str:
     return "/**:\n  ros__parameters:\n" + "".join(f"    {line}\n" for line in text.splitlines())
+
+
+def test_the_declared_parameters_of_the_shipped_valve_alone() -> None:
+    assert default_parameters() == default_valve().parameters
 
 
 @pytest.mark.parametrize(

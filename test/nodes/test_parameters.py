@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import pytest
 
-from valve_sim.files.parameter_files import Section, default_valve
+from valve_sim.files.parameter_files import default_valve
+from valve_sim.files.parameter_sections import Section
 from valve_sim.model import CATALOGUE, EXACT, ParameterError, Tolerances, ValveParameters
 from valve_sim.model.gas import GasParameters
 from valve_sim.nodes.parameters import (

@@ -87,7 +87,7 @@ def test_a_usual_voltage_is_no_reason_to_simulate(monkeypatch: pytest.MonkeyPatc
     def fails(*arguments: object) -> None:
         raise AssertionError("compiled code takes most of the time that looking at a recording takes")
 
-    monkeypatch.setattr("valve_sim.traces.trouble.simulate", fails)
+    monkeypatch.setattr("valve_sim.model.simulate", fails)
     assert doubtful_units(trace(), OPENS) == ()
     with pytest.raises(AssertionError):
         doubtful_units(trace(volts=0.2), OPENS)

@@ -12,7 +12,7 @@ import click
 from valve_sim.cli.command_line import Command
 from valve_sim.cli.options import FILE, json_option, map_option, params_option, valve_option
 from valve_sim.cli.printing import print_json, shown
-from valve_sim.cli.reading import chosen_map, declared_valve
+from valve_sim.cli.reading import chosen_map, declared_parameters
 from valve_sim.files.json_text import plain
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ def info(*, bag: Path, name: str | None, params: Path | None, as_json: bool) -> 
     """
     from valve_sim.traces import describe, doubtful_units, events_from_sensors, list_valves, read_trace
 
-    parameters, recording_map = declared_valve(params).parameters, chosen_map()
+    parameters, recording_map = declared_parameters(params), chosen_map()
     valves = []
     for valve in (name,) if name else list_valves(bag, recording_map) or (None,):
         trace = read_trace(bag, valve, recording_map)

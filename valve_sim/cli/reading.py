@@ -13,7 +13,7 @@ from valve_sim.cli.printing import say_when_compiling, shown
 
 if TYPE_CHECKING:
     from valve_sim.files.recording_map import RecordingMap
-    from valve_sim.model import Valve
+    from valve_sim.model import Valve, ValveParameters
     from valve_sim.traces import Trace
 
 
@@ -23,6 +23,13 @@ def declared_valve(params: Path | None) -> Valve:
 
     say_when_compiling()
     return default_valve() if params is None else load_valve(params)
+
+
+def declared_parameters(params: Path | None) -> ValveParameters:
+    """The declared parameters alone of a parameter file, or of the shipped one, which needs no compiled code."""
+    from valve_sim.files.parameter_sections import default_parameters
+
+    return default_parameters() if params is None else declared_valve(params).parameters
 
 
 def chosen_map() -> RecordingMap | None:

@@ -26,52 +26,27 @@ from __future__ import annotations
 
 import difflib
 import functools
-import math
-import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any
 
 import yaml
 
+from valve_sim.files.parameter_sections import (
+    DEFAULT_FILE,
+    FORM,
+    ROOT_KEYS,
+    Dumper,
+    default_values,
+    read_sections,
+    shortened,
+)
 from valve_sim.files.resources import config_path
 from valve_sim.files.whole_files import write_whole
-from valve_sim.files.yaml_files import read_yaml
 from valve_sim.model import CATALOGUE, Effect, Parameter, ParameterError, Valve, ValveParameters
 from valve_sim.model.gas import GAS, GasParameters
 from valve_sim.model.parameters import closest
 from valve_sim.model.tolerances import COVARIANCE_NAME
-
-DEFAULT_FILE: Final = "valve.yaml"
-"""The shipped parameter file, whose values are the defaults of others."""
-
-LARGEST_INTEGER: Final = 2**63 - 1
-"""ROS 2 parameters hold 64 bit."""
-
-_ROOT_KEYS: Final = ("valve", "effects", "tolerances", "gas")
-_FORM: Final = "expected a ROS 2 parameter file: '/**:', below it 'ros__parameters:', below it 'valve:' and 'effects:'"
-
-
-class Section(NamedTuple):
-    """The parameters that a file holds for one node.
-
-    Attributes:
-        node: the node's full name, or a pattern, with a leading slash.
-        values: flat dotted name to value, as found.
-    """
-
-    node: str
-    values: dict[str, object]
-
-    def applies_to(self, node: str) -> bool:
-        """Whether ROS 2 gives these parameters to the node of this full name."""
-        pattern = re.escape(self.node).replace(r"/\*\*", "(/[^/]+)*").replace(r"\*", "[^/]+")
-        return re.fullmatch(pattern, node) is not None
-
-    @property
-    def is_about_valve(self) -> bool:
-        """Whether a valve, its effects or its tolerances are among the parameters."""
-        return any(name.partition(".")[0] in _ROOT_KEYS for name in self.values)
 
 
 def load_valve(path: Path | str, node: str | None = None) -> Valve:
@@ -93,7 +68,7 @@ def load_valve(path: Path | str, node: str | None = None) -> Valve:
         for section in candidates:
             valve_from_flat(section.values, str(path))  # perhaps a name is only in the wrong place
         meant = "" if node is None else f" of {node}"
-        raise ParameterError(f"{path}: holds no parameters{meant} of a valve; {_FORM}")
+        raise ParameterError(f"{path}: holds no parameters{meant} of a valve; {FORM}")
     named = sorted({section.node for section in sections if "*" not in section.node})
     if len(named) > 1:
         raise ParameterError(f"{path}: describes several valves, {', '.join(named)}; expected one, or a node's name")
@@ -121,7 +96,7 @@ def valve_from_flat(values: Mapping[str, object], source: str, base: Valve | Non
         root, _, rest = name.partition(".")
         if name in (COVARIANCE_NAME, f"valve.{COVARIANCE_NAME}"):
             raise ParameterError(
-                f"{source}: {name}: found {_short(value)}, expected it as tolerances.{COVARIANCE_NAME}"
+                f"{source}: {name}: found {shortened(value)}, expected it as tolerances.{COVARIANCE_NAME}"
             )
         if root == "valve":
             _check_name(rest, ValveParameters._fields, name, value, source)
@@ -194,25 +169,7 @@ def default_valve() -> Valve:
     Raises:
         ValveError: the installation lacks the file.
     """
-    path = config_path(DEFAULT_FILE)
-    values = {name: value for section in read_sections(path) for name, value in section.values.items()}
-    return valve_from_flat(values, str(path), Valve())
-
-
-def read_sections(path: Path | str) -> tuple[Section, ...]:
-    """Every node's parameters in a file, in the file's order; of any ROS 2 parameter file: names are not checked.
-
-    Raises:
-        ParameterError: the file cannot be read, is not YAML, or does not have the form of a parameter file.
-    """
-    document = read_yaml(path, "expected a ROS 2 parameter file", ParameterError)
-    try:
-        sections = tuple(_find_sections(document, "", str(path)))
-    except RecursionError as error:
-        raise ParameterError(f"{path}: {' '.join(str(error).split())}, expected valid YAML") from error
-    if not sections:
-        raise ParameterError(f"{path}: holds no ros__parameters; {_FORM}")
-    return sections
+    return valve_from_flat(default_values(), str(config_path(DEFAULT_FILE)), Valve())
 
 
 def save_valve(path: Path | str, valve: Valve, provenance: str) -> None:
@@ -228,79 +185,8 @@ def save_valve(path: Path | str, valve: Valve, provenance: str) -> None:
     """
     comment = "".join(f"# {line}".rstrip() + "\n" for line in provenance.splitlines())
     document = {"/**": {"ros__parameters": _plain(valve.to_mapping())}}
-    text = comment + yaml.dump(document, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=120)
+    text = comment + yaml.dump(document, Dumper=Dumper, sort_keys=False, allow_unicode=True, width=120)
     write_whole(Path(path), text, ParameterError)
-
-
-def write_sections(path: Path, sections: Sequence[Section]) -> None:
-    """Write parameters in the simplest form, whole or not at all: flat names, and lists of one type.
-
-    ROS 2's own parser refuses a file where one list holds 0 and 0.5, or where a mapping is empty.
-
-    Raises:
-        ParameterError: the file cannot be written.
-    """
-    document: dict[str, Any] = {}
-    for section in sections:
-        document.setdefault(section.node, {"ros__parameters": {}})["ros__parameters"].update(
-            {name: _one_type(value) for name, value in section.values.items()}
-        )
-    filled = {node: content for node, content in document.items() if content["ros__parameters"]}
-    text = yaml.dump(filled, Dumper=_Dumper, sort_keys=False, allow_unicode=True) if filled else "{}\n"
-    write_whole(path, text, ParameterError)
-
-
-# --- YAML as ROS 2 reads and writes it ----------------------------------------------------------------------------
-
-
-class _Dumper(yaml.SafeDumper):
-    """Mappings in block style, lists of numbers on one line."""
-
-
-_Dumper.add_representer(
-    list, lambda dumper, items: dumper.represent_sequence("tag:yaml.org,2002:seq", items, flow_style=True)
-)
-
-
-def _find_sections(found: object, prefix: str, path: str) -> Iterator[Section]:
-    if not isinstance(found, Mapping):
-        raise ParameterError(f"{path}: {prefix or 'the file'}: found {_short(found)}; {_FORM}")
-    for key, value in found.items():
-        if not isinstance(key, str):
-            raise ParameterError(f"{path}: {prefix}: found the key {key!r}, expected a name")
-        if key == "ros__parameters":
-            yield Section(prefix or "/**", dict(_flat(value, "", path)))
-        else:
-            yield from _find_sections(value, f"{prefix}/{key.strip('/')}", path)
-
-
-def _flat(found: object, prefix: str, path: str) -> Iterator[tuple[str, object]]:
-    """Dotted names and values. An empty mapping has none, unless it is in the place of an effect's parameters."""
-    if found is None and prefix in ("", *_ROOT_KEYS, "tolerances.effects"):
-        return
-    if not isinstance(found, Mapping):
-        if not prefix:
-            raise ParameterError(f"{path}: ros__parameters: found {_short(found)}, expected names and values")
-        if found is None:
-            raise ParameterError(f"{path}: {prefix}: has no value; give one, or take the line out")
-        for item in found if isinstance(found, list) else [found]:
-            if isinstance(item, int) and abs(item) > LARGEST_INTEGER:
-                raise ParameterError(f"{path}: {prefix}: found {_short(item)}, more than an integer of ROS 2 can hold")
-        yield prefix, found
-        return
-    if not found and prefix.startswith("effects."):
-        yield prefix, {}
-    for key, value in found.items():
-        if not isinstance(key, str):
-            raise ParameterError(f"{path}: {prefix}: found the key {key!r}, expected a name")
-        yield from _flat(value, f"{prefix}.{key}" if prefix else key, path)
-
-
-def _one_type(value: object) -> object:
-    is_mixed = isinstance(value, list) and any(isinstance(item, float) for item in value)
-    if is_mixed and all(type(item) in (int, float) for item in value):  # type: ignore[attr-defined]
-        return [float(item) for item in value]  # type: ignore[attr-defined]
-    return value
 
 
 def _plain(value: Any) -> Any:
@@ -320,7 +206,7 @@ def _check_name(given: str, known: Sequence[str], key: str, value: object, sourc
         mend = f"; did you mean {closest(given, known)}?" if given else ""
         names = ", ".join(known)
         raise ParameterError(
-            f"{source}: {key}: found {_short(value)} under an unknown name{mend} Expected one of {names}"
+            f"{source}: {key}: found {shortened(value)} under an unknown name{mend} Expected one of {names}"
         )
 
 
@@ -328,7 +214,7 @@ def _check_effect_name(effect: str, parameter: str, key: str, value: object, sou
     _check_name(effect, list(CATALOGUE), key, value, source)
     names = CATALOGUE[effect].given_names
     if not parameter:
-        raise ParameterError(f"{source}: {key}: found {_short(value)}, expected {{{', '.join(names)}}}")
+        raise ParameterError(f"{source}: {key}: found {shortened(value)}, expected {{{', '.join(names)}}}")
     if parameter not in CATALOGUE[effect].retired:
         _check_name(parameter, names, key, value, source)
 
@@ -341,7 +227,7 @@ def _add_tolerance(tolerances: dict[str, Any], key: str, value: object, source: 
     """
     name = key.partition(".")[2]
     if not name:
-        raise ParameterError(f"{source}: {key}: found {_short(value)}, expected names of declared values below it")
+        raise ParameterError(f"{source}: {key}: found {shortened(value)}, expected names of declared values below it")
     of_effects, dot, rest = name.partition(".")
     if of_effects != "effects":
         tolerances[name] = value
@@ -349,7 +235,7 @@ def _add_tolerance(tolerances: dict[str, Any], key: str, value: object, source: 
     effect, dot, parameter = rest.partition(".")
     if not dot:
         raise ParameterError(
-            f"{source}: {key}: found {_short(value)}, expected tolerances.effects.<effect>.<parameter>"
+            f"{source}: {key}: found {shortened(value)}, expected tolerances.effects.<effect>.<parameter>"
         )
     tolerances.setdefault("effects", {}).setdefault(effect, {})[parameter] = value
 
@@ -359,21 +245,20 @@ def _check_misplaced(name: str, value: object, source: str) -> None:
     root = name.partition(".")[0]
     if root in ValveParameters._fields:
         raise ParameterError(
-            f"{source}: {name}: found {_short(value)} beside valve:, expected it below, as valve.{name}"
+            f"{source}: {name}: found {shortened(value)} beside valve:, expected it below, as valve.{name}"
         )
     if root in GAS:
-        raise ParameterError(f"{source}: {name}: found {_short(value)} beside gas:, expected it below, as gas.{name}")
+        raise ParameterError(
+            f"{source}: {name}: found {shortened(value)} beside gas:, expected it below, as gas.{name}"
+        )
     if root in CATALOGUE:
-        raise ParameterError(f"{source}: {name}: found {_short(value)} beside effects:, expected it as effects.{name}")
-    for known in _ROOT_KEYS:
+        raise ParameterError(
+            f"{source}: {name}: found {shortened(value)} beside effects:, expected it as effects.{name}"
+        )
+    for known in ROOT_KEYS:
         if "." in name and _are_alike(root, known):
-            raise ParameterError(f"{source}: {name}: found {_short(value)} below {root}:, expected {known}:")
+            raise ParameterError(f"{source}: {name}: found {shortened(value)} below {root}:, expected {known}:")
 
 
 def _are_alike(name: str, known: str) -> bool:
     return difflib.SequenceMatcher(None, name.lower(), known).ratio() >= 0.75
-
-
-def _short(value: object) -> str:
-    text = "nan" if isinstance(value, float) and math.isnan(value) else repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.model import ValveError
+from valve_sim.model.errors import ValveError
 
 Array = NDArray[np.float64]
 

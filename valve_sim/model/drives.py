@@ -1,4 +1,4 @@
-"""Usual drives of solenoids: step, peak and hold, and pulse-width modulation by its mean or by its edges.
+"""Voltages that drive a valve; the usual ones: step, peak and hold, pulse-width modulation by its mean or its edges.
 
 After each the command is 0: the coil is then shorted, or with `valve.release_voltage` freewheels into that voltage.
 """
@@ -6,11 +6,38 @@ After each the command is 0: the coil is then shorted, or with `valve.release_vo
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from valve_sim.model.errors import ParameterError
-from valve_sim.model.simulation import Drive
+
+Array = NDArray[np.float64]
+
+
+class Drive(NamedTuple):
+    """The commanded coil voltage: held between commands, 0 before the first.
+
+    Attributes:
+        times: (k,) s, ascending.
+        volts: (k,) V.
+    """
+
+    times: Array
+    volts: Array
+
+    @classmethod
+    def of(cls, times: ArrayLike, volts: ArrayLike) -> Drive:
+        """A drive from anything that NumPy converts to two arrays of one length."""
+        return cls(
+            np.atleast_1d(np.asarray(times, dtype=np.float64)), np.atleast_1d(np.asarray(volts, dtype=np.float64))
+        )
+
+    def at(self, times: ArrayLike) -> Array:
+        """The voltage in force at each time (a command acts from its own time on), V."""
+        index = np.searchsorted(self.times, np.asarray(times, dtype=np.float64), side="right")
+        return np.concatenate([[0.0], self.volts])[index]
 
 
 def step(volts: float, start: float = 0.0, end: float = math.inf) -> Drive:

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.model.core_types import EVENT_RECORD
+from valve_sim.model.drives import Drive
 from valve_sim.model.effects.record import VALVE_RECORD
 from valve_sim.model.gas.record import is_of_gas
 from valve_sim.model.linearised import FIRST_CONDITION, PARAMETERS, SHAPES, SLOPES_RECORD
-from valve_sim.model.simulation import Array, Drive, Samples, run_record
+from valve_sim.model.simulation import Array, Samples, run_record
 from valve_sim.model.variational_steps import CONTACTS, LANES, NODES, SLOPES, TILE_RECORD
 
 _PLACES: Final = {name: place for place, name in enumerate(PARAMETERS)}

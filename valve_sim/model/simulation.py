@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from valve_sim.model import driver
 from valve_sim.model.core_types import EVENT_RECORD, STATE_RECORD, EventKind, Outcome, Phase
+from valve_sim.model.drives import Drive
 from valve_sim.model.effects import CATALOGUE, check_effects
 from valve_sim.model.errors import ParameterError, SimulationError
 from valve_sim.model.flux import why_no_flux
@@ -33,30 +34,6 @@ MOST_STEPS_PER_SECOND: Final = 1_000_000
 """Steps for each second of a run, and for one second more, after which it ends with an error."""
 _EVENT_ROOM: Final = 256
 _NO_TIMES: Final = np.empty(0)
-
-
-class Drive(NamedTuple):
-    """The commanded coil voltage: held between commands, 0 before the first.
-
-    Attributes:
-        times: (k,) s, ascending.
-        volts: (k,) V.
-    """
-
-    times: Array
-    volts: Array
-
-    @classmethod
-    def of(cls, times: ArrayLike, volts: ArrayLike) -> Drive:
-        """A drive from anything that NumPy converts to two arrays of one length."""
-        return cls(
-            np.atleast_1d(np.asarray(times, dtype=np.float64)), np.atleast_1d(np.asarray(volts, dtype=np.float64))
-        )
-
-    def at(self, times: ArrayLike) -> Array:
-        """The voltage in force at each time (a command acts from its own time on), V."""
-        index = np.searchsorted(self.times, np.asarray(times, dtype=np.float64), side="right")
-        return np.concatenate([[0.0], self.volts])[index]
 
 
 class Samples(NamedTuple):

@@ -24,7 +24,7 @@ from rclpy.signals import uninstall_signal_handlers
 from sensor_msgs.msg import BatteryState
 from std_msgs.msg import Float64
 
-from valve_sim.files.parameter_files import Section
+from valve_sim.files.parameter_sections import Section
 from valve_sim.files.whole_files import write_whole
 from valve_sim.model import ValveError
 from valve_sim.nodes.node_clock import NodeClock

@@ -21,7 +21,8 @@ from sensor_msgs.msg import BatteryState, JointState
 from std_msgs.msg import Float64, String
 from std_srvs.srv import Trigger
 
-from valve_sim.files.parameter_files import Section, default_valve, load_valve, write_sections
+from valve_sim.files.parameter_files import default_valve, load_valve
+from valve_sim.files.parameter_sections import Section, write_sections
 from valve_sim.model import ParameterError, Valve
 from valve_sim.nodes.identification_parameters import DESCRIPTIONS, Settings, check_settings, output_folder
 from valve_sim.nodes.identification_task import (

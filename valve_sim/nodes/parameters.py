@@ -10,7 +10,8 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from typing import Final, NamedTuple
 
-from valve_sim.files.parameter_files import Section, check_with_off, complete_effect, off_value, valve_from_flat
+from valve_sim.files.parameter_files import check_with_off, complete_effect, off_value, valve_from_flat
+from valve_sim.files.parameter_sections import Section
 from valve_sim.model import CATALOGUE, DECLARED, Parameter, ParameterError, Tolerances, Valve, ValveParameters
 from valve_sim.model.gas import FLUIDS, GAS, GasParameters
 from valve_sim.model.parameters import closest

@@ -10,7 +10,7 @@ from rclpy.expand_topic_name import expand_topic_name
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-from valve_sim.files.parameter_files import Section
+from valve_sim.files.parameter_sections import Section
 from valve_sim.model import ParameterError
 from valve_sim.model.compiling import announce_compiling
 from valve_sim.nodes.parameters import ROS_OWN, ROS_OWN_PREFIX, files_for_others

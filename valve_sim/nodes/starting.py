@@ -14,7 +14,8 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Final, NoReturn, Protocol
 
-from valve_sim.files.parameter_files import Section, read_sections, valve_from_flat
+from valve_sim.files.parameter_files import valve_from_flat
+from valve_sim.files.parameter_sections import Section, read_sections
 from valve_sim.model.errors import ParameterError, ValveError
 
 UNUSABLE_INPUT: Final = 2

@@ -25,7 +25,8 @@ from sensor_msgs.msg import BatteryState, FluidPressure, JointState
 from std_msgs.msg import Bool, Float64, UInt8
 from std_srvs.srv import Trigger
 
-from valve_sim.files.parameter_files import Section, default_valve
+from valve_sim.files.parameter_files import default_valve
+from valve_sim.files.parameter_sections import Section
 from valve_sim.model import ParameterError, Stepper, Valve
 from valve_sim.model.gas import GAS
 from valve_sim.nodes.diagnostics import (

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from valve_sim.model import Drive
+from valve_sim.model.drives import Drive
 from valve_sim.traces.voltage_steps import sample_noise_of
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ import numpy as np
 
 from valve_sim.files.data_tables import TABLE_SUFFIXES
 from valve_sim.files.recording_map import QUANTITIES
-from valve_sim.model import Drive
+from valve_sim.model.drives import Drive
 from valve_sim.traces.clocks import SECOND, clock_offset
 from valve_sim.traces.command_dates import dates_by_voltage
 from valve_sim.traces.command_log import Commands, commands_by_logs

@@ -9,7 +9,7 @@ import numpy as np
 
 from valve_sim.files.data_tables import DataTable, open_table
 from valve_sim.files.recording_map import QUANTITIES, UNITS, RecordingMap, Source, TimeAxis
-from valve_sim.model import Drive
+from valve_sim.model.drives import Drive
 from valve_sim.traces.clocks import SECOND
 from valve_sim.traces.errors import TraceError
 from valve_sim.traces.layout import JUDGED, SIGNALS

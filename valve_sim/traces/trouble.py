@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from valve_sim.model import Drive, Phase, Valve, simulate
+from valve_sim.model.core_types import Phase
+from valve_sim.model.drives import Drive
 from valve_sim.traces.clocks import find_gaps
 from valve_sim.traces.errors import TraceError
 from valve_sim.traces.strokes import SMALLEST_MOTION, largest_travel, motion_threshold
@@ -169,6 +170,8 @@ def _voltage(trace: Trace, parameters: ValveParameters) -> str:
 
 def _opens(parameters: ValveParameters, volts: float) -> bool:
     """Whether a valve as declared reaches its core when so many volts are held."""
+    from valve_sim.model import Valve, simulate
+
     response = simulate(Valve(parameters), Drive.of([0.0], [volts]), [0.0, _LONG_ENOUGH])
     return bool(response.phase[-1] == Phase.OPEN)
 
