@@ -474,7 +474,9 @@ def test_the_commands_of_the_readme_work_as_they_stand(tmp_path: Path):
         timeout=300,
         check=False,
     )
-    assert (done.returncode, done.stderr) == (0, "")
+    # On a busy machine a command tells every ten seconds how far it is.
+    said = [line for line in done.stderr.splitlines() if " % done" not in line]
+    assert (done.returncode, said) == (0, [])
     assert "passed" in done.stdout
     assert sorted(path.name for path in (tmp_path / "results").glob("*.yaml")) == ["corrected.yaml", "identified.yaml"]
 
