@@ -40,8 +40,9 @@ EFFECTS = {
 
 
 def test_every_effect_is_compared() -> None:
-    """Here, or where a flux is integrated: test_flux."""
-    assert {*EFFECTS, "motional_emf"} == {name for name, effect in CATALOGUE.items() if effect.named}
+    """Here, or where a flux is integrated (test_flux), or with gas (gas/test_effects)."""
+    elsewhere = {"motional_emf", "seat_leak", "pilot_clogging"}
+    assert {*EFFECTS, *elsewhere} == {name for name, effect in CATALOGUE.items() if effect.named}
 
 
 @pytest.mark.parametrize("name", EFFECTS)

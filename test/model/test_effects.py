@@ -11,6 +11,7 @@ import pytest
 from valve_sim.model import CATALOGUE, DECLARED, Drive, Effect, Parameter, ParameterError, Stepper, Tag, Valve, simulate
 from valve_sim.model.effects import VALVE_RECORD
 from valve_sim.model.effects.catalogue import Catalogue
+from valve_sim.model.gas.record import GAS_VALVE_RECORD
 
 from .random_valves import RANGES
 
@@ -73,8 +74,12 @@ def test_what_a_sensor_shows_does_not_change_the_spring(sensor: dict[str, dict[s
 def test_the_record_has_what_is_declared_and_what_the_entries_need() -> None:
     assert VALVE_RECORD.names is not None
     assert VALVE_RECORD.names[: len(DECLARED)] == tuple(DECLARED)
-    needed = {field for effect in CATALOGUE.values() for field in effect.fields}
+    needed = {field for effect in CATALOGUE.values() for field in effect.fields if not effect.with_gas}
     assert needed < set(VALVE_RECORD.names)
+    of_gas = {field for effect in CATALOGUE.values() for field in effect.fields if effect.with_gas}
+    assert of_gas == {"leak_area", "clogging_ratio"} and not of_gas & set(VALVE_RECORD.names)
+    assert GAS_VALVE_RECORD.names is not None
+    assert of_gas < set(GAS_VALVE_RECORD.names)
 
 
 def test_look_alikes_are_declared_once_and_mutual() -> None:
@@ -164,6 +169,7 @@ SEVERITIES = {
     "stiction": ({"force": 0.1, "breakaway": 0.2}, 0.3 / 2.55),
     "stop_bounce": ({"restitution_stop": 0.3, "restitution_seat": 0.2}, 0.09),
     "stroke_offset": ({"offset": 45e-6}, 0.05),
+    "pilot_clogging": ({"ratio": 0.6}, 0.4),
 }
 """Of a spring of 2.55 N and 250 N/m, 0.26 mm of gap and 0.9 mm of stroke, 0.9934 ms of coil and 4 N·s/m of damping."""
 

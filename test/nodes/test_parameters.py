@@ -10,7 +10,7 @@ import pytest
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.files.parameter_sections import Section
 from valve_sim.model import CATALOGUE, EXACT, ParameterError, Tolerances, ValveParameters
-from valve_sim.model.gas import GasParameters
+from valve_sim.model.gas import GAS, GasParameters
 from valve_sim.nodes.parameters import (
     as_declared,
     check_overrides,
@@ -33,6 +33,12 @@ EXACT_VALUES = {name: value for name, value in DEFAULTS.items() if not name.star
 }
 
 
+WITH_GAS = {
+    "valve.seat_load": 0.3, "gas.inlet_pressure": 35e6, "gas.outlet_volume": 1e-5, "gas.pilot_orifice_diameter": 2e-4,
+    "gas.main_orifice_diameter": 3e-3, "gas.seat_diameter": 4e-3,
+}  # fmt: skip
+
+
 def test_the_table_holds_the_valve_every_effect_and_the_settings() -> None:
     valve = {f"valve.{name}" for name in ValveParameters._fields}
     effects = {f"effects.{effect.name}.{name}" for effect in CATALOGUE.values() for name in effect.given_names}
@@ -40,7 +46,7 @@ def test_the_table_holds_the_valve_every_effect_and_the_settings() -> None:
     named = [effect for effect in CATALOGUE.values() if effect.named]
     tolerances = {f"tolerances.{name}" for name in ValveParameters._fields if name != "attraction_polynomial"}
     tolerances |= {f"tolerances.effects.{effect.name}.{rule.name}" for effect in named for rule in effect.parameters}
-    tolerances.add("tolerances.attraction_covariance")
+    tolerances |= {"tolerances.attraction_covariance", *(f"tolerances.gas.{name}" for name in GAS)}
     gas = {f"gas.{name}" for name in GasParameters._fields}
     assert ENTRIES.keys() == valve | effects | tolerances | settings | gas
 
@@ -111,7 +117,8 @@ def test_one_parameter_alone_switches_its_effect_on(effect: object) -> None:
         value = rule.off + rule.prior_scale if math.isfinite(rule.off) else rule.prior_scale
         if not rule.lower <= value <= rule.upper:
             value = rule.off - rule.prior_scale
-        valve = valve_of({**DEFAULTS, f"effects.{effect.name}.{rule.name}": value}, "here")  # type: ignore[attr-defined]
+        needed = WITH_GAS if CATALOGUE[effect.name].with_gas else {}  # type: ignore[attr-defined]
+        valve = valve_of({**DEFAULTS, **needed, f"effects.{effect.name}.{rule.name}": value}, "here")  # type: ignore[attr-defined]
         assert valve.effects[effect.name][rule.name] == value  # type: ignore[attr-defined]
 
 

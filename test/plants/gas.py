@@ -82,17 +82,18 @@ class Flux:
 
 @dataclass
 class GasValve:
-    """The valve of the theory's equations, without effects but those of gas.
+    """The valve of the theory's equations, without effects but those of gas and dry friction.
 
     Attributes:
         valve: declared names to values, `attraction_polynomial` as four numbers. gas: names of the group `gas`.
-        leak: m². clogging: ratio of the pilot orifice's area.
+        leak: m². clogging: ratio of the pilot orifice's area. friction: N, of Coulomb's.
     """
 
     valve: Mapping[str, Any]
     gas: Mapping[str, float]
     leak: float = 0.0
     clogging: float = 1.0
+    friction: float = 0.0
     fluid: NobleAbel | None = None
     rtol: float = 1e-9
     events: list[tuple[float, str]] = field(default_factory=list)
@@ -154,7 +155,9 @@ class GasValve:
         dv = 0.0
         if self.moving:
             main = self.mode == MAIN
-            dv = self.net(main, x, v, u, p) / self.valve["moving_mass" if main else "pilot_mass"]
+            dv = (self.net(main, x, v, u, p) - self.way * self.friction) / self.valve[
+                "moving_mass" if main else "pilot_mass"
+            ]
         assert self.fluid is not None
         rt = self.fluid.constant * self.fluid.temperature
         per_density = (rt + self.fluid.covolume * p) ** 2 / rt
@@ -170,10 +173,11 @@ class GasValve:
 
     def _lift(self, y: Array) -> float:
         main = self.mode >= GAP_HOLD
-        return self.net(main, y[0], 0.0, y[2], 1e5 * y[3]) - (1e-9 if self.mode == CLOSED else 0.0)
+        least = self.friction + (1e-9 if self.mode == CLOSED else 0.0)
+        return self.net(main, y[0], 0.0, y[2], 1e5 * y[3]) - least
 
     def _fall(self, y: Array) -> float:
-        return -self.net(self.mode >= MAIN, y[0], 0.0, y[2], 1e5 * y[3])
+        return -self.net(self.mode >= MAIN, y[0], 0.0, y[2], 1e5 * y[3]) - self.friction
 
     def _guards(self) -> dict[str, Any]:
         if not self.moving:
@@ -206,12 +210,13 @@ class GasValve:
 
     def _leave_rest(self, push: int) -> None:
         kinds = {CLOSED: "UNSEATED", OPEN: "RELEASED", GAP_HOLD: "LIFTED" if push > 0 else "DROPPED"}
-        self._log(kinds[self.mode])
+        if self.mode in kinds:  # else it was stuck on its way
+            self._log(kinds[self.mode])
         if self.mode == CLOSED:
             self.mode = PILOT
         elif self.mode == GAP_HOLD:
             self.mode = MAIN if push > 0 else PILOT
-        else:
+        elif self.mode == OPEN:
             self.mode = MAIN
         self.moving, self.way, self.v = True, push, 0.0
 
@@ -254,7 +259,8 @@ class GasValve:
             return
         main = self.mode == MAIN
         self.v = 0.0
-        self.way = 1 if self.net(main, self.x, 0.0, self.u, self.p) > 0.0 else -1
+        net = self.net(main, self.x, 0.0, self.u, self.p)
+        self.moving, self.way = abs(net) > self.friction, 1 if net > 0.0 else -1
 
     def run(self, drive: Sequence[tuple[float, float]], times: Array, inlet: Sequence[tuple[float, float]] = ()) -> Any:
         """Go through commands (s, V) and inlet pressures (s, Pa; held) up to the last of the times.

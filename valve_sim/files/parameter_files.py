@@ -228,8 +228,13 @@ def _add_tolerance(tolerances: dict[str, Any], key: str, value: object, source: 
     name = key.partition(".")[2]
     if not name:
         raise ParameterError(f"{source}: {key}: found {shortened(value)}, expected names of declared values below it")
-    of_effects, dot, rest = name.partition(".")
-    if of_effects != "effects":
+    group, dot, rest = name.partition(".")
+    if group == "gas":
+        if not dot:
+            raise ParameterError(f"{source}: {key}: found {shortened(value)}, expected tolerances.gas.<name>")
+        tolerances.setdefault("gas", {})[rest] = value
+        return
+    if group != "effects":
         tolerances[name] = value
         return
     effect, dot, parameter = rest.partition(".")

@@ -91,11 +91,13 @@ class Valve:
         """
         parameters = check_declared(dict(values.get("valve") or {}), source)
         effects = check_effects(values.get("effects") or {}, source)
-        tolerances = Tolerances.from_mapping(values.get("tolerances") or {}, source, effects)
-        tolerances.check_masses(parameters, source)
         gas = check_gas(values["gas"], source) if values.get("gas") else None
+        tolerances = Tolerances.from_mapping(values.get("tolerances") or {}, source, effects, has_gas=gas is not None)
+        tolerances.check_masses(parameters, source)
         if gas is not None:
             _check_beside_gas(parameters, effects, source)
+        else:
+            _check_without_gas(effects, source)
         valve = cls(parameters, effects, tolerances, gas)
         record = valve.record()[0]
         check_geometry(float(record["pilot_gap"]), float(record["stroke"]), f"{source} (with effects)")
@@ -187,16 +189,27 @@ class Response:
 
 def _check_beside_gas(parameters: ValveParameters, effects: Mapping[str, Mapping[str, float]], source: str) -> None:
     """What is declared beside gas must go with it."""
-    if "pressure_force" in effects:
-        raise ParameterError(
-            f"{source}: effects.pressure_force: found beside gas, which has the pressure across the main plunger "
-            "itself; take one of the two out"
-        )
+    for name in effects:
+        if not CATALOGUE[name].is_of(has_gas=True):
+            raise ParameterError(
+                f"{source}: effects.{name}: found beside gas, which has the pressure across the main plunger itself; "
+                "take one of the two out"
+            )
     if not parameters.seat_load > 0.0:
         raise ParameterError(
             f"{source}: valve.seat_load: found {parameters.seat_load:g} N beside gas, expected above 0 N: without it "
             "a pilot plunger at equal pressures floats on its seat"
         )
+
+
+def _check_without_gas(effects: Mapping[str, Mapping[str, float]], source: str) -> None:
+    """What is of gas alone needs gas."""
+    for name in effects:
+        if not CATALOGUE[name].is_of(has_gas=False):
+            raise ParameterError(
+                f"{source}: effects.{name}: found without gas, of which it is an effect; declare the group gas, or "
+                "take the effect out"
+            )
 
 
 def new_states(records: Any, start_time: float) -> Any:
@@ -292,10 +305,7 @@ def run_record(
         SimulationError: the run could not be carried to its end.
     """
     times, rows, current_times, currents = samples
-    gap, stroke, delay = record["pilot_gap"].item(), record["stroke"].item(), record["sensor_delay"].item()
-    if not 0.0 < gap < stroke:
-        raise SimulationError(f"the simulation cannot start: pilot_gap {gap:g} m is not inside stroke {stroke:g} m")
-    end = max(times[-1] if len(times) else -math.inf, current_times[-1] if len(current_times) else -math.inf)
+    delay, end = delay_and_end(record, samples)
     run = (
         record, state, (drive.times, drive.volts, end),
         (times - delay if delay else times, rows, current_times, currents),
@@ -304,6 +314,20 @@ def run_record(
     count, outcome = driver.run_drive(*run, vary)
     check_outcome(outcome)
     return int(count)
+
+
+def delay_and_end(record: Any, samples: Samples) -> tuple[float, float]:
+    """How late positions are shown, s, and when the last sample is, s.
+
+    Raises:
+        SimulationError: the valve has no travel beyond its gap.
+    """
+    gap, stroke, delay = record["pilot_gap"].item(), record["stroke"].item(), record["sensor_delay"].item()
+    if not 0.0 < gap < stroke:
+        raise SimulationError(f"the simulation cannot start: pilot_gap {gap:g} m is not inside stroke {stroke:g} m")
+    times, _, current_times, _ = samples
+    end = max(times[-1] if len(times) else -math.inf, current_times[-1] if len(current_times) else -math.inf)
+    return delay, end
 
 
 def simulate_many(

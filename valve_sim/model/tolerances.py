@@ -14,6 +14,7 @@ import numpy as np
 
 from valve_sim.model.effects import CATALOGUE
 from valve_sim.model.errors import ParameterError
+from valve_sim.model.gas.parameters import GAS
 from valve_sim.model.parameters import DECLARED, POLYNOMIAL_NAMES, Parameter, ValveParameters, closest
 
 Matrix = tuple[tuple[float, ...], ...]
@@ -24,6 +25,8 @@ COVARIANCE_NAME: Final = "attraction_covariance"
 """Key of the polynomial's covariance, as 16 numbers row by row."""
 COVARIANCE_FORM: Final = "16 numbers, the 4 by 4 covariance of a0 … a3 row by row, N/m^i times N/m^j"
 
+_GROUPS: Final = ("effects", "gas")
+"""Keys below which there are names of their own."""
 _TERMS: Final = len(POLYNOMIAL_NAMES)
 _LARGEST_COVARIANCE: Final = 1e32
 _ROUNDING: Final = 1e-6
@@ -39,28 +42,36 @@ class Tolerances:
             difference moving_mass − pilot_mass: two bodies are weighed.
         attraction_covariance: (4, 4), N/m^i times N/m^j, of a0 … a3; symmetric, positive semidefinite.
         effects: effect name to {parameter: standard deviation}, of effects that the valve has on.
+        gas: name of a number of the group `gas` to its standard deviation, above 0.
     """
 
     declared: Mapping[str, float] = field(default_factory=dict)
     attraction_covariance: Matrix | None = None
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    gas: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def is_exact(self) -> bool:
         """Whether nothing has a tolerance."""
-        return not self.declared and self.attraction_covariance is None and not self.effects
+        return not (self.declared or self.attraction_covariance is not None or self.effects or self.gas)
 
     @classmethod
     def from_mapping(
-        cls, values: Mapping[str, Any], source: str, effects: Mapping[str, Mapping[str, float]]
+        cls,
+        values: Mapping[str, Any],
+        source: str,
+        effects: Mapping[str, Mapping[str, float]],
+        *,
+        has_gas: bool = False,
     ) -> Tolerances:
         """Checked tolerances, as found below `tolerances:` in a parameter file. Zero means exact.
 
         Args:
-            values: scalar names to standard deviations, `attraction_covariance` to its 16 numbers row by row, and
-                `effects` to {effect: {parameter: standard deviation}}; all optional.
+            values: scalar names to standard deviations, `attraction_covariance` to its 16 numbers row by row,
+                `effects` to {effect: {parameter: standard deviation}}, and `gas` to {name: standard deviation}; all
+                optional.
             source: the file or node, for messages.
-            effects: those that the valve has on.
+            effects: those that the valve has on. has_gas: whether the valve has gas.
 
         Raises:
             ParameterError: an unknown name, a tolerance that is no number at least 0, a matrix that is no covariance,
@@ -68,16 +79,19 @@ class Tolerances:
         """
         scalars: dict[str, float] = {}
         for name, value in values.items():
-            if name not in (COVARIANCE_NAME, "effects"):
+            if name not in (COVARIANCE_NAME, *_GROUPS):
                 scalars[name] = _scalar_rule(name, value, source).check(value, _where(name, source))
         covariance = values.get(COVARIANCE_NAME)
-        of_effects = values.get("effects") or {}
+        of_effects, of_gas = (values.get(group) or {} for group in _GROUPS)
         if not isinstance(of_effects, Mapping):
             raise ParameterError(f"{_where('effects', source)}: found {of_effects!r}, expected effects and parameters")
+        if not isinstance(of_gas, Mapping):
+            raise ParameterError(f"{_where('gas', source)}: found {of_gas!r}, expected names of gas and tolerances")
         return cls(
             {name: scalars[name] for name in TOLERATED if scalars.get(name)},
             None if covariance is None else _check_covariance(covariance, _where(COVARIANCE_NAME, source)),
             _check_effects(of_effects, effects, source),
+            _check_gas(of_gas, source, has_gas=has_gas),
         )
 
     def check_masses(self, parameters: ValveParameters, source: str) -> None:
@@ -99,6 +113,8 @@ class Tolerances:
             mapping[COVARIANCE_NAME] = [value for row in self.attraction_covariance for value in row]
         if self.effects:
             mapping["effects"] = {name: dict(values) for name, values in self.effects.items()}
+        if self.gas:
+            mapping["gas"] = dict(self.gas)
         return mapping
 
 
@@ -140,7 +156,9 @@ def _scalar_rule(name: str, value: object, source: str) -> Parameter:
         )
     if name in CATALOGUE:
         raise ParameterError(f"{found}; expected the tolerances of an effect as tolerances.effects.{name}")
-    likely = closest(name.removeprefix("valve.").partition(".")[0], [*TOLERATED, COVARIANCE_NAME, "effects"])
+    if name in GAS:
+        raise ParameterError(f"{found}; expected it as tolerances.gas.{name}")
+    likely = closest(name.removeprefix("valve.").partition(".")[0], [*TOLERATED, COVARIANCE_NAME, *_GROUPS])
     raise ParameterError(f"{found} under an unknown name; did you mean tolerances.{likely}?")
 
 
@@ -178,6 +196,23 @@ def _check_effects(
         for name in effects
         if name in checked
     }
+
+
+def _check_gas(values: Mapping[str, Any], source: str, *, has_gas: bool) -> dict[str, float]:
+    found = {}
+    for name, value in values.items():
+        where = _where(f"gas.{name}", source)
+        if name not in GAS:
+            raise ParameterError(
+                f"{where}: found {value!r} under an unknown name; did you mean {closest(name, list(GAS))}?"
+            )
+        tolerance = tolerance_rule(GAS[name]).check(value, where)
+        if tolerance and not has_gas:
+            raise ParameterError(
+                f"{where}: found {value!r}, but no gas is declared; declare the group gas, or take the line out"
+            )
+        found[name] = tolerance
+    return {name: found[name] for name in GAS if found.get(name)}
 
 
 def _check_covariance(value: object, where: str) -> Matrix | None:

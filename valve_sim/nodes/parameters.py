@@ -305,6 +305,7 @@ def _tolerance_entries(tolerances: Tolerances) -> list[NodeParameter]:
         known = tolerances.effects.get(effect.name, {})
         for parameter in effect.parameters if effect.named else ():
             rules[f"effects.{effect.name}.{parameter.name}"] = tolerance_rule(parameter), known.get(parameter.name, 0.0)
+    rules |= {f"gas.{name}": (tolerance_rule(rule), tolerances.gas.get(name, 0.0)) for name, rule in GAS.items()}
     entries = [
         NodeParameter(f"{_TOLERANCES}{name}", value, _describe(rule), rule) for name, (rule, value) in rules.items()
     ]

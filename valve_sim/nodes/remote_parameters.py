@@ -14,6 +14,7 @@ from rclpy.parameter_client import AsyncParameterClient
 
 from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.model import CATALOGUE, DECLARED, ParameterError
+from valve_sim.model.gas import GAS
 
 FIND_SECONDS: Final = 10.0
 """Time in which a node must be found: announcements that DDS loses are repeated every 3 s."""
@@ -112,14 +113,16 @@ def changes_between(old: Mapping[str, Any], new: Mapping[str, Any], intervals: M
 
 def _interval_of(name: str, intervals: Mapping[str, Interval]) -> tuple[float, float] | None:
     root, _, rest = name.partition(".")
-    found = None if root == "tolerances" else intervals.get(rest)
+    found = None if root == "tolerances" else intervals.get(name if root == "gas" else rest)
     return None if found is None else (found.low, found.high)
 
 
 def _unit(name: str) -> str:
     root, _, rest = name.partition(".")
     if root == "tolerances":
-        return _unit(rest if rest.startswith("effects.") else f"valve.{rest}")
+        return _unit(rest if rest.startswith(("effects.", "gas.")) else f"valve.{rest}")
+    if root == "gas":
+        return GAS[rest].unit if rest in GAS else ""
     if root == "valve":
         return DECLARED[rest].unit if rest in DECLARED else ""
     effect, _, parameter = rest.partition(".")

@@ -19,7 +19,8 @@ from valve_sim.identification.plants.protocol import perturbed
 from valve_sim.model import CATALOGUE, DECLARED, Drive
 from valve_sim.traces import Signal, Trace
 
-EFFECTS = [f"{entry.name}.{one.name}" for entry in CATALOGUE.values() if entry.named for one in entry.parameters]
+BENCH = [entry for entry in CATALOGUE.values() if entry.named and entry.is_of(has_gas=False)]
+EFFECTS = [f"{entry.name}.{one.name}" for entry in BENCH for one in entry.parameters]
 EVERY = [*DECLARED, *EFFECTS]
 RECORDERS = {
     "clean": Recorder(position_noise=0.0, current_noise=0.0, with_current=True),

@@ -36,6 +36,19 @@ def test_a_written_file_is_read_back(tmp_path: Path) -> None:
     assert load_valve(tmp_path / "valve.yaml").gas == valve.gas
 
 
+def test_tolerances_and_effects_of_gas_are_read_back(tmp_path: Path) -> None:
+    given = {
+        **GIVEN, "tolerances.gas.outlet_volume": 2e-7, "tolerances.gas.inlet_pressure": 0.0,
+        "effects.seat_leak.area": 1e-9, "effects.pilot_clogging.ratio": 1.0, "tolerances.effects.seat_leak.area": 1e-10,
+    }  # fmt: skip
+    valve = valve_from_flat(given, "here")
+    assert valve.tolerances.gas == {"outlet_volume": 2e-7}
+    assert valve.effects == {"seat_leak": {"area": 1e-9}}
+    save_valve(tmp_path / "valve.yaml", valve, "test")
+    assert load_valve(tmp_path / "valve.yaml") == valve
+    assert not valve.tolerances.is_exact
+
+
 @pytest.mark.parametrize(("file", "pressure"), [("hydrogen_35mpa.yaml", 35e6), ("hydrogen_70mpa.yaml", 70e6)])
 def test_shipped_files_are_the_default_valve_before_a_tank(file: str, pressure: float) -> None:
     assert load_valve(config_path(file)) == gas_valve(inlet_pressure=pressure)
@@ -55,6 +68,23 @@ def test_shipped_files_are_the_default_valve_before_a_tank(file: str, pressure: 
         (
             {"effects.pressure_force.force": 1.0},
             "here: effects.pressure_force: found beside gas, which has the pressure across the main plunger itself",
+        ),
+        (
+            {"tolerances.gas.outlet_volum": 1e-7},
+            "here: tolerances.gas.outlet_volum: found 1e-07 under an unknown name; did you mean outlet_volume?",
+        ),
+        (
+            {"tolerances.outlet_volume": 1e-7},
+            "here: tolerances.outlet_volume: found 1e-07; expected it as tolerances.gas.",
+        ),
+        ({"tolerances.gas": 1e-7}, "here: tolerances.gas: found 1e-07, expected tolerances.gas.<name>"),
+        (
+            {"gas.inlet_pressure": 0.0, "effects.seat_leak.area": 1e-9},
+            "here: effects.seat_leak: found without gas, of which it is an effect; declare the group gas",
+        ),
+        (
+            {"gas.inlet_pressure": 0.0, "tolerances.gas.outlet_volume": 1e-7},
+            "here: tolerances.gas.outlet_volume: found 1e-07, but no gas is declared",
         ),
         (
             {"inlet_pressure": 1e6},

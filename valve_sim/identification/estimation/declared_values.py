@@ -11,9 +11,10 @@ import numpy as np
 
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.plants.protocol import Array, Nuisance, internal_slope
-from valve_sim.identification.plants.tolerances import MAIN_MASS
+from valve_sim.identification.plants.tolerances import MAIN_MASS, of_gas
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.model import CATALOGUE, DECLARED, Tolerances, Valve
+from valve_sim.model import CATALOGUE, DECLARED, Parameter, Tolerances, Valve
+from valve_sim.model.gas import GAS
 from valve_sim.model.parameters import POLYNOMIAL_NAMES
 from valve_sim.model.tolerances import TOLERATED, tolerance_rule
 
@@ -101,8 +102,10 @@ def estimated_valve(result: Fit, plant: ValvePlant) -> Valve:
     sigmas = dict(zip(names, np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist(), strict=True))
     if "moving_mass" in names:
         sigmas["moving_mass"] = _of_the_difference(names, covariance)
-    declared = {name: sigmas[name] for name in TOLERATED if _is_tolerance(sigmas.get(name, 0.0), name)}
-    tolerances = Tolerances(declared, _of_the_polynomial(names, covariance), _of_effects(sigmas, valve))
+    declared = {name: sigmas[name] for name in TOLERATED if _is_tolerance(sigmas.get(name, 0.0), DECLARED[name])}
+    tolerances = Tolerances(
+        declared, _of_the_polynomial(names, covariance), _of_effects(sigmas, valve), _of_gas(sigmas)
+    )
     return replace(valve, tolerances=tolerances)
 
 
@@ -121,8 +124,14 @@ def _machine(result: Fit) -> tuple[list[str], Array]:
     return [names[at] for at in own], np.where(np.isfinite(covariance), covariance, 0.0) * np.outer(slopes, slopes)
 
 
-def _is_tolerance(sigma: float, name: str) -> bool:
-    return 0.0 < sigma <= tolerance_rule(DECLARED[name]).upper
+def _is_tolerance(sigma: float, rule: Parameter) -> bool:
+    return 0.0 < sigma <= tolerance_rule(rule).upper
+
+
+def _of_gas(sigmas: Mapping[str, float]) -> dict[str, float]:
+    """Of the numbers of the group `gas` that were estimated."""
+    found = {name: sigmas.get(of_gas(name), 0.0) for name in GAS}
+    return {name: sigma for name, sigma in found.items() if _is_tolerance(sigma, GAS[name])}
 
 
 def _of_the_difference(names: Sequence[str], covariance: Array) -> float:

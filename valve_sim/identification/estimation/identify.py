@@ -116,8 +116,9 @@ def check_free(free: Sequence[str], *, has_gas: bool = True) -> None:
         ParameterError: one cannot; the message has the closest that can.
     """
     known = [*DECLARED, *(f"{e.name}.{p.name}" for e in CATALOGUE.values() if e.named for p in e.parameters)]
+    of_gas = {f"{e.name}.{p.name}" for e in CATALOGUE.values() if e.with_gas for p in e.parameters}
     for name in free:
-        if not has_gas and name in GAS_NAMES:
+        if not has_gas and name in {*GAS_NAMES, *of_gas}:
             raise ParameterError(f"{name}: cannot be freed, the valve declares no gas; add gas: to its file")
         if name not in [*known, *GAS_NAMES]:
             alike = closest(name, [*known, *GAS_NAMES])

@@ -21,7 +21,9 @@ from valve_sim.identification.estimation.identify import DEFAULT_FREE
 from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.identification.monitoring.scores import Baseline
 from valve_sim.identification.plants.commissioned import CommissionedPlant
+from valve_sim.identification.plants.effect_titles import WRONG
 from valve_sim.identification.plants.protocol import Array, Plant
+from valve_sim.identification.plants.tolerances import hypothesis_of
 from valve_sim.model import Drive, Parameter
 from valve_sim.traces import Signal, Trace
 
@@ -30,8 +32,6 @@ FEWEST: Final = 6
 HELD_OUT: Final = 3
 """Every third stroke is held out."""
 
-WRONG: Final = "valve."
-"""Begins the name of a declared value that is taken for wrong."""
 MOST_PRIOR_SCALES: Final = 100.0
 """Multiple of an effect's prior scale beyond which a value is not plausible: 5 N of friction, 30 N of pressure."""
 
@@ -82,7 +82,7 @@ def isolate_fault(strokes: Sequence[Trace], baseline: Baseline, progress: Progre
         return FaultFinding(nothing, False, {}, {}, len(strokes))
     parameters = estimates(verdict.effects, plants[0], intervals)
     before = {name: baseline.valve.declared()[name] for name in verdict.effects if name in DEFAULT_FREE}
-    before |= {name: plants[0].declared(name.partition(".")[2]) for name in parameters if name.startswith(WRONG)}
+    before |= {name: plants[0].declared(name.removeprefix("valve.")) for name in parameters if name.startswith(WRONG)}
     return FaultFinding(verdict, True, parameters, before, len(strokes))
 
 
@@ -97,7 +97,7 @@ def estimates(effects: Sequence[str], plant: Plant, intervals: Mapping[str, Inte
     """
     choices = [plant.effects[effect] for effect in effects]
     return {
-        f"{WRONG}{name}" if choice.is_declared_value else name: intervals[name]
+        hypothesis_of(name) if choice.is_declared_value else name: intervals[name]
         for choice in choices
         for name in choice.free_names()
         if name in intervals

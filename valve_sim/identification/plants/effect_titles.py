@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Final
 
 from valve_sim.identification.plants.protocol import Plant
+from valve_sim.identification.plants.tolerances import GROUP
 from valve_sim.model import CATALOGUE
+
+WRONG: Final = ("valve.", GROUP)
+"""Begin the names of declared values that are taken for wrong."""
 
 
 def title_of(effect: str) -> str:
     """The plain name of an effect in the catalogue or of a plant's own, or of a declared value that is wrong."""
-    wrong, dot, name = effect.partition(".")
-    if dot and wrong == "valve":
-        return f"Wrong {name.replace('_', ' ')}"
+    if effect.startswith(WRONG):
+        return f"Wrong {effect.partition('.')[2].replace('_', ' ')}"
     plain = effect.replace("_", " ")
     fallback = plain[:1].upper() + plain[1:]
     entry = CATALOGUE.get(effect)
@@ -31,7 +35,7 @@ def named(effects: Sequence[str], last: str = "and") -> str:
 
 def what_is_missing(effects: Sequence[str]) -> str:
     """Of a model, within a sentence: lacks Coulomb friction and has a wrong spring rate."""
-    wrong = [effect for effect in effects if effect.startswith("valve.")]
+    wrong = [effect for effect in effects if effect.startswith(WRONG)]
     lacks = [effect for effect in effects if effect not in wrong]
     parts = [f"lacks {named(lacks)}"] if lacks else []
     return " and ".join([*parts, *([f"has a {named(wrong)}"] if wrong else [])])
@@ -39,8 +43,10 @@ def what_is_missing(effects: Sequence[str]) -> str:
 
 def named_value(plant: Plant, name: str) -> tuple[str, str]:
     """What people call a parameter, and its unit: Coulomb friction, friction force."""
-    effect, dot, _ = name.partition(".")
+    effect, dot, own = name.partition(".")
     parameter = plant.parameter(name)
+    if name.startswith(GROUP):
+        return own.replace("_", " "), parameter.unit
     words = f"{title_of(effect)}: {parameter.description}" if dot else name.replace("_", " ")
     return words, parameter.unit
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from valve_sim.identification.plants.protocol import RELEASED, Array, EffectChoice, Nuisance
 from valve_sim.model import CATALOGUE, DECLARED, Parameter, Tolerances, Valve
+from valve_sim.model.gas import GAS
 from valve_sim.model.parameters import POLYNOMIAL_NAMES
 
 MAIN_MASS: Final = "main_mass"
@@ -25,6 +26,8 @@ STEP: Final = 3e-4
 are off by a factor of up to 5; below 1e-3 they are the same to three digits (measured)."""
 SMALLEST_SHARE: Final = 1e-12
 """Of a covariance, scaled to a unit diagonal: eigenvalues below this share of the largest are rounding."""
+GROUP: Final = "gas."
+"""What fits call a number of the group `gas` begins with it."""
 SAME_AS: Final[Mapping[str, str]] = {
     "pilot_gap": "gap_offset.offset",
     "stroke": "stroke_offset.offset",
@@ -42,8 +45,20 @@ LOOK_ALIKES: Final[Mapping[str, tuple[str, ...]]] = {
     "seat_load": ("constant_force", "rest_attraction", "valve.attraction_polynomial"),
     "coil_resistance": ("drive_gain",),
     "attraction_polynomial": ("rest_attraction", "drive_gain", "magnetic_saturation", "spring_hardening"),
+    "gas.pilot_orifice_diameter": ("gas.discharge_coefficient", "gas.outlet_volume"),
+    "gas.discharge_coefficient": ("pilot_clogging", "gas.pilot_orifice_diameter", "gas.outlet_volume"),
+    "gas.outlet_volume": ("pilot_clogging", "gas.discharge_coefficient", "gas.pilot_orifice_diameter"),
 }
 """What data often cannot tell from a wrong value."""
+
+
+SMALLER_IS: Final[Mapping[str, str]] = {"gas.pilot_orifice_diameter": "pilot_clogging"}
+"""Declared values to effects that a smaller one is: its own name can then be claimed above the declared value only."""
+
+
+def of_gas(name: str) -> str:
+    """What fits call a number of the group `gas`."""
+    return f"{GROUP}{name}"
 
 
 class ToleratedValues:
@@ -58,6 +73,8 @@ class ToleratedValues:
 
     def __init__(self, valve: Valve) -> None:
         self._declared = valve.declared()
+        if valve.gas is not None:
+            self._declared |= {of_gas(name): float(getattr(valve.gas, name)) for name in GAS}
         self._tolerances = valve.tolerances
         self._has_masses = bool({"pilot_mass", "moving_mass"} & set(valve.tolerances.declared))
         self._axes = principal_axes(valve.tolerances)
@@ -80,6 +97,9 @@ class ToleratedValues:
             nuisance = _nuisance(own, sigma, rule.unit, self.declared(own), least, most)
             found.append(nuisance if is_on or same is None else nuisance._replace(same_as=same))
         found += [_nuisance(name, 1.0, "–", 0.0) for name in self._axis_names]
+        for name, sigma in valve.tolerances.gas.items():
+            rule = GAS[name]
+            found.append(_nuisance(of_gas(name), sigma, rule.unit, self.declared(of_gas(name)), rule.lower, rule.upper))
         for effect, sigmas in valve.tolerances.effects.items():
             for name, sigma in sigmas.items():
                 rule = CATALOGUE[effect].parameter(name)
@@ -101,10 +121,13 @@ class ToleratedValues:
             return Parameter(name, "–", "attraction polynomial along an axis of its covariance", prior_scale=RELEASED)
         if name in self._tolerances.declared and name != "moving_mass":
             return DECLARED[name]._replace(prior_scale=RELEASED * self._tolerances.declared[name])
+        own = name.removeprefix(GROUP)
+        if own != name and own in self._tolerances.gas:
+            return GAS[own]._replace(name=name, prior_scale=RELEASED * self._tolerances.gas[own])
         return None
 
     def declared(self, name: str) -> float:
-        """The declared value of any scalar, of the main mass and of the coordinates of the polynomial."""
+        """The declared value of any scalar, of `gas.<name>`, of the main mass, and of the polynomial's coordinates."""
         if name == MAIN_MASS:
             return self._declared["moving_mass"] - self._declared["pilot_mass"]
         return 0.0 if name in self._axis_names else self._declared[name]
@@ -163,12 +186,12 @@ class ToleratedValues:
             refitted: declared values that every fit frees, of which nothing is declared that could be wrong.
         """
         wrong = {
-            f"valve.{name}": own
+            hypothesis_of(name): own
             for name, own in self._coordinates().items()
             if name not in refitted and (_effect_like(name) not in effects or _is_one_sided(name))
         }
         known = {*effects, *wrong}
-        alike = {f"valve.{name}": tuple(o for o in others if o in known) for name, others in LOOK_ALIKES.items()}
+        alike = {hypothesis_of(name): tuple(o for o in others if o in known) for name, others in LOOK_ALIKES.items()}
         found = {}
         for name, choice in effects.items():
             others = tuple(value for value in wrong if name in alike.get(value, ()))
@@ -185,14 +208,23 @@ class ToleratedValues:
         found: dict[str, tuple[str, ...]] = {
             name: (MAIN_MASS if name == "moving_mass" else name,) for name in self._tolerances.declared
         }
-        return {**found, "attraction_polynomial": self._axis_names} if self._axis_names else found
+        if self._axis_names:
+            found["attraction_polynomial"] = self._axis_names
+        return {**found, **{of_gas(name): (of_gas(name),) for name in self._tolerances.gas}}
 
     def _released(self, name: str, effects: Mapping[str, EffectChoice]) -> Parameter:
         """A coordinate as a hypothesis frees it: off where it is as declared, and claimed where no effect stands."""
         parameter = self.parameter(name)
         assert parameter is not None
         declared = self._own[name].mean
+        if SMALLER_IS.get(name) in effects:
+            return parameter._replace(off=declared, lower=declared)
         return parameter._replace(off=declared, upper=declared if _effect_like(name) in effects else parameter.upper)
+
+
+def hypothesis_of(name: str) -> str:
+    """What the hypothesis is called that a declared value is wrong: `valve.<name>`, or `gas.<name>` as it is."""
+    return name if name.startswith(GROUP) else f"valve.{name}"
 
 
 def _effect_like(name: str) -> str:

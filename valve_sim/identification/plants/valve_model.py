@@ -7,12 +7,12 @@ from dataclasses import replace
 from typing import Any, Final
 
 from valve_sim.identification.plants.protocol import Array, EffectChoice, Nuisance
-from valve_sim.identification.plants.tolerances import ToleratedValues
+from valve_sim.identification.plants.tolerances import ToleratedValues, of_gas
 from valve_sim.model import CATALOGUE, DECLARED, Parameter, Valve
 from valve_sim.model.gas import GAS, GasParameters
 from valve_sim.model.gas.record import record_of
 
-GAS_NAMES: Final[Mapping[str, str]] = {f"gas.{name}": name for name in GAS}
+GAS_NAMES: Final[Mapping[str, str]] = {of_gas(name): name for name in GAS}
 """What fits call a number of the group `gas`, and what the group calls it."""
 
 
@@ -37,6 +37,7 @@ class ValveModel:
         self.nuisances: tuple[Nuisance, ...] = self._tolerated.nuisances
         # Without inductance a coil has no flux that motion could change.
         left_out = {name for name, entry in CATALOGUE.items() if not entry.tried}
+        left_out |= {name for name, entry in CATALOGUE.items() if not entry.is_of(has_gas=valve.gas is not None)}
         if not goes_by_current or valve.parameters.coil_time_constant == 0.0:
             left_out |= {name for name, entry in CATALOGUE.items() if entry.needs_current}
         effects = {
@@ -57,7 +58,7 @@ class ValveModel:
             KeyError: there is none.
         """
         if name in self._gas:
-            return GAS[self._gas[name]]
+            return self._tolerated.parameter(name) or GAS[self._gas[name]]
         effect, dot, parameter = name.partition(".")
         return CATALOGUE[effect].parameter(parameter) if dot else self._tolerated.parameter(name) or DECLARED[name]
 

@@ -13,8 +13,11 @@ from numpy.typing import NDArray
 from valve_sim.identification.plants.protocol import Array, Channel, Role
 from valve_sim.model import Drive, ParameterError, SimulationError
 from valve_sim.model.core_types import EVENT_RECORD
+from valve_sim.model.gas.parameters import GAS
+from valve_sim.model.gas.record import is_of_gas
 from valve_sim.model.gas.step import FIRST_COLUMN
 from valve_sim.model.simulation import Samples, columns_of, new_states, rated_current, run_record
+from valve_sim.model.supplied import Supply, run_supplied
 from valve_sim.traces import Signal, Trace, stroke_numbers
 from valve_sim.traces.measured_input import AT_COMMAND
 
@@ -32,6 +35,8 @@ ROUNDING: Final = 2.0**-24 / math.sqrt(3.0)
 """Relative standard deviation of a number in single precision, as `sensor_msgs/BatteryState` has it, at its largest."""
 PRESSURE_RESOLUTION: Final = 1e-6
 """Relative error of a simulated outlet pressure: a valve with gas is stepped with a looser tolerance."""
+LEAST_PRESSURE: Final = GAS["inlet_pressure"].lower
+"""Pa: a sensor's noise may show less than that of an empty tank."""
 STILL: Final = 6.0
 """Standard deviations within which a still sensor stays."""
 EQUAL: Final = 2.0
@@ -119,7 +124,7 @@ def without_pressure(trace: Trace) -> Trace:
             f"{trace.source}: holds the outlet's pressure alone, and the valve declares no gas; give a parameter file "
             "with the group gas"
         )
-    return replace(trace, outlet_pressure=None)
+    return replace(trace, inlet_pressure=None, outlet_pressure=None)
 
 
 def without_jittered_current(trace: Trace) -> Trace:
@@ -201,8 +206,18 @@ def predicted(record: Any, trace: Trace, drive: Drive, offset: float) -> list[Ar
     if trace.outlet_pressure is not None:
         return _predicted_with_pressure(record, trace, trace.outlet_pressure.times, drive, offset)
     state, samples = prepared(record, trace, drive, offset)
-    run_record(record, state, drive, samples, _NO_EVENTS, FIT_TOLERANCE)
+    _run(record, state, trace, drive, samples, offset)
     return [samples.rows[:, 0], *_amperes(record, trace, samples.currents)]
+
+
+def _run(record: Any, state: Any, trace: Trace, drive: Drive, samples: Samples, offset: float) -> None:
+    """Run the model; with gas from the tank's pressure as it was measured, if it was."""
+    if trace.inlet_pressure is None or not is_of_gas(record):
+        run_record(record, state, drive, samples, _NO_EVENTS, FIT_TOLERANCE)
+        return
+    times, pressures = trace.inlet_pressure
+    supply = Supply(times - offset, np.maximum(pressures, LEAST_PRESSURE))
+    run_supplied(record, state, drive, supply, samples, _NO_EVENTS, FIT_TOLERANCE)
 
 
 def _amperes(record: Any, trace: Trace, currents: Array) -> list[Array]:
@@ -224,7 +239,7 @@ def _predicted_with_pressure(
     rows = np.empty((len(times), columns_of(record)))
     samples = Samples(times, rows, current_times, np.empty(len(current_times)))
     state = _state_before(record, drive, np.concatenate([trace.sample_times[:1], pressure_times[:1]]) - offset)
-    run_record(record, state, drive, samples, _NO_EVENTS, FIT_TOLERANCE)
+    _run(record, state, trace, drive, samples, offset)
     count = len(trace.times)
     pressures = rows[at[count:], FIRST_COLUMN]
     return [rows[at[:count], 0], *_amperes(record, trace, samples.currents), pressures]
@@ -239,7 +254,7 @@ def followed(record: Any, trace: Trace, drive: Drive, offset: float) -> Array:
     times = trace.sample_times - offset
     samples = Samples(times, np.empty((len(times), 1)), _NO_TIMES, _NO_TIMES)
     state = _state_before(record, drive, times)
-    run_record(record, state, drive, samples, _NO_EVENTS, FIT_TOLERANCE)
+    _run(record, state, trace, drive, samples, offset)
     return samples.rows[:, 0]
 
 

@@ -10,6 +10,7 @@ from valve_sim.files.json_text import plain
 from valve_sim.identification.estimation.declared_values import BEYOND, DeclaredValue, out_of_tolerance
 from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.identification.plants.effect_titles import capitalised
+from valve_sim.identification.plants.tolerances import GROUP
 from valve_sim.identification.reporting.units import measured, readable
 
 NORMAL_95: Final = 1.96
@@ -84,8 +85,8 @@ def plain_name(name: str) -> str:
     axis, bracket, rest = name.partition("[")
     if bracket:
         return f"{axis}'s coordinate {int(rest.rstrip(']')) + 1}"
-    effect, dot, parameter = name.partition(".")
-    return (f"{parameter} of {effect}" if dot else name).replace("_", " ")
+    effect, dot, parameter = name.removeprefix(GROUP).partition(".")
+    return (f"{parameter} of {effect}" if dot else effect).replace("_", " ")
 
 
 def summary_words(values: Sequence[DeclaredValue]) -> str:

@@ -8,6 +8,7 @@ from valve_sim.files.json_text import plain_mapping
 from valve_sim.identification.diagnosis.experiment_design import Recommendation
 from valve_sim.identification.diagnosis.run import Diagnosis, State
 from valve_sim.identification.plants.protocol import KEY_OF_UNIT, judged_channels
+from valve_sim.identification.plants.tolerances import GROUP
 from valve_sim.identification.reporting.declared_values import declared_json
 from valve_sim.identification.reporting.followed_positions import strokes_followed, strokes_json
 from valve_sim.identification.reporting.force_curves import Motion, force_curve, motion_of
@@ -104,7 +105,7 @@ def _effects_json(state: State) -> dict[str, dict[str, Any]]:
             effects[wrong.name] = {name: interval_json(state.intervals[name]) for name in wrong.free_names()}
     for name, interval in state.intervals.items():
         effect, dot, parameter = name.partition(".")
-        if dot:
+        if dot and not name.startswith(GROUP):
             effects.setdefault(effect, {})[parameter] = interval_json(interval)
     for name, value in state.fit.values.items():
         effect, dot, parameter = name.partition(".")

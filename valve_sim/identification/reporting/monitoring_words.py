@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Final
 
 from valve_sim.identification.estimation.identify import DEFAULT_FREE
-from valve_sim.identification.monitoring.fault_isolation import WRONG, FaultFinding
+from valve_sim.identification.estimation.intervals import Interval
+from valve_sim.identification.monitoring.fault_isolation import FaultFinding
 from valve_sim.identification.monitoring.findings import (
     DidNotClose,
     DidNotOpen,
@@ -19,11 +20,12 @@ from valve_sim.identification.monitoring.findings import (
     WaitsForPressure,
 )
 from valve_sim.identification.monitoring.stroke_monitor import StrokeReport
-from valve_sim.identification.plants.effect_titles import named, title_of
+from valve_sim.identification.plants.effect_titles import WRONG, named, title_of
 from valve_sim.identification.plants.protocol import GENERIC_ADVICE
 from valve_sim.identification.reporting.summary import claim
 from valve_sim.identification.reporting.units import measured, quantity
 from valve_sim.model import CATALOGUE, DECLARED
+from valve_sim.model.gas import GAS
 
 TIMING_UNCERTAIN: Final = "timing too uncertain to judge"
 _STATES: Final = {
@@ -111,6 +113,9 @@ def _change(effect: str, finding: FaultFinding) -> str:
         unit = DECLARED[effect].unit
         value = ", ".join(measured(found, unit) for found in own.values())
         return f"{title_of(effect)} {value}, {quantity(finding.commissioned[effect], unit)} when commissioned"
+    if remaining := CATALOGUE[effect].remaining:
+        (share,) = own.values()
+        return f"{remaining} at {_percent(share)} of when commissioned"
     rules = [CATALOGUE[effect].parameter(name) for name in own]
     values = [measured(found, rule.unit) for found, rule in zip(own.values(), rules, strict=True)]
     if len(values) == 1:
@@ -123,9 +128,16 @@ def _changed_value(effect: str, finding: FaultFinding) -> str:
     """A declared value that is another now; what is estimated by other coordinates has no one number."""
     if effect not in finding.parameters:
         return title_of(effect)
-    name = effect.removeprefix(WRONG)
-    value, before = measured(finding.parameters[effect], DECLARED[name].unit), finding.commissioned[effect]
-    return f"{title_of(name)} {value}, {quantity(before, DECLARED[name].unit)} when commissioned"
+    group, _, name = effect.partition(".")
+    unit = (GAS if group == "gas" else DECLARED)[name].unit
+    value, before = measured(finding.parameters[effect], unit), finding.commissioned[effect]
+    return f"{title_of(name)} {value}, {quantity(before, unit)} when commissioned"
+
+
+def _percent(share: Interval) -> str:
+    """60 ± 3 %, of a share with its standard error; rounded to two digits of the latter."""
+    value, error, low, high = (100.0 * bound for bound in (share.value, share.stderr, share.low, share.high))
+    return measured(Interval(value, error, low, high), "%")
 
 
 def _mm(metres: float) -> str:

@@ -15,6 +15,7 @@ _PREFIXES: Final[Mapping[str, tuple[tuple[float, str], ...]]] = {
     "A": ((1.0, "mA"), (math.inf, "A")),
     "Hz": ((1e3, "Hz"), (math.inf, "kHz")),
     "Pa": ((1e6, "kPa"), (math.inf, "MPa")),
+    "m²": ((math.inf, "mm²"),),
     "m³": ((math.inf, "cm³"),),
 }
 """SI unit to display units, each for sizes below its bound."""
@@ -27,6 +28,7 @@ _FACTORS: Final = {
     "kHz": 1e-3,
     "kPa": 1e-3,
     "MPa": 1e-6,
+    "mm²": 1e6,
     "cm³": 1e6,
 }
 _NO_UNIT: Final = ("", "–")

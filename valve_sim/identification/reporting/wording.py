@@ -9,6 +9,7 @@ from valve_sim.identification.diagnosis.run import Diagnosis, Verdict
 from valve_sim.identification.estimation.result import effective_rmse
 from valve_sim.identification.plants.effect_titles import capitalised, named, title_of, what_is_missing
 from valve_sim.identification.plants.protocol import Plant, judged_channels
+from valve_sim.identification.plants.tolerances import GROUP
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.declared_values import amount_words, plain_name
 from valve_sim.identification.reporting.units import measured, quantity
@@ -162,9 +163,9 @@ def meanings(diagnosis: Diagnosis) -> list[Meaning]:
 
 def _wrong_value(diagnosis: Diagnosis, effect: str) -> Meaning:
     """A declared value that is not what was declared."""
-    name = effect.partition(".")[2]
+    name = effect.removeprefix("valve.")
     rows = [row for row in diagnosis.declared if row.name == name or row.name.startswith(f"{COORDINATES.get(name)}[")]
-    words = name.replace("_", " ")
+    words = name.removeprefix(GROUP).replace("_", " ")
     return Meaning(
         effect, title_of(effect), tuple((plain_name(row.name), amount_words(row)) for row in rows), "",
         f"The {words} is not what was declared: another part was fitted, or the number was copied wrongly.",

@@ -41,6 +41,8 @@ class Tag(enum.Enum):
     """Where the plungers touch, and what happens there."""
     SENSOR = "sensor"
     """What is measured, not what happens."""
+    GAS = "gas"
+    """Of the gas that flows, where there is any."""
     LIKE_DAMPING = "like damping"
     """Slows the plungers as a viscous damping does, and is easily taken for one."""
     ANY_AXIS = "any axis"
@@ -91,12 +93,14 @@ class _Words:
         title: plain name, "Coulomb friction"; default: the name, without underscores.
         on_a_real_valve: one sentence: what it is on a real valve; default: the summary.
         what_to_do: one sentence: what to check or do.
+        remaining: of an effect whose one parameter is what is left of something, 1 at first: of what.
         severity: (the effect's values, the declared values) → how much of it that is; None where that means nothing.
     """
 
     title: str = ""
     on_a_real_valve: str = ""
     what_to_do: str = ""
+    remaining: str = ""
     severity: SeverityOf | None = None
 
 
@@ -126,6 +130,8 @@ class Effect(_Words):
         tried: whether a diagnosis tries it where it is not declared; False for what is to be declared, because it
             changes what all others mean.
         needs_current: it is tried only where the coil's current is all that is measured of the motion.
+        with_gas: whether it is of a valve with gas alone (its `fields` are then of that valve's longer record), or of
+            one without gas alone; None: of both.
         tags: what kind of effect it is; the first is the main one.
         fields: of the core's record, that a mechanism of the core reads for this effect, with their neutral values.
         core_force: part of the compiled equations, f(p, t, motion, coil, condition) in newtons, + opens, for a force
@@ -156,6 +162,7 @@ class Effect(_Words):
     named: bool = True
     tried: bool = True
     needs_current: bool = False
+    with_gas: bool | None = None
     tags: tuple[Tag, ...] = (Tag.FORCE,)
     fields: Values = field(default_factory=dict, hash=False)
     core_force: Any = None
@@ -181,6 +188,10 @@ class Effect(_Words):
     def changes_nothing(self) -> bool:
         """Whether it has no way into the model."""
         return self.rewrite is None and self.term is None and not self.adds_to
+
+    def is_of(self, *, has_gas: bool) -> bool:
+        """Whether a valve with gas, or one without, can have it."""
+        return self.with_gas is None or self.with_gas is has_gas
 
     def parameter(self, name: str) -> Parameter:
         """The parameter of that name.

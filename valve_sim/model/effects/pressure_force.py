@@ -51,5 +51,6 @@ EFFECT = Effect(
     core_force=pressure,
     core_force_slopes=pressure_slopes,
     fields={"pressure_force": 0.0, "equalisation_time": 1.0},
+    with_gas=False,
     tags=(Tag.FORCE,),
 )

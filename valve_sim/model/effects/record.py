@@ -9,19 +9,20 @@ import numpy as np
 
 from valve_sim.model.core_types import MAXIMUM_TERM_PARAMETERS, MAXIMUM_TERMS
 from valve_sim.model.effects.catalogue import CATALOGUE, shipped
+from valve_sim.model.effects.entry import Effect
 from valve_sim.model.parameters import DECLARED
 
 
-def _neutral_fields() -> dict[str, float]:
-    """Every field that the core has for an effect, with its neutral value."""
+def neutral_fields(*, of_gas: bool) -> dict[str, float]:
+    """Every field that the core has for an effect, with its neutral value; or those that it has with gas alone."""
     fields: dict[str, float] = {}
     for effect in shipped():
-        for name, neutral in effect.fields.items():
+        for name, neutral in effect.fields.items() if bool(effect.with_gas) is of_gas else ():
             assert fields.setdefault(name, neutral) == neutral, f"{name} has one neutral value"
     return fields
 
 
-_FIELDS: Final = _neutral_fields()
+_FIELDS: Final = neutral_fields(of_gas=False)
 
 VALVE_RECORD: Final = np.dtype(
     [
@@ -60,18 +61,24 @@ def new_record(declared: Mapping[str, float], effects: Mapping[str, Mapping[str,
         effects: the effects that are on; a parameter that is not given has its neutral value.
 
     Returns:
-        (1,) VALVE_RECORD array.
+        (1,) VALVE_RECORD array. What effects of gas alone rewrite is of a longer record, see `gas.record`.
     """
     records = _BLANK.copy().view(VALVE_RECORD)
     # Written at once, as one array: field by field takes longer than a simulation.
     records.view(np.float64)[: len(DECLARED)] = [declared[name] for name in DECLARED]
-    entries = [(CATALOGUE[name], values) for name, values in effects.items()]
-    whole = [
-        (effect, values if len(values) == len(effect.parameters) else {**effect.neutral_values(), **values})
-        for effect, values in entries
-    ]
+    whole = whole_effects(effects)
     for effect, values in whole:
-        effect.apply_rewrite(records[0], values)
+        if not effect.with_gas:
+            effect.apply_rewrite(records[0], values)
     for effect, values in whole:
         effect.apply_term(records[0], values)
     return records
+
+
+def whole_effects(effects: Mapping[str, Mapping[str, float]]) -> list[tuple[Effect, Mapping[str, float]]]:
+    """Entries of effects that are on, each with a value of every parameter: its neutral one where none is given."""
+    entries = [(CATALOGUE[name], values) for name, values in effects.items()]
+    return [
+        (effect, values if len(values) == len(effect.parameters) else {**effect.neutral_values(), **values})
+        for effect, values in entries
+    ]

@@ -16,12 +16,13 @@ from numba.extending import overload
 
 from valve_sim.model.compiling import inner
 from valve_sim.model.core_types import STATE_RECORD
-from valve_sim.model.effects.record import VALVE_RECORD, new_record
+from valve_sim.model.effects.record import VALVE_RECORD, neutral_fields, new_record, whole_effects
 from valve_sim.model.gas.parameters import GAS, GasParameters, orifice_area
 
+_OF_EFFECTS: Final = neutral_fields(of_gas=True)
 GAS_FIELDS: Final = (
-    *GAS, "gas_constant", "covolume", "heat_capacity_ratio", "clogging_ratio", "leak_area", "demand_area",
-    "critical_0", "critical_1", "critical_2",
+    *GAS, "gas_constant", "covolume", "heat_capacity_ratio", *_OF_EFFECTS, "demand_area", "critical_0", "critical_1",
+    "critical_2",
 )  # fmt: skip
 """Numbers of a valve with gas beside those of every valve."""
 _AT: Final = list(VALVE_RECORD.fields or ()).index("term_count")
@@ -59,11 +60,11 @@ def record_of(
 ) -> Any:
     """A valve as the compiled core reads it: a (1,) VALVE_RECORD, or with gas a (1,) GAS_VALVE_RECORD."""
     record = new_record(declared, effects)
-    return record if gas is None else with_gas(record, gas)
+    return record if gas is None else _with_gas(record, effects, gas)
 
 
-def with_gas(records: Any, gas: GasParameters) -> Any:
-    """Turn a (1,) VALVE_RECORD into the (1,) GAS_VALVE_RECORD of the same valve with gas."""
+def _with_gas(records: Any, effects: Mapping[str, Mapping[str, float]], gas: GasParameters) -> Any:
+    """Turn a (1,) VALVE_RECORD into the (1,) GAS_VALVE_RECORD of the same valve with gas, and with effects of gas."""
     longer = np.zeros(1, GAS_VALVE_RECORD)
     for name in VALVE_RECORD.names or ():
         longer[name] = records[name]
@@ -73,8 +74,12 @@ def with_gas(records: Any, gas: GasParameters) -> Any:
     longer["gas_constant"], longer["covolume"] = fluid.gas_constant, fluid.covolume
     longer["heat_capacity_ratio"] = fluid.heat_capacity_ratio
     longer["demand_area"] = gas.discharge_coefficient * orifice_area(gas.demand_orifice_diameter)
-    longer["clogging_ratio"] = 1.0
+    for name, neutral in _OF_EFFECTS.items():
+        longer[name] = neutral
     longer["critical_0"], longer["critical_1"], longer["critical_2"] = _critical_parabola(fluid.heat_capacity_ratio)
+    for effect, values in whole_effects(effects):
+        if effect.with_gas:
+            effect.apply_rewrite(longer[0], values)
     return longer
 
 

@@ -109,6 +109,8 @@ STIFF: Final = 1.0
 """Times that the gas relaxes in a step, from which on its dense output may leave what is between the ends."""
 MULTIPLIES_ROUNDING: Final = 1e3
 """The same, from which on the dense output would show little but rounding."""
+SETTLED: Final = 1e-7
+"""Relative change of the density in a step that says no more than its tolerance, while plungers rest."""
 REGIME_MARGIN: Final = (1e-6, 1.0)
 """Relative, and in Pa: by how much a limit between choked, subsonic and backward flow is passed before it counts."""
 _NO_MARGIN: Final = (0.0, 0.0)
@@ -353,7 +355,9 @@ def sample_gas(p, s, work, at, rows, i):
         return
     h, theta, x = at
     t = s.time + theta * h
-    if work.stiffness > STIFF and 0.0 < theta < 1.0:
+    change = abs(work.gas_new[DENSITY] - work.gas[DENSITY])
+    has_settled = not s.moving and change <= SETTLED * work.gas_new[DENSITY]
+    if work.stiffness > STIFF and 0.0 < theta < 1.0 and not has_settled:
         stiffness = work.stiffness
         try_step(p, s, work, theta * h)
         outlet = pressure_at(p, work.gas_new[DENSITY])
