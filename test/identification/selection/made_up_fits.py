@@ -94,7 +94,8 @@ class World:
         gains: by the score test, of each key.
         left_out: root mean square of what the strokes left out miss, of 100 samples.
         misses: each of 50 whitened residuals; default that of the declared model.
-        timing: whether stamps may err. tolerances: of declared values.
+        timing: whether stamps may err. stamp_variances: how far they are off, by key; default 1.
+        tolerances: of declared values.
         ends_with: the key at whose fit it is when that is carried on.
         unfinished: effects that fits of a few iterations do not settle. stuck: those whose fits will come no lower.
         efforts: key and effort of each fit.
@@ -111,6 +112,7 @@ class World:
     left_out: Mapping[str, float] = field(default_factory=dict)
     misses: Mapping[str, float] = field(default_factory=dict)
     timing: bool = False
+    stamp_variances: Mapping[str, float] = field(default_factory=dict)
     tolerances: tuple[Nuisance, ...] = ()
     out_of_time: Sequence[str] = ()
     unfinished: str = ""
@@ -196,6 +198,7 @@ class World:
             np.full(50, self.misses.get(key, self.misses.get("", 0.0))),
             converged=effort.most > TRIAL or not set(key) & set(self.unfinished),
             reach=score if set(key) & set(self.stuck) else -math.inf,
+            stamp_variance=self.stamp_variances.get(key, 1.0),
         )
 
     def use(self, patch: pytest.MonkeyPatch) -> World:

@@ -70,6 +70,32 @@ def test_an_adequate_declared_model_costs_one_fit(
 
 
 @pytest.mark.parametrize(
+    ("p_value", "gain", "without", "stamp_variance", "is_enough"),
+    [
+        (HINT, 0.0, 400.0, 1.0, True),
+        (0.99 * HINT, 0.0, 400.0, 1.0, False),
+        (1.0, 0.1, 400.0, 1.0, False),
+        # What explains more than half of what stamps explain may be what they stand for.
+        (1.0, 0.0, 400.1, 1.0, False),
+        # Stamps that are further off than their prior says may hide anything.
+        (1.0, 0.0, 400.0, 3.0, False),
+    ],
+)
+def test_an_adequate_declared_model_with_stamps_that_err_costs_two_fits(
+    monkeypatch: pytest.MonkeyPatch, p_value: float, gain: float, without: float, stamp_variance: float, is_enough: bool
+) -> None:
+    world = World(
+        {"": 900.0, "'": 100.0}, switches("ab"), white={"'": p_value},
+        gains={"": {"a": without, "b": 3.0}, "'": {"a": gain, "b": -3.0}},
+        stamp_variances={"'": stamp_variance}, timing=True,
+    )  # fmt: skip
+    found = explored(world, monkeypatch)
+    assert tried(found)[:3] == ["", "'", *([] if is_enough else ["a"])]
+    assert found.screened == ({"a": gain, "b": -3.0} if is_enough else {})
+    assert found.best_claimable() == of("'")
+
+
+@pytest.mark.parametrize(
     ("p_value", "gain", "is_enough"),
     [(HINT, DECISIVE, True), (0.99 * HINT, DECISIVE, False), (1.0, DECISIVE + 0.1, False)],
 )
@@ -148,7 +174,7 @@ def test_stamps_are_tried_with_all_where_they_explain_more_or_all(
 ) -> None:
     scores = {"": 300.0, "a": 100.0, "b": 110.0, "c": 120.0, "'": 290.0, "a'": timed, "b'": 160.0, "c'": 170.0}
     found = explored(World(scores, switches("abc"), white=white, timing=True), monkeypatch)
-    assert tried(found)[:7] == ["", "a", "b", "c", "'", "a'", "b'"]
+    assert tried(found)[:7] == ["", "'", "a", "b", "c", "a'", "b'"]
     assert ("c'" in tried(found)[:8]) is is_explored
 
 
@@ -156,7 +182,7 @@ def test_the_best_single_is_that_which_may_be_claimed(monkeypatch: pytest.Monkey
     scores = {"": 300.0, "a": 100.0, "b": 110.0, "c": 120.0}
     # a is on its bound.
     world = World(scores, switches("abc"), timing=True, sizes={("a", "a.size"): 1e9})
-    assert tried(explored(world, monkeypatch))[4:7] == ["'", "b'", "c'"]
+    assert tried(explored(world, monkeypatch))[5:7] == ["b'", "c'"]
 
 
 def test_without_stamps_that_may_err_none_are_tried(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -183,6 +209,28 @@ def test_where_nothing_is_right_stamps_that_explain_as_much_as_a_pair_get_a_seco
     scores = {"": 300.0, "a": 110.0, "b": 200.0, "ab": 90.0, "'": 290.0, "a'": of_timed, "b'": 250.0}
     world = World(scores, switches("abc"), timing=True)
     assert ("ac'" in tried(explored(world, monkeypatch))) is is_extended
+
+
+def test_beside_stamps_that_err_sets_grow_and_members_are_swapped_as_without_them(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """b, c and d are the answer, of which b' alone explains less than a'."""
+    scores = {
+        "": 900.0, "a": 800.0, "b": 850.0, "c": 860.0, "d": 870.0, "ab": 790.0, "'": 700.0, "a'": 500.0, "b'": 600.0,
+        "c'": 610.0, "d'": 620.0, "ac'": 400.0, "bc'": 300.0, "bcd'": 100.0,
+    }  # fmt: skip
+    found = explored(World(scores, switches("abcd"), white={"bcd'": 1.0}, timing=True), monkeypatch)
+    assert found.best_claimable() == of("bcd'")
+    # Where stamps explain more than a second effect does, a third without them is not looked for.
+    assert not any(len(one.effects) > 2 for one in found.tried() if not one.timing)
+
+
+@pytest.mark.parametrize(("gained", "goes_on"), [(DECISIVE, False), (DECISIVE + 0.1, True)])
+def test_beside_stamps_that_err_triples_are_tried_where_a_pair_gained_a_decisive_difference(
+    monkeypatch: pytest.MonkeyPatch, gained: float, goes_on: bool
+) -> None:
+    scores = {"": 900.0, "a": 800.0, "b": 850.0, "'": 700.0, "a'": 500.0, "b'": 600.0, "ab'": 500.0 - gained}
+    assert ("abc'" in tried(explored(World(scores, switches("abc"), timing=True), monkeypatch))) is goes_on
 
 
 def test_stamps_alone_get_no_second_effect(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -248,13 +296,18 @@ def test_without_the_fit_of_the_rest_nobody_knows_what_a_collinear_effect_gains(
     assert exploration.is_claimable(of("ab"))
 
 
-def test_stamps_that_err_are_claimed_only_where_nothing_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
-    world = World({"": 300.0, "'": 200.0, "a'": 50.0, "b'": 40.0}, switches("ab"), white={"a'": 1.0}, timing=True)
+@pytest.mark.parametrize(("least", "is_claimed"), [(450.0, False), (549.9, False), (550.1, True)])
+def test_stamps_that_err_are_claimed_where_nothing_is_left_or_little_of_what_is_without_them(
+    monkeypatch: pytest.MonkeyPatch, least: float, is_claimed: bool
+) -> None:
+    # Of 50 samples noise alone leaves 50.
+    scores = {"": 900.0, "a": least, "'": 200.0, "a'": 110.0, "b'": 100.0}
+    world = World(scores, switches("ab"), white={"a'": 1.0}, timing=True)
     exploration = Exploration(world.use(monkeypatch).search())
-    for key in ("", "'", "a'", "b'"):
+    for key in ("", "a", "'", "a'", "b'"):
         exploration.search.fit(of(key))
-    assert [exploration.is_claimable(of(key)) for key in ("", "'", "a'", "b'")] == [True, False, True, False]
-    assert exploration.best_claimable() == of("a'")
+    claimed = [True, True, False, True, is_claimed]
+    assert [exploration.is_claimable(of(key)) for key in ("", "a", "'", "a'", "b'")] == claimed
 
 
 def test_the_table_says_what_every_fit_is_worth(monkeypatch: pytest.MonkeyPatch) -> None:
