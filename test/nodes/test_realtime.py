@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from valve_sim.nodes.realtime import (
+    Audience,
     ClockReading,
     Mailbox,
     Restart,
@@ -221,3 +222,24 @@ def test_a_slower_topic_has_a_sample_in_each_of_its_periods() -> None:
     assert [after - before for before, after in itertools.pairwise(due[1:])] == [10, 10, 10]
     assert [thinning.is_due(step * 20_000_000) for step in (3, 4, 2)] == [True] * 3, "slow steps, and a clock set back"
     assert not thinning.is_due(40_000_000)
+
+
+def test_subscribers_are_noticed_within_20_ms_and_not_looked_for_at_each_step() -> None:
+    subscriptions, looks = 0, 0
+
+    def count() -> int:
+        nonlocal looks
+        looks += 1
+        return subscriptions
+
+    audience = Audience(count)
+    assert not any(audience.is_there(step * MILLISECOND) for step in range(100))
+    assert looks == 5
+    subscriptions = 2
+    heard = [audience.is_there(step * MILLISECOND) for step in range(100, 140)]
+    assert heard == [True] * 40
+    subscriptions = 0
+    heard = [audience.is_there(step * MILLISECOND) for step in range(145, 165)]
+    assert heard == [False] * 20
+    subscriptions = 1
+    assert audience.is_there(3), "a clock that was set back"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from valve_sim.model.simulation import (
 )
 from valve_sim.model.transitions import set_voltage, settle
 
+_PHASES: Final = tuple(Phase)
 Setter = Callable[[Any, Any, float], None]
 """Changes a valve's state at its time, given its record and a value."""
 
@@ -59,8 +60,24 @@ class Reading(NamedTuple):
     mass_flow: float = math.nan
 
 
+class _State:
+    """A valve's state as it is stepped: to look up one of its fields takes longer than to read it."""
+
+    def __init__(self, array: Any) -> None:
+        self.array = array
+        self._time = array["time"]
+
+    @property
+    def reached(self) -> float:
+        """The time of the state, s."""
+        return float(self._time.item())
+
+
 class Stepper:
     """A valve stepped in real time, by the same compiled core; its state does not depend on the size of the steps.
+
+    A step a millisecond finds the processor's caches filled by others, and then each of NumPy's functions costs ten
+    times what it costs in a loop. So what does not change from step to step is read off the records once.
 
     Args:
         valve: what is stepped.
@@ -70,13 +87,12 @@ class Stepper:
 
     def __init__(self, valve: Valve, start_time: float = 0.0, *, tolerance: float = TOLERANCE) -> None:
         self._tolerance = tolerance
-        self._events = event_log()
+        self._log = (event_log(), 0)
         self._pending: list[Event] = []
-        self._current = np.empty(1)
-        self._valve = valve
-        self._record = valve.record()
-        self._row = np.empty((1, columns_of(self._record)))
-        check_flux(self._record)
+        self._times, self._current = np.empty(1), np.empty(1)
+        record = valve.record()
+        check_flux(record)
+        self._become(valve, record)
         self._commands: list[tuple[float, Setter, float]] = []
         self.reset(start_time)
 
@@ -88,12 +104,12 @@ class Stepper:
     @property
     def volts(self) -> float:
         """The voltage in force, V."""
-        return float(self._state[0]["volts"])
+        return self._volts
 
     def reset(self, time: float) -> None:
         """Rest closed and without current at `time`, s."""
-        self._state = new_states(self._record, time)
-        self._shown = self._state.copy()
+        self._follow(new_states(self._record, time))
+        self._volts = 0.0
         self._commands = []
         self._pending = []
 
@@ -106,6 +122,7 @@ class Stepper:
         time = self._commit(time)
         before = self._coil(time)
         self._set(time, set_voltage, volts)
+        self._volts = float(volts)
         self._go(self._state, time, commit=False, collect=True)
         return before, self._coil(time)
 
@@ -115,12 +132,12 @@ class Stepper:
 
     def _commit(self, time: float) -> float:
         """Step exactly to a time, or to the latest time stepped to; returns which, s."""
-        time = max(time, float(self._state[0]["time"]))
+        time = max(time, self._state.reached)
         self._go(self._state, time, commit=True, collect=True)
         return time
 
     def _set(self, time: float, setter: Setter, value: float) -> None:
-        setter(self._record, self._state, value)
+        setter(self._record, self._state.array, value)
         if self._delay:
             self._commands.append((time, setter, value))
 
@@ -131,20 +148,17 @@ class Stepper:
             SimulationError: the step could not be carried to its end.
         """
         self._go(self._state, time, commit=False, collect=True)
-        row = self._row[0]
-        pilot, main, velocity, attraction, phase_number, x, volts, *of_gas = (float(value) for value in row)
-        current = float(self._current[0])
-        phase = Phase(int(phase_number))
-        moves_main = phase is Phase.MAIN
+        pilot, main, velocity, attraction, number, x, volts, *of_gas = self._row[0].tolist()
+        phase = _PHASES[int(number)]
         if self._delay:
             pilot, main = self._delayed(time - self._delay)
-        record = self._record[0]
-        lifted = phase in (Phase.MAIN, Phase.OPEN)
-        effort = -float(record["spring_preload"] + record["spring_rate"] * x) if lifted else 0.0
-        events, self._pending = tuple(self._pending), []
+        effort = -(self._preload + self._rate * x) if phase >= Phase.MAIN else 0.0
+        events: tuple[Event, ...] = ()
+        if self._pending:
+            events, self._pending = tuple(self._pending), []
         return Reading(
-            time, pilot, main, velocity, velocity if moves_main else 0.0, current * rated_current(self._record),
-            attraction, effort, phase, events, volts, *of_gas,
+            time, pilot, main, velocity, velocity if phase is Phase.MAIN else 0.0, self._amperes(), attraction, effort,
+            phase, events, volts, *of_gas,
         )  # fmt: skip
 
     def set_valve(self, valve: Valve, time: float) -> None:
@@ -154,44 +168,57 @@ class Stepper:
         """
         record = valve.record()
         check_flux(record)
-        time = max(time, float(self._state[0]["time"]))
-        self._go(self._state, time, commit=True, collect=True)
-        state = self._state[0]
-        volts = float(state["volts"])
-        set_voltage(self._record, self._state, volts)  # the current so far belongs to the old coil
-        self._state = _state_of(record, self._state, supplied=_tank(valve) == _tank(self._valve))
+        self._commit(time)
+        set_voltage(self._record, self._state.array, self._volts)  # the current so far belongs to the old coil
+        state = _state_of(record, self._state.array, supplied=_tank(valve) == _tank(self._valve))
+        self._become(valve, record)
+        settle(record, state)
+        self._follow(state)
+        self._commands = []
+
+    def _become(self, valve: Valve, record: Any) -> None:
+        """Take over a valve, and what each reading needs of its record."""
         self._valve = valve
         self._record = record
         self._row = np.empty((1, columns_of(record)))
-        settle(self._record, self._state)
-        self._shown = self._state.copy()
-        self._commands = []
+        self._samples = (self._times, self._row, self._times, self._current)
+        self._rated = rated_current(record)
+        self._delay, self._preload, self._rate = (
+            float(record[0][name]) for name in ("sensor_delay", "spring_preload", "spring_rate")
+        )
+
+    def _follow(self, state: Any) -> None:
+        """Step this state from now on; a late sensor shows a copy of it."""
+        self._state, self._shown = _State(state), _State(state.copy())
+
+    def _amperes(self) -> float:
+        """The current as it was shown last."""
+        return float(self._current.item() * self._rated)
 
     def _coil(self, time: float) -> CoilReading:
         """The coil as it was shown last."""
-        return CoilReading(time, float(self._current[0]) * rated_current(self._record), float(self._row[0, 6]))
+        return CoilReading(time, self._amperes(), float(self._row[0, 6]))
 
-    @property
-    def _delay(self) -> float:
-        return float(self._record[0]["sensor_delay"])
-
-    def _go(self, states: Any, time: float, *, commit: bool, collect: bool) -> None:
-        self._times = np.array([time])
-        samples = (self._times, self._row, self._times, self._current)
-        control = (self._tolerance, most_steps(time - float(states[0]["time"])))
-        _, count, outcome = driver.run(self._record, states, (time, commit), samples, (self._events, 0), control, None)
-        check_outcome(outcome)
-        if collect:
-            self._pending.extend(event_tuple(self._events, min(count, len(self._events))))
+    def _go(self, state: _State, time: float, *, commit: bool, collect: bool) -> None:
+        self._times[0] = time
+        control = (self._tolerance, most_steps(time - state.reached))
+        _, count, outcome = driver.run(
+            self._record, state.array, (time, commit), self._samples, self._log, control, None
+        )
+        if outcome:
+            check_outcome(outcome)
+        if count and collect:
+            events, _ = self._log
+            self._pending.extend(event_tuple(events, min(count, len(events))))
 
     def _delayed(self, time: float) -> tuple[float, float]:
         """The positions as a late sensor shows them: a second state follows the first by the delay."""
         shown = self._shown
-        time = max(time, float(shown[0]["time"]))
+        time = max(time, shown.reached)
         while self._commands and self._commands[0][0] <= time:
             command_time, setter, value = self._commands.pop(0)
-            self._go(shown, max(command_time, float(shown[0]["time"])), commit=True, collect=False)
-            setter(self._record, shown, value)
+            self._go(shown, max(command_time, shown.reached), commit=True, collect=False)
+            setter(self._record, shown.array, value)
         self._go(shown, time, commit=False, collect=False)
         return float(self._row[0, 0]), float(self._row[0, 1])
 

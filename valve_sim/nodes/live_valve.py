@@ -192,11 +192,12 @@ class LiveValve:
             self._rest(clock)
             reading = self._running.advance(self._timeline.model_time(clock))
         self._reached = clock
-        self.strokes += sum(event.kind is EventKind.REACHED_STOP for event in reading.events)
+        if reading.events:
+            self.strokes += sum(event.kind is EventKind.REACHED_STOP for event in reading.events)
         self.phase = reading.phase
         self.volts = self._running.volts
         self._stamp = self._timeline.stamp(clock)
-        switches = tuple(switch for switch in self._switches if switch[0] < self._stamp)
+        switches = tuple(switch for switch in self._switches if switch[0] < self._stamp) if self._switches else ()
         return Step(self._stamp, reading, self._phases_to_announce(reading), failure, switches)
 
     @property
@@ -260,6 +261,8 @@ class LiveValve:
         self.timed_out = False
 
     def _phases_to_announce(self, reading: Reading) -> tuple[Phase, ...]:
+        if not reading.events and reading.phase is self._announced:
+            return ()
         entered = [_PHASE_AFTER[event.kind] for event in reading.events if event.kind in _PHASE_AFTER]
         announced: list[Phase] = []
         for phase in [*entered, reading.phase]:

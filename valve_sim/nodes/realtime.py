@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple, Protocol
 
 from valve_sim.nodes.stoppable import StoppableThread
@@ -17,6 +17,8 @@ from valve_sim.nodes.stoppable import StoppableThread
 NANOSECONDS: Final = 1_000_000_000
 BACKLOG_SECONDS: Final = 0.5
 """s: samples that are overdue for longer are dropped; the model is stepped over them nevertheless."""
+_BETWEEN_LOOKS: Final = 20_000_000
+"""ns between two looks at who subscribes: no longer than a new subscriber may take to be discovered."""
 LONGEST_LEAP_SECONDS: Final = 60.0
 """s: a clock that moves further between two readings has been set."""
 
@@ -24,7 +26,7 @@ LONGEST_LEAP_SECONDS: Final = 60.0
 class Due(NamedTuple):
     """Deadlines that have passed: clock times in ns, ascending, and how many older ones were dropped."""
 
-    times: range | list[int]
+    times: Sequence[int]
     lost: int
 
 
@@ -41,17 +43,22 @@ class Schedule:
         self._rate = rate
         self._start = start
         self._index = 0
+        self._next = start
         self._most = max(1, int(backlog * rate))
 
     @property
     def next(self) -> int:
         """Clock time of the next deadline, ns."""
-        return self._at(self._index)
+        return self._next
 
     def take(self, now: int) -> Due:
         """The deadlines up to `now`, ns; each is handed out once."""
-        if now < self.next:
+        if now < self._next:
             return Due([], 0)
+        if now < (following := self._at(self._index + 1)):
+            due = Due([self._next], 0)
+            self._index, self._next = self._index + 1, following
+            return due
         end = int((now - self._start) * self._rate / NANOSECONDS) + 1
         while self._at(end - 1) > now:
             end -= 1
@@ -59,7 +66,7 @@ class Schedule:
             end += 1
         first = max(self._index, end - self._most)
         lost = first - self._index
-        self._index = end
+        self._index, self._next = end, self._at(end)
         return Due([self._at(index) for index in range(first, end)], lost)
 
     def _at(self, index: int) -> int:
@@ -212,12 +219,14 @@ class Worker(StoppableThread):
             due = schedule.take(pace.now)
             if due.lost:
                 self.timing.note_lost(due.lost)
+            now = pace.now
             for time in due.times:
                 if self.is_stopping:
                     return
-                reading = self._clock.read()
-                self.timing.note((reading.nanoseconds if reading else pace.now) - time, NANOSECONDS / self._rate)
+                self.timing.note(now - time, NANOSECONDS / self._rate)
                 self._step(time)
+                if time != due.times[-1] and (reading := self._clock.read()):
+                    now = reading.nanoseconds
             self._clock.sleep_until(schedule.next)
 
 
@@ -286,6 +295,26 @@ class Thinning:
         return self._last != before
 
 
+class Audience:
+    """Whether anyone subscribes to a topic, looked at every 20 ms: what nobody hears need not be published.
+
+    Args:
+        count: how many subscriptions there are.
+    """
+
+    def __init__(self, count: Callable[[], int]) -> None:
+        self._count = count
+        self._looked_at: int | None = None
+        self._is_there = False
+
+    def is_there(self, clock: int) -> bool:
+        """Whether anyone did at the last look; `clock`, ns, is the time of the clock by which looks are apart."""
+        if self._looked_at is None or not 0 <= clock - self._looked_at < _BETWEEN_LOOKS:
+            self._looked_at = clock
+            self._is_there = self._count() > 0
+        return self._is_there
+
+
 class Mailbox:
     """A queue between threads: callbacks post actions, the stepper calls those that are due."""
 
@@ -306,7 +335,7 @@ class Mailbox:
 
     def deliver(self, since: int, until: int) -> None:
         """Call every action whose time is not after `until`, ns, in the order of posting, none as of before `since`."""
-        while (letter := self._take(until)) is not None:
+        while self._letters and (letter := self._take(until)) is not None:
             time, action, _ = letter
             action(max(time, since))
 

@@ -60,7 +60,7 @@ from valve_sim.nodes.parameters import (
     table,
     valve_of,
 )
-from valve_sim.nodes.realtime import NANOSECONDS, Restart, Thinning, Worker
+from valve_sim.nodes.realtime import NANOSECONDS, Audience, Restart, Thinning, Worker
 from valve_sim.nodes.shell_parts import LATCHED, RELIABLE, declare, given_parameters, make_node
 from valve_sim.nodes.spinning import guarded, spin
 
@@ -164,6 +164,9 @@ class ValveShell:
         self._joint_states = node.create_publisher(JointState, "~/joint_states", RELIABLE)
         self._coil = node.create_publisher(BatteryState, "~/coil", RELIABLE)
         self._coil_current = node.create_publisher(Float64, "~/coil_current", RELIABLE)
+        self._hears_joint_states = Audience(self._joint_states.get_subscription_count)
+        self._hears_coil = Audience(self._coil.get_subscription_count)
+        self._hears_coil_current = Audience(self._coil_current.get_subscription_count)
         self._phase = node.create_publisher(UInt8, "~/phase", LATCHED)
         self._is_open = node.create_publisher(Bool, "~/is_open", LATCHED)
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
@@ -234,12 +237,15 @@ class ValveShell:
 
     def _step(self, deadline: int) -> None:
         step = self._live.step(deadline)
-        self._joint_states.publish(self._messages.joint_states(step.stamp, step.reading))
-        for stamp, coil in step.switches:
-            self._coil.publish(self._messages.coil(stamp, coil.current, coil.voltage))
         shown = step.reading
-        self._coil.publish(self._messages.coil(step.stamp, shown.coil_current, shown.coil_voltage))
-        self._coil_current.publish(self._messages.coil_current(step.reading))
+        if self._hears_joint_states.is_there(deadline):
+            self._joint_states.publish(self._messages.joint_states(step.stamp, shown))
+        if self._hears_coil.is_there(deadline):
+            for stamp, coil in step.switches:
+                self._coil.publish(self._messages.coil(stamp, coil.current, coil.voltage))
+            self._coil.publish(self._messages.coil(step.stamp, shown.coil_current, shown.coil_voltage))
+        if self._hears_coil_current.is_there(deadline):
+            self._coil_current.publish(self._messages.coil_current(shown))
         gas = self._gas
         if gas is not None and self._gas_samples.is_due(deadline) and not math.isnan(shown.outlet_pressure):
             gas.outlet_pressure.publish(self._messages.outlet_pressure(step.stamp, shown))
