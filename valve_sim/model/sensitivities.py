@@ -13,7 +13,7 @@ from valve_sim.model.drives import Drive
 from valve_sim.model.effects.record import VALVE_RECORD
 from valve_sim.model.gas.record import is_of_gas
 from valve_sim.model.linearised import FIRST_CONDITION, PARAMETERS, SHAPES, SLOPES_RECORD
-from valve_sim.model.simulation import Array, Samples, run_record
+from valve_sim.model.simulation import Array, Samples, delay_and_end, run_course
 from valve_sim.model.variational_steps import CONTACTS, LANES, NODES, SLOPES, TILE_RECORD
 
 _PLACES: Final = {name: place for place, name in enumerate(PARAMETERS)}
@@ -85,7 +85,7 @@ def run_tangents(
 
     Args:
         record: (1,) VALVE_RECORD. state: (1,) STATE_RECORD, advanced. drive: the commanded voltage.
-        samples: what is written down, as in `run_record`.
+        samples: what is written down, as in `run_course`.
         tangents: of k parameters.
         tolerance: relative error of one step of the plain trace, which the derivatives follow.
 
@@ -95,23 +95,48 @@ def run_tangents(
     Raises:
         SimulationError: the run could not be carried to its end.
     """
-    count = len(tangents.numbers)
-    moved = np.flatnonzero(tangents.numbers.any(axis=0))
-    tiles = _tiles(tangents, moved)
-    commands = np.zeros((2, len(tiles) * LANES, len(drive.times)))
-    commands[0, :count], commands[1, :count] = tangents.command_times, tangents.command_volts
-    times, volts = np.ascontiguousarray(commands.reshape(2, len(tiles), LANES, -1).swapaxes(2, 3))
-    slopes = np.zeros(SLOPES, SLOPES_RECORD)
-    if moved.size and moved[-1] >= _FIRST:
-        asked = np.zeros(_OF_TERMS, dtype=np.int64)
-        asked[moved[moved >= _FIRST] - _FIRST] = 1
-        slopes["asked"] = asked.reshape(slopes["asked"].shape[1:])
-    slopes["asks_shapes"] = tangents.numbers[:, _SHAPES].any()
-    outputs = tuple(np.empty((len(times), len(tiles), LANES)) for times in (samples.times, samples.current_times))
-    vary = (tiles, slopes, np.arange(NODES), (times, volts), outputs)
-    run_record(record, state, drive, samples, _NO_EVENTS, tolerance, vary)
-    positions, currents = (output.reshape(len(output), len(tiles) * LANES) for output in outputs)
-    return positions[:, :count], currents[:, :count]
+    course = (drive.times, drive.volts, delay_and_end(record, samples)[1])
+    return Variations(tangents).run(record, state, course, samples, tolerance)
+
+
+class Variations:
+    """Derivatives that are carried along a run, which may be made in pieces.
+
+    Args:
+        tangents: of k parameters.
+    """
+
+    def __init__(self, tangents: Tangents) -> None:
+        self._tangents = tangents
+        moved = np.flatnonzero(tangents.numbers.any(axis=0))
+        self._tiles = _tiles(tangents, moved)
+        self._slopes = np.zeros(SLOPES, SLOPES_RECORD)
+        if moved.size and moved[-1] >= _FIRST:
+            asked = np.zeros(_OF_TERMS, dtype=np.int64)
+            asked[moved[moved >= _FIRST] - _FIRST] = 1
+            self._slopes["asked"] = asked.reshape(self._slopes["asked"].shape[1:])
+        self._slopes["asks_shapes"] = tangents.numbers[:, _SHAPES].any()
+
+    def run(
+        self,
+        record: Any,
+        state: Any,
+        course: tuple[Array, Array, float],
+        samples: Samples,
+        tolerance: float,
+        first: int = 0,
+    ) -> tuple[Array, Array]:
+        """One piece of the run, as of `run_course`, whose first command has this number; result as `run_tangents`."""
+        count, lanes, own = len(self._tangents.numbers), len(self._tiles) * LANES, slice(first, first + len(course[0]))
+        commands = np.zeros((2, lanes, len(course[0])))
+        commands[0, :count] = self._tangents.command_times[:, own]
+        commands[1, :count] = self._tangents.command_volts[:, own]
+        times, volts = np.ascontiguousarray(commands.reshape(2, len(self._tiles), LANES, -1).swapaxes(2, 3))
+        outputs = tuple(np.empty((len(times), len(self._tiles), LANES)) for times in (samples[0], samples[2]))
+        vary = (self._tiles, self._slopes, np.arange(NODES), (times, volts), outputs)
+        run_course(record, state, course, samples, _NO_EVENTS, tolerance, vary)
+        positions, currents = (output.reshape(len(output), lanes) for output in outputs)
+        return positions[:, :count], currents[:, :count]
 
 
 def _tiles(tangents: Tangents, moved: NDArray[np.int64]) -> Any:

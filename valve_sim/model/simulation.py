@@ -304,12 +304,35 @@ def run_record(
     Raises:
         SimulationError: the run could not be carried to its end.
     """
+    course = (drive.times, drive.volts, delay_and_end(record, samples)[1])
+    return run_course(record, state, course, samples, events, tolerance, vary)
+
+
+def run_course(
+    record: Any,
+    state: Any,
+    course: tuple[Array, Array, float],
+    samples: Samples,
+    events: Any,
+    tolerance: float = TOLERANCE,
+    vary: Any = None,
+) -> int:
+    """The same up to a given time: a long run is made of such pieces, each of which ends with a command.
+
+    Args:
+        record, state, samples, events, tolerance, vary: as of `run_record`.
+        course: times, s, and voltages, V, of the commands; the time of the end, s, of which a command stops the run
+            exactly there, so that the next piece goes on as if there were no pieces.
+
+    Raises:
+        SimulationError: the run could not be carried to its end.
+    """
     times, rows, current_times, currents = samples
-    delay, end = delay_and_end(record, samples)
+    delay, _ = delay_and_end(record, samples)
     run = (
-        record, state, (drive.times, drive.volts, end),
+        record, state, course,
         (times - delay if delay else times, rows, current_times, currents),
-        events, (tolerance, most_steps(end - state["time"].item())),
+        events, (tolerance, most_steps(course[2] - state["time"].item())),
     )  # fmt: skip
     count, outcome = driver.run_drive(*run, vary)
     check_outcome(outcome)

@@ -14,9 +14,10 @@ from identification.diagnosis.test_sound_verdicts import Decay
 from identification.recordings import TRUTH, one_opening, recorded
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.estimation.budget import Budget
+from valve_sim.identification.estimation.descent import TRIAL, Descent, Effort
 from valve_sim.identification.estimation.intervals import Interval, Unbounded, covariance_interval, profile_interval
 from valve_sim.identification.estimation.problem import Problem
-from valve_sim.identification.estimation.solver import TRIAL, Descent, Effort, fit
+from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import (
     Direction,
     Sensitivities,

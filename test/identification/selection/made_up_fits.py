@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 
 from valve_sim.identification.estimation.budget import OutOfTimeError
-from valve_sim.identification.estimation.result import Derivatives
-from valve_sim.identification.estimation.solver import TRIAL, WHOLE, Effort
+from valve_sim.identification.estimation.descent import TRIAL, WHOLE, Effort
+from valve_sim.identification.estimation.result import Rows
 from valve_sim.identification.plants.protocol import (
     Array,
     EffectChoice,
@@ -65,7 +65,7 @@ class MadeUpFit:
     variance_inflation: float = 1.0
     converged: bool = True
     reach: float = -math.inf
-    derivatives: Derivatives = field(default_factory=lambda: Derivatives(np.empty((0, 0)), lambda: np.empty((0, 0))))
+    derivatives: Rows = field(default_factory=lambda: Rows(np.empty((0, 0)), lambda: np.empty((0, 0))))
 
     @property
     def score(self) -> float:

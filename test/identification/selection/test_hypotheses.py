@@ -11,7 +11,7 @@ import pytest
 
 from identification.selection.made_up_fits import SIZE, World, of, switches
 from valve_sim.identification.estimation.budget import OutOfTimeError
-from valve_sim.identification.estimation.solver import TRIAL, Effort
+from valve_sim.identification.estimation.descent import TRIAL, Effort
 from valve_sim.identification.plants.protocol import EffectChoice
 from valve_sim.identification.selection.hypotheses import (
     ANNEALING,

@@ -15,10 +15,12 @@ from numpy.typing import NDArray
 from valve_sim.identification.estimation.budget import Budget
 from valve_sim.identification.estimation.column_groups import group_columns
 from valve_sim.identification.estimation.noise import Noise, estimate_noise, noise_of_residuals, still_runs, stretches
+from valve_sim.identification.estimation.sums import Sums, Weighted, summed
 from valve_sim.identification.plants.protocol import (
     Array,
     Differentiable,
     Direction,
+    InPieces,
     Nuisance,
     Plant,
     judged_channels,
@@ -28,6 +30,8 @@ Mask = Callable[[int, NDArray[np.int64]], NDArray[np.bool_]]
 
 LONGEST_RUN: Final = 4
 """Identical readings in a row, beyond which a coarse sensor repeats one reading."""
+LONG: Final = 100_000
+"""Residuals, some 2.5 s of position and current at 20 kHz: of more a fit does not hold its derivatives."""
 ELSEWHERE: Final = 4.0
 """Steps of a coarse sensor by which the declared model misses it, beyond which the model does not say what is still."""
 
@@ -178,6 +182,28 @@ class Problem:
         for index, of_channel in enumerate(columns):
             self.noise_of(index).whiten_in_place(of_channel, -self._weights[index])
         return columns[0] if len(columns) == 1 else np.concatenate(columns), known
+
+    @property
+    def is_long(self) -> bool:
+        """Whether there are so many residuals that a fit only adds them up, where the plant gives them in pieces."""
+        return sum(map(len, self._weights)) > LONG and isinstance(self.plant, InPieces)
+
+    def sums(self, values: Mapping[str, float], directions: Sequence[Direction]) -> Sums | None:
+        """Sums over the residuals and their derivatives along directions; None where these are not known.
+
+        Raises:
+            OutOfTimeError: the time for fits is used up.
+            SimulationError: the machine cannot be simulated with these values.
+        """
+        self.budget.check()
+        pieces = self.plant.pieces(values, directions) if isinstance(self.plant, InPieces) else None
+        if pieces is None:
+            return None
+        channels = [
+            Weighted(channel, self.noise_of(index), self._weights[index])
+            for index, channel in enumerate(self.plant.channels)
+        ]
+        return summed(pieces, channels, len(directions))
 
     def _weight(self, index: int, takes_part: Mask | None) -> Array:
         channel = self.plant.channels[index]

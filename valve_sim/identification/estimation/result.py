@@ -67,19 +67,19 @@ class MachineKnowledge(NamedTuple):
     information: Array
 
 
-class Derivatives:
-    """The Jacobian of a fit. It is by far the largest part of one, and may be dropped: it is worked out when asked for.
+class Rows:
+    """What a fit has for each sample: by far its largest part, which may be dropped. It is worked out when asked for.
 
     Args:
-        found: (n, k + m). again: works it out again.
+        found: (n,) or (n, k + m); None where it is dropped already. again: works it out again.
     """
 
-    def __init__(self, found: Array, again: Callable[[], Array]) -> None:
-        self._found: Array | None = found
+    def __init__(self, found: Array | None, again: Callable[[], Array]) -> None:
+        self._found = found
         self._again = again
 
-    def matrix(self) -> Array:
-        """(n, k + m)."""
+    def array(self) -> Array:
+        """(n,) or (n, k + m)."""
         found = self._found
         if found is None:
             self._found = found = self._again()
@@ -104,8 +104,7 @@ class Fit:
         free: names of the freed parameters. nuisances: of the nuisances estimated along.
         values: every freed parameter and nuisance at the optimum, in its unit.
         chi2: criterion at the optimum, nuisance priors included.
-        residuals: whitened residuals there.
-        derivatives: of the residuals there.
+        left: whitened residuals there. derivatives: of the residuals there. Of a long recording neither is at hand.
         information: (k + m, k + m), priors included.
         converged: whether the last step was small enough.
         smooth: the curve among what was freed, with its prior, which `chi2` and `information` include.
@@ -117,8 +116,8 @@ class Fit:
     nuisances: tuple[Nuisance, ...]
     values: dict[str, float]
     chi2: float
-    residuals: Array
-    derivatives: Derivatives
+    left: Rows
+    derivatives: Rows
     information: Array
     converged: bool
     coordinates: Array = field(repr=False)
@@ -127,9 +126,14 @@ class Fit:
     reach: float = -math.inf
 
     @property
+    def residuals(self) -> Array:
+        """(n,) whitened residuals of all channels in a row."""
+        return self.left.array()
+
+    @property
     def jacobian(self) -> Array:
         """(n, k + m) d(residuals)/d(internal coordinate), nuisances last."""
-        return self.derivatives.matrix()
+        return self.derivatives.array()
 
     @property
     def covariance(self) -> Array:

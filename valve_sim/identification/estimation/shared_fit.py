@@ -14,10 +14,11 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from valve_sim.identification.estimation.descent import LARGEST_DAMPING, Descent, Effort
 from valve_sim.identification.estimation.gram import gram, sum_squares
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import FIRST_DAMPING, Fit, MachineKnowledge
-from valve_sim.identification.estimation.solver import LARGEST_DAMPING, Descent, Effort, fit
+from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Array, Nuisance, Plant
 from valve_sim.model import SimulationError
 

@@ -20,13 +20,14 @@ from typing import Final
 
 import numpy as np
 
+from valve_sim.identification.estimation.descent import Effort
 from valve_sim.identification.estimation.gram import gram
 from valve_sim.identification.estimation.identify import DEFAULT_FREE
 from valve_sim.identification.estimation.intervals import Interval, covariance_interval
 from valve_sim.identification.estimation.noise import Noise
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
-from valve_sim.identification.estimation.solver import Effort, fit
+from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.monitoring.command_timing import UNINFORMATIVE
 from valve_sim.identification.monitoring.stroke_delays import rough_shifts, start_before
 from valve_sim.identification.plants.commissioned import Commissioned, CommissionedCurrent, commission_current

@@ -7,7 +7,7 @@ diagnoses know only this protocol.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Literal, NamedTuple, Protocol, runtime_checkable
 
@@ -265,6 +265,20 @@ class Sensitivities(NamedTuple):
     known: NDArray[np.bool_]
 
 
+class Piece(NamedTuple):
+    """A stretch of what a channel would show, in its unit.
+
+    Attributes:
+        channel: index of it. start: of the first sample among its samples.
+        shown: (n,). columns: (n, k) derivatives along k directions.
+    """
+
+    channel: int
+    start: int
+    shown: Array
+    columns: Array
+
+
 class Plant(Protocol):
     """A machine with its measured data."""
 
@@ -332,6 +346,24 @@ class Differentiable(Protocol):
 
         Raises:
             SimulationError: the machine cannot be simulated with these values.
+        """
+
+
+@runtime_checkable
+class InPieces(Protocol):
+    """A plant whose predictions can be had piece by piece, so that long recordings fit in memory: an optional member.
+
+    Each sample of each channel is in one piece, and the pieces of a channel come in order.
+    """
+
+    def pieces(self, values: Mapping[str, float], directions: Sequence[Direction]) -> Iterator[Piece] | None:
+        """What `predict` and `sensitivities` return; None where derivatives along one of the directions are not known.
+
+        Args:
+            values, directions: as of `sensitivities`; without directions no derivative is asked for.
+
+        Raises:
+            SimulationError: the machine cannot be simulated with these values; also while iterating.
         """
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -20,6 +20,7 @@ from valve_sim.identification.plants.protocol import (
     Experiment,
     ForceMap,
     Nuisance,
+    Piece,
     Sensitivities,
 )
 from valve_sim.identification.plants.recording_errors import (
@@ -31,7 +32,7 @@ from valve_sim.identification.plants.recording_errors import (
     zero_with,
 )
 from valve_sim.identification.plants.valve_model import ValveModel
-from valve_sim.identification.plants.valve_sensitivities import sensitivities
+from valve_sim.identification.plants.valve_sensitivities import pieces, sensitivities
 from valve_sim.identification.plants.valve_sensors import (
     channels_of,
     fastest_motion,
@@ -219,6 +220,14 @@ class ValvePlant:
             SimulationError: the simulation could not be carried to its end.
         """
         return sensitivities(self._model, self.traces, values, directions)
+
+    def pieces(self, values: Mapping[str, float], directions: Sequence[Direction]) -> Iterator[Piece] | None:
+        """The same two, piece by piece; None where derivatives are not known, or where a gas flows.
+
+        Raises:
+            SimulationError: the simulation could not be carried to its end.
+        """
+        return pieces(self._model, self.traces, values, directions)
 
     def predict(self, values: Mapping[str, float]) -> list[Array]:
         """What each channel would show, in its unit.

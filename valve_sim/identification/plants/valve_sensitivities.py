@@ -7,17 +7,26 @@ model's to differentiate.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from valve_sim.identification.plants.protocol import Array, Direction, Sensitivities
+from valve_sim.identification.plants.protocol import Array, Direction, Piece, Sensitivities
 from valve_sim.identification.plants.recording_errors import drive_with, is_of_recording, lateness_with, zero_with
 from valve_sim.identification.plants.valve_model import ValveModel
-from valve_sim.identification.plants.valve_sensors import FIT_TOLERANCE, prepared
+from valve_sim.identification.plants.valve_pieces import run_in_pieces
+from valve_sim.identification.plants.valve_sensors import FIT_TOLERANCE, amperes, prepared
 from valve_sim.model import Drive
-from valve_sim.model.sensitivities import Tangents, has_sensitivities, numbers_of, rated_slopes, run_tangents
+from valve_sim.model.gas.record import is_of_gas
+from valve_sim.model.sensitivities import (
+    Tangents,
+    Variations,
+    has_sensitivities,
+    numbers_of,
+    rated_slopes,
+    run_tangents,
+)
 from valve_sim.model.simulation import rated_current
 from valve_sim.traces import Trace
 
@@ -51,12 +60,7 @@ def sensitivities(
         return Sensitivities([np.empty((0, len(directions)))], known)
     release = model.valve.parameters.release_voltage
     for index, trace in enumerate(traces):
-        at = _recording(trace, index, values, release)
-        theirs = [
-            _recording(trace, index, there, release) if any(map(is_of_recording, direction.slopes)) else None
-            for direction, there in zip(directions, moved, strict=True)
-        ]
-        tangents, zeros = _tangents(slopes, at, theirs, directions)
+        at, tangents, zeros = _moving_recording((trace, index), (values, moved), directions, (slopes, release))
         state, samples = prepared(record, trace, at.drive, at.lateness)
         positions, currents = run_tangents(record, state, at.drive, samples, tangents, FIT_TOLERANCE)
         if trace.has_positions:
@@ -64,6 +68,69 @@ def sensitivities(
         if trace.coil_current is not None:
             columns.append(_rated(record, samples.currents, currents, rated_slopes(record, slopes)))
     return Sensitivities(columns, known)
+
+
+def pieces(
+    model: ValveModel, traces: Sequence[Trace], values: Mapping[str, float], directions: Sequence[Direction]
+) -> Iterator[Piece] | None:
+    """What the channels of all traces show, and derivatives, piece by piece; arguments as of `sensitivities`.
+
+    Returns:
+        None where a derivative is not known, or where a gas flows.
+
+    Raises:
+        SimulationError: the simulation could not be carried to its end.
+    """
+    record = model.record(values)
+    moved = [_moved(values, direction) for direction in directions]
+    slopes = _record_slopes(model, record, moved, directions)
+    if is_of_gas(record):
+        return None  # its pressures are recorded, too, and one of them may drive it
+    if directions and not has_sensitivities(record, slopes).all():
+        return None
+    return _pieces(record, traces, (values, moved), directions, (slopes, model.valve.parameters.release_voltage))
+
+
+def _pieces(
+    record: Any,
+    traces: Sequence[Trace],
+    places: tuple[Mapping[str, float], Sequence[Mapping[str, float]]],
+    directions: Sequence[Direction],
+    slopes_and_release: tuple[Array, float],
+) -> Iterator[Piece]:
+    channel, rated = 0, rated_slopes(record, slopes_and_release[0])
+    for index, trace in enumerate(traces):
+        at, tangents, zeros = _moving_recording((trace, index), places, directions, slopes_and_release)
+        variations = Variations(tangents) if directions else None
+        for piece in run_in_pieces(record, trace, at.drive, at.lateness, variations):
+            if trace.has_positions:
+                shown, columns = piece.samples.rows[:, 0] + at.zero, piece.of_positions + zeros
+                yield Piece(channel, piece.positions.start, shown, columns)
+            for shown in amperes(record, trace, piece.samples.currents):
+                columns = _rated(record, piece.samples.currents, piece.of_currents, rated)
+                yield Piece(channel + trace.has_positions, piece.currents.start, shown, columns)
+        channel += trace.has_positions + (trace.coil_current is not None)
+
+
+def _moving_recording(
+    recording: tuple[Trace, int],
+    places: tuple[Mapping[str, float], Sequence[Mapping[str, float]]],
+    directions: Sequence[Direction],
+    slopes_and_release: tuple[Array, float],
+) -> tuple[_Recording, Tangents, Array]:
+    """What a recording adds to a run, and how that and the run's input move along directions; (k,) the sensor's zero.
+
+    Args:
+        recording: trace and index. places: the values, and these moved along each direction.
+        slopes_and_release: of the record's numbers along the directions; the release voltage, V.
+    """
+    (trace, index), (values, moved), (slopes, release) = recording, places, slopes_and_release
+    at = _recording(trace, index, values, release)
+    theirs = [
+        _recording(trace, index, there, release) if any(map(is_of_recording, direction.slopes)) else None
+        for direction, there in zip(directions, moved, strict=True)
+    ]
+    return (at, *_tangents(slopes, at, theirs, directions))
 
 
 def _rated(record: Any, currents: Array, derivatives: Array, rated: Array) -> Array:

@@ -42,8 +42,9 @@ STILL: Final = 6.0
 EQUAL: Final = 2.0
 """The same of a pressure, which comes to rest slowly: what is left of its rise must not be taken for noise."""
 
-_NO_EVENTS: Final = np.empty(0, EVENT_RECORD)
-_NO_TIMES: Final = np.empty(0)
+NO_EVENTS: Final = np.empty(0, EVENT_RECORD)
+NO_TIMES: Final = np.empty(0)
+"""Where none are asked for, or recorded."""
 
 
 def still_mask(drive: Drive, readings: Signal, within: float = STILL) -> NDArray[np.bool_]:
@@ -183,12 +184,12 @@ def _current_channel(index: int, trace: Trace, role: Role) -> Channel:
 def prepared(record: Any, trace: Trace, drive: Drive, offset: float) -> tuple[Any, Samples]:
     """A state from which to run, and room for what is shown; arguments as of `predicted`."""
     times = trace.times - offset
-    current_times = trace.coil_current.times - offset if trace.coil_current is not None else _NO_TIMES
+    current_times = trace.coil_current.times - offset if trace.coil_current is not None else NO_TIMES
     samples = Samples(times, np.empty((len(times), 1)), current_times, np.empty(len(current_times)))
-    return _state_before(record, drive, trace.sample_times - offset), samples
+    return state_before(record, drive, trace.sample_times - offset), samples
 
 
-def _state_before(record: Any, drive: Drive, times: Array) -> Any:
+def state_before(record: Any, drive: Drive, times: Array) -> Any:
     """A valve at rest at the first command or sample."""
     return new_states(record, min(float(drive.times[0]), float(times.min())))
 
@@ -207,20 +208,25 @@ def predicted(record: Any, trace: Trace, drive: Drive, offset: float) -> list[Ar
         return _predicted_with_pressure(record, trace, trace.outlet_pressure.times, drive, offset)
     state, samples = prepared(record, trace, drive, offset)
     _run(record, state, trace, drive, samples, offset)
-    return [samples.rows[:, 0], *_amperes(record, trace, samples.currents)]
+    return [samples.rows[:, 0], *amperes(record, trace, samples.currents)]
 
 
 def _run(record: Any, state: Any, trace: Trace, drive: Drive, samples: Samples, offset: float) -> None:
     """Run the model; with gas from the tank's pressure as it was measured, if it was."""
     if trace.inlet_pressure is None or not is_of_gas(record):
-        run_record(record, state, drive, samples, _NO_EVENTS, FIT_TOLERANCE)
+        run_record(record, state, drive, samples, NO_EVENTS, FIT_TOLERANCE)
         return
     times, pressures = trace.inlet_pressure
     supply = Supply(times - offset, np.maximum(pressures, LEAST_PRESSURE))
-    run_supplied(record, state, drive, supply, samples, _NO_EVENTS, FIT_TOLERANCE)
+    run_supplied(record, state, drive, supply, samples, NO_EVENTS, FIT_TOLERANCE)
 
 
-def _amperes(record: Any, trace: Trace, currents: Array) -> list[Array]:
+def amperes(record: Any, trace: Trace, currents: Array) -> list[Array]:
+    """Currents as a trace has them, from normalised ones; none where it has none.
+
+    Raises:
+        SimulationError: the coil has no resistance.
+    """
     if trace.coil_current is None:
         return []
     if record[0]["coil_resistance"] <= 0.0:
@@ -235,14 +241,14 @@ def _predicted_with_pressure(
     # The core shows all rows as late as positions are, and a pressure is not.
     late = record["sensor_delay"].item()
     times, at = np.unique(np.concatenate([trace.times, pressure_times + late]) - offset, return_inverse=True)
-    current_times = trace.coil_current.times - offset if trace.coil_current is not None else _NO_TIMES
+    current_times = trace.coil_current.times - offset if trace.coil_current is not None else NO_TIMES
     rows = np.empty((len(times), columns_of(record)))
     samples = Samples(times, rows, current_times, np.empty(len(current_times)))
-    state = _state_before(record, drive, np.concatenate([trace.sample_times[:1], pressure_times[:1]]) - offset)
+    state = state_before(record, drive, np.concatenate([trace.sample_times[:1], pressure_times[:1]]) - offset)
     _run(record, state, trace, drive, samples, offset)
     count = len(trace.times)
     pressures = rows[at[count:], FIRST_COLUMN]
-    return [rows[at[:count], 0], *_amperes(record, trace, samples.currents), pressures]
+    return [rows[at[:count], 0], *amperes(record, trace, samples.currents), pressures]
 
 
 def followed(record: Any, trace: Trace, drive: Drive, offset: float) -> Array:
@@ -252,8 +258,8 @@ def followed(record: Any, trace: Trace, drive: Drive, offset: float) -> Array:
         SimulationError: the simulation could not be carried to its end.
     """
     times = trace.sample_times - offset
-    samples = Samples(times, np.empty((len(times), 1)), _NO_TIMES, _NO_TIMES)
-    state = _state_before(record, drive, times)
+    samples = Samples(times, np.empty((len(times), 1)), NO_TIMES, NO_TIMES)
+    state = state_before(record, drive, times)
     _run(record, state, trace, drive, samples, offset)
     return samples.rows[:, 0]
 

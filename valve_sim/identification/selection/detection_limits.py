@@ -13,9 +13,9 @@ import math
 from collections.abc import Mapping
 from typing import Final
 
+from valve_sim.identification.estimation.descent import STANDING, along
 from valve_sim.identification.estimation.gram import sum_squares
 from valve_sim.identification.estimation.result import Fit
-from valve_sim.identification.estimation.solver import STANDING, along
 from valve_sim.identification.plants.protocol import (
     SMALL_MOVE,
     EffectChoice,

@@ -18,10 +18,11 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from valve_sim.identification.estimation.budget import OutOfTimeError
+from valve_sim.identification.estimation.descent import WHOLE, Effort
 from valve_sim.identification.estimation.parallel import run_parallel
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.smoothing import Smoothness
-from valve_sim.identification.estimation.solver import WHOLE, Effort, fit
+from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Array, ForceMap, Nuisance
 from valve_sim.identification.plants.root_mean_square import root_mean_square
 from valve_sim.identification.selection.hypotheses import NEAR, Search

@@ -14,10 +14,11 @@ from typing import Final
 import numpy as np
 
 from valve_sim.identification.estimation.budget import OutOfTimeError
+from valve_sim.identification.estimation.descent import TRIAL, WHOLE, Effort
 from valve_sim.identification.estimation.parallel import run_parallel
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
-from valve_sim.identification.estimation.solver import TRIAL, WHOLE, Effort, fit
+from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import (
     EffectChoice,
     from_internal,

@@ -19,9 +19,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from valve_sim.identification.estimation.descent import DIFFERENCE, STANDING, along
 from valve_sim.identification.estimation.gram import gram
 from valve_sim.identification.estimation.result import Fit, MachineKnowledge
-from valve_sim.identification.estimation.solver import DIFFERENCE, STANDING, along
 from valve_sim.identification.plants.protocol import Array, from_internal, internal_bounds, internal_scale
 from valve_sim.model import Parameter, SimulationError
 

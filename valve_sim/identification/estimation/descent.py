@@ -1,0 +1,374 @@
+"""Bounded Gauss–Newton with Levenberg's damping: one minimisation of the sum of squares of whitened residuals."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valve_sim.identification.estimation.column_groups import columns_decouple
+from valve_sim.identification.estimation.gram import gram, sum_squares
+from valve_sim.identification.estimation.problem import Problem
+from valve_sim.identification.estimation.result import FIRST_DAMPING, NO_INFORMATION, Fit, MachineKnowledge
+from valve_sim.identification.estimation.smoothing import Smoothness
+from valve_sim.identification.plants.protocol import (
+    Array,
+    Direction,
+    Nuisance,
+    from_internal,
+    internal_bounds,
+    internal_scale,
+    to_internal,
+    value_slope,
+)
+from valve_sim.model import Parameter, SimulationError
+
+DIFFERENCE: Final = 2e-3
+"""Step of a difference quotient, in prior scales of its parameter: theory, eq. (28)."""
+MOST_ITERATIONS: Final = 40
+TRIAL: Final = 6
+"""Iterations that fits side by side make before they are compared."""
+ASKED: Final = 3
+"""Iterations that a fit may make before it is asked whether it can still reach its goal."""
+CATCHES_UP: Final = 10.0
+"""Times the last decrease, or the next that is promised, beyond which a goal is out of reach: each decrease is smaller
+than the one before, and where by a tenth of it, all that are left come to ten."""
+CONVERGED: Final = 1e-2
+"""A fit has converged when a step would lower χ² by less than this: a tenth of a standard error."""
+CURVE_CONVERGED: Final = 0.3
+"""The same of a fit with a smooth curve, whose many columns are less exact."""
+WEIGHTS_HOLD: Final = 3.0
+"""Decrease of χ² below which the weights of a curve are no longer chosen anew."""
+LARGEST_DAMPING: Final = 1e4
+"""Of λ in theory, eq. (29): beyond it no step lowers the criterion and the fit stops."""
+FINE: Final = 1e-4
+"""Step along which the rules are differentiated that make a run of values, in steps of a difference quotient."""
+STANDING: Final = Direction({}, 1.0)
+"""In place of one whose derivative is infinite: along which nothing changes."""
+FEW: Final = 4
+"""Up to this many nuisances, derivatives are renewed in every step; of more they are reused while they serve."""
+
+
+class Effort(NamedTuple):
+    """How far a fit is carried.
+
+    Attributes:
+        robust: scales in σ of a Cauchy loss that is used first, one after the other, to leave local minima.
+        goal: χ² that is of interest: a fit that cannot reach it any more is given up. Default: all are.
+        made: iterations that were made before, from other values to these. most: at which the fit ends.
+    """
+
+    robust: Sequence[float] = ()
+    goal: float = math.inf
+    made: int = 0
+    most: int = MOST_ITERATIONS
+
+
+WHOLE: Final = Effort()
+"""Until a fit has converged."""
+
+
+def along(name: str, parameter: Parameter, coordinate: float) -> Direction:
+    """The direction of a parameter's internal coordinate, or `STANDING` where it has none."""
+    slope = value_slope(parameter, coordinate)
+    return Direction({name: slope}, FINE * DIFFERENCE * internal_scale(parameter)) if math.isfinite(slope) else STANDING
+
+
+class End(NamedTuple):
+    """Where a descent ended."""
+
+    at: Array
+    cost: float
+    residuals: Array
+    jacobian: Array
+    information: Array
+    converged: bool
+    damping: float
+    reach: float
+
+
+class Descent:
+    """One minimisation in internal coordinates, with their bounds and difference quotients.
+
+    Args:
+        problem: data and noise. free: parameters to free. nuisances: estimated along, with their priors.
+        fixed: values to hold. prior: as of `fit`.
+    """
+
+    holds_rows = True
+    """Whether residuals and derivatives are those of each sample."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        free: tuple[str, ...],
+        nuisances: tuple[Nuisance, ...],
+        fixed: dict[str, float],
+        prior: MachineKnowledge | Smoothness | None,
+    ) -> None:
+        smooth = prior if isinstance(prior, Smoothness) else None
+        self.problem, self.free, self.nuisances, self.fixed, self.smooth = problem, free, nuisances, fixed, smooth
+        self.parameters = [problem.plant.parameter(name) for name in free]
+        bounds = [internal_bounds(parameter) for parameter in self.parameters]
+        bounds += [nuisance.bounds for nuisance in nuisances]
+        self.lower = np.array([low for low, _ in bounds])
+        self.upper = np.array([high for _, high in bounds])
+        scales = [internal_scale(parameter) for parameter in self.parameters]
+        self.steps = np.array([DIFFERENCE * s for s in scales] + [n.step for n in nuisances])
+        self.prior = np.array([0.0] * len(free) + [1.0 / n.sigma**2 for n in nuisances])
+        self.mean = np.array([0.0] * len(free) + [n.mean for n in nuisances])
+        self._known = self._take(prior) if isinstance(prior, MachineKnowledge) else None
+        self._curve = np.array([free.index(name) for name in smooth.names] if smooth else [], dtype=np.int64)
+        self._small = CONVERGED if smooth is None else CURVE_CONVERGED
+        self._weights_hold = False
+        if smooth is not None:
+            self.lower[self._curve] = np.maximum(self.lower[self._curve], smooth.least)
+        self._reach = [problem.reach(nuisance) for nuisance in nuisances]
+        self._groups = problem.groups(nuisances)
+        self._nuisance_columns: Array | None = None
+
+    def _take(self, known: MachineKnowledge) -> Array:
+        """The information of other data, in the order of this fit; their priors and means are replaced."""
+        names = [*self.free, *(nuisance.name for nuisance in self.nuisances)]
+        order = [names.index(name) for name in known.names]
+        self.prior[order] = 0.0
+        self.mean[order] = known.coordinates
+        matrix = np.zeros((len(names), len(names)))
+        matrix[np.ix_(order, order)] = known.information
+        return matrix
+
+    def start(self, values: Mapping[str, float]) -> Array:
+        """(k + m,) internal coordinates of values, as `fit` takes them, within bounds."""
+        plant = self.problem.plant
+        coordinates = [
+            to_internal(parameter, values.get(name, plant.declared(name)))
+            for name, parameter in zip(self.free, self.parameters, strict=True)
+        ]
+        coordinates += [values.get(nuisance.name, nuisance.mean) for nuisance in self.nuisances]
+        return np.clip(np.array(coordinates, dtype=np.float64), self.lower, self.upper)
+
+    def values(self, at: Array) -> dict[str, float]:
+        """By name, in their units."""
+        values = dict(self.fixed)
+        for name, parameter, coordinate in zip(self.free, self.parameters, at, strict=False):
+            values[name] = from_internal(parameter, float(coordinate))
+        for nuisance, coordinate in zip(self.nuisances, at[len(self.free) :], strict=True):
+            values[nuisance.name] = float(coordinate)
+        return values
+
+    def residuals(self, at: Array) -> Array | None:
+        """Residuals, or None where the model cannot be simulated."""
+        try:
+            residuals = self.problem.residuals(self.values(at))
+        except SimulationError:
+            return None
+        return residuals if np.all(np.isfinite(residuals)) else None
+
+    def jacobian(self, at: Array, residuals: Array) -> Array:
+        """(n, k + m) derivatives; columns of many nuisances are reused while they serve.
+
+        By the plant's own derivatives where it knows them, else by forward differences (backward at an upper bound).
+        Nuisances of one group act on disjoint samples: they share a column, which is parted.
+        """
+        count = len(self.free)
+        groups = [[index] for index in range(count)]
+        if self._nuisance_columns is None:
+            groups += [[count + index for index in group] for group in self._groups]
+        shared, known = self._sensitivities(at, groups)
+        if groups and known.all() and all(group == [place] for place, group in enumerate(groups)):
+            columns = shared
+        else:
+            columns = np.empty((len(residuals), sum(map(len, groups))))
+            for place, group in enumerate(groups):
+                found = shared[:, place] if known[place] else None
+                columns[:, group] = self._columns_of_group(at, group, residuals, found)
+        if self._nuisance_columns is None:
+            self._nuisance_columns = columns[:, count:]
+            return columns
+        return np.column_stack([columns, self._nuisance_columns])
+
+    def _sensitivities(self, at: Array, groups: list[list[int]]) -> tuple[Array, NDArray[np.bool_]]:
+        """(n, g) derivatives along the sum of each group, and (g,) where the plant knows them."""
+        directions = [self.direction(at, group) for group in groups]
+        is_inside = np.array([direction is not STANDING for direction in directions], dtype=bool)
+        try:
+            columns, known = self.problem.sensitivities(self.values(at), directions)
+        except SimulationError:
+            return np.empty((0, len(groups))), np.zeros(len(groups), dtype=bool)
+        return columns, known & is_inside
+
+    def direction(self, at: Array, group: list[int]) -> Direction:
+        """Along the sum of the coordinates of a group."""
+        if group[0] < len(self.free):
+            (index,) = group
+            return along(self.free[index], self.parameters[index], float(at[index]))
+        names = [self.nuisances[index - len(self.free)].name for index in group]
+        return Direction(dict.fromkeys(names, 1.0), FINE * float(min(self.steps[group])))
+
+    def _columns_of_group(self, at: Array, group: list[int], residuals: Array, shared: Array | None) -> Array:
+        """(n, g) columns of the members of one group, from that of its sum if it is known and they decouple."""
+        if shared is None:
+            return self._columns_at_once(at, group, residuals)
+        if len(group) == 1:
+            return shared[:, None]
+        masks = [self._reach[index - len(self.free)] for index in group]
+        if columns_decouple(shared, masks):
+            return np.where(np.column_stack(masks), shared[:, None], 0.0)
+        columns, known = self._sensitivities(at, [[index] for index in group])
+        return columns if known.all() else self._columns_at_once(at, group, residuals)
+
+    def _columns_at_once(self, at: Array, indices: list[int], residuals: Array) -> Array:
+        """Columns of nuisances with disjoint samples, from one simulation, or from one each where they overlap."""
+        if len(indices) > 1:
+            perturbed, steps = at.copy(), self.steps[indices]
+            perturbed[indices] += np.where(at[indices] + steps > self.upper[indices], -steps, steps)
+            there = self.residuals(perturbed)
+            masks = [self._reach[index - len(self.free)] for index in indices]
+            if there is not None and columns_decouple(there - residuals, masks):
+                return np.where(np.column_stack(masks), (there - residuals)[:, None] / (perturbed - at)[indices], 0.0)
+        return np.column_stack([self._column(at, index, residuals) for index in indices])
+
+    def _column(self, at: Array, index: int, residuals: Array) -> Array:
+        step = self.steps[index]
+        if abs(at[index]) > 0.0 and index < len(self.free):
+            step = max(step, 1e-5 * abs(at[index]))
+        for size in (step, -step, 0.1 * step, -0.1 * step):
+            perturbed = at.copy()
+            perturbed[index] = min(max(at[index] + size, self.lower[index]), self.upper[index])
+            actual = perturbed[index] - at[index]
+            there = self.residuals(perturbed) if actual != 0.0 else None
+            if there is not None:
+                return np.asarray((there - residuals) / actual)
+        return np.zeros(len(residuals))
+
+    def begin(self, at: Array, begun: Fit | None) -> tuple[Array, Array]:
+        """Residuals and their derivatives where a descent begins; of a fit that is gone on with, as far as it has them.
+
+        Raises:
+            SimulationError: the model cannot be simulated there.
+        """
+        if begun is not None and begun.derivatives.is_at_hand:
+            self._nuisance_columns = begun.jacobian[:, len(self.free) :]
+            return begun.residuals, begun.jacobian
+        residuals = self.residuals(at) if begun is None else begun.residuals
+        if residuals is None:
+            raise SimulationError("the model cannot be simulated at the start of the fit")
+        return residuals, self.jacobian(at, residuals)
+
+    def descend(self, at: Array, cauchy: float, effort: Effort = WHOLE, begun: Fit | None = None) -> End:
+        """Gauss–Newton with Levenberg's damping, variables on a bound held while the gradient points outwards."""
+        residuals, jacobian = self.begin(at, begun)
+        damping = FIRST_DAMPING if begun is None else begun.damping
+        converged, decrease, reach = False, 0.0, -math.inf
+        # Columns that serve a fit that is gone on with may be those of some steps before.
+        is_stale = begun is not None and begun.derivatives.is_at_hand and len(self.nuisances) > FEW
+        of_data = self.normal(at, residuals, jacobian, cauchy)
+        information, gradient = self._with_curve(at, *of_data)
+        cost = self._cost(at, residuals, cauchy)  # the weight of a curve is another now
+        for iteration in range(effort.made, effort.most):
+            move, gain = self.step(at, information, gradient, damping)
+            if gain < self._small:
+                converged = True
+                break
+            reach = cost - CATCHES_UP * max(gain, decrease)
+            if iteration >= ASKED and reach > effort.goal:
+                break
+            candidate = np.clip(at + move, self.lower, self.upper)
+            there = self.residuals(candidate)
+            new_cost = self._cost(candidate, there, cauchy) if there is not None else math.inf
+            if there is not None and new_cost < cost:
+                decrease = cost - new_cost
+                converged = decrease < self._small
+                self._weights_hold = self._weights_hold or decrease < WEIGHTS_HOLD
+                damping = max(1e-9, damping * (0.1 if decrease > 0.5 * gain else 0.5))
+                if len(self.nuisances) <= FEW or decrease > 0.01 * cost:
+                    self._nuisance_columns = None
+                is_stale = self._nuisance_columns is not None
+                at, residuals, cost = candidate, there, new_cost
+            elif is_stale:
+                self._nuisance_columns, is_stale = None, False
+            else:
+                damping *= 10.0
+                if damping > LARGEST_DAMPING:
+                    converged = True
+                    break
+                # The derivatives are those of before; the weights of a curve are chosen once more.
+                information, gradient = self._with_curve(at, *of_data)
+                cost = self._cost(at, residuals, cauchy)
+                continue
+            jacobian = self.jacobian(at, residuals)
+            if converged:
+                break
+            of_data = self.normal(at, residuals, jacobian, cauchy)
+            information, gradient = self._with_curve(at, *of_data)
+            cost = self._cost(at, residuals, cauchy)
+        if math.isfinite(cauchy):
+            information, _ = self._with_curve(at, *self.normal(at, residuals, jacobian, math.inf))
+        return End(at, cost, residuals, jacobian, information, converged, damping, reach)
+
+    def normal(self, at: Array, residuals: Array, jacobian: Array, cauchy: float) -> tuple[Array, Array]:
+        """Information matrix and half the gradient of the criterion, priors included but for that of a curve."""
+        if math.isfinite(cauchy):
+            weighted = jacobian / (1.0 + np.square(residuals / cauchy))[:, None]
+        else:
+            weighted = jacobian
+        return self.with_priors(at, gram(weighted, jacobian), gram(weighted, residuals))
+
+    def with_priors(self, at: Array, of_data: Array, pull: Array) -> tuple[Array, Array]:
+        """The same from JᵀJ and Jᵀe of the residuals and their derivatives."""
+        information = of_data + np.diag(self.prior)
+        if not np.all(np.isfinite(information)):
+            # A pilot plunger of next to no mass, for one, whose derivatives are squared beyond all numbers.
+            raise SimulationError("the model's derivatives are too large where the fit has led")
+        gradient = pull + self.prior * (at - self.mean)
+        if self._known is not None:
+            information += self._known
+            gradient += self._known @ (at - self.mean)
+        return information, gradient
+
+    def _with_curve(self, at: Array, information: Array, gradient: Array) -> tuple[Array, Array]:
+        """The same with what says that a curve is smooth, whose weights are chosen anew until they hold."""
+        if self.smooth is not None:
+            curve, inflation = self._curve, self.problem.variance_inflation
+            if not self._weights_hold:
+                self.smooth = self.smooth.chosen(information, gradient, at, curve, inflation)
+            information, gradient = information.copy(), gradient.copy()
+            information[np.ix_(curve, curve)] += self.smooth.precision
+            gradient[curve] += self.smooth.precision @ at[curve]
+        return information, gradient
+
+    def _cost(self, at: Array, residuals: Array, cauchy: float) -> float:
+        prior = float(self.prior @ np.square(at - self.mean))
+        if self._known is not None:
+            prior += float((at - self.mean) @ self._known @ (at - self.mean))
+        if self.smooth is not None:
+            prior += float(at[self._curve] @ self.smooth.precision @ at[self._curve])
+        if not math.isfinite(cauchy):
+            return sum_squares(residuals) + prior
+        return float(cauchy**2 * np.sum(np.log1p(np.square(residuals / cauchy)))) + prior
+
+    def step(self, at: Array, information: Array, gradient: Array, damping: float) -> tuple[Array, float]:
+        """The damped step within bounds, and the decrease that it promises."""
+        scale = np.maximum(np.diag(information), 1e-300)
+        held = ((at <= self.lower) & (gradient > 0)) | ((at >= self.upper) & (gradient < 0)) | (scale <= NO_INFORMATION)
+        move = np.zeros(len(at))
+        for _ in range(len(at)):
+            moving = ~held
+            if not np.any(moving):
+                break
+            size = 1.0 / np.sqrt(scale[moving])
+            normal = information[np.ix_(moving, moving)] * np.outer(size, size)
+            normal[np.diag_indices_from(normal)] *= 1.0 + damping
+            normal[np.diag_indices_from(normal)] += 1e-12
+            rest = gradient[moving] + information[np.ix_(moving, held)] @ move[held]
+            move[moving] = -size * np.linalg.solve(normal, size * rest)
+            beyond = moving & ((at + move < self.lower) | (at + move > self.upper))
+            if not np.any(beyond):
+                break
+            move[beyond] = np.clip(at[beyond] + move[beyond], self.lower[beyond], self.upper[beyond]) - at[beyond]
+            held = held | beyond
+        gain = -float(2.0 * gradient @ move + move @ information @ move)
+        return move, max(gain, 0.0)

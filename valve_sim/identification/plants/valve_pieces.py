@@ -1,0 +1,103 @@
+"""A recording's run in pieces: what its sensors show, with derivatives, and no more than a piece of it at a time.
+
+A long recording has millions of samples, and a fit some fifteen derivatives of each. All that it needs of them are
+sums, so that each piece is added up and forgotten. Pieces end with a command, where the core ends a step anyway: they
+are what one run would give, to the last digit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from valve_sim.identification.plants.protocol import Array
+from valve_sim.identification.plants.valve_sensors import FIT_TOLERANCE, NO_EVENTS, NO_TIMES, state_before
+from valve_sim.model import Drive
+from valve_sim.model.sensitivities import Variations
+from valve_sim.model.simulation import Samples, run_course
+from valve_sim.traces import Trace
+
+SAMPLES: Final = 8192
+"""Of a piece, at least, positions and currents together: what they need stays near the processor."""
+
+
+class RunPiece(NamedTuple):
+    """What a piece of a run shows.
+
+    Attributes:
+        positions, currents: which samples of the recording, of either kind.
+        samples: what was shown, the current normalised.
+        of_positions, of_currents: (n, k) derivatives; none where none were asked.
+    """
+
+    positions: slice
+    currents: slice
+    samples: Samples
+    of_positions: Array
+    of_currents: Array
+
+
+class _Cut(NamedTuple):
+    """Where a piece lies among commands and samples, and when it ends, s, by the model's clock."""
+
+    commands: slice
+    positions: slice
+    currents: slice
+    end: float
+
+
+def run_in_pieces(
+    record: Any, trace: Trace, drive: Drive, offset: float, variations: Variations | None = None
+) -> Iterator[RunPiece]:
+    """Run a recorded drive.
+
+    Args:
+        record: (1,) VALVE_RECORD. trace: whose sample times count. drive: when the voltage changes, s.
+        offset: s by which samples are stamped late. variations: derivatives carried along.
+
+    Raises:
+        SimulationError: the simulation could not be carried to its end.
+    """
+    current_times = trace.coil_current.times if trace.coil_current is not None else NO_TIMES
+    state = state_before(record, drive, trace.sample_times[:1] - offset)
+    for cut in _cuts(trace.times, current_times, drive, (offset, record["sensor_delay"].item())):
+        times, late = trace.times[cut.positions] - offset, current_times[cut.currents] - offset
+        samples = Samples(times, np.empty((len(times), 1)), late, np.empty(len(late)))
+        course = (drive.times[cut.commands], drive.volts[cut.commands], cut.end)
+        if variations is None:
+            run_course(record, state, course, samples, NO_EVENTS, FIT_TOLERANCE)
+            found = np.empty((len(times), 0)), np.empty((len(late), 0))
+        else:
+            found = variations.run(record, state, course, samples, FIT_TOLERANCE, cut.commands.start)
+        yield RunPiece(cut.positions, cut.currents, samples, *found)
+
+
+def _cuts(times: Array, current_times: Array, drive: Drive, late: tuple[float, float]) -> Iterator[_Cut]:
+    """Pieces of at least `SAMPLES` samples; `late`: s, by which samples are stamped, and positions shown."""
+    offset, delay = late
+    last = [float(found[-1]) - offset for found in (times, current_times) if len(found)]
+    seen = np.searchsorted(times, drive.times + (offset + delay), side="right").tolist()
+    seen_currents = np.searchsorted(current_times, drive.times + offset, side="right").tolist()
+    command = position = current = 0
+    for place, when in enumerate(drive.times.tolist()):
+        if seen[place] - position + seen_currents[place] - current < SAMPLES or when >= max(last):
+            continue
+        ahead = _shown_by(when, times, (offset, delay), seen[place])
+        ahead_current = _shown_by(when, current_times, (offset, 0.0), seen_currents[place])
+        own = slice(command, place + 1), slice(position, ahead), slice(current, ahead_current)
+        yield _Cut(*own, when)
+        command, position, current = place + 1, ahead, ahead_current
+    own = slice(command, len(drive.times)), slice(position, len(times)), slice(current, len(current_times))
+    yield _Cut(*own, max(last))
+
+
+def _shown_by(when: float, times: Array, late: tuple[float, float], near: int) -> int:
+    """How many samples the core shows up to a time; `near` is that but for how sums are rounded."""
+    offset, delay = late
+    while near < len(times) and (times[near] - offset) - delay <= when:
+        near += 1
+    while near > 0 and (times[near - 1] - offset) - delay > when:
+        near -= 1
+    return near
