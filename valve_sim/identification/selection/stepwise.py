@@ -182,7 +182,7 @@ class Exploration:
         if not self.plant.timing_errors:
             return
         search = self.search
-        best = sorted(filter(self.is_claimable, self.tried()), key=search.score)[:BEAM]
+        best = sorted((h for h in self.tried() if not h.timing and self.is_claimable(h)), key=search.score)[:BEAM]
         timed = [Hypothesis((), True), *(hypothesis._replace(timing=True) for hypothesis in best)]
         search.fit(timed[0])
         search.fit_each(timed[1:], (0.3, 0.3))
