@@ -233,6 +233,13 @@ def test_beside_stamps_that_err_sets_grow_and_members_are_swapped_as_without_the
     assert not any(len(one.effects) > 2 for one in found.tried() if not one.timing)
 
 
+def test_stamps_that_explain_more_without_being_believed_end_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    scores = {"": 900.0, "a": 500.0, "b": 550.0, "ab": 400.0, "abc": 300.0, "'": 700.0, "a'": 480.0, "ab'": 200.0}
+    found = explored(World(scores, switches("abcd"), timing=True), monkeypatch)
+    assert "abcd" in tried(found)
+    assert found.best_claimable() == of("abc")
+
+
 @pytest.mark.parametrize(("gained", "goes_on"), [(DECISIVE, False), (DECISIVE + 0.1, True)])
 def test_beside_stamps_that_err_triples_are_tried_where_a_pair_gained_a_decisive_difference(
     monkeypatch: pytest.MonkeyPatch, gained: float, goes_on: bool

@@ -117,7 +117,7 @@ class Exploration:
             hides_another = best.timing and len(best.effects) == 1 and count == 2
             if not self.needs_larger_model(best) and not hides_another:
                 break
-            if count > 2 and self._stamps_explain_more():
+            if count > 2 and best.timing:
                 break
             if best.effects:
                 search.polish(best)
@@ -152,13 +152,6 @@ class Exploration:
             self.screened = {}
             return False
         return True
-
-    def _stamps_explain_more(self) -> bool:
-        """Whether some set with errors of the stamps explains decisively more than every set without."""
-        scores = {
-            timing: [self.search.score(h) for h in self.tried() if h.timing is timing] for timing in (True, False)
-        }
-        return min(scores[True], default=math.inf) < min(scores[False]) - DECISIVE
 
     def _is_promising(self, gains: Mapping[str, float]) -> bool:
         """Whether the score test finds anything that a refit might make decisive.
