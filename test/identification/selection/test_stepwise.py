@@ -186,6 +186,15 @@ def test_stamps_that_explain_nearly_all_alone_are_tried_with_effects_all_the_sam
     assert found.best_claimable() == of("c'")
 
 
+def test_stamps_that_explain_all_alone_are_tried_with_effects_that_promise_more(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scores = {"": 9000.0, "a": 8000.0, "b": 8100.0, "c": 8200.0, "'": 300.0, "c'": 40.0}
+    white, gains = {"'": 1.0, "c'": 1.0}, {"'": {"c": 100.0}, "c'": {"a": -5.0, "b": -5.0}}
+    found = explored(World(scores, switches("abc"), white=white, gains=gains, timing=True), monkeypatch)
+    assert found.best_claimable() == of("c'")
+
+
 def test_the_best_single_is_that_which_may_be_claimed(monkeypatch: pytest.MonkeyPatch) -> None:
     scores = {"": 300.0, "a": 100.0, "b": 110.0, "c": 120.0}
     # a is on its bound.

@@ -109,7 +109,7 @@ class Exploration:
         if not is_full and (self._leaves_nothing(declared) or self._stamps_explain_all(declared)):
             return
         search.fit_each([Hypothesis((name,)) for name in names], (0.0, 0.3))
-        if self.needs_larger_model(self.best_claimable()):
+        if self.needs_larger_model(self._best_without_stamps()):
             self._explore_timing(names)
         for count in range(2, MOST_EFFECTS + 1):
             best = self.best_claimable()
@@ -234,6 +234,11 @@ class Exploration:
     def best_claimable(self) -> Hypothesis:
         """The hypothesis of the best criterion of those whose effects are away from off and from bounds."""
         return best_claimable(self.table())
+
+    def _best_without_stamps(self) -> Hypothesis:
+        """The same of those without errors of the stamps."""
+        scores = self.table().scores
+        return best_claimable(ScoreTable({one: score for one, score in scores.items() if not one.timing}))
 
     def table(self) -> ScoreTable:
         """The scores of all that was tried so far, but for what another name stands for."""
