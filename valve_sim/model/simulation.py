@@ -309,14 +309,9 @@ def run_record(
 
 
 def run_course(
-    record: Any,
-    state: Any,
-    course: tuple[Array, Array, float],
-    samples: Samples,
-    events: Any,
-    tolerance: float = TOLERANCE,
-    vary: Any = None,
-) -> int:
+    record: Any, state: Any, course: tuple[Array, Array, float], samples: Samples, events: Any,
+    tolerance: float = TOLERANCE, vary: Any = None,
+) -> int:  # fmt: skip
     """The same up to a given time: a long run is made of such pieces, each of which ends with a command.
 
     Args:
