@@ -48,6 +48,11 @@ class Ordered(NamedTuple):
     shift: int
     findings: tuple[str, ...]
 
+    @property
+    def changes(self) -> bool:
+        """Whether any sample is dropped or moved, which `findings` say."""
+        return len(self.findings) > 0
+
 
 def order_samples(stamps: Stamps, bag_times: Stamps, values: NDArray[np.float64], topic: str) -> Ordered:
     """Put samples into the order of their stamps; drop duplicates and those with a wrong stamp.
@@ -60,7 +65,7 @@ def order_samples(stamps: Stamps, bag_times: Stamps, values: NDArray[np.float64]
     """
     findings: list[str] = []
     index = np.arange(len(stamps))
-    if (np.diff(stamps) > 0).all() and not _jumps_forward(stamps, bag_times).any():
+    if (stamps[1:] > stamps[:-1]).all() and not _jumps_forward(stamps, bag_times).any():
         return Ordered(index, 0, ())
     index, lead = _without_foreign(index, stamps, bag_times, topic, findings)
     index = _without_repeated(index, stamps, values, topic, findings)
@@ -113,7 +118,8 @@ def _without_repeated(
     """Drop duplicated messages: same stamp and same values."""
     order = index[np.argsort(stamps[index], kind="stable")]
     same_stamp = np.diff(stamps[order]) == 0
-    same = same_stamp & (values[order[1:]] == values[order[:-1]]).all(axis=1)
+    numbers = np.nan_to_num(values)  # what is missing in both is the same
+    same = same_stamp & (numbers[order[1:]] == numbers[order[:-1]]).all(axis=1)
     if not same.any():
         return index
     findings.append(f"{topic}: dropped {same.sum()} of {len(stamps)} samples that were recorded twice")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -31,7 +31,7 @@ from valve_sim.traces.layout import (
 )
 from valve_sim.traces.message_fields import field_values, has_stamp, missing_field
 from valve_sim.traces.message_fields import stamps as header_stamps
-from valve_sim.traces.samples import Samples, in_order, is_broken
+from valve_sim.traces.samples import Readings, Samples, in_order, is_broken
 from valve_sim.traces.storage import Recording, read_recording
 from valve_sim.traces.table_reading import read_table_trace, standard_map
 from valve_sim.traces.trace import DriveErrors, Signal, Trace
@@ -102,22 +102,6 @@ def _is_table(path: Path) -> bool:
     return path.suffix.lower() in TABLE_SUFFIXES and path.is_file()
 
 
-class Readings(NamedTuple):
-    """What one source recorded.
-
-    Attributes:
-        bag_times: When each message was recorded, ns, shape (n,).
-        stamps: When it was taken by its header, ns; the bag time where `is_stamped` is False.
-        is_stamped: Whether the header holds a time, and is to be used.
-        values: SI (°C for temperatures), NaN where a message has none.
-    """
-
-    bag_times: NDArray[np.int64]
-    stamps: NDArray[np.int64]
-    is_stamped: NDArray[np.bool_]
-    values: NDArray[np.float64]
-
-
 class _Assembly:
     """One reading of one valve: collects findings on the way from raw topics to a trace."""
 
@@ -132,6 +116,7 @@ class _Assembly:
     def trace(self) -> Trace:
         """Put the trace together."""
         samples, clock = self.samples() if self.plan.has_positions else self.in_their_place(self.plan.judged)
+        self.forget_positions()
         samples, shift, findings = in_order(samples, f"{self.path}: topic {self.samples_topic}", self.samples_topic)
         self.findings += findings
         offset, findings = clock_offset(samples.stamps, samples.bag_times + shift, self.samples_topic)
@@ -140,18 +125,19 @@ class _Assembly:
         command_times, volts, errors = self.commands(offset - shift)
         epoch = int(min(command_times[0], samples.stamps[0]))
         times = (samples.stamps - epoch) / SECOND
-        signals = self.signals(epoch, offset - shift)
-        pilot, main = samples.values.T
+        pilot, main = (np.ascontiguousarray(column) for column in samples.values.T)
+        del samples  # of a long recording all that is held twice is large
+        signals = {name: found and found.beside(times) for name, found in self.signals(epoch, offset - shift).items()}
         if not self.plan.has_positions:
-            signals[SIGNALS[self.plan.judged]] = Signal(times, np.ascontiguousarray(pilot))
+            signals[SIGNALS[self.plan.judged]] = Signal(times, pilot)
             times, pilot, main = np.empty((3, 0))
         trace = Trace(
             source=f"{self.path} ({self.plan.valve})",
             drive=Drive((command_times - epoch) / SECOND, volts),
             drive_errors=errors,
             times=times,
-            pilot_position=np.ascontiguousarray(pilot),
-            main_position=None if not len(main) or np.isnan(main).any() else np.ascontiguousarray(main),
+            pilot_position=pilot,
+            main_position=None if not len(main) or np.isnan(main).any() else main,
             epoch_ns=epoch,
             clock=clock,
             origins={key: source.name for key, source in self.plan.sources.items()},
@@ -159,6 +145,13 @@ class _Assembly:
         )
         trouble = trouble_in(trace, self.samples_topic, self.input.topic)
         return replace(trace, findings=(*self.findings, *trouble))
+
+    def forget_positions(self) -> None:
+        """Free what only positions are read from: of a long recording it is larger than they are."""
+        others = [*self.plan.sources.items(), *self.plan.others.items()]
+        needed = {source.topic for quantity, source in others if quantity not in POSITIONS}
+        if self.samples_topic not in {*needed, *self.plan.logs}:
+            self.recording.topics.pop(self.samples_topic)
 
     def decoded(self, source: Source) -> tuple[NDArray[np.int64], Decoded]:
         """Return bag times and numbers of a topic's messages, of which at least one must be readable."""
@@ -258,7 +251,7 @@ class _Assembly:
             raise TraceError(
                 f"{self.path}: topic {topic}: no sample has finite positions of {PILOT} and {MAIN}; record both"
             )
-        samples = Samples(pilot.stamps[finite], pilot.bag_times[finite], values[finite])
+        samples = Samples(pilot.stamps, pilot.bag_times, values).take(finite)
         if not pilot.is_stamped.any() and self.plan.map_path:
             return samples, "bag"
         if len(samples.stamps) > 1 and (samples.stamps == samples.stamps[0]).all():
@@ -433,9 +426,7 @@ class _Assembly:
                 raise
             self.findings.append(f"{topic} holds no message that can be read: it was left out")
             return None
-        times = np.where(readings.is_stamped, readings.stamps, readings.bag_times - offset)
-        times, first = np.unique(times, return_index=True)
-        values = readings.values[first]
+        times, values = readings.without_repeated(offset)
         finite = np.isfinite(values)
         dropped = len(readings.values) - int(finite.sum())
         if source.type == COIL_STATE and not finite.any():
@@ -444,4 +435,6 @@ class _Assembly:
             self.findings.append(
                 f"{topic}: dropped {dropped} of {len(readings.values)} messages (not finite, or twice there)"
             )
-        return Signal((times[finite] - epoch) / SECOND, values[finite]) if finite.any() else None
+        if not finite.all():
+            times, values = times[finite], values[finite]
+        return Signal((times - epoch) / SECOND, np.ascontiguousarray(values)) if len(times) else None

@@ -45,7 +45,7 @@ class Recording(NamedTuple):
     """
 
     types: Mapping[str, str]
-    topics: Mapping[str, Topic]
+    topics: dict[str, Topic]
     findings: tuple[str, ...]
 
 
