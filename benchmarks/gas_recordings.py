@@ -1,0 +1,223 @@
+"""Valves with gas seen through their outlet's pressure alone, diagnosed.
+
+`python -m benchmarks.gas_recordings --cases 40` prints them.
+
+The plant is test/plants/gas.py, which shares no line with the package. Every declared number is off as its tolerance
+allows, and the dampings are not known. Recorded are the command and the pressure at 1 kHz with a noise of 0.1 % of the
+tank's: of a valve before a demand four openings in one recording, of one before a dead end three recordings of one
+opening each; two more openings are held out. In the first half of the cases nothing is missing, in the others a leak,
+a clogged pilot orifice or friction in turn.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from valve_sim.identification.diagnosis.run import diagnose
+from valve_sim.model import Drive, Valve, simulate
+from valve_sim.traces import Signal, Trace
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "test"))
+from plants import tolerances
+from plants.gas import GasValve
+
+SHARES: Final = {
+    "inlet_pressure": 0.002, "inlet_temperature": 0.004, "outlet_volume": 0.02, "pilot_orifice_diameter": 0.01,
+    "main_orifice_diameter": 0.01, "seat_diameter": 0.005, "discharge_coefficient": 0.02,
+}  # fmt: skip
+"""One standard deviation of the declared numbers of gas, as a share of each."""
+DEMAND_SHARE: Final = 0.01
+"""Of the demand's orifice, which is known where the demand is."""
+EFFECTS: Final = {"seat_leak": (1e-10, 2e-9), "pilot_clogging": (0.4, 0.85), "coulomb_friction": (0.2, 0.5)}
+"""What may be missing, m², – and N, and its range; that of a leak is logarithmic."""
+LEVELS: Final = (9.0, 12.0, 8.0, 13.5)
+HELD_OUT: Final = (10.0, 8.5)
+"""V."""
+NOISE: Final = 1e-3
+"""Of the tank's pressure."""
+REST: Final = 0.05
+"""s before the first command."""
+BLEEDS: Final = 2.0
+"""s for which a demand empties the line between two openings."""
+EQUAL: Final = 0.01
+"""Share of the tank's pressure, a difference below which counts as equalised."""
+
+
+class Case(NamedTuple):
+    """A valve, what its file says, its recordings, and the seconds that its pressure takes to equalise at 9 V."""
+
+    missing: str
+    declared: Valve
+    training: tuple[Trace, ...]
+    held_out: tuple[Trace, ...]
+    equalises: float
+    words: str
+
+
+class Found(NamedTuple):
+    """What a diagnosis made of a case."""
+
+    kind: str
+    effects: tuple[str, ...]
+    probability: float
+    is_right: bool
+    is_wrong: bool
+    error: float
+    seconds: float
+
+
+def drawn(seed: int, missing: str) -> Case:
+    """A case; the same seed gives the same."""
+    random = np.random.default_rng([seed, 20])
+    has_demand = seed % 2 == 0
+    gas = {
+        "inlet_pressure": float(random.choice([20e6, 35e6, 70e6])), "inlet_temperature": 288.15,
+        "outlet_volume": float(random.uniform(5e-6, 15e-6)), "outlet_pressure": 1e5,
+        "pilot_orifice_diameter": float(random.uniform(0.16e-3, 0.2e-3)), "main_orifice_diameter": 3e-3,
+        "seat_diameter": 4e-3, "demand_orifice_diameter": 0.04e-3 if has_demand else 0.0, "demand_pressure": 1e5,
+        "discharge_coefficient": 0.8,
+    }  # fmt: skip
+    sigmas = {name: share * gas[name] for name, share in SHARES.items()}
+    if has_demand:
+        sigmas["demand_orifice_diameter"] = DEMAND_SHARE * gas["demand_orifice_diameter"]
+    true_gas = {name: value + sigmas.get(name, 0.0) * float(random.standard_normal()) for name, value in gas.items()}
+    sheet = {**tolerances.SHEET_VALVE, "attraction_polynomial": list(tolerances.SHEET_VALVE["attraction_polynomial"])}  # type: ignore[arg-type]
+    true: dict[str, Any] = dict(tolerances.deviated(tolerances.SHEET_VALVE, tolerances.drawn_deviations(random)))
+    true |= {"pilot_damping": float(random.uniform(0.5, 2.0)), "main_damping": float(random.uniform(3.0, 6.0))}
+    size = _size(missing, random)
+    declared = Valve.from_mapping(
+        {
+            "valve": sheet,
+            "gas": gas,
+            "tolerances": {**tolerances.declared_tolerances(tolerances.SHEET_VALVE), "gas": sigmas},
+        },
+        f"case {seed}",
+    )
+
+    def plant() -> GasValve:
+        extra = {"seat_leak": "leak", "pilot_clogging": "clogging", "coulomb_friction": "friction"}
+        return GasValve(true, true_gas, rtol=1e-7, **({extra[missing]: size} if missing else {}))
+
+    opening = 1.4 * _equalises(plant, 9.0, gas["inlet_pressure"])
+    noise = NOISE * gas["inlet_pressure"]
+    sets = [_recorded(plant, levels, opening, noise, random, has_demand=has_demand) for levels in (LEVELS, HELD_OUT)]
+    words = f"{1e-6 * gas['inlet_pressure']:g} MPa, {1e6 * gas['outlet_volume']:.0f} cm³, "
+    words += "demand" if has_demand else "dead end"
+    return Case(missing, declared, sets[0], sets[1], opening / 1.4, f"{words}, {size:.3g}" if missing else words)
+
+
+def _size(missing: str, random: np.random.Generator) -> float:
+    if not missing:
+        return 0.0
+    low, high = EFFECTS[missing]
+    if missing == "seat_leak":
+        return float(math.exp(random.uniform(math.log(low), math.log(high))))
+    return float(random.uniform(low, high))
+
+
+def _equalises(plant: Any, volts: float, inlet: float) -> float:
+    """Seconds from a command until the pressures are equal, or as near as they come."""
+    times = np.arange(3000) * 1e-3
+    _, pressures, _ = plant().run([(0.0, volts)], times)
+    return _first_near(times, pressures, inlet)
+
+
+def _first_near(times: Any, pressures: Any, inlet: float) -> float:
+    return float(times[np.argmax(pressures >= (1.0 - EQUAL) * min(inlet, float(pressures[-1])))])
+
+
+def _recorded(
+    plant: Any, levels: Sequence[float], opening: float, noise: float, random: Any, *, has_demand: bool
+) -> tuple[Trace, ...]:
+    """One recording of all openings, where a demand empties the line between them; else one of each."""
+    rows = [levels] if has_demand else [(level,) for level in levels[:3]]
+    found = []
+    for row in rows:
+        starts = REST + (opening + BLEEDS) * np.arange(len(row))
+        commands = [
+            pair for start, level in zip(starts, row, strict=True) for pair in ((start, level), (start + opening, 0.0))
+        ]
+        drive = commands if has_demand else commands[:1]
+        times = np.arange(round(1e3 * (REST + len(row) * (opening + (BLEEDS if has_demand else 0.0))))) * 1e-3
+        _, pressures, _ = plant().run(drive, times)
+        shown = Signal(times, pressures + noise * random.standard_normal(len(times)))
+        found.append(Trace("outlet", Drive.of(*zip(*drive, strict=True)), times[:0], times[:0], outlet_pressure=shown))
+    return tuple(found)
+
+
+def examined(case: Case) -> Found:
+    """Diagnose it, and compare the time that the corrected valve takes to equalise."""
+    started = time.process_time()
+    result = diagnose(case.training, case.held_out, case.declared)
+    seconds = time.process_time() - started
+    verdict = result.verdict
+    names = {*verdict.effects, *(name for others in verdict.confusable_with.values() for name in others)}
+    is_right = case.missing in names if case.missing else verdict.kind == "none"
+    is_wrong = verdict.kind == "effects" and not is_right and verdict.probability >= 0.9
+    times = np.arange(3000) * 1e-3
+    shown = simulate(result.valve, Drive.of([0.0], [9.0]), times, start_time=0.0).outlet_pressure
+    assert shown is not None and case.declared.gas is not None
+    equalises = _first_near(times, shown, case.declared.gas.inlet_pressure)
+    return Found(
+        verdict.kind,
+        verdict.effects,
+        verdict.probability,
+        is_right,
+        is_wrong,
+        equalises / case.equalises - 1.0,
+        seconds,
+    )
+
+
+def main() -> None:
+    """Run and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--cases", type=int, default=40)
+    parser.add_argument("--first", type=int, default=0, help="seed of the first case")
+    parser.add_argument("--effects", action="store_true", help="only cases in which something is missing")
+    options = parser.parse_args()
+    table = Table("case", "", "missing", "verdict", "right", "equalises, %", "CPU, s", title="Outlet pressure alone")
+    outcomes = []
+    for number in range(options.cases):
+        seed = options.first + number
+        is_none = not options.effects and number < options.cases // 2
+        case = drawn(seed, "" if is_none else list(EFFECTS)[seed % len(EFFECTS)])
+        found = examined(case)
+        outcomes.append((case, found))
+        verdict = f"{found.kind} {' + '.join(found.effects)} {found.probability:.2f}"
+        row = (
+            f"{seed}", case.words, case.missing or "–", verdict,
+            "yes" if found.is_right else "WRONG" if found.is_wrong else "no", f"{100.0 * found.error:+.2f}",
+            f"{found.seconds:.0f}",
+        )  # fmt: skip
+        print(" | ".join(row), flush=True)
+        table.add_row(*row)
+    Console(width=160).print(table)
+    for words, is_missing in (("nothing missing", False), ("one effect missing", True)):
+        chosen = [found for case, found in outcomes if bool(case.missing) == is_missing]
+        if chosen:
+            print(f"{words}: {_summary(chosen)}")
+
+
+def _summary(chosen: list[Found]) -> str:
+    """Counts of what is asked for."""
+    counts: Mapping[str, int] = {
+        "right": sum(found.is_right for found in chosen),
+        "confidently wrong": sum(found.is_wrong for found in chosen),
+        "equalises within 2 %": sum(abs(found.error) <= 0.02 for found in chosen),
+    }
+    return ", ".join(f"{words} {count} of {len(chosen)}" for words, count in counts.items())
+
+
+if __name__ == "__main__":
+    main()
