@@ -11,7 +11,7 @@ from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEve
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
 from rclpy.subscription import Subscription
-from sensor_msgs.msg import BatteryState, JointState
+from sensor_msgs.msg import BatteryState, FluidPressure, JointState
 from std_msgs.msg import Float64
 
 from valve_sim.nodes.live_map import LiveInput
@@ -32,12 +32,14 @@ class Takers(NamedTuple):
 
     Attributes:
         command: stamp, ns, and volts. position: stamp, m, and the time of reception, ns, 0 where not known.
-        coil: stamp, A, V or nan, and the time of reception. reject: why a message cannot be used.
+        coil: stamp, A, V or nan, and the time of reception. pressure: stamp and Pa, behind a valve with gas.
+        reject: why a message cannot be used.
     """
 
     command: Callable[[int, float], None]
     position: Callable[[int, float, int], None]
     coil: Callable[[int, float, float, int], None]
+    pressure: Callable[[int, float], None]
     reject: Callable[[str], None]
 
 
@@ -48,7 +50,7 @@ class MonitorInputs:
         node: which subscribes. clock: of it.
         valve: full name of the node whose commands are heard. measured: topic of positions, or of the coil.
         entries: of a map, by quantity; none where this package's own topics are heard.
-        take: what is done with what is heard.
+        take: what is done with what is heard. has_gas: whether there is a pressure behind the valve to be heard.
     """
 
     def __init__(
@@ -59,9 +61,11 @@ class MonitorInputs:
         measured: str,
         entries: Mapping[str, LiveInput],
         take: Takers,
+        *,
+        has_gas: bool,
     ) -> None:
         self._node, self._clock, self._take = node, clock, take
-        self._valve, self._measured = valve, measured
+        self._valve, self._measured, self._has_gas = valve, measured, has_gas
         self._sensors = measured.rpartition("/")[0]
         self._voltage = f"{valve}/coil_voltage"
         self._entries: dict[Subscription, LiveInput] = {}
@@ -111,6 +115,11 @@ class MonitorInputs:
         self._currents = node.create_subscription(Float64, f"{self._sensors}/coil_current", on_currents, _MEASURED)
         on_coil: Any = guarded(self._on_coil)
         self._coil = node.create_subscription(BatteryState, f"{self._sensors}/coil", on_coil, _MEASURED)
+        if self._has_gas:
+            on_pressure: Any = guarded(self._on_pressure)
+            self._pressure = node.create_subscription(
+                FluidPressure, f"{self._sensors}/outlet_pressure", on_pressure, _MEASURED
+            )
 
     def _subscribe_by_map(self, entries: Mapping[str, LiveInput], events: SubscriptionEventCallbacks) -> None:
         """Subscribe to the topics that the map names; each message is converted to the type of this package."""
@@ -164,6 +173,9 @@ class MonitorInputs:
             if math.isfinite(coil.current):
                 self._has_stamped_current = True
                 self._take.coil(_stamp_of(coil), coil.current, coil.voltage, self._received(received))
+
+    def _on_pressure(self, message: FluidPressure, info: Any) -> None:
+        self._take.pressure(_stamp_of(message), message.fluid_pressure)
 
     def _on_samples(self, message: JointState, info: Any) -> None:
         """Take all queued samples, each after the commands received before it."""

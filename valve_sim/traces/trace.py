@@ -63,6 +63,7 @@ class Trace:
         acceleration: Along the axis, m/s².
         inlet_pressure, outlet_pressure: Before and behind a valve with gas, absolute, Pa.
         coil_temperature: °C.
+        outlet_start: Behind a valve with gas when the trace begins, Pa; None: as the valve declares it.
         epoch_ns: The first stamp of commands or samples, ns, on the samples' clock.
         clock: "header" when samples are timed by their stamps, "bag" when by the time they were recorded; of a table
             "time column", or "rate".
@@ -84,6 +85,7 @@ class Trace:
     inlet_pressure: Signal | None = None
     outlet_pressure: Signal | None = None
     coil_temperature: Signal | None = None
+    outlet_start: float | None = None
     epoch_ns: int = 0
     clock: str = "header"
     findings: tuple[str, ...] = ()

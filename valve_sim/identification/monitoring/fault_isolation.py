@@ -144,14 +144,20 @@ def join(strokes: Sequence[Trace], baseline: Baseline) -> Trace:
         current = _joined([stroke.coil_current for stroke in strokes], back)
         voltage = _joined([stroke.coil_voltage for stroke in strokes], back)
         nothing = np.empty(0)
-        return Trace(source, drive, nothing, nothing, coil_current=current, coil_voltage=voltage, epoch_ns=epoch)
+        return Trace(
+            source, drive, nothing, nothing, coil_current=current, coil_voltage=voltage, epoch_ns=epoch,
+            outlet_start=strokes[0].outlet_start,
+        )  # fmt: skip
     position = _joined([Signal(stroke.times, stroke.pilot_position) for stroke in strokes], back)
     assert position is not None
     commissioned = baseline.current
     currents = [
         commissioned and stroke.coil_current and commissioned.as_modelled(stroke.coil_current) for stroke in strokes
     ]
-    return Trace(source, drive, *position, coil_current=_joined(currents, starts), epoch_ns=epoch)
+    return Trace(
+        source, drive, *position, coil_current=_joined(currents, starts), epoch_ns=epoch,
+        outlet_start=strokes[0].outlet_start,
+    )  # fmt: skip
 
 
 def _joined(signals: Sequence[Signal | None], starts: Sequence[float]) -> Signal | None:

@@ -35,6 +35,7 @@ from valve_sim.identification.plants.protocol import Array, Nuisance, perturbed
 from valve_sim.identification.plants.recording_errors import CLOCK_SIGMA
 from valve_sim.identification.plants.root_mean_square import root_mean_square
 from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.identification.plants.valve_sensors import as_it_began
 from valve_sim.identification.selection.hypotheses import ANNEALING
 from valve_sim.identification.selection.residual_tests import moving_residuals
 from valve_sim.model import EXACT, SimulationError, Valve, simulate
@@ -223,7 +224,9 @@ def _noise_at_rest(plant: ValvePlant, result: Fit) -> Noise:
     for index, (channel, shown) in enumerate(zip(plant.channels, plant.predict(result.values), strict=True)):
         trace, offset = plant.traces[index], result.values[f"clock_offset[{index}]"]
         speed = np.abs(
-            simulate(valve, trace.drive, channel.times - offset, start_time=start_before(trace, offset)).pilot_velocity
+            simulate(
+                as_it_began(valve, trace), trace.drive, channel.times - offset, start_time=start_before(trace, offset)
+            ).pilot_velocity
         )
         is_still = np.convolve(speed > STILL, [1, 1, 1], mode="same") == 0
         squares += float(np.sum(np.square((channel.data - shown)[is_still])))

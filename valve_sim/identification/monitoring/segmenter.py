@@ -23,6 +23,7 @@ from valve_sim.identification.monitoring.findings import (
 )
 from valve_sim.identification.monitoring.held_valve import opening_fault
 from valve_sim.identification.monitoring.kept_samples import MOST_SAMPLES, KeptSamples, StrokeInProgress
+from valve_sim.identification.monitoring.line_pressure import LinePressure
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.model import Phase, Reading, SimulationError, Stepper, Valve
@@ -131,6 +132,8 @@ class StrokeSegmenter:
         self._last_open = -math.inf
         self._pending: deque[tuple[float, float]] = deque()
         self._samples = KeptSamples(by_current=self._by_current)
+        self.line = LinePressure()
+        """The pressure behind a valve with gas; where one is measured, it is to hear it."""
         self._phase = Phase.CLOSED
         self._phase_since = -math.inf
         self._rest_since = math.inf
@@ -302,6 +305,7 @@ class StrokeSegmenter:
 
     def _observe(self, time: float, position: float, highest: float, reading: Reading) -> None:
         self._last, self._position = time, position
+        self.line.note(time, reading.outlet_pressure)
         if not self._is_closed(highest):
             self._last_open = time
         is_still = abs(reading.pilot_velocity) <= STILL
@@ -381,11 +385,15 @@ class StrokeSegmenter:
         is_closed = math.isnan(self._position) or self._is_closed(self._position) or begins_early
         is_at_rest = is_closed and self._phase is Phase.CLOSED and not has_current
         self._stroke = StrokeInProgress(is_at_rest)
+        self.line.keep()
         if begins_early:
             self._stroke.highest = 0.0 if self._by_current else self._samples.highest_since(left_seat)
         if self._next is not None and is_at_rest:
             (self._valve, self._lateness), self._next = self._next, None
-            self._stepper = Stepper(self._valve, min(time, at))
+            if self._valve.gas is None:
+                self._stepper = Stepper(self._valve, min(time, at))
+            else:
+                self._model(time).set_valve(self._valve, at)
 
     def _left_seat(self) -> float:
         """When the valve was last at rest, s, if it moved before its command arrived; nan if it did not.
@@ -415,6 +423,8 @@ class StrokeSegmenter:
             self.fault = None
         # Later currents than the last position belong to the next stroke.
         trace = self._samples.trace(f"stroke {self.strokes}", stroke.drive, until, self._last)
+        if self._valve.gas is not None:
+            trace = self.line.before(trace, stroke.drive[0][0])
         if self._by_current:
             stroke.opened = stroke.closed = None
         remark = remark or (None if stroke.is_at_rest else Unusable.NOT_AT_REST) or stroke.fault

@@ -10,6 +10,7 @@ import numpy as np
 
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.identification.plants.recording_errors import CLOCK_SIGMA
+from valve_sim.identification.plants.valve_sensors import as_it_began
 from valve_sim.model import Drive, Valve, simulate
 from valve_sim.traces import Trace
 
@@ -26,16 +27,15 @@ LARGEST: Final = 0.99
 def delays_of(trace: Trace, valve: Valve, lateness: float) -> tuple[float, float]:
     """Delays of the measured stroke behind the simulated one, opening and closing, s; nan if not seen.
 
-    Taken at mid-travel or, without positions, where the current has come to `EARLY_CURRENT` of its own largest value:
-    there it follows the voltage, whatever the coil's resistance is.
+    Taken at mid-travel (with gas within the gap, for what follows waits for the pressure) or, without positions, where
+    the current has come to `EARLY_CURRENT` of its own largest value: there it follows the voltage, whatever the coil's
+    resistance is.
     """
     times = trace.sample_times
-    shown = simulate(valve, trace.drive, times - lateness, start_time=start_before(trace, lateness))
+    shown = simulate(as_it_began(valve, trace), trace.drive, times - lateness, start_time=start_before(trace, lateness))
     if trace.has_positions:
-        pairs = [
-            (trace.pilot_position, 0.5 * valve.parameters.stroke),
-            (shown.pilot_position, 0.5 * valve.parameters.stroke),
-        ]
+        level = 0.5 * (valve.parameters.stroke if valve.gas is None else valve.parameters.pilot_gap)
+        pairs = [(trace.pilot_position, level), (shown.pilot_position, level)]
     else:
         assert trace.coil_current is not None
         currents = [np.abs(trace.coil_current.values), np.abs(shown.coil_current)]

@@ -50,6 +50,7 @@ from valve_sim.identification.monitoring.segmenter import FEWEST_SAMPLES
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.monitoring.stroke_delays import crossing, delays_of
 from valve_sim.identification.plants.protocol import Array
+from valve_sim.identification.plants.valve_sensors import as_it_began
 from valve_sim.model import Drive, EventKind, SimulationError, Valve, simulate
 from valve_sim.traces import Trace, events_from_sensors
 
@@ -376,7 +377,10 @@ def _opening_delay(trace: Trace, valve: Valve, lateness: float) -> float:
     times = trace.sample_times[is_before_next]
     try:
         shown = simulate(
-            valve, drive, times - lateness, start_time=float(min([drive.times[0], *(times[:1] - lateness)]))
+            as_it_began(valve, trace),
+            drive,
+            times - lateness,
+            start_time=float(min([drive.times[0], *(times[:1] - lateness)])),
         )
         late = delays_of(trace, valve, lateness)[0] if not trace.has_positions else math.nan
     except SimulationError:

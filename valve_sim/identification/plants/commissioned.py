@@ -8,6 +8,7 @@ corrected.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -23,8 +24,11 @@ from valve_sim.identification.plants.protocol import (
     Nuisance,
 )
 from valve_sim.identification.plants.recording_errors import CLOCK_SIGMA
+from valve_sim.identification.plants.tolerances import of_gas
 from valve_sim.identification.plants.valve import DAMPINGS, ValvePlant
+from valve_sim.identification.plants.valve_sensors import as_it_began
 from valve_sim.model import CATALOGUE, DECLARED, Parameter, Tag, Valve, simulate
+from valve_sim.model.gas import GAS
 from valve_sim.traces import Signal, Trace
 
 LATEST: Final = 5e-3
@@ -36,6 +40,9 @@ FEWEST: Final = 20
 FINEST_SCATTER: Final = 1e-6
 """s: stamps are not believed any further."""
 
+START: Final = "outlet_pressure"
+START_SHARE: Final = 0.1
+"""Of the tank's pressure: standard deviation of the pressure behind a valve before the first stroke of a trace."""
 SMALLEST_SHARE: Final = 1e-12
 """Of a covariance, scaled to a unit diagonal: eigenvalues below this share of the largest are rounding."""
 _VALUE: Final = "value"
@@ -74,8 +81,8 @@ def commission_current(traces: Sequence[Trace], valve: Valve) -> CommissionedCur
 
     def modelled(lateness: float) -> Array:
         return np.concatenate([
-            simulate(valve, trace.drive, current.times - lateness, start_time=_start(trace)).coil_current
-            for trace, current in zip(traces, known, strict=True)
+            simulate(began, trace.drive, current.times - lateness, start_time=_start(trace)).coil_current
+            for began, trace, current in zip([as_it_began(valve, one) for one in traces], traces, known, strict=True)
         ])  # fmt: skip
 
     def left(lateness: float) -> float:
@@ -124,7 +131,8 @@ class CommissionedPlant:
     """
 
     def __init__(self, trace: Trace, commissioned: Commissioned, scatter: float) -> None:
-        self._plant = ValvePlant([trace], commissioned.valve)
+        # A leak has changed the pressure behind the valve before its first stroke, so it is estimated along.
+        self._plant = ValvePlant([replace(trace, outlet_start=None)], as_it_began(commissioned.valve, trace))
         self._scatter = max(scatter, FINEST_SCATTER)
         self._estimated = commissioned.estimated
         self._spread = _root(commissioned.covariance) / CLOCK_SIGMA
@@ -153,7 +161,17 @@ class CommissionedPlant:
         The latter in a unit in which their deviation is that of a clock, so that one difference step suits both.
         """
         stamps = [nuisance._replace(sigma=self._scatter) for nuisance in self._plant.timing_errors]
-        return (*stamps, *(Nuisance(name, CLOCK_SIGMA, "–") for name in self._errors))
+        return (*stamps, *(Nuisance(name, CLOCK_SIGMA, "–") for name in self._errors), *self._start())
+
+    def _start(self) -> tuple[Nuisance, ...]:
+        """The pressure behind a valve with gas, when the trace begins."""
+        gas = self._plant.valve.gas
+        if gas is None:
+            return ()
+        rule, sigma = GAS[START], START_SHARE * gas.inlet_pressure
+        return (
+            Nuisance(of_gas(START), sigma, rule.unit, step=1e-3 * sigma, mean=gas.outlet_pressure, lower=rule.lower),
+        )
 
     @property
     def timing_errors(self) -> Sequence[Nuisance]:

@@ -61,7 +61,7 @@ def run_in_pieces(
         SimulationError: the simulation could not be carried to its end.
     """
     current_times = trace.coil_current.times if trace.coil_current is not None else NO_TIMES
-    state = state_before(record, drive, trace.sample_times[:1] - offset)
+    state = state_before(record, trace, drive, trace.sample_times[:1] - offset)
     for cut in _cuts(trace.times, current_times, drive, (offset, record["sensor_delay"].item())):
         times, late = trace.times[cut.positions] - offset, current_times[cut.currents] - offset
         samples = Samples(times, np.empty((len(times), 1)), late, np.empty(len(late)))

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.identification.plants.protocol import Array, Channel, Role
-from valve_sim.model import Drive, ParameterError, SimulationError
+from valve_sim.model import Drive, ParameterError, SimulationError, Valve
 from valve_sim.model.core_types import EVENT_RECORD
 from valve_sim.model.gas.parameters import GAS
 from valve_sim.model.gas.record import is_of_gas
@@ -186,12 +186,24 @@ def prepared(record: Any, trace: Trace, drive: Drive, offset: float) -> tuple[An
     times = trace.times - offset
     current_times = trace.coil_current.times - offset if trace.coil_current is not None else NO_TIMES
     samples = Samples(times, np.empty((len(times), 1)), current_times, np.empty(len(current_times)))
-    return state_before(record, drive, trace.sample_times - offset), samples
+    return state_before(record, trace, drive, trace.sample_times - offset), samples
 
 
-def state_before(record: Any, drive: Drive, times: Array) -> Any:
-    """A valve at rest at the first command or sample."""
-    return new_states(record, min(float(drive.times[0]), float(times.min())))
+def state_before(record: Any, trace: Trace, drive: Drive, times: Array) -> Any:
+    """A valve at rest at the first command or sample; with gas before the line as it then was, where that is known."""
+    start = min(float(drive.times[0]), float(times.min()))
+    if trace.outlet_start is None or not is_of_gas(record):
+        return new_states(record, start)
+    filled = record.copy()
+    filled["outlet_pressure"] = max(trace.outlet_start, LEAST_PRESSURE)
+    return new_states(filled, start)
+
+
+def as_it_began(valve: Valve, trace: Trace) -> Valve:
+    """The valve with the pressure behind it with which a trace begins."""
+    if trace.outlet_start is None or valve.gas is None:
+        return valve
+    return replace(valve, gas=valve.gas._replace(outlet_pressure=max(trace.outlet_start, LEAST_PRESSURE)))
 
 
 def predicted(record: Any, trace: Trace, drive: Drive, offset: float) -> list[Array]:
@@ -244,7 +256,7 @@ def _predicted_with_pressure(
     current_times = trace.coil_current.times - offset if trace.coil_current is not None else NO_TIMES
     rows = np.empty((len(times), columns_of(record)))
     samples = Samples(times, rows, current_times, np.empty(len(current_times)))
-    state = state_before(record, drive, np.concatenate([trace.sample_times[:1], pressure_times[:1]]) - offset)
+    state = state_before(record, trace, drive, np.concatenate([trace.sample_times[:1], pressure_times[:1]]) - offset)
     _run(record, state, trace, drive, samples, offset)
     count = len(trace.times)
     pressures = rows[at[count:], FIRST_COLUMN]
@@ -259,7 +271,7 @@ def followed(record: Any, trace: Trace, drive: Drive, offset: float) -> Array:
     """
     times = trace.sample_times - offset
     samples = Samples(times, np.empty((len(times), 1)), NO_TIMES, NO_TIMES)
-    state = state_before(record, drive, times)
+    state = state_before(record, trace, drive, times)
     _run(record, state, trace, drive, samples, offset)
     return samples.rows[:, 0]
 
