@@ -130,14 +130,30 @@ def test_an_experiment_is_recorded_without_samples_at_its_commands_where_the_cur
     assert not np.isin(channel.times, [5e-3, 8e-3]).any()
 
 
-def test_the_motional_emf_is_tried_where_only_the_current_is_measured_of_a_coil_with_inductance() -> None:
+def test_the_motional_emf_shows_in_the_positions() -> None:
+    """The work of the attraction is taken from the coil, so that the plungers are later than without."""
+    build = BUILD._replace(supply_resistance=0.0, eddy_resistance=0.0)
+    times = np.arange(650) / 5e3 + 3e-5
+    noise = 1e-6 * np.random.default_rng(4).standard_normal(len(times))
+    trace = Trace("laser", DRIVE, times, simulate(build, DRIVE.times, DRIVE.volts, times).position + noise)
+    plain = replace(declared(BUILD), effects={})
+    without = identify([trace], plain)
+    found = identify([trace], plain, ("pilot_damping", "main_damping", "motional_emf.share"))
+    assert without.rmse_after > 5e-6
+    assert found.rmse_after == pytest.approx(1e-6, rel=0.1)
+    error = found.fit.stderr("motional_emf.share")
+    assert found.valve.effects["motional_emf"]["share"] == pytest.approx(1.0, abs=4 * error)
+    assert error < 0.02
+
+
+def test_the_motional_emf_is_tried_of_a_coil_with_inductance() -> None:
     trace, position = recorded()
     plain = replace(declared(BUILD), effects={})
     with_positions = replace(trace, times=trace.sample_times, pilot_position=position)
     for recording, valve, is_tried in (
         (trace, plain, True),
-        (with_positions, plain, False),
-        (replace(with_positions, coil_current=None), plain, False),
+        (with_positions, plain, True),
+        (replace(with_positions, coil_current=None), plain, True),
         (trace, plain.with_values(coil_time_constant=0.0), False),
         (trace, declared(BUILD), False),
     ):

@@ -75,9 +75,7 @@ class ValvePlant:
         jumps = valve.parameters.coil_time_constant == 0.0 or "motional_emf" in valve.effects
         known = [trace if valve.gas is not None else without_pressure(trace) for trace in traces]
         self.traces = tuple(with_usable_current(trace, jumps=jumps) for trace in known)
-        # Beside positions a current of another form is believed to what is missed of it, see `selection.current_check`.
-        goes_by_current = {trace.judged for trace in self.traces} == {"current"}
-        self._model = ValveModel(valve, DAMPINGS, goes_by_current=goes_by_current)
+        self._model = ValveModel(valve, DAMPINGS)
         self._channels = [channel for index, trace in enumerate(self.traces) for channel in channels_of(index, trace)]
 
     @property

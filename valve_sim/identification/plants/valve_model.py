@@ -22,7 +22,6 @@ class ValveModel:
     Args:
         valve: the declared valve; effects that it has on already stay on as they are, unless freed.
         refitted: declared values that every fit frees.
-        goes_by_current: whether only the coil's current is measured, so that effects are tried that need that.
 
     Attributes:
         valve: as given.
@@ -31,15 +30,14 @@ class ValveModel:
         nuisances: declared values with a tolerance.
     """
 
-    def __init__(self, valve: Valve, refitted: tuple[str, ...] = (), *, goes_by_current: bool = False) -> None:
+    def __init__(self, valve: Valve, refitted: tuple[str, ...] = ()) -> None:
         self.valve = valve
         self._tolerated = ToleratedValues(valve)
         self.nuisances: tuple[Nuisance, ...] = self._tolerated.nuisances
-        # Without inductance a coil has no flux that motion could change.
         left_out = {name for name, entry in CATALOGUE.items() if not entry.tried}
         left_out |= {name for name, entry in CATALOGUE.items() if not entry.is_of(has_gas=valve.gas is not None)}
-        if not goes_by_current or valve.parameters.coil_time_constant == 0.0:
-            left_out |= {name for name, entry in CATALOGUE.items() if entry.needs_current}
+        if valve.parameters.coil_time_constant == 0.0:
+            left_out |= {name for name, entry in CATALOGUE.items() if entry.needs_inductance}
         effects = {
             name: EffectChoice(
                 name, entry.parameters, tuple(other for other in entry.confused_with if other not in left_out)

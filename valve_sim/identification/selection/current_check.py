@@ -1,8 +1,8 @@
 """Can the catalogue explain the coil current? Tested on the current alone, before any fit to the motion.
 
-A current is known to milliamperes and drives the plungers: where no effect of the catalogue has its form (back-EMF, an
-inductance that falls with the stroke), a joint fit would bias the motion towards it. So its noise is inflated by what
-the effects that change it leave: theory, eq. (54).
+A current is known to milliamperes and drives the plungers: where no effect of the catalogue has its form (a driver that
+regulates it, eddy currents that grow as the gap closes), a joint fit would bias the motion towards it. So its noise is
+inflated by what the effects that change it leave: theory, eq. (54).
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ from valve_sim.model import SimulationError
 
 UNEXPLAINED: Final = 1.5
 """Standard deviations, root mean square, by which effects miss a current whose form is another: on the campaign's
-plant of the declared form they miss it by at most 1.04, on the one of another form by 2.6 to 11."""
+plant of the declared form they miss it by at most 1.04; on the one with back-EMF, which was not among them then, by
+2.6 to 11."""
 MOST_EFFECTS: Final = 4
 """More effects of the coil at once could explain any current."""
 MOVES_NOTHING: Final = 1e-3

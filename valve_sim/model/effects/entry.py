@@ -129,7 +129,7 @@ class Effect(_Words):
         named: whether a diagnosis may claim it; False for shapes without a physical name.
         tried: whether a diagnosis tries it where it is not declared; False for what is to be declared, because it
             changes what all others mean.
-        needs_current: it is tried only where the coil's current is all that is measured of the motion.
+        needs_inductance: it is tried only where the coil has a time constant, without which it has no flux.
         with_gas: whether it is of a valve with gas alone (its `fields` are then of that valve's longer record), or of
             one without gas alone; None: of both.
         tags: what kind of effect it is; the first is the main one.
@@ -161,7 +161,7 @@ class Effect(_Words):
     confused_with: tuple[str, ...] = ()
     named: bool = True
     tried: bool = True
-    needs_current: bool = False
+    needs_inductance: bool = False
     with_gas: bool | None = None
     tags: tuple[Tag, ...] = (Tag.FORCE,)
     fields: Values = field(default_factory=dict, hash=False)

@@ -33,7 +33,7 @@ EFFECT = Effect(
     severity=_severity,
     rewrite=_rewrite,
     fields={"flux_linkage": 0.0, "motional_share": 0.0},
-    needs_current=True,
+    needs_inductance=True,
     confused_with=("eddy_lag", "coil_lag", "coil_heating", "drive_gain"),
     tags=(Tag.COIL,),
 )
