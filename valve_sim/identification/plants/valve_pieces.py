@@ -39,7 +39,7 @@ class RunPiece(NamedTuple):
     of_currents: Array
 
 
-class _Cut(NamedTuple):
+class Cut(NamedTuple):
     """Where a piece lies among commands and samples, and when it ends, s, by the model's clock."""
 
     commands: slice
@@ -62,7 +62,7 @@ def run_in_pieces(
     """
     current_times = trace.coil_current.times if trace.coil_current is not None else NO_TIMES
     state = state_before(record, trace, drive, trace.sample_times[:1] - offset)
-    for cut in _cuts(trace.times, current_times, drive, (offset, record["sensor_delay"].item())):
+    for cut in cuts(trace.times, current_times, drive, (offset, record["sensor_delay"].item())):
         times, late = trace.times[cut.positions] - offset, current_times[cut.currents] - offset
         samples = Samples(times, np.empty((len(times), 1)), late, np.empty(len(late)))
         course = (drive.times[cut.commands], drive.volts[cut.commands], cut.end)
@@ -74,7 +74,7 @@ def run_in_pieces(
         yield RunPiece(cut.positions, cut.currents, samples, *found)
 
 
-def _cuts(times: Array, current_times: Array, drive: Drive, late: tuple[float, float]) -> Iterator[_Cut]:
+def cuts(times: Array, current_times: Array, drive: Drive, late: tuple[float, float]) -> Iterator[Cut]:
     """Pieces of at least `SAMPLES` samples; `late`: s, by which samples are stamped, and positions shown."""
     offset, delay = late
     last = [float(found[-1]) - offset for found in (times, current_times) if len(found)]
@@ -87,10 +87,10 @@ def _cuts(times: Array, current_times: Array, drive: Drive, late: tuple[float, f
         ahead = _shown_by(when, times, (offset, delay), seen[place])
         ahead_current = _shown_by(when, current_times, (offset, 0.0), seen_currents[place])
         own = slice(command, place + 1), slice(position, ahead), slice(current, ahead_current)
-        yield _Cut(*own, when)
+        yield Cut(*own, when)
         command, position, current = place + 1, ahead, ahead_current
     own = slice(command, len(drive.times)), slice(position, len(times)), slice(current, len(current_times))
-    yield _Cut(*own, max(last))
+    yield Cut(*own, max(last))
 
 
 def _shown_by(when: float, times: Array, late: tuple[float, float], near: int) -> int:

@@ -23,7 +23,8 @@ from valve_sim.identification.plants.protocol import READABLE_UNITS, Array
 from valve_sim.identification.plants.recording_errors import CLOCK_SIGMA, drive_with, zero_with
 from valve_sim.identification.plants.root_mean_square import root_mean_square
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.model import EXACT, Event, EventKind, Response, Valve, ValveError, simulate
+from valve_sim.identification.validation.motion import motion_of
+from valve_sim.model import EXACT, Event, EventKind, Valve, ValveError
 from valve_sim.traces import SensorEvent, Signal, StrokePart, Trace, events_from_sensors, find_stroke_parts
 
 NOISE_FACTOR: Final = 3.0
@@ -36,8 +37,8 @@ FINEST_PRESSURE: Final = 1e3
 """Pa: the same of a pressure, a step of a converter of 16 bits over 70 MPa."""
 MARGIN: Final = 1e-3
 """s around the model's motion that still counts as moving, so that a valve that is late there is seen."""
-STILL_SPEED: Final = 1e-5
-"""m/s: below it the model rests; a pilot plunger that nothing holds down creeps at nanometres a second."""
+AT_ONCE: Final = 2**16
+"""Samples that are looked at together."""
 MICRO: Final = 1e6
 
 _ARRIVALS: Final[Mapping[str, tuple[EventKind, ...]]] = {
@@ -201,17 +202,14 @@ def replay_trace(trace: Trace, valve: Valve, tolerance: float | None = None, *, 
     drive = drive_with(trace, 0, nuisances, valve.parameters.release_voltage)
     times = trace.sample_times
     start = min(float(drive.times.min(initial=math.inf)), float(times[0])) - CLOCK_SIGMA
-    response = simulate(valve, drive, np.maximum(times - offset, start), start_time=start)
-    shown = {
-        "position": response.pilot_position + zero_with(0, nuisances),
-        "current": response.coil_current,
-        "outlet_pressure": response.outlet_pressure,
-    }[trace.judged]
-    assert shown is not None
+    motion = motion_of(valve, drive, np.maximum(times - offset, start), start, trace.judged)
+    shown = motion.shown
+    if trace.has_positions:
+        shown += zero_with(0, nuisances)
     kind, _, finest = _JUDGED[trace.judged]
     noise, measured = problem.noises[kind].sigma, trace.judged_signal
     residual = measured.values - shown
-    errors_of = partial(_errors, residual, _moving(times, response))
+    errors_of = partial(_errors, residual, _moving(times, times[motion.is_moving]))
     return Replay(
         trace,
         valve,
@@ -221,7 +219,7 @@ def replay_trace(trace: Trace, valve: Valve, tolerance: float | None = None, *, 
         noise,
         max(NOISE_FACTOR * noise, finest) if tolerance is None else tolerance,
         errors_of(slice(None)),
-        tuple(_stroke_checks(trace, valve, response.events, offset, errors_of)),
+        tuple(_stroke_checks(trace, valve, motion.events, offset, errors_of)),
     )
 
 
@@ -272,15 +270,16 @@ def _within_tolerances(
     return plant.with_values(found.values), declared_values(found)
 
 
-def _moving(times: Array, response: Response) -> NDArray[np.bool_]:
-    """(n,) samples no further than MARGIN from one in which the model moves."""
-    when = times[np.abs(response.pilot_velocity) > STILL_SPEED]
-    if len(when) == 0:
-        return np.zeros(len(times), dtype=bool)
-    after = np.minimum(np.searchsorted(when, times), len(when) - 1)
-    before = np.maximum(after - 1, 0)
-    distance = np.minimum(np.abs(when[after] - times), np.abs(when[before] - times))
-    return np.asarray(distance <= MARGIN)
+def _moving(times: Array, when: Array) -> NDArray[np.bool_]:
+    """(n,) samples no further than MARGIN from one in which the model moves, (m,) s."""
+    moving = np.zeros(len(times), dtype=bool)
+    for first in range(0, len(times) if len(when) else 0, AT_ONCE):
+        own = times[first : first + AT_ONCE]
+        after = np.minimum(np.searchsorted(when, own), len(when) - 1)
+        before = np.maximum(after - 1, 0)
+        distance = np.minimum(np.abs(when[after] - own), np.abs(when[before] - own))
+        moving[first : first + AT_ONCE] = distance <= MARGIN
+    return moving
 
 
 def _errors(residual: Array, moving: NDArray[np.bool_], chosen: slice) -> Errors:

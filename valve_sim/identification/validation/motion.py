@@ -1,0 +1,89 @@
+"""The motion of a declared valve at the samples of a recording, of which only what a replay judges is kept.
+
+It is simulated in pieces: a whole row of what the model has at each sample would be most of the memory of a long one.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valve_sim.identification.plants.protocol import Array
+from valve_sim.identification.plants.valve_pieces import Cut, cuts
+from valve_sim.model import Drive, Event, Valve, simulate
+from valve_sim.model.gas.record import is_of_gas
+from valve_sim.model.simulation import (
+    Samples,
+    columns_of,
+    event_log,
+    event_tuple,
+    new_states,
+    rated_current,
+    run_course,
+)
+
+STILL_SPEED: Final = 1e-5
+"""m/s: below it the model rests; a pilot plunger that nothing holds down creeps at nanometres a second."""
+EVENTS: Final = 256
+"""Room for those of a piece, which is made larger where there are more."""
+
+
+class Motion(NamedTuple):
+    """What a replay needs of a response.
+
+    Attributes:
+        shown: (n,) what is judged: position, m, current, A, or outlet pressure, Pa. is_moving: (n,) whether it moves.
+        events: what happened, in order.
+    """
+
+    shown: Array
+    is_moving: NDArray[np.bool_]
+    events: tuple[Event, ...]
+
+
+def motion_of(valve: Valve, drive: Drive, times: Array, start: float, judged: str) -> Motion:
+    """The motion at (n,) sample times, s, of a valve that rests until a start, s.
+
+    Args:
+        valve, drive, times, start: as of `simulate`.
+        judged: what is looked at, as `Trace.judged`.
+
+    Raises:
+        SimulationError: the valve cannot be simulated.
+    """
+    record = valve.record()
+    if is_of_gas(record) or record[0]["sensor_delay"]:
+        return _whole(valve, drive, times, start, judged)
+    state, shown, is_moving = new_states(record, start), np.empty(len(times)), np.empty(len(times), dtype=bool)
+    events: list[Event] = []
+    for cut in cuts(times, times, drive, (0.0, 0.0)):
+        own = times[cut.positions]
+        samples = Samples(own, np.empty((len(own), columns_of(record))), own, np.empty(len(own)))
+        events += _run(record, state, drive, cut, samples)
+        is_moving[cut.positions] = np.abs(samples.rows[:, 2]) > STILL_SPEED
+        is_position = judged == "position"
+        shown[cut.positions] = samples.rows[:, 0] if is_position else samples.currents * rated_current(record)
+    return Motion(shown, is_moving, tuple(events))
+
+
+def _run(record: Any, state: Any, drive: Drive, cut: Cut, samples: Samples) -> tuple[Event, ...]:
+    """Run a piece; its events."""
+    course, before, room = (drive.times[cut.commands], drive.volts[cut.commands], cut.end), state.copy(), EVENTS
+    while True:
+        events = event_log(room)
+        count = run_course(record, state, course, samples, events)
+        if count <= room:
+            return event_tuple(events, count)
+        state[:], room = before, count
+
+
+def _whole(valve: Valve, drive: Drive, times: Array, start: float, judged: str) -> Motion:
+    response = simulate(valve, drive, times, start_time=start)
+    shown = {
+        "position": response.pilot_position, "current": response.coil_current,
+        "outlet_pressure": response.outlet_pressure,
+    }[judged]  # fmt: skip
+    assert shown is not None
+    return Motion(shown, np.abs(response.pilot_velocity) > STILL_SPEED, response.events)
