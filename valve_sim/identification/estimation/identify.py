@@ -12,10 +12,10 @@ import numpy as np
 from valve_sim.identification.estimation.declared_values import DeclaredValue, declared_values, estimated_valve
 from valve_sim.identification.estimation.findings import Finding, findings, leaves_more_than_noise
 from valve_sim.identification.estimation.intervals import Interval, profile_interval
-from valve_sim.identification.estimation.problem import Problem
+from valve_sim.identification.estimation.problem import LONG, Problem
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
-from valve_sim.identification.plants.protocol import Channel, Nuisance, Plant, judged_channels
+from valve_sim.identification.plants.protocol import Channel, InPieces, Nuisance, Plant, judged_channels
 from valve_sim.identification.plants.root_mean_square import root_mean_square
 from valve_sim.identification.plants.valve import DAMPINGS, ValvePlant
 from valve_sim.identification.plants.valve_model import GAS_NAMES
@@ -169,6 +169,15 @@ def rmse_of_kind(plant: Plant, values: Mapping[str, float], kind: str) -> float:
 
 
 def _rmse(plant: Plant, values: Mapping[str, float], channels: Sequence[int]) -> float:
+    samples = sum(len(plant.channels[index].data) for index in channels)
+    pieces = plant.pieces(values, ()) if isinstance(plant, InPieces) and samples > LONG else None
+    if pieces is not None:
+        squares = (
+            float(np.sum(np.square(plant.channels[piece.channel].data[piece.samples] - piece.shown)))
+            for piece in pieces
+            if piece.channel in channels
+        )
+        return math.sqrt(math.fsum(squares) / samples)
     shown = plant.predict(values)
     return root_mean_square(np.concatenate([plant.channels[index].data - shown[index] for index in channels]))
 

@@ -64,7 +64,7 @@ class Problem:
         }  # fmt: skip
         self._weights = [self._weight(index, takes_part) for index in range(len(plant.channels))]
         self.samples = sum(int(np.count_nonzero(weight)) for weight in self._weights)
-        self.effective_samples = float(sum(np.sum(np.minimum(weight, 1.0) ** 2) for weight in self._weights))
+        self.effective_samples = float(sum(map(_effective, self._weights)))
         self.variance_inflation = max(noise.variance_inflation for noise in self.noises.values())
 
     def restricted(self, takes_part: Mask) -> Problem:
@@ -132,12 +132,14 @@ class Problem:
     def reach(self, nuisance: Nuisance) -> NDArray[np.bool_]:
         """(n,) which of the residuals a nuisance acts on."""
         if nuisance not in self._reaches:
-            low, high = nuisance.during
-            acts_on = nuisance.channels or range(len(self.plant.channels))
+            (low, high), channels = nuisance.during, self.plant.channels
+            acts_on = nuisance.channels or range(len(channels))
+            if (low, high) == (-math.inf, math.inf) and set(acts_on) == set(range(len(channels))):
+                return np.broadcast_to(True, sum(map(len, self._weights)))
             self._reaches[nuisance] = np.concatenate(
                 [
                     (low <= channel.times) & (channel.times < high) & (index in acts_on)
-                    for index, channel in enumerate(self.plant.channels)
+                    for index, channel in enumerate(channels)
                 ]
             )
         return self._reaches[nuisance]
@@ -207,7 +209,8 @@ class Problem:
 
     def _weight(self, index: int, takes_part: Mask | None) -> Array:
         channel = self.plant.channels[index]
-        weight = np.ones(len(channel.data))
+        # One number that stands for all: a weight for each sample of a long recording is large.
+        weight: Array = np.broadcast_to(1.0, len(channel.data))
         noise = self.noise_of(index)
         if noise.step > 0.0 and noise.is_coarse:
             # A coarse sensor at rest repeats one reading; a thousand copies are not a thousand measurements. The runs
@@ -226,6 +229,11 @@ class Problem:
         if takes_part is not None:
             weight = np.where(takes_part(index, channel.group), weight, 0.0)
         return weight
+
+
+def _effective(weight: Array) -> float:
+    """How many samples there are, of which copies of one reading count once."""
+    return float(np.sum(np.minimum(weight, 1.0) ** 2)) if any(weight.strides) else float(len(weight))
 
 
 def _stays(data: Array, start: int, stop: int, step: float) -> tuple[int, int]:

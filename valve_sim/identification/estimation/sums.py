@@ -51,6 +51,6 @@ def _rows(piece: Piece, channel: Channel, before: Array) -> Array:
     rows = np.empty((len(before) + len(piece.shown), before.shape[1]))
     rows[: len(before)] = before
     own = rows[len(before) :]
-    np.subtract(channel.data[piece.start : piece.start + len(own)], piece.shown, out=own[:, 0])
+    np.subtract(channel.data[piece.samples], piece.shown, out=own[:, 0])
     np.negative(piece.columns, out=own[:, 1:])
     return rows

@@ -278,6 +278,11 @@ class Piece(NamedTuple):
     shown: Array
     columns: Array
 
+    @property
+    def samples(self) -> slice:
+        """Which of the channel's they are."""
+        return slice(self.start, self.start + len(self.shown))
+
 
 class Plant(Protocol):
     """A machine with its measured data."""

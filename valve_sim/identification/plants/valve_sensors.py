@@ -153,7 +153,9 @@ def channels_of(index: int, trace: Trace) -> list[Channel]:
             )
         )  # fmt: skip
     if trace.coil_current is not None:
-        found.append(_current_channel(index, trace, "actuation" if trace.has_positions else "response"))
+        is_beside = trace.coil_current.times is trace.times
+        strokes = found[0].group if is_beside else stroke_numbers(trace.drive, trace.coil_current.times)
+        found.append(_current_channel(index, trace, strokes))
     if trace.outlet_pressure is not None:
         found.append(_pressure_channel(index, trace))
     return found
@@ -170,13 +172,14 @@ def _pressure_channel(index: int, trace: Trace) -> Channel:
     )  # fmt: skip
 
 
-def _current_channel(index: int, trace: Trace, role: Role) -> Channel:
+def _current_channel(index: int, trace: Trace, strokes: NDArray[np.int64]) -> Channel:
+    role: Role = "actuation" if trace.has_positions else "response"
     assert trace.coil_current is not None
     times, data = trace.coil_current
     is_single = bool(np.array_equal(data, data.astype(np.float32)))
     return Channel(
-        f"{trace.source}: coil_current", "current", times, data, _settled(trace.drive, trace.coil_current),
-        stroke_numbers(trace.drive, times), "A", role=role, recording=index, drifts=True,
+        f"{trace.source}: coil_current", "current", times, data, _settled(trace.drive, trace.coil_current), strokes,
+        "A", role=role, recording=index, drifts=True,
         resolution=(ROUNDING if is_single else FIT_TOLERANCE) * float(np.max(np.abs(data), initial=0.0)),
     )  # fmt: skip
 
