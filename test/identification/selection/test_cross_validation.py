@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
+from valve_sim.identification.estimation.descent import Effort
 from valve_sim.identification.estimation.noise import Noise
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
@@ -84,6 +85,18 @@ def test_a_linear_model_is_predicted_exactly(free: tuple[str, ...], timing: bool
         before = sum((result.values[nuisance.name] / nuisance.sigma) ** 2 for nuisance in own)
         rise += alone.chi2 - before - float(np.sum(np.square(result.residuals[fold])))
     assert found.rise == pytest.approx(rise, rel=0.02, abs=0.1)
+
+
+def test_a_fit_that_has_come_to_no_optimum_predicts_no_better_than_it_fits() -> None:
+    """One step would lead to it: strokes that are left out would be predicted far better than they are fitted."""
+    plant = Strokes(5)
+    problem = Problem(plant, noises={"position": Noise(SIGMA, SIGMA, (), 0.0, 1.0, 100)})  # type: ignore[arg-type]
+    result = fit(problem, ("level", "slope"), {"level": 50.0}, effort=Effort(most=0))
+    assert result.values["level"] == 50.0
+    found = cross_validate(result)
+    assert found is not None
+    assert found.sum_squares < 1e-3 * float(np.sum(np.square(result.residuals)))
+    assert found.rise == 0.0
 
 
 def test_what_one_stroke_alone_shows_is_not_predicted_from_the_others() -> None:

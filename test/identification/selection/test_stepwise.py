@@ -320,12 +320,15 @@ def test_without_the_fit_of_the_rest_nobody_knows_what_a_collinear_effect_gains(
     assert exploration.is_claimable(of("ab"))
 
 
-@pytest.mark.parametrize(("least", "is_claimed"), [(450.0, False), (549.9, False), (550.1, True)])
+@pytest.mark.parametrize(
+    ("least", "left", "is_claimed"),
+    [(549.9, 100.0, False), (550.1, 100.0, True), (99.9, 50.1, False), (100.1, 50.1, True)],
+)
 def test_stamps_that_err_are_claimed_where_nothing_is_left_or_little_of_what_is_without_them(
-    monkeypatch: pytest.MonkeyPatch, least: float, is_claimed: bool
+    monkeypatch: pytest.MonkeyPatch, least: float, left: float, is_claimed: bool
 ) -> None:
     # Of 50 samples noise alone leaves 50.
-    scores = {"": 900.0, "a": least, "'": 200.0, "a'": 110.0, "b'": 100.0}
+    scores = {"": 900.0, "a": least, "'": 200.0, "a'": 110.0, "b'": left}
     world = World(scores, switches("ab"), white={"a'": 1.0}, timing=True)
     exploration = Exploration(world.use(monkeypatch).search())
     for key in ("", "a", "'", "a'", "b'"):

@@ -38,7 +38,9 @@ class CrossValidation:
 
     Attributes:
         residuals: (n,) whitened, of every sample that takes part; 0 elsewhere.
-        rise: by how much the criterion of the strokes, priors of their own nuisances included, exceeds that of the fit.
+        rise: by how much the criterion of the strokes, priors of their own nuisances included, exceeds that of the fit;
+            at least 0, as it is at an optimum. A fit that has come to none, of which one step leads far, must not
+            pass for a prediction that is better than the fit.
         folds: how many strokes, or sets of strokes, were left out in turn.
     """
 
@@ -75,7 +77,7 @@ def cross_validate(result: Fit) -> CrossValidation | None:
         after, cost = _refitted(result, columns[:, own], before, moved, own)
         residuals[fold] = after
         rise += sum_squares(after) - sum_squares(before) + cost
-    return CrossValidation(residuals, rise, len(folds))
+    return CrossValidation(residuals, max(rise, 0.0), len(folds))
 
 
 def predicts_better(smaller: CrossValidation, larger: CrossValidation, variance_inflation: float) -> bool:

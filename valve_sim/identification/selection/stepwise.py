@@ -293,14 +293,17 @@ class Exploration:
         return not hypothesis.timing or self.is_adequate(hypothesis) or self._stamps_explain_most(hypothesis)
 
     def _stamps_explain_most(self, hypothesis: Hypothesis) -> bool:
-        """Whether a set with errors of the stamps leaves but a small share of what every set without leaves."""
-        without = min(self._beyond_noise(other) for other in self.tried() if not other.timing)
-        return self._beyond_noise(hypothesis) < LEFT * without
+        """Whether stamps that err leave a small share of what every set leaves without them, which is more than noise.
 
-    def _beyond_noise(self, hypothesis: Hypothesis) -> float:
-        """By how much χ² exceeds what noise alone leaves."""
+        A model of another form leaves less than that, and stamps would take up what is named after it.
+        """
+        without = min(self._excess(other) for other in self.tried() if not other.timing)
+        return without > 1.0 and self._excess(hypothesis) < LEFT * without
+
+    def _excess(self, hypothesis: Hypothesis) -> float:
+        """By how much χ² exceeds what noise alone leaves, over that."""
         result = self.search.fit(hypothesis)
-        return result.chi2 / result.problem.variance_inflation - result.problem.effective_samples
+        return result.chi2 / result.problem.variance_inflation / result.problem.effective_samples - 1.0
 
     def _has_effects_on(self, hypothesis: Hypothesis) -> bool:
         return all(self._is_on(hypothesis, name) for name in hypothesis.effects)
