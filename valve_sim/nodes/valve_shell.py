@@ -1,8 +1,7 @@
 """The ROS side of valve_node: parameters, topics and services wired to a `LiveValve`. No physics, no decisions.
 
-Threads: callbacks run in the main thread, in a `SingleThreadedExecutor`, those of commands in a `Receiver` thread; they
-only store (commands, parameters, resets). One `Worker` thread steps the valve and publishes; it consumes what was
-stored, each at its own time.
+Threads: callbacks run in the main thread, in a `SingleThreadedExecutor`, and only store (commands, parameters, resets).
+One `Worker` thread steps the valve and publishes; it consumes what was stored, each at its own time.
 """
 
 from __future__ import annotations
@@ -62,7 +61,6 @@ from valve_sim.nodes.parameters import (
     valve_of,
 )
 from valve_sim.nodes.realtime import NANOSECONDS, Audience, Restart, Thinning, Worker
-from valve_sim.nodes.receiving import LeftToReceiver, Receiver
 from valve_sim.nodes.shell_parts import LATCHED, RELIABLE, declare, given_parameters, make_node
 from valve_sim.nodes.spinning import guarded, spin
 
@@ -130,7 +128,6 @@ class ValveShell:
             step=self._step,
             fail=self._fail,
         )
-        self._receiver = Receiver(self._node, self._voltage, self._fail)
 
     @property
     def exit_code(self) -> int:
@@ -140,15 +137,14 @@ class ValveShell:
     def spin(self) -> None:
         """Run until ROS is shut down."""
         self._worker.start()
-        self._receiver.start()
         spin(self._node)
 
     def close(self, timeout: float | None) -> bool:
-        """Stop and release everything; whether all threads have ended. The stepper cannot while it compiles."""
-        have_ended = [thread.stop(timeout) for thread in (self._receiver, self._worker)]
-        if all(have_ended):
+        """Stop and release everything; whether the stepper has ended. It cannot while it compiles."""
+        has_ended = self._worker.stop(timeout)
+        if has_ended:
             self._node.destroy_node()
-        return all(have_ended)
+        return has_ended
 
     # --- wiring ---
 
@@ -176,12 +172,7 @@ class ValveShell:
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
         events = SubscriptionEventCallbacks(incompatible_qos=guarded(self._on_incompatible_voltage))
         self._voltage = node.create_subscription(
-            Float64,
-            "~/coil_voltage",
-            guarded(self._take_command),
-            RELIABLE,
-            callback_group=LeftToReceiver(),
-            event_callbacks=events,
+            Float64, "~/coil_voltage", guarded(self._take_command), RELIABLE, event_callbacks=events
         )
         if self._live.valve.gas is not None:
             self._gas = self._wire_gas()
@@ -274,10 +265,10 @@ class ValveShell:
     def _fail(self, error: Exception) -> None:
         if self._node.context.ok():
             self._exit_code = 1
-            self._node.get_logger().fatal(f"the node cannot go on: {error!r}")
+            self._node.get_logger().fatal(f"the stepper ended: {error!r}")
             self._node.context.try_shutdown()
 
-    # --- callbacks, in the main thread but for commands ---
+    # --- callbacks, in the main thread ---
 
     def _now(self) -> int:
         reading = self._clock.read()
