@@ -16,7 +16,7 @@ from identification.selection.linear_plant import COLUMNS, SAMPLES, LinearPlant,
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.diagnosis.calibration import CALIBRATION, calibrated
 from valve_sim.identification.estimation.problem import Problem
-from valve_sim.identification.estimation.result import Fit
+from valve_sim.identification.estimation.result import Fit, Rows
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Array, EffectChoice
 from valve_sim.identification.plants.valve import ValvePlant
@@ -130,7 +130,8 @@ def test_sizes_of_an_effect_offer_their_sum_and_effects_the_best_of_them(
     count: int, names: str, together: Callable[..., Array]
 ) -> None:
     base = linear(count, names=names)
-    loud = replace(base, residuals=3.0 * base.residuals)
+    residuals = 3.0 * base.residuals
+    loud = replace(base, left=Rows(residuals, lambda: residuals))
     columns = range(1, 1 + count * len(names))
     gains = np.square(np.random.default_rng(3).standard_normal((20_000, len(columns))))
     gains *= [variance_of(loud, column) for column in columns]
