@@ -257,6 +257,11 @@ def test_beside_stamps_that_err_triples_are_tried_where_a_pair_gained_a_decisive
     assert ("abc'" in tried(explored(World(scores, switches("abc"), timing=True), monkeypatch))) is goes_on
 
 
+def test_where_there_is_one_effect_alone_stamps_get_no_second(monkeypatch: pytest.MonkeyPatch) -> None:
+    scores = {"": 900.0, "a": 800.0, "'": 700.0, "a'": 500.0}
+    assert tried(explored(World(scores, switches("a"), timing=True), monkeypatch)) == ["", "'", "a", "a'"]
+
+
 def test_stamps_alone_get_no_second_effect(monkeypatch: pytest.MonkeyPatch) -> None:
     scores = {"": 300.0, "a": 110.0, "b": 200.0, "'": 10.0}
     world = World(scores, switches("ab"), timing=True, sizes={("a'", "a.size"): 1e9, ("b'", "b.size"): 1e9})

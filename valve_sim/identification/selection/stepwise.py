@@ -187,16 +187,17 @@ class Exploration:
         """Larger sets with errors of the stamps, where these explain more than a second effect does."""
         search = self.search
         for count in range(2, MOST_EFFECTS + 1):
-            sized = [h for h in self.tried() if h.timing and self._has_effects_on(h)]
-            smaller = [h for h in sized if len(h.effects) == count - 1]
+            sized = [h for h in self.tried() if h.timing and len(h.effects) == count - 1]
+            smaller = [h for h in sized if self._has_effects_on(h)]
             if not smaller:
                 return
             start = search.best(smaller)
+            larger = [start.adding(name) for name in names if name not in start.effects]
             before = search.score(start)
-            if before > search.score(self.best_claimable()):
+            if not larger or before > search.score(self.best_claimable()):
                 return
             done = 0.8 + 0.03 * (count - 2)
-            search.fit_each([start.adding(name) for name in names if name not in start.effects], (done, done + 0.03))
+            search.fit_each(larger, (done, done + 0.03))
             best = search.best([h for h in self.tried() if h.timing and len(h.effects) == count])
             best = self._swap(best, names, done + 0.03)
             if search.score(search.best(self.tried())) >= before - DECISIVE or not self.needs_larger_model(best):
