@@ -146,6 +146,28 @@ def test_two_samples_a_nanosecond_apart_date_a_command_exactly(late: float) -> N
     assert found.errors.tolist() == [0.0, 0.0]
 
 
+def test_a_step_to_the_clamp_is_dated_in_the_middle_of_its_samples() -> None:
+    times = np.arange(400) / 5e3
+    volts = np.where((times > 0.0101) & (times < 0.0501), 9.0, 0.0)
+    volts[(times > 0.0501) & (times < 0.053)] = -24.0
+    found = dates_by_voltage(np.array([0.012, 0.052]), np.array([9.0, 0.0]), Signal(times, volts))
+    assert found is not None
+    assert found.times == pytest.approx([0.0101, 0.0501], abs=1e-9)
+
+
+def test_no_command_is_later_than_the_sample_that_shows_it_where_one_was_late() -> None:
+    times = np.arange(400) / 5e3
+    volts = np.where((times > 0.0101) & (times < 0.0501), 9.0, 0.0)
+    # The second arrives 30 µs after the sample that shows it, which two clocks may differ by.
+    late, within = np.array([0.012, 0.05023]), np.array([0.01015, 0.05023])
+    commanded, measured = np.array([9.0, 0.0]), Signal(times, volts)
+    for recorded, stamp_error in ((late, 50e-6), (within, 0.0)):
+        found = dates_by_voltage(recorded, commanded, measured, stamp_error=stamp_error)
+        assert found is not None
+        assert found.times[1] == pytest.approx(0.0501, abs=1e-9)
+    assert dates_by_voltage(within, commanded, measured) is None
+
+
 def test_pulses_of_a_modulated_voltage_date_nothing() -> None:
     volts = np.where((TIMES > 0.010) & (TIMES < 0.050) & (np.floor(TIMES * 2000) % 2 == 0), 24.0, 0.0)
     assert dates_by_voltage(np.array([0.011, 0.052]), np.array([12.0, 0.0]), Signal(TIMES, volts)) is None

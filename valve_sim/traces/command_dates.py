@@ -36,16 +36,18 @@ class Dates(NamedTuple):
     finding: str
 
 
-def dates_by_voltage(times: Array, volts: Array, measured: Signal) -> Dates | None:
+def dates_by_voltage(times: Array, volts: Array, measured: Signal, *, stamp_error: float = STAMP_ERROR) -> Dates | None:
     """Date commands by the steps of a measured voltage; None where it dates them as they were recorded.
 
     A command's step is the one crossing, in its direction, of the middle between its voltage and the one before, after
     the step of the command before it and until the next command was recorded. Where there are several, as with pulses
-    of a modulated voltage, or none, it stays where it was recorded.
+    of a modulated voltage, or none, it stays where it was recorded. Where one command was recorded late, all are dated
+    between the two samples of their steps: a sample that shows the new voltage comes after its command.
 
     Args:
         times: of the commands as recorded, s, ascending, shape (n,). volts: V, shape (n,).
         measured: the voltage at the coil's terminals.
+        stamp_error: s by which the clocks of commands and samples may differ; farther from its step a command is late.
     """
     changes = np.flatnonzero(np.diff(volts, prepend=0.0) != 0.0)
     least = SEEN * sample_noise_of(measured.values)
@@ -54,12 +56,14 @@ def dates_by_voltage(times: Array, volts: Array, measured: Signal) -> Dates | No
     for place, change in enumerate(changes.tolist()):
         old, new = (volts[change - 1] if change else 0.0), volts[change]
         until = times[changes[place + 1]] if place + 1 < len(changes) else np.inf
-        step = _crossing(measured, (before, until), 0.5 * (old + new), new > old) if abs(new - old) > least else None
+        step = _crossing(measured, (before, until), (old, new)) if abs(new - old) > least else None
         if step is not None:
             first, date, last = step
             errors[place] = (last - first) * UNIFORM
-            if not first - STAMP_ERROR <= found[place] <= last + STAMP_ERROR:
-                lateness.append(float(found[place] - date))
+            recorded = float(found[place])
+            if not first - stamp_error <= recorded <= last + stamp_error:
+                lateness.append(recorded - date)
+            if not first <= recorded <= last:
                 found[place] = date
         before = found[place]
     if not lateness:
@@ -72,9 +76,11 @@ def dates_by_voltage(times: Array, volts: Array, measured: Signal) -> Dates | No
 
 
 def _crossing(
-    measured: Signal, window: tuple[float, float], middle: float, rises: bool
+    measured: Signal, window: tuple[float, float], levels: tuple[float, float]
 ) -> tuple[float, float, float] | None:
-    """When a voltage crosses a level in a direction, if it does once in a window: the samples around it, and between.
+    """When a voltage crosses the middle from one level to another, if it does once in a window.
+
+    Beyond its levels, as behind a clamp at release, it says no more than at them.
 
     Returns:
         time of the sample before, of the crossing by a straight line, and of the sample after, s.
@@ -82,11 +88,14 @@ def _crossing(
     times, values = measured
     start, stop = np.searchsorted(times, window, side="right").tolist()
     inside = slice(max(0, start - 1), stop)
-    is_over = values[inside] >= middle if rises else values[inside] <= middle
+    old, new = levels
+    middle = 0.5 * (old + new)
+    is_over = values[inside] >= middle if new > old else values[inside] <= middle
     crossings = np.flatnonzero(is_over[1:] & ~is_over[:-1]) + 1
     if len(crossings) != 1:
         return None
     after = inside.start + int(crossings[0])
-    first, last, low, high = times[after - 1], times[after], values[after - 1], values[after]
+    first, last = times[after - 1], times[after]
+    low, high = np.clip(values[after - 1 : after + 1], min(levels), max(levels))
     share = (middle - low) / (high - low)
     return float(first), float(first + share * (last - first)), float(last)
