@@ -123,6 +123,7 @@ def test_tags_find_what_others_ask_for() -> None:
     assert {effect.name for effect in CATALOGUE.tagged(Tag.LIKE_DAMPING)} == {
         "coulomb_friction", "quadratic_drag", "squeeze_film",
     }  # fmt: skip
+    assert {effect.name for effect in CATALOGUE.tagged(Tag.BUILT_IN)} == {"motional_emf"}
     assert "force_map" not in {effect.name for tag in Tag for effect in CATALOGUE.tagged(tag)}
 
 

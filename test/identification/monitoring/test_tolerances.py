@@ -57,6 +57,16 @@ def test_what_commissioning_leaves_open_is_known_beside_a_fault(commissioned):
     assert 0.0 < np.max(np.abs(moved)) < 20e-6
 
 
+def test_what_a_valve_is_built_with_is_no_fault_of_a_commissioned_one(commissioned):
+    baseline = commissioned[0].stroke_monitor.baseline
+    times = np.arange(0.0, 0.03, 1e-4)
+    trace = Trace("a stroke", Drive.of([1e-3], [9.0]), times, np.zeros_like(times))
+    any_valve = set(ValvePlant([trace], baseline.valve).effects)
+    in_service = set(CommissionedPlant(trace, baseline.commissioned, baseline.scatter).effects)
+    assert any_valve - in_service == {"motional_emf"}
+    assert in_service - any_valve == {"pilot_damping", "main_damping"}
+
+
 def test_a_declared_value_is_credible_and_reported_by_the_name_that_a_fit_frees():
     trace = Trace("at rest", Drive.of([1e-3], [9.0]), np.arange(0.0, 0.01, 1e-4), np.zeros(100))
     plant = ValvePlant([trace], declared({**TOLERANCES, "spring_rate": 12.8}))

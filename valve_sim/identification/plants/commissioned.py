@@ -139,9 +139,10 @@ class CommissionedPlant:
         self._errors = tuple(f"commissioning_error[{index}]" for index in range(self._spread.shape[1]))
         self._dampings = {name: self._damping(name) for name in DAMPINGS}
         alike = tuple(entry.name for entry in CATALOGUE.tagged(Tag.LIKE_DAMPING))
+        built_in = {entry.name for entry in CATALOGUE.tagged(Tag.BUILT_IN)}
         self._effects = {
             **{name: EffectChoice(name, (parameter,), alike) for name, parameter in self._dampings.items()},
-            **self._plant.effects,
+            **{name: choice for name, choice in self._plant.effects.items() if name not in built_in},
         }
 
     @property
@@ -180,7 +181,7 @@ class CommissionedPlant:
 
     @property
     def effects(self) -> Mapping[str, EffectChoice]:
-        """Changes of the dampings, and those of any valve."""
+        """Changes of the dampings, and those of any valve but what a valve has from the beginning or never."""
         return self._effects
 
     @property

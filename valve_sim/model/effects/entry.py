@@ -47,6 +47,8 @@ class Tag(enum.Enum):
     """Slows the plungers as a viscous damping does, and is easily taken for one."""
     ANY_AXIS = "any axis"
     """Needs no coil, seat or stop: any driven axis can have it."""
+    BUILT_IN = "built in"
+    """Belongs to how a machine is built: it neither comes nor goes while the machine is in service."""
 
 
 class Severity(NamedTuple):

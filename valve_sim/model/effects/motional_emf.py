@@ -35,5 +35,5 @@ EFFECT = Effect(
     fields={"flux_linkage": 0.0, "motional_share": 0.0},
     needs_inductance=True,
     confused_with=("eddy_lag", "coil_lag", "coil_heating", "drive_gain"),
-    tags=(Tag.COIL,),
+    tags=(Tag.COIL, Tag.BUILT_IN),
 )
