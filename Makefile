@@ -32,7 +32,7 @@ ALONE := $(filter-out $(SHARING:%=test/nodes/test_%.py),$(sort $(wildcard test/n
 	$(foreach name,demo documents faults,test/test_$(name).py)
 # What hangs on the ROS distribution; faults, fuzz and examples are tested once, on Jazzy, and so is what these files mark
 # `any_distribution`: fits, isolation, maps, entry points and values that the nodes refuse, the same code on either.
-KILTED_TESTS := $(foreach name,messages valve_node identification_node monitor_node station supervision refusals,test/nodes/test_$(name).py)
+KILTED_TESTS := $(foreach name,messages receiving valve_node identification_node monitor_node station supervision refusals,test/nodes/test_$(name).py)
 # Live nodes are tested again by themselves where they fail, and named for it: tools/retest.py says why.
 RETEST := tools/retest.py
 export UNSTEADY_TESTS := $(CURDIR)/build/unsteady_tests.txt

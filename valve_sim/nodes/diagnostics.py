@@ -167,7 +167,7 @@ def valve_status(facts: ValveFacts) -> Status:
 
 
 class CommandCount:
-    """Counts rejected commands, or rejected pressures; used by one thread."""
+    """Counts rejected commands, or rejected pressures, of one thread; another may look."""
 
     def __init__(self) -> None:
         self.rejected = 0
@@ -188,8 +188,9 @@ class CommandCount:
 
     def rejections(self) -> Rejections:
         """What was ignored, in all and since the last look."""
-        since, self._before = self.rejected - self._before, self.rejected
-        return Rejections(self.rejected, since, self.last_rejected, self._is_last_rejected)
+        rejected = self.rejected
+        since, self._before = rejected - self._before, rejected
+        return Rejections(rejected, since, self.last_rejected, self._is_last_rejected)
 
     def look(self, now: int, last_command: int | None, volts: float, timed_out: bool) -> CommandFacts:
         """The state now; `now` and `last_command` in ns of the node's clock."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 from typing import Any, Final
 
 from rclpy.clock import JumpThreshold
@@ -25,6 +26,7 @@ class NodeClock:
     def __init__(self, node: Node) -> None:
         self._clock: Any = node.get_clock()
         self._woken = threading.Event()
+        self._on_exchange: Callable[[], None] = _nothing
         # The handle is kept, because ROS drops a callback without it. Every /clock message is a jump of some size.
         threshold = JumpThreshold(
             min_forward=Duration(nanoseconds=1), min_backward=Duration(nanoseconds=-1), on_clock_change=True
@@ -32,6 +34,15 @@ class NodeClock:
         self._handle = self._clock.create_jump_callback(threshold, post_callback=self._note_jump)
         self._is_simulated = False
         self._note_jump(None)
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether /clock is followed."""
+        return self._is_simulated
+
+    def when_exchanged(self, call: Callable[[], None]) -> None:
+        """Have this called whenever /clock is followed from now on, or no longer; it must return soon."""
+        self._on_exchange = call
 
     def read(self) -> ClockReading | None:
         """Elapsed time, or simulated time once there is any."""
@@ -64,5 +75,11 @@ class NodeClock:
 
     def _note_jump(self, jump: object) -> None:
         """/clock has moved, or another clock is followed from now on; or this is the first look."""
-        self._is_simulated = bool(self._clock.ros_time_is_active)
+        before, self._is_simulated = self._is_simulated, bool(self._clock.ros_time_is_active)
         self._woken.set()
+        if self._is_simulated != before:
+            self._on_exchange()
+
+
+def _nothing() -> None:
+    """Nobody wants to know."""

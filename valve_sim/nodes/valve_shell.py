@@ -1,7 +1,8 @@
 """The ROS side of valve_node: parameters, topics and services wired to a `LiveValve`. No physics, no decisions.
 
-Threads: callbacks run in the main thread, in a `SingleThreadedExecutor`, and only store (commands, parameters, resets).
-One `Worker` thread steps the valve and publishes; it consumes what was stored, each at its own time.
+Threads: callbacks run in the main thread, in a `SingleThreadedExecutor`, and only store (commands, parameters, resets);
+those of commands run in a `Receiver` thread, but not under simulated time, where a command must not overtake the
+/clock before it. One `Worker` thread steps the valve and publishes; it consumes what was stored, each at its own time.
 """
 
 from __future__ import annotations
@@ -61,6 +62,7 @@ from valve_sim.nodes.parameters import (
     valve_of,
 )
 from valve_sim.nodes.realtime import NANOSECONDS, Audience, Restart, Thinning, Worker
+from valve_sim.nodes.receiving import Receiver, ReceiverGroup
 from valve_sim.nodes.shell_parts import LATCHED, RELIABLE, declare, given_parameters, make_node
 from valve_sim.nodes.spinning import guarded, spin
 
@@ -77,6 +79,8 @@ class _GasTopics(NamedTuple):
     inlet_pressure: Subscription
     outlet_pressure: Publisher
     mass_flow: Publisher
+    hears_outlet_pressure: Audience
+    hears_mass_flow: Audience
 
 
 class ValveShell:
@@ -128,6 +132,8 @@ class ValveShell:
             step=self._step,
             fail=self._fail,
         )
+        self._receiver = Receiver(self._node, self._voltage, lambda: not self._clock.is_simulated, self._fail)
+        self._clock.when_exchanged(self._receiver.wake)
 
     @property
     def exit_code(self) -> int:
@@ -137,14 +143,15 @@ class ValveShell:
     def spin(self) -> None:
         """Run until ROS is shut down."""
         self._worker.start()
+        self._receiver.start()
         spin(self._node)
 
     def close(self, timeout: float | None) -> bool:
-        """Stop and release everything; whether the stepper has ended. It cannot while it compiles."""
-        has_ended = self._worker.stop(timeout)
-        if has_ended:
+        """Stop and release everything; whether all threads have ended. The stepper cannot while it compiles."""
+        have_ended = [thread.stop(timeout) for thread in (self._receiver, self._worker)]
+        if all(have_ended):
             self._node.destroy_node()
-        return has_ended
+        return all(have_ended)
 
     # --- wiring ---
 
@@ -172,7 +179,12 @@ class ValveShell:
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
         events = SubscriptionEventCallbacks(incompatible_qos=guarded(self._on_incompatible_voltage))
         self._voltage = node.create_subscription(
-            Float64, "~/coil_voltage", guarded(self._take_command), RELIABLE, event_callbacks=events
+            Float64,
+            "~/coil_voltage",
+            guarded(self._take_command),
+            RELIABLE,
+            callback_group=ReceiverGroup(),
+            event_callbacks=events,
         )
         if self._live.valve.gas is not None:
             self._gas = self._wire_gas()
@@ -186,13 +198,13 @@ class ValveShell:
     def _wire_gas(self) -> _GasTopics:
         node = self._node
         events = SubscriptionEventCallbacks(incompatible_qos=guarded(self._on_incompatible_pressure))
-        return _GasTopics(
-            node.create_subscription(
-                FluidPressure, "~/inlet_pressure", guarded(self._take_pressure), RELIABLE, event_callbacks=events
-            ),
-            node.create_publisher(FluidPressure, "~/outlet_pressure", RELIABLE),
-            node.create_publisher(Float64, "~/mass_flow", RELIABLE),
+        heard = node.create_subscription(
+            FluidPressure, "~/inlet_pressure", guarded(self._take_pressure), RELIABLE, event_callbacks=events
         )
+        outlet_pressure = node.create_publisher(FluidPressure, "~/outlet_pressure", RELIABLE)
+        mass_flow = node.create_publisher(Float64, "~/mass_flow", RELIABLE)
+        hears = (Audience(outlet_pressure.get_subscription_count), Audience(mass_flow.get_subscription_count))
+        return _GasTopics(heard, outlet_pressure, mass_flow, *hears)
 
     # --- the stepping thread ---
 
@@ -248,8 +260,10 @@ class ValveShell:
             self._coil_current.publish(self._messages.coil_current(shown))
         gas = self._gas
         if gas is not None and self._gas_samples.is_due(deadline) and not math.isnan(shown.outlet_pressure):
-            gas.outlet_pressure.publish(self._messages.outlet_pressure(step.stamp, shown))
-            gas.mass_flow.publish(self._messages.mass_flow(shown))
+            if gas.hears_outlet_pressure.is_there(deadline):
+                gas.outlet_pressure.publish(self._messages.outlet_pressure(step.stamp, shown))
+            if gas.hears_mass_flow.is_there(deadline):
+                gas.mass_flow.publish(self._messages.mass_flow(shown))
         if step.phases:
             self._publish_phases(step)
         if step.failure:
@@ -265,10 +279,10 @@ class ValveShell:
     def _fail(self, error: Exception) -> None:
         if self._node.context.ok():
             self._exit_code = 1
-            self._node.get_logger().fatal(f"the stepper ended: {error!r}")
+            self._node.get_logger().fatal(f"the node cannot go on: {error!r}")
             self._node.context.try_shutdown()
 
-    # --- callbacks, in the main thread ---
+    # --- callbacks, in the main thread but for commands ---
 
     def _now(self) -> int:
         reading = self._clock.read()
