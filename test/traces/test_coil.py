@@ -155,17 +155,15 @@ def test_a_step_to_the_clamp_is_dated_in_the_middle_of_its_samples() -> None:
     assert found.times == pytest.approx([0.0101, 0.0501], abs=1e-9)
 
 
-def test_no_command_is_later_than_the_sample_that_shows_it_where_one_was_late() -> None:
+@pytest.mark.parametrize("recorded", [0.05005, 0.05015, 0.05023])
+def test_where_one_command_was_late_or_none_has_a_stamp_all_are_dated(recorded: float) -> None:
     times = np.arange(400) / 5e3
-    volts = np.where((times > 0.0101) & (times < 0.0501), 9.0, 0.0)
-    # The second arrives 30 µs after the sample that shows it, which two clocks may differ by.
-    late, within = np.array([0.012, 0.05023]), np.array([0.01015, 0.05023])
-    commanded, measured = np.array([9.0, 0.0]), Signal(times, volts)
-    for recorded, stamp_error in ((late, 50e-6), (within, 0.0)):
-        found = dates_by_voltage(recorded, commanded, measured, stamp_error=stamp_error)
+    measured = Signal(times, np.where((times > 0.0101) & (times < 0.0501), 9.0, 0.0))
+    for first, has_stamps in ((0.012, True), (0.0101, False)):
+        found = dates_by_voltage(np.array([first, recorded]), np.array([9.0, 0.0]), measured, has_stamps=has_stamps)
         assert found is not None
-        assert found.times[1] == pytest.approx(0.0501, abs=1e-9)
-    assert dates_by_voltage(within, commanded, measured) is None
+        assert found.times == pytest.approx([0.0101, 0.0501], abs=1e-9)
+    assert dates_by_voltage(np.array([0.0101, recorded]), np.array([9.0, 0.0]), measured) is None
 
 
 def test_pulses_of_a_modulated_voltage_date_nothing() -> None:

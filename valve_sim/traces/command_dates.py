@@ -36,18 +36,18 @@ class Dates(NamedTuple):
     finding: str
 
 
-def dates_by_voltage(times: Array, volts: Array, measured: Signal, *, stamp_error: float = STAMP_ERROR) -> Dates | None:
+def dates_by_voltage(times: Array, volts: Array, measured: Signal, *, has_stamps: bool = True) -> Dates | None:
     """Date commands by the steps of a measured voltage; None where it dates them as they were recorded.
 
     A command's step is the one crossing, in its direction, of the middle between its voltage and the one before, after
     the step of the command before it and until the next command was recorded. Where there are several, as with pulses
     of a modulated voltage, or none, it stays where it was recorded. Where one command was recorded late, all are dated
-    between the two samples of their steps: a sample that shows the new voltage comes after its command.
+    so: those that seem to fit are late, too, and would scatter beside the others.
 
     Args:
         times: of the commands as recorded, s, ascending, shape (n,). volts: V, shape (n,).
         measured: the voltage at the coil's terminals.
-        stamp_error: s by which the clocks of commands and samples may differ; farther from its step a command is late.
+        has_stamps: whether commands may have been recorded in time, up to `STAMP_ERROR`; else all are dated.
     """
     changes = np.flatnonzero(np.diff(volts, prepend=0.0) != 0.0)
     least = SEEN * sample_noise_of(measured.values)
@@ -60,15 +60,13 @@ def dates_by_voltage(times: Array, volts: Array, measured: Signal, *, stamp_erro
         if step is not None:
             first, date, last = step
             errors[place] = (last - first) * UNIFORM
-            recorded = float(found[place])
-            if not first - stamp_error <= recorded <= last + stamp_error:
-                lateness.append(recorded - date)
-            if not first <= recorded <= last:
-                found[place] = date
+            if not first - STAMP_ERROR <= found[place] <= last + STAMP_ERROR:
+                lateness.append(float(found[place] - date))
+            found[place] = date
         before = found[place]
-    if not lateness:
+    if has_stamps and not lateness:
         return None
-    worst = max(lateness, key=abs)
+    worst = max(lateness, key=abs, default=0.0)
     words = f"{len(lateness)} of {len(changes)} commands were recorded up to {1e3 * abs(worst):.3g} ms "
     words += f"{'after' if worst > 0.0 else 'before'} the voltage changed: they are dated"
     errors[errors < EXACT] = 0.0

@@ -98,8 +98,7 @@ class KeptSamples:
         if np.count_nonzero(is_known) < 2:
             return alone
         measured = Signal(at[is_known], voltages[is_known])
-        # A live command has no stamp of its own: it is believed nowhere against the voltage.
-        dates = dates_by_voltage(commands.times, commands.volts, measured, stamp_error=0.0)
+        dates = dates_by_voltage(commands.times, commands.volts, measured, has_stamps=False)
         if dates is not None:
             alone = replace(alone, drive=Drive(dates.times, dates.volts))
         return replace(alone, coil_voltage=measured)
