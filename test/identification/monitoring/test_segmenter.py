@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Sequence
 
 import numpy as np
+import pytest
 from hypothesis import given, seed, settings
 from hypothesis import strategies as st
 
@@ -13,7 +14,7 @@ from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.monitoring.findings import StrokeRecord
 from valve_sim.identification.monitoring.segmenter import StrokeSegmenter
 from valve_sim.identification.monitoring.settings import MonitorSettings
-from valve_sim.model import Drive
+from valve_sim.model import Drive, simulate
 from valve_sim.traces import command_strokes, stroke_starts
 
 EXACT_VALVE = default_valve().exact()
@@ -84,3 +85,25 @@ def test_a_live_stroke_is_one_stroke_of_its_own_trace(commands: list[tuple[float
     for record in cut_live(commands, 0.0):
         assert stroke_starts(record.trace.drive).tolist() == [0]
         assert set(command_strokes(record.trace.drive)) == {(-np.inf, np.inf)}
+
+
+@pytest.mark.parametrize("closed", [0.08, 0.4])
+@pytest.mark.parametrize("by_current", [False, True])
+def test_a_stroke_begins_with_its_rest_however_soon_it_follows(closed: float, *, by_current: bool) -> None:
+    commands = [(0.1, 9.0), (0.2, 0.0), (0.2 + closed, 9.0), (0.3 + closed, 0.0)]
+    times = np.arange(0.0, 0.8 + closed, 1e-3)
+    shown = simulate(VALVE, Drive.of(*zip(*commands, strict=True)), times)
+    segmenter = StrokeSegmenter(VALVE, MonitorSettings())
+    if by_current:
+        segmenter.go_by_current()
+    for time, position, current in zip(times.tolist(), shown.pilot_position, shown.coil_current, strict=True):
+        while commands and commands[0][0] <= time:
+            segmenter.command(*commands.pop(0))
+        if by_current:
+            segmenter.measure_current(time, current)
+        else:
+            segmenter.measure(time, position)
+    _, second = segmenter.take_finished()
+    before = second.trace.sample_times < second.trace.drive.times[0]
+    assert np.count_nonzero(before) > 20
+    assert np.max(np.abs(second.trace.judged_signal.values[before])) < (1e-3 if by_current else 1e-5)

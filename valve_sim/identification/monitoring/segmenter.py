@@ -173,9 +173,10 @@ class StrokeSegmenter:
         self._volts = volts
         if before == volts:
             return
-        self._last_command, self._rest_since = time, math.inf
+        self._last_command = time
         if begins_stroke(before, volts):
             self._begin(time)
+        self._rest_since = math.inf
         if self._stroke is not None and len(self._stroke.drive) < MOST_COMMANDS:
             self._stroke.drive.append((time, volts))
         try:
