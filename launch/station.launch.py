@@ -1,6 +1,7 @@
 """A station of three tanks: /tank_1 to /tank_3, in each a `valve` with a parameter file of its own and its `monitor`.
 
     ros2 launch valve_sim station.launch.py monitors:=false command_timeout:=0.5
+    ros2 launch valve_sim station.launch.py gas:=true
 
 A monitor declares the valve that its parameter file describes, and hears the simulated valve's own joint_states in
 place of a sensor's. What a parameter sets while the station runs is a fault to it.
@@ -10,7 +11,7 @@ from pathlib import Path
 
 from launch.actions import DeclareLaunchArgument
 from launch.conditions import IfCondition
-from launch.substitutions import LaunchConfiguration
+from launch.substitutions import IfElseSubstitution, LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchDescription
@@ -20,12 +21,18 @@ NOISE_UM = 1.0
 """Of a laser; simulated valves have none at all, and a monitor that knew it would warn of what no sensor shows."""
 TANKS = ("tank_1", "tank_2", "tank_3")
 ARGUMENTS = {
+    "gas": ("false", "whether there is hydrogen before the valves, and a line behind them"),
     "use_sim_time": ("false", "follow /clock"),
     "monitors": ("true", "whether each valve has a monitor_node beside it"),
     "publish_rate": ("500.0", "Hz, of each valve"),
     "command_timeout": ("0.0", "s without a command, after which a valve closes by itself; 0: never"),
     "commissioning_strokes": ("20", "so many first strokes of a valve are taken for healthy by its monitor"),
 }
+
+
+def parameters_of(tank: str) -> list[str | IfElseSubstitution]:
+    """Its parameter file, in parts."""
+    return [f"{CONFIG}/", IfElseSubstitution(LaunchConfiguration("gas"), "gas_", ""), f"{tank}.yaml"]
 
 
 def valve_of(tank: str) -> Node:
@@ -36,7 +43,7 @@ def valve_of(tank: str) -> Node:
         name="valve",
         namespace=tank,
         parameters=[
-            str(CONFIG / f"{tank}.yaml"),
+            parameters_of(tank),
             {name: LaunchConfiguration(name) for name in ("use_sim_time", "publish_rate", "command_timeout")},
         ],
         output="screen",
@@ -51,7 +58,7 @@ def monitor_of(tank: str) -> Node:
         name="monitor",
         namespace=tank,
         parameters=[
-            str(CONFIG / f"{tank}.yaml"),
+            parameters_of(tank),
             {"measured": "joint_states", "noise_um": NOISE_UM},
             {name: LaunchConfiguration(name) for name in ("use_sim_time", "commissioning_strokes")},
         ],

@@ -26,6 +26,17 @@ class DeclareLaunchArgument(NamedTuple):
     description: str
 
 
+class IfElseSubstitution(NamedTuple):
+    """Stands for one of two texts, as an argument is true or not."""
+
+    condition: LaunchConfiguration
+    if_value: str
+    else_value: str
+
+    def perform(self, values: Mapping[str, str]) -> str:
+        return self.if_value if values[self.condition.name] == "true" else self.else_value
+
+
 class IfCondition(NamedTuple):
     configuration: LaunchConfiguration
 
@@ -37,7 +48,7 @@ class Node(NamedTuple):
     executable: str
     name: str
     namespace: str
-    parameters: list[str | dict[str, Any]]
+    parameters: list[list[str | IfElseSubstitution] | dict[str, Any]]
     condition: IfCondition | None = None
     output: str = ""
 
@@ -48,12 +59,17 @@ class Node(NamedTuple):
     def is_started(self, values: Mapping[str, str]) -> bool:
         return self.condition is None or values[self.condition.configuration.name] == "true"
 
+    def file(self, values: Mapping[str, str]) -> Path:
+        """Its one parameter file."""
+        (parts,) = (given for given in self.parameters if isinstance(given, list))
+        return Path("".join(part if isinstance(part, str) else part.perform(values) for part in parts))
+
     def command_line(self, values: Mapping[str, str]) -> list[str]:
         """The words after the executable's name."""
         words = ["--ros-args", "-r", f"__node:={self.name}", "-r", f"__ns:=/{self.namespace}"]
         for given in self.parameters:
-            if isinstance(given, str):
-                words += ["--params-file", given]
+            if isinstance(given, list):
+                words += ["--params-file", str(self.file(values))]
                 continue
             for name, value in given.items():
                 words += ["-p", f"{name}:={values[value.name] if isinstance(value, LaunchConfiguration) else value}"]
@@ -87,7 +103,10 @@ def read_launch_file(path: Path) -> LaunchPlan:
         "launch": {"LaunchDescription": list},
         "launch.actions": {"DeclareLaunchArgument": DeclareLaunchArgument},
         "launch.conditions": {"IfCondition": IfCondition},
-        "launch.substitutions": {"LaunchConfiguration": LaunchConfiguration},
+        "launch.substitutions": {
+            "IfElseSubstitution": IfElseSubstitution,
+            "LaunchConfiguration": LaunchConfiguration,
+        },
         "launch_ros": {},
         "launch_ros.actions": {"Node": Node},
     }

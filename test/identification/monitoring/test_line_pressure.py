@@ -1,0 +1,101 @@
+"""The pressure from which the model of a stroke starts: as it was heard, or else as the model has it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from valve_sim.files.parameter_files import load_valve
+from valve_sim.files.resources import config_path
+from valve_sim.identification.monitoring.findings import StrokeRecord
+from valve_sim.identification.monitoring.line_pressure import LONGEST, LinePressure
+from valve_sim.identification.monitoring.segmenter import StrokeSegmenter
+from valve_sim.identification.monitoring.settings import MonitorSettings
+from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.model import Drive, Stepper
+from valve_sim.traces import Trace
+
+COMMAND = 0.5
+"""s after a trace's beginning."""
+STROKE = Trace("a stroke", Drive.of([COMMAND, 0.6], [9.0, 0.0]), np.array([0.0, 1.0]), np.zeros(2))
+TANK = load_valve(config_path("gas_tank_2.yaml"))
+STEP = 2e-3
+"""s between samples."""
+
+
+def start(line: LinePressure, opening: float) -> float | None:
+    """The pressure at the beginning of the stroke whose first command was then."""
+    return line.before(STROKE, opening).outlet_start
+
+
+def test_what_was_heard_goes_before_what_the_model_has() -> None:
+    line = LinePressure()
+    for time in (0.0, 1.0):
+        line.note(time, 1e5)
+        line.hear(time, 2e6 + 1e6 * time)
+    line.keep()
+    assert start(line, 0.25 + COMMAND) == pytest.approx(2.25e6, rel=1e-12)
+
+
+def test_the_model_stands_in_for_a_sensor_that_is_missing_or_silent() -> None:
+    line = LinePressure()
+    assert start(line, 1.0) is None
+    line.hear(0.0, 5e6)
+    line.note(0.0, 1e5)
+    line.note(LONGEST + 0.1, 3e5)
+    line.keep()
+    assert start(line, LONGEST + 0.1 + COMMAND) == 3e5
+
+
+def test_a_stroke_keeps_the_pressure_of_its_beginning() -> None:
+    line = LinePressure()
+    line.hear(0.0, 5e6)
+    line.keep()
+    line.hear(0.1, 9e6)
+    assert start(line, COMMAND + 0.1) == 5e6
+
+
+@pytest.mark.parametrize("sample", [(math.nan, 6e6), (0.2, math.nan), (0.2, math.inf), (0.1, 6e6), (-1.0, 6e6)])
+def test_what_cannot_be_used_is_left_out(sample: tuple[float, float]) -> None:
+    line = LinePressure()
+    line.hear(0.1, 5e6)
+    line.hear(*sample)
+    line.keep()
+    assert start(line, 0.2 + COMMAND) == 5e6
+
+
+def strokes_of(outlet: float, *, is_heard: bool) -> list[StrokeRecord]:
+    """Two strokes of the second tank's valve, whose pipe holds another pressure than declared at the start, Pa."""
+    assert TANK.gas is not None
+    plant = Stepper(replace(TANK, gas=TANK.gas._replace(outlet_pressure=outlet)))
+    segmenter = StrokeSegmenter(TANK, MonitorSettings())
+    commands = [(0.35, 9.0), (0.5, 0.0), (0.65, 9.0), (0.8, 0.0)]
+    for index in range(1, round(0.95 / STEP)):
+        time = index * STEP
+        while commands and commands[0][0] < time:
+            plant.command(*commands[0])
+            segmenter.command(*commands.pop(0))
+        reading = plant.advance(time)
+        if is_heard and index % 5 == 0:
+            segmenter.line.hear(time, reading.outlet_pressure)
+        segmenter.measure(time, reading.pilot_position)
+    return segmenter.take_finished()
+
+
+def test_a_stroke_begins_at_the_measured_pressure_and_the_model_then_explains_it() -> None:
+    for stroke in strokes_of(25e6, is_heard=True):
+        shown = ValvePlant([stroke.trace], TANK.exact()).predict({})[0]
+        assert np.max(np.abs(shown - stroke.trace.pilot_position)) < 50e-6
+        other = ValvePlant([replace(stroke.trace, outlet_start=None)], TANK.exact()).predict({})[0]
+        assert np.max(np.abs(other - stroke.trace.pilot_position)) > 500e-6
+
+
+def test_without_a_sensor_a_stroke_begins_at_the_model_s_own_pressure() -> None:
+    assert TANK.gas is not None
+    first, second = strokes_of(25e6, is_heard=False)
+    assert first.trace.outlet_start == pytest.approx(TANK.gas.outlet_pressure, rel=1e-6)
+    # The tank's pressure is in both pipes since the first stroke.
+    assert second.trace.outlet_start == pytest.approx(TANK.gas.inlet_pressure, rel=0.02)
