@@ -25,9 +25,10 @@ from std_srvs.srv import Trigger
 
 from valve_sim.files.parameter_sections import Section
 from valve_sim.identification.monitoring.fault_isolation import FaultFinding
+from valve_sim.identification.monitoring.findings import Prediction
 from valve_sim.identification.monitoring.memory import load_commissioning, save_commissioning
 from valve_sim.identification.monitoring.scores import Baseline
-from valve_sim.identification.monitoring.segmenter import Prediction, StrokeSegmenter
+from valve_sim.identification.monitoring.segmenter import StrokeSegmenter
 from valve_sim.identification.monitoring.stroke_monitor import StrokeMonitor, StrokeReport
 from valve_sim.identification.reporting.monitoring import finding_json, stroke_json
 from valve_sim.identification.reporting.monitoring_words import finding_words

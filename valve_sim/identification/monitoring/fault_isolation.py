@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from valve_sim.identification.diagnosis.run import Verdict, diagnose_plant
 from valve_sim.identification.estimation.identify import DEFAULT_FREE
 from valve_sim.identification.estimation.intervals import Interval
+from valve_sim.identification.monitoring.lift_times import starts_by_lift
 from valve_sim.identification.monitoring.scores import Baseline
 from valve_sim.identification.plants.commissioned import CommissionedPlant
 from valve_sim.identification.plants.effect_titles import WRONG
@@ -62,20 +63,15 @@ def isolate_fault(strokes: Sequence[Trace], baseline: Baseline, progress: Progre
     """Find what has changed in a valve since it was commissioned.
 
     Args:
-        strokes: one each, at least `FEWEST`; every `HELD_OUT`-th is held out.
+        strokes: one each, at least `FEWEST`; every `HELD_OUT`-th is held out, with gas every fourth.
         baseline: the valve as commissioned.
         progress: told what is being tried, and the fraction done.
 
     Raises:
         SimulationError: the commissioned valve cannot be simulated.
     """
-    training = [stroke for index, stroke in enumerate(strokes) if index % HELD_OUT != HELD_OUT - 1]
-    held_out = [stroke for index, stroke in enumerate(strokes) if index % HELD_OUT == HELD_OUT - 1]
-    plants = [
-        CommissionedPlant(join(part, baseline), baseline.commissioned, baseline.scatter)
-        for part in (training, held_out)
-    ]
-    result = diagnose_plant(plants[0], plants[1], progress)
+    plants = _plants(strokes, baseline)
+    result = diagnose_plant(plants[0], plants[1] if len(plants) > 1 else None, progress)
     verdict, intervals = result.verdict, result.after.intervals
     if not all(is_credible(effect, plants[0], intervals) for effect in verdict.effects):
         nothing = replace(verdict, kind="unknown", effects=(), confusable_with={}, probability=0.0)
@@ -84,6 +80,21 @@ def isolate_fault(strokes: Sequence[Trace], baseline: Baseline, progress: Progre
     before = {name: baseline.valve.declared()[name] for name in verdict.effects if name in DEFAULT_FREE}
     before |= {name: plants[0].declared(name.removeprefix("valve.")) for name in parameters if name.startswith(WRONG)}
     return FaultFinding(verdict, True, parameters, before, len(strokes))
+
+
+def _plants(strokes: Sequence[Trace], baseline: Baseline) -> list[CommissionedPlant]:
+    """The valve behind the strokes that are fitted, and behind those that are held out.
+
+    With gas the valve behind all of them: a stroke begins with the pressure that those before it have left behind the
+    valve, so that none may be missing; the diagnosis holds samples of some out.
+    """
+    parts: list[Sequence[Trace]] = [strokes]
+    if baseline.valve.gas is None:
+        training = [stroke for index, stroke in enumerate(strokes) if index % HELD_OUT != HELD_OUT - 1]
+        parts = [training, [stroke for index, stroke in enumerate(strokes) if index % HELD_OUT == HELD_OUT - 1]]
+    traces = [join(part, baseline) for part in parts]
+    starts = starts_by_lift(traces[0], baseline.valve)
+    return [CommissionedPlant(trace, baseline.commissioned, baseline.scatter, starts) for trace in traces]
 
 
 def estimates(effects: Sequence[str], plant: Plant, intervals: Mapping[str, Interval]) -> dict[str, Interval]:

@@ -7,6 +7,7 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
+from valve_sim.model import Reading
 from valve_sim.traces import Trace
 
 
@@ -91,6 +92,13 @@ class NotSimulated:
 
 Remark: TypeAlias = Unusable | TimingTooUncertain | NotSimulated | Fault
 """Why a stroke was not compared with the baseline."""
+
+
+class Prediction(NamedTuple):
+    """The model at the time of one sample; the residual is measured less predicted, m, or A by the current alone."""
+
+    reading: Reading
+    residual: float
 
 
 class StrokeRecord(NamedTuple):

@@ -110,6 +110,25 @@ class KeptSamples:
         return Signal(np.array(self._current_times[:stop]) - start, np.array(self._currents[:stop]))
 
 
+class MeasuredMotion:
+    """When the valve last moved by its positions: with gas its model may meanwhile rest, and wait for the pressure.
+
+    Args:
+        within: m, up to which it counts as resting.
+    """
+
+    def __init__(self, within: float) -> None:
+        self._within = within
+        self._resting = 0.0
+        self.last = -math.inf
+        """s."""
+
+    def see(self, time: float, positions: list[float]) -> None:
+        """Take some positions, m, the last of them at this time."""
+        if max(max(positions) - self._resting, self._resting - min(positions)) > self._within:
+            self._resting, self.last = positions[-1], time
+
+
 @dataclass
 class StrokeInProgress:
     """A stroke in progress."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
@@ -16,13 +16,14 @@ from valve_sim.identification.monitoring.command_timing import EXTREME_SIGMAS, A
 from valve_sim.identification.monitoring.findings import (
     DidNotClose,
     Fault,
+    Prediction,
     Remark,
     StrokeRecord,
     TimingTooUncertain,
     Unusable,
 )
 from valve_sim.identification.monitoring.held_valve import opening_fault
-from valve_sim.identification.monitoring.kept_samples import MOST_SAMPLES, KeptSamples, StrokeInProgress
+from valve_sim.identification.monitoring.kept_samples import MOST_SAMPLES, KeptSamples, MeasuredMotion, StrokeInProgress
 from valve_sim.identification.monitoring.line_pressure import LinePressure
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.plants.protocol import Array
@@ -61,13 +62,6 @@ CONFIRMED: Final = 5
 """Failed strokes in a row that make a fault where the times of commands are too uncertain for one to do so."""
 ALONE: Final = 1.0
 """s of currents without any position, after which the valve is watched by its current alone."""
-
-
-class Prediction(NamedTuple):
-    """The model at the time of one sample; the residual is measured less predicted, m, or A by the current alone."""
-
-    reading: Reading
-    residual: float
 
 
 class StrokeSegmenter:
@@ -132,6 +126,7 @@ class StrokeSegmenter:
         self._last_open = -math.inf
         self._pending: deque[tuple[float, float]] = deque()
         self._samples = KeptSamples(by_current=self._by_current)
+        self._motion = MeasuredMotion(RESTING * self._valve.parameters.stroke)
         self.line = LinePressure()
         """The pressure behind a valve with gas; where one is measured, it is to hear it."""
         self._phase = Phase.CLOSED
@@ -258,6 +253,8 @@ class StrokeSegmenter:
         """Step the model to the last of these samples, and keep them where they are needed."""
         self._apply_due(time)
         reading = self._step(time)
+        if not self._by_current:
+            self._motion.see(time, values)
         if self._is_kept(time):
             self._samples.add(times, values, voltages)
         return reading
@@ -296,8 +293,8 @@ class StrokeSegmenter:
             return self._rest_model(at).advance(at)
 
     def _is_kept(self, time: float) -> bool:
-        """Keep all of a stroke except after a long rest of the model; between strokes, the last moments."""
-        return self._stroke is None or time - self._rest_since <= self._settle
+        """Keep all of a stroke except long rests of both valve and model; between strokes, the last moments."""
+        return self._stroke is None or time - max(self._rest_since, self._motion.last) <= self._settle
 
     @property
     def _settle(self) -> float:

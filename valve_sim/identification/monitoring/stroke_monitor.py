@@ -172,15 +172,29 @@ class StrokeMonitor:
 
         Where commands scatter more than at commissioning, each is moved to where its stroke shows that it took effect.
         """
-        began = self.alarm.began if self.alarm is not None else 0
+        began = self._began()
         is_wider = self.baseline is not None and self._established > WIDER_SCATTER * self.baseline.jitter
         found = [
             _retimed(stroke.trace, stroke.shifts) if is_wider else stroke.trace
             for stroke in self._recent
             if stroke.number >= began
         ]
+        if self._declared.gas is not None:
+            return found[1:]
         # The sum may have begun to rise, by chance, one stroke early.
         return found[1:] if len(found) > FEWEST_TO_ISOLATE else found
+
+    def _began(self) -> int:
+        """Number of the stroke with which the alarm began: the first of some that are far from the baseline alike.
+
+        By chance the sum may have begun to rise earlier, and strokes without the fault would bias its size.
+        """
+        began = self.alarm.began if self.alarm is not None else 0
+        since = [(stroke.number, stroke.furthest) for stroke in self._recent if stroke.number >= began]
+        if self._declared.gas is None or not since:
+            return began
+        far = 0.5 * float(np.median([furthest for _, furthest in since]))
+        return next(number for number, furthest in since if furthest >= far)
 
     def take_evidence(self) -> list[Trace]:
         """The evidence, when it is time to isolate the fault (again); else none.
@@ -279,7 +293,8 @@ class StrokeMonitor:
     def _add(self, record: StrokeRecord, scored: Scored, scores: Mapping[str, float]) -> Alarm | None:
         assert self._sums is not None
         self._judged += 1
-        self._recent.append(_Assessed(record.number, record.trace, scored.shifts))
+        furthest = max(map(abs, scores.values()), default=0.0)
+        self._recent.append(_Assessed(record.number, record.trace, scored.shifts, furthest))
         # Delays that cannot be scored count as 0, so that earlier ones decay from their sums.
         unknown = {name: 0.0 for name in DELAYS if self.is_timing_uncertain and name in self._sums}
         alarm = self._sums.add(record.number, {**unknown, **scores})
@@ -339,11 +354,12 @@ class StrokeMonitor:
 
 
 class _Assessed(NamedTuple):
-    """A stroke that was compared with the model, and the delays of its commands, s."""
+    """A stroke that was compared with the model, the delays of its commands, s, and its largest score."""
 
     number: int
     trace: Trace
     shifts: Array
+    furthest: float
 
 
 def _retimed(trace: Trace, shifts: Array) -> Trace:

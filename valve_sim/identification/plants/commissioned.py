@@ -128,9 +128,16 @@ class CommissionedPlant:
         trace: some strokes, their motion put back by the lateness.
         commissioned: the valve.
         scatter: s, standard deviation of the commands' times.
+        starts: values from which fits of effects start, too, by the effects' names.
     """
 
-    def __init__(self, trace: Trace, commissioned: Commissioned, scatter: float) -> None:
+    def __init__(
+        self,
+        trace: Trace,
+        commissioned: Commissioned,
+        scatter: float,
+        starts: Mapping[str, Mapping[str, float]] | None = None,
+    ) -> None:
         # A leak has changed the pressure behind the valve before its first stroke, so it is estimated along.
         self._plant = ValvePlant([replace(trace, outlet_start=None)], as_it_began(commissioned.valve, trace))
         self._scatter = max(scatter, FINEST_SCATTER)
@@ -144,6 +151,7 @@ class CommissionedPlant:
             **{name: EffectChoice(name, (parameter,), alike) for name, parameter in self._dampings.items()},
             **{name: choice for name, choice in self._plant.effects.items() if name not in built_in},
         }
+        self._effects |= {name: replace(self._effects[name], start=start) for name, start in (starts or {}).items()}
 
     @property
     def channels(self) -> Sequence[Channel]:
@@ -171,7 +179,15 @@ class CommissionedPlant:
             return ()
         rule, sigma = GAS[START], START_SHARE * gas.inlet_pressure
         return (
-            Nuisance(of_gas(START), sigma, rule.unit, step=1e-3 * sigma, mean=gas.outlet_pressure, lower=rule.lower),
+            Nuisance(
+                of_gas(START),
+                sigma,
+                rule.unit,
+                step=1e-3 * sigma,
+                mean=gas.outlet_pressure,
+                lower=rule.lower,
+                is_of_machine=True,
+            ),
         )
 
     @property
@@ -186,8 +202,8 @@ class CommissionedPlant:
 
     @property
     def force_maps(self) -> Sequence[ForceMap]:
-        """As of any valve."""
-        return self._plant.force_maps
+        """As of any valve; none with gas, where each of their many derivatives takes another simulation of all."""
+        return self._plant.force_maps if self._plant.valve.gas is None else ()
 
     @property
     def experiments(self) -> Sequence[Experiment]:

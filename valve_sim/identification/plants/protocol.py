@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Final, Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -70,12 +70,14 @@ class EffectChoice:
             claimed; fits search that of `Plant.parameter`.
         confused_with: names of others that data often cannot tell from this one.
         is_declared_value: whether it is a declared value.
+        start: values, of its parameters and beside them, that a fit starts from, too; none where none are known.
     """
 
     name: str
     parameters: tuple[Parameter, ...]
     confused_with: tuple[str, ...] = ()
     is_declared_value: bool = False
+    start: Mapping[str, float] = field(default_factory=dict, compare=False)
 
     def free_name(self, parameter: Parameter) -> str:
         """The name by which a fit frees one of the parameters."""

@@ -241,6 +241,7 @@ class Search:
         begun = [("sizes", {**warm, **start}) for start in effect_starts(self.problem, effect, warm)]
         kept = {name: warm[name] for name in self.free_names(smaller) if name not in self._base}
         begun += [("as declared", start) for start in starts_from_declared(self.problem, effect, kept)]
+        begun += [("by the plant", {**warm, **effect.start})] if effect.start else []
         for kind, start in begun:
             yield from ((kind, found) for found in self._attempt(hypothesis, start, effort))
 
