@@ -82,7 +82,7 @@ def lift_of(times: np.ndarray, positions: np.ndarray, start: float) -> float:
     return float(times[np.argmax((times > start) & (positions > level))])
 
 
-LEAKING, CLOGGED = {"leak": 4e-9}, {"clogging": 0.7}
+LEAKING, CLOGGED = {"leak": 1.5e-9}, {"clogging": 0.7}
 
 
 @pytest.mark.parametrize("fault", [LEAKING, CLOGGED])
@@ -99,7 +99,7 @@ def test_a_stroke_holds_the_lift_of_the_main_plunger_while_its_model_waits_for_t
 
 @pytest.mark.parametrize(
     ("name", "truth", "fault"),
-    [("seat_leak.area", 4e-9, LEAKING), ("pilot_clogging.ratio", 0.7, CLOGGED)],
+    [("seat_leak.area", 1.5e-9, LEAKING), ("pilot_clogging.ratio", 0.7, CLOGGED)],
 )
 def test_the_size_of_a_fault_of_gas_follows_from_the_times_at_which_the_main_plunger_lifts(name, truth, fault):
     made = recorded(healthy=1, faulty=4, **fault)

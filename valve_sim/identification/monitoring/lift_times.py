@@ -28,6 +28,10 @@ from valve_sim.traces.strokes import begins_stroke
 
 SIZES: Final = (0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0)
 """Of an effect, in its prior scales, of which the best is refined."""
+PRESSURES: Final = (-1.0, 0.0, 1.0)
+"""Before the first stroke, in standard deviations of what it may be beside what the model has."""
+NEAREST: Final = 2
+"""Of these, that are refined."""
 EXACT: Final = 1e-3
 """s: to which a time is known here."""
 INTERVAL: Final = 1e-3
@@ -100,9 +104,14 @@ class _LiftTimes:
                 return np.full(len(self._measured) + 1, LATEST / EXACT)
             return np.append((self._times_of(self._grid, position) - self._measured) / EXACT, at[1])
 
-        costs = {size: float(np.sum(np.abs(left(np.array([size, 0.0]))))) for size in SIZES}
-        best = min(costs, key=lambda size: costs[size])
-        found = least_squares(left, [best, 0.0], diff_step=[DIFFERENCE, DIFFERENCE], x_scale=[0.1, 0.1], max_nfev=20)
+        # The first stroke alone tells little but the pressure before it.
+        grid = [np.array(at) for at in itertools.product(SIZES, PRESSURES)]
+        nearest = sorted(grid, key=lambda at: float(np.sum(np.abs(left(at)))))[:NEAREST]
+        fits = [
+            least_squares(left, at, diff_step=[DIFFERENCE, DIFFERENCE], x_scale=[0.1, 0.1], max_nfev=20)
+            for at in nearest
+        ]
+        found = min(fits, key=lambda one: float(one.cost))
         return values(found.x)
 
     def _times_of(self, times: Array, positions: Array) -> Array:
