@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +16,7 @@ from valve_sim.identification.monitoring.line_pressure import LONGEST, LinePress
 from valve_sim.identification.monitoring.segmenter import StrokeSegmenter
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.model import Drive, Stepper
+from valve_sim.model import Drive, Stepper, Valve
 from valve_sim.traces import Trace
 
 COMMAND = 0.5
@@ -67,13 +68,16 @@ def test_what_cannot_be_used_is_left_out(sample: tuple[float, float]) -> None:
     assert start(line, 0.2 + COMMAND) == 5e6
 
 
-def strokes_of(outlet: float, *, is_heard: bool) -> list[StrokeRecord]:
-    """Two strokes of the second tank's valve, whose pipe holds another pressure than declared at the start, Pa."""
-    assert TANK.gas is not None
-    plant = Stepper(replace(TANK, gas=TANK.gas._replace(outlet_pressure=outlet)))
-    segmenter = StrokeSegmenter(TANK, MonitorSettings())
-    commands = [(0.35, 9.0), (0.5, 0.0), (0.65, 9.0), (0.8, 0.0)]
-    for index in range(1, round(0.95 / STEP)):
+def strokes_of(valve: Valve, openings: Sequence[float], *, is_heard: bool = True) -> list[StrokeRecord]:
+    """Strokes as the monitor of the second tank's valve cuts them out, of a valve that is not as declared.
+
+    Args:
+        valve: that moves. openings: s, when each stroke begins; it is held open for 150 ms.
+        is_heard: whether the pressure in its pipe is measured, at 100 Hz.
+    """
+    plant, segmenter = Stepper(valve), StrokeSegmenter(TANK, MonitorSettings())
+    commands = [command for opening in openings for command in ((opening, 9.0), (opening + 0.15, 0.0))]
+    for index in range(1, round((openings[-1] + 0.3) / STEP)):
         time = index * STEP
         while commands and commands[0][0] < time:
             plant.command(*commands[0])
@@ -85,8 +89,14 @@ def strokes_of(outlet: float, *, is_heard: bool) -> list[StrokeRecord]:
     return segmenter.take_finished()
 
 
+def with_gas(**gas: float) -> Valve:
+    """The second tank's valve with other numbers of gas."""
+    assert TANK.gas is not None
+    return replace(TANK, gas=TANK.gas._replace(**gas))  # type: ignore[arg-type]
+
+
 def test_a_stroke_begins_at_the_measured_pressure_and_the_model_then_explains_it() -> None:
-    for stroke in strokes_of(25e6, is_heard=True):
+    for stroke in strokes_of(with_gas(outlet_pressure=25e6), (0.35, 0.65)):
         shown = ValvePlant([stroke.trace], TANK.exact()).predict({})[0]
         assert np.max(np.abs(shown - stroke.trace.pilot_position)) < 50e-6
         other = ValvePlant([replace(stroke.trace, outlet_start=None)], TANK.exact()).predict({})[0]
@@ -95,7 +105,7 @@ def test_a_stroke_begins_at_the_measured_pressure_and_the_model_then_explains_it
 
 def test_without_a_sensor_a_stroke_begins_at_the_model_s_own_pressure() -> None:
     assert TANK.gas is not None
-    first, second = strokes_of(25e6, is_heard=False)
+    first, second = strokes_of(with_gas(outlet_pressure=25e6), (0.35, 0.65), is_heard=False)
     assert first.trace.outlet_start == pytest.approx(TANK.gas.outlet_pressure, rel=1e-6)
     # The tank's pressure is in both pipes since the first stroke.
     assert second.trace.outlet_start == pytest.approx(TANK.gas.inlet_pressure, rel=0.02)
