@@ -232,14 +232,12 @@ def test_subscribers_are_noticed_within_20_ms_and_not_looked_for_at_each_step() 
         looks += 1
         return subscriptions
 
-    audience = Audience(count)
-    assert not any(audience.is_there(step * MILLISECOND) for step in range(100))
+    audience = Audience(count, lambda: 1)
+    assert [audience.look(step * MILLISECOND) for step in range(100)] == [(False, True)] * 100
     assert looks == 5
     subscriptions = 2
-    heard = [audience.is_there(step * MILLISECOND) for step in range(100, 140)]
-    assert heard == [True] * 40
+    assert [audience.look(step * MILLISECOND) for step in range(100, 140)] == [(True, True)] * 40
     subscriptions = 0
-    heard = [audience.is_there(step * MILLISECOND) for step in range(145, 165)]
-    assert heard == [False] * 20
+    assert [audience.look(step * MILLISECOND) for step in range(145, 165)] == [(False, True)] * 20
     subscriptions = 1
-    assert audience.is_there(3), "a clock that was set back"
+    assert audience.look(3) == (True, True), "a clock that was set back"

@@ -27,6 +27,7 @@ from valve_sim.model.simulation import (
 from valve_sim.model.transitions import set_voltage, settle
 
 _PHASES: Final = tuple(Phase)
+_MAIN: Final = Phase.MAIN
 Setter = Callable[[Any, Any, float], None]
 """Changes a valve's state at its time, given its record and a value."""
 
@@ -65,12 +66,12 @@ class _State:
 
     def __init__(self, array: Any) -> None:
         self.array = array
-        self._time = array["time"]
+        self.time = array["time"]
 
     @property
     def reached(self) -> float:
         """The time of the state, s."""
-        return float(self._time.item())
+        return float(self.time.item())
 
 
 class Stepper:
@@ -123,7 +124,7 @@ class Stepper:
         before = self._coil(time)
         self._set(time, set_voltage, volts)
         self._volts = float(volts)
-        self._go(self._state, time, commit=False, collect=True)
+        self._step_to(time, commit=False)
         return before, self._coil(time)
 
     def supply(self, time: float, pressure: float) -> None:
@@ -133,7 +134,7 @@ class Stepper:
     def _commit(self, time: float) -> float:
         """Step exactly to a time, or to the latest time stepped to; returns which, s."""
         time = max(time, self._state.reached)
-        self._go(self._state, time, commit=True, collect=True)
+        self._step_to(time, commit=True)
         return time
 
     def _set(self, time: float, setter: Setter, value: float) -> None:
@@ -147,18 +148,18 @@ class Stepper:
         Raises:
             SimulationError: the step could not be carried to its end.
         """
-        self._go(self._state, time, commit=False, collect=True)
-        pilot, main, velocity, attraction, number, x, volts, *of_gas = self._row[0].tolist()
+        self._step_to(time, commit=False)
+        pilot, main, velocity, attraction, number, x, volts, *of_gas = self._shown_row.tolist()
         phase = _PHASES[int(number)]
         if self._delay:
             pilot, main = self._delayed(time - self._delay)
-        effort = -(self._preload + self._rate * x) if phase >= Phase.MAIN else 0.0
+        effort = -(self._preload + self._rate * x) if phase >= _MAIN else 0.0
         events: tuple[Event, ...] = ()
         if self._pending:
             events, self._pending = tuple(self._pending), []
         return Reading(
-            time, pilot, main, velocity, velocity if phase is Phase.MAIN else 0.0, self._amperes(), attraction, effort,
-            phase, events, volts, *of_gas,
+            time, pilot, main, velocity, velocity if phase is _MAIN else 0.0, self._current.item() * self._rated,
+            attraction, effort, phase, events, volts, *of_gas,
         )  # fmt: skip
 
     def set_valve(self, valve: Valve, time: float) -> None:
@@ -181,6 +182,7 @@ class Stepper:
         self._valve = valve
         self._record = record
         self._row = np.empty((1, columns_of(record)))
+        self._shown_row = self._row[0]
         self._samples = (self._times, self._row, self._times, self._current)
         self._rated = rated_current(record)
         self._delay, self._preload, self._rate = (
@@ -191,25 +193,27 @@ class Stepper:
         """Step this state from now on; a late sensor shows a copy of it."""
         self._state, self._shown = _State(state), _State(state.copy())
 
-    def _amperes(self) -> float:
-        """The current as it was shown last."""
-        return float(self._current.item() * self._rated)
-
     def _coil(self, time: float) -> CoilReading:
         """The coil as it was shown last."""
-        return CoilReading(time, self._amperes(), float(self._row[0, 6]))
+        return CoilReading(time, self._current.item() * self._rated, float(self._row[0, 6]))
 
-    def _go(self, state: _State, time: float, *, commit: bool, collect: bool) -> None:
+    def _step_to(self, time: float, *, commit: bool) -> None:
+        """Step the valve, and note its events."""
+        count = self._go(self._state, time, commit)
+        if count:
+            events, _ = self._log
+            self._pending.extend(event_tuple(events, min(count, len(events))))
+
+    def _go(self, state: _State, time: float, commit: bool) -> int:
+        """Step a state, and show it; how many events there were."""
         self._times[0] = time
-        control = (self._tolerance, most_steps(time - state.reached))
+        control = (self._tolerance, most_steps(time - state.time.item()))
         _, count, outcome = driver.run(
             self._record, state.array, (time, commit), self._samples, self._log, control, None
         )
         if outcome:
             check_outcome(outcome)
-        if count and collect:
-            events, _ = self._log
-            self._pending.extend(event_tuple(events, min(count, len(events))))
+        return count  # type: ignore[no-any-return]
 
     def _delayed(self, time: float) -> tuple[float, float]:
         """The positions as a late sensor shows them: a second state follows the first by the delay."""
@@ -217,9 +221,9 @@ class Stepper:
         time = max(time, shown.reached)
         while self._commands and self._commands[0][0] <= time:
             command_time, setter, value = self._commands.pop(0)
-            self._go(shown, max(command_time, shown.reached), commit=True, collect=False)
+            self._go(shown, max(command_time, shown.reached), True)
             setter(self._record, shown.array, value)
-        self._go(shown, time, commit=False, collect=False)
+        self._go(shown, time, False)
         return float(self._row[0, 0]), float(self._row[0, 1])
 
 

@@ -51,7 +51,11 @@ class Timeline:
 
     def stamp(self, clock: int) -> int:
         """Stamp, ns."""
-        return self._stamp + round(self.model_time(clock) * NANOSECONDS)
+        return self.stamp_at(self.model_time(clock))
+
+    def stamp_at(self, time: float) -> int:
+        """Stamp, ns, of a model time, s."""
+        return self._stamp + round(time * NANOSECONDS)
 
     def set_scale(self, clock: int, scale: float) -> None:
         """Change the time scale from this clock time on, without a jump in model time."""
@@ -100,7 +104,6 @@ class LiveValve:
         self.timed_out = False
         self.strokes = 0
         self.phase = Phase.CLOSED
-        self.volts = 0.0
         self.failures = 0
         self._max_voltage = max_voltage
         self._supplied: float | None = None
@@ -118,6 +121,11 @@ class LiveValve:
     def valve(self) -> Valve:
         """The valve that is simulated, or will be from the next step on."""
         return self._valve
+
+    @property
+    def volts(self) -> float:
+        """The voltage in force, V; 0 before the first start."""
+        return 0.0 if self._stepper is None else self._stepper.volts
 
     def command(self, clock: int, volts: float) -> bool:
         """A voltage that is in force from clock time `clock`, ns; False, and nothing else, if it is not acceptable."""
@@ -181,24 +189,29 @@ class LiveValve:
     def step(self, clock: int) -> Step:
         """Advance to clock time `clock`, ns. The state does not depend on how often this is called."""
         failure, self._switches = "", []
+        stepper = self._running
         try:
             # A command cannot act before what is published already.
             self._mailbox.deliver(self._reached, clock)
-            self._watch_command(clock)
-            reading = self._running.advance(self._timeline.model_time(clock))
+            if self.command_timeout > 0.0:
+                self._watch_command(clock)
+            time = self._timeline.model_time(clock)
+            reading = stepper.advance(time)
         except SimulationError as error:
             failure = str(error)
             self.failures += 1
             self._rest(clock)
-            reading = self._running.advance(self._timeline.model_time(clock))
+            time = self._timeline.model_time(clock)
+            reading = stepper.advance(time)
         self._reached = clock
-        if reading.events:
-            self.strokes += sum(event.kind is EventKind.REACHED_STOP for event in reading.events)
         self.phase = reading.phase
-        self.volts = self._running.volts
-        self._stamp = self._timeline.stamp(clock)
+        self._stamp = self._timeline.stamp_at(time)
+        phases: tuple[Phase, ...] = ()
+        if reading.events or reading.phase is not self._announced:
+            self.strokes += sum(event.kind is EventKind.REACHED_STOP for event in reading.events)
+            phases = self._phases_to_announce(reading)
         switches = tuple(switch for switch in self._switches if switch[0] < self._stamp) if self._switches else ()
-        return Step(self._stamp, reading, self._phases_to_announce(reading), failure, switches)
+        return Step(self._stamp, reading, phases, failure, switches)
 
     @property
     def _running(self) -> Stepper:
@@ -261,8 +274,6 @@ class LiveValve:
         self.timed_out = False
 
     def _phases_to_announce(self, reading: Reading) -> tuple[Phase, ...]:
-        if not reading.events and reading.phase is self._announced:
-            return ()
         entered = [_PHASE_AFTER[event.kind] for event in reading.events if event.kind in _PHASE_AFTER]
         announced: list[Phase] = []
         for phase in [*entered, reading.phase]:

@@ -21,6 +21,7 @@ _BETWEEN_LOOKS: Final = 20_000_000
 """ns between two looks at who subscribes: no longer than a new subscriber may take to be discovered."""
 LONGEST_LEAP_SECONDS: Final = 60.0
 """s: a clock that moves further between two readings has been set."""
+_LONGEST_LEAP: Final = round(LONGEST_LEAP_SECONDS * NANOSECONDS)
 
 
 class Due(NamedTuple):
@@ -53,12 +54,12 @@ class Schedule:
 
     def take(self, now: int) -> Due:
         """The deadlines up to `now`, ns; each is handed out once."""
-        if now < self._next:
+        first = self._next
+        if now < first:
             return Due([], 0)
         if now < (following := self._at(self._index + 1)):
-            due = Due([self._next], 0)
             self._index, self._next = self._index + 1, following
-            return due
+            return Due([first], 0)
         end = int((now - self._start) * self._rate / NANOSECONDS) + 1
         while self._at(end - 1) > now:
             end -= 1
@@ -247,11 +248,13 @@ class _Pace:
 
     def look(self, rate: float) -> Schedule | None:
         """Read the clock; the present schedule, or None while the clock has no time yet."""
-        reading = self._clock.read()
+        reading, last = self._clock.read(), self._last
         if reading is None:
             return None
-        reason = why_restart(self._last, reading)
         self._last = reading
+        reason = why_restart(last, reading)
+        if reason is None and rate == self._rate:
+            return self._schedule
         if reason is not None:
             self._restart(Restart(reading, reason))
             self._schedule = None
@@ -270,12 +273,11 @@ def why_restart(last: ClockReading | None, now: ClockReading) -> str | None:
         return ""
     if now.is_simulated != last.is_simulated:
         return "use_sim_time was changed"
-    moved = (now.nanoseconds - last.nanoseconds) / NANOSECONDS
-    if moved < 0.0:
-        return f"the clock jumped back by {-moved:g} s"
-    if moved > LONGEST_LEAP_SECONDS:
-        return f"the clock jumped ahead by {moved:g} s"
-    return None
+    moved = now.nanoseconds - last.nanoseconds
+    if 0 <= moved <= _LONGEST_LEAP:
+        return None
+    seconds = abs(moved) / NANOSECONDS
+    return f"the clock jumped back by {seconds:g} s" if moved < 0 else f"the clock jumped ahead by {seconds:g} s"
 
 
 class Thinning:
@@ -296,23 +298,24 @@ class Thinning:
 
 
 class Audience:
-    """Whether anyone subscribes to a topic, looked at every 20 ms: what nobody hears need not be published.
+    """Which of some topics anyone subscribes to, looked at every 20 ms: what nobody hears need not be published.
 
     Args:
-        count: how many subscriptions there are.
+        counts: how many subscriptions there are, for each topic.
     """
 
-    def __init__(self, count: Callable[[], int]) -> None:
-        self._count = count
-        self._looked_at: int | None = None
-        self._is_there = False
+    def __init__(self, *counts: Callable[[], int]) -> None:
+        self._counts = counts
+        self._look_again_at = -math.inf
+        self._looked_at = math.inf
+        self._is_heard: tuple[bool, ...] = ()
 
-    def is_there(self, clock: int) -> bool:
-        """Whether anyone did at the last look; `clock`, ns, is the time of the clock by which looks are apart."""
-        if self._looked_at is None or not 0 <= clock - self._looked_at < _BETWEEN_LOOKS:
-            self._looked_at = clock
-            self._is_there = self._count() > 0
-        return self._is_there
+    def look(self, clock: int) -> tuple[bool, ...]:
+        """Of each topic, at the last look; `clock`, ns, is the time of the clock by which looks are apart."""
+        if not self._looked_at <= clock < self._look_again_at:
+            self._looked_at, self._look_again_at = clock, clock + _BETWEEN_LOOKS
+            self._is_heard = tuple(count() > 0 for count in self._counts)
+        return self._is_heard
 
 
 class Mailbox:

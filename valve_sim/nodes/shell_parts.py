@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 from rcl_interfaces.msg import ParameterDescriptor
@@ -20,6 +20,32 @@ LATCHED: Final = QoSProfile(
     depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
 )
 """Late subscribers get the last message."""
+
+
+class EncodedPublisher:
+    """A reliable publisher of messages that are encoded already.
+
+    Bytes go straight to what rclpy's own `publish` hands them to. Its checks before that, of the message's type and of
+    a publisher that another thread destroys, take 15 to 19 µs of 55 once a thread has slept a millisecond. So whoever
+    publishes must have ended before the node is destroyed.
+
+    Attributes:
+        topic_name: resolved.
+        publish: sends an encoded message.
+        get_subscription_count: how many subscribe.
+
+    Args:
+        node: publishes; keeps the publisher.
+        message_type: of the messages.
+        name: of the topic.
+    """
+
+    def __init__(self, node: Node, message_type: type, name: str) -> None:
+        publisher = node.create_publisher(message_type, name, RELIABLE)
+        handle: Any = publisher.handle
+        self.topic_name = publisher.topic_name
+        self.publish: Callable[[bytes], None] = handle.publish_raw
+        self.get_subscription_count = publisher.get_subscription_count
 
 
 def make_node(name: str) -> Node:

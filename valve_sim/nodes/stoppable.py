@@ -8,24 +8,24 @@ import threading
 class StoppableThread(threading.Thread):
     """A daemon thread whose `run` returns soon after `stop` was called: it looks at `is_stopping`.
 
+    Attributes:
+        is_stopping: whether `stop` was called.
+
     Args:
         name: of the thread.
     """
 
     def __init__(self, name: str) -> None:
         super().__init__(name=name, daemon=True)
+        self.is_stopping = False
         self._stopping = threading.Event()
-
-    @property
-    def is_stopping(self) -> bool:
-        """Whether `stop` was called."""
-        return self._stopping.is_set()
 
     def wake(self) -> None:
         """Interrupt what the thread waits for, if anything, so that it sees that it is to end."""
 
     def stop(self, timeout: float | None) -> bool:
         """Ask the thread to end; whether it has ended within `timeout`, s."""
+        self.is_stopping = True
         self._stopping.set()
         self.wake()
         if self.is_alive():

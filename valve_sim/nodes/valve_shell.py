@@ -19,7 +19,6 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
 from rclpy.parameter import Parameter
-from rclpy.publisher import Publisher
 from rclpy.qos import qos_policy_name_from_kind
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import BatteryState, FluidPressure, JointState
@@ -63,7 +62,7 @@ from valve_sim.nodes.parameters import (
 )
 from valve_sim.nodes.realtime import NANOSECONDS, Audience, Restart, Thinning, Worker
 from valve_sim.nodes.receiving import Receiver, ReceiverGroup
-from valve_sim.nodes.shell_parts import LATCHED, RELIABLE, declare, given_parameters, make_node
+from valve_sim.nodes.shell_parts import LATCHED, RELIABLE, EncodedPublisher, declare, given_parameters, make_node
 from valve_sim.nodes.spinning import guarded, spin
 
 _LONGEST_SLEEP: Final = 0.05
@@ -77,10 +76,9 @@ class _GasTopics(NamedTuple):
     """What a valve with gas has beside the other topics."""
 
     inlet_pressure: Subscription
-    outlet_pressure: Publisher
-    mass_flow: Publisher
-    hears_outlet_pressure: Audience
-    hears_mass_flow: Audience
+    outlet_pressure: EncodedPublisher
+    mass_flow: EncodedPublisher
+    audience: Audience
 
 
 class ValveShell:
@@ -168,12 +166,11 @@ class ValveShell:
 
     def _wire(self) -> None:
         node = self._node
-        self._joint_states = node.create_publisher(JointState, "~/joint_states", RELIABLE)
-        self._coil = node.create_publisher(BatteryState, "~/coil", RELIABLE)
-        self._coil_current = node.create_publisher(Float64, "~/coil_current", RELIABLE)
-        self._hears_joint_states = Audience(self._joint_states.get_subscription_count)
-        self._hears_coil = Audience(self._coil.get_subscription_count)
-        self._hears_coil_current = Audience(self._coil_current.get_subscription_count)
+        self._joint_states = EncodedPublisher(node, JointState, "~/joint_states")
+        self._coil = EncodedPublisher(node, BatteryState, "~/coil")
+        self._coil_current = EncodedPublisher(node, Float64, "~/coil_current")
+        sampled = (self._joint_states, self._coil, self._coil_current)
+        self._audience = Audience(*(publisher.get_subscription_count for publisher in sampled))
         self._phase = node.create_publisher(UInt8, "~/phase", LATCHED)
         self._is_open = node.create_publisher(Bool, "~/is_open", LATCHED)
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
@@ -201,10 +198,10 @@ class ValveShell:
         heard = node.create_subscription(
             FluidPressure, "~/inlet_pressure", guarded(self._take_pressure), RELIABLE, event_callbacks=events
         )
-        outlet_pressure = node.create_publisher(FluidPressure, "~/outlet_pressure", RELIABLE)
-        mass_flow = node.create_publisher(Float64, "~/mass_flow", RELIABLE)
-        hears = (Audience(outlet_pressure.get_subscription_count), Audience(mass_flow.get_subscription_count))
-        return _GasTopics(heard, outlet_pressure, mass_flow, *hears)
+        outlet_pressure = EncodedPublisher(node, FluidPressure, "~/outlet_pressure")
+        mass_flow = EncodedPublisher(node, Float64, "~/mass_flow")
+        audience = Audience(outlet_pressure.get_subscription_count, mass_flow.get_subscription_count)
+        return _GasTopics(heard, outlet_pressure, mass_flow, audience)
 
     # --- the stepping thread ---
 
@@ -250,26 +247,30 @@ class ValveShell:
     def _step(self, deadline: int) -> None:
         step = self._live.step(deadline)
         shown = step.reading
-        if self._hears_joint_states.is_there(deadline):
+        hears_joint_states, hears_coil, hears_coil_current = self._audience.look(deadline)
+        if hears_joint_states:
             self._joint_states.publish(self._messages.joint_states(step.stamp, shown))
-        if self._hears_coil.is_there(deadline):
+        if hears_coil:
             for stamp, coil in step.switches:
                 self._coil.publish(self._messages.coil(stamp, coil.current, coil.voltage))
             self._coil.publish(self._messages.coil(step.stamp, shown.coil_current, shown.coil_voltage))
-        if self._hears_coil_current.is_there(deadline):
+        if hears_coil_current:
             self._coil_current.publish(self._messages.coil_current(shown))
-        gas = self._gas
-        if gas is not None and self._gas_samples.is_due(deadline) and not math.isnan(shown.outlet_pressure):
-            if gas.hears_outlet_pressure.is_there(deadline):
-                gas.outlet_pressure.publish(self._messages.outlet_pressure(step.stamp, shown))
-            if gas.hears_mass_flow.is_there(deadline):
-                gas.mass_flow.publish(self._messages.mass_flow(shown))
+        if self._gas is not None and self._gas_samples.is_due(deadline) and not math.isnan(shown.outlet_pressure):
+            self._publish_gas(self._gas, deadline, step)
         if step.phases:
             self._publish_phases(step)
         if step.failure:
             self._failure = step.failure
             # A valve that fails at every step would fill the disk with a thousand lines a second.
             self._node.get_logger().error(f"the valve was put back to rest: {step.failure}", throttle_duration_sec=1.0)
+
+    def _publish_gas(self, gas: _GasTopics, deadline: int, step: Step) -> None:
+        hears_outlet_pressure, hears_mass_flow = gas.audience.look(deadline)
+        if hears_outlet_pressure:
+            gas.outlet_pressure.publish(self._messages.outlet_pressure(step.stamp, step.reading))
+        if hears_mass_flow:
+            gas.mass_flow.publish(self._messages.mass_flow(step.reading))
 
     def _publish_phases(self, step: Step) -> None:
         for phase in step.phases:
