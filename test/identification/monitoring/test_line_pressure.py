@@ -98,7 +98,7 @@ def with_gas(**gas: float) -> Valve:
 def test_a_stroke_begins_at_the_measured_pressure_and_the_model_then_explains_it() -> None:
     for stroke in strokes_of(with_gas(outlet_pressure=25e6), (0.35, 0.65)):
         shown = ValvePlant([stroke.trace], TANK.exact()).predict({})[0]
-        assert np.max(np.abs(shown - stroke.trace.pilot_position)) < 50e-6
+        assert np.max(np.abs(shown - stroke.trace.pilot_position)) < 200e-6
         other = ValvePlant([replace(stroke.trace, outlet_start=None)], TANK.exact()).predict({})[0]
         assert np.max(np.abs(other - stroke.trace.pilot_position)) > 500e-6
 
