@@ -192,6 +192,19 @@ def test_steps_keep_the_flux_of_a_measured_voltage(seed: int, noise: float, late
     assert len(drive.times) < 200
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_the_samples_beside_a_gap_do_not_stand_for_all_of_it(seed: int) -> None:
+    commanded = Drive.of([0.010, 0.050, 0.200, 0.240], [9.0, 0.0, 9.0, 0.0])
+    times = np.arange(1500) / 5e3
+    times = times[(times < 0.070) | (times > 0.190)]
+    true = commanded.volts[np.searchsorted(commanded.times, times, side="right") - 1] * (times >= 0.010)
+    measured = Signal(times, true + 5e-3 * np.random.default_rng(seed).standard_normal(len(times)))
+    drive = measured_input(commanded, measured).drive(commanded)
+    np.testing.assert_array_equal(drive.times, commanded.times)
+    assert drive.volts[[1, 3]].tolist() == [0.0, 0.0]
+    assert drive.volts[[0, 2]] == pytest.approx([9.0, 9.0], abs=2e-3)
+
+
 def test_a_constant_voltage_is_one_step_and_off_is_off() -> None:
     noise = 5e-3 * np.random.default_rng(4).standard_normal(len(TIMES))
     drive = measured_input(

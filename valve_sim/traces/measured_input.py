@@ -26,6 +26,8 @@ FINEST_FLUX: Final = 1e-8
 """s: and by this much of the largest voltage, 0.01 mA of 1 A where the coil's time constant is 1 ms."""
 
 
+GAP: Final = 10.0
+"""Usual intervals between samples: a longer gap says as much of the voltage as this one would."""
 AT_COMMAND: Final = 1e-8
 """s: a sample this near a command may be before or after it, for rounded stamps."""
 
@@ -105,14 +107,15 @@ def _steps(times: Array, volts: Array, sigma: float, finest: float) -> list[tupl
     """When steps begin, s, the first at −inf, and their voltages: cut where the flux is the farthest from a step's."""
     if not np.ptp(volts):
         return [(-np.inf, float(volts[0]))]
-    flux = np.concatenate([[0.0], np.cumsum(0.5 * (volts[1:] + volts[:-1]) * np.diff(times))])
+    seen = _without_gaps(times)
+    flux = np.concatenate([[0.0], np.cumsum(0.5 * (volts[1:] + volts[:-1]) * np.diff(seen))])
     found, waiting = [], [(0, len(times) - 1)]
     while waiting:
         first, last = waiting.pop()
-        span = float(times[last] - times[first])
+        span = float(seen[last] - seen[first])
         level = float(flux[last] - flux[first]) / span if span > 0.0 else float(volts[first])
         if last - first > 1 and span > 0.0:
-            away = np.abs(flux[first : last + 1] - flux[first] - level * (times[first : last + 1] - times[first]))
+            away = np.abs(flux[first : last + 1] - flux[first] - level * (seen[first : last + 1] - seen[first]))
             # Of a random walk that ends where it should, in the middle.
             noise = 0.5 * sigma * span / np.sqrt(last - first)
             if away.max() > finest + FLUX_SIGMAS * noise:
@@ -121,3 +124,12 @@ def _steps(times: Array, volts: Array, sigma: float, finest: float) -> list[tupl
                 continue
         found.append((float(times[first]), level))
     return [(-np.inf, found[0][1]), *found[1:]]
+
+
+def _without_gaps(times: Array) -> Array:
+    """The times with gaps cut short: over one, the noise of the two samples beside it would stand for the voltage."""
+    steps = np.diff(times)
+    longest = GAP * float(np.median(steps))
+    if steps.max() <= longest:
+        return times
+    return np.concatenate([[0.0], np.cumsum(np.minimum(steps, longest))])
