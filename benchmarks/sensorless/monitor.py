@@ -36,9 +36,9 @@ LEVELS: Final = (9.0, 12.0, 7.5, 14.0, 10.3, 8.4, 13.0, 11.2)
 RATE, NOISE, VOLTAGE_NOISE = 5e3, 1e-3, 5e-3
 """Hz, A, V."""
 COMMANDS: Final = np.array([0.020, 0.050])
-PERIOD: Final = 0.080
+PERIOD: Final = 0.100
 LATEST: Final = 3e-3
-"""s, all of them."""
+"""s, all of them. At the end of a period no valve here has any current left: each stroke is simulated from rest."""
 DETECTABLE: Final = 3.3
 """Standard deviations."""
 LIMITS: Final = 5.0
