@@ -2,7 +2,8 @@
 
 Starts valve_node as a process, commands full strokes (9 V, 0 V) at 50 Hz from this one, listens, and prints: steps
 lost, lateness, share of a core, command to first changed joint_states, start to first message with a warm and a cold
-compile cache. Wants a quiet machine with two cores; needs ROS 2.
+compile cache. Beside the share stands that of a process that sleeps and publishes the same bytes over and over: no node
+written with rclpy takes less. Wants a quiet machine with two cores; needs ROS 2.
 """
 
 from __future__ import annotations
@@ -33,6 +34,29 @@ RATE = 1000.0
 COMMAND_RATE = 50.0
 CHANGED = 1e-3
 """Newtons by which the attraction moves from one sample to the next when a command has arrived; at rest it stays."""
+FLOOR = """
+import array, threading, time
+import rclpy
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import JointState
+
+rclpy.init()
+node = rclpy.create_node("valve")
+publish = node.create_publisher(JointState, "~/joint_states", 10).handle.publish_raw
+two = array.array("d", [1.0, 2.0])
+message = serialize_message(JointState(name=["pilot_plunger", "main_plunger"], position=two, velocity=two, effort=two))
+
+def work():
+    start, index = time.monotonic(), 0
+    while True:
+        index += 1
+        time.sleep(max(0.0, start + index / RATE - time.monotonic()))
+        publish(message)
+
+threading.Thread(target=work, daemon=True).start()
+rclpy.spin(node)
+""".replace("RATE", str(RATE))
+"""A process that does what a node must do at least."""
 WANTED = {
     "steps lost": 0.0,
     "lateness p99, median second (ms)": 0.5,
@@ -103,6 +127,19 @@ def running_node(**environment: str) -> Iterator[subprocess.Popen[bytes]]:
     finally:
         process.send_signal(signal.SIGINT)
         process.wait(10.0)
+
+
+def share_of_floor(duration: float) -> float:
+    """What FLOOR takes of a core with the same listener, %."""
+    with listening() as listener, subprocess.Popen([sys.executable, "-c", FLOOR]) as process:
+        try:
+            listener.first.wait(60.0)
+            time.sleep(1.0)
+            used, start = processor_seconds(process.pid), time.monotonic()
+            time.sleep(duration)
+            return 100.0 * (processor_seconds(process.pid) - used) / (time.monotonic() - start)
+        finally:
+            process.kill()
 
 
 def seconds_to_first_message(**environment: str) -> float:
@@ -189,6 +226,7 @@ def main() -> int:
         figures["a thread that only sleeps: lateness p99 (ms)"] = bare_lateness()
         figures.update(measure_running(duration))
         figures["a thread that only sleeps, afterwards (ms)"] = bare_lateness()
+        figures["sleeping and publishing alone: share of a core (%)"] = share_of_floor(duration / 4.0)
     finally:
         rclpy.try_shutdown()
     for name, value in figures.items():
