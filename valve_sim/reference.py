@@ -28,6 +28,8 @@ _NODES: Final = {
     "command_profile": ("command_profile_shell.py",),
 }
 _CALLS: Final = {"create_publisher": "out", "create_subscription": "in", "create_service": "service"}
+_WRAPPED: Final = "EncodedPublisher"
+"""The node's own publisher of messages that are encoded already: it takes the node first."""
 
 
 class Interface(NamedTuple):
@@ -52,6 +54,8 @@ def _interfaces(tree: ast.AST) -> Iterator[Interface]:
         match node:
             case ast.Call(func=ast.Attribute(attr=call), args=[ast.Name(id=message), name, *_]) if call in _CALLS:
                 yield Interface(_written(name), message, _CALLS[call])
+            case ast.Call(func=ast.Name(id=call), args=[_, ast.Name(id=message), name]) if call == _WRAPPED:
+                yield Interface(_written(name), message, "out")
 
 
 def _written(name: ast.expr) -> str:
