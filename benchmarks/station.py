@@ -50,8 +50,8 @@ LEAK_NAMED_WITHIN = 10
 """Strokes of the leaking valve."""
 MOST_SHARE = 120.0
 """% of a core, of all nodes."""
-PATIENCE = 60.0
-"""s for every node to be there, compiled."""
+PATIENCE = 300.0
+"""s for every node to be there, compiled; on a busy machine six of them compile for minutes."""
 
 
 class Rhythm(NamedTuple):
