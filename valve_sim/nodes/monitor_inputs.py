@@ -171,8 +171,14 @@ class MonitorInputs:
         for coil, received in itertools.chain([(message, info)], self._waiting_on(self._coil)):
             self._take_commands()
             if math.isfinite(coil.current):
-                self._has_stamped_current = True
+                self._hear_no_unstamped_current()
                 self._take.coil(_stamp_of(coil), coil.current, coil.voltage, self._received(received))
+
+    def _hear_no_unstamped_current(self) -> None:
+        """Unsubscribe from what says nothing more, and costs as much as a sample to send and to take."""
+        if not self._has_stamped_current:
+            self._has_stamped_current = True
+            self._node.destroy_subscription(self._currents)
 
     def _on_pressure(self, message: FluidPressure, info: Any) -> None:
         self._take.pressure(_stamp_of(message), message.fluid_pressure)
