@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from valve_sim.files.whole_files import replacing
 from valve_sim.identification.estimation.static_force import StaticForce
 from valve_sim.identification.plants.protocol import Array
+from valve_sim.identification.reporting.units import three_digits
 from valve_sim.identification.validation.replay import Replay
 from valve_sim.model import Drive, Phase, Response, ValveError
 
@@ -95,7 +96,7 @@ def plot_replay(path: Path | str, replay: Replay) -> None:
         below.axhline(sign * scale * replay.tolerance, color=QUIET, linestyle="--", linewidth=0.8)
     below.set_ylabel(f"measured − model, {unit}")
     verdict = "within" if replay.passed else "outside"
-    title = f"{replay.trace.source}: {verdict} {scale * replay.tolerance:.3g} {unit} (dashed)"
+    title = f"{replay.trace.source}: {verdict} {three_digits(scale * replay.tolerance)} {unit} (dashed)"
     _finish(figure, path, title, "time, ms")
 
 

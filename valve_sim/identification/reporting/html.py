@@ -30,7 +30,7 @@ from valve_sim.identification.reporting.followed_positions import stroke_plot, s
 from valve_sim.identification.reporting.force_curves import ForceCurve, force_curve, motion_of
 from valve_sim.identification.reporting.recording_profile import duration_of, profile_to_record
 from valve_sim.identification.reporting.summary import recording_advice, summarise
-from valve_sim.identification.reporting.units import limits, measured, quantity
+from valve_sim.identification.reporting.units import limits, measured, quantity, three_digits
 from valve_sim.identification.reporting.wording import (
     headline,
     holdout_words,
@@ -197,7 +197,7 @@ def _content(diagnosis: Diagnosis) -> dict[str, Any]:
         "looks": holdout_words(diagnosis),
         "version": __version__,
         "sources": diagnosis.sources,
-        "noise": f"{_three_digits(sigma)} {unit} rms of the {channel.kind} sensor, read where the machine is still",
+        "noise": f"{three_digits(sigma)} {unit} rms of the {channel.kind} sensor, read where the machine is still",
         "strokes": f"{len(strokes) - held_out} fitted, {held_out} held out. Errors are over all samples; drawn are, of "
         "equal bins of each stroke, the samples at which a curve or a residual is lowest or highest.",
         "strokes_data": [_stroke_plot(stroke.thinned()) for stroke in strokes],
@@ -213,12 +213,12 @@ def _improvement(diagnosis: Diagnosis, scale: float, unit: str, sigma: float) ->
     words = f"On fitted strokes: {_change(scale * before.train_rmse, scale * after.train_rmse, unit)}."
     if math.isfinite(before.holdout_rmse):
         words += f" On held-out strokes: {_change(scale * before.holdout_rmse, scale * after.holdout_rmse, unit)}."
-    words += f" The sensor's noise is {_three_digits(sigma)} {unit}. {rounding_words(diagnosis)}"
+    words += f" The sensor's noise is {three_digits(sigma)} {unit}. {rounding_words(diagnosis)}"
     return f"Root-mean-square error before → after. {words.rstrip()}"
 
 
 def _change(before: float, after: float, unit: str) -> str:
-    return f"{_three_digits(before)} → {_three_digits(after)} {unit}"
+    return f"{three_digits(before)} → {three_digits(after)} {unit}"
 
 
 def _comparison(diagnosis: Diagnosis, scale: float, unit: str) -> list[tuple[str, str, str]]:
@@ -253,12 +253,7 @@ def _value(state: State, name: str, unit: str) -> str:
 
 
 def _number(value: float, unit: str) -> str:
-    return f"{_three_digits(value)} {unit}" if math.isfinite(value) else "–"
-
-
-def _three_digits(value: float) -> str:
-    """With trailing zeros, 1.00, so that columns can be compared."""
-    return f"{value:#.3g}".rstrip(".")
+    return f"{three_digits(value)} {unit}" if math.isfinite(value) else "–"
 
 
 def _candidate_row(candidate: Candidate, diagnosis: Diagnosis, scale: float, unit: str) -> dict[str, Any]:

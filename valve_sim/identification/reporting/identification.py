@@ -11,7 +11,7 @@ from valve_sim.identification.plants.protocol import KEY_OF_UNIT
 from valve_sim.identification.reporting.declared_values import declared_json, declared_lines
 from valve_sim.identification.reporting.findings import remarks
 from valve_sim.identification.reporting.interval_json import intervals_json
-from valve_sim.identification.reporting.units import limits, measured, quantity
+from valve_sim.identification.reporting.units import limits, measured, quantity, three_digits
 
 
 def identification_json(result: Identification) -> dict[str, Any]:
@@ -64,13 +64,16 @@ def identification_text(result: Identification) -> str:
     noise = result.fit.problem.noises[result.judged.kind]
     scale, unit = result.judged.readable
     lines.append(
-        f"residual {scale * result.rmse_before:.3g} {unit} as declared, {scale * result.rmse_after:.3g} {unit} "
-        f"refitted; sensor noise {scale * noise.sigma:.3g} {unit}"
+        f"{_change('residual', scale * result.rmse_before, scale * result.rmse_after, unit)}; "
+        f"sensor noise {three_digits(scale * noise.sigma)} {unit}"
     )
     if result.judged.kind != "current" and not math.isnan(result.current_after):
-        before, after = 1e3 * result.current_before, 1e3 * result.current_after
-        lines.append(f"residual of the current {before:.3g} mA as declared, {after:.3g} mA refitted")
+        lines.append(_change("residual of the current", 1e3 * result.current_before, 1e3 * result.current_after, "mA"))
     if result.judged.kind != "pressure" and not math.isnan(result.pressure_after):
         before, after = 1e-3 * result.pressure_before, 1e-3 * result.pressure_after
-        lines.append(f"residual of the outlet's pressure {before:.3g} kPa as declared, {after:.3g} kPa refitted")
+        lines.append(_change("residual of the outlet's pressure", before, after, "kPa"))
     return "\n".join([*lines, *remarks(result.findings)])
+
+
+def _change(name: str, before: float, after: float, unit: str) -> str:
+    return f"{name} {three_digits(before)} {unit} as declared, {three_digits(after)} {unit} refitted"

@@ -54,6 +54,11 @@ def quantity(value: float, unit: str, digits: int = 3) -> str:
     return f"{_short(scale * value, digits)} {name}".rstrip()
 
 
+def three_digits(value: float) -> str:
+    """With trailing zeros, 1.00, so that columns can be compared; – where it is not known."""
+    return "–" if math.isnan(value) else _short(value, 3)
+
+
 def listed_values(plant: Plant, values: Mapping[str, float], digits: int = 4) -> str:
     """Values by name, each with its unit, as in a sentence."""
     return ", ".join(f"{name} {quantity(value, plant.parameter(name).unit, digits)}" for name, value in values.items())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 from xml.etree import ElementTree
@@ -10,6 +9,7 @@ from xml.etree import ElementTree
 from valve_sim.files.json_text import plain_mapping
 from valve_sim.identification.plants.protocol import KEY_OF_UNIT
 from valve_sim.identification.reporting.declared_values import amount_words, declared_json, summary_words
+from valve_sim.identification.reporting.units import three_digits
 from valve_sim.identification.validation.replay import MICRO, Arrival, Errors, Replay, Validation
 
 
@@ -98,15 +98,16 @@ def _replay_text(replay: Replay) -> str:
     """For the terminal."""
     scale, unit = replay.readable
     lines = [
-        f"{replay.trace.source}: {'within' if replay.passed else 'OUTSIDE'} {scale * replay.tolerance:.3g} {unit} "
-        f"(noise {scale * replay.noise:.3g} {unit}, clock offset {MICRO * replay.clock_offset:.1f} µs)",
+        f"{replay.trace.source}: {'within' if replay.passed else 'OUTSIDE'} "
+        f"{three_digits(scale * replay.tolerance)} {unit} (noise {three_digits(scale * replay.noise)} {unit}, "
+        f"clock offset {MICRO * replay.clock_offset:.1f} µs)",
         f"  {'part of a stroke':<32}{'rmse':>9}{'moving':>9}{'maximum':>9}  {unit}",
     ]
     rows = [*((stroke.name, stroke.errors) for stroke in replay.strokes), ("in all", replay.errors)]
     for name, errors in rows:
-        moving = "–" if math.isnan(errors.moving_rmse) else f"{scale * errors.moving_rmse:.3g}"
+        moving = three_digits(scale * errors.moving_rmse)
         lines.append(
-            f"  {name:<32}{scale * errors.rmse:>9.3g}{moving:>9}{scale * errors.maximum:>9.3g}"
+            f"  {name:<32}{three_digits(scale * errors.rmse):>9}{moving:>9}{three_digits(scale * errors.maximum):>9}"
             f"  {'' if errors.judged <= replay.tolerance else 'outside'}".rstrip()
         )
     return "\n".join([*lines, *_arrival_lines(replay)])
@@ -128,8 +129,10 @@ def _add_recording(root: ElementTree.Element, replay: Replay) -> None:
     scale, unit = replay.readable
     for name, errors in (*((stroke.name, stroke.errors) for stroke in replay.strokes), ("in all", replay.errors)):
         words = (
-            f"rmse {scale * errors.rmse:.3g} {unit}, moving {scale * errors.moving_rmse:.3g} {unit}, maximum "
-            f"{scale * errors.maximum:.3g} {unit}, tolerance {scale * replay.tolerance:.3g} {unit}"
+            f"rmse {three_digits(scale * errors.rmse)} {unit}, "
+            f"moving {three_digits(scale * errors.moving_rmse)} {unit}, "
+            f"maximum {three_digits(scale * errors.maximum)} {unit}, "
+            f"tolerance {three_digits(scale * replay.tolerance)} {unit}"
         )
         cases[name] = words, errors.judged > replay.tolerance
     _add_suite(root, replay.trace.source, cases)
