@@ -12,7 +12,7 @@ from valve_sim.model.core_types import MAIN
 from valve_sim.model.dormand_prince import MECHANICAL_STATES, POSITION, VELOCITY, coil_within, interpolate
 from valve_sim.model.equations import attraction, coil_decay, pull_squared
 from valve_sim.model.flux import terminal_voltage
-from valve_sim.model.gas.step import sample_gas
+from valve_sim.model.gas.step import PRESSURE_COLUMN, sample_gas, sample_pressure
 
 ROW: Final = 7
 """Columns of a whole row of output: pilot and main plunger as shown, velocity, attraction, phase, the pilot itself, and
@@ -71,10 +71,11 @@ def show(p, s, work, h, theta):
 
 @inner
 def sample(p, s, work, h, theta, rows, i):
-    """Fill row i of the output: the pilot as shown and, where there is room, the other `ROW` columns."""
+    """Fill row i of the output: the pilot as shown and, where there is room, the outlet pressure or all columns."""
     pilot, main = show(p, s, work, h, theta)
     rows[i, 0] = p.sensor_gain * pilot
-    if rows.shape[1] == 1:
+    if rows.shape[1] <= PRESSURE_COLUMN + 1:
+        sample_pressure(p, s, work, h, theta, rows, i)
         return
     u, w = coil_within(p, s, work, h, theta)
     x = interpolate(work, h, POSITION, theta)

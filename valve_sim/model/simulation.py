@@ -42,7 +42,8 @@ class Samples(NamedTuple):
     Attributes:
         times: (n,) s, of the positions.
         rows: (n, 1) or (n, 7), written: pilot and main position as shown (m), velocity (m/s), attraction (N), phase,
-            position of the pilot itself (m), voltage at the coil's terminals (V).
+            position of the pilot itself (m), voltage at the coil's terminals (V). With gas (n, 1), (n, 9), which ends
+            with outlet pressure (Pa) and mass flow (kg/s), or (n, 2): position as shown and outlet pressure.
         current_times: (m,) s.
         currents: (m,), written: normalised current u.
     """

@@ -18,6 +18,7 @@ from valve_sim.identification.plants.protocol import (
     Array,
     Direction,
     Nuisance,
+    ShortSteps,
     from_internal,
     internal_bounds,
     internal_scale,
@@ -28,6 +29,9 @@ from valve_sim.model import Parameter, SimulationError
 
 DIFFERENCE: Final = 2e-3
 """Step of a difference quotient, in prior scales of its parameter: theory, eq. (28)."""
+SHOWS: Final = 0.02
+"""Root of the sum of squares, in σ, of the change of residuals along a plant's short step; one that changes less shows
+rounding, and the usual step is taken."""
 MOST_ITERATIONS: Final = 40
 TRIAL: Final = 6
 """Iterations that fits side by side make before they are compared."""
@@ -118,6 +122,9 @@ class Descent:
         self.upper = np.array([high for _, high in bounds])
         scales = [internal_scale(parameter) for parameter in self.parameters]
         self.steps = np.array([DIFFERENCE * s for s in scales] + [n.step for n in nuisances])
+        short = problem.plant.short_step if isinstance(problem.plant, ShortSteps) else None
+        self._reuses = len(nuisances) > FEW and short is None
+        self._short_steps = {} if short is None else {index: short * size for index, size in enumerate(scales)}
         self.prior = np.array([0.0] * len(free) + [1.0 / n.sigma**2 for n in nuisances])
         self.mean = np.array([0.0] * len(free) + [n.mean for n in nuisances])
         self._known = self._take(prior) if isinstance(prior, MachineKnowledge) else None
@@ -232,17 +239,28 @@ class Descent:
         return np.column_stack([self._column(at, index, residuals) for index in indices])
 
     def _column(self, at: Array, index: int, residuals: Array) -> Array:
+        if index in self._short_steps:
+            short = self._short_steps[index]
+            actual, change = self._change(at, index, -short if at[index] >= self.upper[index] else short, residuals)
+            if change is not None and np.linalg.norm(change) > SHOWS:
+                return change / actual
+            del self._short_steps[index]
         step = self.steps[index]
         if abs(at[index]) > 0.0 and index < len(self.free):
             step = max(step, 1e-5 * abs(at[index]))
         for size in (step, -step, 0.1 * step, -0.1 * step):
-            perturbed = at.copy()
-            perturbed[index] = min(max(at[index] + size, self.lower[index]), self.upper[index])
-            actual = perturbed[index] - at[index]
-            there = self.residuals(perturbed) if actual != 0.0 else None
-            if there is not None:
-                return np.asarray((there - residuals) / actual)
+            actual, change = self._change(at, index, size, residuals)
+            if change is not None:
+                return change / actual
         return np.zeros(len(residuals))
+
+    def _change(self, at: Array, index: int, size: float, residuals: Array) -> tuple[float, Array | None]:
+        """The step that is made of one of this size, within bounds, and what it changes if it can be simulated."""
+        perturbed = at.copy()
+        perturbed[index] = min(max(at[index] + size, self.lower[index]), self.upper[index])
+        actual = float(perturbed[index] - at[index])
+        there = self.residuals(perturbed) if actual != 0.0 else None
+        return actual, None if there is None else there - residuals
 
     def begin(self, at: Array, begun: Fit | None) -> tuple[Array, Array]:
         """Residuals and their derivatives where a descent begins; of a fit that is gone on with, as far as it has them.
@@ -264,7 +282,7 @@ class Descent:
         damping = FIRST_DAMPING if begun is None else begun.damping
         converged, decrease, reach = False, 0.0, -math.inf
         # Columns that serve a fit that is gone on with may be those of some steps before.
-        is_stale = begun is not None and begun.derivatives.is_at_hand and len(self.nuisances) > FEW
+        is_stale = begun is not None and begun.derivatives.is_at_hand and self._reuses
         of_data = self.normal(at, residuals, jacobian, cauchy)
         information, gradient = self._with_curve(at, *of_data)
         cost = self._cost(at, residuals, cauchy)  # the weight of a curve is another now
@@ -284,7 +302,7 @@ class Descent:
                 converged = decrease < self._small
                 self._weights_hold = self._weights_hold or decrease < WEIGHTS_HOLD
                 damping = max(1e-9, damping * (0.1 if decrease > 0.5 * gain else 0.5))
-                if len(self.nuisances) <= FEW or decrease > 0.01 * cost:
+                if not self._reuses or decrease > 0.01 * cost:
                     self._nuisance_columns = None
                 is_stale = self._nuisance_columns is not None
                 at, residuals, cost = candidate, there, new_cost

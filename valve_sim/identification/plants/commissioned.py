@@ -154,6 +154,11 @@ class CommissionedPlant:
         self._effects |= {name: replace(self._effects[name], start=start) for name, start in (starts or {}).items()}
 
     @property
+    def short_step(self) -> float | None:
+        """As of any valve."""
+        return self._plant.short_step
+
+    @property
     def channels(self) -> Sequence[Channel]:
         """Those of the trace."""
         return self._plant.channels

@@ -374,6 +374,18 @@ class InPieces(Protocol):
         """
 
 
+@runtime_checkable
+class ShortSteps(Protocol):
+    """A plant whose derivatives change within the usual step of a difference quotient: an optional member.
+
+    Those of another place do not serve in its fits either.
+    """
+
+    @property
+    def short_step(self) -> float | None:
+        """Step to try before the usual one, in prior scales; None: the usual one serves."""
+
+
 def _is_logarithmic(parameter: Parameter) -> bool:
     """Whether a parameter is a scale (a time constant, a film) that is searched by its logarithm."""
     return parameter.off is None and parameter.lower > 0.0 and not parameter.infinite_at_upper

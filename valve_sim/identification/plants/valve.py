@@ -58,6 +58,11 @@ PULSE_START, PULSE_RECORDING = 5e-3, 70e-3
 """s: when a pulse begins, and when its recording ends."""
 
 
+GAS_STEP: Final = 2e-5
+"""Prior scales. Along the usual step the pressures come to be equal so much later that it is more than the main plunger
+takes to open: a clogged orifice was given a twentieth of its standard error."""
+
+
 def volts_at(valve: Valve, levels: Sequence[float]) -> tuple[float, ...]:
     """Voltages at these shares of a valve's reference voltage, V, rounded to 10 mV."""
     return tuple(round(level * valve.parameters.reference_voltage, 2) for level in levels)
@@ -82,6 +87,11 @@ class ValvePlant:
     def valve(self) -> Valve:
         """The declared valve."""
         return self._model.valve
+
+    @property
+    def short_step(self) -> float | None:
+        """Of a valve with gas: see `GAS_STEP`."""
+        return None if self.valve.gas is None else GAS_STEP
 
     @property
     def channels(self) -> Sequence[Channel]:

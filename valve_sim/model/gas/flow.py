@@ -4,8 +4,7 @@ With r = p/p_up, β = b p_up/(R T), k = (γ − 1)/γ and the reference flux p_u
 Abel–Noble gas to p makes, per reference flux,
 
     (G1)  g(r) = √(2 N)/D,  N = (1 − r^k)/k + β (1 − r),  D = r^{−1/γ} + β
-    (G2)  choked where g is largest: D² r = 2 N r^{−1/γ}/γ; there N' = −D makes Newton's step
-          r ← (r + 2 N r^{−1/γ}/D²)/(γ + 1)
+    (G2)  choked where g is largest: D² r = 2 N r^{−1/γ}/γ
     (G3)  A = C_d [min(π d_p x, κ π d_p²/4) + min(π d_s y, π d_m²/4) + leak],  y = max(0, x − gap)
     (G4)  V_o ρ' = A G(p_i, p_o) − A_d G(p_o, p_d),  ρ = p/(R T + b p)
     (G5)  Phase 1: −Δp (π d_p²/4) max(0, 1 − 4 x/d_p);  Phase 2: −Δp (π d_s²/4) max(0, 1 − 4 y/d_s);
@@ -59,13 +58,11 @@ def _expansion(p, beta, ratio, shortfall):
     return drop / k + beta * shortfall, volume + beta, volume
 
 
-@inner
+@inlined
 def critical_ratio(p, beta):
-    """The r of (G2): one step of Newton's from a parabola in β/(1 + β), which leaves 1e-8 of r and nothing of g."""
-    s = beta / (1.0 + beta)
-    ratio = p.critical_0 + s * (p.critical_1 + s * p.critical_2)
-    n, d, volume = _expansion(p, beta, ratio, 1.0 - ratio)
-    return (ratio + 2.0 * n * volume / (d * d)) / (p.heat_capacity_ratio + 1.0)
+    """The r of (G2), by a cubic that leaves 1e-5 of it and, since g is flat there, 1e-10 of g."""
+    s = math.log1p(beta)
+    return p.critical_0 + s * (p.critical_1 + s * (p.critical_2 + s * p.critical_3))
 
 
 @inner

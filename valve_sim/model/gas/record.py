@@ -7,12 +7,14 @@ alone, so that a valve without gas runs the code that it would run if there were
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 import numpy as np
 from numba import types
 from numba.extending import overload
+from numpy.polynomial import Chebyshev, Polynomial
 
 from valve_sim.model.compiling import inner
 from valve_sim.model.core_types import STATE_RECORD
@@ -22,7 +24,7 @@ from valve_sim.model.gas.parameters import GAS, GasParameters, orifice_area
 _OF_EFFECTS: Final = neutral_fields(of_gas=True)
 GAS_FIELDS: Final = (
     *GAS, "gas_constant", "covolume", "heat_capacity_ratio", *_OF_EFFECTS, "demand_area", "critical_0", "critical_1",
-    "critical_2",
+    "critical_2", "critical_3",
 )  # fmt: skip
 """Numbers of a valve with gas beside those of every valve."""
 _AT: Final = list(VALVE_RECORD.fields or ()).index("term_count")
@@ -32,6 +34,10 @@ def _longer(record: Any, names: tuple[str, ...], at: int) -> Any:
     fields = [(name, record.fields[name][0]) for name in record.names]
     return np.dtype([*fields[:at], *((name, "f8") for name in names), *fields[at:]], align=True)
 
+
+_LARGEST_BETA: Final = 2.0
+_ITERATIONS: Final = 5
+"""Of Newton's method, which comes to rounding in four."""
 
 GAS_VALVE_RECORD: Final = _longer(VALVE_RECORD, GAS_FIELDS, _AT)
 """What a valve with gas is; the numbers of terms stay the last."""
@@ -76,7 +82,8 @@ def _with_gas(records: Any, effects: Mapping[str, Mapping[str, float]], gas: Gas
     longer["demand_area"] = gas.discharge_coefficient * orifice_area(gas.demand_orifice_diameter)
     for name, neutral in _OF_EFFECTS.items():
         longer[name] = neutral
-    longer["critical_0"], longer["critical_1"], longer["critical_2"] = _critical_parabola(fluid.heat_capacity_ratio)
+    for power, coefficient in enumerate(_critical_cubic(fluid.heat_capacity_ratio)):
+        longer[f"critical_{power}"] = coefficient
     for effect, values in whole_effects(effects):
         if effect.with_gas:
             effect.apply_rewrite(longer[0], values)
@@ -84,18 +91,25 @@ def _with_gas(records: Any, effects: Mapping[str, Mapping[str, float]], gas: Gas
 
 
 @functools.cache
-def _critical_parabola(gamma: float) -> tuple[float, float, float]:
-    """Coefficients of almost the critical ratio in β/(1 + β), from `flow`'s (G2) solved at three places."""
-    shares = np.array([0.0, 0.25, 0.5])
-    beta = shares / (1.0 - shares)
+def _critical_cubic(gamma: float) -> list[float]:
+    """Coefficients of the critical ratio in ln(1 + β), rising: `flow`'s (G2) solved at Chebyshev's points.
+
+    There N' = −D makes Newton's step r ← (r + 2 N r^{−1/γ}/D²)/(γ + 1). Up to β = 2, which hydrogen at 15 °C has at
+    309 MPa, the ratio is within 1e-5, and the flux there within 1e-10.
+    """
     k = 1.0 - 1.0 / gamma
-    ratio = np.full(3, (2.0 / (gamma + 1.0)) ** (1.0 / k))
-    for _ in range(6):
-        volume = ratio ** (-1.0 / gamma)
-        n = (1.0 - ratio**k) / k + beta * (1.0 - ratio)
-        ratio = (ratio + 2.0 * n * volume / (volume + beta) ** 2) / (gamma + 1.0)
-    second, first, zeroth = np.polyfit(shares, ratio, 2)
-    return float(zeroth), float(first), float(second)
+
+    def critical(logarithm: Any) -> Any:
+        beta = np.expm1(logarithm)
+        ratio = np.full_like(beta, (2.0 / (gamma + 1.0)) ** (1.0 / k))
+        for _ in range(_ITERATIONS):
+            volume = ratio ** (-1.0 / gamma)
+            n = (1.0 - ratio**k) / k + beta * (1.0 - ratio)
+            ratio = (ratio + 2.0 * n * volume / (volume + beta) ** 2) / (gamma + 1.0)
+        return ratio
+
+    cubic = Chebyshev.interpolate(critical, 3, domain=[0.0, math.log1p(_LARGEST_BETA)])
+    return [float(coefficient) for coefficient in cubic.convert(kind=Polynomial).coef]
 
 
 def _of_gas(record: Any) -> bool:

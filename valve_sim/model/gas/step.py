@@ -46,6 +46,8 @@ STAGES: Final = 6
 FIRST_COLUMN: Final = 7
 """Of gas in a row of output, after those of every valve; a row that ends before has none."""
 GAS_COLUMNS: Final = 2
+PRESSURE_COLUMN: Final = 1
+"""Of the outlet pressure in a row of two, as fits ask for it, behind the pilot's position."""
 QUANTITIES: Final = 3
 """Of gas that are stepped: density, mass that came in, mass that went out."""
 DENSITY, MASS_IN, MASS_OUT = np.arange(QUANTITIES)
@@ -103,7 +105,7 @@ SMALLEST_DENSITY: Final = 1e-2
 """Of the inlet's density: below, the error of the outlet's is held absolutely."""
 MOST_ITERATIONS: Final = 60
 """Of (G6); three to five are common."""
-SOLVED: Final = 1e-7
+SOLVED: Final = 1e-5
 """Relative change of the root that ends them: Newton's method leaves about its square."""
 STIFF: Final = 1.0
 """Times that the gas relaxes in a step, from which on its dense output may leave what is between the ends."""
@@ -355,6 +357,26 @@ def sample_gas(p, s, work, at, rows, i):
         return
     h, theta, x = at
     t = s.time + theta * h
+    outlet = _outlet_within(p, s, work, h, theta)
+    rows[i, FIRST_COLUMN] = outlet
+    rows[i, FIRST_COLUMN + 1] = flows(p, effective_area(p, x), inlet_pressure(s, t), outlet)[0]
+
+
+@inlined
+def _no_pressure(p, s, work, h, theta, rows, i):
+    return None
+
+
+@for_gas(_no_pressure)
+def sample_pressure(p, s, work, h, theta, rows, i):
+    """Fill `PRESSURE_COLUMN` of row i of an output of two columns; arguments as of `sample_gas`."""
+    if rows.shape[1] == PRESSURE_COLUMN + 1:
+        rows[i, PRESSURE_COLUMN] = _outlet_within(p, s, work, h, theta)
+
+
+@inner
+def _outlet_within(p, s, work, h, theta):
+    """p_o at the fraction theta of a step, Pa; solved for anew where the dense output of a stiff step may not hold."""
     change = abs(work.gas_new[DENSITY] - work.gas[DENSITY])
     has_settled = not s.moving and change <= SETTLED * work.gas_new[DENSITY]
     if work.stiffness > STIFF and 0.0 < theta < 1.0 and not has_settled:
@@ -363,10 +385,8 @@ def sample_gas(p, s, work, at, rows, i):
         outlet = pressure_at(p, work.gas_new[DENSITY])
         try_step(p, s, work, h)
         work.stiffness = stiffness
-    else:
-        outlet = pressure_at(p, density_within(work, h, theta))
-    rows[i, FIRST_COLUMN] = outlet
-    rows[i, FIRST_COLUMN + 1] = flows(p, effective_area(p, x), inlet_pressure(s, t), outlet)[0]
+        return outlet
+    return pressure_at(p, density_within(work, h, theta))
 
 
 @compiled
