@@ -376,10 +376,7 @@ class InPieces(Protocol):
 
 @runtime_checkable
 class ShortSteps(Protocol):
-    """A plant whose derivatives change within the usual step of a difference quotient: an optional member.
-
-    Those of another place do not serve in its fits either.
-    """
+    """A plant whose derivatives change within the usual step of a difference quotient: an optional member."""
 
     @property
     def short_step(self) -> float | None:

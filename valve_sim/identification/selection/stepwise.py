@@ -132,7 +132,11 @@ class Exploration:
         if not self._is_adequate_without_doubt(base):
             return False
         gains = score_gains(self.search.fit(base))
-        if self._is_promising(gains):
+        promising = self._promising(gains)
+        tried = {name: base.adding(name) for name in promising}
+        self.search.fit_each(list(tried.values()), (0.0, 0.1))
+        gains |= {name: self.search.score(base) - self.search.score(larger) for name, larger in tried.items()}
+        if not gains or any(gains[name] > 0.0 for name in promising):
             return False
         self.screened = gains
         return True
@@ -153,14 +157,14 @@ class Exploration:
             return False
         return True
 
-    def _is_promising(self, gains: Mapping[str, float]) -> bool:
-        """Whether the score test finds anything that a refit might make decisive.
+    def _promising(self, gains: Mapping[str, float]) -> list[str]:
+        """What a refit might make decisive, by the score test, which is exact only where the model is linear.
 
         That of a declared value, or of an effect that is the same thing as one, is all but exact: 3.1 tolerances.
         """
         toleranced = {name for own in self.plant.nuisances for name in (own.name, own.same_as)}
         is_exact = {name for name, effect in self.plant.effects.items() if toleranced & set(effect.free_names())}
-        return not gains or any(gain > (0.5 * DECISIVE if name in is_exact else 0.0) for name, gain in gains.items())
+        return [name for name, gain in gains.items() if gain > (0.5 * DECISIVE if name in is_exact else 0.0)]
 
     def _drop_idle(self) -> None:
         """Drop members of the best that have no effect: the smaller hypothesis only lacked a good start."""

@@ -46,8 +46,7 @@ STAGES: Final = 6
 FIRST_COLUMN: Final = 7
 """Of gas in a row of output, after those of every valve; a row that ends before has none."""
 GAS_COLUMNS: Final = 2
-PRESSURE_COLUMN: Final = 1
-"""Of the outlet pressure in a row of two, as fits ask for it, behind the pilot's position."""
+PRESSURE_COLUMN: Final = 1  # in a row of two, as fits ask for it
 QUANTITIES: Final = 3
 """Of gas that are stepped: density, mass that came in, mass that went out."""
 DENSITY, MASS_IN, MASS_OUT = np.arange(QUANTITIES)
