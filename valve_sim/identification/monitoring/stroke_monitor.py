@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final, NamedTuple
 
@@ -36,6 +36,7 @@ from valve_sim.identification.monitoring.findings import (
     StrokeRecord,
     StrokeState,
     Unusable,
+    WaitsForPressure,
 )
 from valve_sim.identification.monitoring.held_valve import held_fault
 from valve_sim.identification.monitoring.scores import (
@@ -114,6 +115,7 @@ class StrokeMonitor:
         self._scatter: CommandScatter | None = None
         self._sums: Sums | None = None
         self._recent: deque[_Assessed] = deque(maxlen=settings.diagnosis_strokes)
+        self._between: deque[Trace] = deque(maxlen=settings.diagnosis_strokes)
         self._leading, self._sum, self._threshold = "", math.nan, math.nan
         self._last_raised = -math.inf
         self._judged = 0
@@ -218,7 +220,7 @@ class StrokeMonitor:
             refit: whether to refit the dampings to it, for the report.
         """
         record = self._with_fault(record)
-        scored, scores, alarm, state, remark = None, {}, None, StrokeState.NOT_JUDGED, record.remark
+        scored, scores, alarm, state, remark = None, {}, None, StrokeState.NOT_JUDGED, self._hindrance(record)
         if remark is None:
             try:
                 if self.commissioning is None and is_held_too_short(record.trace, self._declared):
@@ -236,8 +238,18 @@ class StrokeMonitor:
                     alarm = self._add(record, scored, scores)
             except (SimulationError, np.linalg.LinAlgError) as error:
                 state, remark = StrokeState.NOT_JUDGED, NotSimulated(str(error))
+        if scored is None and self.commissioning is not None:
+            self._between.append(record.trace)
         damping = self._refitted(record.trace) if refit and scored is not None else {}
         return self._report(record, scored, scores, alarm, state, remark, damping)
+
+    def _hindrance(self, record: StrokeRecord) -> Remark | None:
+        """Why a stroke cannot be compared with the baseline; None where it can.
+
+        One that waits for the pressure can, once there is a baseline: how long it waits tells a clogged pilot orifice.
+        """
+        is_waiting = isinstance(record.remark, WaitsForPressure) and record.trace.has_positions
+        return None if is_waiting and self.commissioning is not None else record.remark
 
     def _with_fault(self, record: StrokeRecord) -> StrokeRecord:
         """A stroke with what its current says of the valve, and whether it is by the sensor of the baseline."""
@@ -273,6 +285,7 @@ class StrokeMonitor:
         self._leading, self._sum, self._threshold = "", math.nan, self._sums.threshold
         self._scatter = CommandScatter(baseline.jitter, strokes)
         self._recent.clear()
+        self._between.clear()
         self._last_raised, self._judged, self._isolate_at = -math.inf, 0, 0
         self._first, self.alarm = [], None
         self.commissioning = commissioning
@@ -282,6 +295,7 @@ class StrokeMonitor:
         self.commissioning = self._sums = self._scatter = self.alarm = None
         self._first = []
         self._recent.clear()
+        self._between.clear()
         self._leading, self._sum, self._threshold = "", math.nan, math.nan
 
     def _allowed(self, record: StrokeRecord, commissioning: Commissioning) -> float:
@@ -294,7 +308,9 @@ class StrokeMonitor:
         assert self._sums is not None
         self._judged += 1
         furthest = max(map(abs, scores.values()), default=0.0)
-        self._recent.append(_Assessed(record.number, record.trace, scored.shifts, furthest))
+        trace = record.trace if self._declared.gas is None else _after(self._between, record.trace)
+        self._recent.append(_Assessed(record.number, trace, scored.shifts, furthest))
+        self._between.clear()
         # Delays that cannot be scored count as 0, so that earlier ones decay from their sums.
         unknown = {name: 0.0 for name in DELAYS if self.is_timing_uncertain and name in self._sums}
         alarm = self._sums.add(record.number, {**unknown, **scores})
@@ -360,6 +376,19 @@ class _Assessed(NamedTuple):
     trace: Trace
     shifts: Array
     furthest: float
+
+
+def _after(earlier: Sequence[Trace], trace: Trace) -> Trace:
+    """A stroke with the commands of those before it that were not compared, and so are not in the evidence.
+
+    With gas they have filled the line behind the valve all the same.
+    """
+    if not earlier:
+        return trace
+    strokes = [*earlier, trace]
+    times = [stroke.drive.times + (stroke.epoch_ns - trace.epoch_ns) / 1e9 for stroke in strokes]
+    drive = Drive(np.concatenate(times), np.concatenate([stroke.drive.volts for stroke in strokes]))
+    return replace(trace, drive=drive, outlet_start=earlier[0].outlet_start)
 
 
 def _retimed(trace: Trace, shifts: Array) -> Trace:
