@@ -20,7 +20,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from valve_sim.identification.estimation.intervals import Interval, covariance_interval
+from valve_sim.identification.estimation.intervals import Interval, profile_interval
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.monitoring.fault_isolation import isolate_fault, join
@@ -44,8 +44,6 @@ LEVELS: Final = (9.0, 12.0, 10.5)
 """V."""
 HEALTHY, FAULTY, COMMISSIONING = 10, 20, 8
 """Strokes before the fault, with it at most, and of commissioning."""
-HALF_WIDTH: Final = 1.96
-"""Standard errors of an interval of 95 %."""
 
 
 class Case(NamedTuple):
@@ -58,12 +56,11 @@ class Case(NamedTuple):
 
 
 class Found(NamedTuple):
-    """What was isolated: strokes since the fault began, effects, the estimate and its standard error, CPU s."""
+    """What was isolated: strokes since the fault began, effects, the size where it was named right, CPU s."""
 
     strokes: int
     effects: tuple[str, ...]
-    estimate: float
-    stderr: float
+    size: Interval | None
     seconds: float
 
 
@@ -102,7 +99,7 @@ def sized(evidence: Sequence[Trace], baseline: Baseline, name: str) -> Interval:
     trace = join(evidence, baseline)
     plant = CommissionedPlant(trace, baseline.commissioned, baseline.scatter)
     start = starts_by_lift(trace, baseline.valve)[name.partition(".")[0]]
-    return covariance_interval(fit(Problem(plant), (name,), start, nuisances=plant.nuisances), name)
+    return profile_interval(fit(Problem(plant), (name,), start, nuisances=plant.nuisances), name)[0]
 
 
 def examined(seed: int, *, sizes: bool) -> tuple[Case, Found | None]:
@@ -125,8 +122,7 @@ def examined(seed: int, *, sizes: bool) -> tuple[Case, Found | None]:
                     else:
                         finding = isolate_fault(evidence, baseline)
                         effects, known = finding.verdict.effects, finding.parameters.get(case.name)
-                    value, error = (known.value, known.stderr) if known is not None else (np.nan, np.nan)
-                    return case, Found(after, effects, value, error, time.process_time() - begun)
+                    return case, Found(after, effects, known, time.process_time() - begun)
     return case, None
 
 
@@ -143,17 +139,17 @@ def main() -> None:
         if found is None:
             print(f"{seed} | {case.words} | {case.name} {case.truth:.4g} | nothing isolated", flush=True)
             continue
-        is_right = found.effects == (case.name.partition(".")[0],)
-        error = (found.estimate - case.truth) / found.stderr
+        is_right, size = found.effects == (case.name.partition(".")[0],), found.size
         right += is_right
-        covered += is_right and abs(error) <= HALF_WIDTH
+        covered += is_right and size is not None and size.low <= case.truth <= size.high
+        of_size = f"{size.value:.6g}, {size.low:.6g} to {size.high:.6g}" if size is not None else "–"
         print(
-            f"{seed} | {case.words} | {case.name} {case.truth:.4g} | after {found.strokes} strokes "
-            f"{' + '.join(found.effects) or 'nothing'} | {found.estimate:.6g} ± {HALF_WIDTH * found.stderr:.2g}, "
-            f"{error:+.2f} standard errors off | {found.seconds:.0f} s",
+            f"{seed} | {case.words} | {case.name} {case.truth:.6g} | after {found.strokes} strokes "
+            f"{' + '.join(found.effects) or 'nothing'} | {of_size} | {found.seconds:.0f} s",
             flush=True,
         )
-    print(f"named {right} of {options.seeds}; the interval of 95 % holds the truth in {covered} of these")
+    verb = "sized" if options.sizes else "named"
+    print(f"{verb} {right} of {options.seeds}; the interval of 95 % holds the truth in {covered} of these")
 
 
 if __name__ == "__main__":

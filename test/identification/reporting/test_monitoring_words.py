@@ -81,6 +81,10 @@ def test_what_has_changed_is_said_with_its_size_and_what_it_was() -> None:
 def test_what_is_left_of_an_orifice_is_a_share_of_what_it_was() -> None:
     clogged = {"pilot_clogging.ratio": Interval(0.6, 0.031, 0.54, 0.66)}
     assert finding_words(found(("pilot_clogging",), clogged)) == "pilot orifice at 60.0 ± 3.1 % of when commissioned"
+    in_vain = {"pilot_clogging.ratio": Interval(0.311, 0.051, 0.2506, 0.6112)}
+    assert (
+        finding_words(found(("pilot_clogging",), in_vain)) == "pilot orifice at 31 % (25 to 61 %) of when commissioned"
+    )
     leak = {"seat_leak.area": Interval(2.1e-9, 1e-10, 1.9e-9, 2.3e-9)}
     assert finding_words(found(("seat_leak",), leak)) == "Leaking seat 0.00210 ± 0.00010 mm², none when commissioned"
 

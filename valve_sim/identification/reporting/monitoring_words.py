@@ -42,6 +42,8 @@ _UNUSABLE: Final = {
     Unusable.OTHER_SENSOR: "positions, or their absence, are not as when the valve was commissioned: recommission it",
     Unusable.HELD_TOO_BRIEFLY: f"{TIMING_UNCERTAIN}: it was held open for less than half as long as commanded",
 }
+LOPSIDED: Final = 3.0
+"""Standard errors from a value to an end of its 95 % interval, beyond which they do not describe it."""
 _NOT_CREDIBLE: Final = (
     "the strokes are not those of the commissioned valve, and no effect is known well enough to be named"
 )
@@ -135,8 +137,13 @@ def _changed_value(effect: str, finding: FaultFinding) -> str:
 
 
 def _percent(share: Interval) -> str:
-    """60 ± 3 %, of a share with its standard error; rounded to two digits of the latter."""
+    """60.0 ± 3.1 %, of a share with its standard error; or 31 % (25 to 61 %), where that says too little.
+
+    Strokes of a valve that never opens say that its pilot orifice is small enough for that, and little more.
+    """
     value, error, low, high = (100.0 * bound for bound in (share.value, share.stderr, share.low, share.high))
+    if max(high - value, value - low) > LOPSIDED * error:
+        return f"{value:.0f} % ({max(low, 0.0):.0f} to {min(high, 100.0):.0f} %)"
     return measured(Interval(value, error, low, high), "%")
 
 
