@@ -238,6 +238,22 @@ def test_starts_that_cannot_be_simulated_are_left_out(monkeypatch: pytest.Monkey
         searched(monkeypatch, world).fit(of(""))
 
 
+def test_what_cannot_be_simulated_is_left_out_of_a_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Far from the data one effect of fifty could not be simulated, and the diagnosis ended with its error."""
+    world = World(
+        {"": 300.0, "a": 100.0, "b": 50.0}, switches("ab"), fails=lambda start: start.get("b.size", 0.0) > 0.0
+    )
+    search = searched(monkeypatch, world)
+    search.fit(of(""))
+    search.fit_each([of("a"), of("b")], (0.0, 1.0))
+    assert of("a") in search.log
+    assert of("b") not in search.log
+    assert search.is_tried(of("b"))
+    assert search.untried == ["B: the model cannot be simulated from any start of the fit"]
+    search.fit_each([of("b")], (0.0, 1.0))
+    assert len(search.untried) == 1
+
+
 def test_it_is_annealed_once_and_the_better_fit_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     world = World({"": 300.0, "a": 100.0}, switches("a"), annealed={"a": 80.0})
     search = searched(monkeypatch, world)

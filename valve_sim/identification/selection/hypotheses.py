@@ -76,10 +76,11 @@ class Search:
         self._annealed: set[Hypothesis] = set()
         self._polished: set[Hypothesis] = set()
         self._on_trial: set[Hypothesis] = set()
+        self._impossible: set[Hypothesis] = set()
 
     def is_tried(self, hypothesis: Hypothesis) -> bool:
-        """Whether a hypothesis was fitted, and not only begun when the time was used up."""
-        return hypothesis in self.log and hypothesis not in self._on_trial
+        """Whether a hypothesis was fitted, and not only begun when the time was used up, or cannot be simulated."""
+        return hypothesis in self._impossible or (hypothesis in self.log and hypothesis not in self._on_trial)
 
     def say(self, what: str, fraction: float) -> None:
         """Report progress."""
@@ -103,23 +104,26 @@ class Search:
     def fit_each(self, hypotheses: Sequence[Hypothesis], fractions: tuple[float, float]) -> None:
         """Fit hypotheses of equal size in parallel: they start from smaller ones, not from each other.
 
-        All make a few iterations; then those that cannot come near the best few any more are given up.
+        All make a few iterations; then those that cannot come near the best few any more are given up. What cannot be
+        simulated from any start is left out, and said to be untried.
 
         Args:
             hypotheses: what to fit.
             fractions: of the diagnosis that are done before and after.
         """
         before, after = fractions
-        new = [hypothesis for hypothesis in dict.fromkeys(hypotheses) if hypothesis not in self.log]
+        settled = {*self.log.best, *self._impossible}
+        new = [hypothesis for hypothesis in dict.fromkeys(hypotheses) if hypothesis not in settled]
         done = {hypothesis: index / len(new) for index, hypothesis in enumerate(new)}
         self.log.expect(new)
         try:
             trial = Effort(most=TRIAL)
             run_parallel(
-                lambda h: self._begin(h, trial), new, lambda h: self.say(str(h), before + (after - before) * done[h])
+                lambda h: self._try(h, trial), new, lambda h: self.say(str(h), before + (after - before) * done[h])
             )
-            limit = self._limit(new)
-            run_parallel(lambda h: self._end(h, limit), new)
+            begun = [hypothesis for hypothesis in new if hypothesis not in self._impossible]
+            limit = self._limit(begun)
+            run_parallel(lambda h: self._end(h, limit), begun)
         except OutOfTimeError:
             self.untried.extend(str(hypothesis) for hypothesis in new if not self.is_tried(hypothesis))
             raise
@@ -132,6 +136,14 @@ class Search:
         last = sorted((self.log[hypothesis] for hypothesis in hypotheses), key=lambda found: found.score)[RIVALS - 1]
         beyond_noise = last.chi2 / self.problem.variance_inflation - self.problem.effective_samples
         return last.score + max(NEAR, NEAR_SHARE * beyond_noise)
+
+    def _try(self, hypothesis: Hypothesis, effort: Effort) -> None:
+        """Begin a hypothesis, or note that it cannot be simulated."""
+        try:
+            self._begin(hypothesis, effort)
+        except SimulationError as error:
+            self._impossible.add(hypothesis)
+            self.untried.append(str(error))
 
     def _begin(self, hypothesis: Hypothesis, effort: Effort) -> None:
         """Fit a hypothesis from each start."""

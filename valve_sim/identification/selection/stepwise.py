@@ -135,7 +135,9 @@ class Exploration:
         promising = self._promising(gains)
         tried = {name: base.adding(name) for name in promising}
         self.search.fit_each(list(tried.values()), (0.0, 0.1))
-        gains |= {name: self.search.score(base) - self.search.score(larger) for name, larger in tried.items()}
+        fitted = {name: larger for name, larger in tried.items() if larger in self.search.log}
+        gains |= dict.fromkeys(promising, 0.0)  # of what cannot be simulated, and now of the others:
+        gains |= {name: self.search.score(base) - self.search.score(larger) for name, larger in fitted.items()}
         if not gains or any(gains[name] > 0.0 for name in promising):
             return False
         self.screened = gains
@@ -183,6 +185,7 @@ class Exploration:
         timed = [Hypothesis((), True), *(hypothesis._replace(timing=True) for hypothesis in best)]
         search.fit(timed[0])
         search.fit_each(timed[1:], (0.3, 0.3))
+        timed = [hypothesis for hypothesis in timed if hypothesis in search.log]
         explain_more = search.score(search.best(timed)) < search.score(best[0]) - DECISIVE
         if explain_more or any(self.is_adequate(hypothesis) for hypothesis in timed):
             search.fit_each([Hypothesis((name,), timing=True) for name in names], (0.3, 0.5))
