@@ -259,7 +259,10 @@ def test_diagnose_within_a_small_budget_says_what_it_left(tmp_path: Path, monkey
     report = json.loads((tmp_path / "report.json").read_text())
     untried = report["untried"]
     assert untried
-    assert f"The time was used up with {len(untried)} left untried: {untried[0]}" in " ".join(output.split())
+    assert (
+        f"For want of time, or because it cannot be simulated, {len(untried)} left untried: {untried[0]}"
+        in " ".join(output.split())
+    )
     page = html.unescape((tmp_path / "report.html").read_text())
     assert all(f"<li>{what}</li>" in page for what in untried)
     assert report["after"]["rmse_um"]["train"] <= report["before"]["rmse_um"]["train"]

@@ -96,8 +96,8 @@ class Diagnosis:
     """The outcome of `diagnose_plant`.
 
     `recommendation` is the experiment that separates the competing models best, where one does; `untried` is what was
-    left to try when the time was used up; `looks` is how often held-out data were opened to judge a choice;
-    `detection_limits` is, where nothing is missing, how large each effect would have to be to show.
+    left untried when the time was used up, or could not be simulated; `looks` is how often held-out data were opened to
+    judge a choice; `detection_limits` is, where nothing is missing, how large each effect would have to be to show.
     """
 
     plant: Plant

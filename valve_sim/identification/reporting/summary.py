@@ -14,14 +14,14 @@ SHOWN_UNTRIED: Final = 4
 
 
 def summarise(diagnosis: Diagnosis) -> str:
-    """What is claimed, how well that is known, and what was left to try when the time was used up."""
+    """What is claimed, how well that is known, and what was left untried."""
     verdict, untried = diagnosis.verdict, diagnosis.untried
     sentences = [claim(verdict, advice_of(diagnosis.plant))]
     if verdict.kind == "insufficient":
         sentences.append(recording_advice(diagnosis))
     if untried:
         few = ", ".join(untried[:SHOWN_UNTRIED]) + (", ..." if len(untried) > SHOWN_UNTRIED else "")
-        sentences.append(f"The time was used up with {len(untried)} left untried: {few}.")
+        sentences.append(f"For want of time, or because it cannot be simulated, {len(untried)} left untried: {few}.")
     return " ".join(sentences)
 
 

@@ -65,7 +65,7 @@ class Search:
 
     Attributes:
         log: every fit, a row each.
-        untried: what was to be tried when the time was used up, in words.
+        untried: what was to be tried when the time was used up, or cannot be simulated, in words.
     """
 
     def __init__(self, problem: Problem, progress: Progress | None = None) -> None:
@@ -127,6 +127,9 @@ class Search:
         except OutOfTimeError:
             self.untried.extend(str(hypothesis) for hypothesis in new if not self.is_tried(hypothesis))
             raise
+        finally:
+            # Here, not where it is found out: which of them is first there is a matter of chance.
+            self.untried.extend(str(hypothesis) for hypothesis in new if hypothesis in self._impossible)
         self.log.drop_derivatives(KEPT)
 
     def _limit(self, hypotheses: Sequence[Hypothesis]) -> float:
@@ -141,9 +144,8 @@ class Search:
         """Begin a hypothesis, or note that it cannot be simulated."""
         try:
             self._begin(hypothesis, effort)
-        except SimulationError as error:
+        except SimulationError:
             self._impossible.add(hypothesis)
-            self.untried.append(str(error))
 
     def _begin(self, hypothesis: Hypothesis, effort: Effort) -> None:
         """Fit a hypothesis from each start."""
