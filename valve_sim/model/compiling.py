@@ -4,11 +4,19 @@ Numba looks at a function's own file only when it decides whether a cached versi
 in a folder named after a digest of every source in this room: change one, and all is compiled anew. The folder is
 the user's own (the package may be installed read-only) and not writable by others: Numba unpickles the files in it, so
 anyone who can write there can run code as this user. A folder that somebody else owns or can write to is not used.
+
+Processes share the folder, and a process may load code that several others compiled. Numba names a compiled function by
+its Python name, the types of its arguments and a number that counts in every process from 1, and knows a record type by
+such a number too: a function for valves with gas, compiled in one process, and the same function for valves without,
+compiled in another, could have one name, and a process that loads both would run one of the two for both
+(https://github.com/numba/numba/issues/10486). So the numbers are drawn at random here, and one process at a time
+writes, since two would choose the same file for different code.
 """
 
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import hashlib
 import os
 import shutil
@@ -22,6 +30,7 @@ from types import FunctionType
 from typing import Any, Final
 
 import numba
+from numba.core.bytecode import FunctionIdentity
 
 _ROOM: Final = 16_000_000
 """Bytes that must be free: the compiled code takes about two million, and Numba fails if it cannot write all of it."""
@@ -104,6 +113,10 @@ def cached() -> Iterator[bool]:
         settings.CACHE_DIR = before
 
 
+FunctionIdentity._unique_ids = iter(lambda: int.from_bytes(os.urandom(16)), None)  # type: ignore[assignment]
+"""Numbers of compiled functions, unlike those of any other process, one forked from this included."""
+
+
 def compiled(function: Callable[..., Any]) -> Any:
     """Compile when first called, keep on disk, release the interpreter lock; divisions follow IEEE 754."""
     with cached() as has_folder:
@@ -120,10 +133,20 @@ def _keep_where_possible(dispatcher: Any) -> None:
     keep = cache.save_overload
 
     def keep_if_possible(signature: Any, result: Any) -> None:
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError), _alone_in(Path(cache.cache_path)):
             keep(signature, result)
 
     cache.save_overload = keep_if_possible
+
+
+@contextlib.contextmanager
+def _alone_in(folder: Path) -> Iterator[None]:
+    """Context that one process at a time is in: Numba reads its index, chooses a file and writes both, unguarded."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / "lock").open("w") as lock:
+        with contextlib.suppress(OSError):  # some network file systems lock nothing
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
 
 
 _announcements: list[Callable[[], None]] = []
