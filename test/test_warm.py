@@ -7,6 +7,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+from valve_sim.files.parameter_files import load_valve
+from valve_sim.files.resources import config_path
+from valve_sim.model import Stepper, driver, transitions
+from valve_sim.model.gas import boundary
+from valve_sim.warm import warm_gas
+
 SIMULATE = ("-m", "valve_sim", "simulate", "--voltage", "9", "--duration", "0.02", "--output")
 USE_ALL = """
 import numpy as np
@@ -55,3 +61,17 @@ def test_what_is_warm_compiles_nothing_and_what_is_not_says_so(tmp_path: Path) -
     assert len(warmed) > 10
     runs = [name for name in warmed if "driver.run-" in name and name.endswith(".nbc")]
     assert len(runs) == 2, "one plain run of the core and one with derivatives, not another for each type of a count"
+
+
+def test_gas_is_warm_once_it_is_asked_for() -> None:
+    """What a live valve with gas calls is compiled, or loaded, for records with gas."""
+    warm_gas()
+    used = (driver.run, boundary.fill_outlets, boundary.set_inlet, boundary.set_demand, transitions.set_voltage)
+    before = [len(function.signatures) for function in used]
+    stepper = Stepper(load_valve(config_path("gas_tank_1.yaml")))
+    stepper.command(1e-3, 9.0)
+    stepper.supply(1e-3, 20e6)
+    stepper.set_demand_pressure(1e-3, 14e6)
+    stepper.advance(2e-3)
+    assert [len(function.signatures) for function in used] == before
+    assert min(before) > 0

@@ -22,7 +22,7 @@ from valve_sim.nodes.parameters import NodeParameter, table
 from valve_sim.traces.layout import CHANNELS, COIL, COIL_STATE, MEASURED
 
 _NODES: Final = {
-    "valve_node": ("valve_shell.py",),
+    "valve_node": ("valve_shell.py", "gas_topics.py"),
     "identification_node": ("identification_shell.py",),
     "monitor_node": ("monitor_shell.py", "monitor_inputs.py"),
     "command_profile": ("command_profile_shell.py",),

@@ -1,18 +1,23 @@
 """Compile the model now, so that no first command or node has to: `python -m valve_sim.warm`.
 
 What is compiled is kept in the user's cache folder and found there from then on. `make` runs this; after pip or colcon,
-which run no code of a package, it can be run by hand, or the first use takes the time and says so.
+which run no code of a package, it can be run by hand, or the first use takes the time and says so. `--gas` compiles the
+model with gas as well, which takes half as long again and which most never use.
 """
 
 from __future__ import annotations
 
+import argparse
 import sys
+from dataclasses import replace
 
 import numpy as np
 
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.model import CATALOGUE, Drive, Stepper, Valve, ValveError, simulate, simulate_many
 from valve_sim.model.compiling import announce_compiling
+from valve_sim.model.gas import GasParameters
+from valve_sim.model.gas.line import Gas, Line
 from valve_sim.model.sensitivities import NUMBERS, Tangents, run_tangents
 from valve_sim.model.simulation import TOLERANCE, Samples, new_states
 
@@ -39,11 +44,29 @@ def _warm_derivatives(valve: Valve, drive: Drive) -> None:
     run_tangents(record, new_states(record, 0.0), drive, samples, nothing_moves, TOLERANCE)
 
 
+def warm_gas() -> None:
+    """The same of a valve with gas: whole runs, a live valve, and a line that several fill."""
+    sizes = GasParameters(1e7, 1e-5, 2e-4, 3e-3, 4e-3)
+    valve = replace(default_valve().with_values(seat_load=0.3), gas=sizes)
+    simulate(valve, Drive.of([0.0], [valve.parameters.reference_voltage]), [0.0, 1e-3])
+    stepper = Stepper(valve)
+    stepper.command(1e-3, valve.parameters.reference_voltage)
+    stepper.supply(1e-3, sizes.inlet_pressure)
+    stepper.set_demand_pressure(1e-3, sizes.demand_pressure)
+    stepper.advance(2e-3)
+    Line(Gas(), (1e-9,), 1e-9, 1e-6, 1e-6).step((1e-6, 1e-6), (1e6,), 1e-3)
+
+
 def main() -> int:
     """Compile what is missing; 0, or 2 after one line on stderr."""
+    parser = argparse.ArgumentParser(description="Compile the model now, so that no first command or node has to.")
+    parser.add_argument("--gas", action="store_true", help="the model with gas as well")
+    has_gas = parser.parse_args().gas
     announce_compiling(lambda: print("compiling the model for this machine (ten seconds or so, once)", flush=True))
     try:
         warm()
+        if has_gas:
+            warm_gas()
     except ValveError as error:
         print(f"warm: {error}", file=sys.stderr)
         return 2

@@ -13,7 +13,7 @@ from valve_sim.nodes.diagnostics import (
     Reminder,
     ValveFacts,
     command_status,
-    inlet_pressure_status,
+    pressure_status,
     timing_status,
     valve_status,
 )
@@ -113,14 +113,14 @@ def test_trouble_now_and_then_does_not_count_from_the_start_each_time() -> None:
 
 def test_a_rejected_tank_pressure_is_a_warning_until_a_good_one_comes() -> None:
     count = CommandCount()
-    status = inlet_pressure_status(70e6, count.rejections(), 0)
+    status = pressure_status("inlet pressure", 70e6, count.rejections(), 0)
     assert (status.task, status.level, status.values["pressure (Pa)"]) == ("inlet pressure", Level.OK, "7e+07")
     count.reject(math.nan)
     count.reject(-1.0)
-    status = inlet_pressure_status(70e6, count.rejections(), 1)
+    status = pressure_status("inlet pressure", 70e6, count.rejections(), 1)
     assert (status.level, status.message) == (Level.WARN, "2 rejected, the last of -1 Pa; the last good one stays")
     assert (status.values["rejected"], status.values["publishers of incompatible QoS"]) == ("2", "1")
-    status = inlet_pressure_status(70e6, count.rejections(), 1)
+    status = pressure_status("inlet pressure", 70e6, count.rejections(), 1)
     assert status.message == "the last, of -1 Pa, was rejected; the last good one stays"
     count.accept()
-    assert inlet_pressure_status(60e6, count.rejections(), 0).level is Level.OK
+    assert pressure_status("inlet pressure", 60e6, count.rejections(), 0).level is Level.OK

@@ -31,23 +31,24 @@ def probe(in_own_domain: None) -> Iterator[Probe]:
     rclpy.try_shutdown()
 
 
-def rejected(heard: list[Any]) -> int:
-    """How many pressures the node has ignored, by its last word."""
+def last_word(heard: list[Any], task: str, key: str) -> float:
+    """What the node has said last on /diagnostics; 0 before it has."""
     found = [
-        int(item.value)
+        float(item.value)
         for message in heard
         for status in message.status
-        if status.name == "valve: inlet pressure"
+        if status.name == f"valve: {task}"
         for item in status.values
-        if item.key == "rejected"
+        if item.key == key
     ]
-    return found[-1] if found else 0
+    return found[-1] if found else 0.0
 
 
 def test_the_line_fills_the_valve_opens_and_the_tank_is_followed(probe: Probe, tmp_path: Path) -> None:
     is_open, flow = probe.hear("is_open", Bool, latched=True), probe.hear("mass_flow", Float64)
     outlet, told = probe.hear("outlet_pressure", FluidPressure), probe.hear("/diagnostics", DiagnosticArray)
     coil, tank = probe.talker("coil_voltage", Float64), probe.talker("inlet_pressure", FluidPressure)
+    line = probe.talker("demand_pressure", FluidPressure)
 
     def is_near(pressure: float) -> bool:
         return bool(outlet) and abs(outlet[-1].fluid_pressure / pressure - 1.0) < 1e-3
@@ -63,6 +64,11 @@ def test_the_line_fills_the_valve_opens_and_the_tank_is_followed(probe: Probe, t
         assert probe.insist(lambda: tank.publish(FluidPressure(fluid_pressure=60e6)), lambda: is_near(60e6))
         for pressure in (math.nan, -1.0, math.inf):
             tank.publish(FluidPressure(fluid_pressure=pressure))
-        assert probe.until(lambda: rejected(told) == 3)
+        assert probe.until(lambda: last_word(told, "inlet pressure", "rejected") == 3)
         assert is_near(60e6)
         assert "/valve/inlet_pressure: nan Pa is ignored, expected a number from 1000 to 2e+08 Pa" in node.output
+        for pressure in (3e6, math.nan):
+            line.publish(FluidPressure(fluid_pressure=pressure))
+        assert probe.until(lambda: last_word(told, "demand pressure", "rejected") == 1)
+        assert last_word(told, "demand pressure", "pressure (Pa)") == 3e6
+        assert "/valve/demand_pressure: nan Pa is ignored, expected a number from 1000 to 2e+08 Pa" in node.output

@@ -221,9 +221,35 @@ def test_the_tank_pressure_is_followed_from_its_own_time_on_however_time_is_cut(
 def test_a_pressure_that_no_tank_has_is_ignored(pressure: float) -> None:
     live = with_gas()
     assert live.supply(START, 60e6)
+    assert live.set_demand_pressure(START, 2e6)
     assert not live.supply(START, pressure)
+    assert not live.set_demand_pressure(START, pressure)
     run(live, [1.0])
-    assert live.inlet_pressure == 60e6
+    assert (live.inlet_pressure, live.demand_pressure) == (60e6, 2e6)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.01])
+def test_the_demand_pressure_is_followed_through_a_reset_until_another_is_declared(delay: float) -> None:
+    """Of a valve that stays closed, whose outlet takes the pressure behind its demand's orifice."""
+    valve = load_valve(CONFIG / "gas_tank_1.yaml")
+    assert valve.gas is not None
+    gas = valve.gas._replace(demand_orifice_diameter=1e-3)
+    effects = {"sensor_delay": {"delay": delay}} if delay else {}
+    live = LiveValve(dataclasses.replace(valve, gas=gas, effects=effects))
+    live.restart(START, START)
+    live.set_demand_pressure(START + MILLISECOND, 5e6)
+    assert run(live, [200.0])[-1].reading.outlet_pressure == pytest.approx(5e6, rel=1e-9)
+    live.reset(START + 200 * MILLISECOND)
+    step = run(live, [400.0])[-1]
+    assert (step.failure, live.demand_pressure) == ("", 5e6)
+    assert step.reading.outlet_pressure == pytest.approx(5e6, rel=1e-9)
+    live.set_valve(START + 400 * MILLISECOND, live.valve.with_values(main_damping=3.5))
+    run(live, [401.0])
+    assert live.demand_pressure == 5e6
+    other = dataclasses.replace(live.valve, gas=gas._replace(demand_pressure=2e6))
+    live.set_valve(START + 401 * MILLISECOND, other)
+    assert run(live, [600.0])[-1].reading.outlet_pressure == pytest.approx(2e6, rel=1e-9)
+    assert live.demand_pressure == 2e6
 
 
 def test_the_tank_pressure_stays_through_a_reset_until_another_is_declared() -> None:

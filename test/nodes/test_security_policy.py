@@ -65,13 +65,13 @@ def rights_in_use(node: Any, name: str) -> Rights:
 
 @pytest.fixture
 def station(in_own_domain: None, tmp_path: Path) -> Iterator[Probe]:
-    """A tank, and the sequencer, which waits for the others; on simulated time, which needs a right of its own."""
+    """A tank with gas, and the sequencer, which waits for the others; on simulated time, which needs its own right."""
     plan = read_launch_file(ROOT / "launch" / "station.launch.py")
     sequencer = [sys.executable, str(ROOT / "docs" / "examples" / "sequencer.py"), "--ros-args"]
     words = ["-p", "patience:=1000.0", "-p", "use_sim_time:=true"]
     rclpy.init()
     probe = Probe()
-    with plan.running(tmp_path, ("tank_1",), {"use_sim_time": "true"}):
+    with plan.running(tmp_path, ("tank_1",), {"gas": "true", "use_sim_time": "true"}):
         process = subprocess.Popen([*sequencer, *words], env={**os.environ, "ROS_LOG_DIR": str(tmp_path)})
         yield probe
         process.kill()

@@ -262,18 +262,28 @@ class GasValve:
         net = self.net(main, self.x, 0.0, self.u, self.p)
         self.moving, self.way = abs(net) > self.friction, 1 if net > 0.0 else -1
 
-    def run(self, drive: Sequence[tuple[float, float]], times: Array, inlet: Sequence[tuple[float, float]] = ()) -> Any:
-        """Go through commands (s, V) and inlet pressures (s, Pa; held) up to the last of the times.
+    def run(
+        self,
+        drive: Sequence[tuple[float, float]],
+        times: Array,
+        inlet: Sequence[tuple[float, float]] = (),
+        demand: Sequence[tuple[float, float]] = (),
+    ) -> Any:
+        """Go through commands (s, V), inlet and demand pressures (s, Pa; held) up to the last of the times.
 
         Returns:
             (n,) positions of the pilot plunger, m; outlet pressures, Pa; mass flows, kg/s.
         """
         shown = np.zeros((3, len(times)))
         shown[1, times <= 0.0] = self.p
-        changes = sorted([(t, "volts", value) for t, value in drive] + [(t, "inlet", value) for t, value in inlet])
+        courses = {"volts": drive, "inlet": inlet, "demand_pressure": demand}
+        changes = sorted((t, name, value) for name, course in courses.items() for t, value in course)
         for t, name, value in changes:
             self._go(min(t, float(times[-1])), times, shown)
-            setattr(self, name, value)
+            if name == "demand_pressure":
+                self.gas = {**self.gas, name: value}
+            else:
+                setattr(self, name, value)
             if name == "volts" and self.valve["coil_time_constant"] == 0.0:
                 self.u = value / self.valve["reference_voltage"]
             if name == "inlet":

@@ -10,7 +10,8 @@ import numpy as np
 
 from valve_sim.model import driver
 from valve_sim.model.core_types import STATE_RECORD, Phase
-from valve_sim.model.gas.step import set_inlet
+from valve_sim.model.gas.boundary import set_demand, set_inlet
+from valve_sim.model.gas.record import is_of_gas
 from valve_sim.model.simulation import (
     TOLERANCE,
     Event,
@@ -131,6 +132,10 @@ class Stepper:
         """The tank's pressure, Pa, from `time` on, likewise; of a valve with gas."""
         self._set(self._commit(time), _set_inlet, pressure)
 
+    def set_demand_pressure(self, time: float, pressure: float) -> None:
+        """The pressure behind the demand's orifice, Pa, from `time` on, likewise; of a valve with gas."""
+        self._set(self._commit(time), set_demand, pressure)
+
     def _commit(self, time: float) -> float:
         """Step exactly to a time, or to the latest time stepped to; returns which, s."""
         time = max(time, self._state.reached)
@@ -171,7 +176,7 @@ class Stepper:
         check_flux(record)
         self._commit(time)
         set_voltage(self._record, self._state.array, self._volts)  # the current so far belongs to the old coil
-        state = _state_of(record, self._state.array, supplied=_tank(valve) == _tank(self._valve))
+        state = _state_of(record, self._state.array, self._record)
         self._become(valve, record)
         settle(record, state)
         self._follow(state)
@@ -231,23 +236,20 @@ def _set_inlet(record: Any, state: Any, pressure: float) -> None:
     set_inlet(record, state, pressure, 0.0)
 
 
-def _tank(valve: Valve) -> float | None:
-    """The declared pressure of the tank, Pa; None without gas."""
-    return None if valve.gas is None else valve.gas.inlet_pressure
-
-
-def _state_of(record: Any, state: Any, *, supplied: bool) -> Any:
+def _state_of(record: Any, state: Any, before: Any) -> Any:
     """A state with what another valve's record asks for: gas as declared where there was none, or no gas.
 
     Args:
-        record: of the other valve. state: of the valve so far.
-        supplied: whether the tank's pressure is as before; else it is what the other valve declares.
+        record: of the other valve; where it declares another pressure than before, that one counts from now on.
+        state: of the valve so far. before: its record.
     """
     following = new_states(record, float(state[0]["time"]))
-    if following.dtype == state.dtype:
-        if not supplied:
-            set_inlet(record, state, float(record[0]["inlet_pressure"]), 0.0)
-        return state
-    for name in STATE_RECORD.names or ():
-        following[name] = state[name]
-    return following
+    if following.dtype != state.dtype:
+        for name in STATE_RECORD.names or ():
+            following[name] = state[name]
+        return following
+    if is_of_gas(record):
+        for name, setter in (("inlet_pressure", _set_inlet), ("demand_pressure", set_demand)):
+            if record[0][name] != before[0][name]:
+                setter(record, state, float(record[0][name]))
+    return state

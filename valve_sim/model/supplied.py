@@ -1,9 +1,9 @@
-"""A run of a valve with gas while the pressure of its tank changes."""
+"""A run of a valve with gas while the pressures of its tank and of its demand change."""
 
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -11,21 +11,28 @@ from valve_sim.model import driver
 from valve_sim.model.compiling import compiled
 from valve_sim.model.driver import FINISHED, NONE
 from valve_sim.model.drives import Drive
-from valve_sim.model.gas.step import set_inlet
+from valve_sim.model.gas.boundary import set_demand, set_inlet
 from valve_sim.model.simulation import TOLERANCE, Array, Samples, check_outcome, delay_and_end, most_steps
 from valve_sim.model.transitions import set_voltage
 
+_NONE: Final = np.empty(0)
+
 
 class Supply(NamedTuple):
-    """The tank's pressure: linear between its samples, constant before the first and after the last.
+    """The pressures at both ends of a valve with gas. Where there are no samples the declared one holds.
+
+    The tank's is linear between its samples, as a tank empties; that of the demand holds until its next sample, as
+    valve_node holds it. Before its first sample each is as it is there.
 
     Attributes:
-        times: (k,) s, ascending, at least one.
-        pressures: (k,) Pa, above 0.
+        times: (k,) s, ascending. pressures: (k,) Pa, above 0: the tank's.
+        demand_times: (m,) s, ascending. demand_pressures: (m,) Pa, above 0: behind the demand's orifice.
     """
 
     times: Array
     pressures: Array
+    demand_times: Array = _NONE
+    demand_pressures: Array = _NONE
 
 
 def run_supplied(
@@ -41,7 +48,7 @@ def run_supplied(
 
     Args:
         record: (1,) GAS_VALVE_RECORD. state: (1,) GAS_STATE_RECORD, advanced. drive: the commanded voltage.
-        supply: in place of the declared inlet pressure. samples, events, tolerance: as there.
+        supply: in place of the declared pressures. samples, events, tolerance: as there.
 
     Returns:
         how many events there were.
@@ -52,31 +59,43 @@ def run_supplied(
     times, rows, current_times, currents = samples
     delay, end = delay_and_end(record, samples)
     start = float(state["time"].item())
-    knots, pressures = supply
-    rates = np.append(np.diff(pressures) / np.diff(knots), 0.0)
-    set_inlet(record, state, float(np.interp(start, knots, pressures)), _rate_at(start, knots, rates))
-    later = knots > start
-    changes = np.concatenate([drive.times, knots[later]])
-    nothing = np.full(len(drive.times), math.nan), np.full(int(later.sum()), math.nan)
-    order = np.argsort(changes, kind="stable")
-    volts = np.concatenate([drive.volts, nothing[1]])[order]
-    tank = np.concatenate([nothing[0], pressures[later]])[order]
-    course = (changes[order], volts, tank, np.concatenate([nothing[0], rates[later]])[order], end)
+    course = _course(record, state, drive, supply, end)
     shown = (times - delay if delay else times, rows, current_times, currents)
     count, outcome = _run(record, state, course, shown, events, (tolerance, most_steps(end - start)))
     check_outcome(outcome)
     return int(count)
 
 
-def _rate_at(time: float, knots: Array, rates: Array) -> float:
-    index = int(np.searchsorted(knots, time, side="right")) - 1
-    return float(rates[index]) if index >= 0 else 0.0
+def _course(record: Any, state: Any, drive: Drive, supply: Supply, end: float) -> tuple[Any, ...]:
+    """What changes, and when, up to `end`, for `_run`; the pressures of the start are set in the state."""
+    start = float(state["time"].item())
+    rates = np.empty(0)
+    if len(supply.times):
+        rates = np.append(np.diff(supply.pressures) / np.diff(supply.times), 0.0)
+        index = int(np.searchsorted(supply.times, start, side="right")) - 1
+        rate = float(rates[index]) if index >= 0 else 0.0
+        set_inlet(record, state, float(np.interp(start, supply.times, supply.pressures)), rate)
+    if len(supply.demand_times):
+        index = int(np.searchsorted(supply.demand_times, start, side="right")) - 1
+        set_demand(record, state, float(supply.demand_pressures[max(index, 0)]))
+    tank, demand = supply.times > start, supply.demand_times > start
+    changes = [drive.times, supply.times[tank], supply.demand_times[demand]]
+    order = np.argsort(np.concatenate(changes), kind="stable")
+
+    def column(own: int, values: Array) -> Array:
+        parts = [values if number == own else np.full(len(times), math.nan) for number, times in enumerate(changes)]
+        return np.asarray(np.concatenate(parts)[order])
+
+    return (
+        np.concatenate(changes)[order], column(0, drive.volts), column(1, supply.pressures[tank]),
+        column(1, rates[tank]), column(2, supply.demand_pressures[demand]), end,
+    )  # fmt: skip
 
 
 @compiled
 def _run(valve: Any, state: Any, course: Any, samples: Any, events: Any, control: Any) -> Any:
-    """`driver.run_drive` of a course (times, volts, pressures, rates, t_end): NaN where there is no change of it."""
-    change_times, volts, pressures, rates, t_end = course
+    """`driver.run_drive` of a course (times, volts, pressures, rates, demands, end): NaN for no change."""
+    change_times, volts, pressures, rates, demands, t_end = course
     times, rows, current_times, currents = samples
     at, at_current, count = NONE, NONE, NONE
     for change in range(len(change_times) + 1):
@@ -92,4 +111,6 @@ def _run(valve: Any, state: Any, course: Any, samples: Any, events: Any, control
             set_voltage(valve, state, volts[change])
         if not math.isnan(pressures[change]):
             set_inlet(valve, state, pressures[change], rates[change])
+        if not math.isnan(demands[change]):
+            set_demand(valve, state, demands[change])
     return count, FINISHED

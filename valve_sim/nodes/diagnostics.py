@@ -135,8 +135,8 @@ def command_status(facts: CommandFacts) -> Status:
     return Status("command", Level.OK, "accepted", values)
 
 
-def inlet_pressure_status(pressure: float, rejections: Rejections, incompatible_publishers: int) -> Status:
-    """Whether what is heard of the tank's pressure is accepted; `pressure`, Pa, is the one in force."""
+def pressure_status(task: str, pressure: float, rejections: Rejections, incompatible_publishers: int) -> Status:
+    """Whether what is heard of the tank's or the demand's pressure is accepted; `pressure`, Pa, is the one in force."""
     values = {
         "pressure (Pa)": f"{pressure:g}",
         "rejected": str(rejections.total),
@@ -144,11 +144,11 @@ def inlet_pressure_status(pressure: float, rejections: Rejections, incompatible_
     }
     if rejections.now:
         message = f"{rejections.now} rejected, the last of {rejections.last:g} Pa; the last good one stays"
-        return Status("inlet pressure", Level.WARN, message, values)
+        return Status(task, Level.WARN, message, values)
     if rejections.is_last:
         message = f"the last, of {rejections.last:g} Pa, was rejected; the last good one stays"
-        return Status("inlet pressure", Level.WARN, message, values)
-    return Status("inlet pressure", Level.OK, "accepted", values)
+        return Status(task, Level.WARN, message, values)
+    return Status(task, Level.OK, "accepted", values)
 
 
 def valve_status(facts: ValveFacts) -> Status:

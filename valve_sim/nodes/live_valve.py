@@ -86,8 +86,8 @@ class Step(NamedTuple):
 class LiveValve:
     """A stepper with its clock, its command and its watchdog; which command holds: docs/reference/command_safety.md.
 
-    `command`, `supply`, `limit`, `set_valve`, `set_scale`, `reset` may be called in any thread: they store, the next
-    `step` consumes, each at its own time. `restart` and `step` belong to one stepping thread.
+    `command`, `supply`, `set_demand_pressure`, `limit`, `set_valve`, `set_scale`, `reset` may be called in any thread:
+    they store, the next `step` consumes, each at its own time. `restart` and `step` belong to one stepping thread.
 
     Args:
         valve: what is simulated.
@@ -106,7 +106,7 @@ class LiveValve:
         self.phase = Phase.CLOSED
         self.failures = 0
         self._max_voltage = max_voltage
-        self._supplied: float | None = None
+        self._heard: dict[str, float] = {}
         self._valve = valve
         self._scale = scale
         self._timeline = Timeline(0, 0, scale)
@@ -137,19 +137,32 @@ class LiveValve:
     @property
     def inlet_pressure(self) -> float:
         """The tank's pressure, Pa, as it was heard last, or else as declared; NaN for a valve without gas."""
-        gas, supplied = self._valve.gas, self._supplied
-        if gas is None:
-            return math.nan
-        return gas.inlet_pressure if supplied is None else supplied
+        return self._in_force("inlet_pressure")
+
+    @property
+    def demand_pressure(self) -> float:
+        """The pressure behind the demand's orifice, Pa, likewise."""
+        return self._in_force("demand_pressure")
+
+    def _in_force(self, name: str) -> float:
+        gas = self._valve.gas
+        return math.nan if gas is None else self._heard.get(name, getattr(gas, name))
 
     def supply(self, clock: int, pressure: float) -> bool:
         """The tank's pressure, Pa, from clock time `clock` on, ns; False, and nothing else, if no tank can have it.
 
         It stays through a reset, until another is heard or declared. A valve without gas has no use for it.
         """
-        if not GAS["inlet_pressure"].lower <= pressure <= GAS["inlet_pressure"].upper:
+        return self._hear("inlet_pressure", clock, pressure)
+
+    def set_demand_pressure(self, clock: int, pressure: float) -> bool:
+        """The pressure behind the demand's orifice, Pa, likewise."""
+        return self._hear("demand_pressure", clock, pressure)
+
+    def _hear(self, name: str, clock: int, pressure: float) -> bool:
+        if not GAS[name].lower <= pressure <= GAS[name].upper:
             return False
-        self._mailbox.post(clock, lambda time: self._supply(time, pressure), "supply")
+        self._mailbox.post(clock, lambda time: self._obey(name, time, pressure), name)
         return True
 
     def limit(self, clock: int, max_voltage: float) -> None:
@@ -181,7 +194,7 @@ class LiveValve:
         self._reached = clock
         self._timeline = Timeline(clock, stamp, self._scale)
         self._stepper = Stepper(self._valve, 0.0)
-        self._supplied = None
+        self._heard = {}
         self._announced = None
         self._stamp = stamp - 1
         self._forget_command()
@@ -225,17 +238,25 @@ class LiveValve:
         self.last_command = clock
         self.timed_out = False
 
-    def _supply(self, clock: int, pressure: float) -> None:
+    def _obey(self, name: str, clock: int, pressure: float) -> None:
         if self._running.valve.gas is None:
             return
         self._watch_command(clock)
-        self._running.supply(self._timeline.model_time(clock), pressure)
-        self._supplied = pressure
+        self._put(name, clock, pressure)
+        self._heard[name] = pressure
+
+    def _put(self, name: str, clock: int, pressure: float) -> None:
+        """Have the stepper count with a pressure that was heard."""
+        stepper = self._running
+        put = stepper.supply if name == "inlet_pressure" else stepper.set_demand_pressure
+        put(self._timeline.model_time(clock), pressure)
 
     def _continue_as(self, clock: int, valve: Valve) -> None:
         before = self._running.valve.gas
-        if before is None or valve.gas is None or valve.gas.inlet_pressure != before.inlet_pressure:
-            self._supplied = None
+        if before is None or valve.gas is None:
+            self._heard = {}
+        for name in [name for name in self._heard if getattr(valve.gas, name) != getattr(before, name)]:
+            del self._heard[name]
         self._running.set_valve(valve, self._timeline.model_time(clock))
 
     def _watch_command(self, clock: int) -> None:
@@ -265,8 +286,8 @@ class LiveValve:
 
     def _rest(self, clock: int) -> None:
         self._running.reset(self._timeline.model_time(clock))
-        if self._supplied is not None:
-            self._running.supply(self._timeline.model_time(clock), self._supplied)
+        for name, pressure in self._heard.items():
+            self._put(name, clock, pressure)
         self._forget_command()
 
     def _forget_command(self) -> None:

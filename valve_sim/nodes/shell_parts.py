@@ -6,9 +6,10 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo
 from rclpy.expand_topic_name import expand_topic_name
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
 
 from valve_sim.files.parameter_sections import Section
 from valve_sim.model import ParameterError
@@ -46,6 +47,15 @@ class EncodedPublisher:
         self.topic_name = publisher.topic_name
         self.publish: Callable[[bytes], None] = handle.publish_raw
         self.get_subscription_count = publisher.get_subscription_count
+
+
+def warn_of_incompatible(node: Node, topic: str, event: QoSRequestedIncompatibleQoSInfo) -> None:
+    """Log that somebody publishes on a topic, a full name, who cannot be heard."""
+    policy = qos_policy_name_from_kind(event.last_policy_kind)
+    node.get_logger().warning(
+        f"{topic}: a publisher offers an incompatible QoS ({policy}) and cannot be heard; publish reliable, as this "
+        "topic asks"
+    )
 
 
 def make_node(name: str) -> Node:

@@ -11,7 +11,7 @@ import contextlib
 import gc
 import math
 from collections.abc import Sequence
-from typing import Final, NamedTuple
+from typing import Final
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import SetParametersResult
@@ -19,27 +19,24 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
 from rclpy.parameter import Parameter
-from rclpy.qos import qos_policy_name_from_kind
-from rclpy.subscription import Subscription
-from sensor_msgs.msg import BatteryState, FluidPressure, JointState
+from sensor_msgs.msg import BatteryState, JointState
 from std_msgs.msg import Bool, Float64, UInt8
 from std_srvs.srv import Trigger
 
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.files.parameter_sections import Section
 from valve_sim.model import ParameterError, Stepper, Valve
-from valve_sim.model.gas import GAS
 from valve_sim.nodes.diagnostics import (
     CommandCount,
     Level,
     Reminder,
     ValveFacts,
     command_status,
-    inlet_pressure_status,
     timing_status,
     valve_status,
 )
 from valve_sim.nodes.duplicate_nodes import DuplicateNodes
+from valve_sim.nodes.gas_topics import BETWEEN_WARNINGS, GasTopics
 from valve_sim.nodes.live_valve import LiveValve, Step, self_test
 from valve_sim.nodes.messages import (
     ReadingMessages,
@@ -60,35 +57,29 @@ from valve_sim.nodes.parameters import (
     table,
     valve_of,
 )
-from valve_sim.nodes.realtime import NANOSECONDS, Audience, Restart, Thinning, Worker
+from valve_sim.nodes.realtime import NANOSECONDS, Audience, Restart, Worker
 from valve_sim.nodes.receiving import Receiver, ReceiverGroup
-from valve_sim.nodes.shell_parts import LATCHED, RELIABLE, EncodedPublisher, declare, given_parameters, make_node
+from valve_sim.nodes.shell_parts import (
+    LATCHED,
+    RELIABLE,
+    EncodedPublisher,
+    declare,
+    given_parameters,
+    make_node,
+    warn_of_incompatible,
+)
 from valve_sim.nodes.spinning import guarded, spin
 
 _LONGEST_SLEEP: Final = 0.05
-_BETWEEN_WARNINGS: Final = 5.0
-"""s between lines of the log about the same problem, which may occur a thousand times a second."""
-_GAS_RATE: Final = 100.0
-"""Hz of pressure and flow: slower than the plungers, and read by slower programs."""
-
-
-class _GasTopics(NamedTuple):
-    """What a valve with gas has beside the other topics."""
-
-    inlet_pressure: Subscription
-    outlet_pressure: EncodedPublisher
-    mass_flow: EncodedPublisher
-    audience: Audience
 
 
 class ValveShell:
     """The node `valve`.
 
     Topics (docs/reference/topics.md): in ~/coil_voltage; out ~/joint_states, ~/coil and ~/coil_current at publish_rate,
-    ~/phase and ~/is_open on change (latched), /diagnostics at 1 Hz. From when gas is declared also in ~/inlet_pressure;
-    out ~/outlet_pressure and ~/mass_flow at 100 Hz. Services: ~/reset (rests closed, no current, no command),
-    ~/self_test (one stroke of a copy of the valve, off line). Parameters: the table of `valve_sim.nodes.parameters`;
-    all can be set at run time.
+    ~/phase and ~/is_open on change (latched), /diagnostics at 1 Hz; from when gas is declared also those of
+    `GasTopics`. Services: ~/reset (rests closed, no current, no command), ~/self_test (one stroke of a copy of the
+    valve, off line). Parameters: the table of `valve_sim.nodes.parameters`; all can be set at run time.
 
     Args:
         sections: (file, section) of the parameter files on the command line.
@@ -109,9 +100,8 @@ class ValveShell:
                 command_timeout=self._settings.command_timeout,
                 max_voltage=self._settings.max_voltage,
             )
-            self._commands, self._pressures = CommandCount(), CommandCount()
-            self._gas: _GasTopics | None = None
-            self._gas_samples = Thinning(_GAS_RATE)
+            self._commands = CommandCount()
+            self._gas: GasTopics | None = None
             self._duplicates = DuplicateNodes(self._node)
             self._failure = ""
             self._exit_code = 0
@@ -192,16 +182,8 @@ class ValveShell:
         self._too_busy = Reminder()
         node.create_timer(1.0, guarded(self._diagnose), clock=self._steady)
 
-    def _wire_gas(self) -> _GasTopics:
-        node = self._node
-        events = SubscriptionEventCallbacks(incompatible_qos=guarded(self._on_incompatible_pressure))
-        heard = node.create_subscription(
-            FluidPressure, "~/inlet_pressure", guarded(self._take_pressure), RELIABLE, event_callbacks=events
-        )
-        outlet_pressure = EncodedPublisher(node, FluidPressure, "~/outlet_pressure")
-        mass_flow = EncodedPublisher(node, Float64, "~/mass_flow")
-        audience = Audience(outlet_pressure.get_subscription_count, mass_flow.get_subscription_count)
-        return _GasTopics(heard, outlet_pressure, mass_flow, audience)
+    def _wire_gas(self) -> GasTopics:
+        return GasTopics(self._node, self._live, self._messages, self._now)
 
     # --- the stepping thread ---
 
@@ -213,6 +195,7 @@ class ValveShell:
         stepper.set_valve(valve, 2e-3)
         if valve.gas is not None:
             stepper.supply(2e-3, valve.gas.inlet_pressure)
+            stepper.set_demand_pressure(2e-3, valve.gas.demand_pressure)
         stepper.advance(3e-3)
         self._warn_if_it_cannot_open(valve)
         # What is loaded now stays; collecting it as garbage would stop the stepper for tens of milliseconds.
@@ -223,12 +206,8 @@ class ValveShell:
     def _say_ready(self) -> None:
         """Log that the node is ready, with the full names of its topics."""
         waits = "; waits for /clock, as use_sim_time is true" if self._clock.read() is None else ""
-        limit, rate, gas = self._settings.max_voltage, self._settings.publish_rate, ""
-        if self._gas is not None:
-            gas = (
-                f"; gas: obeys {self._gas.inlet_pressure.topic_name} (Pa), publishes "
-                f"{self._gas.outlet_pressure.topic_name} and {self._gas.mass_flow.topic_name} at {_GAS_RATE:g} Hz"
-            )
+        limit, rate = self._settings.max_voltage, self._settings.publish_rate
+        gas = "" if self._gas is None else f"; {self._gas.words()}"
         self._node.get_logger().info(
             f"ready: obeys {self._voltage.topic_name} (V, ±{limit:g} at most), publishes "
             f"{self._joint_states.topic_name}, {self._coil.topic_name} and {self._coil_current.topic_name} "
@@ -256,21 +235,14 @@ class ValveShell:
             self._coil.publish(self._messages.coil(step.stamp, shown.coil_current, shown.coil_voltage))
         if hears_coil_current:
             self._coil_current.publish(self._messages.coil_current(shown))
-        if self._gas is not None and self._gas_samples.is_due(deadline) and not math.isnan(shown.outlet_pressure):
-            self._publish_gas(self._gas, deadline, step)
+        if self._gas is not None:
+            self._gas.publish(deadline, step)
         if step.phases:
             self._publish_phases(step)
         if step.failure:
             self._failure = step.failure
             # A valve that fails at every step would fill the disk with a thousand lines a second.
             self._node.get_logger().error(f"the valve was put back to rest: {step.failure}", throttle_duration_sec=1.0)
-
-    def _publish_gas(self, gas: _GasTopics, deadline: int, step: Step) -> None:
-        hears_outlet_pressure, hears_mass_flow = gas.audience.look(deadline)
-        if hears_outlet_pressure:
-            gas.outlet_pressure.publish(self._messages.outlet_pressure(step.stamp, step.reading))
-        if hears_mass_flow:
-            gas.mass_flow.publish(self._messages.mass_flow(step.reading))
 
     def _publish_phases(self, step: Step) -> None:
         for phase in step.phases:
@@ -298,37 +270,12 @@ class ValveShell:
         self._node.get_logger().warning(
             f"{self._voltage.topic_name}: {message.data:g} V is ignored, expected a number within ±{limit:g} V "
             "(parameter max_voltage); the last good command stays",
-            throttle_duration_sec=_BETWEEN_WARNINGS,
-        )
-
-    def _take_pressure(self, message: FluidPressure) -> None:
-        live, pressure = self._live, message.fluid_pressure
-        if self._gas is None or live.valve.gas is None:
-            return
-        if live.supply(self._now(), pressure):
-            self._pressures.accept()
-            return
-        self._pressures.reject(pressure)
-        rule = GAS["inlet_pressure"]
-        self._node.get_logger().warning(
-            f"{self._gas.inlet_pressure.topic_name}: {pressure:g} Pa is ignored, expected a number from "
-            f"{rule.lower:g} to {rule.upper:g} Pa; the last good pressure stays",
-            throttle_duration_sec=_BETWEEN_WARNINGS,
+            throttle_duration_sec=BETWEEN_WARNINGS,
         )
 
     def _on_incompatible_voltage(self, event: QoSRequestedIncompatibleQoSInfo) -> None:
-        self._note_incompatible("~/coil_voltage", self._commands, event)
-
-    def _on_incompatible_pressure(self, event: QoSRequestedIncompatibleQoSInfo) -> None:
-        self._note_incompatible("~/inlet_pressure", self._pressures, event)
-
-    def _note_incompatible(self, topic: str, count: CommandCount, event: QoSRequestedIncompatibleQoSInfo) -> None:
-        count.incompatible_publishers = event.total_count
-        policy = qos_policy_name_from_kind(event.last_policy_kind)
-        self._node.get_logger().warning(
-            f"{self._node.resolve_topic_name(topic)}: a publisher offers an incompatible QoS ({policy}) "
-            "and cannot be heard; publish reliable, as this topic asks"
-        )
+        self._commands.incompatible_publishers = event.total_count
+        warn_of_incompatible(self._node, self._voltage.topic_name, event)
 
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._live.reset(self._now())
@@ -365,10 +312,8 @@ class ValveShell:
             command_status(self._commands.look(now, live.last_command, live.volts, live.timed_out)),
             valve_status(ValveFacts(live.phase, live.strokes, live.failures, self._failure, self._duplicates.look())),
         ]
-        if live.valve.gas is not None:
-            pressures = self._pressures
-            heard = pressures.rejections(), pressures.incompatible_publishers
-            statuses.append(inlet_pressure_status(live.inlet_pressure, *heard))
+        if self._gas is not None:
+            statuses += self._gas.statuses()
         name = self._node.get_fully_qualified_name()
         self._diagnostics.publish(diagnostic_array(statuses, name, self._clock.stamp()))
 

@@ -63,3 +63,22 @@ def test_a_measured_tank_takes_the_place_of_the_declared_one(falls: float) -> No
     np.testing.assert_allclose(rows[:, FIRST_COLUMN], expected, rtol=3e-4)
     declared = simulate(valve, OPENING, TIMES, start_time=0.0).outlet_pressure
     assert declared is not None and declared[-1] > 1.2 * expected[-1]
+
+
+def test_a_measured_demand_takes_the_place_of_the_declared_one() -> None:
+    """Each pressure holds until the next; the gas flows to the demand, and back from it."""
+    valve = gas_valve(inlet_pressure=5e6, outlet_volume=2e-6, demand_orifice_diameter=0.1e-3, demand_pressure=2e6)
+    record = valve.record()
+    rows = np.empty((len(TIMES), columns_of(record)))
+    times, pressures = np.array([0.01, 0.04, 0.08]), np.array([4e6, 6e6, 3e6])
+    samples = Samples(TIMES, rows, np.empty(0), np.empty(0))
+    supply = Supply(np.empty(0), np.empty(0), times, pressures)
+    run_supplied(record, new_states(record, 0.0), OPENING, supply, samples, event_log())
+    plant = independent(valve)
+    plant.gas = {**plant.gas, "demand_pressure": 4e6}
+    plant.rtol = 1e-8
+    demand = list(zip(times.tolist(), pressures.tolist(), strict=True))
+    _, expected, _ = plant.run([(0.02, 9.0)], TIMES, demand=demand)
+    np.testing.assert_allclose(rows[:, FIRST_COLUMN], expected, rtol=3e-4)
+    declared = simulate(valve, OPENING, TIMES, start_time=0.0).outlet_pressure
+    assert declared is not None and np.abs(declared / expected - 1.0).max() > 0.1

@@ -1,7 +1,8 @@
 """Gas: the pressure that the pilot relieves, and the flow through the valve.
 
 `parameters` and `fluids` say what is declared, `record` how the compiled core reads it, `flow` what the gas does at a
-given pressure, and `step` how it is stepped together with the plungers. Whoever declares no gas runs none of this.
+given pressure, `boundary` which pressures it is given, and `step` how it is stepped together with the plungers. Whoever
+declares no gas runs none of this. `line` is what several valves fill.
 """
 
 from valve_sim.model.gas.fluids import FLUIDS, Fluid

@@ -104,7 +104,7 @@ def effective_area(p, x):
 
 
 @inlined
-def _through(p, area, here, there):
+def through(p, area, here, there):
     """Mass flow from one side to the other, kg/s, and its derivative with respect to the pressure there."""
     if here >= there:
         total, _, slope = flux(p, here, here - there)
@@ -114,24 +114,24 @@ def _through(p, area, here, there):
 
 
 @inlined
-def outflow(p, outlet):
+def outflow(p, s, outlet):
     """What the demand takes, kg/s."""
     if p.demand_area == 0.0:
         return 0.0
-    return -_through(p, p.demand_area, p.demand_pressure, outlet)[0]
+    return -through(p, p.demand_area, s.demand_pressure, outlet)[0]
 
 
 @inner
-def flows(p, area, inlet, outlet):
+def flows(p, s, area, inlet, outlet):
     """Both terms of (G4), kg/s, and the derivative of their difference with respect to the outlet pressure.
 
     Args:
-        p: valve. area: A, m². inlet, outlet: Pa.
+        p, s: valve and state. area: A, m². inlet, outlet: Pa.
     """
-    mass_in, slope = _through(p, area, inlet, outlet)
+    mass_in, slope = through(p, area, inlet, outlet)
     if p.demand_area == 0.0:
         return mass_in, 0.0, slope
-    drawn, drawn_slope = _through(p, p.demand_area, p.demand_pressure, outlet)
+    drawn, drawn_slope = through(p, p.demand_area, s.demand_pressure, outlet)
     return mass_in, -drawn, slope + drawn_slope
 
 

@@ -49,6 +49,7 @@ GAS_STATE_FIELDS: Final = (
     "tank_pressure",  # Pa, of the inlet at tank_time
     "tank_rate",  # Pa/s, at which it changes from then on
     "tank_time",  # s
+    "demand_pressure",  # Pa, behind the demand's orifice, held until it is set anew
     "flow_regime",  # 2 choked, 1 subsonic, negative from the outlet to the inlet
 )
 GAS_STATE_RECORD: Final = _longer(STATE_RECORD, GAS_STATE_FIELDS, 0)
@@ -82,7 +83,7 @@ def _with_gas(records: Any, effects: Mapping[str, Mapping[str, float]], gas: Gas
     longer["demand_area"] = gas.discharge_coefficient * orifice_area(gas.demand_orifice_diameter)
     for name, neutral in _OF_EFFECTS.items():
         longer[name] = neutral
-    for power, coefficient in enumerate(_critical_cubic(fluid.heat_capacity_ratio)):
+    for power, coefficient in enumerate(critical_cubic(fluid.heat_capacity_ratio)):
         longer[f"critical_{power}"] = coefficient
     for effect, values in whole_effects(effects):
         if effect.with_gas:
@@ -91,7 +92,7 @@ def _with_gas(records: Any, effects: Mapping[str, Mapping[str, float]], gas: Gas
 
 
 @functools.cache
-def _critical_cubic(gamma: float) -> list[float]:
+def critical_cubic(gamma: float) -> list[float]:
     """Coefficients of the critical ratio in ln(1 + β), rising: `flow`'s (G2) solved at Chebyshev's points.
 
     There N' = −D makes Newton's step r ← (r + 2 N r^{−1/γ}/D²)/(γ + 1). Up to β = 2, which hydrogen at 15 °C has at

@@ -21,7 +21,7 @@ from typing import Final
 import numpy as np
 
 from valve_sim.model import dormand_prince as plain
-from valve_sim.model.compiling import compiled, inlined, inner
+from valve_sim.model.compiling import inlined, inner
 from valve_sim.model.core_types import MAIN, EventKind
 from valve_sim.model.dormand_prince import LAST, MECHANICAL_STATES, SMALLEST_SCALE
 from valve_sim.model.gas.flow import (
@@ -170,20 +170,20 @@ def rates(p, s, work, t, y, stage):
 
 
 @inner
-def _outlet_pressure(p, area, inlet, share, known, guess):
+def _outlet_pressure(p, s, area, inlet, share, known, guess):
     """Solve (G6); share is h γ/V_o. Returns p_o, Pa, and the slope of the flows where it was last asked for."""
     low, high = 0.0, math.inf
     pressure, slope = guess, 0.0
     for _ in range(MOST_ITERATIONS):
-        mass_in, mass_out, slope = flows(p, area, inlet, pressure)
+        mass_in, mass_out, slope = flows(p, s, area, inlet, pressure)
         excess = density_at(p, pressure) - share * (mass_in - mass_out) - known
         if excess > 0.0:
             high = pressure
         else:
             low = pressure
         anchor = inlet
-        if p.demand_area > 0.0 and abs(pressure - p.demand_pressure) < abs(pressure - inlet):
-            anchor = p.demand_pressure
+        if p.demand_area > 0.0 and abs(pressure - s.demand_pressure) < abs(pressure - inlet):
+            anchor = s.demand_pressure
         apart = pressure - anchor
         root = math.sqrt(max(abs(apart), SAME * anchor))
         change = -excess / (2.0 * root * (density_slope(p, pressure) - share * slope))
@@ -207,17 +207,17 @@ def _gas_stage(p, s, work, h, stage, pressure):
     inlet = inlet_pressure(s, t)
     area = effective_area(p, work.y_stage[0])
     if stage == 0:
-        mass_in, mass_out, _ = flows(p, area, inlet, pressure)
+        mass_in, mass_out, _ = flows(p, s, area, inlet, pressure)
         work.gas_k[stage, DENSITY] = (mass_in - mass_out) / p.outlet_volume
     else:
         known = work.gas[DENSITY]
         for i in range(stage):
             known += h * IMPLICIT[stage, i] * work.gas_k[i, DENSITY]
         share = h * DIAGONAL / p.outlet_volume
-        pressure, slope = _outlet_pressure(p, area, inlet, share, known, pressure)
+        pressure, slope = _outlet_pressure(p, s, area, inlet, share, known, pressure)
         # What the equation says of the flow is exact where the flow's own formula multiplies rounding.
         work.gas_k[stage, DENSITY] = (density_at(p, pressure) - known) / (h * DIAGONAL)
-        mass_out = outflow(p, pressure)
+        mass_out = outflow(p, s, pressure)
         mass_in = p.outlet_volume * work.gas_k[stage, DENSITY] + mass_out
         work.stiffness = -h * slope / (p.outlet_volume * density_slope(p, pressure))
     work.gas_k[stage, MASS_IN] = mass_in
@@ -358,7 +358,7 @@ def sample_gas(p, s, work, at, rows, i):
     t = s.time + theta * h
     outlet = _outlet_within(p, s, work, h, theta)
     rows[i, FIRST_COLUMN] = outlet
-    rows[i, FIRST_COLUMN + 1] = flows(p, effective_area(p, x), inlet_pressure(s, t), outlet)[0]
+    rows[i, FIRST_COLUMN + 1] = flows(p, s, effective_area(p, x), inlet_pressure(s, t), outlet)[0]
 
 
 @inlined
@@ -386,23 +386,6 @@ def _outlet_within(p, s, work, h, theta):
         work.stiffness = stiffness
         return outlet
     return pressure_at(p, density_within(work, h, theta))
-
-
-@compiled
-def fill_outlets(valves, states):
-    """Put the declared gas into the outlets of valves at rest, and the declared pressure into their inlets."""
-    for i in range(len(valves)):
-        p, s = valves[i], states[i]
-        s.density = density_at(p, p.outlet_pressure)
-        s.tank_pressure, s.tank_time = p.inlet_pressure, s.time
-        s.flow_regime = flow_regime(p, s, p.inlet_pressure, p.outlet_pressure, _NO_MARGIN)
-
-
-@compiled
-def set_inlet(valve, state, pressure, rate):
-    """The inlet's pressure, Pa, from the state's time on, and the rate at which it goes on to change, Pa/s."""
-    s = state[0]
-    s.tank_pressure, s.tank_rate, s.tank_time = pressure, rate, s.time
 
 
 @inlined
