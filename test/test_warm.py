@@ -7,9 +7,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from valve_sim.files.parameter_files import load_valve
 from valve_sim.files.resources import config_path
 from valve_sim.model import Stepper, driver, transitions
+from valve_sim.model.compiling import linked
 from valve_sim.model.gas import boundary
 from valve_sim.warm import warm_gas
 
@@ -39,6 +42,11 @@ stepper.advance(3e-3)
 
 def compiled_code(folder: Path) -> dict[str, int]:
     return {str(file): file.stat().st_mtime_ns for file in folder.rglob("*.nb?")}
+
+
+@pytest.mark.parametrize(("version", "is_tried"), [((0, 57), False), ((0, 58), True), ((0, 68), True), ((1, 0), False)])
+def test_a_numba_that_was_not_tried_compiles_in_its_own_way(version: tuple[int, int], *, is_tried: bool) -> None:
+    assert ("pipeline_class" in linked(version)) is is_tried
 
 
 def test_what_is_warm_compiles_nothing_and_what_is_not_says_so(tmp_path: Path) -> None:

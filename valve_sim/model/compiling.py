@@ -34,6 +34,8 @@ from numba.core.bytecode import FunctionIdentity
 
 _ROOM: Final = 16_000_000
 """Bytes that must be free: the compiled code takes about two million, and Numba fails if it cannot write all of it."""
+_TRIED: Final = ((0, 58), (0, 68))
+"""The first and the last version of Numba that `linking` was tried with."""
 
 
 def cache_folder() -> Path | None:
@@ -194,7 +196,25 @@ def compiled_once(function: Callable[..., Any]) -> Any:
     return numba.njit(nogil=True, error_model="numpy")(function)
 
 
+def linked(version: tuple[int, int]) -> dict[str, Any]:
+    """How a function is compiled that is only taken in by others, as options of `numba.njit`.
+
+    Args:
+        version: of Numba.
+
+    Returns:
+        the pipeline of `linking`; nothing, so Numba's own, for a version whose insides it has not been tried with:
+        there the first start takes half as long again.
+    """
+    if not _TRIED[0] <= version <= _TRIED[1]:
+        return {}
+    from valve_sim.model.linking import LinkedCompiler  # another Numba may lack what it imports
+
+    return {"pipeline_class": LinkedCompiler}
+
+
 _TAKEN_IN: dict[str, Any] = {
+    **linked(numba.version_info.short),
     "no_cpython_wrapper": True,
     "no_cfunc_wrapper": True,
     "error_model": "numpy",
