@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -143,6 +146,58 @@ def test_a_command_given_before_the_clock_began_is_kept() -> None:
     live.restart(START, START)
     assert run(live, [20.0])[-1].reading.phase is Phase.OPEN
     assert not live.timed_out
+
+
+def test_a_valve_that_is_asked_nothing_reads_the_same_without_the_model() -> None:
+    for valve in (default_valve(), default_valve().with_values(seat_load=0.3, pilot_gap=0.0, coil_time_constant=0.0)):
+        by_model, at_rest = LiveValve(valve, scale=0.5), LiveValve(valve, scale=0.5)
+        for live in (by_model, at_rest):
+            live.restart(START, START + 7)
+        for time in (0, MILLISECOND, 3_600_000 * MILLISECOND):
+            assert at_rest.rests_until(START + time)
+            assert at_rest.step_at_rest(START + time) == by_model.step(START + time)
+
+
+def test_what_is_asked_while_the_model_is_made_ready_is_made_up_for_at_its_time() -> None:
+    stepped, waiting = started(command_timeout=0.02), started(command_timeout=0.02)
+    run(stepped, [0.0, 1.0])
+    for time in (START, START + MILLISECOND):
+        waiting.step_at_rest(time)
+    for live in (stepped, waiting):
+        live.command(START + 2 * MILLISECOND, 9.0)
+    assert waiting.rests_until(START + 2 * MILLISECOND - 1)
+    assert not waiting.rests_until(START + 2 * MILLISECOND)
+    run(stepped, [5.0, 8.0, 10.0])
+    (expected,), (step,) = run(stepped, [13.0]), run(waiting, [13.0])
+    assert (step.stamp, step.reading.phase) == (expected.stamp, expected.reading.phase)
+    assert step.reading.pilot_position == pytest.approx(expected.reading.pilot_position, abs=1e-12)
+    assert step.phases == (Phase.PILOT, Phase.MAIN, Phase.OPEN)
+    assert [(stamp - START, coil.voltage) for stamp, coil in step.switches] == [(1_999_999, 0.0), (2_000_000, 9.0)]
+    run(waiting, [30.0])
+    assert waiting.timed_out
+
+
+def test_of_a_valve_that_something_else_may_move_the_model_alone_tells_whether_it_rests() -> None:
+    pushed = dataclasses.replace(default_valve(), effects={"constant_force": {"force": 0.1}})
+    for valve in (pushed, load_valve(CONFIG / "hydrogen_70mpa.yaml")):
+        live = LiveValve(valve)
+        assert not live.can_rest
+        live.restart(START, START)
+        assert not live.rests_until(START)
+
+
+def test_a_valve_at_rest_needs_no_compiled_code(tmp_path: Path) -> None:
+    program = (
+        "from valve_sim.files.parameter_files import default_valve\n"
+        "from valve_sim.nodes.live_valve import LiveValve\n"
+        "live = LiveValve(default_valve())\n"
+        "live.restart(5, 5)\n"
+        "print(live.rests_until(9), live.step_at_rest(9).stamp)\n"
+    )
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    ran = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True)
+    assert ran.stdout == "True 9\n"
+    assert not list(tmp_path.rglob("*.nbi")), "something was compiled"
 
 
 def test_a_simulation_that_fails_puts_the_valve_to_rest(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -177,6 +177,25 @@ def test_a_fast_clock_gets_every_sample_and_a_leap_of_seconds_is_reported() -> N
     assert run.worker.timing.look(0).lost == 2500
 
 
+def test_steps_that_cannot_be_made_yet_are_made_up_for_as_far_as_the_backlog_reaches() -> None:
+    run = Run([simulated(0), simulated(1), simulated(2), simulated(3), simulated(700), simulated(701)])
+    asked: list[int] = []
+
+    def may_step(now: int) -> bool:
+        asked.append(now)
+        return now <= MILLISECOND or len(asked) > 5
+
+    worker = Worker(
+        run.clock, 1000.0, prepare=lambda: None, restart=lambda restart: None, step=run.log.append,
+        fail=run.log.append, may_step=may_step,
+    )  # fmt: skip
+    run.clock.stop = lambda: worker.stop(0.0) and None
+    worker.run()
+    assert asked == [time * MILLISECOND for time in (0, 1, 2, 3, 700, 701)]
+    assert run.log == [k * MILLISECOND for k in (0, 1, *range(202, 702))]
+    assert worker.timing.look(0).lost == 200
+
+
 def test_a_new_rate_goes_on_where_the_old_one_would_have() -> None:
     run = Run([simulated(0), simulated(1), simulated(2), simulated(10)])
     run.rates = {MILLISECOND: 250.0}

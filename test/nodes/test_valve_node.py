@@ -386,7 +386,7 @@ def seconds_to_end(tmp_path: Path, number: signal.Signals) -> float:
     try:
         with running(tmp_path, ["--ros-args", "-r", "__node:=ending"]) as process:
             joints = ending.hear("joint_states", JointState)
-            assert ending.until(lambda: joints)
+            assert ending.until(lambda: joints and "ready: " in process.output)
             seconds = process.seconds_to_end(number)
             assert process.exit_code() == 0, process.output
             assert "Traceback" not in process.output
@@ -395,12 +395,17 @@ def seconds_to_end(tmp_path: Path, number: signal.Signals) -> float:
     return seconds
 
 
-def test_a_signal_while_the_model_is_compiled_is_said_to_wait_and_ends_it_with_code_0(tmp_path: Path) -> None:
+def test_while_the_model_is_compiled_it_tells_that_the_valve_rests_and_a_signal_ends_it_with_code_0(
+    ros: None, tmp_path: Path
+) -> None:
     cache = tmp_path / "cache"
     with running(tmp_path, NUMBA_CACHE_DIR=str(cache)) as process:
         ears = Probe()
-        assert ears.until(lambda: "compiling the model" in process.output)
+        joints = ears.hear("joint_states", JointState)
+        assert ears.until(lambda: joints and "compiling the model" in process.output)
         ears.close()
+        assert "ready: " not in process.output
+        assert set(joints[-1].position) == {0.0}
         process.process.send_signal(signal.SIGINT)
         assert process.process.wait(ENDS_WITHIN) == 0, process.output
         assert "valve_node: ends when a calculation has, or at once with another Ctrl-C" in process.output

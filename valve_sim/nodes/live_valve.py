@@ -7,6 +7,7 @@ from typing import Final, NamedTuple
 
 from valve_sim.model import CoilReading, Event, EventKind, Phase, Reading, SimulationError, Stepper, Valve
 from valve_sim.model.gas import GAS
+from valve_sim.model.stepper import reading_at_rest
 from valve_sim.nodes.realtime import NANOSECONDS, Mailbox
 
 _PHASE_AFTER: Final = {
@@ -225,6 +226,28 @@ class LiveValve:
             phases = self._phases_to_announce(reading)
         switches = tuple(switch for switch in self._switches if switch[0] < self._stamp) if self._switches else ()
         return Step(self._stamp, reading, phases, failure, switches)
+
+    @property
+    def can_rest(self) -> bool:
+        """Whether it goes without saying that the valve rests until something is asked of it."""
+        return reading_at_rest(self._valve, 0.0) is not None
+
+    def rests_until(self, clock: int) -> bool:
+        """Whether that holds for the valve that is stepped, and nothing waits for it up to clock time `clock`, ns."""
+        return reading_at_rest(self._running.valve, 0.0) is not None and not self._mailbox.is_due(clock)
+
+    def step_at_rest(self, clock: int) -> Step:
+        """What `step` returns of a valve of which nothing was asked since its start, without compiled code.
+
+        A request acts from the latest such step on at the earliest: the next `step` makes up for the time since.
+        """
+        time = self._timeline.model_time(clock)
+        reading = reading_at_rest(self._running.valve, time)
+        if reading is None:
+            raise RuntimeError("of this valve only the model can tell whether it rests")
+        self._reached = clock
+        self._stamp = self._timeline.stamp_at(time)
+        return Step(self._stamp, reading, self._phases_to_announce(reading), "")
 
     @property
     def _running(self) -> Stepper:

@@ -19,6 +19,8 @@ BACKLOG_SECONDS: Final = 0.5
 """s: samples that are overdue for longer are dropped; the model is stepped over them nevertheless."""
 _BETWEEN_LOOKS: Final = 20_000_000
 """ns between two looks at who subscribes: no longer than a new subscriber may take to be discovered."""
+_BETWEEN_QUESTIONS: Final = 5_000_000
+"""ns between two questions whether steps can be made again."""
 LONGEST_LEAP_SECONDS: Final = 60.0
 """s: a clock that moves further between two readings has been set."""
 _LONGEST_LEAP: Final = round(LONGEST_LEAP_SECONDS * NANOSECONDS)
@@ -171,6 +173,8 @@ class Worker(StoppableThread):
         restart: called before the first step, and whenever the clock jumped or was exchanged.
         step: called with each deadline, ns of the clock.
         fail: called with what went wrong, if anything did; the thread then ends.
+        may_step: whether steps up to a time of the clock, ns, can be made; those that cannot wait, and are dropped if
+            they are overdue for longer than BACKLOG_SECONDS.
     """
 
     def __init__(
@@ -182,6 +186,7 @@ class Worker(StoppableThread):
         restart: Callable[[Restart], None],
         step: Callable[[int], None],
         fail: Callable[[Exception], None],
+        may_step: Callable[[int], bool] = lambda now: True,
     ) -> None:
         super().__init__("valve stepper")
         self.timing = TimingRecord()
@@ -191,6 +196,7 @@ class Worker(StoppableThread):
         self._restart = restart
         self._step = step
         self._fail = fail
+        self._may_step = may_step
 
     def set_rate(self, rate: float) -> None:
         """Set the rate of the steps, Hz."""
@@ -216,6 +222,9 @@ class Worker(StoppableThread):
             schedule = pace.look(self._rate)
             if schedule is None:
                 self._clock.sleep_until(0)
+                continue
+            if not self._may_step(pace.now):
+                self._clock.sleep_until(pace.now + _BETWEEN_QUESTIONS)
                 continue
             due = schedule.take(pace.now)
             if due.lost:
@@ -341,6 +350,11 @@ class Mailbox:
         while self._letters and (letter := self._take(until)) is not None:
             time, action, _ = letter
             action(max(time, since))
+
+    def is_due(self, until: int) -> bool:
+        """Whether an action's time is not after `until`, ns."""
+        with self._lock:
+            return bool(self._letters) and self._letters[0][0] <= until
 
     def clear(self) -> None:
         """Drop all actions."""

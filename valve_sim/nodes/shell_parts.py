@@ -61,7 +61,7 @@ def warn_of_incompatible(node: Node, topic: str, event: QoSRequestedIncompatible
 def make_node(name: str) -> Node:
     """A node that has declared all parameters that it was given, known or not, with the type that they have.
 
-    It says when its model has to be compiled, for until then it does nothing.
+    It says when its model has to be compiled, for until then it does nothing of what it is asked.
 
     Raises:
         ParameterError: something was given without a value.
@@ -74,7 +74,9 @@ def make_node(name: str) -> Node:
             f"({error}); take it out"
         ) from error
     logger = node.get_logger()
-    announce_compiling(lambda: logger.info("compiling the model for this machine; this takes some seconds, once"))
+    announce_compiling(
+        lambda: logger.info("compiling the model for this machine, once, for some seconds; what comes meanwhile waits")
+    )
     return node
 
 

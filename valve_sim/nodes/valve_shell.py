@@ -3,12 +3,12 @@
 Threads: callbacks run in the main thread, in a `SingleThreadedExecutor`, and only store (commands, parameters, resets);
 those of commands run in a `Receiver` thread, but not under simulated time, where a command must not overtake the
 /clock before it. One `Worker` thread steps the valve and publishes; it consumes what was stored, each at its own time.
+Until a `ModelLoader` thread has the model ready, it publishes that the valve rests, and from a request on it waits.
 """
 
 from __future__ import annotations
 
 import contextlib
-import gc
 import math
 from collections.abc import Sequence
 from typing import Final
@@ -25,7 +25,7 @@ from std_srvs.srv import Trigger
 
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.files.parameter_sections import Section
-from valve_sim.model import ParameterError, Stepper, Valve
+from valve_sim.model import ParameterError, Valve
 from valve_sim.nodes.diagnostics import (
     CommandCount,
     Level,
@@ -38,6 +38,7 @@ from valve_sim.nodes.diagnostics import (
 from valve_sim.nodes.duplicate_nodes import DuplicateNodes
 from valve_sim.nodes.gas_topics import BETWEEN_WARNINGS, GasTopics
 from valve_sim.nodes.live_valve import LiveValve, Step, self_test
+from valve_sim.nodes.loading import ModelLoader, load_stepper
 from valve_sim.nodes.messages import (
     ReadingMessages,
     descriptor,
@@ -115,11 +116,13 @@ class ValveShell:
         self._worker = Worker(
             self._clock,
             self._settings.publish_rate,
-            prepare=self._prepare,
+            prepare=self._wait_unless_at_rest,
             restart=self._restart,
             step=self._step,
             fail=self._fail,
+            may_step=lambda now: self._is_ready or self._live.rests_until(now),
         )
+        self._loader = ModelLoader(self._load, self._fail)
         self._receiver = Receiver(self._node, self._voltage, lambda: not self._clock.is_simulated, self._fail)
         self._clock.when_exchanged(self._receiver.wake)
 
@@ -130,13 +133,13 @@ class ValveShell:
 
     def spin(self) -> None:
         """Run until ROS is shut down."""
-        self._worker.start()
-        self._receiver.start()
+        for thread in (self._loader, self._worker, self._receiver):
+            thread.start()
         spin(self._node)
 
     def close(self, timeout: float | None) -> bool:
-        """Stop and release everything; whether all threads have ended. The stepper cannot while it compiles."""
-        have_ended = [thread.stop(timeout) for thread in (self._receiver, self._worker)]
+        """Stop and release everything; whether all threads have ended. The loader cannot while it compiles."""
+        have_ended = [thread.stop(timeout) for thread in (self._receiver, self._worker, self._loader)]
         if all(have_ended):
             self._node.destroy_node()
         return all(have_ended)
@@ -185,21 +188,12 @@ class ValveShell:
     def _wire_gas(self) -> GasTopics:
         return GasTopics(self._node, self._live, self._messages, self._now)
 
-    # --- the stepping thread ---
+    # --- the loading thread ---
 
-    def _prepare(self) -> None:
-        """Load or compile the model before the first step is timed."""
+    def _load(self) -> None:
         valve = self._live.valve
-        stepper = Stepper(valve)
-        stepper.command(1e-3, valve.parameters.reference_voltage)
-        stepper.set_valve(valve, 2e-3)
-        if valve.gas is not None:
-            stepper.supply(2e-3, valve.gas.inlet_pressure)
-            stepper.set_demand_pressure(2e-3, valve.gas.demand_pressure)
-        stepper.advance(3e-3)
+        load_stepper(valve)
         self._warn_if_it_cannot_open(valve)
-        # What is loaded now stays; collecting it as garbage would stop the stepper for tens of milliseconds.
-        gc.freeze()
         self._is_ready = True
         self._say_ready()
 
@@ -215,6 +209,12 @@ class ValveShell:
             f"{self._phase.topic_name} and {self._is_open.topic_name} on change{gas}{waits}"
         )
 
+    # --- the stepping thread ---
+
+    def _wait_unless_at_rest(self) -> None:
+        if not self._live.can_rest:
+            self._loader.join()
+
     def _restart(self, restart: Restart) -> None:
         stamp = self._clock.stamp()
         if restart.reason:
@@ -224,7 +224,7 @@ class ValveShell:
         )
 
     def _step(self, deadline: int) -> None:
-        step = self._live.step(deadline)
+        step = self._live.step(deadline) if self._is_ready else self._live.step_at_rest(deadline)
         shown = step.reading
         hears_joint_states, hears_coil, hears_coil_current = self._audience.look(deadline)
         if hears_joint_states:
