@@ -90,6 +90,7 @@ setup(
     entry_points={
         "console_scripts": [
             "command_profile = valve_sim.nodes.command_profile:main",
+            "dispenser_node = valve_sim.nodes.dispenser_node:main",
             "identification_node = valve_sim.nodes.identification_node:main",
             "monitor_node = valve_sim.nodes.monitor_node:main",
             "valve_node = valve_sim.nodes.valve_node:main",

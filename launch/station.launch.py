@@ -3,6 +3,8 @@
     ros2 launch valve_sim station.launch.py monitors:=false command_timeout:=0.5
     ros2 launch valve_sim station.launch.py gas:=true
 
+With gas and dispenser:=true a dispenser commands the valves; else that is left to you.
+
 A monitor declares the valve that its parameter file describes, and hears the simulated valve's own joint_states in
 place of a sensor's. What a parameter sets while the station runs is a fault to it.
 """
@@ -11,7 +13,7 @@ from pathlib import Path
 
 from launch.actions import DeclareLaunchArgument
 from launch.conditions import IfCondition
-from launch.substitutions import IfElseSubstitution, LaunchConfiguration
+from launch.substitutions import AndSubstitution, IfElseSubstitution, LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchDescription
@@ -22,6 +24,7 @@ NOISE_UM = 1.0
 TANKS = ("tank_1", "tank_2", "tank_3")
 ARGUMENTS = {
     "gas": ("false", "whether there is hydrogen before the valves, and a line behind them"),
+    "dispenser": ("false", "with gas: whether a dispenser fills vehicles from the line, one valve after the other"),
     "use_sim_time": ("false", "follow /clock"),
     "monitors": ("true", "whether each valve has a monitor_node beside it"),
     "publish_rate": ("500.0", "Hz, of each valve"),
@@ -67,10 +70,24 @@ def monitor_of(tank: str) -> Node:
     )
 
 
+def dispenser() -> Node:
+    """The line that all tanks feed, with gas."""
+    return Node(
+        package="valve_sim",
+        executable="dispenser_node",
+        name="dispenser",
+        namespace="",
+        parameters=[[f"{CONFIG}/gas_dispenser.yaml"], {"use_sim_time": LaunchConfiguration("use_sim_time")}],
+        condition=IfCondition(AndSubstitution(LaunchConfiguration("gas"), LaunchConfiguration("dispenser"))),
+        output="screen",
+    )
+
+
 def generate_launch_description() -> LaunchDescription:
-    """A valve and a monitor for each tank."""
+    """A valve and a monitor for each tank, and a dispenser where there is gas."""
     arguments = [
         DeclareLaunchArgument(name, default_value=value, description=words)
         for name, (value, words) in ARGUMENTS.items()
     ]
-    return LaunchDescription([*arguments, *(valve_of(tank) for tank in TANKS), *(monitor_of(tank) for tank in TANKS)])
+    nodes = [*(valve_of(tank) for tank in TANKS), *(monitor_of(tank) for tank in TANKS), dispenser()]
+    return LaunchDescription([*arguments, *nodes])

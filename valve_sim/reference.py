@@ -16,7 +16,7 @@ from valve_sim.files.parameter_files import default_valve
 from valve_sim.fleet.columns import BEFORE, SCHEMA, columns, followed, quantities
 from valve_sim.model import CATALOGUE
 from valve_sim.model.parameters import Parameter
-from valve_sim.nodes import monitor_parameters, profile_parameters
+from valve_sim.nodes import dispenser_parameters, monitor_parameters, profile_parameters
 from valve_sim.nodes.identification_parameters import DESCRIPTIONS, Settings
 from valve_sim.nodes.parameters import NodeParameter, table
 from valve_sim.traces.layout import CHANNELS, COIL, COIL_STATE, MEASURED
@@ -26,6 +26,7 @@ _NODES: Final = {
     "identification_node": ("identification_shell.py",),
     "monitor_node": ("monitor_shell.py", "monitor_inputs.py"),
     "command_profile": ("command_profile_shell.py",),
+    "dispenser_node": ("dispenser_shell.py",),
 }
 _CALLS: Final = {"create_publisher": "out", "create_subscription": "in", "create_service": "service"}
 _WRAPPED: Final = "EncodedPublisher"
@@ -69,6 +70,8 @@ def _written(name: ast.expr) -> str:
             return _written(value)
         case ast.Attribute(attr=attribute):
             return f"<{attribute.lstrip('_')}>"
+        case ast.Name(id=variable):
+            return f"<{variable}>"
         case _:
             raise ValueError(f"a topic is made as {ast.unparse(name)}, which cannot be read from the source")
 
@@ -91,7 +94,10 @@ def _topics() -> Iterator[str]:
         yield f"## {node}"
         found = interfaces(*((folder / file).read_text(encoding="utf-8") for file in files))
         yield _table(("name", "type", "direction"), [(f"`{e.name}`", e.message, e.direction) for e in found])
-    yield "`<valve>` and `<measured>` are parameters of monitor_node; `<sensors>` is where `<measured>` is."
+    yield (
+        "`<valve>` and `<measured>` are parameters of monitor_node; `<sensors>` is where `<measured>` is. Of "
+        "dispenser_node `<valve>` is each of its parameter `valves`."
+    )
 
 
 def _bag_topics() -> Iterator[str]:
@@ -137,6 +143,10 @@ def _node_parameters() -> Iterator[str]:
     yield _table(("name", "default", "meaning"), [(f"`{name}`", _default(own[name]), words[name]) for name in own])
     yield "## command_profile"
     own, words = profile_parameters.Settings()._asdict(), profile_parameters.DESCRIPTIONS
+    yield _table(("name", "default", "meaning"), [(f"`{name}`", _default(own[name]), words[name]) for name in own])
+    yield "## dispenser_node"
+    yield "All are read once, at the start."
+    own, words = dispenser_parameters.Settings()._asdict(), dispenser_parameters.DESCRIPTIONS
     yield _table(("name", "default", "meaning"), [(f"`{name}`", _default(own[name]), words[name]) for name in own])
 
 

@@ -37,8 +37,21 @@ class IfElseSubstitution(NamedTuple):
         return self.if_value if values[self.condition.name] == "true" else self.else_value
 
 
+class AndSubstitution(NamedTuple):
+    """Stands for whether two arguments are true."""
+
+    left: LaunchConfiguration
+    right: LaunchConfiguration
+
+
 class IfCondition(NamedTuple):
-    configuration: LaunchConfiguration
+    configuration: LaunchConfiguration | AndSubstitution
+
+    @property
+    def names(self) -> set[str]:
+        """The arguments that must be true."""
+        known = self.configuration
+        return {known.name} if isinstance(known, LaunchConfiguration) else {known.left.name, known.right.name}
 
 
 class Node(NamedTuple):
@@ -54,10 +67,10 @@ class Node(NamedTuple):
 
     @property
     def full_name(self) -> str:
-        return f"/{self.namespace}/{self.name}"
+        return f"/{self.namespace}/{self.name}".replace("//", "/")
 
     def is_started(self, values: Mapping[str, str]) -> bool:
-        return self.condition is None or values[self.condition.configuration.name] == "true"
+        return self.condition is None or all(values[name] == "true" for name in self.condition.names)
 
     def file(self, values: Mapping[str, str]) -> Path:
         """Its one parameter file."""
@@ -104,6 +117,7 @@ def read_launch_file(path: Path) -> LaunchPlan:
         "launch.actions": {"DeclareLaunchArgument": DeclareLaunchArgument},
         "launch.conditions": {"IfCondition": IfCondition},
         "launch.substitutions": {
+            "AndSubstitution": AndSubstitution,
             "IfElseSubstitution": IfElseSubstitution,
             "LaunchConfiguration": LaunchConfiguration,
         },

@@ -65,13 +65,13 @@ def rights_in_use(node: Any, name: str) -> Rights:
 
 @pytest.fixture
 def station(in_own_domain: None, tmp_path: Path) -> Iterator[Probe]:
-    """A tank with gas, and the sequencer, which waits for the others; on simulated time, which needs its own right."""
+    """A tank with gas; dispenser and sequencer wait for the others; on simulated time, a right of its own."""
     plan = read_launch_file(ROOT / "launch" / "station.launch.py")
     sequencer = [sys.executable, str(ROOT / "docs" / "examples" / "sequencer.py"), "--ros-args"]
     words = ["-p", "patience:=1000.0", "-p", "use_sim_time:=true"]
     rclpy.init()
     probe = Probe()
-    with plan.running(tmp_path, ("tank_1",), {"gas": "true", "use_sim_time": "true"}):
+    with plan.running(tmp_path, ("tank_1", ""), {"gas": "true", "dispenser": "true", "use_sim_time": "true"}):
         process = subprocess.Popen([*sequencer, *words], env={**os.environ, "ROS_LOG_DIR": str(tmp_path)})
         yield probe
         process.kill()
@@ -82,7 +82,7 @@ def station(in_own_domain: None, tmp_path: Path) -> Iterator[Probe]:
 
 def test_each_node_has_the_rights_that_it_uses_and_no_others(station: Probe) -> None:
     allowed = rights_by_policy()
-    for name in ("/tank_1/valve", "/tank_1/monitor", "/sequencer"):
+    for name in ("/tank_1/valve", "/tank_1/monitor", "/sequencer", "/dispenser"):
         station.until(lambda name=name: rights_in_use(station.node, name) == allowed[name])
         assert rights_in_use(station.node, name) == allowed[name], name
 

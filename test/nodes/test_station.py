@@ -9,6 +9,8 @@ from typing import Any
 import pytest
 
 from valve_sim.files.parameter_files import load_valve
+from valve_sim.nodes.dispenser_parameters import Settings, check_settings
+from valve_sim.nodes.starting import read_files
 
 from .clockwork import Clockwork
 from .launch_plan import IfElseSubstitution, LaunchConfiguration, LaunchPlan, read_launch_file
@@ -36,8 +38,29 @@ def test_each_tank_has_a_valve_and_a_monitor(plan: LaunchPlan) -> None:
     assert {node.executable for node in plan.started({"monitors": "false"})} == {"valve_node"}
 
 
+def test_with_gas_there_is_a_dispenser_for_the_valves_that_are_started(plan: LaunchPlan) -> None:
+    for gas, dispenser in (("true", "false"), ("false", "true")):
+        started = plan.started({"gas": gas, "dispenser": dispenser})
+        assert "dispenser_node" not in {node.executable for node in started}
+    started = plan.started({"gas": "true", "dispenser": "true"})
+    (node_of_line,) = [node for node in started if node.executable == "dispenser_node"]
+    ((_, section),) = read_files(["", "--ros-args", "--params-file", str(node_of_line.file({}))])
+    assert section.applies_to(node_of_line.full_name)
+    settings = check_settings(section.values, {})
+    assert settings == Settings(), "the file says what the code assumes"
+    valves = [node for node in started if node.executable == "valve_node"]
+    assert [f"/{name}" for name in settings.valves] == [node.full_name for node in valves]
+    for pressure, node in zip(settings.tank_pressures, valves, strict=True):
+        gas = load_valve(node.file({"gas": "true"})).gas
+        assert gas is not None
+        assert (gas.inlet_pressure, gas.demand_orifice_diameter) == (pressure, settings.restrictor_diameter)
+        assert (gas.discharge_coefficient, gas.inlet_temperature, gas.fluid) == (
+            settings.discharge_coefficient, settings.temperature, settings.fluid,
+        )  # fmt: skip
+
+
 def test_both_nodes_of_a_tank_have_its_parameter_file(plan: LaunchPlan) -> None:
-    for node in plan.nodes:
+    for node in (node for node in plan.nodes if node.namespace):
         for gas, name in (("false", f"{node.namespace}.yaml"), ("true", f"gas_{node.namespace}.yaml")):
             file = node.file({"gas": gas})
             assert file.is_file()
@@ -46,7 +69,7 @@ def test_both_nodes_of_a_tank_have_its_parameter_file(plan: LaunchPlan) -> None:
 
 
 def test_every_argument_sets_the_parameter_of_its_name(plan: LaunchPlan) -> None:
-    used = {node.condition.configuration.name for node in plan.nodes if node.condition}
+    used = {name for node in plan.nodes if node.condition for name in node.condition.names}
     for node in plan.nodes:
         for given in node.parameters:
             if isinstance(given, list):

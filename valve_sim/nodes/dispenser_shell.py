@@ -1,0 +1,199 @@
+"""The ROS side of dispenser_node: a `Dispenser` wired to the topics of its valves. The coils are off at its end.
+
+Threads: one steps and publishes; one answers ROS and stores the pressures that are heard; the main thread waits for a
+signal, which only sets a flag: a ROS context that it had shut down could not send 0 V any more.
+"""
+
+from __future__ import annotations
+
+import functools
+import signal
+import threading
+from collections.abc import Sequence
+from types import FrameType
+from typing import Final
+
+from rclpy.duration import Duration
+from rclpy.executors import ExternalShutdownException
+from rclpy.publisher import Publisher
+from rclpy.signals import uninstall_signal_handlers
+from sensor_msgs.msg import FluidPressure
+from std_msgs.msg import Float64
+
+from valve_sim.files.parameter_sections import Section
+from valve_sim.nodes.dispenser_parameters import DESCRIPTIONS, Settings, check_settings
+from valve_sim.nodes.dispensing import Dispensed, Dispenser
+from valve_sim.nodes.node_clock import NodeClock
+from valve_sim.nodes.parameters import sources_of
+from valve_sim.nodes.realtime import NANOSECONDS, Restart, Worker
+from valve_sim.nodes.shell_parts import RELIABLE, declare_read_only, full_name, given_parameters, make_node
+from valve_sim.nodes.spinning import guarded, spin
+
+_HEARD_SECONDS: Final = 1
+"""s that the node waits at its end for the valves to acknowledge 0 V."""
+_BETWEEN_REMINDERS: Final = 10.0
+"""s between lines that say which valve is waited for."""
+
+
+class DispenserShell:
+    """The node `dispenser`.
+
+    Topics: in <valve>/outlet_pressure; out <valve>/coil_voltage, <valve>/demand_pressure and, of a tank with a volume,
+    <valve>/inlet_pressure, for each of `valves`; ~/line_pressure, ~/vehicle_pressure. Parameters: `Settings`; they are
+    read once, at the start.
+
+    Args:
+        sections: (file, section) of the parameter files on the command line.
+
+    Raises:
+        ParameterError: a parameter is unknown, of the wrong type or out of range.
+    """
+
+    def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
+        self._node = make_node("dispenser")
+        try:
+            self._settings = self._declare(sections)
+            self._dispenser = Dispenser(self._settings)
+            self._clock = NodeClock(self._node)
+            self._wire()
+        except BaseException:
+            self._node.destroy_node()
+            raise
+        self._zero = 0
+        self._exit_code = 0
+        self._stop = threading.Event()
+        self._worker = Worker(
+            self._clock,
+            self._settings.rate,
+            prepare=self._prepare,
+            restart=self._restart,
+            step=self._step,
+            fail=self._fail,
+        )
+        self._answering = threading.Thread(target=self._answer, name="answering", daemon=True)
+
+    @property
+    def exit_code(self) -> int:
+        """0, or 1 if it failed."""
+        return self._exit_code
+
+    def spin(self) -> None:
+        """Run until a signal comes; 0 V is the last command to every valve."""
+        uninstall_signal_handlers()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._take_signal)
+        self._answering.start()
+        self._worker.start()
+        self._stop.wait()
+        self._worker.stop(None)
+        if self._node.context.ok():
+            for voltage in self._voltages:
+                voltage.publish(Float64(data=0.0))
+            for voltage in self._voltages:
+                voltage.wait_for_all_acked(Duration(seconds=_HEARD_SECONDS))
+
+    def close(self, timeout: float | None) -> bool:
+        """Release everything; whether all threads have ended."""
+        self._node.context.try_shutdown()
+        has_ended = self._worker.stop(timeout)
+        if self._answering.ident is not None:
+            self._answering.join(timeout)
+        has_ended = has_ended and not self._answering.is_alive()
+        if has_ended:
+            self._node.destroy_node()
+        return has_ended
+
+    def _declare(self, sections: Sequence[tuple[str, Section]]) -> Settings:
+        node, name = self._node, self._node.get_fully_qualified_name()
+        settings = check_settings(given_parameters(node, sections), sources_of(sections, name))
+        declare_read_only(node, settings._asdict(), DESCRIPTIONS)
+        return settings
+
+    def _wire(self) -> None:
+        node = self._node
+        self._voltages: list[Publisher] = []
+        self._demands: list[Publisher] = []
+        self._inlets: list[Publisher | None] = []
+        for k, (given, volume) in enumerate(zip(self._settings.valves, self._settings.tank_volumes, strict=True)):
+            valve = full_name(node, given, "valves")
+            self._voltages.append(node.create_publisher(Float64, f"{valve}/coil_voltage", RELIABLE))
+            self._demands.append(node.create_publisher(FluidPressure, f"{valve}/demand_pressure", RELIABLE))
+            self._inlets.append(
+                node.create_publisher(FluidPressure, f"{valve}/inlet_pressure", RELIABLE) if volume else None
+            )
+            hear = guarded(functools.partial(self._hear, k))
+            node.create_subscription(FluidPressure, f"{valve}/outlet_pressure", hear, RELIABLE)
+        self._line = node.create_publisher(FluidPressure, "~/line_pressure", RELIABLE)
+        self._vehicle = node.create_publisher(FluidPressure, "~/vehicle_pressure", RELIABLE)
+
+    def _take_signal(self, number: int, frame: FrameType | None) -> None:
+        self._stop.set()
+
+    def _answer(self) -> None:
+        try:
+            spin(self._node)
+        except ExternalShutdownException:
+            self._stop.set()
+        except Exception as error:
+            self._fail(error)
+
+    def _hear(self, valve: int, message: FluidPressure) -> None:
+        if not self._dispenser.hear(valve, message.fluid_pressure):
+            self._node.get_logger().warning(
+                f"{self._settings.valves[valve]}/outlet_pressure: {message.fluid_pressure:g} Pa is ignored, expected a "
+                "number above 0; the last good pressure stays",
+                throttle_duration_sec=_BETWEEN_REMINDERS,
+            )
+
+    # --- the stepping thread ---
+
+    def _prepare(self) -> None:
+        """Load or compile the line's model before the first step, and say what is waited for."""
+        self._dispenser.prepare()
+        tanks = ", ".join(self._settings.valves)
+        self._node.get_logger().info(
+            f"ready: opens {tanks} in rising order of their tanks' pressures, once all have said their outlet pressure"
+        )
+
+    def _restart(self, restart: Restart) -> None:
+        if restart.reason:
+            self._node.get_logger().warning(f"{restart.reason}: all valves close, and filling begins anew")
+        self._zero = restart.reading.nanoseconds
+        self._dispenser.restart()
+
+    def _step(self, deadline: int) -> None:
+        done = self._dispenser.step((deadline - self._zero) / NANOSECONDS)
+        for words in done.words:
+            self._node.get_logger().info(words)
+        if missing := self._dispenser.unheard:
+            self._node.get_logger().warning(
+                f"waits for {', '.join(f'{name}/outlet_pressure' for name in missing)}",
+                throttle_duration_sec=_BETWEEN_REMINDERS,
+            )
+            return
+        self._publish(done)
+
+    def _publish(self, done: Dispensed) -> None:
+        stamp = self._clock.stamp()
+        line = _pressure(stamp, done.line_pressure)
+        for demand in self._demands:
+            demand.publish(line)
+        for inlet, pressure in zip(self._inlets, done.tank_pressures, strict=True):
+            if inlet is not None:
+                inlet.publish(_pressure(stamp, pressure))
+        for voltage, volts in zip(self._voltages, done.volts, strict=True):
+            voltage.publish(Float64(data=volts))
+        self._line.publish(line)
+        self._vehicle.publish(_pressure(stamp, done.vehicle_pressure))
+
+    def _fail(self, error: Exception) -> None:
+        if self._node.context.ok():
+            self._exit_code = 1
+            self._node.get_logger().fatal(f"the node cannot go on: {error!r}")
+        self._stop.set()
+
+
+def _pressure(stamp: int, pressure: float) -> FluidPressure:
+    message = FluidPressure(fluid_pressure=pressure)
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, NANOSECONDS)
+    return message
