@@ -20,7 +20,7 @@ from valve_sim.identification.selection.stepwise import (
     POLISHED,
     Exploration,
 )
-from valve_sim.identification.selection.table import Hypothesis
+from valve_sim.identification.selection.table import Hypothesis, choose
 from valve_sim.model import Parameter
 
 
@@ -70,6 +70,18 @@ def test_an_adequate_declared_model_costs_one_fit(
     assert found.screened == (gains if is_enough else {})
     assert found.table().screened == found.screened
     assert not found.singles_untried()
+
+
+@pytest.mark.parametrize("is_claimable", [False, True])
+def test_what_gains_but_may_not_be_claimed_is_no_reason_to_look_further(
+    monkeypatch: pytest.MonkeyPatch, is_claimable: bool
+) -> None:
+    gains = {"a": 5.0, "b": -3.0, "c": 0.1}
+    sizes = {} if is_claimable else {("a", "a.size"): 1e9}  # on its bound
+    world = World({"": 100.0, "a": 97.0}, switches("abc"), white={"": 1.0}, gains={"": gains}, sizes=sizes)
+    found = explored(world, monkeypatch)
+    assert ("b" in tried(found)) is is_claimable
+    assert choose(found.table()) == of("a" if is_claimable else "")
 
 
 def test_what_the_score_test_promises_is_fitted_and_no_more_where_it_does_not_come(
