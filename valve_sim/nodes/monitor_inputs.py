@@ -14,8 +14,8 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import BatteryState, FluidPressure, JointState
 from std_msgs.msg import Float64
 
+from valve_sim.nodes.encoded_messages import EncodedReader, UnusableMessageError, coils, joint_states
 from valve_sim.nodes.live_map import LiveInput
-from valve_sim.nodes.messages import JOINT_NAMES
 from valve_sim.nodes.node_clock import NodeClock
 from valve_sim.nodes.realtime import NANOSECONDS
 from valve_sim.nodes.spinning import guarded, log_left_out, received_time, waiting_messages
@@ -70,6 +70,7 @@ class MonitorInputs:
         self._voltage = f"{valve}/coil_voltage"
         self._entries: dict[Subscription, LiveInput] = {}
         self._has_stamped_current = False
+        self._joints_reader, self._coil_reader = joint_states(), coils()
         events = SubscriptionEventCallbacks(incompatible_qos=guarded(self._on_incompatible_qos))
         if entries:
             self._subscribe_by_map(entries, events)
@@ -110,11 +111,11 @@ class MonitorInputs:
         )
         if self._measured.rpartition("/")[2] not in _OF_COIL:
             on_samples: Any = guarded(self._on_samples)
-            self._samples = node.create_subscription(JointState, self._measured, on_samples, _MEASURED)
+            self._samples = node.create_subscription(JointState, self._measured, on_samples, _MEASURED, raw=True)
         on_currents: Any = guarded(self._on_currents)
         self._currents = node.create_subscription(Float64, f"{self._sensors}/coil_current", on_currents, _MEASURED)
         on_coil: Any = guarded(self._on_coil)
-        self._coil = node.create_subscription(BatteryState, f"{self._sensors}/coil", on_coil, _MEASURED)
+        self._coil = node.create_subscription(BatteryState, f"{self._sensors}/coil", on_coil, _MEASURED, raw=True)
         if self._has_gas:
             on_pressure: Any = guarded(self._on_pressure)
             self._pressure = node.create_subscription(
@@ -146,16 +147,16 @@ class MonitorInputs:
             self._currents = subscription_to("current", self._on_currents, _MEASURED)
 
     def _as_own_message(self, entry: LiveInput | None, message: Any, info: Any) -> tuple[Any, Any]:
-        """A message and its times in the types of this package; `entry` is None where they are already."""
+        """A message and its times as this package's own topics have them; `entry` is None where they are already.
+
+        Of positions that is the stamp, ns, and the number, m.
+        """
         if entry is None:
             return message, info
         value, stamp = entry.value(message), entry.stamp(message)
         if entry.quantity != "position":
             return Float64(data=value), {"stamp": stamp} if stamp else info
-        seconds, nanoseconds = divmod(stamp or self._arrival(info), NANOSECONDS)
-        joints = JointState(name=[JOINT_NAMES[0]], position=[value])
-        joints.header.stamp.sec, joints.header.stamp.nanosec = seconds, nanoseconds
-        return joints, info
+        return (stamp or self._arrival(info), value), info
 
     def _on_command(self, message: Float64, info: Any) -> None:
         self._take.command(self._arrival(info), message.data)
@@ -166,13 +167,15 @@ class MonitorInputs:
             if not self._has_stamped_current:
                 self._take.coil(self._arrival(received), current.data, math.nan, 0)
 
-    def _on_coil(self, message: BatteryState, info: Any) -> None:
+    def _on_coil(self, encoded: bytes, info: Any) -> None:
         """Take the current where it is stamped, in place of the one that is not."""
-        for coil, received in itertools.chain([(message, info)], self._waiting_on(self._coil)):
+        for coil, received in itertools.chain([(encoded, info)], self._waiting_on(self._coil)):
             self._take_commands()
-            if math.isfinite(coil.current):
+            found = self._read(self._coil_reader, self._coil.topic_name, coil)
+            if found is not None and math.isfinite(found[2]):
                 self._hear_no_unstamped_current()
-                self._take.coil(_stamp_of(coil), coil.current, coil.voltage, self._received(received))
+                stamp, voltage, current = found
+                self._take.coil(stamp, current, voltage, self._received(received))
 
     def _hear_no_unstamped_current(self) -> None:
         """Unsubscribe from what says nothing more, and costs as much as a sample to send and to take."""
@@ -183,13 +186,23 @@ class MonitorInputs:
     def _on_pressure(self, message: FluidPressure, info: Any) -> None:
         self._take.pressure(_stamp_of(message), message.fluid_pressure)
 
-    def _on_samples(self, message: JointState, info: Any) -> None:
-        """Take all queued samples, each after the commands received before it."""
-        for sample, received in itertools.chain([(message, info)], self._waiting_on(self._samples)):
+    def _on_samples(self, sample: bytes | tuple[int, float], info: Any) -> None:
+        """Take all queued samples, encoded or as a map gave them, each after the commands received before it."""
+        for waiting, received in itertools.chain([(sample, info)], self._waiting_on(self._samples)):
             self._take_commands()
-            position = self._position_of(sample)
-            if position is not None:
-                self._take.position(_stamp_of(sample), position, self._received(received))
+            is_encoded = isinstance(waiting, bytes)
+            found = self._read(self._joints_reader, self._measured, waiting) if is_encoded else waiting
+            if found is not None:
+                stamp, position = found
+                self._take.position(stamp, position, self._received(received))
+
+    def _read(self, reader: EncodedReader, topic: str, encoded: bytes) -> tuple[Any, ...] | None:
+        """The stamp and the numbers of a message; None, and rejected, where it does not hold them."""
+        try:
+            return reader.read(encoded)
+        except UnusableMessageError as error:
+            self._take.reject(f"{topic}: {error}")
+            return None
 
     def _take_commands(self) -> None:
         for command in self._waiting_on(self._commands):
@@ -217,18 +230,6 @@ class MonitorInputs:
             return int(info["stamp"])
         received = received_time(info)
         return self._clock.stamp() if self.is_simulated() or not received else received
-
-    def _position_of(self, message: JointState) -> float | None:
-        """The pilot plunger's position, m; None, and rejected, where the message has none."""
-        names, positions = message.name, message.position
-        if JOINT_NAMES[0] not in names:
-            self._take.reject(f"{self._measured}: joints {list(names)}, expected {JOINT_NAMES[0]} among them")
-            return None
-        index = names.index(JOINT_NAMES[0])
-        if len(positions) <= index:
-            self._take.reject(f"{self._measured}: {len(positions)} positions for {len(names)} joints")
-            return None
-        return float(positions[index])
 
     def _on_incompatible_qos(self, event: QoSRequestedIncompatibleQoSInfo) -> None:
         policy = qos_policy_name_from_kind(event.last_policy_kind)
