@@ -3,7 +3,7 @@
     ros2 launch valve_sim station.launch.py monitors:=false command_timeout:=0.5
     ros2 launch valve_sim station.launch.py gas:=true
 
-With gas and dispenser:=true a dispenser commands the valves; else that is left to you.
+With gas a dispenser commands the valves; dispenser:=false leaves that to you.
 
 A monitor declares the valve that its parameter file describes, and hears the simulated valve's own joint_states in
 place of a sensor's. What a parameter sets while the station runs is a fault to it.
@@ -24,7 +24,7 @@ NOISE_UM = 1.0
 TANKS = ("tank_1", "tank_2", "tank_3")
 ARGUMENTS = {
     "gas": ("false", "whether there is hydrogen before the valves, and a line behind them"),
-    "dispenser": ("false", "with gas: whether a dispenser fills vehicles from the line, one valve after the other"),
+    "dispenser": ("true", "with gas: whether a dispenser fills vehicles from the line, one valve after the other"),
     "use_sim_time": ("false", "follow /clock"),
     "monitors": ("true", "whether each valve has a monitor_node beside it"),
     "publish_rate": ("500.0", "Hz, of each valve"),

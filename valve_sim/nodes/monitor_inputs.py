@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping
@@ -33,6 +34,7 @@ class Takers(NamedTuple):
     Attributes:
         command: stamp, ns, and volts. position: stamp, m, and the time of reception, ns, 0 where not known.
         coil: stamp, A, V or nan, and the time of reception. pressure: stamp and Pa, behind a valve with gas.
+        end_pressure: name, stamp and Pa, of its tank or of what its demand's orifice leads to.
         reject: why a message cannot be used.
     """
 
@@ -40,6 +42,7 @@ class Takers(NamedTuple):
     position: Callable[[int, float, int], None]
     coil: Callable[[int, float, float, int], None]
     pressure: Callable[[int, float], None]
+    end_pressure: Callable[[str, int, float], None]
     reject: Callable[[str], None]
 
 
@@ -121,6 +124,10 @@ class MonitorInputs:
             self._pressure = node.create_subscription(
                 FluidPressure, f"{self._sensors}/outlet_pressure", on_pressure, _MEASURED
             )
+            on_inlet: Any = guarded(functools.partial(self._on_end_pressure, "inlet_pressure"))
+            on_demand: Any = guarded(functools.partial(self._on_end_pressure, "demand_pressure"))
+            node.create_subscription(FluidPressure, f"{self._valve}/inlet_pressure", on_inlet, _MEASURED)
+            node.create_subscription(FluidPressure, f"{self._valve}/demand_pressure", on_demand, _MEASURED)
 
     def _subscribe_by_map(self, entries: Mapping[str, LiveInput], events: SubscriptionEventCallbacks) -> None:
         """Subscribe to the topics that the map names; each message is converted to the type of this package."""
@@ -185,6 +192,10 @@ class MonitorInputs:
 
     def _on_pressure(self, message: FluidPressure, info: Any) -> None:
         self._take.pressure(_stamp_of(message), message.fluid_pressure)
+
+    def _on_end_pressure(self, name: str, message: FluidPressure, info: Any) -> None:
+        """Take a pressure that the valve obeys; one without a stamp counts from when it is received, as there."""
+        self._take.end_pressure(name, _stamp_of(message) or self._arrival(info), message.fluid_pressure)
 
     def _on_samples(self, sample: bytes | tuple[int, float], info: Any) -> None:
         """Take all queued samples, encoded or as a map gave them, each after the commands received before it."""

@@ -68,7 +68,8 @@ class MonitorShell:
 
     Topics of the valve <valve>, in: <valve>/coil_voltage, <valve>/<measured>, and coil or coil_current beside the
     latter, where there is one: with it fault isolation tells a change of the coil from one of the magnetic circuit.
-    Of a valve with gas also outlet_pressure there, from which a stroke starts; without it, the model's own.
+    Of a valve with gas also outlet_pressure there, from which a stroke starts; without it, the model's own. And the
+    valve's inlet_pressure and demand_pressure; without them, the declared ones.
     Where no position comes, or <measured> is that of the coil, the valve is watched by its current alone. Out:
     ~/predicted/joint_states and ~/residual (m, measured less predicted position of the pilot plunger; by the current
     alone A, measured less predicted current) with each sample;
@@ -95,7 +96,14 @@ class MonitorShell:
             self._state = Path(given.settings.state).expanduser() if given.settings.state else None
             self._kept = None if self._state is None else load_commissioning(self._state, given.valve)
             self._wire()
-            take = Takers(self._on_command, self._on_position, self._on_coil, self._on_pressure, self._on_unusable)
+            take = Takers(
+                self._on_command,
+                self._on_position,
+                self._on_coil,
+                self._on_pressure,
+                self._on_end_pressure,
+                self._on_unusable,
+            )
             self._inputs = MonitorInputs(
                 self._node, self._clock, self._valve, measured, entries, take, has_gas=given.valve.gas is not None
             )
@@ -178,6 +186,9 @@ class MonitorShell:
 
     def _on_pressure(self, stamp: int, pressure: float) -> None:
         self._when_ready(lambda: self._segmenter.line.hear(self._seconds(stamp), pressure))
+
+    def _on_end_pressure(self, name: str, stamp: int, pressure: float) -> None:
+        self._when_ready(lambda: self._segmenter.line.hear_end(name, self._seconds(stamp), pressure))
 
     def _on_unusable(self, why: str) -> None:
         self._input.reject(why)

@@ -62,6 +62,7 @@ class Trace:
         coil_voltage: Measured at the coil's terminals, V: the input in place of the command, see `input`.
         acceleration: Along the axis, m/s².
         inlet_pressure, outlet_pressure: Before and behind a valve with gas, absolute, Pa.
+        demand_pressure: Behind the demand's orifice of such a valve, absolute, Pa; each holds until the next.
         coil_temperature: °C.
         outlet_start: Behind a valve with gas when the trace begins, Pa; None: as the valve declares it.
         epoch_ns: The first stamp of commands or samples, ns, on the samples' clock.
@@ -84,6 +85,7 @@ class Trace:
     acceleration: Signal | None = None
     inlet_pressure: Signal | None = None
     outlet_pressure: Signal | None = None
+    demand_pressure: Signal | None = None
     coil_temperature: Signal | None = None
     outlet_start: float | None = None
     epoch_ns: int = 0

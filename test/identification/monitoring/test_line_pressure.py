@@ -37,7 +37,7 @@ def test_what_was_heard_goes_before_what_the_model_has() -> None:
     for time in (0.0, 1.0):
         line.note(time, 1e5)
         line.hear(time, 2e6 + 1e6 * time)
-    line.keep()
+    line.keep(1.0)
     assert start(line, 0.25 + COMMAND) == pytest.approx(2.25e6, rel=1e-12)
 
 
@@ -47,14 +47,14 @@ def test_the_model_stands_in_for_a_sensor_that_is_missing_or_silent() -> None:
     line.hear(0.0, 5e6)
     line.note(0.0, 1e5)
     line.note(LONGEST + 0.1, 3e5)
-    line.keep()
+    line.keep(COMMAND)
     assert start(line, LONGEST + 0.1 + COMMAND) == 3e5
 
 
 def test_a_stroke_keeps_the_pressure_of_its_beginning() -> None:
     line = LinePressure()
     line.hear(0.0, 5e6)
-    line.keep()
+    line.keep(COMMAND)
     line.hear(0.1, 9e6)
     assert start(line, COMMAND + 0.1) == 5e6
 
@@ -64,7 +64,7 @@ def test_what_cannot_be_used_is_left_out(sample: tuple[float, float]) -> None:
     line = LinePressure()
     line.hear(0.1, 5e6)
     line.hear(*sample)
-    line.keep()
+    line.keep(COMMAND)
     assert start(line, 0.2 + COMMAND) == 5e6
 
 
@@ -109,3 +109,47 @@ def test_without_a_sensor_a_stroke_begins_at_the_model_s_own_pressure() -> None:
     assert first.trace.outlet_start == pytest.approx(TANK.gas.outlet_pressure, rel=1e-6)
     # The tank's pressure is in both pipes since the first stroke.
     assert second.trace.outlet_start == pytest.approx(TANK.gas.inlet_pressure, rel=0.02)
+
+
+def test_the_pressures_at_both_ends_are_known_to_the_model_and_to_the_stroke() -> None:
+    """Of a valve whose tank and line are not as declared, and change when it opens: else it looks faulty."""
+    gas = {"inlet_pressure": 25.5e6, "demand_pressure": 3e6}
+    line = [(0.1 * index, 3e6 + 5e6 * min(0.1 * index, 0.6)) for index in range(8)]
+    for is_heard in (True, False):
+        plant, segmenter = Stepper(with_gas(**gas)), StrokeSegmenter(TANK, MonitorSettings())
+        segmenter.line.hear(0.0, 14e6)
+        if is_heard:
+            segmenter.line.hear_end("inlet_pressure", 0.0, 25.5e6)
+        due, commands = list(line), [(0.35, 9.0), (0.5, 0.0)]
+        for index in range(1, 400):
+            time = index * STEP
+            while due and due[0][0] < time:
+                plant.set_demand_pressure(*due[0])
+                if is_heard:
+                    segmenter.line.hear_end("demand_pressure", *due[0])
+                due.pop(0)
+            while commands and commands[0][0] < time:
+                plant.command(*commands[0])
+                segmenter.command(*commands.pop(0))
+            reading = plant.advance(time)
+            segmenter.line.hear(time, reading.outlet_pressure)
+            prediction = segmenter.measure(time, reading.pilot_position)
+        (stroke,) = segmenter.take_finished()
+        assert prediction is not None
+        shown = ValvePlant([stroke.trace], TANK.exact()).predict({})[0]
+        furthest = float(np.max(np.abs(shown - stroke.trace.pilot_position)))
+        if is_heard:
+            assert furthest < 20e-6
+            assert prediction.reading.outlet_pressure == pytest.approx(reading.outlet_pressure, rel=5e-3)
+        else:
+            assert furthest > 300e-6
+
+
+def test_a_pressure_that_no_end_can_have_or_that_comes_late_is_left_out() -> None:
+    line = LinePressure()
+    line.keep(COMMAND)
+    for time, pressure in ((0.1, 5e6), (0.2, math.nan), (0.3, -1.0), (0.05, 6e6), (0.4, 5.00001e6), (0.5, 7e6)):
+        line.hear_end("demand_pressure", time, pressure)
+    trace = line.before(STROKE, COMMAND)
+    assert trace.demand_pressure is not None and trace.inlet_pressure is None
+    assert list(zip(*trace.demand_pressure, strict=True)) == [(0.1, 5e6), (0.5, 7e6)]

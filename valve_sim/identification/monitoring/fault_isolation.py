@@ -14,16 +14,16 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from valve_sim.identification.diagnosis.run import Verdict, diagnose_plant
 from valve_sim.identification.estimation.identify import DEFAULT_FREE
 from valve_sim.identification.estimation.intervals import Interval
+from valve_sim.identification.monitoring.joined_signals import joined, with_joined_ends
 from valve_sim.identification.monitoring.lift_times import starts_by_lift
 from valve_sim.identification.monitoring.scores import Baseline
 from valve_sim.identification.plants.commissioned import CommissionedPlant
 from valve_sim.identification.plants.effect_titles import WRONG
-from valve_sim.identification.plants.protocol import Array, Plant
+from valve_sim.identification.plants.protocol import Plant
 from valve_sim.identification.plants.tolerances import hypothesis_of
 from valve_sim.model import Drive, Parameter
 from valve_sim.traces import Signal, Trace
@@ -152,35 +152,22 @@ def join(strokes: Sequence[Trace], baseline: Baseline) -> Trace:
     source = f"{strokes[0].source} to {strokes[-1].source}"
     back = [start - baseline.lateness for start in starts]
     if not baseline.has_positions:
-        current = _joined([stroke.coil_current for stroke in strokes], back)
-        voltage = _joined([stroke.coil_voltage for stroke in strokes], back)
+        current = joined([stroke.coil_current for stroke in strokes], back)
+        voltage = joined([stroke.coil_voltage for stroke in strokes], back)
         nothing = np.empty(0)
-        return Trace(
+        alone = Trace(
             source, drive, nothing, nothing, coil_current=current, coil_voltage=voltage, epoch_ns=epoch,
             outlet_start=strokes[0].outlet_start,
         )  # fmt: skip
-    position = _joined([Signal(stroke.times, stroke.pilot_position) for stroke in strokes], back)
+        return with_joined_ends(alone, strokes, starts)
+    position = joined([Signal(stroke.times, stroke.pilot_position) for stroke in strokes], back)
     assert position is not None
     commissioned = baseline.current
     currents = [
         commissioned and stroke.coil_current and commissioned.as_modelled(stroke.coil_current) for stroke in strokes
     ]
-    return Trace(
-        source, drive, *position, coil_current=_joined(currents, starts), epoch_ns=epoch,
+    whole = Trace(
+        source, drive, *position, coil_current=joined(currents, starts), epoch_ns=epoch,
         outlet_start=strokes[0].outlet_start,
     )  # fmt: skip
-
-
-def _joined(signals: Sequence[Signal | None], starts: Sequence[float]) -> Signal | None:
-    """Signals of one stroke each in a row; None where one is missing. Rest that two strokes have is there once."""
-    known = [signal for signal in signals if signal is not None]
-    if len(known) < len(signals):
-        return None
-    times = np.concatenate([signal.times + start for signal, start in zip(known, starts, strict=True)])
-    is_later = _rises(times)
-    return Signal(times[is_later], np.concatenate([signal.values for signal in known])[is_later])
-
-
-def _rises(times: Array) -> NDArray[np.bool_]:
-    """Which times are later than all before them."""
-    return np.asarray(times > np.concatenate([[-math.inf], np.maximum.accumulate(times)[:-1]]))
+    return with_joined_ends(whole, strokes, starts)

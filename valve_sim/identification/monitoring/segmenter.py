@@ -128,7 +128,7 @@ class StrokeSegmenter:
         self._samples = KeptSamples(by_current=self._by_current)
         self._motion = MeasuredMotion(RESTING * self._valve.parameters.stroke)
         self.line = LinePressure()
-        """The pressure behind a valve with gas; where one is measured, it is to hear it."""
+        """The pressures at a valve with gas; where they are measured, it is to hear them."""
         self._phase = Phase.CLOSED
         self._phase_since = -math.inf
         self._rest_since = math.inf
@@ -279,7 +279,7 @@ class StrokeSegmenter:
 
     def _rest_model(self, time: float) -> Stepper:
         """Let the model rest without current from here on; the stroke cannot be compared with it then."""
-        self._stepper = Stepper(self._valve, time)
+        self._stepper = self.line.supplied_anew(Stepper(self._valve, time), time)
         if self._stroke is not None:
             self._stroke.is_at_rest = False
         return self._stepper
@@ -288,7 +288,7 @@ class StrokeSegmenter:
         """The model at a sample; for one stamped before the last command, the model at that command."""
         at = max(time - self._lateness, self._last_command)
         try:
-            return self._model(time).advance(at)
+            return self.line.supplied(self._model(time), at).advance(at)
         except SimulationError:
             return self._rest_model(at).advance(at)
 
@@ -383,7 +383,7 @@ class StrokeSegmenter:
         is_closed = math.isnan(self._position) or self._is_closed(self._position) or begins_early
         is_at_rest = is_closed and self._phase is Phase.CLOSED and not has_current
         self._stroke = StrokeInProgress(is_at_rest)
-        self.line.keep()
+        self.line.keep(time)
         if begins_early:
             self._stroke.highest = 0.0 if self._by_current else self._samples.highest_since(left_seat)
         if self._next is not None and is_at_rest:
@@ -391,7 +391,7 @@ class StrokeSegmenter:
             if self._valve.gas is None:
                 self._stepper = Stepper(self._valve, min(time, at))
             else:
-                self._model(time).set_valve(self._valve, at)
+                self.line.exchange(self._model(time), self._valve, at)
 
     def _left_seat(self) -> float:
         """When the valve was last at rest, s, if it moved before its command arrived; nan if it did not.

@@ -39,6 +39,7 @@ from valve_sim.identification.monitoring.findings import (
     WaitsForPressure,
 )
 from valve_sim.identification.monitoring.held_valve import held_fault
+from valve_sim.identification.monitoring.joined_signals import with_joined_ends
 from valve_sim.identification.monitoring.scores import (
     DELAYS,
     SIZE,
@@ -386,9 +387,10 @@ def _after(earlier: Sequence[Trace], trace: Trace) -> Trace:
     if not earlier:
         return trace
     strokes = [*earlier, trace]
-    times = [stroke.drive.times + (stroke.epoch_ns - trace.epoch_ns) / 1e9 for stroke in strokes]
+    starts = [(stroke.epoch_ns - trace.epoch_ns) / 1e9 for stroke in strokes]
+    times = [stroke.drive.times + start for stroke, start in zip(strokes, starts, strict=True)]
     drive = Drive(np.concatenate(times), np.concatenate([stroke.drive.volts for stroke in strokes]))
-    return replace(trace, drive=drive, outlet_start=earlier[0].outlet_start)
+    return with_joined_ends(replace(trace, drive=drive, outlet_start=earlier[0].outlet_start), strokes, starts)
 
 
 def _retimed(trace: Trace, shifts: Array) -> Trace:

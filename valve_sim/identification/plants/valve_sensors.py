@@ -46,6 +46,7 @@ EQUAL: Final = 2.0
 
 NO_EVENTS: Final = np.empty(0, EVENT_RECORD)
 NO_TIMES: Final = np.empty(0)
+NO_SIGNAL: Final = Signal(NO_TIMES, NO_TIMES)
 """Where none are asked for, or recorded."""
 
 
@@ -127,7 +128,7 @@ def without_pressure(trace: Trace) -> Trace:
             f"{trace.source}: holds the outlet's pressure alone, and the valve declares no gas; give a parameter file "
             "with the group gas"
         )
-    return replace(trace, inlet_pressure=None, outlet_pressure=None)
+    return replace(trace, inlet_pressure=None, outlet_pressure=None, demand_pressure=None)
 
 
 def without_jittered_current(trace: Trace) -> Trace:
@@ -205,10 +206,18 @@ def state_before(record: Any, trace: Trace, drive: Drive, times: Array) -> Any:
 
 
 def as_it_began(valve: Valve, trace: Trace) -> Valve:
-    """The valve with the pressure behind it with which a trace begins."""
-    if trace.outlet_start is None or valve.gas is None:
+    """The valve with the pressures at its first command: of tank, demand and outlet, where they are known."""
+    if valve.gas is None:
         return valve
-    return replace(valve, gas=valve.gas._replace(outlet_pressure=max(trace.outlet_start, LEAST_PRESSURE)))
+    at = float(trace.drive.times[0])
+    known: dict[str, float] = {} if trace.outlet_start is None else {"outlet_pressure": trace.outlet_start}
+    if trace.inlet_pressure is not None:
+        known["inlet_pressure"] = float(np.interp(at, *trace.inlet_pressure))
+    if trace.demand_pressure is not None:
+        times, pressures = trace.demand_pressure
+        known["demand_pressure"] = float(pressures[max(0, int(np.searchsorted(times, at, side="right")) - 1)])
+    least: dict[str, Any] = {name: max(pressure, LEAST_PRESSURE) for name, pressure in known.items()}
+    return replace(valve, gas=valve.gas._replace(**least)) if least else valve
 
 
 def predicted(record: Any, trace: Trace, drive: Drive, offset: float) -> list[Array]:
@@ -229,13 +238,18 @@ def predicted(record: Any, trace: Trace, drive: Drive, offset: float) -> list[Ar
 
 
 def _run(record: Any, state: Any, trace: Trace, drive: Drive, samples: Samples, offset: float) -> None:
-    """Run the model; with gas from the tank's pressure as it was measured, if it was."""
-    if trace.inlet_pressure is None or not is_of_gas(record):
+    """Run the model; with gas from the pressures of tank and demand as they were measured, if they were."""
+    inlet, demand = trace.inlet_pressure or NO_SIGNAL, trace.demand_pressure or NO_SIGNAL
+    if not (len(inlet.times) or len(demand.times)) or not is_of_gas(record):
         tolerance = GAS_TOLERANCE if is_of_gas(record) else FIT_TOLERANCE
         run_record(record, state, drive, samples, NO_EVENTS, tolerance)
         return
-    times, pressures = trace.inlet_pressure
-    supply = Supply(times - offset, np.maximum(pressures, LEAST_PRESSURE))
+    supply = Supply(
+        inlet.times - offset,
+        np.maximum(inlet.values, LEAST_PRESSURE),
+        demand.times - offset,
+        np.maximum(demand.values, LEAST_PRESSURE),
+    )
     run_supplied(record, state, drive, supply, samples, NO_EVENTS, GAS_TOLERANCE)
 
 
