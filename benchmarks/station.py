@@ -6,9 +6,9 @@ commissioned, by valve the steps that it lost, commissioning included, by monito
 no step lost, at most 120 % of a core in all. Exit code 1 where that falls short. Wants a quiet machine with two cores;
 needs ROS 2.
 
-`--gas` takes the tanks of hydrogen, as the launch file does with gas:=true. Each valve then makes a stroke every six
-seconds; in the middle a leak is put into one of them by parameter. Wanted besides: its monitor, and no other, names the
-leak within 10 strokes.
+`--gas` takes the tanks of hydrogen and the dispenser, as the launch file does with gas:=true. It commands the valves:
+each makes one stroke for each vehicle, every fifteen seconds. In the middle a leak is put into one of them by
+parameter. Wanted besides: vehicles are filled, and its monitor, and no other, names the leak within 10 strokes.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import math
 import os
 import signal
 import subprocess
@@ -31,6 +32,7 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from sensor_msgs.msg import FluidPressure
 from std_msgs.msg import Float64, String
 
 from benchmarks.node_timing import processor_seconds
@@ -61,38 +63,65 @@ class Rhythm(NamedTuple):
     is_open: float = 0.1
 
 
-WITH_GAS = Rhythm(6.0, 0.4)
+WITH_GAS = Rhythm(15.0)
 
 
 class Figures(NamedTuple):
     """What was measured: share of a core by node, %, steps lost by valve, reports by monitor, names found by monitor.
 
-    Of a finding: after how many strokes of its valve since the leak, what is named, and the summary.
+    And vehicles filled. Of a finding: strokes of its valve since the leak, what is named, and the summary.
     """
 
     shares: dict[str, float]
     lost: dict[str, int]
     reported: dict[str, int]
     findings: dict[str, list[tuple[int, str, str]]]
+    filled: int = 0
 
 
 class Hand:
-    """Commands the valves, and hears what the nodes say of themselves."""
+    """Commands the valves, unless a dispenser does, and hears what the nodes say of themselves."""
 
-    def __init__(self, rhythm: Rhythm = Rhythm()) -> None:  # noqa: B008 -- cannot be changed
+    def __init__(self, rhythm: Rhythm = Rhythm(), *, has_dispenser: bool = False) -> None:  # noqa: B008 -- constant
         self.rhythm = rhythm
         self.node = Node("station_benchmark")
         self.executor = SingleThreadedExecutor()
         self.executor.add_node(self.node)
         self.lost: dict[str, int] = {}
+        self.filled = 0
         self.arriving: set[str] = set()
         self.reported, self.made = dict.fromkeys(TANKS, 0), dict.fromkeys(TANKS, 0)
         self.findings: dict[str, list[tuple[int, str, str]]] = {tank: [] for tank in TANKS}
-        self.voltages = [self.node.create_publisher(Float64, f"/{tank}/valve/coil_voltage", 10) for tank in TANKS]
+        self.has_dispenser = has_dispenser
+        self.vehicle_pressure = math.nan
+        self.node.create_subscription(FluidPressure, "/dispenser/vehicle_pressure", self._hear_vehicle, 10)
+        if has_dispenser:
+            for tank in TANKS:
+                self.node.create_subscription(Float64, f"/{tank}/valve/coil_voltage", self._stroke_counter(tank), 10)
+        self.voltages = (
+            []
+            if has_dispenser
+            else [self.node.create_publisher(Float64, f"/{tank}/valve/coil_voltage", 10) for tank in TANKS]
+        )
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._hear_diagnostics, 100)
         for tank in TANKS:
             self.node.create_subscription(String, f"/{tank}/monitor/stroke_report", self._counter(tank), 10)
             self.node.create_subscription(String, f"/{tank}/monitor/finding", self._finder(tank), 10)
+
+    def _stroke_counter(self, tank: str) -> Any:
+        before = 0.0
+
+        def count(message: Any) -> None:
+            nonlocal before
+            self.made[tank] += before == 0.0 and message.data != 0.0
+            before = message.data
+
+        return count
+
+    def _hear_vehicle(self, message: Any) -> None:
+        # Another, empty one has come: the last was full, or no tank gave any more.
+        self.filled += message.fluid_pressure < 0.5 * self.vehicle_pressure
+        self.vehicle_pressure = message.fluid_pressure
 
     def _counter(self, tank: str) -> Any:
         def count(message: Any) -> None:
@@ -139,7 +168,10 @@ class Hand:
             self.executor.spin_once(timeout_sec=remaining)
 
     def strokes(self, seconds: float) -> None:
-        """One stroke each period of each valve, one valve after the other."""
+        """One stroke each period of each valve, one valve after the other; with a dispenser it makes them."""
+        if self.has_dispenser:
+            self.spin_for(seconds)
+            return
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             for tank, voltage in zip(TANKS, self.voltages, strict=True):
@@ -161,6 +193,9 @@ def running_station(*, gas: bool = False) -> Iterator[dict[str, int]]:
                 words += ["--params-file", str(GAS_FILES / f"gas_{tank}.yaml")]
             command = [sys.executable, "-m", f"valve_sim.nodes.{name}_node", *words]
             processes[f"{tank}/{name}"] = subprocess.Popen(command)
+    if gas:
+        given = ["--ros-args", "--params-file", str(GAS_FILES / "gas_dispenser.yaml")]
+        processes["dispenser"] = subprocess.Popen([sys.executable, "-m", "valve_sim.nodes.dispenser_node", *given])
     try:
         yield {name: process.pid for name, process in processes.items()}
     finally:
@@ -196,6 +231,7 @@ def measure(hand: Hand, pids: Mapping[str, int], seconds: float, leak: float = 0
         {tank: hand.lost[tank] - lost[tank] for tank in TANKS},
         {tank: hand.reported[tank] - reported[tank] for tank in TANKS},
         {tank: [(at - since[tank], names, words) for at, names, words in hand.findings[tank]] for tank in TANKS},
+        hand.filled,
     )
 
 
@@ -211,7 +247,7 @@ def show(figures: Figures, *, gas: bool) -> bool:
         "every monitor reported strokes": all(figures.reported.values()),
     }
     if gas:
-        verdicts |= _judge_findings(figures.findings)
+        verdicts |= {f"{figures.filled} vehicles filled": figures.filled > 0, **_judge_findings(figures.findings)}
     for words, is_good in verdicts.items():
         print(f"{'ok   ' if is_good else 'SHORT'} {words}")
     return all(verdicts.values())
@@ -243,7 +279,7 @@ def main() -> int:
     rclpy.init()
     try:
         with running_station(gas=given.gas) as pids:
-            hand = Hand(WITH_GAS if given.gas else Rhythm())
+            hand = Hand(WITH_GAS if given.gas else Rhythm(), has_dispenser=given.gas)
             if not hand.wait_for_all():
                 print(f"SHORT not every node came to run within {PATIENCE:g} s")
                 return 1
