@@ -27,12 +27,12 @@ KILTED_PYTHON := $(KILTED_ENVIRONMENT)/bin/python
 # Live nodes want the cores when something comes, and so does killing processes as they write: one after the other, ahead
 # of all else. They mostly wait; the other checks take what they leave: UNHURRIED. There belong the nodes' parts, which are
 # tested without ROS, and what a node refuses.
-SHARING := command_safety dds_profiles diagnostics handing_on live_map live_valve messages parameters profile_playing realtime refusals replay starting
+SHARING := command_safety dds_profiles diagnostics encoded_messages handing_on live_map live_valve messages parameters profile_playing realtime refusals replay starting
 ALONE := $(filter-out $(SHARING:%=test/nodes/test_%.py),$(sort $(wildcard test/nodes/test_*.py))) \
 	$(foreach name,demo documents faults,test/test_$(name).py)
 # What hangs on the ROS distribution; faults, fuzz and examples are tested once, on Jazzy, and so is what these files mark
 # `any_distribution`: fits, isolation, maps, entry points and values that the nodes refuse, the same code on either.
-KILTED_TESTS := $(foreach name,messages receiving valve_node identification_node monitor_node station supervision refusals,test/nodes/test_$(name).py)
+KILTED_TESTS := $(foreach name,messages encoded_messages receiving valve_node identification_node monitor_node station supervision refusals,test/nodes/test_$(name).py)
 # Live nodes are tested again by themselves where they fail, and named for it: tools/retest.py says why.
 RETEST := tools/retest.py
 export UNSTEADY_TESTS := $(CURDIR)/build/unsteady_tests.txt
