@@ -32,9 +32,6 @@ DIFFERENCE: Final = 2e-3
 SHOWS: Final = 0.02
 """Root of the sum of squares, in σ, of the change of residuals along a plant's short step; one that changes less shows
 rounding, and the usual step is taken."""
-TOO_STEEP: Final = 1e60
-"""Of the sum of the squares of one derivative, in σ: no sensor shows a thing so well, and squares of what follows from
-larger ones would overflow. What is balanced where it tips over has derivatives that grow without bound."""
 MOST_ITERATIONS: Final = 40
 TRIAL: Final = 6
 """Iterations that fits side by side make before they are compared."""
@@ -341,8 +338,8 @@ class Descent:
     def with_priors(self, at: Array, of_data: Array, pull: Array) -> tuple[Array, Array]:
         """The same from JᵀJ and Jᵀe of the residuals and their derivatives."""
         information = of_data + np.diag(self.prior)
-        if not np.all(np.abs(of_data) < TOO_STEEP):
-            # A pilot plunger of next to no mass, for one.
+        if not np.all(np.isfinite(information)):
+            # A pilot plunger of next to no mass, for one, whose derivatives are squared beyond all numbers.
             raise SimulationError("the model's derivatives are too large where the fit has led")
         gradient = pull + self.prior * (at - self.mean)
         if self._known is not None:

@@ -76,5 +76,8 @@ def information_less(whole: Array, part: Array) -> Array:
     """(k, k) information without a part of it, (k, k); along no direction less than rounding leaves of the whole."""
     scale = np.sqrt(np.maximum(np.diag(whole), np.finfo(float).tiny))
     left = (whole - part) / np.outer(scale, scale)
+    # Where a part is more than the whole, both are rounding, which must not be divided by next to nothing.
+    is_rounding = np.diag(part) > 2.0 * np.diag(whole)
+    left[is_rounding] = left[:, is_rounding] = 0.0
     values, vectors = np.linalg.eigh(0.5 * (left + left.T))
     return np.asarray((vectors * np.maximum(values, ROUNDING)) @ vectors.T * np.outer(scale, scale))
