@@ -22,6 +22,7 @@ STAND_IN = Path(__file__).with_name("ros2_stand_in.py")
 PATIENCE = 900.0
 FOREGROUND = """
 foreground() {
+    : > foreground.txt
     "$@" 2> foreground.txt &
     local node=$! code=0
     until grep --quiet 'ready: ' foreground.txt || ! kill -0 $node 2> /dev/null; do sleep 0.1; done
