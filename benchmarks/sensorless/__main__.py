@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
@@ -180,7 +180,7 @@ def examined(case: Case) -> Found:
     in_class = case.missing in names if case.missing else verdict.kind == "none"
     is_wrong = verdict.kind == "effects" and not in_class and verdict.probability >= 0.9
     error = _positions(result.after.holdout)[0] - case.positions[1]
-    position, stderr = _positions(result.after.fit)
+    position, stderr = _positions(result.after.fit, [(rival.fit, rival.weight) for rival in result.rivals])
     moves, opens = (_moves(case, part) for part in (0, 1))
     opens &= case.traces[1].drive.at(case.traces[1].sample_times) > 0.0
     is_within = np.abs(position - case.positions[0])[moves] < 1.96 * stderr[moves]
@@ -203,10 +203,10 @@ def _rms(error: np.ndarray) -> float:
     return float(np.sqrt(np.mean(error**2)))
 
 
-def _positions(found: Fit | None) -> tuple[np.ndarray, np.ndarray]:
+def _positions(found: Fit | None, rivals: Sequence[tuple[Fit, float]] = ()) -> tuple[np.ndarray, np.ndarray]:
     """The model's positions, and their standard errors (nan where positions were measured)."""
     assert found is not None
-    if followed := followed_positions(found):
+    if followed := followed_positions(found, rivals):
         return followed[0].position, followed[0].stderr
     position = found.problem.plant.predict(found.values)[0]
     return position, np.full(len(position), np.nan)

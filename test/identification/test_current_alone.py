@@ -76,6 +76,17 @@ def test_dampings_are_refitted_and_the_position_follows() -> None:
     assert "mA as declared" in identification_text(result)
 
 
+def test_the_band_reaches_to_the_positions_of_models_that_compete() -> None:
+    trace, _ = recorded()
+    found = identify([trace], declared(BUILD)).fit
+    rival = replace(found, values={**found.values, "main_damping": 2.0 * found.values["main_damping"]})
+    (alone,), (theirs,), (beside,) = map(followed_positions, (found, rival, found), ([], [], [(rival, 0.5)]))
+    assert np.max(np.abs(theirs.position - alone.position)) > 3e-6
+    assert np.array_equal(beside.position, alone.position)
+    spread = (theirs.position - alone.position) ** 2 / 3.0
+    assert beside.stderr**2 == pytest.approx(alone.stderr**2 + spread, rel=1e-9, abs=1e-24)
+
+
 def test_a_command_without_its_droop_is_not_the_input_where_the_voltage_was_measured() -> None:
     trace, _ = recorded()
     blind = replace(trace, coil_voltage=None)
@@ -120,6 +131,25 @@ def test_a_diagnosis_reports_in_milliamperes_and_gives_the_position() -> None:
         for at in [np.interp(t, trace.sample_times, position)]
     )
     assert largest < 40.0
+
+
+def test_the_band_holds_the_truth_where_a_twin_is_named_first() -> None:
+    """Behind a clamp nothing in the current tells friction from a constant force; they close at different times."""
+    build = BUILD._replace(friction=0.35, clamp_voltage=24.0)
+    trace, position = recorded(build)
+    result = diagnose([trace], [], replace(declared(build), tolerances=Tolerances({"pilot_gap": 4e-6}, None, {})))
+    assert {*result.verdict.effects, *sum(result.verdict.confusable_with.values(), ())} >= {
+        "coulomb_friction", "constant_force",
+    }  # fmt: skip
+    rivals = [(rival.fit, rival.weight) for rival in result.rivals]
+    shares = []
+    for others in ([], rivals):
+        (followed,) = followed_positions(result.after.fit, others)
+        moves = np.abs(np.gradient(position, trace.sample_times)) > 1e-2
+        error = np.abs(followed.position - position)[moves]
+        shares.append(float(np.mean(error < 1.96 * followed.stderr[moves])))
+    assert shares[1] > 0.9
+    assert shares[0] < shares[1]
 
 
 def test_an_experiment_is_recorded_without_samples_at_its_commands_where_the_current_jumps() -> None:

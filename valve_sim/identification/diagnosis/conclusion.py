@@ -27,8 +27,9 @@ from valve_sim.identification.diagnosis.decision import (
     share_of_evidence,
 )
 from valve_sim.identification.diagnosis.experiment_design import Recommendation, recommend
-from valve_sim.identification.diagnosis.outcome import Candidate, Diagnosis, Grounds, State, Verdict
+from valve_sim.identification.diagnosis.outcome import Candidate, Diagnosis, Grounds, Rival, State, Verdict
 from valve_sim.identification.estimation.budget import OutOfTimeError
+from valve_sim.identification.estimation.followed_positions import follows_positions
 from valve_sim.identification.estimation.intervals import Interval, covariance_interval, profile_interval
 from valve_sim.identification.estimation.result import Fit, effective_rmse, is_relief, rmse
 from valve_sim.identification.plants.effect_titles import named_value
@@ -117,7 +118,7 @@ class Conclusion:
             self.plant, before, after, verdict, candidates, unexplained,
             tuple(describe(entry.choice, entry.fit, base_fit) for entry in curves.maps), alarm,
             tuple(channel.name for channel in self.plant.channels), recommendation, untried, self.held_out.looks,
-            limits,
+            limits, self.rivals(table, claim, after_fit, timing=timing),
         )  # fmt: skip
 
     def fit(self, hypothesis: Hypothesis) -> Fit:
@@ -276,6 +277,18 @@ class Conclusion:
             for name in result.free
         }
         return State(result, held, rmse(result), math.nan if held is None else rmse(held), adequacy(result), intervals)
+
+    def rivals(self, table: ScoreTable, claim: Claim, after_fit: Fit, *, timing: bool) -> tuple[Rival, ...]:
+        """What competes with the corrected model, where positions follow from a fit."""
+        if not follows_positions(self.plant) or after_fit is not self.fit(claim.best):
+            return ()
+        found = []
+        for other in competitors(table, claim)[:LARGEST_CLASS]:
+            if other != claim.best:
+                weight = min(1.0, math.exp(0.5 * (table[claim.best].score - table[other].score)))
+                work = functools.partial(self.held_out.fit, self.fit(other), timing=timing)
+                found.append(Rival(self.fit(other), self.in_time(CONCLUDED_BY, "", work, None), weight))
+        return tuple(found)
 
     def interval(self, result: Fit, name: str) -> Interval:
         """By profile likelihood; from the covariance where the time is used up."""

@@ -80,6 +80,19 @@ class State:
 
 
 @dataclass(frozen=True)
+class Rival:
+    """A model that competes with the corrected one.
+
+    `fit` and `holdout` are as of a `State`; `weight` is its likelihood over that of the corrected model, with the price
+    of its parameters, and at most 1.
+    """
+
+    fit: Fit
+    holdout: Fit | None
+    weight: float
+
+
+@dataclass(frozen=True)
 class Candidate:
     """One hypothesis that was tried."""
 
@@ -97,7 +110,8 @@ class Diagnosis:
 
     `recommendation` is the experiment that separates the competing models best, where one does; `untried` is what was
     left untried when the time was used up, or could not be simulated; `looks` is how often held-out data were opened to
-    judge a choice; `detection_limits` is, where nothing is missing, how large each effect would have to be to show.
+    judge a choice; `detection_limits` is, where nothing is missing, how large each effect would have to be to show;
+    `rivals` are named of a valve that is seen through its current alone, whose positions they leave open.
     """
 
     plant: Plant
@@ -113,6 +127,7 @@ class Diagnosis:
     untried: tuple[str, ...] = ()
     looks: int = 0
     detection_limits: Limits = field(default_factory=dict)
+    rivals: tuple[Rival, ...] = ()
 
     @property
     def valve(self) -> Valve:

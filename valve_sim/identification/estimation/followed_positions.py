@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from typing import Final, NamedTuple
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Final, NamedTuple, TypeGuard
 
 import numpy as np
 
 from valve_sim.identification.estimation.result import Fit
-from valve_sim.identification.plants.protocol import Array, from_internal, internal_bounds
+from valve_sim.identification.plants.protocol import Array, Plant, from_internal, internal_bounds
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import SimulationError
 from valve_sim.traces import Trace
@@ -29,18 +29,24 @@ class FollowedPosition(NamedTuple):
     stderr: Array
 
 
-def followed_positions(found: Fit) -> list[FollowedPosition]:
+def follows_positions(plant: Plant) -> TypeGuard[ValvePlant]:
+    """Whether a plant is a valve of which some recording has no positions."""
+    return isinstance(plant, ValvePlant) and not all(trace.has_positions for trace in plant.traces)
+
+
+def followed_positions(found: Fit, rivals: Sequence[tuple[Fit, float]] = ()) -> list[FollowedPosition]:
     """Positions by the fitted model, with standard errors by the delta method, of all recordings without positions.
 
     With the covariance C = S Sᵀ of what was estimated, the variance of x is Σ_j ((x(θ + s_j) − x(θ − s_j)) / 2)²: each
     column s_j is a step of one standard error, so that what an impact bends over that range is not lost. Directions in
-    which a simulation fails are left out.
+    which a simulation fails are left out. Other models of the same recordings, of weights w_k against 1, that have the
+    positions x_k, add Σ_k w_k (x_k − x)² / (1 + Σ_k w_k).
 
     Args:
-        found: a fit to a valve's recordings.
+        found: a fit to a valve's recordings. rivals: other fits to them, with their weights.
     """
     plant = found.problem.plant
-    if not isinstance(plant, ValvePlant) or all(trace.has_positions for trace in plant.traces):
+    if not follows_positions(plant):
         return []
     middle = plant.followed_positions(found.values)
     squares = {index: np.zeros(len(position)) for index, position in middle.items()}
@@ -51,6 +57,14 @@ def followed_positions(found: Fit) -> list[FollowedPosition]:
             continue
         for index in middle:
             squares[index] += np.square(0.5 * (ahead[index] - behind[index]))
+    total = 1.0 + sum(weight for _, weight in rivals)
+    for rival, weight in rivals:
+        try:
+            theirs = plant.followed_positions(rival.values)
+        except SimulationError:
+            continue
+        for index in middle:
+            squares[index] += weight / total * np.square(theirs[index] - middle[index])
     return [
         FollowedPosition(plant.traces[index], position, np.sqrt(squares[index])) for index, position in middle.items()
     ]

@@ -32,8 +32,12 @@ class Stroke(NamedTuple):
 
 def strokes_followed(diagnosis: Diagnosis) -> list[Stroke]:
     """Strokes without measured positions, by the corrected model: those fitted, then those held out."""
-    fits = [fit for fit in (diagnosis.after.fit, diagnosis.after.holdout) if fit is not None]
-    return [stroke for fit in fits for found in followed_positions(fit) for stroke in _strokes(found)]
+    rivals = [(rival.fit, rival.weight) for rival in diagnosis.rivals]
+    followed = followed_positions(diagnosis.after.fit, rivals)
+    if diagnosis.after.holdout is not None:
+        held_out = [(rival.holdout, rival.weight) for rival in diagnosis.rivals if rival.holdout is not None]
+        followed += followed_positions(diagnosis.after.holdout, held_out)
+    return [stroke for found in followed for stroke in _strokes(found)]
 
 
 def _strokes(found: FollowedPosition) -> Iterator[Stroke]:
