@@ -202,5 +202,5 @@ def test_each_node_has_an_enclave_of_its_own_name() -> None:
         ]
         for enclave in root.iter("enclave")
     }
-    wanted = [f"/{tank}/{node}" for tank in TANKS for node in SHELLS] + ["/sequencer"]
+    wanted = [f"/{tank}/{node}" for tank in TANKS for node in SHELLS] + ["/sequencer", "/dispenser"]
     assert enclaves == {path: [path] for path in wanted}

@@ -20,8 +20,7 @@ from valve_sim.model.errors import ParameterError, SimulationError
 from valve_sim.model.flux import why_no_flux
 from valve_sim.model.gas import GasParameters, check_gas
 from valve_sim.model.gas.boundary import fill_outlets
-from valve_sim.model.gas.record import GAS_STATE_RECORD, is_of_gas, record_of
-from valve_sim.model.gas.step import GAS_COLUMNS
+from valve_sim.model.gas.record import GAS_COLUMNS, GAS_STATE_RECORD, is_of_gas, record_of
 from valve_sim.model.parameters import POLYNOMIAL_NAMES, ValveParameters, check_declared, check_geometry
 from valve_sim.model.sampling import ROW
 from valve_sim.model.tolerances import EXACT, Tolerances

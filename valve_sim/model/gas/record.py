@@ -55,6 +55,8 @@ GAS_STATE_FIELDS: Final = (
 GAS_STATE_RECORD: Final = _longer(STATE_RECORD, GAS_STATE_FIELDS, 0)
 """Where a valve with gas is. What is new comes first: a record that began with all of another would count as its
 subtype to Numba, and code compiled for the one would be given the other."""
+GAS_COLUMNS: Final = 2
+"""Of gas in a row of output, after those of every valve: outlet pressure, Pa, and mass flow, kg/s."""
 
 
 def is_of_gas(records: Any) -> bool:

@@ -45,7 +45,6 @@ STAGES: Final = 6
 """Of the pair; the slopes at its end, in the row after them, are those of the next step's start."""
 FIRST_COLUMN: Final = 7
 """Of gas in a row of output, after those of every valve; a row that ends before has none."""
-GAS_COLUMNS: Final = 2
 PRESSURE_COLUMN: Final = 1  # in a row of two, as fits ask for it
 QUANTITIES: Final = 3
 """Of gas that are stepped: density, mass that came in, mass that went out."""
