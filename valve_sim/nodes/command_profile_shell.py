@@ -1,48 +1,39 @@
 """The ROS side of command_profile: a profile of voltages wired to a valve's topic. The coil is off at every end of it.
 
-Threads: the main thread commands; another one answers ROS (parameters, /clock). SIGINT and SIGTERM only set a flag:
-a ROS context that they had shut down could not send 0 V any more.
+Threads: the main thread commands; an `AnsweringThread` answers ROS (parameters, /clock).
 """
 
 from __future__ import annotations
 
 import math
-import signal
-import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from types import FrameType
 from typing import Final
 
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.duration import Duration
-from rclpy.executors import ExternalShutdownException
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rclpy.signals import uninstall_signal_handlers
 from sensor_msgs.msg import BatteryState
 from std_msgs.msg import Float64
 
 from valve_sim.files.parameter_sections import Section
 from valve_sim.files.whole_files import write_whole
 from valve_sim.model import ValveError
+from valve_sim.nodes.answering import AnsweringThread, wait_until_heard
 from valve_sim.nodes.node_clock import NodeClock
-from valve_sim.nodes.parameters import sources_of
 from valve_sim.nodes.profile_parameters import DESCRIPTIONS, Settings, check_settings, checked_profile
 from valve_sim.nodes.profile_playing import Commanded, ProfileBrokenOffError, as_csv, play
 from valve_sim.nodes.realtime import NANOSECONDS
 from valve_sim.nodes.replay import LISTENERS_SECONDS
-from valve_sim.nodes.shell_parts import RELIABLE, declare_read_only, full_name, given_parameters, make_node
-from valve_sim.nodes.spinning import guarded, spin
+from valve_sim.nodes.shell_parts import RELIABLE, declare_settings, full_name, make_node
+from valve_sim.nodes.spinning import guarded
 
 _LOOK_SECONDS: Final = 0.05
 _UNKNOWN_NODE: Final = "_NODE_NAME_UNKNOWN_"
 """The name that rmw gives to a node whose subscription it has discovered before the node itself."""
 _NAMELESS: Final = "a node without a name so far"
 _PROGRESS_SECONDS: Final = 5.0
-_HEARD_SECONDS: Final = 1
-"""s that the node waits at its end for the valve to acknowledge 0 V."""
 
 
 class CommandProfileShell:
@@ -61,7 +52,7 @@ class CommandProfileShell:
     def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
         self._node = make_node("command_profile")
         try:
-            self._settings = self._declare(sections)
+            self._settings: Settings = declare_settings(self._node, sections, check_settings, DESCRIPTIONS)
             self._drive = checked_profile(self._settings)
             self._valve = full_name(self._node, self._settings.valve, "valve")
             self._clock = NodeClock(self._node)
@@ -78,7 +69,7 @@ class CommandProfileShell:
         self._stop = ""
         self._exit_code = 1
         self._next_progress = math.inf
-        self._answering = threading.Thread(target=self._answer, name="answering", daemon=True)
+        self._answering = AnsweringThread(self._node, stop=self._break_off, fail=self._fail)
 
     @property
     def exit_code(self) -> int:
@@ -87,9 +78,6 @@ class CommandProfileShell:
 
     def spin(self) -> None:
         """Command the profile; 0 V is the last command in any case."""
-        uninstall_signal_handlers()
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._take_signal)
         self._answering.start()
         logger = self._node.get_logger()
         try:
@@ -111,30 +99,16 @@ class CommandProfileShell:
 
     def close(self, timeout: float | None) -> bool:
         """Release everything; whether all threads have ended."""
-        self._node.context.try_shutdown()
-        self._answering.join(timeout)
-        has_ended = not self._answering.is_alive()
+        has_ended = self._answering.close(timeout)
         if has_ended:
             self._node.destroy_node()
         return has_ended
 
-    def _declare(self, sections: Sequence[tuple[str, Section]]) -> Settings:
-        node, name = self._node, self._node.get_fully_qualified_name()
-        settings = check_settings(given_parameters(node, sections), sources_of(sections, name))
-        declare_read_only(node, settings._asdict(), DESCRIPTIONS)
-        return settings
+    def _break_off(self, reason: str) -> None:
+        self._stop = reason
 
-    def _take_signal(self, number: int, frame: FrameType | None) -> None:
-        self._stop = f"a signal came ({signal.Signals(number).name})"
-
-    def _answer(self) -> None:
-        try:
-            spin(self._node)
-        except ExternalShutdownException:
-            pass
-        except Exception as error:
-            self._stop = f"the node cannot go on: {error!r}"
-            raise
+    def _fail(self, error: Exception) -> None:
+        self._break_off(f"the node cannot go on: {error!r}")
 
     def _listeners(self) -> list[str]:
         """Full names of the nodes that subscribe to the commands: the valve, and recorders."""
@@ -195,13 +169,12 @@ class CommandProfileShell:
             )
 
     def _switch_off(self) -> None:
-        """Send 0 V and wait until it and its log are received: a process that ends at once loses unsent messages."""
+        """Send 0 V and wait until it and its log are received."""
         if not self._commanded:
             return
         if self._commanded[-1].volts != 0.0:
             self._commanded.append(Commanded(self._command(0.0), 0.0, 0.0))
-        for publisher in (self._voltage, self._log):
-            publisher.wait_for_all_acked(Duration(seconds=_HEARD_SECONDS))
+        wait_until_heard((self._voltage, self._log))
 
     def _write(self) -> None:
         if not self._commanded:

@@ -1,36 +1,29 @@
 """The ROS side of dispenser_node: a `Dispenser` wired to the topics of its valves. The coils are off at its end.
 
-Threads: one steps and publishes; one answers ROS and stores the pressures that are heard; the main thread waits for a
-signal, which only sets a flag: a ROS context that it had shut down could not send 0 V any more.
+Threads: one steps and publishes; an `AnsweringThread` answers ROS and stores the pressures that are heard; the main
+thread waits for a signal.
 """
 
 from __future__ import annotations
 
 import functools
-import signal
 import threading
 from collections.abc import Sequence
-from types import FrameType
 from typing import Final
 
-from rclpy.duration import Duration
-from rclpy.executors import ExternalShutdownException
 from rclpy.publisher import Publisher
-from rclpy.signals import uninstall_signal_handlers
 from sensor_msgs.msg import FluidPressure
 from std_msgs.msg import Float64
 
 from valve_sim.files.parameter_sections import Section
+from valve_sim.nodes.answering import AnsweringThread, wait_until_heard
 from valve_sim.nodes.dispenser_parameters import DESCRIPTIONS, Settings, check_settings
 from valve_sim.nodes.dispensing import Dispensed, Dispenser
 from valve_sim.nodes.node_clock import NodeClock
-from valve_sim.nodes.parameters import sources_of
 from valve_sim.nodes.realtime import NANOSECONDS, Restart, Worker
-from valve_sim.nodes.shell_parts import RELIABLE, declare_read_only, full_name, given_parameters, make_node
-from valve_sim.nodes.spinning import guarded, spin
+from valve_sim.nodes.shell_parts import RELIABLE, declare_settings, full_name, make_node
+from valve_sim.nodes.spinning import guarded
 
-_HEARD_SECONDS: Final = 1
-"""s that the node waits at its end for the valves to acknowledge 0 V."""
 _BETWEEN_REMINDERS: Final = 10.0
 """s between lines that say which valve is waited for."""
 
@@ -52,7 +45,7 @@ class DispenserShell:
     def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
         self._node = make_node("dispenser")
         try:
-            self._settings = self._declare(sections)
+            self._settings: Settings = declare_settings(self._node, sections, check_settings, DESCRIPTIONS)
             self._dispenser = Dispenser(self._settings)
             self._clock = NodeClock(self._node)
             self._wire()
@@ -70,7 +63,7 @@ class DispenserShell:
             step=self._step,
             fail=self._fail,
         )
-        self._answering = threading.Thread(target=self._answer, name="answering", daemon=True)
+        self._answering = AnsweringThread(self._node, stop=lambda reason: self._stop.set(), fail=self._fail)
 
     @property
     def exit_code(self) -> int:
@@ -79,9 +72,6 @@ class DispenserShell:
 
     def spin(self) -> None:
         """Run until a signal comes; 0 V is the last command to every valve."""
-        uninstall_signal_handlers()
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._take_signal)
         self._answering.start()
         self._worker.start()
         self._stop.wait()
@@ -89,25 +79,14 @@ class DispenserShell:
         if self._node.context.ok():
             for voltage in self._voltages:
                 voltage.publish(Float64(data=0.0))
-            for voltage in self._voltages:
-                voltage.wait_for_all_acked(Duration(seconds=_HEARD_SECONDS))
+            wait_until_heard(self._voltages)
 
     def close(self, timeout: float | None) -> bool:
         """Release everything; whether all threads have ended."""
-        self._node.context.try_shutdown()
-        has_ended = self._worker.stop(timeout)
-        if self._answering.ident is not None:
-            self._answering.join(timeout)
-        has_ended = has_ended and not self._answering.is_alive()
+        has_ended = self._answering.close(timeout) and self._worker.stop(timeout)
         if has_ended:
             self._node.destroy_node()
         return has_ended
-
-    def _declare(self, sections: Sequence[tuple[str, Section]]) -> Settings:
-        node, name = self._node, self._node.get_fully_qualified_name()
-        settings = check_settings(given_parameters(node, sections), sources_of(sections, name))
-        declare_read_only(node, settings._asdict(), DESCRIPTIONS)
-        return settings
 
     def _wire(self) -> None:
         node = self._node
@@ -125,17 +104,6 @@ class DispenserShell:
             node.create_subscription(FluidPressure, f"{valve}/outlet_pressure", hear, RELIABLE)
         self._line = node.create_publisher(FluidPressure, "~/line_pressure", RELIABLE)
         self._vehicle = node.create_publisher(FluidPressure, "~/vehicle_pressure", RELIABLE)
-
-    def _take_signal(self, number: int, frame: FrameType | None) -> None:
-        self._stop.set()
-
-    def _answer(self) -> None:
-        try:
-            spin(self._node)
-        except ExternalShutdownException:
-            self._stop.set()
-        except Exception as error:
-            self._fail(error)
 
     def _hear(self, valve: int, message: FluidPressure) -> None:
         if not self._dispenser.hear(valve, message.fluid_pressure):

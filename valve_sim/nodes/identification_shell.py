@@ -37,10 +37,10 @@ from valve_sim.nodes.identification_task import (
 )
 from valve_sim.nodes.messages import ReadingMessages, diagnostic_array
 from valve_sim.nodes.node_clock import NodeClock
-from valve_sim.nodes.parameters import VALVE_KEYS, sources_of, table
+from valve_sim.nodes.parameters import VALVE_KEYS, table
 from valve_sim.nodes.remote_parameters import RemoteParameters, Values, changes_between
 from valve_sim.nodes.replay import Prediction, Replay, measured_reading, measured_voltages, predict, replay_status
-from valve_sim.nodes.shell_parts import LATCHED, declare_read_only, full_name, given_parameters, make_node
+from valve_sim.nodes.shell_parts import LATCHED, declare_settings, full_name, make_node
 from valve_sim.nodes.spinning import guarded, spin
 
 _DEEP: Final = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
@@ -70,7 +70,7 @@ class IdentificationShell:
     def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
         self._node = make_node("identification")
         try:
-            self._settings = self._declare(sections)
+            self._settings: Settings = declare_settings(self._node, sections, check_settings, DESCRIPTIONS)
             self._folder = output_folder(self._settings)
             self._target = self._resolved_target()
             self._declared = load_valve(self._settings.params) if self._settings.params else default_valve()
@@ -110,13 +110,6 @@ class IdentificationShell:
         return has_ended
 
     # --- wiring ---
-
-    def _declare(self, sections: Sequence[tuple[str, Section]]) -> Settings:
-        node, name = self._node, self._node.get_fully_qualified_name()
-        given = given_parameters(node, sections)
-        settings = check_settings(given, sources_of(sections, name))
-        declare_read_only(node, settings._asdict(), DESCRIPTIONS)
-        return settings
 
     def _resolved_target(self) -> str:
         """The full name of the node on which the result is set; empty for none."""

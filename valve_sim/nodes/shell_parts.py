@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final
+from typing import Any, Final, Protocol, TypeVar
 
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo
@@ -14,7 +14,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_polic
 from valve_sim.files.parameter_sections import Section
 from valve_sim.model import ParameterError
 from valve_sim.model.compiling import announce_compiling
-from valve_sim.nodes.parameters import ROS_OWN, ROS_OWN_PREFIX, files_for_others
+from valve_sim.nodes.parameters import ROS_OWN, ROS_OWN_PREFIX, files_for_others, sources_of
 
 RELIABLE: Final = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 LATCHED: Final = QoSProfile(
@@ -118,6 +118,37 @@ def declare_read_only(node: Node, values: Mapping[str, Any], descriptions: Mappi
     for key, value in values.items():
         descriptor = ParameterDescriptor(name=key, description=descriptions[key], read_only=True)
         declare(node, key, list(value) if isinstance(value, tuple) else value, descriptor)
+
+
+class _Settings(Protocol):
+    """A named tuple of parameters."""
+
+    def _asdict(self) -> dict[str, Any]: ...
+
+
+S = TypeVar("S", bound=_Settings)
+
+
+def declare_settings(
+    node: Node,
+    sections: Sequence[tuple[str, Section]],
+    check: Callable[[Mapping[str, object], Mapping[str, str]], S],
+    descriptions: Mapping[str, str],
+) -> S:
+    """The settings of a node that reads its parameters once; they are declared, and cannot be changed.
+
+    Args:
+        node: the one that starts.
+        sections: (file, section) of the parameter files on the command line.
+        check: makes settings of what was given, by name, and of the file where each was given.
+        descriptions: of each setting.
+
+    Raises:
+        ParameterError: a parameter is unknown, of the wrong type or out of range.
+    """
+    settings = check(given_parameters(node, sections), sources_of(sections, node.get_fully_qualified_name()))
+    declare_read_only(node, settings._asdict(), descriptions)
+    return settings
 
 
 def full_name(node: Node, given: str, key: str) -> str:
