@@ -28,6 +28,7 @@ from valve_sim.identification.reporting.identification import identification_jso
 from valve_sim.identification.reporting.validation import validation_json, validation_text
 from valve_sim.identification.validation.replay import validate
 from valve_sim.model import Drive, ParameterError, Tolerances, Valve, simulate
+from valve_sim.nodes.replay import predict
 from valve_sim.traces import Signal, Trace, describe, read_trace, write_bag
 
 TIMES = np.arange(700) * 1e-3
@@ -167,6 +168,24 @@ def test_pressure_beside_positions_is_judged_by_itself() -> None:
     # 20 % more volume: the plungers wait longer for another pressure.
     wrong = validate([trace], gas_valve(outlet_volume=1.2e-5))
     assert [replay.passed for replay in wrong.replays] == [False, False]
+
+
+def test_measured_pressures_of_tank_and_demand_take_the_place_of_the_declared_ones() -> None:
+    declared = gas_valve(demand_orifice_diameter=1e-4)
+    plant = independent(of_gas(declared, inlet_pressure=33e6, demand_pressure=20e6))
+    plant.rtol = 1e-8
+    positions, pressures, _ = plant.run([(0.02, 9.0)], TIMES)
+    trace = replace(
+        recorded(8), times=TIMES, pilot_position=positions, outlet_pressure=Signal(TIMES, pressures),
+        inlet_pressure=Signal(TIMES[[0, -1]], np.full(2, 33e6)), demand_pressure=Signal(TIMES[:1], np.full(1, 20e6)),
+    )  # fmt: skip
+    assert [replay.passed for replay in validate([trace], declared).replays] == [True, True]
+    for unknown in ("inlet_pressure", "demand_pressure"):
+        assert not validate([replace(trace, **{unknown: None})], declared).replays[1].passed
+    # What identification_node publishes beside the measured samples.
+    shown = predict(trace, declared, 0.0, "declared").response
+    np.testing.assert_allclose(shown.outlet_pressure, pressures, rtol=1e-3)
+    np.testing.assert_allclose(shown.pilot_position, positions, atol=3e-6)
 
 
 def test_channels_are_predicted_at_their_own_times() -> None:

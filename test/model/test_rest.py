@@ -10,7 +10,8 @@ import pytest
 
 from valve_sim.model import CATALOGUE, Drive, Effect, EventKind, Parameter, Phase, Stepper, Valve, driver, simulate
 from valve_sim.model.core_types import Outcome
-from valve_sim.model.simulation import TOLERANCE, event_log, new_states
+from valve_sim.model.response import event_log
+from valve_sim.model.simulation import TOLERANCE, new_states
 
 HOUR = 3600.0
 MOST = 100_000

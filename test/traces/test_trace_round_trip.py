@@ -43,6 +43,7 @@ def full_trace() -> Trace:
         coil_current=Signal(slow, np.linspace(0, 0.5, len(slow))),
         acceleration=Signal(trace.times, np.cos(trace.times)),
         inlet_pressure=Signal(slow, np.full(len(slow), 70e6)),
+        demand_pressure=Signal(slow, np.linspace(2e6, 3e6, len(slow))),
         coil_temperature=Signal(slow, np.full(len(slow), 25.0)),
     )
 
@@ -69,7 +70,7 @@ def test_all_arrays_come_back_exactly(name: str, tmp_path: Path) -> None:
     np.testing.assert_array_equal(read.pilot_position, trace.pilot_position)
     np.testing.assert_allclose(read.drive.times, trace.drive.times, atol=5e-10)
     np.testing.assert_array_equal(read.drive.volts, trace.drive.volts)
-    for field in ("coil_current", "acceleration", "inlet_pressure", "coil_temperature"):
+    for field in ("coil_current", "acceleration", "inlet_pressure", "demand_pressure", "coil_temperature"):
         np.testing.assert_allclose(getattr(read, field).times, getattr(trace, field).times, atol=5e-10)
         np.testing.assert_array_equal(getattr(read, field).values, getattr(trace, field).values)
     assert [path.name for path in tmp_path.iterdir()] == [name]
@@ -85,7 +86,7 @@ def test_rosbags_reads_every_message(name: str, tmp_path: Path) -> None:
             (connection, time, reader.deserialize(data, connection.msgtype))
             for connection, time, data in reader.messages()
         ]
-    assert len(messages) == 2 + 1000 + 100 + 1000 + 100 + 100
+    assert len(messages) == 2 + 1000 + 100 + 1000 + 100 + 100 + 100
     times = [time for _, time, _ in messages]
     assert times == sorted(times)
     states = [message for connection, _, message in messages if connection.msgtype == JOINT_STATE]

@@ -87,6 +87,7 @@ QUANTITIES: Final[Mapping[str, Quantity]] = {
     "acceleration": Quantity("acceleration", "along the axis"),
     "pressure": Quantity("pressure", "inlet pressure, absolute"),
     "outlet_pressure": Quantity("pressure", "behind a valve with gas, absolute"),
+    "demand_pressure": Quantity("pressure", "behind the demand's orifice of such a valve, absolute"),
     "temperature": Quantity("temperature", "of the coil"),
 }
 CLOCKS: Final = ("header", "bag")

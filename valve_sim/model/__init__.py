@@ -15,15 +15,8 @@ if TYPE_CHECKING:
     from valve_sim.model.effects import CATALOGUE, Effect, Severity, Tag
     from valve_sim.model.errors import ParameterError, SimulationError, ValveError
     from valve_sim.model.parameters import DECLARED, Parameter, ValveParameters
-    from valve_sim.model.simulation import (
-        TOLERANCE,
-        Event,
-        Response,
-        Valve,
-        published_times,
-        simulate,
-        simulate_many,
-    )
+    from valve_sim.model.response import Event, Response, published_times
+    from valve_sim.model.simulation import TOLERANCE, Valve, simulate, simulate_many
     from valve_sim.model.stepper import CoilReading, Reading, Stepper
     from valve_sim.model.tolerances import EXACT, Tolerances
 
@@ -61,7 +54,8 @@ _MODULES: Final = {
     "effects": ("CATALOGUE", "Effect", "Severity", "Tag"),
     "errors": ("ParameterError", "SimulationError", "ValveError"),
     "parameters": ("DECLARED", "Parameter", "ValveParameters"),
-    "simulation": ("TOLERANCE", "Event", "Response", "Valve", "published_times", "simulate", "simulate_many"),
+    "response": ("Event", "Response", "published_times"),
+    "simulation": ("TOLERANCE", "Valve", "simulate", "simulate_many"),
     "stepper": ("CoilReading", "Reading", "Stepper"),
     "tolerances": ("EXACT", "Tolerances"),
 }

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from valve_sim.model import driver
-from valve_sim.model.core_types import EVENT_RECORD, STATE_RECORD, EventKind, Outcome, Phase
+from valve_sim.model.core_types import STATE_RECORD, Outcome, Phase
 from valve_sim.model.drives import Drive
 from valve_sim.model.effects import CATALOGUE, check_effects
 from valve_sim.model.errors import ParameterError, SimulationError
@@ -22,6 +23,7 @@ from valve_sim.model.gas import GasParameters, check_gas
 from valve_sim.model.gas.boundary import fill_outlets
 from valve_sim.model.gas.record import GAS_COLUMNS, GAS_STATE_RECORD, is_of_gas, record_of
 from valve_sim.model.parameters import POLYNOMIAL_NAMES, ValveParameters, check_declared, check_geometry
+from valve_sim.model.response import EVENT_ROOM, Response, event_log, event_tuple
 from valve_sim.model.sampling import ROW
 from valve_sim.model.tolerances import EXACT, Tolerances
 from valve_sim.model.transitions import FIRST_STEP, set_voltage
@@ -32,7 +34,6 @@ TOLERANCE: Final = 1e-9
 """Relative error of one step; against a 1e-13 reference it leaves positions within 1 nm and events within 1 ns."""
 MOST_STEPS_PER_SECOND: Final = 1_000_000
 """Steps for each second of a run, and for one second more, after which it ends with an error."""
-_EVENT_ROOM: Final = 256
 _NO_TIMES: Final = np.empty(0)
 
 
@@ -52,15 +53,6 @@ class Samples(NamedTuple):
     rows: Array
     current_times: Array
     currents: Array
-
-
-class Event(NamedTuple):
-    """Something that happened to the plungers: time in s, position in m, velocity before it in m/s."""
-
-    time: float
-    kind: EventKind
-    position: float
-    velocity: float
 
 
 @dataclass(frozen=True)
@@ -160,34 +152,6 @@ class Valve:
         return bool(state[0]["mode"] != Phase.CLOSED)
 
 
-@dataclass(frozen=True)
-class Response:
-    """The motion of a valve at the sample times. Positions are as a position sensor shows them (effects sensor_*).
-
-    Attributes:
-        time: (n,) s. pilot_position, main_position: (n,) m. pilot_velocity: (n,) m/s, of the plunger itself.
-        coil_current: (n,) A. attraction: (n,) N. phase: (n,) Phase as uint8.
-        events: what happened, in order. coil_voltage: (n,) V, at the terminals.
-        outlet_pressure: (n,) Pa. mass_flow: (n,) kg/s through the valve, inlet to outlet. None without gas.
-    """
-
-    time: Array
-    pilot_position: Array
-    main_position: Array
-    pilot_velocity: Array
-    coil_current: Array
-    attraction: Array
-    phase: NDArray[np.uint8]
-    events: tuple[Event, ...]
-    coil_voltage: Array = field(default_factory=lambda: np.empty(0))
-    outlet_pressure: Array | None = None
-    mass_flow: Array | None = None
-
-    def first(self, *kinds: EventKind) -> float:
-        """The time of the first event of any of these kinds, s; nan when there is none."""
-        return next((event.time for event in self.events if event.kind in kinds), math.nan)
-
-
 def _check_beside_gas(parameters: ValveParameters, effects: Mapping[str, Mapping[str, float]], source: str) -> None:
     """What is declared beside gas must go with it."""
     for name in effects:
@@ -251,15 +215,28 @@ def simulate(
         SimulationError: the run could not be carried to its end.
     """
     times = np.ascontiguousarray(sample_times, dtype=np.float64)
-    record = valve.record()
     if start_time is None:
         start_time = float(min(np.min(drive.times, initial=math.inf), np.min(times, initial=math.inf)))
         start_time = start_time if math.isfinite(start_time) else 0.0
+    run = partial(run_record, drive=drive, tolerance=tolerance)
+    return response_of(valve.record(), times, start_time, run)
+
+
+def response_of(record: Any, times: Array, start_time: float, run: Callable[..., int]) -> Response:
+    """The response of a valve at rest until a start.
+
+    Args:
+        record: (1,) VALVE_RECORD. times: (n,) s, ascending. start_time: s.
+        run: runs a state by a record: takes both, and `samples` and `events` by name; returns how many events.
+
+    Raises:
+        SimulationError: the run could not be carried to its end.
+    """
     rows, currents = np.empty((len(times), columns_of(record))), np.empty(len(times))
-    room = _EVENT_ROOM
+    samples, room = Samples(times, rows, times, currents), EVENT_ROOM
     while True:
         state, events = new_states(record, start_time), event_log(room)
-        count = run_record(record, state, drive, Samples(times, rows, times, currents), events, tolerance)
+        count = run(record, state, samples=samples, events=events)
         if count <= room:
             break
         room = count
@@ -267,8 +244,7 @@ def simulate(
         # Only the positions are late: the rest is the motion at the sample times.
         shown = rows[:, :2].copy()
         record[0]["sensor_delay"] = 0.0
-        state = new_states(record, start_time)
-        run_record(record, state, drive, Samples(times, rows, times, currents), events, tolerance)
+        run(record, new_states(record, start_time), samples=samples, events=events)
         rows[:, :2] = shown
     return Response(
         times, rows[:, 0], rows[:, 1], rows[:, 2], currents * rated_current(record), rows[:, 3],
@@ -398,26 +374,9 @@ def _records_of(valves: Sequence[Valve]) -> Any:
     return np.concatenate([valve.record() for valve in valves])
 
 
-def published_times(response: Response) -> tuple[float, float]:
-    """The paper's t1 (pilot reaches the main plunger) and t2 (all parts reach the core), s; nan when not reached."""
-    t1 = response.first(EventKind.PICKED_UP, EventKind.HELD_AT_GAP)
-    t2 = response.first(EventKind.REACHED_STOP, EventKind.BOUNCED_AT_STOP)
-    return t1, t2
-
-
-def event_log(room: int = _EVENT_ROOM) -> Any:
-    """An empty (room,) EVENT_RECORD array."""
-    return np.zeros(room, EVENT_RECORD)
-
-
 def most_steps(duration: float) -> int:
     """The steps after which a run of some seconds ends with an error."""
     return int(MOST_STEPS_PER_SECOND * (1.0 + max(0.0, duration)))
-
-
-def event_tuple(events: Any, count: int) -> tuple[Event, ...]:
-    """The first events of a log."""
-    return tuple(Event(time, EventKind(kind), x, v) for time, kind, x, v in events[:count].tolist())
 
 
 def check_flux(record: Any) -> None:

@@ -12,15 +12,13 @@ from valve_sim.model import driver
 from valve_sim.model.core_types import STATE_RECORD, Phase
 from valve_sim.model.gas.boundary import set_demand, set_inlet
 from valve_sim.model.gas.record import is_of_gas
+from valve_sim.model.response import Event, event_log, event_tuple
 from valve_sim.model.simulation import (
     TOLERANCE,
-    Event,
     Valve,
     check_flux,
     check_outcome,
     columns_of,
-    event_log,
-    event_tuple,
     most_steps,
     new_states,
     rated_current,

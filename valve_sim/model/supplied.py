@@ -3,16 +3,28 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from valve_sim.model import driver
 from valve_sim.model.compiling import compiled
 from valve_sim.model.driver import FINISHED, NONE
 from valve_sim.model.drives import Drive
 from valve_sim.model.gas.boundary import set_demand, set_inlet
-from valve_sim.model.simulation import TOLERANCE, Array, Samples, check_outcome, delay_and_end, most_steps
+from valve_sim.model.response import Response
+from valve_sim.model.simulation import (
+    TOLERANCE,
+    Array,
+    Samples,
+    Valve,
+    check_outcome,
+    delay_and_end,
+    most_steps,
+    response_of,
+)
 from valve_sim.model.transitions import set_voltage
 
 _NONE: Final = np.empty(0)
@@ -33,6 +45,18 @@ class Supply(NamedTuple):
     pressures: Array
     demand_times: Array = _NONE
     demand_pressures: Array = _NONE
+
+
+def simulate_supplied(
+    valve: Valve, drive: Drive, supply: Supply, sample_times: ArrayLike, start_time: float
+) -> Response:
+    """As `simulate`, of a valve with gas; it rests closed until the start, s.
+
+    Raises:
+        SimulationError: the run could not be carried to its end.
+    """
+    times = np.ascontiguousarray(sample_times, dtype=np.float64)
+    return response_of(valve.record(), times, start_time, partial(run_supplied, drive=drive, supply=supply))
 
 
 def run_supplied(

@@ -8,7 +8,8 @@ from typing import Final, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.model import Phase, Reading, Response, Valve, simulate
+from valve_sim.identification.plants.valve_sensors import response_to
+from valve_sim.model import Phase, Reading, Response, Valve
 from valve_sim.nodes.diagnostics import Level, Status
 from valve_sim.nodes.realtime import NANOSECONDS, PaceClock, TimingRecord, why_restart
 from valve_sim.nodes.stoppable import StoppableThread
@@ -93,7 +94,9 @@ def predict(trace: Trace, valve: Valve, clock_offset: float, model: str) -> Pred
         SimulationError: the valve cannot be simulated.
     """
     drive = trace.input(valve.parameters.release_voltage)
-    return Prediction(simulate(valve, drive, trace.sample_times - clock_offset), model)
+    times = trace.sample_times - clock_offset
+    start = float(min(np.min(drive.times, initial=math.inf), np.min(times, initial=math.inf)))
+    return Prediction(response_to(valve, trace, drive, times, start, clock_offset), model)
 
 
 def measured_reading(trace: Trace, index: int) -> Reading:

@@ -33,6 +33,7 @@ SIGNALS = {
     "acceleration": "acceleration",
     "pressure": "inlet_pressure",
     "outlet_pressure": "outlet_pressure",
+    "demand_pressure": "demand_pressure",
     "temperature": "coil_temperature",
     "voltage": "coil_voltage",
 }
@@ -47,14 +48,22 @@ class Channel(NamedTuple):
     path: str
 
 
+PRESSURE = "sensor_msgs/msg/FluidPressure"
 CHANNELS = {
     "coil_current": Channel("measured/coil_current", FLOAT, "data"),
     "acceleration": Channel("measured/acceleration", "sensor_msgs/msg/Imu", "linear_acceleration.x"),
-    "inlet_pressure": Channel("measured/inlet_pressure", "sensor_msgs/msg/FluidPressure", "fluid_pressure"),
-    "outlet_pressure": Channel("measured/outlet_pressure", "sensor_msgs/msg/FluidPressure", "fluid_pressure"),
+    "inlet_pressure": Channel("measured/inlet_pressure", PRESSURE, "fluid_pressure"),
+    "outlet_pressure": Channel("measured/outlet_pressure", PRESSURE, "fluid_pressure"),
+    "demand_pressure": Channel("measured/demand_pressure", PRESSURE, "fluid_pressure"),
     "coil_temperature": Channel("measured/coil_temperature", "sensor_msgs/msg/Temperature", "temperature"),
 }
-LIVE_CURRENT = Channel("coil_current", FLOAT, "data")
+OBEYED = {name: Channel(name, PRESSURE, "fluid_pressure") for name in ("inlet_pressure", "demand_pressure")}
+"""What a node is told of the pressures at a valve's ends; read where they were not measured."""
+NODE_OUTPUTS = {
+    "coil_current": Channel("coil_current", FLOAT, "data"),
+    "outlet_pressure": Channel("outlet_pressure", PRESSURE, "fluid_pressure"),
+}
+"""What a node publishes; read, beside its positions, where it was not measured."""
 
 
 class Plan(NamedTuple):
@@ -170,14 +179,13 @@ def _has_current(valve: str, types: Mapping[str, str]) -> bool:
 
 def _optional(valve: str, types: Mapping[str, str], *, is_live: bool) -> dict[str, Source]:
     """What is recorded in topics of its own, by quantity."""
-    channels = dict(CHANNELS)
-    if is_live and not _has_current(valve, types):
-        channels["coil_current"] = LIVE_CURRENT
+    stand_ins = {**OBEYED, **NODE_OUTPUTS} if is_live else OBEYED
     found = {}
     for key, attribute in SIGNALS.items():
-        channel = channels.get(attribute)
-        if channel is not None and (topic := topic_of(valve, channel.topic)) in types:
-            found[key] = Source(topic, channel.path, type=channel.message_type)
+        for channel in (CHANNELS.get(attribute), stand_ins.get(attribute)):
+            if channel is not None and (topic := topic_of(valve, channel.topic)) in types:
+                found[key] = Source(topic, channel.path, type=channel.message_type)
+                break
     return found
 
 

@@ -128,6 +128,9 @@ class _Assembly:
         pilot, main = (np.ascontiguousarray(column) for column in samples.values.T)
         del samples  # of a long recording all that is held twice is large
         signals = {name: found and found.beside(times) for name, found in self.signals(epoch, offset - shift).items()}
+        outlet = signals["outlet_pressure"]
+        # Of a node's output nothing has to be estimated; a sensor's first sample would be an error of the start.
+        start = None if outlet is None or not self.plan.is_live else float(outlet.values[0])
         if not self.plan.has_positions:
             signals[SIGNALS[self.plan.judged]] = Signal(times, pilot)
             times, pilot, main = np.empty((3, 0))
@@ -140,6 +143,7 @@ class _Assembly:
             main_position=None if not len(main) or np.isnan(main).any() else main,
             epoch_ns=epoch,
             clock=clock,
+            outlet_start=start,
             origins={key: source.name for key, source in self.plan.sources.items()},
             **signals,  # type: ignore[arg-type] # by the names that a trace has for them
         )

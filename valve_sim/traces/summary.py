@@ -116,7 +116,8 @@ def _rates(trace: Trace) -> dict[str, Rate]:
     if trace.main_position is not None:
         times["main_position"] = trace.times
     for name in (
-        "coil_current", "coil_voltage", "acceleration", "inlet_pressure", "outlet_pressure", "coil_temperature",
+        "coil_current", "coil_voltage", "acceleration", "inlet_pressure", "outlet_pressure", "demand_pressure",
+        "coil_temperature",
     ):  # fmt: skip
         signal = getattr(trace, name)
         if signal is not None:

@@ -126,6 +126,7 @@ class _TableAssembly:
             acceleration=signals["acceleration"],
             inlet_pressure=signals["inlet_pressure"],
             outlet_pressure=signals["outlet_pressure"],
+            demand_pressure=signals["demand_pressure"],
             coil_temperature=signals["coil_temperature"],
         )
         trouble = trouble_in(trace, self.sources[judged].name, self.sources[self.input].name)

@@ -7,7 +7,8 @@ import pytest
 from plants.gas import GasValve
 
 from valve_sim.model import Drive, EventKind, Response, Valve, simulate
-from valve_sim.model.simulation import Samples, columns_of, event_log, new_states, run_record
+from valve_sim.model.response import event_log
+from valve_sim.model.simulation import Samples, columns_of, new_states, run_record
 
 from .cases import gas_valve, independent
 

@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.identification.plants.protocol import Array, Channel, Role
-from valve_sim.model import Drive, ParameterError, SimulationError, Valve
+from valve_sim.model import Drive, ParameterError, Response, SimulationError, Valve, simulate
 from valve_sim.model.core_types import EVENT_RECORD
 from valve_sim.model.gas.parameters import GAS
 from valve_sim.model.gas.record import is_of_gas
 from valve_sim.model.gas.step import PRESSURE_COLUMN
 from valve_sim.model.simulation import Samples, new_states, rated_current, run_record
-from valve_sim.model.supplied import Supply, run_supplied
+from valve_sim.model.supplied import Supply, run_supplied, simulate_supplied
 from valve_sim.traces import Signal, Trace, stroke_numbers
 from valve_sim.traces.measured_input import AT_COMMAND
 
@@ -239,18 +239,42 @@ def predicted(record: Any, trace: Trace, drive: Drive, offset: float) -> list[Ar
 
 def _run(record: Any, state: Any, trace: Trace, drive: Drive, samples: Samples, offset: float) -> None:
     """Run the model; with gas from the pressures of tank and demand as they were measured, if they were."""
-    inlet, demand = trace.inlet_pressure or NO_SIGNAL, trace.demand_pressure or NO_SIGNAL
-    if not (len(inlet.times) or len(demand.times)) or not is_of_gas(record):
+    supply = _supply_of(trace, offset) if is_of_gas(record) else None
+    if supply is None:
         tolerance = GAS_TOLERANCE if is_of_gas(record) else FIT_TOLERANCE
         run_record(record, state, drive, samples, NO_EVENTS, tolerance)
-        return
-    supply = Supply(
+    else:
+        run_supplied(record, state, drive, supply, samples, NO_EVENTS, GAS_TOLERANCE)
+
+
+def _supply_of(trace: Trace, offset: float) -> Supply | None:
+    """The pressures of tank and demand, stamped late by `offset`, s; None where neither was measured."""
+    inlet, demand = trace.inlet_pressure or NO_SIGNAL, trace.demand_pressure or NO_SIGNAL
+    if not (len(inlet.times) or len(demand.times)):
+        return None
+    return Supply(
         inlet.times - offset,
         np.maximum(inlet.values, LEAST_PRESSURE),
         demand.times - offset,
         np.maximum(demand.values, LEAST_PRESSURE),
     )
-    run_supplied(record, state, drive, supply, samples, NO_EVENTS, GAS_TOLERANCE)
+
+
+def response_to(valve: Valve, trace: Trace, drive: Drive, times: Array, start: float, offset: float) -> Response:
+    """The response of a valve to the pressures of a trace, as far as they were measured, and to a voltage.
+
+    Args:
+        valve: rests closed until `start`, s. trace: of which samples are stamped late by `offset`, s.
+        drive: the voltage. times: (n,) s, at which the response is given.
+
+    Raises:
+        SimulationError: the valve cannot be simulated.
+    """
+    supply = _supply_of(trace, offset) if valve.gas is not None else None
+    valve = as_it_began(valve, trace)
+    if supply is None:
+        return simulate(valve, drive, times, start_time=start)
+    return simulate_supplied(valve, drive, supply, times, start)
 
 
 def amperes(record: Any, trace: Trace, currents: Array) -> list[Array]:

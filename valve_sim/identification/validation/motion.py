@@ -12,17 +12,12 @@ from numpy.typing import NDArray
 
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.identification.plants.valve_pieces import Cut, cuts
-from valve_sim.model import Drive, Event, Valve, simulate
+from valve_sim.identification.plants.valve_sensors import response_to
+from valve_sim.model import Drive, Event, Response, Valve
 from valve_sim.model.gas.record import is_of_gas
-from valve_sim.model.simulation import (
-    Samples,
-    columns_of,
-    event_log,
-    event_tuple,
-    new_states,
-    rated_current,
-    run_course,
-)
+from valve_sim.model.response import event_log, event_tuple
+from valve_sim.model.simulation import Samples, columns_of, new_states, rated_current, run_course
+from valve_sim.traces import Trace
 
 STILL_SPEED: Final = 1e-5
 """m/s: below it the model rests; a pilot plunger that nothing holds down creeps at nanometres a second."""
@@ -43,19 +38,15 @@ class Motion(NamedTuple):
     events: tuple[Event, ...]
 
 
-def motion_of(valve: Valve, drive: Drive, times: Array, start: float, judged: str) -> Motion:
-    """The motion at (n,) sample times, s, of a valve that rests until a start, s.
-
-    Args:
-        valve, drive, times, start: as of `simulate`.
-        judged: what is looked at, as `Trace.judged`.
+def motion_of(valve: Valve, trace: Trace, drive: Drive, times: Array, start: float, offset: float) -> Motion:
+    """The motion at (n,) sample times, s, of a valve that rests until a start, s; arguments as of `response_to`.
 
     Raises:
         SimulationError: the valve cannot be simulated.
     """
     record = valve.record()
     if is_of_gas(record) or record[0]["sensor_delay"]:
-        return _whole(valve, drive, times, start, judged)
+        return _whole(response_to(valve, trace, drive, times, start, offset), trace.judged)
     state, shown, is_moving = new_states(record, start), np.empty(len(times)), np.empty(len(times), dtype=bool)
     events: list[Event] = []
     for cut in cuts(times, times, drive, (0.0, 0.0)):
@@ -63,7 +54,7 @@ def motion_of(valve: Valve, drive: Drive, times: Array, start: float, judged: st
         samples = Samples(own, np.empty((len(own), columns_of(record))), own, np.empty(len(own)))
         events += _run(record, state, drive, cut, samples)
         is_moving[cut.positions] = np.abs(samples.rows[:, 2]) > STILL_SPEED
-        is_position = judged == "position"
+        is_position = trace.judged == "position"
         shown[cut.positions] = samples.rows[:, 0] if is_position else samples.currents * rated_current(record)
     return Motion(shown, is_moving, tuple(events))
 
@@ -79,8 +70,7 @@ def _run(record: Any, state: Any, drive: Drive, cut: Cut, samples: Samples) -> t
         state[:], room = before, count
 
 
-def _whole(valve: Valve, drive: Drive, times: Array, start: float, judged: str) -> Motion:
-    response = simulate(valve, drive, times, start_time=start)
+def _whole(response: Response, judged: str) -> Motion:
     shown = {
         "position": response.pilot_position, "current": response.coil_current,
         "outlet_pressure": response.outlet_pressure,

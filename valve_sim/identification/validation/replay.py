@@ -202,7 +202,7 @@ def replay_trace(trace: Trace, valve: Valve, tolerance: float | None = None, *, 
     drive = drive_with(trace, 0, nuisances, valve.parameters.release_voltage)
     times = trace.sample_times
     start = min(float(drive.times.min(initial=math.inf)), float(times[0])) - CLOCK_SIGMA
-    motion = motion_of(valve, drive, np.maximum(times - offset, start), start, trace.judged)
+    motion = motion_of(valve, trace, drive, np.maximum(times - offset, start), start, offset)
     shown = motion.shown
     if trace.has_positions:
         shown += zero_with(0, nuisances)
