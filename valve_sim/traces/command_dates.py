@@ -6,6 +6,7 @@ changed.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -50,20 +51,12 @@ def dates_by_voltage(times: Array, volts: Array, measured: Signal, *, has_stamps
         has_stamps: whether commands may have been recorded in time, up to `STAMP_ERROR`; else all are dated.
     """
     changes = np.flatnonzero(np.diff(volts, prepend=0.0) != 0.0)
-    least = SEEN * sample_noise_of(measured.values)
-    found, errors = times[changes].copy(), np.full(len(changes), STAMP_ERROR)
-    before, lateness = -np.inf, []
-    for place, change in enumerate(changes.tolist()):
-        old, new = (volts[change - 1] if change else 0.0), volts[change]
-        until = times[changes[place + 1]] if place + 1 < len(changes) else np.inf
-        step = _crossing(measured, (before, until), (old, new)) if abs(new - old) > least else None
-        if step is not None:
-            first, date, last = step
-            errors[place] = (last - first) * UNIFORM
-            if not first - STAMP_ERROR <= found[place] <= last + STAMP_ERROR:
-                lateness.append(float(found[place] - date))
-            found[place] = date
-        before = found[place]
+    found, errors, lateness = times[changes].copy(), np.full(len(changes), STAMP_ERROR), []
+    for place, step in _steps(times[changes], volts[changes], measured):
+        errors[place] = (step.last - step.first) * UNIFORM
+        if not step.first - STAMP_ERROR <= found[place] <= step.last + STAMP_ERROR:
+            lateness.append(float(found[place] - step.date))
+        found[place] = step.date
     if has_stamps and not lateness:
         return None
     worst = max(lateness, key=abs, default=0.0)
@@ -73,15 +66,51 @@ def dates_by_voltage(times: Array, volts: Array, measured: Signal, *, has_stamps
     return Dates(np.maximum.accumulate(found), volts[changes], errors, words)
 
 
-def _crossing(
-    measured: Signal, window: tuple[float, float], levels: tuple[float, float]
-) -> tuple[float, float, float] | None:
+def within_steps(times: Array, volts: Array, measured: Signal) -> Array | None:
+    """When commands took effect, (n,) s: as recorded, but no sooner nor later than between which samples it stepped.
+
+    Where its step is stamped, as valve_node's ~/coil has it, that is when it was; where it lies between two samples,
+    what is recorded between them says more than they do. No command gets further from the truth.
+
+    Args:
+        times: as recorded, s, ascending, shape (n,). volts: V, each another than the one before, shape (n,).
+        measured: the voltage at the coil's terminals.
+
+    Returns:
+        None unless the voltage shows every one of them.
+    """
+    found, seen = times.copy(), 0
+    for place, step in _steps(times, volts, measured):
+        found[place] = np.clip(times[place], step.first, step.last)
+        seen += 1
+    return np.maximum.accumulate(found) if seen == len(times) else None
+
+
+class _Step(NamedTuple):
+    """Time of the sample before a crossing, of the crossing by a straight line, and of the sample after, s."""
+
+    first: float
+    date: float
+    last: float
+
+
+def _steps(times: Array, volts: Array, measured: Signal) -> Iterator[tuple[int, _Step]]:
+    """The steps of those commands that the voltage shows, with the command's index; each differs from the last."""
+    least, before = SEEN * sample_noise_of(measured.values), -np.inf
+    for place, (time, new) in enumerate(zip(times.tolist(), volts.tolist(), strict=True)):
+        old = float(volts[place - 1]) if place else 0.0
+        until = float(times[place + 1]) if place + 1 < len(times) else np.inf
+        step = _crossing(measured, (before, until), (old, new)) if abs(new - old) > least else None
+        before = time
+        if step is not None:
+            before = step.date
+            yield place, step
+
+
+def _crossing(measured: Signal, window: tuple[float, float], levels: tuple[float, float]) -> _Step | None:
     """When a voltage crosses the middle from one level to another, if it does once in a window.
 
     Beyond its levels, as behind a clamp at release, it says no more than at them.
-
-    Returns:
-        time of the sample before, of the crossing by a straight line, and of the sample after, s.
     """
     times, values = measured
     start, stop = np.searchsorted(times, window, side="right").tolist()
@@ -96,4 +125,4 @@ def _crossing(
     first, last = times[after - 1], times[after]
     low, high = np.clip(values[after - 1 : after + 1], min(levels), max(levels))
     share = (middle - low) / (high - low)
-    return float(first), float(first + share * (last - first)), float(last)
+    return _Step(float(first), float(first + share * (last - first)), float(last))

@@ -70,6 +70,22 @@ def test_a_healthy_valve_raises_no_alarm(colour: float, rate: float) -> None:
     assert 0.8 < spread < 1.2
 
 
+def test_a_valve_that_is_less_noisy_than_declared_is_not_accused_for_moving_during_fewer_samples() -> None:
+    monitor = Monitor(EXACT_VALVE, MonitorSettings(commissioning_strokes=8, noise=1e-6), refit=False)
+    valve = LiveValve(5, HEALTHY, rate=500.0, noise=0.05e-6, jitter=0.0, levels=(9.0,))
+    strokes(monitor, valve, 9)
+    list(feed(monitor, valve.rest(0.3)))
+    reports = []
+    for _ in range(20):
+        # What is known to be still counts no more, and after a longer rest more of a stroke is.
+        reports += strokes(monitor, valve, 1)
+        reports += feed(monitor, valve.rest(0.3))
+    assert {report.state for report in reports} == {StrokeState.WATCHING}
+    assert max(report.rms for report in reports) < 0.2e-6
+    assert monitor.stroke_monitor.alarms == 0
+    assert max(report.sum for report in reports) < 1.0
+
+
 def test_a_report_tells_the_stroke(commissioned: tuple[Monitor, LiveValve]) -> None:
     monitor, valve = commissioned
     valve.strokes = 0

@@ -57,6 +57,10 @@ class ArrivalSpread:
         """s; inf before the first."""
         return min((low for _, low, _ in self._seconds), default=math.inf)
 
+    def beyond_earliest(self, late: float) -> float:
+        """A delay less the smallest one, s; nan for one that is not finite."""
+        return max(0.0, late - self.earliest) if math.isfinite(late) else math.nan
+
     @property
     def spread(self) -> float:
         """Seconds between the smallest and the largest delay; 0 before the first."""

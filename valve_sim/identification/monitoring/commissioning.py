@@ -48,9 +48,10 @@ class ScoreBaseline:
         if count < FEWEST_TO_LEARN:
             return cls(0.0, 1.0, count, False)
         mean, spread = float(np.mean(scores)), float(np.std(scores, ddof=1))
-        # The size depends on the noise's variance, which is itself an estimate.
+        # The size depends on the noise's variance, which is itself an estimate. Where the sensor is less noisy than
+        # declared, it says no more than how many samples are in motion: what is within the declared noise is no change.
         is_learned = name == SIZE or abs(mean) * math.sqrt(count) > CONTRADICTS or spread > TOO_SPREAD
-        return cls(mean, spread, count, is_learned)
+        return cls(max(mean, 0.0) if name == SIZE else mean, spread, count, is_learned)
 
     def standard(self, score: float) -> float:
         """The score, made standard normal."""

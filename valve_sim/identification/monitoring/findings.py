@@ -110,7 +110,8 @@ class StrokeRecord(NamedTuple):
         opened, closed: whether the valve was seen to; None where the model did not, where timing was too uncertain, or
             where the current alone does not say so.
         fault: what went wrong; None where nothing did.
-        arrival_spread: s, largest delay of its samples above the smallest of late; nan where arrivals are not known.
+        arrival_spread: s, largest delay of its samples above the smallest of late; nan where arrivals are not known,
+            and where the coil's voltage says when its commands took effect.
     """
 
     number: int

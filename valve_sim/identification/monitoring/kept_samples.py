@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import bisect
 import math
+from collections import deque
 from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
 
 from valve_sim.identification.monitoring.findings import Fault
+from valve_sim.identification.plants.protocol import Array
 from valve_sim.model import Drive
 from valve_sim.traces import Signal, Trace
-from valve_sim.traces.command_dates import dates_by_voltage
 
 MOST_SAMPLES: Final = 100_000
 """Samples of a stroke; one that has more is ended."""
+WAITING: Final = 0.1
+"""s."""
+FEWEST_VOLTAGES: Final = 2
+"""Samples of a voltage, between which it may step."""
 
 
 class KeptSamples:
@@ -32,10 +37,14 @@ class KeptSamples:
         self._voltages: list[float] = []
         self._current_times: list[float] = []
         self._currents: list[float] = []
+        self._voltages_beside: list[float] = []
+        self._waiting: deque[tuple[float, float, float]] = deque(maxlen=MOST_SAMPLES)
 
     @property
     def latest_current(self) -> float:
         """Time of the last current beside positions, s; −inf without any."""
+        if self._waiting:
+            return self._waiting[-1][0]
         return self._current_times[-1] if self._current_times else -math.inf
 
     def add(self, times: list[float], values: list[float], voltages: list[float]) -> None:
@@ -44,11 +53,21 @@ class KeptSamples:
         self.values.extend(values)
         self._voltages.extend(voltages)
 
-    def add_current(self, time: float, current: float) -> None:
-        """Add a current beside positions."""
-        if len(self._current_times) < MOST_SAMPLES:
+    def add_current(self, time: float, current: float, voltage: float, *, is_kept: bool) -> None:
+        """Add a current beside positions, with the voltage at the coil's terminals, V, nan where not measured.
+
+        What need not be kept is, after all, if samples `WAITING` s later are: a command may be heard after it acted.
+        """
+        self._waiting.append((time, current, voltage))
+        while self._waiting[0][0] < time - WAITING:
+            self._waiting.popleft()
+        if not is_kept:
+            return
+        while self._waiting and len(self._current_times) < MOST_SAMPLES:
+            time, current, voltage = self._waiting.popleft()
             self._current_times.append(time)
             self._currents.append(current)
+            self._voltages_beside.append(voltage)
 
     def last_within(self, limit: float, earliest: float) -> float:
         """Time of the last sample of at most `limit`, s; nan if that is the very last, or is before `earliest`."""
@@ -71,7 +90,7 @@ class KeptSamples:
         """Drop what is earlier, and the earliest of too many."""
         for times, *columns in (
             (self.times, self.values, self._voltages),
-            (self._current_times, self._currents),
+            (self._current_times, self._currents, self._voltages_beside),
         ):
             first = max(bisect.bisect_left(times, time), len(times) - MOST_SAMPLES // 2)
             for column in (times, *columns):
@@ -93,21 +112,31 @@ class KeptSamples:
             return Trace(source, commands, at, values, coil_current=self._currents_until(last, start), epoch_ns=epoch)
         nothing = np.empty(0)
         alone = Trace(source, commands, nothing, nothing, coil_current=Signal(at, values), epoch_ns=epoch)
-        voltages = np.array(self._voltages[:stop])
-        is_known = np.isfinite(voltages)
-        if np.count_nonzero(is_known) < 2:
-            return alone
-        measured = Signal(at[is_known], voltages[is_known])
-        dates = dates_by_voltage(commands.times, commands.volts, measured, has_stamps=False)
-        if dates is not None:
-            alone = replace(alone, drive=Drive(dates.times, dates.volts))
-        return replace(alone, coil_voltage=measured)
+        return replace(alone, coil_voltage=_known(at, self._voltages[:stop]))
+
+    def voltage(self, trace: Trace, last: float) -> Signal | None:
+        """The voltage at the coil's terminals during a stroke, by its times; None where it was not measured.
+
+        Args:
+            trace: of the stroke. last: s, of the last voltage beside positions.
+        """
+        if not trace.has_positions:
+            return trace.coil_voltage
+        stop = bisect.bisect_right(self._current_times, last)
+        return _known(np.array(self._current_times[:stop]) - trace.epoch_ns / 1e9, self._voltages_beside[:stop])
 
     def _currents_until(self, last: float, start: float) -> Signal | None:
         stop = bisect.bisect_right(self._current_times, last)
         if stop == 0:
             return None
         return Signal(np.array(self._current_times[:stop]) - start, np.array(self._currents[:stop]))
+
+
+def _known(times: Array, voltages: list[float]) -> Signal | None:
+    """A voltage where it is known; None where it hardly is."""
+    values = np.array(voltages)
+    is_known = np.isfinite(values)
+    return Signal(times[is_known], values[is_known]) if np.count_nonzero(is_known) >= FEWEST_VOLTAGES else None
 
 
 class MeasuredMotion:

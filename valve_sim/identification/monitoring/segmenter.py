@@ -22,6 +22,7 @@ from valve_sim.identification.monitoring.findings import (
     TimingTooUncertain,
     Unusable,
 )
+from valve_sim.identification.monitoring.heard_commands import HeardCommands
 from valve_sim.identification.monitoring.held_valve import opening_fault
 from valve_sim.identification.monitoring.kept_samples import MOST_SAMPLES, KeptSamples, MeasuredMotion, StrokeInProgress
 from valve_sim.identification.monitoring.line_pressure import LinePressure
@@ -110,13 +111,13 @@ class StrokeSegmenter:
 
         A multiple of the present scatter, because delays of a busy machine have a long tail.
         """
-        return TAIL * (EXTREME_SIGMAS * self.scatter + self._arrivals.spread)
+        return TAIL * (EXTREME_SIGMAS * self.scatter + max(self._arrivals.spread, self._heard.spread))
 
     def reset(self) -> None:
         """Start again, as after a jump of the clock: with a valve at rest."""
         self.fault: Fault | None = None
         """None where there is none. Stays until a stroke without a fault."""
-        self._arrivals = ArrivalSpread()
+        self._arrivals, self._heard = ArrivalSpread(), HeardCommands()
         self._missed = 0
         self._stepper: Stepper | None = None
         self._stepped = -math.inf
@@ -142,7 +143,8 @@ class StrokeSegmenter:
 
     def use(self, valve: Valve, lateness: float) -> None:
         """Step this valve from the next stroke on, its motion delayed by `lateness`, s, against the stamps."""
-        self._next = valve, lateness
+        # The model is stepped by the commands as they are heard.
+        self._next = valve, lateness - self._heard.lateness
 
     def command(self, time: float, volts: float) -> None:
         """A voltage in force from `time` on, s; one that repeats the voltage in force changes nothing.
@@ -230,8 +232,8 @@ class StrokeSegmenter:
             self._note_arrival(time, arrival)
             self._observe(time, reading.pilot_position, reading.pilot_position, reading)
             return Prediction(reading, current - reading.coil_current)
-        elif self._is_kept(time):
-            self._samples.add_current(time, current)
+        else:
+            self._samples.add_current(time, current, voltage, is_kept=self._is_kept(time))
         return None
 
     def measure_currents(self, times: Array, currents: Array, voltages: Array) -> None:
@@ -423,6 +425,7 @@ class StrokeSegmenter:
         trace = self._samples.trace(f"stroke {self.strokes}", stroke.drive, until, self._last)
         if self._valve.gas is not None:
             trace = self.line.before(trace, stroke.drive[0][0])
+        heard, trace = trace, self._heard.dated(trace, self._samples.voltage(trace, self._last))
         if self._by_current:
             stroke.opened = stroke.closed = None
         remark = remark or (None if stroke.is_at_rest else Unusable.NOT_AT_REST) or stroke.fault
@@ -434,7 +437,7 @@ class StrokeSegmenter:
         self._finished.append(
             StrokeRecord(
                 self.strokes, stroke.drive[0][0], trace, remark, stroke.opened, stroke.closed, stroke.fault,
-                max(0.0, stroke.latest - self._arrivals.earliest) if math.isfinite(stroke.latest) else math.nan,
+                self._arrivals.beyond_earliest(stroke.latest) if trace is heard else math.nan,
             )
         )  # fmt: skip
         self.strokes += 1
