@@ -18,7 +18,7 @@ from valve_sim.model import CATALOGUE, Drive, Stepper, Valve, ValveError, simula
 from valve_sim.model.compiling import announce_compiling
 from valve_sim.model.gas import GasParameters
 from valve_sim.model.gas.line import Gas, Line
-from valve_sim.model.sensitivities import NUMBERS, Tangents, run_tangents
+from valve_sim.model.sensitivities import Tangents, numbers_of, run_tangents
 from valve_sim.model.simulation import TOLERANCE, Samples, new_states
 
 
@@ -40,7 +40,7 @@ def warm() -> None:
 def _warm_derivatives(valve: Valve, drive: Drive) -> None:
     record, times, none = valve.record(), np.array([0.0, 1e-3]), np.zeros((1, 1))
     samples = Samples(times, np.empty((2, 1)), times, np.empty(2))
-    nothing_moves = Tangents(np.zeros((1, NUMBERS)), none, none, np.zeros(1))
+    nothing_moves = Tangents(np.zeros((1, len(numbers_of(record)))), none, none, np.zeros(1))
     run_tangents(record, new_states(record, 0.0), drive, samples, nothing_moves, TOLERANCE)
 
 
@@ -48,7 +48,9 @@ def warm_gas() -> None:
     """The same of a valve with gas: whole runs, a live valve, and a line that several fill."""
     sizes = GasParameters(1e7, 1e-5, 2e-4, 3e-3, 4e-3)
     valve = replace(default_valve().with_values(seat_load=0.3), gas=sizes)
-    simulate(valve, Drive.of([0.0], [valve.parameters.reference_voltage]), [0.0, 1e-3])
+    drive = Drive.of([0.0], [valve.parameters.reference_voltage])
+    simulate(valve, drive, [0.0, 1e-3])
+    _warm_derivatives(valve, drive)
     stepper = Stepper(valve)
     stepper.command(1e-3, valve.parameters.reference_voltage)
     stepper.supply(1e-3, sizes.inlet_pressure)

@@ -99,7 +99,8 @@ class Case(NamedTuple):
         tangents = self.tangents(names)
         record = self.record()
         assert has_sensitivities(record, tangents.numbers).all()
-        return run_tangents(record, new_states(record, 0.0), self.drive, samples, tangents, TIGHT)
+        positions, currents, _ = run_tangents(record, new_states(record, 0.0), self.drive, samples, tangents, TIGHT)
+        return positions, currents
 
 
 def quotient(case: Case, name: str, step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:

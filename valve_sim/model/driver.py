@@ -43,6 +43,7 @@ from valve_sim.model.gas.step import (
     tolerance_of,
     try_step,
 )
+from valve_sim.model.gas.variational import vary_step
 from valve_sim.model.location import (
     CONTACT,
     CURRENT_GONE,
@@ -58,7 +59,7 @@ from valve_sim.model.location import (
 from valve_sim.model.sampling import fill_until, is_filled, show
 from valve_sim.model.transitions import end_current, move_off, push_now, set_voltage, switch_flow, touch, turn
 from valve_sim.model.variational import enter_segment, leave_segment, show_variations, vary_event, vary_release
-from valve_sim.model.variational_steps import commit_variations, vary_step
+from valve_sim.model.variational_steps import commit_variations
 
 FINISHED, STEP_TOO_SMALL, TOO_MANY_STEPS, CHATTERING, FLUX_FOLDS = (int(outcome) for outcome in Outcome)
 
@@ -182,7 +183,7 @@ def _has_settled(p, s, work):
 
     A pilot plunger that nothing returns may float for hours.
     """
-    if has_gas(p) and not s.moving and work.states == MECHANICAL_STATES:
+    if has_gas(p) and not s.moving:
         return True
     if s.volts != 0.0:
         return False
@@ -356,6 +357,17 @@ def _run_on(valve, state, works, limits, samples, log, vary):
     return done, count, TOO_MANY_STEPS
 
 
+@taken_in
+def run_varied(valve, state, until, samples, log, control, vary):
+    """`run` of those samples that are left of a whole run, whose derivatives `vary` takes."""
+    if vary is None:
+        return run(valve, state, until, samples, log, control, None)
+    tiles, slopes, nodes, commands, (positions, of_currents, pressures) = vary
+    at, at_current = len(positions) - len(samples[0]), len(of_currents) - len(samples[2])
+    shown = (positions[at:], of_currents[at_current:], pressures[at:])
+    return run(valve, state, until, samples, log, control, (tiles, slopes, nodes, commands, shown))
+
+
 @compiled
 def run_drive(valve, state, course, samples, events, control, vary):
     """Step the valve through a whole drive; arguments as for `run`.
@@ -376,12 +388,7 @@ def run_drive(valve, state, course, samples, events, control, vary):
         end = t_end if is_last else min(command_times[command], t_end)
         left = (times[at:], rows[at:], current_times[at_current:], currents[at_current:])
         until, log = (end, not is_last), (events, count)
-        if vary is None:
-            done, count, outcome = run(valve, state, until, left, log, control, None)
-        else:
-            tiles, slopes, nodes, commands, (positions, of_currents) = vary
-            following = (tiles, slopes, nodes, commands, (positions[at:], of_currents[at_current:]))
-            done, count, outcome = run(valve, state, until, left, log, control, following)
+        done, count, outcome = run_varied(valve, state, until, left, log, control, vary)
         at += done[0]
         at_current += done[1]
         if outcome != FINISHED or is_last or command_times[command] > t_end:

@@ -28,6 +28,7 @@ from valve_sim.model.equations import (
     force_without_dry_friction,
     pull_squared,
 )
+from valve_sim.model.gas.record import SLOPES_OF_GAS
 
 PARAMETERS: Final = tuple(name for name in VALVE_RECORD.names or () if VALVE_RECORD[name] == np.float64)
 """Every number of a valve's record except those that terms read."""
@@ -44,11 +45,13 @@ def _slopes_record() -> np.dtype[np.void]:
     places = [sum(sizes[:index]) for index in range(len(names) + 1)]
     end = places.pop()
     asked = ("i8", (MAXIMUM_TERMS, MAXIMUM_TERM_PARAMETERS))
+    after: dict[str, Any] = {"all": ("f8", (end // 8,)), "asked": asked, "asks_shapes": "i8", **SLOPES_OF_GAS}
+    sizes = [0, *(np.dtype(form).itemsize for name, form in after.items() if name != "all")]
     return np.dtype(
         {
-            "names": [*names, "all", "asked", "asks_shapes"],
-            "formats": [*formats, ("f8", (end // 8,)), asked, "i8"],
-            "offsets": [*places, 0, end, end + np.dtype(asked).itemsize],
+            "names": [*names, *after],
+            "formats": [*formats, *after.values()],
+            "offsets": [*places, 0, *(end + sum(sizes[: index + 1]) for index in range(len(sizes) - 1))],
         }
     )
 
@@ -58,7 +61,7 @@ SLOPES_RECORD: Final = _slopes_record()
 
 `terms` holds those to the numbers that compiled terms read; `asked` is 1 for those that are needed. `all` is
 the same memory as everything before it. `force` times `per_mass` is the acceleration. `asks_shapes` is 1 if
-any of `SHAPES` is needed, which take an exponential each.
+any of `SHAPES` is needed, which take an exponential each. What follows is of gas, see `gas.record`.
 """
 
 FIRST_CONDITION: Final = len(PARAMETERS) + MAXIMUM_TERMS * MAXIMUM_TERM_PARAMETERS

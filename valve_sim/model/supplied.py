@@ -7,13 +7,14 @@ from functools import partial
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from valve_sim.model import driver
 from valve_sim.model.compiling import compiled
 from valve_sim.model.driver import FINISHED, NONE
 from valve_sim.model.drives import Drive
 from valve_sim.model.gas.boundary import set_demand, set_inlet
+from valve_sim.model.gas.variational import enter_demand, leave_demand, vary_inlet
 from valve_sim.model.response import Response
 from valve_sim.model.simulation import (
     TOLERANCE,
@@ -26,6 +27,7 @@ from valve_sim.model.simulation import (
     response_of,
 )
 from valve_sim.model.transitions import set_voltage
+from valve_sim.model.variational import enter_segment, leave_segment
 
 _NONE: Final = np.empty(0)
 
@@ -68,7 +70,7 @@ def run_supplied(
     events: Any,
     tolerance: float = TOLERANCE,
 ) -> int:
-    """As `simulation.run_record`, of a valve with gas, without derivatives.
+    """As `simulation.run_record`, of a valve with gas, without derivatives (`sensitivities` has these).
 
     Args:
         record: (1,) GAS_VALVE_RECORD. state: (1,) GAS_STATE_RECORD, advanced. drive: the commanded voltage.
@@ -80,18 +82,43 @@ def run_supplied(
     Raises:
         SimulationError: the run could not be carried to its end.
     """
+    course = course_of(record, state, drive, supply, delay_and_end(record, samples)[1])
+    return run_changes(record, state, course, samples, events, tolerance, None)
+
+
+class SuppliedCourse(NamedTuple):
+    """All that changes in a run, in its order.
+
+    Attributes:
+        changes: times, s; voltages, V; pressures of the tank, Pa, and their rates, Pa/s; pressures behind the demand's
+            orifice, Pa: (n,) each, NaN for no change.
+        end: of the run, s. commands: (n,) number of the command, −1 where a pressure changes.
+    """
+
+    changes: tuple[Array, ...]
+    end: float
+    commands: NDArray[np.int64]
+
+
+def run_changes(
+    record: Any, state: Any, course: SuppliedCourse, samples: Samples, events: Any, tolerance: float, vary: Any
+) -> int:
+    """The run itself; `vary`: as of `simulation.run_record`, whose commands are all changes.
+
+    Raises:
+        SimulationError: the run could not be carried to its end.
+    """
     times, rows, current_times, currents = samples
-    delay, end = delay_and_end(record, samples)
-    start = float(state["time"].item())
-    course = _course(record, state, drive, supply, end)
+    delay, _ = delay_and_end(record, samples)
     shown = (times - delay if delay else times, rows, current_times, currents)
-    count, outcome = _run(record, state, course, shown, events, (tolerance, most_steps(end - start)))
+    control = (tolerance, most_steps(course.end - state["time"].item()))
+    count, outcome = _run(record, state, (*course.changes, course.end), shown, events, control, vary)
     check_outcome(outcome)
     return int(count)
 
 
-def _course(record: Any, state: Any, drive: Drive, supply: Supply, end: float) -> tuple[Any, ...]:
-    """What changes, and when, up to `end`, for `_run`; the pressures of the start are set in the state."""
+def course_of(record: Any, state: Any, drive: Drive, supply: Supply, end: float) -> SuppliedCourse:
+    """What changes, and when, up to `end`; the pressures of the start are set in the state."""
     start = float(state["time"].item())
     rates = np.empty(0)
     if len(supply.times):
@@ -110,14 +137,15 @@ def _course(record: Any, state: Any, drive: Drive, supply: Supply, end: float) -
         parts = [values if number == own else np.full(len(times), math.nan) for number, times in enumerate(changes)]
         return np.asarray(np.concatenate(parts)[order])
 
-    return (
+    found = (
         np.concatenate(changes)[order], column(0, drive.volts), column(1, supply.pressures[tank]),
-        column(1, rates[tank]), column(2, supply.demand_pressures[demand]), end,
+        column(1, rates[tank]), column(2, supply.demand_pressures[demand]),
     )  # fmt: skip
+    return SuppliedCourse(found, end, np.where(order < len(drive.times), order, -1))
 
 
 @compiled
-def _run(valve: Any, state: Any, course: Any, samples: Any, events: Any, control: Any) -> Any:
+def _run(valve: Any, state: Any, course: Any, samples: Any, events: Any, control: Any, vary: Any) -> Any:
     """`driver.run_drive` of a course (times, volts, pressures, rates, demands, end): NaN for no change."""
     change_times, volts, pressures, rates, demands, t_end = course
     times, rows, current_times, currents = samples
@@ -126,15 +154,22 @@ def _run(valve: Any, state: Any, course: Any, samples: Any, events: Any, control
         is_last = change == len(change_times)
         end = t_end if is_last else min(change_times[change], t_end)
         left = (times[at:], rows[at:], current_times[at_current:], currents[at_current:])
-        done, count, outcome = driver.run(valve, state, (end, not is_last), left, (events, count), control, None)
+        until, log = (end, not is_last), (events, count)
+        done, count, outcome = driver.run_varied(valve, state, until, left, log, control, vary)
         at += done[0]
         at_current += done[1]
         if outcome != FINISHED or is_last or change_times[change] > t_end:
             return count, outcome
         if not math.isnan(volts[change]):
+            peak = state[0].peak_current
+            leave_segment(valve[0], state[0], change, vary)
             set_voltage(valve, state, volts[change])
+            enter_segment(valve[0], state[0], change, peak, vary)
         if not math.isnan(pressures[change]):
             set_inlet(valve, state, pressures[change], rates[change])
+            vary_inlet(rates[change], change, vary)
         if not math.isnan(demands[change]):
+            leave_demand(valve[0], state[0], change, vary)
             set_demand(valve, state, demands[change])
+            enter_demand(valve[0], state[0], change, vary)
     return count, FINISHED

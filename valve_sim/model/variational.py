@@ -24,8 +24,8 @@ go in tiles of `LANES`, which fill a processor's vector unit. Without derivative
 function here compiles to nothing. Otherwise `vary` is
 
     tiles (p,) TILE_RECORD; slopes (SLOPES,) SLOPES_RECORD; nodes (NODES,) places of those of the nodes among these;
-    commands: derivatives of their times and of their voltages, (p, c, LANES) each; outputs: of positions and of
-    currents, (n, p, LANES) each, written.
+    commands: derivatives of their times and of their voltages, (p, c, LANES) each; outputs: of positions, of
+    currents and of outlet pressures, (n, p, LANES) each, written; of pressures none where none are shown.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ from valve_sim.model.compiling import inlined, inner
 from valve_sim.model.core_types import MAIN, PILOT
 from valve_sim.model.dormand_prince import LAST, POSITION, VELOCITY, interpolate
 from valve_sim.model.equations import coil_decay, coil_now
+from valve_sim.model.gas.variational import add_gas_force, gather_gas_force, show_pressures
 from valve_sim.model.linearised import (
     PEAK_CURRENT,
     SEGMENT_TIME,
@@ -62,6 +63,7 @@ def _acceleration_now(p, s, slopes):
         return 0.0
     g = slopes[SCRATCH]
     force_slopes(p, s, g, s.time, s.x, s.v)
+    add_gas_force(p, s, g)
     return g.force * g.per_mass
 
 
@@ -141,11 +143,12 @@ def vary_release(p, s, since, vary):
         u, _ = coil_now(p, s)
         add_term_time_slopes(p, g, s.mode, (s.x, s.v, u, s.time))
     # The forces know time by what has passed since a command, or since the pilot left its seat.
-    rate = g.t - g.segment_time - g.unseated_time
+    rate = g.t - g.segment_time - g.unseated_time + add_gas_force(p, s, g)
     a_after = g.force * g.per_mass
     for i in range(len(tiles)):
         tile = tiles[i]
         gather(tile, g, tile.total)
+        gather_gas_force(p, tile, g)
         for lane in range(LANES):
             if s.time > since and rate != 0.0:
                 tile.event_time[lane] = -(tile.total[lane] + g.x * tile.x[lane]) / rate
@@ -207,11 +210,12 @@ def show_variations(p, s, work, h, samples, done, vary):
     if vary is None:
         return
     times, _, _, _ = samples
-    tiles, _, _, _, (positions, _) = vary
+    tiles, _, _, _, (positions, _, _) = vary
     (first, first_current), (end, end_current) = done
     for i in range(len(tiles)):
         _show_positions(p, s, work, h, (times, first, end), tiles[i], positions[:, i])
     _show_currents(p, s, samples, (first_current, end_current), vary)
+    show_pressures(p, s, work, h, samples, done, vary)
 
 
 @inner
@@ -219,7 +223,7 @@ def _show_currents(p, s, samples, which, vary):
     """Write the derivatives of currents, of which the values are written already."""
     _, _, times, values = samples
     first, end = which
-    tiles, slopes, _, _, (_, currents) = vary
+    tiles, slopes, _, _, (_, currents, _) = vary
     g = slopes[OF_U]
     target = s.volts / p.reference_voltage
     from_target = s.segment_u - target

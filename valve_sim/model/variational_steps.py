@@ -9,6 +9,7 @@ import numpy as np
 
 from valve_sim.model.compiling import inlined, inner
 from valve_sim.model.dormand_prince import POSITION, VELOCITY, interpolate
+from valve_sim.model.gas.record import GAS_NUMBERS
 from valve_sim.model.linearised import CONDITIONS, FIRST_CONDITION, force_slopes
 
 LANES: Final = 4
@@ -55,6 +56,13 @@ TILE_RECORD: Final = np.dtype(
         # Working memory.
         ("b", "f8", (NODES, LANES)),
         ("total", *_LANE),
+        # Of gas: how each parameter moves its numbers, whether any does; δ of the density; the slopes at the stages.
+        ("gas", "f8", (len(GAS_NUMBERS), LANES)),
+        ("has_gas", "i8"),
+        ("density", *_LANE),
+        ("density_new", *_LANE),
+        ("density_dense", "f8", (3, LANES)),
+        ("stages", "f8", (3, 6, LANES)),  # of x, v and the density
     ],
     align=True,
 )
@@ -222,3 +230,4 @@ def commit_variations(vary):
         for lane in range(LANES):
             tile.x[lane] = tile.x_new[lane]
             tile.v[lane] = tile.v_new[lane]
+            tile.density[lane] = tile.density_new[lane]

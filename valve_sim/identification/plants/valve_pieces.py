@@ -70,7 +70,7 @@ def run_in_pieces(
             run_course(record, state, course, samples, NO_EVENTS, FIT_TOLERANCE)
             found = np.empty((len(times), 0)), np.empty((len(late), 0))
         else:
-            found = variations.run(record, state, course, samples, FIT_TOLERANCE, cut.commands.start)
+            found = variations.run(record, state, course, samples, FIT_TOLERANCE, cut.commands.start)[:2]
         yield RunPiece(cut.positions, cut.currents, samples, *found)
 
 

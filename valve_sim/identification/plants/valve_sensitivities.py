@@ -8,6 +8,7 @@ model's to differentiate.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,10 +17,17 @@ from valve_sim.identification.plants.protocol import Array, Direction, Piece, Se
 from valve_sim.identification.plants.recording_errors import drive_with, is_of_recording, lateness_with, zero_with
 from valve_sim.identification.plants.valve_model import ValveModel
 from valve_sim.identification.plants.valve_pieces import run_in_pieces
-from valve_sim.identification.plants.valve_sensors import FIT_TOLERANCE, amperes, prepared
+from valve_sim.identification.plants.valve_sensors import (
+    amperes,
+    prepared,
+    prepared_with_pressure,
+    supply_of,
+    tolerance_of,
+)
 from valve_sim.model import Drive
 from valve_sim.model.gas.record import is_of_gas
 from valve_sim.model.sensitivities import (
+    PRESSURES_AT,
     Tangents,
     Variations,
     has_sensitivities,
@@ -61,13 +69,44 @@ def sensitivities(
     release = model.valve.parameters.release_voltage
     for index, trace in enumerate(traces):
         at, tangents, zeros = _moving_recording((trace, index), (values, moved), directions, (slopes, release))
-        state, samples = prepared(record, trace, at.drive, at.lateness)
-        positions, currents = run_tangents(record, state, at.drive, samples, tangents, FIT_TOLERANCE)
+        tangents = _without_measured(tangents, trace) if is_of_gas(record) else tangents
+        order: Any = slice(None)
+        if trace.outlet_pressure is None:
+            state, samples = prepared(record, trace, at.drive, at.lateness)
+        else:
+            times = trace.outlet_pressure.times
+            state, samples, order = prepared_with_pressure(record, trace, times, at.drive, at.lateness)
+        supply, tolerance = supply_of(record, trace, at.lateness), tolerance_of(record)
+        positions, currents, pressures = run_tangents(record, state, at.drive, samples, tangents, tolerance, supply)
+        count = len(trace.times)
         if trace.has_positions:
+            positions = _in_order(positions, order)[:count]
             columns.append(positions + zeros if zeros.any() else positions)
         if trace.coil_current is not None:
             columns.append(_rated(record, samples.currents, currents, rated_slopes(record, slopes)))
+        if trace.outlet_pressure is not None:
+            columns.append(_in_order(pressures, order)[count:])
     return Sensitivities(columns, known)
+
+
+def _in_order(rows: Array, order: Any) -> Array:
+    """Rows put back from the order in time in which they were shown."""
+    if isinstance(order, slice):
+        return rows
+    found = np.empty_like(rows)
+    found[order] = rows
+    return found
+
+
+def _without_measured(tangents: Tangents, trace: Trace) -> Tangents:
+    """The same less moves of declared pressures in place of which a recording has measured ones."""
+    measured = (trace.outlet_start is not None, trace.inlet_pressure is not None, trace.demand_pressure is not None)
+    own = [place for place, is_measured in zip(PRESSURES_AT, measured, strict=True) if is_measured]
+    if not own:
+        return tangents
+    numbers = tangents.numbers.copy()
+    numbers[:, own] = 0.0
+    return replace(tangents, numbers=numbers)
 
 
 def pieces(

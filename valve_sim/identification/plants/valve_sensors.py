@@ -239,18 +239,22 @@ def predicted(record: Any, trace: Trace, drive: Drive, offset: float) -> list[Ar
 
 def _run(record: Any, state: Any, trace: Trace, drive: Drive, samples: Samples, offset: float) -> None:
     """Run the model; with gas from the pressures of tank and demand as they were measured, if they were."""
-    supply = _supply_of(trace, offset) if is_of_gas(record) else None
+    supply = supply_of(record, trace, offset)
     if supply is None:
-        tolerance = GAS_TOLERANCE if is_of_gas(record) else FIT_TOLERANCE
-        run_record(record, state, drive, samples, NO_EVENTS, tolerance)
+        run_record(record, state, drive, samples, NO_EVENTS, tolerance_of(record))
     else:
         run_supplied(record, state, drive, supply, samples, NO_EVENTS, GAS_TOLERANCE)
 
 
-def _supply_of(trace: Trace, offset: float) -> Supply | None:
-    """The pressures of tank and demand, stamped late by `offset`, s; None where neither was measured."""
+def tolerance_of(record: Any) -> float:
+    """Of a run in a fit: relative error of a step."""
+    return GAS_TOLERANCE if is_of_gas(record) else FIT_TOLERANCE
+
+
+def supply_of(record: Any, trace: Trace, offset: float) -> Supply | None:
+    """The measured pressures of tank and demand of a valve with gas; None where there are none."""
     inlet, demand = trace.inlet_pressure or NO_SIGNAL, trace.demand_pressure or NO_SIGNAL
-    if not (len(inlet.times) or len(demand.times)):
+    if not (len(inlet.times) or len(demand.times)) or not is_of_gas(record):
         return None
     return Supply(
         inlet.times - offset,
@@ -270,7 +274,7 @@ def response_to(valve: Valve, trace: Trace, drive: Drive, times: Array, start: f
     Raises:
         SimulationError: the valve cannot be simulated.
     """
-    supply = _supply_of(trace, offset) if valve.gas is not None else None
+    supply = supply_of(valve.record(), trace, offset)
     valve = as_it_began(valve, trace)
     if supply is None:
         return simulate(valve, drive, times, start_time=start)
@@ -290,10 +294,13 @@ def amperes(record: Any, trace: Trace, currents: Array) -> list[Array]:
     return [currents * rated_current(record)]
 
 
-def _predicted_with_pressure(
+def prepared_with_pressure(
     record: Any, trace: Trace, pressure_times: Array, drive: Drive, offset: float
-) -> list[Array]:
-    """The same where the outlet's pressure was recorded, of a valve with gas."""
+) -> tuple[Any, Samples, NDArray[np.int64]]:
+    """As `prepared` where the outlet's pressure was recorded, of a valve with gas; and the order of the rows.
+
+    That is of first the positions', then the pressure's times.
+    """
     # The core shows all rows as late as positions are, and a pressure is not.
     late = record["sensor_delay"].item()
     apart = np.concatenate([trace.times, pressure_times + late]) - offset
@@ -302,10 +309,18 @@ def _predicted_with_pressure(
     current_times = trace.coil_current.times - offset if trace.coil_current is not None else NO_TIMES
     rows = np.empty((len(times), PRESSURE_COLUMN + 1))
     samples = Samples(times, rows, current_times, np.empty(len(current_times)))
-    state = state_before(record, trace, drive, np.concatenate([trace.sample_times[:1], pressure_times[:1]]) - offset)
+    firsts = np.concatenate([trace.sample_times[:1], pressure_times[:1]])
+    return state_before(record, trace, drive, firsts - offset), samples, order
+
+
+def _predicted_with_pressure(
+    record: Any, trace: Trace, pressure_times: Array, drive: Drive, offset: float
+) -> list[Array]:
+    """The same where the outlet's pressure was recorded, of a valve with gas."""
+    state, samples, order = prepared_with_pressure(record, trace, pressure_times, drive, offset)
     _run(record, state, trace, drive, samples, offset)
-    count, shown = len(trace.times), np.empty_like(rows)
-    shown[order] = rows
+    count, shown = len(trace.times), np.empty_like(samples.rows)
+    shown[order] = samples.rows
     return [shown[:count, 0], *amperes(record, trace, samples.currents), shown[count:, PRESSURE_COLUMN]]
 
 

@@ -55,6 +55,20 @@ GAS_STATE_FIELDS: Final = (
 GAS_STATE_RECORD: Final = _longer(STATE_RECORD, GAS_STATE_FIELDS, 0)
 """Where a valve with gas is. What is new comes first: a record that began with all of another would count as its
 subtype to Numba, and code compiled for the one would be given the other."""
+GAS_NUMBERS: Final = (
+    "inlet_pressure", "inlet_temperature", "outlet_volume", "pilot_orifice_diameter", "main_orifice_diameter",
+    "seat_diameter", "demand_pressure", "discharge_coefficient", "clogging_ratio", "leak_area", "demand_area",
+)  # fmt: skip
+"""Those of `GAS_FIELDS` that flow and forces change with; the outlet's first pressure acts at the start only."""
+SLOPES_OF_GAS: Final = {
+    **dict.fromkeys(
+        ("flow", "flow_by_density", "flow_by_x", "flow_by_gap", "force_by_density", "force_by_gap", "force_by_inlet"),
+        "f8",
+    ),
+    "flow_by": ("f8", (len(GAS_NUMBERS),)),
+    "force_by": ("f8", (len(GAS_NUMBERS),)),
+}
+"""Derivatives of the rate of the outlet's density, kg/(m³ s), and of the net force, N, to state and `GAS_NUMBERS`."""
 GAS_COLUMNS: Final = 2
 """Of gas in a row of output, after those of every valve: outlet pressure, Pa, and mass flow, kg/s."""
 
