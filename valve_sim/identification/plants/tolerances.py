@@ -47,7 +47,8 @@ LOOK_ALIKES: Final[Mapping[str, tuple[str, ...]]] = {
     "attraction_polynomial": ("rest_attraction", "drive_gain", "magnetic_saturation", "spring_hardening"),
     "gas.pilot_orifice_diameter": ("gas.discharge_coefficient", "gas.outlet_volume"),
     "gas.discharge_coefficient": ("pilot_clogging", "gas.pilot_orifice_diameter", "gas.outlet_volume"),
-    "gas.outlet_volume": ("pilot_clogging", "gas.discharge_coefficient", "gas.pilot_orifice_diameter"),
+    "gas.outlet_volume": ("pilot_clogging", "seat_leak", "gas.discharge_coefficient", "gas.pilot_orifice_diameter"),
+    "gas.demand_orifice_diameter": ("seat_leak", "gas.outlet_volume"),
 }
 """What data often cannot tell from a wrong value."""
 

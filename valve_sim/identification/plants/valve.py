@@ -41,7 +41,7 @@ from valve_sim.identification.plants.valve_sensors import (
     with_usable_current,
     without_pressure,
 )
-from valve_sim.model import Drive, Parameter, Valve
+from valve_sim.model import CATALOGUE, Drive, Parameter, Tag, Valve
 from valve_sim.model.effects import FORCE_MAP_VARIABLES
 from valve_sim.traces import Signal, Trace
 from valve_sim.traces.layout import SIGNALS
@@ -125,12 +125,23 @@ class ValvePlant:
 
     @property
     def effects(self) -> Mapping[str, EffectChoice]:
-        """The catalogue, less what the declared valve has on, and declared values that may be wrong."""
-        return self._model.effects
+        """The catalogue, less what the declared valve has on, and declared values that may be wrong.
+
+        Without positions less what only a sensor of positions would show.
+        """
+        if any(trace.has_positions for trace in self.traces):
+            return self._model.effects
+        of_sensors = {entry.name for entry in CATALOGUE.tagged(Tag.SENSOR)}
+        return {name: choice for name, choice in self._model.effects.items() if name not in of_sensors}
 
     @property
     def force_maps(self) -> Sequence[ForceMap]:
-        """Curves over position, velocity and time, and such curves times v or u²."""
+        """Curves over position, velocity and time, and such curves times v or u².
+
+        None by the outlet's pressure alone: it shows when the plungers have moved, and nothing of how.
+        """
+        if all(trace.judged == "outlet_pressure" for trace in self.traces):
+            return []
         declared = self.valve.parameters
         fastest = max(fastest_motion(trace) for trace in self.traces)
         furthest = max(float(np.max(trace.pilot_position, initial=0.0)) for trace in self.traces)
