@@ -13,11 +13,17 @@ import numpy as np
 
 from valve_sim.model.compiling import inlined, inner
 from valve_sim.model.equations import (
-    coil_current_between_commands,
+    acceleration,
+    acceleration_at,
+    coil_decay,
     coil_rates,
     coil_state,
+    coil_that_pulls,
+    eddy_decay,
     flux_rates,
+    is_plain,
     mechanical_rates,
+    phase_of,
 )
 from valve_sim.model.flux import resting_current
 
@@ -64,6 +70,8 @@ WORK_RECORD: Final = np.dtype(
 
 # The tableau, row by row: when a stage looks (the sixth and the last at the end), and where, from y and the slopes k.
 C2, C3, C4, C5 = 1 / 5, 3 / 10, 4 / 5, 8 / 9
+COMMON: Final = 90
+"""Denominator of them all."""
 STAGE_TIMES: Final = (0.0, C2, C3, C4, C5, 1.0, 1.0)
 """When each stage looks, in steps."""
 
@@ -111,18 +119,6 @@ def _error(h, k1, k3, k4, k5, k6, k7):
     return h * parts
 
 
-DENSE: Final = np.array(
-    [
-        [1, -8048581381 / 2820520608, 8663915743 / 2820520608, -12715105075 / 11282082432],
-        [0, 0, 0, 0],
-        [0, 131558114200 / 32700410799, -68118460800 / 10900136933, 87487479700 / 32700410799],
-        [0, -1754552775 / 470086768, 14199869525 / 1410260304, -10690763975 / 1880347072],
-        [0, 127303824393 / 49829197408, -318862633887 / 49829197408, 701980252875 / 199316789632],
-        [0, -282668133 / 205662961, 2019193451 / 616988883, -1453857185 / 822651844],
-        [0, 40617522 / 29380423, -110615467 / 29380423, 69997945 / 29380423],
-    ]
-)
-
 SMALLEST_SCALE = np.array([1e-5, 1e-2, 1e-2, 1e-2, 1e-1])
 """Below these sizes (m, m/s, –, –, K), a hundredth of what a stroke moves, the error is held absolutely."""
 
@@ -130,6 +126,9 @@ SMALLEST_SCALE = np.array([1e-5, 1e-2, 1e-2, 1e-2, 1e-1])
 @inner
 def rates(p, s, work, t, y, stage):
     """Write y' into row `stage` of work.k; y is one of work's states."""
+    if work.states == MECHANICAL_STATES and s.moving:
+        work.k[stage, 0], work.k[stage, 1] = y[1], acceleration_at(p, s, t, y[0], y[1])
+        return
     u, w = coil_state(p, s, t, y[2], y[3], y[4])
     dx, dv = mechanical_rates(p, s, t, y[0], y[1], u, w)
     work.k[stage, 0], work.k[stage, 1] = dx, dv
@@ -148,31 +147,67 @@ def try_step(p, s, work, h):
         _try_heated_step(p, s, work, h)
 
 
+@inlined
+def _at_stages(start, root):
+    """What is left of a decaying quantity at the second to the sixth stage: powers, which take less than exponentials.
+
+    Args:
+        start: what is left at the start of the step. root: the share of it that is left after 1/`COMMON` of the step.
+    """
+    at_8 = root * root
+    at_8 *= at_8
+    at_8 *= at_8
+    at_9 = at_8 * root
+    at_18 = at_9 * at_9
+    at_36 = at_18 * at_18
+    at_72 = at_36 * at_36
+    return start * at_18, start * (at_18 * at_9), start * at_72, start * (at_72 * at_8), start * (at_72 * at_18)
+
+
 @inner
 def _try_mechanical_step(p, s, work, h):
-    """The step of x and v alone, without a loop: nearly all of a run's time is spent here."""
+    """The step of x and v alone, in motion, without a loop: nearly all of a run's time is spent here."""
+    elapsed = s.time - s.segment_time
+    decay2, decay3, decay4, decay5, decay6 = _at_stages(coil_decay(p, elapsed), coil_decay(p, h / COMMON))
+    eddy2, eddy3, eddy4, eddy5, eddy6 = 0.0, 0.0, 0.0, 0.0, 0.0
+    if p.eddy_time_constant != 0.0:
+        eddy2, eddy3, eddy4, eddy5, eddy6 = _at_stages(eddy_decay(p, elapsed), eddy_decay(p, h / COMMON))
+    coils = (
+        coil_that_pulls(p, s, elapsed + C2 * h, (decay2, eddy2)),
+        coil_that_pulls(p, s, elapsed + C3 * h, (decay3, eddy3)),
+        coil_that_pulls(p, s, elapsed + C4 * h, (decay4, eddy4)),
+        coil_that_pulls(p, s, elapsed + C5 * h, (decay5, eddy5)),
+        coil_that_pulls(p, s, elapsed + h, (decay6, eddy6)),
+    )
+    # Compiled twice: without effects there is nothing to call, and all stays in registers.
+    if is_plain(p):
+        _mechanical_stages(p, s, work, h, coils, True)
+    else:
+        _mechanical_stages(p, s, work, h, coils, False)
+
+
+@inlined
+def _mechanical_stages(p, s, work, h, coils, plain):
+    """The stages, given (u, u²) at the second to the sixth of them."""
     t, k = s.time, work.k
-    x, v = work.y[0], work.y[1]
-    x1, v1 = k[0, 0], k[0, 1]
-    u, w = coil_current_between_commands(p, s, t + C2 * h)
-    x2, v2 = mechanical_rates(p, s, t + C2 * h, at_second(x, h, x1), at_second(v, h, v1), u, w)
-    u, w = coil_current_between_commands(p, s, t + C3 * h)
-    x3, v3 = mechanical_rates(p, s, t + C3 * h, at_third(x, h, x1, x2), at_third(v, h, v1, v2), u, w)
-    u, w = coil_current_between_commands(p, s, t + C4 * h)
-    x_stage, v_stage = at_fourth(x, h, x1, x2, x3), at_fourth(v, h, v1, v2, v3)
-    x4, v4 = mechanical_rates(p, s, t + C4 * h, x_stage, v_stage, u, w)
-    u, w = coil_current_between_commands(p, s, t + C5 * h)
-    x_stage, v_stage = at_fifth(x, h, x1, x2, x3, x4), at_fifth(v, h, v1, v2, v3, v4)
-    x5, v5 = mechanical_rates(p, s, t + C5 * h, x_stage, v_stage, u, w)
-    u, w = coil_current_between_commands(p, s, t + h)
-    x_stage, v_stage = at_sixth(x, h, x1, x2, x3, x4, x5), at_sixth(v, h, v1, v2, v3, v4, v5)
-    x6, v6 = mechanical_rates(p, s, t + h, x_stage, v_stage, u, w)
-    x_new, v_new = at_end(x, h, x1, x3, x4, x5, x6), at_end(v, h, v1, v3, v4, v5, v6)
-    k[6, 0], k[6, 1] = mechanical_rates(p, s, t + h, x_new, v_new, u, w)
-    k[1, 0], k[2, 0], k[3, 0], k[4, 0], k[5, 0] = x2, x3, x4, x5, x6
-    k[1, 1], k[2, 1], k[3, 1], k[4, 1], k[5, 1] = v2, v3, v4, v5, v6
-    work.y_new[0] = x_new
-    work.y_new[1] = v_new
+    coil2, coil3, coil4, coil5, coil6 = coils
+    phase, condition = phase_of(p, s.mode), (s.mode, s.direction, s.unseated_time)
+    x, x1, a1 = work.y[0], k[0, 0], k[0, 1]
+    x2 = at_second(x1, h, a1)
+    a2 = acceleration(p, phase, t + C2 * h, (at_second(x, h, x1), x2), coil2, condition, plain)
+    x3 = at_third(x1, h, a1, a2)
+    a3 = acceleration(p, phase, t + C3 * h, (at_third(x, h, x1, x2), x3), coil3, condition, plain)
+    x4 = at_fourth(x1, h, a1, a2, a3)
+    a4 = acceleration(p, phase, t + C4 * h, (at_fourth(x, h, x1, x2, x3), x4), coil4, condition, plain)
+    x5 = at_fifth(x1, h, a1, a2, a3, a4)
+    a5 = acceleration(p, phase, t + C5 * h, (at_fifth(x, h, x1, x2, x3, x4), x5), coil5, condition, plain)
+    x6 = at_sixth(x1, h, a1, a2, a3, a4, a5)
+    a6 = acceleration(p, phase, t + h, (at_sixth(x, h, x1, x2, x3, x4, x5), x6), coil6, condition, plain)
+    x_new, x7 = at_end(x, h, x1, x3, x4, x5, x6), at_end(x1, h, a1, a3, a4, a5, a6)
+    a7 = acceleration_at(p, s, t + h, x_new, x7)
+    k[1, 0], k[2, 0], k[3, 0], k[4, 0], k[5, 0], k[6, 0] = x2, x3, x4, x5, x6, x7
+    k[1, 1], k[2, 1], k[3, 1], k[4, 1], k[5, 1], k[6, 1] = a2, a3, a4, a5, a6, a7
+    work.y_new[0], work.y_new[1] = x_new, x7
 
 
 @inner
@@ -225,7 +260,7 @@ def _try_heated_step(p, s, work, h):
     rates(p, s, work, t + h, y_new, LAST)
 
 
-@inner
+@inlined
 def error_norm(work, h, tolerance):
     """Root mean square of the error in units of the tolerance (Hairer II.4.11); above 1 the step is rejected."""
     total = 0.0
@@ -237,7 +272,7 @@ def error_norm(work, h, tolerance):
     return math.sqrt(total / work.states)
 
 
-@inner
+@inlined
 def step_factor(error):
     """The factor from one step size to the next, given the error in units of the tolerance.
 
@@ -247,15 +282,20 @@ def step_factor(error):
     return 0.9 / math.sqrt(math.sqrt(error))
 
 
-@inner
+@inlined
 def fill_dense(work):
-    """Work out the dense-output coefficients of the step just taken."""
+    """Work out the dense-output coefficients of the step just taken.
+
+    The polynomial is that of order 4 which Shampine found, with y and y' of both ends.
+    """
+    k, dense = work.k, work.dense
     for j in range(work.states):
-        for power in range(4):
-            total = DENSE[0, power] * work.k[0, j]
-            for i in range(2, STAGES):
-                total += DENSE[i, power] * work.k[i, j]
-            work.dense[j, power] = total
+        k1, k3, k4, k5, k6, k7 = k[0, j], k[2, j], k[3, j], k[4, j], k[5, j], k[6, j]
+        mean = at_end(0.0, 1.0, k1, k3, k4, k5, k6)
+        fourth = -12715105075 / 11282082432 * k1 + 87487479700 / 32700410799 * k3 + -10690763975 / 1880347072 * k4
+        fourth += 701980252875 / 199316789632 * k5 + -1453857185 / 822651844 * k6 + 69997945 / 29380423 * k7
+        third = k7 - k1 - 2.0 * (mean - k1 + fourth)
+        dense[j, 0], dense[j, 1], dense[j, 2], dense[j, 3] = k1, mean - k1 - third - fourth, third, fourth
 
 
 @inlined

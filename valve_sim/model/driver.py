@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from valve_sim.model.compiling import compiled, inner, taken_in
+from valve_sim.model.compiling import compiled, inlined, inner, taken_in
 from valve_sim.model.core_types import EVENT_RECORD, Outcome
 from valve_sim.model.dormand_prince import (
     ALL_STATES,
@@ -139,7 +139,7 @@ def _next_step(p, s, work, tolerance):
     return h, ends, following, outcome
 
 
-@inner
+@inlined
 def _is_integrated(p, s, work):
     """Whether the next step is one of the integrator: plungers in motion, gas, or a coil without a closed form.
 
@@ -169,7 +169,7 @@ def _until_current_is_gone(p, s, work, h, ends):
     return left, CURRENT_GONE
 
 
-@inner
+@inlined
 def _rest(p, s):
     """How far ahead plungers at rest are looked at in one step, s."""
     if p.terms_read_time:
@@ -177,7 +177,7 @@ def _rest(p, s):
     return max(LONGEST_REST, LONGEST_REST_SHARE * (s.time - max(s.segment_time, s.unseated_time)))
 
 
-@inner
+@inlined
 def _has_settled(p, s, work):
     """Whether error control alone may choose the step: no current is left, and all that moves creeps, or only gas.
 
@@ -193,7 +193,7 @@ def _has_settled(p, s, work):
     return s.time - s.segment_time > max(decay, LONGEST_MOTION)
 
 
-@inner
+@inlined
 def _settle_coil(p, s, work):
     """Set a negligible integrated current to 0, at rest and without voltage."""
     if work.states == MECHANICAL_STATES or s.moving:
@@ -210,7 +210,7 @@ def _settle_coil(p, s, work):
         work.start_is_known = 0
 
 
-@inner
+@inlined
 def _start_from(p, s, work):
     """Copy the state to where the integrator starts."""
     work.y[0] = s.x
@@ -221,7 +221,7 @@ def _start_from(p, s, work):
     start_gas(p, s, work)
 
 
-@inner
+@inlined
 def _commit(p, s, work, h, time):
     """Make the end of a step of size h the state, at `time`."""
     if p.sensor_time_constant > 0.0:
@@ -243,7 +243,7 @@ def _commit(p, s, work, h, time):
         s.peak_current = max(s.peak_current, abs(coil_now(p, s)[0]))
 
 
-@inner
+@inlined
 def _end_step(p, s, work, ends, events, count):
     """Apply the event that ended a step; returns the events counted."""
     work.start_is_known = 1 if ends == NO_EVENT else 0

@@ -60,8 +60,22 @@ def _chained(pulls: Sequence[Any]) -> Any:
     return inlined(lambda p, squared: rest(p, first(p, squared)))
 
 
+def _any_differs(fields: Sequence[tuple[str, float]]) -> Any:
+    """One compiled function that tells whether a field of a record has another value than its neutral one."""
+    if not fields:
+        return inlined(lambda p: False)
+    (name, neutral), rest = fields[0], _any_differs(fields[1:])
+    return inlined(lambda p: p[name] != neutral or rest(p))
+
+
+_has_force_of_effects: Final = _any_differs(
+    [field for effect in shipped() if effect.core_force is not None for field in effect.fields.items()]
+)
 _force_of_effects: Final = _summed([effect.core_force for effect in shipped() if effect.core_force is not None])
 _pull_of_effects: Final = _chained([effect.core_pull for effect in shipped() if effect.core_pull is not None])
+
+NEARLY_EQUAL: Final = 0.1
+"""Relative difference of two time constants below which the difference of their exponentials loses digits at first."""
 
 
 @inlined
@@ -94,6 +108,33 @@ def compiled_terms(p, mode, x, v, u, t):
 
 
 @inlined
+def phase_of(p, mode):
+    """What tells (4) from (3): load, N; spring rate, N/m; damping, N·s/m; 1/mass, 1/kg, for no stage to divide."""
+    if mode >= MAIN:
+        return p.spring_preload, p.spring_rate, p.main_damping, 1.0 / p.moving_mass
+    return p.seat_load, 0.0, p.pilot_damping, 1.0 / p.pilot_mass
+
+
+@inlined
+def net_force(p, phase, x, v, pull2, effects):
+    """Right-hand sides of (3) and (4), N, given the forces of the effects.
+
+    What waits longest is added last: a stage has its velocity after its position, and all else before.
+    """
+    load, rate, damping, _ = phase
+    return attraction(p, x, pull2) + (effects - load - rate * x) - damping * v
+
+
+@inlined
+def forces_of_effects(p, t, motion, coil, condition):
+    """Sum (5), N; arguments as of `force_without_dry_friction`."""
+    force = _force_of_effects(p, t, motion, coil, condition)
+    if p.term_count > 0:
+        force += compiled_terms(p, condition[0], motion[0], motion[1], coil[0], t)
+    return force
+
+
+@inlined
 def force_without_dry_friction(p, t, motion, coil, condition):
     """Right-hand sides of (3) and (4), N, with (5); the dry friction of (6) is the caller's.
 
@@ -101,23 +142,20 @@ def force_without_dry_friction(p, t, motion, coil, condition):
         p: valve record. t: s. motion: (x, v), m and m/s. coil: (u, u²), the current and, after (7) and (8), the
             square that pulls. condition: (mode, direction, when the pilot last left its seat).
     """
-    x, v = motion
-    u, pull2 = coil
-    mode = condition[0]
-    if mode >= MAIN:
-        force = attraction(p, x, pull2) - p.spring_preload - p.spring_rate * x - p.main_damping * v
-    else:
-        force = attraction(p, x, pull2) - p.seat_load - p.pilot_damping * v
-    force += _force_of_effects(p, t, motion, coil, condition)
-    if p.term_count > 0:
-        force += compiled_terms(p, mode, x, v, u, t)
-    return force
+    effects = forces_of_effects(p, t, motion, coil, condition)
+    return net_force(p, phase_of(p, condition[0]), motion[0], motion[1], coil[1], effects)
+
+
+@inlined
+def sliding_friction(p, direction):
+    """F_± of (6), N."""
+    return p.friction_opening if direction > 0 else p.friction_closing
 
 
 @inlined
 def dry_friction(p, v, direction):
     """Magnitude of (6), N; it acts against `direction`."""
-    level = p.friction_opening if direction > 0 else p.friction_closing
+    level = sliding_friction(p, direction)
     if p.breakaway != 0.0:
         ratio = v / p.stribeck_velocity
         level += p.breakaway * math.exp(-ratio * ratio)
@@ -125,22 +163,42 @@ def dry_friction(p, v, direction):
 
 
 @inlined
-def acceleration(p, t, motion, coil, condition):
-    """Acceleration v' of equation (3) or (4) in motion, m/s²; arguments as for `force_without_dry_friction`."""
-    mode, direction, _ = condition
-    force = force_without_dry_friction(p, t, motion, coil, condition)
-    force -= direction * dry_friction(p, motion[1], direction)
-    return force / (p.moving_mass if mode >= MAIN else p.pilot_mass)
+def is_plain(p):
+    """Whether the forces of the effects are none but F_± of (6)."""
+    return p.term_count == 0 and p.breakaway == 0.0 and not _has_force_of_effects(p)
+
+
+@inlined
+def acceleration(p, phase, t, motion, coil, condition, plain):
+    """Acceleration v' of equation (3) or (4) in motion, m/s².
+
+    Args:
+        phase: see `phase_of`. plain: see `is_plain`; False is right for all. Others: as for
+            `force_without_dry_friction`.
+    """
+    direction = condition[1]
+    if plain:
+        effects = -direction * sliding_friction(p, direction)
+    else:
+        effects = forces_in_motion(p, t, motion, coil, condition)
+    return net_force(p, phase, motion[0], motion[1], coil[1], effects) * phase[3]
+
+
+@inner
+def forces_in_motion(p, t, motion, coil, condition):
+    """Sum (5) less (6), N; called, because pasted into each stage it is no faster."""
+    friction = condition[1] * dry_friction(p, motion[1], condition[1])
+    return forces_of_effects(p, t, motion, coil, condition) - friction
 
 
 @inlined
 def eddy_share(tau, tau_e, elapsed, decay, eddy_decay):
-    """(τ/(τ − τ_e)) (e^{−t/τ} − e^{−t/τ_e}), written so that τ = τ_e is no special case: the response of (9) to (1)."""
-    gap = elapsed / tau_e - elapsed / tau
-    if abs(gap) < 1.0:
-        share = decay * (-np.expm1(-gap) / gap if gap != 0.0 else 1.0)
-    else:
-        share = (decay - eddy_decay) / gap
+    """(τ/(τ − τ_e)) (e^{−t/τ} − e^{−t/τ_e}), also where τ is near τ_e: the response of (9) to (1)."""
+    apart = 1.0 - tau_e / tau
+    gap = elapsed * apart / tau_e
+    if abs(apart) >= NEARLY_EQUAL or abs(gap) >= 1.0:
+        return (decay - eddy_decay) * (1.0 / apart)
+    share = decay * (-np.expm1(-gap) / gap if gap != 0.0 else 1.0)
     return share * elapsed / tau_e
 
 
@@ -151,25 +209,49 @@ def coil_decay(p, elapsed):
 
 
 @inlined
-def decayed_coil(p, s, elapsed, decay):
-    """Solve (1) and (9) some time after a command, given its `coil_decay`, for a coil that does not heat: u and w."""
+def eddy_decay(p, elapsed):
+    """The same of (9)."""
+    return math.exp(-elapsed / p.eddy_time_constant) if p.eddy_time_constant > 0.0 else 0.0
+
+
+@inlined
+def decayed_coil(p, s, elapsed, decays):
+    """Solve (1) and (9) for a coil that does not heat: u and w.
+
+    Args:
+        p, s: valve and state. elapsed: s, since the last command. decays: `coil_decay` and `eddy_decay` since then.
+    """
     target = s.seen / p.reference_voltage
-    u = target + (s.segment_u - target) * decay
+    u = target + (s.segment_u - target) * decays[0]
     if p.eddy_time_constant == 0.0:
         return u, u
-    eddy_decay = math.exp(-elapsed / p.eddy_time_constant)
-    w = target + (s.segment_w - target) * eddy_decay
+    return u, eddy_current(p, s, elapsed, decays)
+
+
+@inner
+def eddy_current(p, s, elapsed, decays):
+    """The w of `decayed_coil`, behind an eddy pole."""
+    decay, decay_of_eddies = decays
+    target = s.seen / p.reference_voltage
+    w = target + (s.segment_w - target) * decay_of_eddies
     if p.coil_time_constant > 0.0:
-        share = eddy_share(p.coil_time_constant, p.eddy_time_constant, elapsed, decay, eddy_decay)
+        share = eddy_share(p.coil_time_constant, p.eddy_time_constant, elapsed, decay, decay_of_eddies)
         w += (s.segment_u - target) * share
-    return u, w
+    return w
+
+
+@inlined
+def coil_that_pulls(p, s, elapsed, decays):
+    """The same as (u, u²), the current and the square that pulls."""
+    u, w = decayed_coil(p, s, elapsed, decays)
+    return u, pull_squared(p, w, max(s.peak_current, abs(u)))
 
 
 @inner
 def coil_current_between_commands(p, s, t):
     """The same at time t."""
     elapsed = t - s.segment_time
-    return decayed_coil(p, s, elapsed, coil_decay(p, elapsed))
+    return decayed_coil(p, s, elapsed, (coil_decay(p, elapsed), eddy_decay(p, elapsed)))
 
 
 @inner
@@ -193,13 +275,27 @@ def coil_now(p, s):
     return coil_state(p, s, s.time, s.w if follows_flux(p) else s.u, s.w, s.temperature)
 
 
+@inner
+def acceleration_at(p, s, t, x, v):
+    """Acceleration v' in motion at time t, m/s², of a coil with a closed form.
+
+    One function for the end of a step and the start of the next, so that both are one number, to the last bit.
+    """
+    elapsed = t - s.segment_time
+    coil = coil_that_pulls(p, s, elapsed, (coil_decay(p, elapsed), eddy_decay(p, elapsed)))
+    phase, condition = phase_of(p, s.mode), (s.mode, s.direction, s.unseated_time)
+    if is_plain(p):
+        return acceleration(p, phase, t, (x, v), coil, condition, True)
+    return acceleration(p, phase, t, (x, v), coil, condition, False)
+
+
 @inlined
 def mechanical_rates(p, s, t, x, v, u, w):
     """Rates x' and v' of (3) and (4); plungers at rest stay there."""
     if not s.moving:
         return 0.0, 0.0
     pull2 = pull_squared(p, w, max(s.peak_current, abs(u)))
-    return v, acceleration(p, t, (x, v), (u, pull2), (s.mode, s.direction, s.unseated_time))
+    return v, acceleration(p, phase_of(p, s.mode), t, (x, v), (u, pull2), (s.mode, s.direction, s.unseated_time), False)
 
 
 @inlined

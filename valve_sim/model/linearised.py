@@ -24,6 +24,7 @@ from valve_sim.model.equations import (
     coil_decay,
     decayed_coil,
     dry_friction,
+    eddy_decay,
     eddy_share,
     force_without_dry_friction,
     pull_squared,
@@ -110,7 +111,7 @@ def force_slopes(p, s, g, t, x, v):
     """
     elapsed = t - s.segment_time
     decay = coil_decay(p, elapsed)
-    u, w = decayed_coil(p, s, elapsed, decay)
+    u, w = decayed_coil(p, s, elapsed, (decay, eddy_decay(p, elapsed)))
     peak = max(s.peak_current, abs(u))
     pull2 = pull_squared(p, w, peak)
     condition = (s.mode, s.direction, s.unseated_time)
@@ -199,25 +200,25 @@ def coil_slopes_since(p, s, g, since, to_u, to_w):
         g.segment_time = to_u * from_target / tau
         g.coil_time_constant = g.segment_time * elapsed / tau
     if tau_e > 0.0 and to_w != 0.0:
-        eddy_decay = math.exp(-elapsed / tau_e)
+        left = eddy_decay(p, elapsed)
         share = 0.0
         if tau > 0.0:
-            share = eddy_share(tau, tau_e, elapsed, decay, eddy_decay)
+            share = eddy_share(tau, tau_e, elapsed, decay, left)
             step = 1e-5 * tau
-            above = eddy_share(tau + step, tau_e, elapsed, math.exp(-elapsed / (tau + step)), eddy_decay)
-            below = eddy_share(tau - step, tau_e, elapsed, math.exp(-elapsed / (tau - step)), eddy_decay)
+            above = eddy_share(tau + step, tau_e, elapsed, math.exp(-elapsed / (tau + step)), left)
+            below = eddy_share(tau - step, tau_e, elapsed, math.exp(-elapsed / (tau - step)), left)
             share_by_tau = (above - below) / (2.0 * step)
             # The share does not change where all three times are scaled alike.
             share_by_tau_e = -(elapsed * (decay - share) / tau_e + tau * share_by_tau) / tau_e
             g.coil_time_constant += to_w * (s.segment_u - target) * share_by_tau
             g.eddy_time_constant += to_w * (s.segment_u - target) * share_by_tau_e
-        w_from_target = (s.segment_w - target) * eddy_decay
+        w_from_target = (s.segment_w - target) * left
         g.eddy_time_constant += to_w * w_from_target * elapsed / (tau_e * tau_e)
         u_from_w = from_target - w_from_target - (s.segment_u - target) * share
         g.segment_time -= to_w * u_from_w / tau_e
         g.segment_u += to_w * share
-        g.segment_w = to_w * eddy_decay
-        g.target += to_w * (1.0 - share - eddy_decay)
+        g.segment_w = to_w * left
+        g.target += to_w * (1.0 - share - left)
     g.reference_voltage = 0.0  # acts through the target
 
 

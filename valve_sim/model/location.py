@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from valve_sim.model.compiling import inner
+from valve_sim.model.compiling import inlined, inner
 from valve_sim.model.core_types import MAIN
 from valve_sim.model.dormand_prince import (
     CURRENT,
@@ -53,7 +53,7 @@ DENSE_OUTPUT_EXCESS: Final = 1e3
 """Error of the dense output inside a step after a sudden change of force, in units of the error at its end, at most."""
 
 
-@inner
+@inlined
 def guard_ahead(p, s):
     """The contact that the plungers move towards, as a position of x."""
     if s.mode == MAIN:
@@ -84,7 +84,7 @@ def first_event(p, s, work, h, tolerance):
     return fraction, ends
 
 
-@inner
+@inlined
 def _first_turn(work, h, direction, tolerance):
     """The fraction of the step at which v first changes sign against `direction`, or 2 for never.
 
@@ -189,7 +189,7 @@ def _current_peak(s, work):
     return high if low > NO_PEAK else 2.0
 
 
-@inner
+@inlined
 def _pull_switch(p, s, work, h):
     """The fraction of the step at which residual magnetism takes over or lets go, or 2 for not in this step."""
     if p.residual_current == 0.0 or _is_held(p, s, work, h, 1.0) == s.held_by_residual:
