@@ -18,10 +18,12 @@ from valve_sim.identification.plants.protocol import (
     Advice,
     Array,
     Channel,
+    Direction,
     EffectChoice,
     Experiment,
     ForceMap,
     Nuisance,
+    Sensitivities,
 )
 from valve_sim.identification.plants.recording_errors import CLOCK_SIGMA
 from valve_sim.identification.plants.tolerances import of_gas
@@ -237,6 +239,26 @@ class CommissionedPlant:
             SimulationError: the simulation could not be carried to its end.
         """
         return self._plant.predict(self._plain(values))
+
+    def sensitivities(self, values: Mapping[str, float], directions: Sequence[Direction]) -> Sensitivities:
+        """The derivatives of what `predict` returns, as of any valve's plant.
+
+        Raises:
+            SimulationError: the simulation could not be carried to its end.
+        """
+        plain = self._plain(values)
+        along = [direction._replace(slopes=self._plain_slopes(direction.slopes, plain)) for direction in directions]
+        return self._plant.sensitivities(plain, along)
+
+    def _plain_slopes(self, slopes: Mapping[str, float], plain: Mapping[str, float]) -> dict[str, float]:
+        """By the plain names, how values change along a direction."""
+        found = {name: slope for name, slope in slopes.items() if name in plain and name not in self._errors}
+        errors = self._spread @ np.array([slopes.get(name, 0.0) for name in self._errors])
+        for name, error in zip(self._estimated, errors.tolist(), strict=True):
+            slope = slopes.get(f"{name}.{_VALUE}", 0.0) + error
+            if slope and plain[name] > self._plant.parameter(name).lower:
+                found[name] = slope
+        return found
 
     def _plain(self, values: Mapping[str, float]) -> dict[str, float]:
         """Values by their plain names: changed dampings, and the errors of commissioning added."""
