@@ -26,6 +26,7 @@ from valve_sim.identification.monitoring.segmenter import StrokeSegmenter
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.monitoring.stroke_monitor import FEWEST_TO_ISOLATE, StrokeMonitor
 from valve_sim.identification.plants.commissioned import CommissionedPlant
+from valve_sim.identification.plants.protocol import Direction
 from valve_sim.traces import Trace
 
 OPEN_SECONDS, CLOSED_SECONDS, LEAD = 0.1, 0.15, 0.02
@@ -91,6 +92,29 @@ def sized(strokes: Sequence[Trace], name: str) -> tuple[Interval, Fit]:
     start = starts_by_lift(trace, VALVE)[name.partition(".")[0]]
     result = fit(problem, (name,), start, nuisances=plant.nuisances)
     return covariance_interval(result, name), result
+
+
+def test_derivatives_of_a_commissioned_valve_are_those_of_its_predictions():
+    known = baseline()
+    plant = CommissionedPlant(
+        join([record.trace for record in strokes_of(recorded(healthy=1, faulty=4, **LEAKING))[2:]], known),
+        known.commissioned,
+        known.scatter,
+    )
+    values = {own.name: own.mean for own in plant.nuisances} | {"seat_leak.area": 1e-9, "main_damping.value": 3.0}
+    steps = {
+        "seat_leak.area": 1e-13, "main_damping.value": 1e-4, "commissioning_error[0]": 1e-6,
+        "commissioning_error[1]": 1e-6, "command_error[0,1]": 1e-8, "gas.outlet_pressure": 1.0,
+    }  # fmt: skip
+    (columns,), known_ones = plant.sensitivities(values, [Direction({name: 1.0}, step) for name, step in steps.items()])
+    assert known_ones.all()
+    for column, (name, step) in zip(columns.T, steps.items(), strict=True):
+        there, back = (plant.predict({**values, name: values[name] + way * step})[0] for way in (1.0, -1.0))
+        assert np.linalg.norm(column - (there - back) / (2.0 * step)) < 0.03 * np.linalg.norm(column), name
+    # A damping at its lower bound does not follow an error that would take it below.
+    at_bound = {**values, "pilot_damping.value": 0.0, "commissioning_error[0]": -1.0}
+    (columns,), _ = plant.sensitivities(at_bound, [Direction({"pilot_damping.value": 1.0}, 1e-6)])
+    assert not columns.any()
 
 
 def lift_of(times: np.ndarray, positions: np.ndarray, start: float) -> float:
