@@ -10,6 +10,7 @@ from valve_sim.identification.estimation.declared_values import DeclaredValue, d
 from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.plants.protocol import Plant
+from valve_sim.identification.plants.stroke_choice import StrokeChoice
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.selection.bootstrap import FalseAlarm
 from valve_sim.identification.selection.detection_limits import Limits
@@ -111,6 +112,7 @@ class Diagnosis:
     `recommendation` is the experiment that separates the competing models best, where one does; `untried` is what was
     left untried when the time was used up, or could not be simulated; `looks` is how often held-out data were opened to
     judge a choice; `detection_limits` is, where nothing is missing, how large each effect would have to be to show;
+    `choice` is which strokes of a long recording were looked at, None for all of them;
     `rivals` are named of a valve that is seen through its current alone, whose positions they leave open.
     """
 
@@ -128,6 +130,7 @@ class Diagnosis:
     looks: int = 0
     detection_limits: Limits = field(default_factory=dict)
     rivals: tuple[Rival, ...] = ()
+    choice: StrokeChoice | None = None
 
     @property
     def valve(self) -> Valve:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -22,6 +23,7 @@ from valve_sim.identification.estimation.problem import Mask, Problem
 from valve_sim.identification.estimation.result import Fit, rmse
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Plant, strokes_of_plant
+from valve_sim.identification.plants.stroke_choice import choose_strokes
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.selection.current_check import current_noise_inflation
 from valve_sim.identification.selection.held_out import HeldOut
@@ -58,7 +60,8 @@ def diagnose(
     """Trace the residual of a declared valve to the effect it lacks.
 
     Args:
-        traces: training data. holdout: other recordings of the same valve, or none: strokes are held out inside.
+        traces: training data; of very many samples some strokes are chosen.
+        holdout: other recordings of the same valve, or none: strokes are held out inside.
         valve: the declared valve.
         progress: told what is being tried, and the fraction done.
         budget: how long it may take, e.g. `Budget(60.0, time.monotonic)`; default as long as it takes.
@@ -68,8 +71,10 @@ def diagnose(
         OutOfTimeError: the budget is used up before the declared valve could be fitted.
         SimulationError: the declared valve cannot be simulated.
     """
-    plant, others = ValvePlant(traces, valve), ValvePlant(holdout, valve) if holdout else None
-    return diagnose_plant(plant, others, progress, budget, is_full=is_full)
+    fitted, choice = choose_strokes(traces)
+    others = ValvePlant(choose_strokes(holdout)[0], valve) if holdout else None
+    found = diagnose_plant(ValvePlant(fitted, valve), others, progress, budget, is_full=is_full)
+    return replace(found, choice=choice)
 
 
 def diagnose_plant(

@@ -186,7 +186,7 @@ def commission(traces: Sequence[Trace], valve: Valve, noise: float) -> Baseline:
         problem = Problem(plant, noises={kind: _at_least_finest(_noise_at_rest(plant, result), kind)})
         result = _commissioning_fit(problem, result.values, prior)
     late = [
-        result.values[f"clock_offset[{index}]"] + result.values[f"command_error[{index},{command}]"]
+        result.values[f"clock_offset[{index}]"] + result.values.get(f"command_error[{index},{command}]", 0.0)
         for index, trace in enumerate(traces)
         for command in range(len(trace.drive.times))
     ]

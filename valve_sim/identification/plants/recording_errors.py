@@ -36,7 +36,14 @@ def stamp_errors(trace: Trace, index: int, channels: Channels) -> list[Nuisance]
     return [
         Nuisance(f"command_error[{index},{command}]", CLOCK_SIGMA, "s", channels, during)
         for command, during in enumerate(command_strokes(trace.drive))
+        if _is_sampled(trace, float(trace.drive.times[command]), during[1])
     ]
+
+
+def _is_sampled(trace: Trace, since: float, until: float) -> bool:
+    """Whether anything was recorded in between: of what nobody saw no error can be estimated."""
+    first, last = np.searchsorted(trace.sample_times, [since, until])
+    return bool(last > first)
 
 
 def reading_errors(trace: Trace, index: int, channels: Channels) -> list[Nuisance]:

@@ -64,6 +64,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "untried": list(diagnosis.untried),
         "false_alarm": diagnosis.false_alarm._asdict(),
         "looks": diagnosis.looks,
+        "strokes": None if diagnosis.choice is None else diagnosis.choice._asdict(),
         "detection_limits": {name: dict(limits) for name, limits in diagnosis.detection_limits.items()},
     }
     return plain_mapping(report)

@@ -32,6 +32,7 @@ from valve_sim.identification.reporting.recording_profile import duration_of, pr
 from valve_sim.identification.reporting.summary import recording_advice, summarise
 from valve_sim.identification.reporting.units import limits, measured, quantity, three_digits
 from valve_sim.identification.reporting.wording import (
+    choice_words,
     headline,
     holdout_words,
     kind_words,
@@ -194,6 +195,7 @@ def _content(diagnosis: Diagnosis) -> dict[str, Any]:
         "record_next": recording_advice(diagnosis),
         "gain": _gain_rows(diagnosis),
         "untried": diagnosis.untried,
+        "choice": choice_words(diagnosis),
         "looks": holdout_words(diagnosis),
         "version": __version__,
         "sources": diagnosis.sources,

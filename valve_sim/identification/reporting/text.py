@@ -14,6 +14,7 @@ from valve_sim.identification.reporting.detection_limits import limit_rows
 from valve_sim.identification.reporting.summary import recording_advice, summarise
 from valve_sim.identification.reporting.units import measured, quantity
 from valve_sim.identification.reporting.wording import (
+    choice_words,
     headline,
     holdout_words,
     kind_words,
@@ -42,7 +43,8 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
                 f"  {label + ', rms error':<28}{quantity(errors[0], unit)} before, {quantity(errors[1], unit)} after"
             )
     lines.append(f"  {'noise of the sensor':<28}{quantity(noise, unit)}")
-    lines += [f"  {words}" for words in (rounding_words(diagnosis), holdout_words(diagnosis)) if words]
+    remarks = (choice_words(diagnosis), rounding_words(diagnosis), holdout_words(diagnosis))
+    lines += [f"  {words}" for words in remarks if words]
     for meaning in meanings(diagnosis):
         severity = f", {meaning.severity}" if meaning.severity else ""
         amounts = "; ".join(f"{what} {value}" for what, value in meaning.amounts)

@@ -113,6 +113,18 @@ def holdout_words(diagnosis: Diagnosis) -> str:
     return f"Held-out strokes were opened {times}, after the choice, to judge it and not to choose."
 
 
+def choice_words(diagnosis: Diagnosis) -> str:
+    """Which strokes of a long recording were looked at, and why, in a sentence or two; empty where all were."""
+    choice = diagnosis.choice
+    if choice is None:
+        return ""
+    kinds = f", of each of {choice.kinds} kinds of command some" if choice.kinds > 1 else ""
+    return (
+        f"Looked at were {len(choice.chosen)} of {choice.recorded} strokes{kinds}, spread over the recording, because "
+        "strokes under the same commands repeat what one of them tells. validate judges all strokes."
+    )
+
+
 def rounding_words(diagnosis: Diagnosis) -> str:
     """Why the error after may be larger than before, in a sentence; empty where it is not.
 
