@@ -97,7 +97,8 @@ def healthy(seed: int, strokes: int) -> HealthyRun:
 def growth(seed: int, jitter: float, force: float, *, trace: bool) -> Growth:
     """One seed of friction that grows."""
     valve, monitor = valve_of(seed, jitter), Monitor(default_valve().exact(), refit=False)
-    alarmed, names, named, longest = None, (), None, 0.0
+    alarmed, named, longest = None, None, 0.0
+    names: tuple[str, ...] = ()
     forces = [0.0] * COMMISSIONING + [force * (k + 1) / GROWING for k in range(GROWING)] + [force] * (STAYING + 1)
     reached = COMMISSIONING + GROWING - 1
     for report in _strokes(monitor, valve, forces):
@@ -108,7 +109,7 @@ def growth(seed: int, jitter: float, force: float, *, trace: bool) -> Growth:
             begin = time.process_time()
             found = isolate_fault(evidence, monitor.stroke_monitor.with_present_scatter())
             longest = max(longest, time.process_time() - begin)
-            names, named = found.effects, report.record.number - reached
+            names, named = found.verdict.effects, report.record.number - reached
     return Growth(alarmed, names, named, longest)
 
 
