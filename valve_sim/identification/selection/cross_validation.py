@@ -140,6 +140,11 @@ def _refitted(result: Fit, columns: Array, before: Array, moved: Array, own: NDA
     # At the optimum the pull of the data and of the prior cancel: that is how far each is from its prior's mean.
     away = -variance * gram(columns, before)
     curvature = gram(columns, columns) + np.diag(1.0 / variance)
-    change = -np.linalg.solve(curvature, gram(columns, moved - before))
+    pull = gram(columns, moved - before)
+    try:
+        change = -np.linalg.solve(curvature, pull)
+    except np.linalg.LinAlgError:
+        # Rounding takes two nuisances for one, far from the data (a leak into a dead end, by the outlet's pressure).
+        change = -np.asarray(np.linalg.lstsq(curvature, pull, rcond=1e-13)[0])
     cost = float(np.sum((np.square(away + change) - np.square(away)) / variance))
     return moved + columns @ change, cost
