@@ -25,7 +25,7 @@ from valve_sim.traces.strokes import stroke_starts
 MANY: Final = 200_000
 """Samples, of all sensors together, up to which a diagnosis takes them all: some 60 strokes of 80 ms at 20 kHz."""
 ENOUGH: Final = 100_000
-"""Samples that are wanted of more: with so many a search takes a minute, and errors are a thousandth of the noise."""
+"""Samples that are wanted of more: with so many a search takes half a minute of CPU time (docs/results/measured.md)."""
 FEWEST: Final = 24
 """Strokes that are taken at least, however many samples each has."""
 AT_REST: Final = 400

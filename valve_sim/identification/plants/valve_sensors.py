@@ -24,7 +24,8 @@ from valve_sim.traces.measured_input import AT_COMMAND
 FIT_TOLERANCE: Final = 1e-8
 """Of one step while fitting: a thousandth of the noise at most."""
 GAS_TOLERANCE: Final = 1e-9
-"""The same with gas, whose derivatives are difference quotients: some err by 10 to 30 % at 1e-8, by 3 % here."""
+"""The same with gas. Derivatives that are difference quotients (of coils without a closed form) err by 10 to 30 % at
+1e-8, by 3 % here."""
 STAMPS: Final = math.sqrt(2.0) * 1e-9
 """s: a sample and the command before it are stamped in whole nanoseconds each."""
 SETTLING: Final = 0.3
