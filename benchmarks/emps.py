@@ -70,14 +70,15 @@ def ladder(plant: AxisPlant, diagnosis: Diagnosis) -> list[Rung]:
         best = min(tried, key=lambda candidate: candidate.delta_score, default=None)
         if best is not None and best.delta_score < least:
             least = best.delta_score
-            rungs.append(rung(plant, tuple(sorted(best.effects, key=lambda name: name == "constant_force"))))
+            found = {name: interval.value for name, interval in best.intervals.items()}
+            rungs.append(rung(plant, tuple(sorted(best.effects, key=lambda name: name == "constant_force")), found))
     return rungs
 
 
-def rung(plant: AxisPlant, effects: Sequence[str]) -> Rung:
-    """The base and these effects, fitted to the whole record."""
+def rung(plant: AxisPlant, effects: Sequence[str], start: Mapping[str, float] | None = None) -> Rung:
+    """The base and these effects, fitted to the whole record from what was found in a part of it, or from 1 each."""
     added = [name for effect in effects for name in plant.effects[effect].free_names()]
-    values = fit(Problem(plant), (*plant.base, *added), dict.fromkeys(added, 1.0)).values
+    values = fit(Problem(plant), (*plant.base, *added), start or dict.fromkeys(added, 1.0)).values
     return Rung(tuple(effects), len(added), values, 100.0 * plant.residual_share(values), plant.window_rmse(values))
 
 
@@ -151,8 +152,7 @@ def report(path: Path, second: Path | None) -> str:
     lines += ["", *parameter_lines(plant, rungs[1:]), ""]
     held = next(c for c in diagnosis.candidates if set(c.effects) == set(diagnosis.verdict.effects))
     lines += [
-        f"verdict: {' and '.join(diagnosis.verdict.effects)} is missing, and kind {diagnosis.verdict.kind!r}: "
-        f"{summarise(diagnosis)}",
+        f"verdict: {diagnosis.verdict.kind!r}, {' and '.join(diagnosis.verdict.effects)}: {summarise(diagnosis)}",
         f"force error in N, fitted / held-out repetition: {diagnosis.before.train_rmse:.2f} / "
         f"{diagnosis.before.holdout_rmse:.2f} before, {held.train_rmse:.2f} / {held.holdout_rmse:.2f} after",
         f"unexplained: {remainder_line(plant, named.values)}",
