@@ -96,7 +96,9 @@ def _topics() -> Iterator[str]:
         yield _table(("name", "type", "direction"), [(f"`{e.name}`", e.message, e.direction) for e in found])
     yield (
         "`<valve>` and `<measured>` are parameters of monitor_node; `<sensors>` is where `<measured>` is. Of "
-        "dispenser_node `<valve>` is each of its parameter `valves`."
+        "dispenser_node `<valve>` is each of its parameter `valves`. `<end>` is inlet_pressure and demand_pressure: "
+        "beside a simulated valve (`<sensors>` is `<valve>`) those that it obeys are heard, beside another its "
+        "sensors, and where neither comes what the valve is told."
     )
 
 

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from valve_sim.files.parameter_files import default_valve, load_valve
+from valve_sim.files.resources import config_path
 from valve_sim.model import Drive, Phase, SimulationError, Stepper, simulate
 from valve_sim.nodes.live_valve import LiveValve, Step, Timeline, self_test
 from valve_sim.nodes.realtime import NANOSECONDS
@@ -324,6 +325,25 @@ def test_the_tank_pressure_stays_through_a_reset_until_another_is_declared() -> 
     run(live, [202.0])
     assert live.inlet_pressure == 50e6
     assert run(live, [203.0])[0].reading.outlet_pressure > 0.2001e6
+
+
+def test_each_pressure_that_is_obeyed_is_told_with_the_time_from_which_it_holds() -> None:
+    """A monitor that knows them steps its model as the valve does, however late either was told."""
+    live = LiveValve(load_valve(config_path("gas_tank_2.yaml")), scale=2.0)
+    live.restart(1_000, 5_000_000)
+    live.step(1_000_000)
+    live.set_demand_pressure(900_000, 12e6)  # heard before the last step: from that on
+    live.supply(1_200_000, 25e6)
+    live.set_demand_pressure(1_700_000, 13e6)
+    live.set_demand_pressure(3_000_000, 11e6)
+    first, second, third = (live.step(clock).obeyed for clock in (2_000_000, 3_500_000, 4_000_000))
+    stamps = {clock: 5_000_000 + 2 * (clock - 1_000) for clock in (1_000_000, 1_200_000, 1_700_000, 3_000_000)}
+    assert first == (
+        ("demand_pressure", stamps[1_000_000], 12e6),
+        ("inlet_pressure", stamps[1_200_000], 25e6),
+        ("demand_pressure", stamps[1_700_000], 13e6),
+    )
+    assert second == (("demand_pressure", stamps[3_000_000], 11e6),) and third == ()
 
 
 def test_without_gas_a_tank_pressure_has_no_effect() -> None:

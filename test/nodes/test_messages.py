@@ -89,7 +89,7 @@ def test_descriptors_carry_unit_and_range() -> None:
 def test_pressure_and_flow_are_those_of_the_reading(frame_id: str) -> None:
     maker = messages.ReadingMessages(frame_id)
     reading = READING._replace(outlet_pressure=35.5e6, mass_flow=-1.25e-4)
-    encoded = maker.outlet_pressure(1_500_000_002, reading)
+    encoded = maker.pressure(1_500_000_002, reading.outlet_pressure)
     pressure = deserialize_message(encoded, FluidPressure)
     assert serialize_message(pressure) == encoded
     assert (pressure.header.stamp.sec, pressure.header.stamp.nanosec) == (1, 500_000_002)

@@ -40,6 +40,14 @@ def test_what_a_running_node_obeys_and_shows_is_read_beside_its_positions(tmp_pa
     assert found.outlet_start == 20e6
 
 
+def test_what_a_node_obeyed_goes_before_what_it_was_told(tmp_path: Path) -> None:
+    """It counts from when the node heard it on."""
+    told, obeyed = pressures("demand_pressure", 14e6, 50), pressures("obeyed/demand_pressure", 13e6, 50)
+    found = read_trace(recorded(tmp_path / "a.mcap", told, obeyed, measured="joint_states"))
+    assert found.demand_pressure is not None
+    assert found.demand_pressure.values.tolist() == [13e6, 13.001e6]
+
+
 def test_measured_pressures_go_before_those_of_a_node(tmp_path: Path) -> None:
     both = [
         pressures(f"{place}{name}_pressure", pressure)

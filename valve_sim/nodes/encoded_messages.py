@@ -94,6 +94,11 @@ def coils() -> EncodedReader:
     )
 
 
+def pressures() -> EncodedReader:
+    """Reads the stamp, ns, and the pressure, Pa, of sensor_msgs/FluidPressure."""
+    return EncodedReader("sensor_msgs/msg/FluidPressure", lambda layout: [layout.fields["fluid_pressure"]])
+
+
 def _position(layout: Layout) -> Sequence[Field]:
     names, positions = layout.texts["name"], layout.fields["position"]
     if JOINT_NAMES[0] not in names:

@@ -91,6 +91,10 @@ class GasTopics:
         )
         self._outlet_pressure = EncodedPublisher(node, FluidPressure, "~/outlet_pressure")
         self._mass_flow = EncodedPublisher(node, Float64, "~/mass_flow")
+        self._obeyed = {
+            "inlet_pressure": EncodedPublisher(node, FluidPressure, "~/obeyed/inlet_pressure"),
+            "demand_pressure": EncodedPublisher(node, FluidPressure, "~/obeyed/demand_pressure"),
+        }
         self._audience = Audience(self._outlet_pressure.get_subscription_count, self._mass_flow.get_subscription_count)
         self._samples = Thinning(_RATE)
 
@@ -102,12 +106,17 @@ class GasTopics:
         )
 
     def publish(self, deadline: int, step: Step) -> None:
-        """Publish a step, if it is one of the slower samples; in the stepping thread."""
+        """Publish the pressures obeyed since the last step, and this one if it is one of the slower samples.
+
+        In the stepping thread.
+        """
+        for name, stamp, pressure in step.obeyed:
+            self._obeyed[name].publish(self._messages.pressure(stamp, pressure))
         if not self._samples.is_due(deadline) or math.isnan(step.reading.outlet_pressure):
             return
         hears_outlet_pressure, hears_mass_flow = self._audience.look(deadline)
         if hears_outlet_pressure:
-            self._outlet_pressure.publish(self._messages.outlet_pressure(step.stamp, step.reading))
+            self._outlet_pressure.publish(self._messages.pressure(step.stamp, step.reading.outlet_pressure))
         if hears_mass_flow:
             self._mass_flow.publish(self._messages.mass_flow(step.reading))
 

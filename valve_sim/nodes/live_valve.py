@@ -75,6 +75,7 @@ class Step(NamedTuple):
         failure: why the valve was put back to rest; empty if it was not.
         switches: the coil just before and just after each change of its voltage since the step before, with stamps,
             ns, that ascend and lie between those of the two steps.
+        obeyed: pressures that hold since the step before: the name, the stamp, ns, from which on, and Pa.
     """
 
     stamp: int
@@ -82,6 +83,7 @@ class Step(NamedTuple):
     phases: tuple[Phase, ...]
     failure: str
     switches: tuple[tuple[int, CoilReading], ...] = ()
+    obeyed: tuple[tuple[str, int, float], ...] = ()
 
 
 class LiveValve:
@@ -116,6 +118,7 @@ class LiveValve:
         self._stepper: Stepper | None = None
         self._announced: Phase | None = None
         self._switches: list[tuple[int, CoilReading]] = []
+        self._obeyed: list[tuple[str, int, float]] = []
         self._stamp = -1
 
     @property
@@ -202,7 +205,7 @@ class LiveValve:
 
     def step(self, clock: int) -> Step:
         """Advance to clock time `clock`, ns. The state does not depend on how often this is called."""
-        failure, self._switches = "", []
+        failure, self._switches, self._obeyed = "", [], []
         stepper = self._running
         try:
             # A command cannot act before what is published already.
@@ -225,7 +228,7 @@ class LiveValve:
             self.strokes += sum(event.kind is EventKind.REACHED_STOP for event in reading.events)
             phases = self._phases_to_announce(reading)
         switches = tuple(switch for switch in self._switches if switch[0] < self._stamp) if self._switches else ()
-        return Step(self._stamp, reading, phases, failure, switches)
+        return Step(self._stamp, reading, phases, failure, switches, tuple(self._obeyed))
 
     @property
     def can_rest(self) -> bool:
@@ -267,6 +270,7 @@ class LiveValve:
         self._watch_command(clock)
         self._put(name, clock, pressure)
         self._heard[name] = pressure
+        self._obeyed.append((name, self._timeline.stamp(clock), pressure))
 
     def _put(self, name: str, clock: int, pressure: float) -> None:
         """Have the stepper count with a pressure that was heard."""

@@ -35,7 +35,7 @@ class ReadingMessages:
     """The messages of each sample, encoded: `publish` takes bytes, which cost a third of a message.
 
     Args:
-        frame_id: of joint states, coil and outlet pressure; may be set anew.
+        frame_id: of joint states, coil and pressures; may be set anew.
     """
 
     def __init__(self, frame_id: str) -> None:
@@ -43,7 +43,7 @@ class ReadingMessages:
         self.set_frame_id(frame_id)
 
     def set_frame_id(self, frame_id: str) -> None:
-        """Set the frame of joint states, coil and outlet pressure."""
+        """Set the frame of joint states, coil and pressures."""
         joints = JointState(name=list(JOINT_NAMES))
         joints.header.frame_id = frame_id
         joints.header.stamp.sec, joints.header.stamp.nanosec = _STAMP_MARKS
@@ -79,10 +79,10 @@ class ReadingMessages:
         """The coil current, A."""
         return self._number.filled(reading.coil_current)
 
-    def outlet_pressure(self, stamp: int, reading: Reading) -> bytes:
-        """Pressure behind the valve, Pa, absolute; its variance is 0; `stamp` in ns, LAST_STAMP at most."""
+    def pressure(self, stamp: int, pressure: float) -> bytes:
+        """A pressure, Pa, absolute; its variance is 0; `stamp` in ns, LAST_STAMP at most."""
         seconds, nanoseconds = divmod(min(stamp, LAST_STAMP), NANOSECONDS)
-        return self._pressure.filled(seconds, nanoseconds, reading.outlet_pressure)
+        return self._pressure.filled(seconds, nanoseconds, pressure)
 
     def mass_flow(self, reading: Reading) -> bytes:
         """What flows through the valve from inlet to outlet, kg/s."""

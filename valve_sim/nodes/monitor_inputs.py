@@ -15,10 +15,9 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import BatteryState, FluidPressure, JointState
 from std_msgs.msg import Float64
 
-from valve_sim.nodes.encoded_messages import EncodedReader, UnusableMessageError, coils, joint_states
+from valve_sim.nodes.encoded_messages import EncodedReader, UnusableMessageError, coils, joint_states, pressures
 from valve_sim.nodes.live_map import LiveInput
 from valve_sim.nodes.node_clock import NodeClock
-from valve_sim.nodes.realtime import NANOSECONDS
 from valve_sim.nodes.spinning import guarded, log_left_out, received_time, waiting_messages
 
 _MEASURED: Final = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -73,7 +72,8 @@ class MonitorInputs:
         self._voltage = f"{valve}/coil_voltage"
         self._entries: dict[Subscription, LiveInput] = {}
         self._has_stamped_current = False
-        self._joints_reader, self._coil_reader = joint_states(), coils()
+        self._joints_reader, self._coil_reader, self._pressure_reader = joint_states(), coils(), pressures()
+        self._pressures: list[Subscription] = []
         events = SubscriptionEventCallbacks(incompatible_qos=guarded(self._on_incompatible_qos))
         if entries:
             self._subscribe_by_map(entries, events)
@@ -120,14 +120,37 @@ class MonitorInputs:
         on_coil: Any = guarded(self._on_coil)
         self._coil = node.create_subscription(BatteryState, f"{self._sensors}/coil", on_coil, _MEASURED, raw=True)
         if self._has_gas:
-            on_pressure: Any = guarded(self._on_pressure)
-            self._pressure = node.create_subscription(
-                FluidPressure, f"{self._sensors}/outlet_pressure", on_pressure, _MEASURED
+            self._subscribe_to_pressures()
+
+    def _subscribe_to_pressures(self) -> None:
+        """Subscribe to the pressure behind the valve, and to those at its ends.
+
+        A simulated valve says which pressures it obeys, and from when on; a sensor's stamps are those of its samples.
+        What the valve is told counts, from its own stamp on, until one of them is heard.
+        """
+        node, sensors, valve = self._node, self._sensors, self._valve
+        take: Any = guarded(functools.partial(self._on_pressure, self._take.pressure))
+        self._pressures = [
+            node.create_subscription(FluidPressure, f"{sensors}/outlet_pressure", take, _MEASURED, raw=True)
+        ]
+        for end in ("inlet_pressure", "demand_pressure"):
+            take_end = functools.partial(self._take.end_pressure, end)
+            take = guarded(functools.partial(self._on_pressure, take_end))
+            told = node.create_subscription(FluidPressure, f"{valve}/{end}", take, _MEASURED, raw=True)
+            take = guarded(functools.partial(self._on_pressure, functools.partial(self._take_known, told, take_end)))
+            known = (
+                node.create_subscription(FluidPressure, f"{valve}/obeyed/{end}", take, _MEASURED, raw=True)
+                if sensors == valve
+                else node.create_subscription(FluidPressure, f"{sensors}/{end}", take, _MEASURED, raw=True)
             )
-            on_inlet: Any = guarded(functools.partial(self._on_end_pressure, "inlet_pressure"))
-            on_demand: Any = guarded(functools.partial(self._on_end_pressure, "demand_pressure"))
-            node.create_subscription(FluidPressure, f"{self._valve}/inlet_pressure", on_inlet, _MEASURED)
-            node.create_subscription(FluidPressure, f"{self._valve}/demand_pressure", on_demand, _MEASURED)
+            self._pressures += [told, known]
+
+    def _take_known(self, told: Subscription, take: Callable[[int, float], None], stamp: int, pressure: float) -> None:
+        """Take the pressure that there is at an end of the valve, and hear no more of what the valve is told."""
+        if told in self._pressures:
+            self._pressures.remove(told)
+            self._node.destroy_subscription(told)
+        take(stamp, pressure)
 
     def _subscribe_by_map(self, entries: Mapping[str, LiveInput], events: SubscriptionEventCallbacks) -> None:
         """Subscribe to the topics that the map names; each message is converted to the type of this package."""
@@ -176,6 +199,7 @@ class MonitorInputs:
 
     def _on_coil(self, encoded: bytes, info: Any) -> None:
         """Take the current where it is stamped, in place of the one that is not."""
+        self._take_pressures()
         for coil, received in itertools.chain([(encoded, info)], self._waiting_on(self._coil)):
             self._take_commands()
             found = self._read(self._coil_reader, self._coil.topic_name, coil)
@@ -190,15 +214,23 @@ class MonitorInputs:
             self._has_stamped_current = True
             self._node.destroy_subscription(self._currents)
 
-    def _on_pressure(self, message: FluidPressure, info: Any) -> None:
-        self._take.pressure(_stamp_of(message), message.fluid_pressure)
+    def _on_pressure(self, take: Callable[[int, float], None], encoded: bytes, info: Any) -> None:
+        """Take a pressure; one without a stamp counts from when it is received."""
+        found = self._read(self._pressure_reader, "a pressure", encoded)
+        if found is not None:
+            stamp, pressure = found
+            take(stamp or self._arrival(info), pressure)
 
-    def _on_end_pressure(self, name: str, message: FluidPressure, info: Any) -> None:
-        """Take a pressure that the valve obeys; one without a stamp counts from when it is received, as there."""
-        self._take.end_pressure(name, _stamp_of(message) or self._arrival(info), message.fluid_pressure)
+    def _take_pressures(self) -> None:
+        """Take all queued pressures: a sample is compared with a model that was given those heard before it."""
+        for subscription in tuple(self._pressures):
+            if subscription in self._pressures:
+                for encoded, info in self._waiting_on(subscription):
+                    subscription.callback(encoded, info)
 
     def _on_samples(self, sample: bytes | tuple[int, float], info: Any) -> None:
         """Take all queued samples, encoded or as a map gave them, each after the commands received before it."""
+        self._take_pressures()
         for waiting, received in itertools.chain([(sample, info)], self._waiting_on(self._samples)):
             self._take_commands()
             is_encoded = isinstance(waiting, bytes)
@@ -247,8 +279,3 @@ class MonitorInputs:
         self._node.get_logger().warning(
             f"{self._voltage}: a publisher offers an incompatible QoS ({policy}) and cannot be heard; publish reliable"
         )
-
-
-def _stamp_of(message: Any) -> int:
-    """The header's stamp, ns."""
-    return int(message.header.stamp.sec) * NANOSECONDS + int(message.header.stamp.nanosec)

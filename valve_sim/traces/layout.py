@@ -57,8 +57,11 @@ CHANNELS = {
     "demand_pressure": Channel("measured/demand_pressure", PRESSURE, "fluid_pressure"),
     "coil_temperature": Channel("measured/coil_temperature", "sensor_msgs/msg/Temperature", "temperature"),
 }
-OBEYED = {name: Channel(name, PRESSURE, "fluid_pressure") for name in ("inlet_pressure", "demand_pressure")}
-"""What a node is told of the pressures at a valve's ends; read where they were not measured."""
+_ENDS = ("inlet_pressure", "demand_pressure")
+OBEYED = {name: Channel(f"obeyed/{name}", PRESSURE, "fluid_pressure") for name in _ENDS}
+"""What a node obeys of the pressures at a valve's ends, and from when on; read where they were not measured."""
+TOLD = {name: Channel(name, PRESSURE, "fluid_pressure") for name in _ENDS}
+"""What a node is told of them; read where that was not recorded."""
 NODE_OUTPUTS = {
     "coil_current": Channel("coil_current", FLOAT, "data"),
     "outlet_pressure": Channel("outlet_pressure", PRESSURE, "fluid_pressure"),
@@ -179,10 +182,10 @@ def _has_current(valve: str, types: Mapping[str, str]) -> bool:
 
 def _optional(valve: str, types: Mapping[str, str], *, is_live: bool) -> dict[str, Source]:
     """What is recorded in topics of its own, by quantity."""
-    stand_ins = {**OBEYED, **NODE_OUTPUTS} if is_live else OBEYED
+    of_node = NODE_OUTPUTS if is_live else {}
     found = {}
     for key, attribute in SIGNALS.items():
-        for channel in (CHANNELS.get(attribute), stand_ins.get(attribute)):
+        for channel in (known.get(attribute) for known in (CHANNELS, OBEYED, TOLD, of_node)):
             if channel is not None and (topic := topic_of(valve, channel.topic)) in types:
                 found[key] = Source(topic, channel.path, type=channel.message_type)
                 break

@@ -11,7 +11,7 @@ import pytest
 
 from valve_sim.files.parameter_files import load_valve
 from valve_sim.files.resources import config_path
-from valve_sim.identification.monitoring.findings import StrokeRecord
+from valve_sim.identification.monitoring.findings import StrokeRecord, Unusable
 from valve_sim.identification.monitoring.line_pressure import LONGEST, LinePressure
 from valve_sim.identification.monitoring.segmenter import StrokeSegmenter
 from valve_sim.identification.monitoring.settings import MonitorSettings
@@ -143,6 +143,42 @@ def test_the_pressures_at_both_ends_are_known_to_the_model_and_to_the_stroke() -
             assert prediction.reading.outlet_pressure == pytest.approx(reading.outlet_pressure, rel=5e-3)
         else:
             assert furthest > 300e-6
+
+
+@pytest.mark.parametrize(
+    ("heard_from", "remark"), [(0.0, None), (0.2, Unusable.PRESSURE_UNKNOWN), (0.4, Unusable.PRESSURE_UNKNOWN)]
+)
+def test_a_stroke_before_which_the_line_was_not_heard_is_not_compared(
+    heard_from: float, remark: Unusable | None
+) -> None:
+    """What is held before the first sample of a line's pressure that comes with the stroke, nobody knows."""
+    plant, segmenter = Stepper(TANK), StrokeSegmenter(TANK, MonitorSettings())
+    commands = [(0.35, 9.0), (0.5, 0.0)]
+    for index in range(1, 400):
+        time = index * STEP
+        if index % 25 == 0 and time > heard_from:
+            segmenter.line.hear_end("demand_pressure", time - STEP, 14e6 + 1e4 * index)
+        if index == 1 and heard_from == 0.0:
+            segmenter.line.hear_end("demand_pressure", 0.0, 14e6)
+        while commands and commands[0][0] < time:
+            plant.command(*commands[0])
+            segmenter.command(*commands.pop(0))
+        segmenter.measure(time, plant.advance(time).pilot_position)
+    (stroke,) = segmenter.take_finished()
+    assert stroke.remark is remark
+
+
+def test_with_gas_a_stroke_that_began_before_the_first_sample_is_not_compared() -> None:
+    plant, segmenter = Stepper(TANK), StrokeSegmenter(TANK, MonitorSettings())
+    plant.command(0.0, 9.0)
+    segmenter.command(0.0, 9.0)
+    for index in range(1, 400):
+        if index == 150:
+            plant.command(0.3, 0.0)
+            segmenter.command(0.3, 0.0)
+        segmenter.measure(index * STEP, plant.advance(index * STEP).pilot_position)
+    (stroke,) = segmenter.take_finished()
+    assert stroke.remark is Unusable.PRESSURE_UNKNOWN
 
 
 def test_a_pressure_that_no_end_can_have_or_that_comes_late_is_left_out() -> None:

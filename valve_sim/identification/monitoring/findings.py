@@ -68,6 +68,8 @@ class Unusable(enum.Enum):
     """It has more samples or commands than are kept."""
     NOT_AT_REST = enum.auto()
     """The valve or the model was not at rest when it began."""
+    PRESSURE_UNKNOWN = enum.auto()
+    """With gas: it began before its samples, or before a pressure at an end of the valve was first heard."""
     TOO_FEW_SAMPLES = enum.auto()
     """Too few samples between its first command and its last."""
     OTHER_SENSOR = enum.auto()

@@ -14,6 +14,7 @@ from typing import Final
 
 import numpy as np
 
+from valve_sim.identification.monitoring.findings import Unusable
 from valve_sim.model import Stepper, Valve
 from valve_sim.model.gas import GAS
 from valve_sim.traces import Signal, Trace
@@ -28,6 +29,18 @@ _SETTERS: Final[dict[str, Callable[[Stepper, float, float], None]]] = {
     "inlet_pressure": Stepper.supply,
     "demand_pressure": Stepper.set_demand_pressure,
 }
+
+
+def unknown_pressure(trace: Trace) -> Unusable | None:
+    """Whether a stroke began before a pressure that it depends on was known, of a valve with gas; None if not.
+
+    A monitor and a dispenser that start together hear the line's pressure first with the first stroke, and before that
+    not even whether it was the declared one.
+    """
+    begun = float(trace.sample_times[0]) if len(trace.sample_times) else math.inf
+    ends = [end for end in (trace.inlet_pressure, trace.demand_pressure) if end is not None]
+    is_known = trace.drive.times[0] >= begun and all(end.times[0] <= begun for end in ends)
+    return None if is_known else Unusable.PRESSURE_UNKNOWN
 
 
 class LinePressure:

@@ -25,7 +25,7 @@ from valve_sim.identification.monitoring.findings import (
 from valve_sim.identification.monitoring.heard_commands import HeardCommands
 from valve_sim.identification.monitoring.held_valve import opening_fault
 from valve_sim.identification.monitoring.kept_samples import MOST_SAMPLES, KeptSamples, MeasuredMotion, StrokeInProgress
-from valve_sim.identification.monitoring.line_pressure import LinePressure
+from valve_sim.identification.monitoring.line_pressure import LinePressure, unknown_pressure
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.model import Phase, Reading, SimulationError, Stepper, Valve
@@ -425,12 +425,12 @@ class StrokeSegmenter:
         trace = self._samples.trace(f"stroke {self.strokes}", stroke.drive, until, self._last)
         if self._valve.gas is not None:
             trace = self.line.before(trace, stroke.drive[0][0])
+            remark = remark or unknown_pressure(trace)
         heard, trace = trace, self._heard.dated(trace, self._samples.voltage(trace, self._last))
         if self._by_current:
             stroke.opened = stroke.closed = None
         remark = remark or (None if stroke.is_at_rest else Unusable.NOT_AT_REST) or stroke.fault
-        first, last = float(trace.drive.times[0]), float(trace.drive.times[-1])
-        at = trace.sample_times
+        first, last, at = float(trace.drive.times[0]), float(trace.drive.times[-1]), trace.sample_times
         opening = (at > first) & ((at < last) | (last == first))
         if np.count_nonzero(opening) < FEWEST_SAMPLES:
             remark = remark or Unusable.TOO_FEW_SAMPLES

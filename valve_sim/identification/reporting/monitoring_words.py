@@ -38,6 +38,7 @@ _UNUSABLE: Final = {
     Unusable.TIMED_OUT: "it did not end before stroke_timeout",
     Unusable.TOO_LONG: "it is too long to be kept",
     Unusable.NOT_AT_REST: "it did not begin at rest",
+    Unusable.PRESSURE_UNKNOWN: "it began before the pressures at the valve were heard",
     Unusable.TOO_FEW_SAMPLES: "it has too few samples",
     Unusable.OTHER_SENSOR: "positions, or their absence, are not as when the valve was commissioned: recommission it",
     Unusable.HELD_TOO_BRIEFLY: f"{TIMING_UNCERTAIN}: it was held open for less than half as long as commanded",
