@@ -124,7 +124,10 @@ class ToleratedValues:
             return DECLARED[name]._replace(prior_scale=RELEASED * self._tolerances.declared[name])
         own = name.removeprefix(GROUP)
         if own != name and own in self._tolerances.gas:
-            return GAS[own]._replace(name=name, prior_scale=RELEASED * self._tolerances.gas[own])
+            # With an off value it is searched as it is, as its nuisance and every other declared value are: else its
+            # logarithm would be compared with what it is declared as, and its tolerance with the logarithm's error.
+            sigma = self._tolerances.gas[own]
+            return GAS[own]._replace(name=name, prior_scale=RELEASED * sigma, off=self.declared(name))
         return None
 
     def declared(self, name: str) -> float:
