@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable
 from typing import Final
 
+from valve_sim.identification.estimation.parallel import threads_limited_to
 from valve_sim.identification.monitoring.fault_isolation import FaultFinding, isolate_fault
 from valve_sim.identification.monitoring.findings import StrokeRecord
 from valve_sim.identification.monitoring.scores import Baseline
@@ -134,7 +135,9 @@ class FaultIsolation:
     def _run(self) -> None:
         while (work := self._take()) is not None:
             try:
-                found = isolate_fault(*work, self._say)
+                # The other processors are for the live path, and for the nodes of other valves.
+                with threads_limited_to(1):
+                    found = isolate_fault(*work, self._say)
             except _Cancelled:
                 return
             except (ValveError, ArithmeticError, ValueError) as error:

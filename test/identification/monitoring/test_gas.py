@@ -24,7 +24,7 @@ from valve_sim.identification.monitoring.lift_times import starts_by_lift
 from valve_sim.identification.monitoring.scores import SIZE, Baseline
 from valve_sim.identification.monitoring.segmenter import StrokeSegmenter
 from valve_sim.identification.monitoring.settings import MonitorSettings
-from valve_sim.identification.monitoring.stroke_monitor import FEWEST_TO_ISOLATE, StrokeMonitor
+from valve_sim.identification.monitoring.stroke_monitor import FEWEST_WITH_GAS, StrokeMonitor
 from valve_sim.identification.plants.commissioned import CommissionedPlant
 from valve_sim.identification.plants.protocol import Direction
 from valve_sim.traces import Trace
@@ -177,7 +177,7 @@ def test_a_clogged_valve_that_waits_in_vain_is_said_to_wait_and_is_isolated_from
     assert all(report.state is StrokeState.WATCHING for report in in_vain)
     assert monitor.alarm is not None
     evidence = monitor.take_evidence()
-    assert len(evidence) >= FEWEST_TO_ISOLATE
+    assert len(evidence) >= FEWEST_WITH_GAS
     # None from before the fault, nor the one in which it began.
     assert evidence[0].source == "stroke 2"
     # No stroke lifts the main plunger; the pressure difference that is left when the voltage ends is all that tells.

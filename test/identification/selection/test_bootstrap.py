@@ -20,7 +20,7 @@ from valve_sim.identification.estimation.result import Fit, Rows
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Array, EffectChoice
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.selection.bootstrap import RESAMPLES, FalseAlarm, false_alarm
+from valve_sim.identification.selection.bootstrap import RESAMPLES, FalseAlarm, false_alarm, false_alarm_of_few
 from valve_sim.identification.selection.hypotheses import Search
 from valve_sim.identification.selection.table import DECISIVE, Hypothesis
 from valve_sim.model import Parameter
@@ -123,6 +123,29 @@ def test_what_one_effect_offers_in_noise_is_known(inflation: float) -> None:
     # Noise alone offers nothing in most cases, where nothing was found as well.
     assert alarm.gain == 0.0
     assert alarm.probability == 1.0
+
+
+@pytest.mark.parametrize("inflation", [1.0, 2.0])
+def test_of_effects_that_were_pointed_at_theory_says_what_noise_offers(inflation: float) -> None:
+    """The fall of χ² along one column is χ² of one degree of freedom; of two that are independent, the larger one."""
+    found = []
+    for seed in range(300):
+        base = linear(names="ab", inflation=inflation, seed=seed)
+        plant = base.problem.plant
+        fits = [fit(base.problem, ("level", f"{name}.size0"), {}) for name in plant.effects]
+        best = min(fits, key=lambda one: one.chi2)
+        alarm = false_alarm_of_few(base, best, 2)
+        assert alarm.gain == pytest.approx(base.score - best.score, rel=1e-12)
+        found.append(alarm)
+    # Where residuals count half, they offer less.
+    rare = sum(alarm.probability <= 0.1 for alarm in found) / len(found)
+    assert rare == pytest.approx(0.1 if inflation == 1.0 else 0.02, abs=0.05)
+    assert sum(alarm.gain > alarm.usual for alarm in found) <= 9
+    assert found[0].usual == pytest.approx(stats.chi2.ppf(0.995, 1) - math.log(SAMPLES), rel=1e-9)
+    strong = false_alarm_of_few(base, replace(best, chi2=best.chi2 - 100.0), 2)
+    assert strong.probability == pytest.approx(
+        2.0 * stats.chi2.sf((base.chi2 - best.chi2 + 100.0) / inflation, 1), rel=1e-6
+    )
 
 
 @pytest.mark.parametrize(("count", "names", "together"), [(2, "e", np.sum), (1, "abcdefgh", np.max)])

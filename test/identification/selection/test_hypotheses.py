@@ -338,6 +338,31 @@ def test_fits_side_by_side_are_carried_on_towards_the_best_few(monkeypatch: pyte
     assert [effort.goal for key, effort in few.efforts if effort.made] == [1200.0, 1200.0]
 
 
+def test_beside_an_effect_that_explains_all_others_have_one_start_and_a_goal(monkeypatch: pytest.MonkeyPatch) -> None:
+    effects = {**switches("ab"), "c": EffectChoice("c", (RECIPROCAL,))}
+    world = World({"": 9000.0, "a": 100.0, "b": 8000.0, "c": 8000.0}, effects)
+    search = searched(monkeypatch, world)
+    search.fit_nearby([of("b"), of("c")], 140.0, (0.1, 0.3))
+    assert kinds(search, "b") == kinds(search, "c") == ["one start"]
+    begun = {key: (start, effort) for (key, start, _), (_, effort) in zip(world.starts, world.efforts, strict=True)}
+    # From what the declared model was fitted to; where the gradient vanishes at "off", not as near to it.
+    assert begun["b"] == ({"at": 9000.0, "gain": 6.0, "b.size": 0.1}, Effort(goal=140.0, is_near=True))
+    assert begun["c"][0]["c.film"] == pytest.approx(2e-3, rel=1e-9)
+    assert world.told == [(str(of("b")), 0.1), (str(of("c")), pytest.approx(0.2))]
+    world.fails = lambda start: "a.size" in start
+    search.fit_nearby([of("a")], 140.0, (0.3, 0.3))
+    assert search.untried == [str(of("a"))] and search.is_tried(of("a"))
+
+
+def test_where_the_plant_points_at_a_fit_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = World({"": 9000.0, "a": 100.0}, {"a": EffectChoice("a", (SIZE,), start={"a.size": 3.0, "other": 1.0})})
+    search = searched(monkeypatch, world)
+    search.fit_pointed_at([of("a")], (0.0, 0.1))
+    (start,) = (start for key, start, _ in world.starts if key == "a")
+    assert start["a.size"] == 3.0 and start["other"] == 1.0
+    assert world.efforts[-1] == ("a", Effort())
+
+
 def test_jacobians_are_kept_of_the_best_few_fits_only(monkeypatch: pytest.MonkeyPatch) -> None:
     names = "abcdefghijklmnopqrstu"
     world = World({"": 9000.0, **{name: 100.0 + place for place, name in enumerate(names)}}, switches(names))

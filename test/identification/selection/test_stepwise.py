@@ -123,6 +123,34 @@ def test_an_adequate_declared_model_with_stamps_that_err_costs_two_fits(
     assert found.best_claimable() == of("a'" if promised else "'")
 
 
+@pytest.mark.parametrize(("p_value", "is_enough"), [(HINT, True), (0.99 * HINT, False)])
+def test_where_an_effect_that_the_plant_points_at_explains_all_others_are_looked_at_once(
+    monkeypatch: pytest.MonkeyPatch, p_value: float, is_enough: bool
+) -> None:
+    effects = {**switches("bc"), "a": EffectChoice("a", (SIZE,), start={"a.size": 3.0})}
+    scores = {"": 9000.0, "a": 100.0, "b": 100.0 + NEARLY - 0.1, "c": 100.0 + NEARLY}
+    # The score test promises a second effect, but what is left is white.
+    world = World(scores, effects, white={"a": p_value}, gains={"a": {"b": 3.0 * DECISIVE}})
+    found = explored(world, monkeypatch)
+    if not is_enough:
+        assert "ab" in tried(found) and ("b", "sizes") in rows(found)
+        return
+    assert rows(found)[2:] == [("a", "one start"), ("b", "one start"), ("c", "one start")]
+    assert {effort.goal for key, effort in world.efforts if key in ("b", "c")} == {100.0 + NEARLY}
+    found.settle()
+    assert polished(found) == {"a", "b"}
+
+
+def test_an_effect_that_the_plant_points_at_is_not_polished_where_nothing_is_near(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    effects = {**switches("b"), "a": EffectChoice("a", (SIZE,), start={"a.size": 3.0})}
+    found = explored(World({"": 9000.0, "a": 100.0, "b": 8000.0}, effects, white={"a": 1.0}), monkeypatch)
+    found.settle()
+    assert not polished(found)
+    assert choose(found.table()) == of("a")
+
+
 @pytest.mark.parametrize(
     ("p_value", "gain", "is_enough"),
     [(HINT, DECISIVE, True), (0.99 * HINT, DECISIVE, False), (1.0, DECISIVE + 0.1, False)],

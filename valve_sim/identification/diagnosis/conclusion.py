@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Final, NamedTuple, TypeVar
 
 from valve_sim.identification.diagnosis.decision import (
@@ -34,7 +34,7 @@ from valve_sim.identification.estimation.intervals import Interval, covariance_i
 from valve_sim.identification.estimation.result import Fit, effective_rmse, is_relief, rmse
 from valve_sim.identification.plants.effect_titles import named_value
 from valve_sim.identification.plants.protocol import strokes_of_plant
-from valve_sim.identification.selection.bootstrap import NOT_ASKED, FalseAlarm, false_alarm
+from valve_sim.identification.selection.bootstrap import NOT_ASKED, FalseAlarm
 from valve_sim.identification.selection.detection_limits import Limits, detection_limits
 from valve_sim.identification.selection.force_maps import (
     NonparametricFit,
@@ -82,6 +82,13 @@ class _Curves(NamedTuple):
         return [entry.fit.score for entry in self.all]
 
 
+class Named(NamedTuple):
+    """A verdict, and the intervals of what it frees, by name."""
+
+    verdict: Verdict
+    intervals: Mapping[str, Interval]
+
+
 class Conclusion:
     """Draws the conclusion from what was explored.
 
@@ -95,13 +102,24 @@ class Conclusion:
         self.strokes = len(strokes_of_plant(self.plant))
         self.untried: list[str] = []
 
-    def conclude(self) -> Diagnosis:
-        """Choose, judge, decide, and describe the result."""
+    def name(self) -> Named:
+        """Choose, judge and decide: what a diagnosis names, and nothing of what a report has beside."""
+        table, _, curves, claim = self.chosen()
+        self.search.say("intervals", 0.99)
+        result = self.fit(claim.best)
+        interval = covariance_interval if claim.is_unknown else self.interval
+        return Named(self.verdict(table, claim, curves), {name: interval(result, name) for name in result.free})
+
+    def chosen(self) -> tuple[ScoreTable, FalseAlarm, _Curves, Claim]:
+        """The table of scores, and what is claimed of it."""
         table = self.closed_table()
         best, alarm = self.claimed(table)
         curves = self.curves(table, best)
-        choice = choice_of(table, best, curves.scores)
-        claim = self.judged(table, choice)
+        return table, alarm, curves, self.judged(table, choice_of(table, best, curves.scores))
+
+    def conclude(self) -> Diagnosis:
+        """Choose, judge, decide, and describe the result."""
+        table, alarm, curves, claim = self.chosen()
         after_fit, unexplained = self.corrected(claim, curves)
         self.search.say("intervals", 0.99)
         timing, base_fit = self.needs_timing(self.fit(claim.best)), self.fit(claim.best.base)
@@ -145,7 +163,7 @@ class Conclusion:
     def kept(self, table: ScoreTable, best: Hypothesis) -> tuple[Hypothesis, FalseAlarm]:
         """The best, if training strokes support it."""
         base_fit, best_fit = self.fit(best.base), self.fit(best)
-        alarm = false_alarm(base_fit, best_fit)
+        alarm = self.exploration.false_alarm(best)
         # What tolerances find incredible is no work of noise: their own false alarms are priced by eq. (82).
         by_noise = 0.0 if is_relief(base_fit, best_fit) else alarm.probability
         is_kept = is_claimable(table, best, by_noise, is_larger=is_larger(best_fit, base_fit))

@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.identification.diagnosis.conclusion import Conclusion
+from valve_sim.identification.diagnosis.conclusion import Conclusion, Named
 from valve_sim.identification.diagnosis.outcome import Candidate, Diagnosis, Grounds, State, Verdict
 from valve_sim.identification.estimation.budget import Budget, OutOfTimeError
 from valve_sim.identification.estimation.problem import Mask, Problem
@@ -106,6 +106,12 @@ class Begun(NamedTuple):
         with self.budget.until(EXPLORED_BY):
             self.exploration.explore(is_full=is_full)
         return Conclusion(self.exploration, self.held_out).conclude()
+
+    def name(self) -> Named:
+        """The same without what a report has beside the verdict: errors and intervals of all that was tried."""
+        with self.budget.until(EXPLORED_BY):
+            self.exploration.explore()
+        return Conclusion(self.exploration, self.held_out).name()
 
 
 def begin(

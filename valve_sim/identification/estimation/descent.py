@@ -63,12 +63,14 @@ class Effort(NamedTuple):
         robust: scales in σ of a Cauchy loss that is used first, one after the other, to leave local minima.
         goal: χ² that is of interest: a fit that cannot reach it any more is given up. Default: all are.
         made: iterations that were made before, from other values to these. most: at which the fit ends.
+        is_near: whether it starts where a fit has ended, so that nothing need be held first.
     """
 
     robust: Sequence[float] = ()
     goal: float = math.inf
     made: int = 0
     most: int = MOST_ITERATIONS
+    is_near: bool = False
 
 
 WHOLE: Final = Effort()

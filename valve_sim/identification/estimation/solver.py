@@ -79,7 +79,7 @@ def _from_start(
     search = kind(problem, *of_fit)
     if isinstance(start, Fit):
         return search, search.descend(start.coordinates, math.inf, effort, start)
-    at = search.start(_nearer(kind, problem, of_fit, start))
+    at = search.start(start if effort.is_near else _nearer(kind, problem, of_fit, start))
     for scale in effort.robust:
         at = search.descend(at, scale).at
     return search, search.descend(at, math.inf, effort)

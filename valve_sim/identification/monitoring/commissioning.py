@@ -12,7 +12,7 @@ from scipy.special import ndtri, stdtr
 
 from valve_sim.identification.monitoring.command_timing import StrokeTiming, scatter_levels
 from valve_sim.identification.monitoring.findings import StrokeRecord
-from valve_sim.identification.monitoring.scores import SIZE, Baseline, commission, score_stroke
+from valve_sim.identification.monitoring.scores import SIZE, Baseline, commission, score_at_levels
 from valve_sim.identification.monitoring.stroke_delays import delays_of
 from valve_sim.model import Drive, EventKind, Valve, simulate
 from valve_sim.traces import Trace
@@ -110,8 +110,8 @@ def commission_with(records: Sequence[StrokeRecord], declared: Valve, noise: flo
     traces = [record.trace for record in records]
     baseline = commission(traces, declared, noise)
     levels = scatter_levels(baseline.jitter, _opening_seconds(baseline.valve))
-    tables = {level: [score_stroke(trace, baseline, level).scores for trace in traces] for level in levels}
-    score_baselines = {level: _score_baselines(table) for level, table in tables.items()}
+    scored = [score_at_levels(trace, baseline, levels) for trace in traces]
+    score_baselines = {level: _score_baselines([one[level].scores for one in scored]) for level in levels}
     return Commissioning(baseline, score_baselines, tuple(stroke_timing(record, baseline) for record in records))
 
 

@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from valve_sim.identification.diagnosis.run import Verdict, diagnose_plant
+from valve_sim.identification.diagnosis.run import Verdict, begin
 from valve_sim.identification.estimation.identify import DEFAULT_FREE
 from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.identification.monitoring.joined_signals import joined, with_joined_ends
@@ -29,7 +29,7 @@ from valve_sim.model import Drive, Parameter
 from valve_sim.traces import Signal, Trace
 
 FEWEST: Final = 6
-"""Strokes needed to isolate a fault: four to fit, two held out."""
+"""Strokes needed to isolate a fault without gas: four to fit, two held out."""
 HELD_OUT: Final = 3
 """Every third stroke is held out."""
 
@@ -63,7 +63,7 @@ def isolate_fault(strokes: Sequence[Trace], baseline: Baseline, progress: Progre
     """Find what has changed in a valve since it was commissioned.
 
     Args:
-        strokes: one each, at least `FEWEST`; every `HELD_OUT`-th is held out, with gas every fourth.
+        strokes: one each, at least `FEWEST`, or four with gas; every `HELD_OUT`-th is held out, with gas every fourth.
         baseline: the valve as commissioned.
         progress: told what is being tried, and the fraction done.
 
@@ -71,8 +71,7 @@ def isolate_fault(strokes: Sequence[Trace], baseline: Baseline, progress: Progre
         SimulationError: the commissioned valve cannot be simulated.
     """
     plants = _plants(strokes, baseline)
-    result = diagnose_plant(plants[0], plants[1] if len(plants) > 1 else None, progress)
-    verdict, intervals = result.verdict, result.after.intervals
+    verdict, intervals = begin(plants[0], plants[1] if len(plants) > 1 else None, progress).name()
     if not all(is_credible(effect, plants[0], intervals) for effect in verdict.effects):
         nothing = replace(verdict, kind="unknown", effects=(), confusable_with={}, probability=0.0)
         return FaultFinding(nothing, False, {}, {}, len(strokes))

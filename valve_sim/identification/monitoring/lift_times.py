@@ -107,10 +107,11 @@ class _LiftTimes:
         # The first stroke alone tells little but the pressure before it.
         grid = [np.array(at) for at in itertools.product(SIZES, PRESSURES)]
         nearest = sorted(grid, key=lambda at: float(np.sum(np.abs(left(at)))))[:NEAREST]
-        fits = [
-            least_squares(left, at, diff_step=[DIFFERENCE, DIFFERENCE], x_scale=[0.1, 0.1], max_nfev=20)
-            for at in nearest
-        ]
+        fits = []
+        for at in nearest:
+            fits.append(least_squares(left, at, diff_step=[DIFFERENCE, DIFFERENCE], x_scale=[0.1, 0.1], max_nfev=20))
+            if np.max(np.abs(fits[-1].fun)) < 1.0:
+                break
         found = min(fits, key=lambda one: float(one.cost))
         return values(found.x)
 

@@ -13,8 +13,9 @@ score is the size of the residual in any direction, for faults that the catalogu
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -125,6 +126,29 @@ def score_stroke(trace: Trace, baseline: Baseline, jitter: float | None = None) 
     """
     stroke = _Stroke(trace, baseline, jitter)
     result = stroke.fit(())
+    return _scored(stroke, result, stroke.effect_directions(result))
+
+
+def score_at_levels(trace: Trace, baseline: Baseline, levels: Sequence[float]) -> dict[float, Scored]:
+    """The same with several standard deviations of the commands' times, s, by these.
+
+    What effects change is computed once: it depends on the stroke, and hardly on errors of its stamps.
+
+    Raises:
+        SimulationError: the commissioned valve cannot be simulated.
+    """
+    directions: list[tuple[str, Array]] = []
+    found = {}
+    for level in levels:
+        stroke = _Stroke(trace, baseline, level)
+        result = stroke.fit(())
+        directions = directions or list(stroke.effect_directions(result))
+        found[level] = _scored(stroke, result, directions)
+    return found
+
+
+def _scored(stroke: _Stroke, result: Fit, directions: Iterable[tuple[str, Array]]) -> Scored:
+    """The scores of a stroke whose stamps' errors were estimated, along what effects change."""
     shifts = np.array([result.values[nuisance.name] for nuisance in result.nuisances])
     jacobian, prior = result.jacobian, np.array([1.0 / nuisance.sigma**2 for nuisance in result.nuisances])
     # One more step in the linear model that the scores use: they must not depend on where the fit stopped.
@@ -133,9 +157,9 @@ def score_stroke(trace: Trace, baseline: Baseline, jitter: float | None = None) 
         scale, scale
     )
     left = result.residuals - jacobian @ (inverse @ (gram(jacobian, result.residuals) + prior * shifts))
-    slow = math.sqrt(baseline.noise.variance_inflation)
+    slow = math.sqrt(stroke.problem.variance_inflation)
     scores = {SIZE: _size(stroke.problem, left)}
-    for name, change in stroke.directions(result):
+    for name, change in itertools.chain(directions, stroke.delay_directions(result)):
         seen = change @ jacobian
         power = float(change @ change - seen @ inverse @ seen)
         if power > LEAST_SENSITIVITY**2:
@@ -278,8 +302,8 @@ class _Stroke:
         ]
         return min((result, *again), key=lambda found: found.chi2)
 
-    def directions(self, result: Fit) -> Iterator[tuple[str, Array]]:
-        """Names, and the change of the whitened residual by a small effect of each: dampings, the catalogue, stamps."""
+    def effect_directions(self, result: Fit) -> Iterator[tuple[str, Array]]:
+        """Names, and the change of the whitened residual by a small effect of each: dampings and the catalogue."""
         plant = self._plant
         for name in DEFAULT_FREE:
             yield from self._direction(result, name, {name: perturbed(plant.parameter(name), plant.declared(name))})
@@ -291,6 +315,9 @@ class _Stroke:
                     yield from self._direction(
                         result, effect.name if single else f"{effect.name}.{switch.name}", values
                     )
+
+    def delay_directions(self, result: Fit) -> Iterator[tuple[str, Array]]:
+        """The same of errors of the first and the last stamp, where these are scored."""
         if self._jitter >= UNINFORMATIVE:
             return
         for nuisance, column in zip(result.nuisances, result.jacobian.T, strict=True):

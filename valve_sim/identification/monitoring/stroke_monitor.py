@@ -58,6 +58,8 @@ from valve_sim.traces import Trace, events_from_sensors
 
 FEWEST_TO_ISOLATE: Final = 6
 """Strokes of an alarm from which the fault is first isolated."""
+FEWEST_WITH_GAS: Final = 4
+"""The same of a valve with gas, whose strokes hold each other's pressures: three to fit, one held out."""
 ALARM_ENDS_AFTER: Final = 20
 """Scored strokes without a further alarm, after which an alarm is over."""
 
@@ -202,10 +204,12 @@ class StrokeMonitor:
     def take_evidence(self) -> list[Trace]:
         """The evidence, when it is time to isolate the fault (again); else none.
 
-        That is once there are `FEWEST_TO_ISOLATE` strokes of the alarm, twice as many, and at each full buffer of new.
+        That is once there are `FEWEST_TO_ISOLATE` strokes of the alarm (or `FEWEST_WITH_GAS`), twice as many, and at
+        each full buffer of new.
         """
         evidence = self.evidence() if self.alarm is not None else []
-        if len(evidence) < FEWEST_TO_ISOLATE or self._judged < self._isolate_at:
+        fewest = FEWEST_TO_ISOLATE if self._declared.gas is None else FEWEST_WITH_GAS
+        if len(evidence) < fewest or self._judged < self._isolate_at:
             return []
         most = self._settings.diagnosis_strokes
         # A full buffer gives one less, because `evidence` leaves the first out.

@@ -14,6 +14,7 @@ import math
 from typing import Final, NamedTuple
 
 import numpy as np
+from scipy.special import chdtrc, chdtri
 
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.plants.protocol import Array
@@ -67,6 +68,21 @@ def false_alarm(base: Fit, best: Fit, seed: int = 0) -> FalseAlarm:
             largest = np.maximum(largest, gains)
     probability = (1.0 + float(np.count_nonzero(largest >= gain))) / (1.0 + RESAMPLES)
     return FalseAlarm(probability, gain, float(np.quantile(largest, 0.99)), RESAMPLES)
+
+
+def false_alarm_of_few(base: Fit, best: Fit, tried: int) -> FalseAlarm:
+    """The same by theory, where a few effects were pointed at and no others searched for.
+
+    In noise χ² falls as its distribution says, for each of the effects (Bonferroni).
+
+    Args:
+        base, best: as of `false_alarm`. tried: how many effects were pointed at.
+    """
+    added = max(1, len(best.free) - len(base.free))
+    fall = (base.chi2 - best.chi2) / best.problem.variance_inflation
+    probability = min(1.0, tried * float(chdtrc(added, max(fall, 0.0))))
+    price = added * math.log(base.problem.effective_samples)
+    return FalseAlarm(probability, base.score - best.score, float(chdtri(added, 0.01 / tried)) - price, 0)
 
 
 def _by_block(products: Array) -> Array:

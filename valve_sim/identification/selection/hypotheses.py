@@ -132,6 +132,40 @@ class Search:
             self.untried.extend(str(hypothesis) for hypothesis in new if hypothesis in self._impossible)
         self.log.drop_derivatives(KEPT)
 
+    def fit_pointed_at(self, hypotheses: Sequence[Hypothesis], fractions: tuple[float, float]) -> None:
+        """Fit hypotheses of one effect each, from where the plant points at alone."""
+        effects = self.problem.plant.effects
+        self._fit_from(hypotheses, lambda effect: effects[effect].start, WHOLE, fractions)
+
+    def fit_nearby(self, hypotheses: Sequence[Hypothesis], limit: float, fractions: tuple[float, float]) -> None:
+        """Fit hypotheses of one effect each from near off alone, and give up what cannot come to a score S any more.
+
+        For where another effect explains all that there is: what may stand in its place has to do so, too.
+        """
+        effects = self.problem.plant.effects
+        # The score is χ² and what the parameters cost.
+        effort = Effort(goal=limit * self.problem.variance_inflation, is_near=True)
+        self._fit_from(hypotheses, lambda effect: start_nearby(effects[effect]), effort, fractions)
+
+    def _fit_from(
+        self,
+        hypotheses: Sequence[Hypothesis],
+        start_of: Callable[[str], Mapping[str, float]],
+        effort: Effort,
+        fractions: tuple[float, float],
+    ) -> None:
+        """Fit hypotheses of one effect each, from one start each beside the declared model's values."""
+        before, after = fractions
+        warm = self.fit(Hypothesis(())).values
+        self.log.expect(hypotheses)
+        for index, hypothesis in enumerate(hypotheses):
+            self.say(str(hypothesis), before + (after - before) * index / len(hypotheses))
+            (effect,) = hypothesis.effects
+            self._append(hypothesis, "one start", {**warm, **start_of(effect)}, effort)
+            if hypothesis not in self.log:
+                self._impossible.add(hypothesis)
+                self.untried.append(str(hypothesis))
+
     def _limit(self, hypotheses: Sequence[Hypothesis]) -> float:
         """The score S that is near enough to those of the best few."""
         if len(hypotheses) <= RIVALS:
@@ -236,13 +270,11 @@ class Search:
         if not hypothesis.effects:
             plain = Hypothesis(())
             starts: list[tuple[str, Mapping[str, float]]] = (
-                [("declared model", self.log[plain].values)]
-                if plain in self.log
-                else [
-                    ("declared", {}),
-                    ("declared, tripled", {name: 3.0 * self.problem.plant.declared(name) for name in self._base}),
-                ]
+                [("declared model", self.log[plain].values)] if plain in self.log else [("declared", {})]
             )
+            if plain not in self.log and self._base:
+                tripled = {name: 3.0 * self.problem.plant.declared(name) for name in self._base}
+                starts.append(("declared, tripled", tripled))
             for kind, start in starts:
                 yield from ((kind, found) for found in self._attempt(hypothesis, start, effort))
             return
@@ -344,6 +376,11 @@ def _robust_cost(problem: Problem, values: Mapping[str, float]) -> float:
 def start_near_off(effect: EffectChoice) -> dict[str, float]:
     """Its parameters where the effect is all but off."""
     return _start(effect, [SMALL] * len(effect.parameters), 1.0)
+
+
+def start_nearby(effect: EffectChoice) -> dict[str, float]:
+    """The same, but far enough from off where the gradient vanishes there."""
+    return _start(effect, [LARGE[0] if _is_saddle(effect) else SMALL] * len(effect.parameters), 1.0)
 
 
 def _has_lost_its_shape(result: Fit, effect: EffectChoice) -> bool:

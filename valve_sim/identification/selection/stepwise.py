@@ -19,6 +19,7 @@ from valve_sim.identification.estimation.budget import OutOfTimeError
 from valve_sim.identification.estimation.parallel import run_parallel
 from valve_sim.identification.estimation.result import MOSTLY, Fit
 from valve_sim.identification.plants.protocol import EffectChoice, to_internal
+from valve_sim.identification.selection.bootstrap import FalseAlarm, false_alarm, false_alarm_of_few
 from valve_sim.identification.selection.criteria import Criteria
 from valve_sim.identification.selection.hypotheses import Search
 from valve_sim.identification.selection.score_test import score_gains
@@ -68,6 +69,7 @@ class Exploration:
         self.is_cut_short = False
         self.screened: dict[str, float] = {}
         self._away: dict[tuple[Fit, str], bool | None] = {}
+        self._pointed_at: tuple[str, ...] = ()
 
     def explore(self, *, is_full: bool = False) -> None:
         """Try all that the time allows, beside the declared model; `is_full`: also where that leaves nothing."""
@@ -75,6 +77,13 @@ class Exploration:
             self._explore(is_full=is_full)
         except OutOfTimeError:
             self.is_cut_short = True
+
+    def false_alarm(self, best: Hypothesis) -> FalseAlarm:
+        """The probability that a search like this one finds as much as the best in noise alone."""
+        base, found = self.search.fit(best.base), self.search.fit(best)
+        if self._pointed_at and set(best.effects) <= set(self._pointed_at):
+            return false_alarm_of_few(base, found, len(self._pointed_at))
+        return false_alarm(base, found)
 
     def settle(self) -> None:
         """Give the best and its competitors the same chance, until that brings up no other best.
@@ -108,7 +117,10 @@ class Exploration:
         search, names, declared = self.search, list(self.plant.effects), Hypothesis(())
         if not is_full and (self._leaves_nothing(declared) or self._stamps_explain_all(declared)):
             return
-        search.fit_each([Hypothesis((name,)) for name in names], (0.0, 0.3))
+        self._fit_singles()
+        if self._pointed_at:
+            self._drop_idle()
+            return
         if self.needs_larger_model(self._best_without_stamps()):
             self._explore_timing(names)
         for count in range(2, MOST_EFFECTS + 1):
@@ -126,6 +138,21 @@ class Exploration:
         if self.needs_larger_model(self.best_claimable()):
             self._extend_timing(names)
         self._drop_idle()
+
+    def _fit_singles(self) -> None:
+        """Every effect by itself; at little cost where one that the plant points at explains all that there is."""
+        search, effects = self.search, self.plant.effects
+        pointed_at = [Hypothesis((name,)) for name, effect in effects.items() if effect.start]
+        if pointed_at:
+            search.fit_pointed_at(pointed_at, (0.0, 0.05))
+            explaining = [one for one in pointed_at if one in search.log and self._is_adequate_without_doubt(one)]
+            if explaining:
+                self._pointed_at = tuple(one.effects[0] for one in pointed_at)
+                limit = search.score(search.best(explaining)) + NEARLY
+                others = [Hypothesis((name,)) for name, effect in effects.items() if not effect.start]
+                search.fit_nearby(others, limit, (0.05, 0.3))
+                return
+        search.fit_each([Hypothesis((name,)) for name in effects], (0.0, 0.3))
 
     def _leaves_nothing(self, base: Hypothesis) -> bool:
         """Whether the declared model is adequate and no effect promises anything: then it costs one fit."""
@@ -351,10 +378,15 @@ class Exploration:
         return away
 
     def polish_near(self, best: Hypothesis) -> None:
-        """Polish the best and whatever may be as good, so that all have the same chance."""
+        """Polish the best and whatever may be as good, so that all have the same chance.
+
+        An effect that the plant points at and that explains all has no need of one where nothing else is near.
+        """
         limit = self.selection_criterion(best) + NEARLY
         near = [h for h in self.tried() if len(h.effects) == len(best.effects) and self.selection_criterion(h) < limit]
         nearest = {best, *sorted(near, key=self.selection_criterion)[:POLISHED]}
+        if self._pointed_at and nearest == {best}:
+            return
         run_parallel(self.search.polish, list(nearest))
 
 
