@@ -11,6 +11,7 @@ import pytest
 from identification.selection.made_up_fits import SIZE, World, key_of, of, switches
 from valve_sim.identification.estimation.budget import OutOfTimeError
 from valve_sim.identification.plants.protocol import EffectChoice, Nuisance
+from valve_sim.identification.selection.residual_tests import SIGNIFICANT
 from valve_sim.identification.selection.stepwise import (
     DECISIVE,
     HINT,
@@ -123,7 +124,7 @@ def test_an_adequate_declared_model_with_stamps_that_err_costs_two_fits(
     assert found.best_claimable() == of("a'" if promised else "'")
 
 
-@pytest.mark.parametrize(("p_value", "is_enough"), [(HINT, True), (0.99 * HINT, False)])
+@pytest.mark.parametrize(("p_value", "is_enough"), [(1.01 * SIGNIFICANT, True), (0.99 * SIGNIFICANT, False)])
 def test_where_an_effect_that_the_plant_points_at_explains_all_others_are_looked_at_once(
     monkeypatch: pytest.MonkeyPatch, p_value: float, is_enough: bool
 ) -> None:

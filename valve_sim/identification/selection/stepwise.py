@@ -145,7 +145,7 @@ class Exploration:
         pointed_at = [Hypothesis((name,)) for name, effect in effects.items() if effect.start]
         if pointed_at:
             search.fit_pointed_at(pointed_at, (0.0, 0.05))
-            explaining = [one for one in pointed_at if one in search.log and self._is_adequate_without_doubt(one)]
+            explaining = [one for one in pointed_at if one in search.log and self.is_adequate(one)]
             if explaining:
                 self._pointed_at = tuple(one.effects[0] for one in pointed_at)
                 limit = search.score(search.best(explaining)) + NEARLY
