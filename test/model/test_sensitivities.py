@@ -25,7 +25,7 @@ ACCURACY = 1e-6
 TIMES = np.arange(1.0, 600.0) * 1e-4
 """s: a stroke up, and down to the seat."""
 PULSE = Drive.of([1e-3, 26e-3], [11.0, 0.0])
-BY_QUOTIENT = {"coil_heating", "sensor_bandwidth", "motional_emf", "release_voltage"}
+BY_QUOTIENT = {"coil_heating", "motional_emf", "release_voltage"}
 """Effects and declared values whose derivatives are not known."""
 SIZES = {"a0": 1.0, "coil_time_constant": 1e-4, "seat_load": 0.1, "pilot_damping": 0.1, "main_damping": 0.1}
 """Of numbers that may be 0."""

@@ -56,9 +56,16 @@ from valve_sim.model.location import (
     moved_off,
     polish,
 )
-from valve_sim.model.sampling import fill_until, is_filled, show
+from valve_sim.model.sampling import fill_until, is_filled, show_main, show_pilot
 from valve_sim.model.transitions import end_current, move_off, push_now, set_voltage, switch_flow, touch, turn
-from valve_sim.model.variational import enter_segment, leave_segment, show_variations, vary_event, vary_release
+from valve_sim.model.variational import (
+    enter_segment,
+    leave_segment,
+    show_variations,
+    vary_event,
+    vary_release,
+    vary_sensor,
+)
 from valve_sim.model.variational_steps import commit_variations
 
 FINISHED, STEP_TOO_SMALL, TOO_MANY_STEPS, CHATTERING, FLUX_FOLDS = (int(outcome) for outcome in Outcome)
@@ -225,7 +232,7 @@ def _start_from(p, s, work):
 def _commit(p, s, work, h, time):
     """Make the end of a step of size h the state, at `time`."""
     if p.sensor_time_constant > 0.0:
-        s.shown_pilot, s.shown_main = show(p, s, work, h, 1.0)
+        s.shown_pilot, s.shown_main = show_pilot(p, s, work, h, 1.0), show_main(p, s, work, h, 1.0)
     s.time = time
     commit_gas(p, s, work)
     s.x = work.y_new[0]
@@ -275,6 +282,7 @@ def _cut_step(p, s, work, t_end, vary):
         try_step(p, s, work, h)
         fill_dense(p, work)
     vary_step(p, s, work, h, vary)
+    vary_sensor(p, s, work, h, vary)
     commit_variations(vary)
     _commit(p, s, work, h, t_end)
 

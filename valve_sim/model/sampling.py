@@ -26,60 +26,80 @@ DECAYED: Final = 1e-30
 """What is left of the start of a current and counts as nothing: below 1e-308 processors are slow."""
 
 
+@inlined
+def lag_moments(b):
+    """M_1 to M_5 of a first-order sensor after b time constants: M_k = ∫ e^{−b(1−φ)} φ^k b dφ over φ from 0 to 1.
+
+    They obey M_k = 1 − (k/b) M_{k−1}, which is used upwards where b is large, and from a power series downwards where
+    it is small: so rounding errors shrink.
+    """
+    if b > 1.0:
+        m1 = 1.0 + np.expm1(-b) / b
+        m2 = 1.0 - 2.0 / b * m1
+        m3 = 1.0 - 3.0 / b * m2
+        m4 = 1.0 - 4.0 / b * m3
+        return m1, m2, m3, m4, 1.0 - 5.0 / b * m4
+    term = b / 6.0
+    m5 = term
+    for j in range(1, 16):
+        term *= -b / (6.0 + j)
+        m5 += term
+    m4 = (1.0 - m5) * b / 5.0
+    m3 = (1.0 - m4) * b / 4.0
+    m2 = (1.0 - m3) * b / 3.0
+    return (1.0 - m2) * b / 2.0, m2, m3, m4, m5
+
+
 @inner
 def _lagged(shown, a, value, work, theta):
     """A first-order sensor after a piece of a step: exact for the dense output's polynomial.
 
-    Solves z' = (x − z) a/h over the fraction theta, x = value + Σ slopes_k θ^k, by the moments
-    M_k = ∫ e^{−b(1−φ)} φ^k b dφ, b = a θ, which obey M_k = 1 − (k/b) M_{k−1}; a power series where b is small.
+    Solves z' = (x − z) a/h over the fraction theta, x = value + Σ slopes_k θ^k, by the moments of b = a θ.
     """
     b = a * theta
-    result = shown * math.exp(-b) - value * np.expm1(-b)
-    power = 1.0
-    moment = -np.expm1(-b)
-    for order in range(1, 5):
-        if b > 1.0:
-            moment = 1.0 - order / b * moment
-        else:
-            term = b / (order + 1.0)
-            moment = term
-            for j in range(1, 20):
-                term *= -b / (order + 1.0 + j)
-                moment += term
-        power *= theta
-        result += work.slopes[order - 1] * power * moment
-    return result
+    m1, m2, m3, m4, _ = lag_moments(b)
+    slopes = work.slopes
+    moved = theta * (slopes[0] * m1 + theta * (slopes[1] * m2 + theta * (slopes[2] * m3 + theta * slopes[3] * m4)))
+    return shown * math.exp(-b) - value * np.expm1(-b) + moved
 
 
 @inner
-def show(p, s, work, h, theta):
-    """What position sensors show at the fraction theta of a step: pilot and main plunger, m, without gain."""
-    x = interpolate(work, h, POSITION, theta)
-    above = s.mode >= MAIN
+def show_pilot(p, s, work, h, theta):
+    """What the sensor of the pilot plunger shows at the fraction theta of a step, m, without gain."""
     if p.sensor_time_constant == 0.0:
-        return x, x - p.pilot_gap if above else 0.0
+        return interpolate(work, h, POSITION, theta)
+    a = h / p.sensor_time_constant
+    if not s.moving:
+        return work.y[0] + (s.shown_pilot - work.y[0]) * math.exp(-a * theta)
     for order in range(4):
         work.slopes[order] = h * work.dense[0, order]
-    a = h / p.sensor_time_constant
-    pilot = _lagged(s.shown_pilot, a, work.y[0], work, theta)
-    if above:
-        return pilot, _lagged(s.shown_main, a, work.y[0] - p.pilot_gap, work, theta)
+    return _lagged(s.shown_pilot, a, work.y[0], work, theta)
+
+
+@inner
+def show_main(p, s, work, h, theta):
+    """The same of the main plunger."""
+    above = s.mode >= MAIN
+    if p.sensor_time_constant == 0.0:
+        return interpolate(work, h, POSITION, theta) - p.pilot_gap if above else 0.0
+    value, a = work.y[0] - p.pilot_gap if above else 0.0, h / p.sensor_time_constant
+    if not (above and s.moving):
+        return value + (s.shown_main - value) * math.exp(-a * theta)
     for order in range(4):
-        work.slopes[order] = 0.0
-    return pilot, _lagged(s.shown_main, a, 0.0, work, theta)
+        work.slopes[order] = h * work.dense[0, order]
+    return _lagged(s.shown_main, a, value, work, theta)
 
 
 @inner
 def sample(p, s, work, h, theta, rows, i):
     """Fill row i of the output: the pilot as shown and, where there is room, the outlet pressure or all columns."""
-    pilot, main = show(p, s, work, h, theta)
-    rows[i, 0] = p.sensor_gain * pilot
+    rows[i, 0] = p.sensor_gain * show_pilot(p, s, work, h, theta)
     if rows.shape[1] <= PRESSURE_COLUMN + 1:
         sample_pressure(p, s, work, h, theta, rows, i)
         return
     u, w = coil_within(p, s, work, h, theta)
     x = interpolate(work, h, POSITION, theta)
-    rows[i, 1] = p.sensor_gain * main
+    rows[i, 1] = p.sensor_gain * show_main(p, s, work, h, theta)
     rows[i, 2] = interpolate(work, h, VELOCITY, theta)
     rows[i, 3] = attraction(p, x, pull_squared(p, w, max(s.peak_current, abs(u))))
     rows[i, 4] = s.mode

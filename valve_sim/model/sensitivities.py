@@ -37,10 +37,10 @@ PRESSURES_AT: Final = tuple(
 """Indices among the numbers of the outlet's pressure at the start, the tank's, and that behind the demand's orifice."""
 _GAS_FIRST: Final = list(GAS_VALVE_RECORD.names or ()).index(GAS_FIELDS[0])
 _SHAPES: Final = [_PLACES[name] for name in SHAPES]
-_FOREIGN: Final = ("temperature_rate", "sensor_time_constant", "flux_linkage", "release_voltage")
+_FOREIGN: Final = ("temperature_rate", "flux_linkage", "release_voltage")
 _SWITCHES: Final = (
     *_FOREIGN, "coil_time_constant", "eddy_time_constant", "residual_current", "restitution_stop", "restitution_seat",
-    "motional_share",
+    "motional_share", "sensor_time_constant",
 )  # fmt: skip
 _NO_EVENTS: Final = np.empty(0, EVENT_RECORD)
 assert VALVE_RECORD.names is not None
@@ -73,8 +73,8 @@ def numbers_of(record: Any) -> Array:
 def has_sensitivities(record: Any, numbers: Array) -> NDArray[np.bool_]:
     """Whether `run_tangents` knows the derivatives along (k, n) directions of the numbers of a (1,) record.
 
-    Difference quotients are needed for a coil that heats, has its flux modelled or freewheels, for a slow sensor, and
-    for a parameter that is off at 0 and acts differently on either side of it.
+    Difference quotients are needed for a coil that heats, has its flux modelled or freewheels, and for a parameter that
+    is off at 0 and acts differently on either side of it.
     """
     if any(record[name][0] != 0.0 for name in _FOREIGN):
         return np.zeros(len(numbers), dtype=bool)

@@ -30,7 +30,10 @@ function here compiles to nothing. Otherwise `vary` is
 
 from __future__ import annotations
 
+import math
 from typing import Final
+
+import numpy as np
 
 from valve_sim.model.compiling import inlined, inner
 from valve_sim.model.core_types import MAIN, PILOT
@@ -50,6 +53,7 @@ from valve_sim.model.linearised import (
     force_slopes,
 )
 from valve_sim.model.location import CONTACT, TURN
+from valve_sim.model.sampling import lag_moments
 from valve_sim.model.variational_steps import LANES, OF_U, OF_W, SCRATCH, gather
 
 LEAST_CHANGE: Final = 1e-3
@@ -212,8 +216,12 @@ def show_variations(p, s, work, h, samples, done, vary):
     times, _, _, _ = samples
     tiles, _, _, _, (positions, _, _) = vary
     (first, first_current), (end, end_current) = done
-    for i in range(len(tiles)):
-        _show_positions(p, s, work, h, (times, first, end), tiles[i], positions[:, i])
+    if p.sensor_time_constant > 0.0:
+        _show_lagged(p, s, work, h, (times, first, end), tiles, positions)
+    else:
+        for i in range(len(tiles)):
+            _show_positions(p, s, work, h, (times, first, end), tiles[i], positions[:, i])
+    vary_sensor(p, s, work, h, vary)
     _show_currents(p, s, samples, (first_current, end_current), vary)
     show_pressures(p, s, work, h, samples, done, vary)
 
@@ -258,3 +266,63 @@ def _show_positions(p, s, work, h, which, tile, positions):
                 )  # fmt: skip
         for lane in range(LANES):
             positions[at, lane] = tile.total[lane]
+
+
+@inner
+def _show_lagged(p, s, work, h, which, tiles, positions):
+    """Of all tiles, as a first-order sensor z' = (x − z)/τ shows them."""
+    times, first, end = which
+    for at in range(first, end):
+        theta = max(0.0, (times[at] - s.time) / h)
+        z = _lag(p, s, work, h, theta, tiles)
+        rate = p.sensor_gain * (interpolate(work, h, POSITION, theta) - z) / p.sensor_time_constant
+        for i in range(len(tiles)):
+            tile = tiles[i]
+            for lane in range(LANES):
+                positions[at, i, lane] = (
+                    p.sensor_gain * tile.total[lane] + z * tile.sensor_gain[lane] + rate * tile.position_time[lane]
+                )
+
+
+@inner
+def vary_sensor(p, s, work, h, vary):
+    """Carry what a first-order sensor shows through a step of size h; it goes on steadily through every event."""
+    if vary is None:
+        return
+    if p.sensor_time_constant == 0.0:
+        return
+    tiles, _, _, _, _ = vary
+    _lag(p, s, work, h, 1.0, tiles)
+    for i in range(len(tiles)):
+        tile = tiles[i]
+        for lane in range(LANES):
+            tile.shown_new[lane] = tile.total[lane]
+
+
+@inner
+def _lag(p, s, work, h, theta, tiles):
+    """z, z' = (x − z)/τ, at the fraction theta of a step; its derivatives are written to `total` of each tile.
+
+    z is linear in its start and in x, so that δz follows from δx as z does from x. To τ it changes as b = h θ/τ does:
+    dM_k/db = M_k/b − M_k + M_{k+1} of the moments.
+    """
+    b = h * theta / p.sensor_time_constant
+    kept, taken = math.exp(-b), -np.expm1(-b)
+    m1, m2, m3, m4, m5 = lag_moments(b) if s.moving else (0.0, 0.0, 0.0, 0.0, 0.0)
+    dense = work.dense
+    s1, s2, s3, s4 = dense[0, 0], dense[0, 1], dense[0, 2], dense[0, 3]
+    moved = s1 * m1 + theta * (s2 * m2 + theta * (s3 * m3 + theta * s4 * m4))
+    later = s1 * m2 + theta * (s2 * m3 + theta * (s3 * m4 + theta * s4 * m5))
+    by_constant = b * kept * (s.shown_pilot - work.y[0]) - h * theta * (moved + b * (later - moved))
+    by_constant /= p.sensor_time_constant
+    along = h * theta if s.moving else 0.0
+    for i in range(len(tiles)):
+        tile = tiles[i]
+        for lane in range(LANES):
+            slope = tile.dense[2, lane] * m3 + theta * (tile.dense[3, lane] * m4 + theta * tile.dense[4, lane] * m5)
+            slope = tile.dense[0, lane] * m1 + theta * (tile.dense[1, lane] * m2 + theta * slope)
+            tile.total[lane] = (
+                kept * tile.shown[lane] + taken * tile.x[lane] + along * slope
+                + by_constant * tile.sensor_time_constant[lane]
+            )  # fmt: skip
+    return kept * s.shown_pilot + taken * work.y[0] + h * theta * moved

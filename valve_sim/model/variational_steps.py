@@ -32,7 +32,7 @@ SLOPES: Final = NODES + 3
 _LANE: Final = ("f8", (LANES,))
 CONTACTS: Final = (
     "pilot_gap", "stroke", "pickup_velocity_ratio", "restitution_stop", "restitution_seat", "sensor_gain",
-    "reference_voltage",
+    "sensor_time_constant", "reference_voltage",
 )  # fmt: skip
 """Numbers of the valve that act through events, the sensor or the target of u, and not through the force."""
 
@@ -53,6 +53,9 @@ TILE_RECORD: Final = np.dtype(
         ("dense", "f8", (5, LANES)),
         ("condition", "f8", (len(CONDITIONS), LANES)),
         ("event_time", *_LANE),
+        # δ of what a first-order sensor of the pilot shows, at the start of a step and at its end.
+        ("shown", *_LANE),
+        ("shown_new", *_LANE),
         # Working memory.
         ("b", "f8", (NODES, LANES)),
         ("total", *_LANE),
@@ -231,3 +234,4 @@ def commit_variations(vary):
             tile.x[lane] = tile.x_new[lane]
             tile.v[lane] = tile.v_new[lane]
             tile.density[lane] = tile.density_new[lane]
+            tile.shown[lane] = tile.shown_new[lane]

@@ -157,12 +157,10 @@ def test_what_cannot_be_fitted_is_left_out_and_noted(monkeypatch: pytest.MonkeyP
     assert late.fitted() == [("x", 60.0)]
 
 
-def test_where_effects_explain_all_neither_stamps_nor_waves_over_time_are_tried(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_where_effects_explain_all_neither_stamps_nor_waves_are_tried(monkeypatch: pytest.MonkeyPatch) -> None:
     fits = Fits(monkeypatch, {"x": 60.0, "t, periodic": 20.0, "x, periodic": 30.0}, OVER_X, BEATS, TURNS)
     found = fit_maps(cast("Any", fits.search), cast("Any", fits.base), is_explained=True)
-    assert [entry.choice.variable for entry in found] == ["x, periodic", "x"]
+    assert [entry.choice.variable for entry in found] == ["x"]
     assert not any(STAMP in call["nuisances"] for call in fits.calls)
 
 

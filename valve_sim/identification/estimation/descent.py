@@ -84,12 +84,12 @@ def along(name: str, parameter: Parameter, coordinate: float) -> Direction:
 
 
 class End(NamedTuple):
-    """Where a descent ended."""
+    """Where a descent ended; derivatives are those of the place, or None where nothing has asked for them yet."""
 
     at: Array
     cost: float
     residuals: Array
-    jacobian: Array
+    jacobian: Array | None
     information: Array
     converged: bool
     damping: float
@@ -280,6 +280,7 @@ class Descent:
 
     def descend(self, at: Array, cauchy: float, effort: Effort = WHOLE, begun: Fit | None = None) -> End:
         """Gauss–Newton with Levenberg's damping, variables on a bound held while the gradient points outwards."""
+        jacobian: Array | None
         residuals, jacobian = self.begin(at, begun)
         damping = FIRST_DAMPING if begun is None else begun.damping
         converged, decrease, reach = False, 0.0, -math.inf
@@ -319,14 +320,14 @@ class Descent:
                 information, gradient = self._with_curve(at, *of_data)
                 cost = self._cost(at, residuals, cauchy)
                 continue
-            jacobian = self.jacobian(at, residuals)
             if converged:
+                # The last step was too small to change the information; of most fits nobody asks for more.
+                jacobian = None
                 break
+            jacobian = self.jacobian(at, residuals)
             of_data = self.normal(at, residuals, jacobian, cauchy)
             information, gradient = self._with_curve(at, *of_data)
             cost = self._cost(at, residuals, cauchy)
-        if math.isfinite(cauchy):
-            information, _ = self._with_curve(at, *self.normal(at, residuals, jacobian, math.inf))
         return End(at, cost, residuals, jacobian, information, converged, damping, reach)
 
     def normal(self, at: Array, residuals: Array, jacobian: Array, cauchy: float) -> tuple[Array, Array]:

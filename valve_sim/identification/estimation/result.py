@@ -16,6 +16,7 @@ decisive from √14.6 = 3.8 tolerances on: theory, eq. (82).
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -179,7 +180,7 @@ class Fit:
         """What errors of clocks and of stamps add to the criterion."""
         return float(np.sum(np.square(self.deviations))) - self.chi2_of_declared
 
-    @property
+    @functools.cached_property
     def stamp_variance(self) -> float:
         """Mean square of the errors of the commands' stamps, in their prior's variances; 1 where it may be that.
 
@@ -194,7 +195,7 @@ class Fit:
             return 1.0
         return float(np.mean(squares))
 
-    @property
+    @functools.cached_property
     def score(self) -> float:
         """The score S, theory, eq. (41): smaller is better, a difference of 10 is decisive."""
         occam = 0.0

@@ -103,7 +103,7 @@ class ValvePlant:
         """The dampings."""
         return DAMPINGS
 
-    @property
+    @functools.cached_property
     def nuisances(self) -> Sequence[Nuisance]:
         """A clock offset for each trace; errors of commands that were read from a voltage, and of a sensor's zero.
 
@@ -114,7 +114,7 @@ class ValvePlant:
         readings = (nuisance for of_trace in traces for nuisance in reading_errors(*of_trace))
         return (*offsets, *readings, *self._model.nuisances)
 
-    @property
+    @functools.cached_property
     def timing_errors(self) -> Sequence[Nuisance]:
         """An error for each command that was recorded as it was sent: the voltage changes later than its stamp says."""
         return tuple(
@@ -123,7 +123,7 @@ class ValvePlant:
             for nuisance in stamp_errors(trace, index, self._channels_of(index))
         )
 
-    @property
+    @functools.cached_property
     def effects(self) -> Mapping[str, EffectChoice]:
         """The catalogue, less what the declared valve has on, and declared values that may be wrong.
 
@@ -134,7 +134,7 @@ class ValvePlant:
         of_sensors = {entry.name for entry in CATALOGUE.tagged(Tag.SENSOR)}
         return {name: choice for name, choice in self._model.effects.items() if name not in of_sensors}
 
-    @property
+    @functools.cached_property
     def force_maps(self) -> Sequence[ForceMap]:
         """Curves over position, velocity and time, and such curves times v or u².
 

@@ -82,8 +82,8 @@ def fit_maps(search: Search, base: Fit, *, is_explained: bool = False) -> list[N
 
     Args:
         search: that is told what is being tried. base: the fit.
-        is_explained: whether effects explain all with so few parameters that no wave over time can do better, nor
-            anything with errors of the stamps: these are left out.
+        is_explained: whether effects explain all with so few parameters that no wave can do better, nor anything with
+            errors of the stamps: these are left out.
     """
     beside = _Beside(base)
     found = _fitted_maps(search, beside, base, is_explained=is_explained)
@@ -157,11 +157,11 @@ def _fitted_maps(search: Search, beside: _Beside, base: Fit, *, is_explained: bo
         )
         return list(itertools.chain(*found))
 
-    maps = base.problem.plant.force_maps
+    maps = [choice for choice in base.problem.plant.force_maps if not (choice.end and is_explained)]
     long = [choice for choice in maps if choice.end and choice.unit == "s"]
     found = fitted_each([choice for choice in maps if choice not in long])
     # Hundreds of periods fit into a recording, so they are tried last.
-    if is_explained or any(entry.choice.variable != OVER_TIME and adequacy(entry.fit).is_white for entry in found):
+    if any(entry.choice.variable != OVER_TIME and adequacy(entry.fit).is_white for entry in found):
         return found
     return [*found, *fitted_each(long)]
 

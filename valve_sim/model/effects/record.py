@@ -49,7 +49,7 @@ def _blank_record() -> Any:
     return records
 
 
-_BLANK: Final = _blank_record().view(np.uint8)
+_BLANK: Final = _blank_record().tobytes()
 """As bytes: NumPy copies a record field by field."""
 
 
@@ -63,15 +63,16 @@ def new_record(declared: Mapping[str, float], effects: Mapping[str, Mapping[str,
     Returns:
         (1,) VALVE_RECORD array. What effects of gas alone rewrite is of a longer record, see `gas.record`.
     """
-    records = _BLANK.copy().view(VALVE_RECORD)
+    memory = bytearray(_BLANK)
+    records = np.frombuffer(memory, VALVE_RECORD)
     # Written at once, as one array: field by field takes longer than a simulation.
-    records.view(np.float64)[: len(DECLARED)] = [declared[name] for name in DECLARED]
-    whole = whole_effects(effects)
+    np.frombuffer(memory, np.float64)[: len(DECLARED)] = [declared[name] for name in DECLARED]
+    whole, record = whole_effects(effects), records[0]
     for effect, values in whole:
         if not effect.with_gas:
-            effect.apply_rewrite(records[0], values)
+            effect.apply_rewrite(record, values)
     for effect, values in whole:
-        effect.apply_term(records[0], values)
+        effect.apply_term(record, values)
     return records
 
 
