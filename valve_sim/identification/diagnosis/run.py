@@ -9,7 +9,7 @@ Occam factor of their prior instead of being tried last. Then held-out strokes a
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final, NamedTuple
 
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from valve_sim.identification.diagnosis.conclusion import Conclusion, Named
 from valve_sim.identification.diagnosis.outcome import Candidate, Diagnosis, Grounds, State, Verdict
 from valve_sim.identification.estimation.budget import Budget, OutOfTimeError
+from valve_sim.identification.estimation.noise import Noise
 from valve_sim.identification.estimation.problem import Mask, Problem
 from valve_sim.identification.estimation.result import Fit, rmse
 from valve_sim.identification.estimation.solver import fit
@@ -115,21 +116,41 @@ class Begun(NamedTuple):
 
 
 def begin(
-    plant: Plant, holdout: Plant | None = None, progress: Progress | None = None, budget: Budget | None = None
+    plant: Plant,
+    holdout: Plant | None = None,
+    progress: Progress | None = None,
+    budget: Budget | None = None,
+    *,
+    least: Mapping[str, float] | None = None,
 ) -> Begun:
     """The first part of `diagnose_plant`: the declared model, refitted.
+
+    Args:
+        plant, holdout, progress, budget: as there.
+        least: standard deviations by kind of channel, which count where the data show less noise.
 
     Raises:
         OutOfTimeError: the budget is used up before. SimulationError: the declared model cannot be simulated.
     """
     budget = budget or Budget.unlimited()
     with budget.until(BEGUN_BY):
-        return _begun(plant, holdout, progress, budget)
+        return _begun(plant, holdout, progress, budget, least or {})
 
 
-def _begun(plant: Plant, holdout: Plant | None, progress: Progress | None, budget: Budget) -> Begun:
+def _with_least(problem: Problem, least: Mapping[str, float]) -> Problem:
+    """The same with white noise of at least these standard deviations."""
+    known = problem.noises.items()
+    quiet = {kind: noise for kind, noise in known if noise.samples and noise.sigma < least.get(kind, 0.0)}
+    return problem.with_noises(
+        {kind: Noise(least[kind], least[kind], (), noise.step, 1.0, noise.samples) for kind, noise in quiet.items()}
+    )
+
+
+def _begun(
+    plant: Plant, holdout: Plant | None, progress: Progress | None, budget: Budget, least: Mapping[str, float]
+) -> Begun:
     train_mask, holdout_mask = _split(plant) if holdout is None else (None, None)
-    problem = Problem(plant, train_mask, budget=budget)
+    problem = _with_least(Problem(plant, train_mask, budget=budget), least)
     never_still = [kind for kind, noise in problem.noises.items() if noise.samples == 0]
     if never_still:
         problem = problem.with_noise_left_by(_largest_fit(problem).values)
@@ -140,6 +161,7 @@ def _begun(plant: Plant, holdout: Plant | None, progress: Progress | None, budge
     held_out = None
     if holdout is not None:
         held_out = Problem(holdout, budget=budget).with_noises({kind: problem.noises[kind] for kind in never_still})
+        held_out = _with_least(held_out, least)
     elif holdout_mask is not None:
         held_out = problem.restricted(holdout_mask)
     for kind in sorted(actuation):

@@ -20,7 +20,7 @@ from valve_sim.identification.estimation.identify import DEFAULT_FREE
 from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.identification.monitoring.joined_signals import joined, with_joined_ends
 from valve_sim.identification.monitoring.lift_times import starts_by_lift
-from valve_sim.identification.monitoring.scores import Baseline
+from valve_sim.identification.monitoring.scores import FINEST, Baseline
 from valve_sim.identification.plants.commissioned import CommissionedPlant
 from valve_sim.identification.plants.effect_titles import WRONG
 from valve_sim.identification.plants.protocol import Plant
@@ -71,7 +71,10 @@ def isolate_fault(strokes: Sequence[Trace], baseline: Baseline, progress: Progre
         SimulationError: the commissioned valve cannot be simulated.
     """
     plants = _plants(strokes, baseline)
-    verdict, intervals = begin(plants[0], plants[1] if len(plants) > 1 else None, progress).name()
+    # A simulated valve shows rounding alone, and less than was declared: no model is white beside that.
+    least = {**FINEST, "position" if baseline.has_positions else "current": baseline.noise.sigma}
+    begun = begin(plants[0], plants[1] if len(plants) > 1 else None, progress, least=least)
+    verdict, intervals = begun.name()
     if not all(is_credible(effect, plants[0], intervals) for effect in verdict.effects):
         nothing = replace(verdict, kind="unknown", effects=(), confusable_with={}, probability=0.0)
         return FaultFinding(nothing, False, {}, {}, len(strokes))
