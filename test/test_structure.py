@@ -18,6 +18,9 @@ EXCEPTIONS = {
 }
 """Functions with more parameters, each with its reason."""
 
+LONG = {"model/taylor_coefficients.py:coefficients": "written out; what is read is test/model/taylor_source.py"}
+"""Longer functions, each with its reason."""
+
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 
@@ -61,7 +64,7 @@ def test_no_file_is_long() -> None:
 
 def test_no_function_is_long() -> None:
     lengths = [(length(function), name) for name, function in named_functions()]
-    assert [entry for entry in lengths if entry[0] > LINES_OF_A_FUNCTION] == []
+    assert {name for lines, name in lengths if lines > LINES_OF_A_FUNCTION} == set(LONG)
 
 
 def test_no_function_has_many_parameters_but_for_named_exceptions() -> None:

@@ -238,6 +238,13 @@ def test_a_coil_too_fast_to_integrate_heats_too(time_constant: float) -> None:
     assert opened[0] == pytest.approx(opened[1], abs=2.0 * time_constant + 1e-9)
 
 
+def test_a_time_constant_whose_reciprocal_overflows_is_none() -> None:
+    shortest, none = (
+        simulate(CALIBRATED.with_values(coil_time_constant=constant), STEP, LATE) for constant in (2e-311, 0.0)
+    )
+    assert shortest.first(EventKind.REACHED_STOP) == pytest.approx(none.first(EventKind.REACHED_STOP), abs=1e-9)
+
+
 @seed(20210305)
 @settings(max_examples=300, deadline=None)
 @given(declared=_DECLARED, names=_EFFECTS, share=st.floats(0, 1), volts=st.floats(-30, 30))

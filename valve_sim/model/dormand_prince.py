@@ -26,6 +26,8 @@ from valve_sim.model.equations import (
     phase_of,
 )
 from valve_sim.model.flux import resting_current
+from valve_sim.model.taylor_coefficients import ORDER
+from valve_sim.model.taylor_series import acceleration_after, position_after, velocity_after
 
 STAGES: Final = 7
 """Stages of the pair; the seventh is the first of the next step."""
@@ -49,6 +51,10 @@ WORK_RECORD: Final = np.dtype(
         ("y_new", "f8", (ALL_STATES,)),  # at the end of the step
         ("k", "f8", (STAGES, ALL_STATES)),  # y' at the stages
         ("dense", "f8", (ALL_STATES, 4)),  # coefficients of the dense output
+        ("is_series", "i8"),  # 1 if motion is expanded in series, see `taylor_series`
+        ("in_series", "i8"),  # 1 while the step is one of them
+        ("series", "f8", (ORDER + 1,)),  # of x, about the start of the step, m/s^k
+        ("velocity_series", "f8", (ORDER,)),  # of v
         ("slopes", "f8", (4,)),  # of what a sensor filters
         # The last sample of a current: see `sampling`.
         ("decayed_at", "f8"),  # s after the last command
@@ -139,7 +145,10 @@ def rates(p, s, work, t, y, stage):
 @inner
 def try_step(p, s, work, h):
     """One trial step of size h, s, from work.y; work.k[0] holds y' there. Writes work.y_new and work.k."""
-    if work.states == MECHANICAL_STATES:
+    if work.in_series:
+        work.y_new[0], work.y_new[1] = position_after(work, h), velocity_after(work, h)
+        work.k[LAST, 0], work.k[LAST, 1] = work.y_new[1], acceleration_after(work, h)
+    elif work.states == MECHANICAL_STATES:
         _try_mechanical_step(p, s, work, h)
     elif work.states == FLUX_STATES:
         _try_flux_step(p, s, work, h)
@@ -301,13 +310,17 @@ def fill_dense(work):
 @inlined
 def interpolate(work, h, j, theta):
     """State j at the fraction theta of a step of size h, from its dense output."""
+    if work.in_series:
+        return position_after(work, theta * h) if j == POSITION else velocity_after(work, theta * h)
     slopes = work.dense[j, 1] + theta * (work.dense[j, 2] + theta * work.dense[j, 3])
     return work.y[j] + h * theta * (work.dense[j, 0] + theta * slopes)
 
 
 @inlined
-def dense_slope(work, j, theta):
-    """Derivative of state j with respect to time at the fraction theta of a step, from its dense output."""
+def dense_slope(work, h, j, theta):
+    """Derivative of state j with respect to time at the fraction theta of a step of size h, from its dense output."""
+    if work.in_series:
+        return velocity_after(work, theta * h) if j == POSITION else acceleration_after(work, theta * h)
     slopes = 2.0 * work.dense[j, 1] + theta * (3.0 * work.dense[j, 2] + theta * 4.0 * work.dense[j, 3])
     return work.dense[j, 0] + theta * slopes
 

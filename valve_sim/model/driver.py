@@ -20,6 +20,7 @@ from valve_sim.model.dormand_prince import (
     FLUX_STATES,
     LAST,
     MECHANICAL_STATES,
+    SMALLEST_SCALE,
     WORK_RECORD,
     step_factor,
 )
@@ -27,7 +28,6 @@ from valve_sim.model.equations import coil_now
 from valve_sim.model.flux import (
     FREEWHEELING,
     follows_flux,
-    freewheels_for,
     is_linear_at_rest,
     resting_current,
     smallest_flux_slope,
@@ -51,12 +51,15 @@ from valve_sim.model.location import (
     MOVED_OFF,
     NO_EVENT,
     PULL_SWITCH,
+    SHORTEST_STEP,
     TURN,
     first_event,
     moved_off,
     polish,
+    until_current_is_gone,
 )
 from valve_sim.model.sampling import fill_until, is_filled, show_main, show_pilot
+from valve_sim.model.taylor_series import expand, is_series, series_step
 from valve_sim.model.transitions import end_current, move_off, push_now, set_voltage, switch_flow, touch, turn
 from valve_sim.model.variational import (
     enter_segment,
@@ -65,7 +68,7 @@ from valve_sim.model.variational import (
     vary_event,
     vary_release,
     vary_sensor,
-)
+)  # fmt: skip
 from valve_sim.model.variational_steps import commit_variations
 
 FINISHED, STEP_TOO_SMALL, TOO_MANY_STEPS, CHATTERING, FLUX_FOLDS = (int(outcome) for outcome in Outcome)
@@ -83,8 +86,6 @@ LONGEST_MOTION: Final = 0.1
 """s without voltage, after which any motion left is a creep."""
 NO_CURRENT: Final = 1e-12
 """Of the reference current: without voltage a smaller one is set to 0, so a coil that heats rests in long steps."""
-SHORTEST_STEP: Final = 1e-16
-"""s: if error control asks for less, it has failed."""
 LARGEST_GROWTH: Final = 8.0
 """Ratio of one step to the one before, at most."""
 SHORTEST_PROGRESS: Final = 1e-12
@@ -104,7 +105,7 @@ def _integrated_step(p, s, work, tolerance):
     """
     if not work.start_is_known:
         rates(p, s, work, s.time, work.y, FIRST)
-    h = min(s.step, _rest(p, s) if _has_settled(p, s, work) else LONGEST_STEP)
+    h = min(s.step, _longest_step(p, s, work))
     while True:
         try_step(p, s, work, h)
         error = norm_of_error(p, work, h, tolerance)
@@ -123,10 +124,30 @@ def _integrated_step(p, s, work, tolerance):
 
 
 @inner
+def _series_step(p, s, work, tolerance):
+    """The same of a step whose size the last terms of a series give, so that none is tried twice."""
+    expand(p, s, work)
+    longest = _longest_step(p, s, work)
+    of_x, of_v = max(abs(work.y[0]), SMALLEST_SCALE[0]), max(abs(work.y[1]), SMALLEST_SCALE[1])
+    h = series_step(work, tolerance * of_x, tolerance * of_v, longest)
+    if not h >= SHORTEST_STEP:
+        return h, NO_EVENT, h, STEP_TOO_SMALL
+    work.in_series = 1
+    try_step(p, s, work, h)
+    fraction, ends = first_event(p, s, work, h, tolerance)
+    if ends != NO_EVENT:
+        h = polish(p, s, work, h * fraction, ends)
+    return h, ends, s.step, FINISHED
+
+
+@inner
 def _next_step(p, s, work, tolerance):
     """Find the next committed step from the state. Arguments and result as for `_integrated_step`."""
     h, ends, following, outcome = _rest(p, s), NO_EVENT, s.step, FINISHED
-    if _is_integrated(p, s, work):
+    work.in_series = 0
+    if work.is_series and s.moving:
+        h, ends, following, outcome = _series_step(p, s, work, tolerance)
+    elif _is_integrated(p, s, work):
         h, ends, following, outcome = _integrated_step(p, s, work, tolerance)
     else:
         for j in range(work.states):
@@ -140,7 +161,7 @@ def _next_step(p, s, work, tolerance):
             h *= fraction
             ends = MOVED_OFF
     if s.path == FREEWHEELING:
-        h, ends = _until_current_is_gone(p, s, work, h, ends)
+        h, ends = until_current_is_gone(p, s, work, h, ends)
     if work.rests:
         work.y_new[2] = resting_current(p, s, h)
     return h, ends, following, outcome
@@ -162,26 +183,18 @@ def _is_integrated(p, s, work):
     return not work.rests
 
 
-@inner
-def _until_current_is_gone(p, s, work, h, ends):
-    """Shorten a step that outlasts a freewheeling current with a closed form; others are located in the step."""
-    if work.states > MECHANICAL_STATES and not work.rests:
-        return h, ends
-    left = max(freewheels_for(p, s, coil_now(p, s)[0]), SHORTEST_STEP)
-    if left > h:
-        return h, ends
-    if s.moving or has_gas(p):
-        try_step(p, s, work, left)
-        fill_dense(p, work)
-    return left, CURRENT_GONE
-
-
 @inlined
 def _rest(p, s):
     """How far ahead plungers at rest are looked at in one step, s."""
     if p.terms_read_time:
         return LONGEST_REST
     return max(LONGEST_REST, LONGEST_REST_SHARE * (s.time - max(s.segment_time, s.unseated_time)))
+
+
+@inlined
+def _longest_step(p, s, work):
+    """The longest step of the integrator, s."""
+    return _rest(p, s) if _has_settled(p, s, work) else LONGEST_STEP
 
 
 @inlined
@@ -327,6 +340,8 @@ def _run_on(valve, state, works, limits, samples, log, vary):
     tolerance = tolerance_of(p, tolerance)
     events, count = log
     work.states = _states(p)
+    # (V4) follows the pair's short steps; in long ones it would need several of its own, which is no faster.
+    work.is_series = vary is None and work.states == MECHANICAL_STATES and not has_gas(p) and is_series(p)
     done, chatter, last_event = (NONE, NONE), 0, s.segment_time
     for _ in range(most_steps):
         _settle_coil(p, s, work)

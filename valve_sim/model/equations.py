@@ -68,12 +68,25 @@ def _any_differs(fields: Sequence[tuple[str, float]]) -> Any:
     return inlined(lambda p: p[name] != neutral or rest(p))
 
 
+_OF_DRY_FRICTION: Final = ("friction_opening", "friction_closing")
+"""Fields that (6) reads, whichever effects set them."""
 _has_force_of_effects: Final = _any_differs(
-    [field for effect in shipped() if effect.core_force is not None for field in effect.fields.items()]
+    [
+        field
+        for effect in shipped()
+        if effect.core_force is not None
+        for field in effect.fields.items()
+        if field[0] not in _OF_DRY_FRICTION
+    ]
+)
+has_pull_of_effects: Final = _any_differs(
+    [field for effect in shipped() if effect.core_pull is not None for field in effect.fields.items()]
 )
 _force_of_effects: Final = _summed([effect.core_force for effect in shipped() if effect.core_force is not None])
 _pull_of_effects: Final = _chained([effect.core_pull for effect in shipped() if effect.core_pull is not None])
 
+NO_TIME: Final = 1e-300
+"""s: the reciprocal of a shorter time constant overflows, and 0 s of it would be NaN."""
 NEARLY_EQUAL: Final = 0.1
 """Relative difference of two time constants below which the difference of their exponentials loses digits at first."""
 
@@ -205,13 +218,13 @@ def eddy_share(tau, tau_e, elapsed, decay, eddy_decay):
 @inlined
 def coil_decay(p, elapsed):
     """The share of the initial value of (1) that is left some time after a command."""
-    return math.exp(-elapsed / p.coil_time_constant) if p.coil_time_constant > 0.0 else 0.0
+    return math.exp(-elapsed / p.coil_time_constant) if p.coil_time_constant > NO_TIME else 0.0
 
 
 @inlined
 def eddy_decay(p, elapsed):
     """The same of (9)."""
-    return math.exp(-elapsed / p.eddy_time_constant) if p.eddy_time_constant > 0.0 else 0.0
+    return math.exp(-elapsed / p.eddy_time_constant) if p.eddy_time_constant > NO_TIME else 0.0
 
 
 @inlined

@@ -23,14 +23,17 @@ from valve_sim.model.dormand_prince import (
     dense_slope,
     interpolate,
 )
-from valve_sim.model.equations import residual_floor
-from valve_sim.model.flux import DRIVEN, FREEWHEELING, follows_flux, last_pulling_current
-from valve_sim.model.gas.step import difference_within, regime_change, try_step
+from valve_sim.model.equations import coil_now, residual_floor
+from valve_sim.model.flux import DRIVEN, FREEWHEELING, follows_flux, freewheels_for, last_pulling_current
+from valve_sim.model.gas.record import has_gas
+from valve_sim.model.gas.step import difference_within, fill_dense, regime_change, try_step
 from valve_sim.model.transitions import push_at_rest
 
 NO_EVENT, CONTACT, TURN, PULL_SWITCH, MOVED_OFF, CURRENT_GONE, CURRENT_PEAK, FLOW_SWITCH = 0, 1, 2, 3, 4, 5, 6, 7
 """What ends a step."""
 
+SHORTEST_STEP: Final = 1e-16
+"""s: if error control asks for less, it has failed."""
 SOONEST: Final = 2e-12
 """s: what moves off sooner moves off at once, as a valve does that nothing holds when its coil is powered."""
 LOOKS_AT_REST: Final = 8
@@ -114,7 +117,7 @@ def _crossing(work, h, state, direction, target, low, high):
             high = theta
         else:
             low = theta
-        slope = h * dense_slope(work, state, theta) * direction
+        slope = h * dense_slope(work, h, state, theta) * direction
         better = theta - ahead / slope if slope > 0.0 else low
         if abs(better - theta) < LOCATED:
             return min(max(better, low), high)
@@ -164,14 +167,14 @@ def _first_of_current(p, s, work, h, fraction, ends):
         if (last - target) * way >= 0.0:
             return _crossing(work, h, CURRENT, way, target, 0.0, latest), CURRENT_GONE
     elif s.path == DRIVEN and p.residual_current != 0.0 and follows_flux(p):
-        peak = _current_peak(s, work)
+        peak = _current_peak(s, work, h)
         if peak < fraction:
             return peak, CURRENT_PEAK
     return fraction, ends
 
 
 @inner
-def _current_peak(s, work):
+def _current_peak(s, work, h):
     """The fraction of the step at which a current that grew begins to shrink, or 2 for not in this step.
 
     The largest current sets the residual magnetism; where motion makes the current dip, it lies inside a step.
@@ -182,7 +185,7 @@ def _current_peak(s, work):
     low, high = 0.0, 1.0
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
-        if dense_slope(work, CURRENT, middle) * way > 0.0:
+        if dense_slope(work, h, CURRENT, middle) * way > 0.0:
             low = middle
         else:
             high = middle
@@ -239,3 +242,17 @@ def _push_after(p, s, work, h, theta):
     """Which way the forces push plungers that have rested for the fraction theta of a step."""
     coil, difference = coil_within(p, s, work, h, theta), difference_within(p, s, work, h, theta)
     return push_at_rest(p, s, s.time + theta * h, coil, difference)
+
+
+@inner
+def until_current_is_gone(p, s, work, h, ends):
+    """Shorten a step that outlasts a freewheeling current with a closed form; others are located in the step."""
+    if work.states > MECHANICAL_STATES and not work.rests:
+        return h, ends
+    left = max(freewheels_for(p, s, coil_now(p, s)[0]), SHORTEST_STEP)
+    if left > h:
+        return h, ends
+    if s.moving or has_gas(p):
+        try_step(p, s, work, left)
+        fill_dense(p, work)
+    return left, CURRENT_GONE

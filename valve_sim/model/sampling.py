@@ -109,6 +109,22 @@ def sample(p, s, work, h, theta, rows, i):
 
 
 @inner
+def _fill_positions(p, s, work, h, times, rows, which):
+    """Write the pilot alone, as a sensor shows it that filters nothing: (first, end) of a step's samples.
+
+    In loops of their own, because most samples of a recording are of plungers at rest, and a fit asks for nothing else.
+    """
+    first, end = which
+    if not s.moving:
+        shown = p.sensor_gain * work.y[0]
+        for at in range(first, end):
+            rows[at, 0] = shown
+    else:
+        for at in range(first, end):
+            rows[at, 0] = p.sensor_gain * interpolate(work, h, POSITION, max(0.0, (times[at] - s.time) / h))
+
+
+@inner
 def _fill_currents(p, s, work, last, samples, at):
     """Write the currents before `last`, where (1) has a solution in closed form.
 
@@ -151,9 +167,14 @@ def fill_until(p, s, work, h, last, samples, done):
     """
     times, rows, current_times, currents = samples
     at, at_current = done
+    first = at
     while at < len(times) and times[at] <= last:
-        sample(p, s, work, h, max(0.0, (times[at] - s.time) / h), rows, at)
         at += 1
+    if rows.shape[1] == 1 and p.sensor_time_constant == 0.0:
+        _fill_positions(p, s, work, h, times, rows, (first, at))
+    else:
+        for i in range(first, at):
+            sample(p, s, work, h, max(0.0, (times[i] - s.time) / h), rows, i)
     if work.states == MECHANICAL_STATES and p.eddy_time_constant == 0.0:
         at_current = _fill_currents(p, s, work, last, (current_times, currents), at_current)
     while at_current < len(current_times) and current_times[at_current] <= last:
