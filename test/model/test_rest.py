@@ -33,7 +33,7 @@ def steps(valve: Valve, until: float) -> int:
     def suffice(most: int) -> bool:
         record = valve.record()
         samples = (np.array([until]), np.empty((1, 1)), np.empty(0), np.empty(0))
-        control = (TOLERANCE, most)
+        control = (TOLERANCE, most, True)
         course = (PULSE.times, PULSE.volts, until)
         _, outcome = driver.run_drive(record, new_states(record, 0.0), course, samples, event_log(), control, None)
         return bool(outcome == Outcome.FINISHED)

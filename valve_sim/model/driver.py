@@ -319,7 +319,8 @@ def run(valve, state, until, samples, log, control, vary):
         samples: (times, rows, current_times, currents): (i,) ascending times of position samples, s; (i, 1) or
             (i, ROW) their output, see `sample`; (j,) ascending times of current samples, s; (j,) u there, written.
         log: (events, count): (e,) event log; events noted so far.
-        control: (tolerance, most_steps): relative error of a step; the steps after which a run ends with an error.
+        control: (tolerance, most_steps, in_series): relative error of a step; the steps after which a run ends with an
+            error; whether motion may go in series, which derivatives cannot follow to the last digit.
         vary: what derivatives are carried along, see `variational`, or None.
 
     Returns:
@@ -336,12 +337,11 @@ def _run_on(valve, state, works, limits, samples, log, vary):
     loop only kept the element would be freed while the loop goes on, and other threads would write into it.
     """
     p, s, work = valve[0], state[0], works[0]
-    t_end, commit_end, tolerance, most_steps = limits
+    t_end, commit_end, tolerance, most_steps, in_series = limits
     tolerance = tolerance_of(p, tolerance)
     events, count = log
     work.states = _states(p)
-    # (V4) follows the pair's short steps; in long ones it would need several of its own, which is no faster.
-    work.is_series = vary is None and work.states == MECHANICAL_STATES and not has_gas(p) and is_series(p)
+    work.is_series = in_series and work.states == MECHANICAL_STATES and not has_gas(p) and is_series(p)
     done, chatter, last_event = (NONE, NONE), 0, s.segment_time
     for _ in range(most_steps):
         _settle_coil(p, s, work)

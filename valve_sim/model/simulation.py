@@ -147,7 +147,7 @@ class Valve:
         set_voltage(record, state, float(record[0]["reference_voltage"]))
         settled = 50.0 * float(record[0]["coil_time_constant"] + record[0]["eddy_time_constant"]) + 1e-3
         nothing = (_NO_TIMES, np.empty((0, columns_of(record))), _NO_TIMES, np.empty(0))
-        control = (TOLERANCE, most_steps(settled))
+        control = (TOLERANCE, most_steps(settled), True)
         check_outcome(driver.run(record, state, (settled, True), nothing, (event_log(), 0), control, None)[2])
         return bool(state[0]["mode"] != Phase.CLOSED)
 
@@ -218,7 +218,7 @@ def simulate(
     if start_time is None:
         start_time = float(min(np.min(drive.times, initial=math.inf), np.min(times, initial=math.inf)))
         start_time = start_time if math.isfinite(start_time) else 0.0
-    run = partial(run_record, drive=drive, tolerance=tolerance)
+    run = partial(run_record, drive=drive, control=Control(tolerance, in_series=True))
     return response_of(valve.record(), times, start_time, run)
 
 
@@ -252,6 +252,22 @@ def response_of(record: Any, times: Array, start_time: float, run: Callable[...,
     )  # fmt: skip
 
 
+class Control(NamedTuple):
+    """How a run is stepped.
+
+    Attributes:
+        tolerance: relative error of one step.
+        in_series: whether motion without forces of effects goes in Taylor series. Derivatives follow the short steps of
+            the pair, and what a fit compares is to be to the last digit what its derivatives are of, so it does not.
+    """
+
+    tolerance: float = TOLERANCE
+    in_series: bool = False
+
+
+FOR_FITS: Final = Control()
+
+
 def rated_current(record: Any) -> float:
     """The coil current at u = 1, A, of a (1,) VALVE_RECORD."""
     return float(record[0]["reference_voltage"] / record[0]["coil_resistance"])
@@ -263,7 +279,7 @@ def run_record(
     drive: Drive,
     samples: Samples,
     events: Any,
-    tolerance: float = TOLERANCE,
+    control: Control = FOR_FITS,
     vary: Any = None,
 ) -> int:
     """Run the compiled core on prepared arrays, for callers that run it ten thousand times.
@@ -272,7 +288,7 @@ def run_record(
         record: (1,) VALVE_RECORD. state: (1,) STATE_RECORD, advanced. drive: the commanded voltage.
         samples: what is written down.
         events: (e,) EVENT_RECORD array for the first e events.
-        tolerance: relative error of one step.
+        control: of the steps.
         vary: what derivatives are carried along, see `sensitivities`; default none.
 
     Returns:
@@ -282,17 +298,17 @@ def run_record(
         SimulationError: the run could not be carried to its end.
     """
     course = (drive.times, drive.volts, delay_and_end(record, samples)[1])
-    return run_course(record, state, course, samples, events, tolerance, vary)
+    return run_course(record, state, course, samples, events, control, vary)
 
 
 def run_course(
     record: Any, state: Any, course: tuple[Array, Array, float], samples: Samples, events: Any,
-    tolerance: float = TOLERANCE, vary: Any = None,
+    control: Control = FOR_FITS, vary: Any = None,
 ) -> int:  # fmt: skip
     """The same up to a given time: a long run is made of such pieces, each of which ends with a command.
 
     Args:
-        record, state, samples, events, tolerance, vary: as of `run_record`.
+        record, state, samples, events, control, vary: as of `run_record`.
         course: times, s, and voltages, V, of the commands; the time of the end, s, of which a command stops the run
             exactly there, so that the next piece goes on as if there were no pieces.
 
@@ -304,7 +320,7 @@ def run_course(
     run = (
         record, state, course,
         (times - delay if delay else times, rows, current_times, currents),
-        events, (tolerance, most_steps(course[2] - state["time"].item())),
+        events, (control.tolerance, most_steps(course[2] - state["time"].item()), control.in_series),
     )  # fmt: skip
     count, outcome = driver.run_drive(*run, vary)
     check_outcome(outcome)
@@ -359,7 +375,7 @@ def simulate_many(
         first, last = int(chunk[0]), int(chunk[-1]) + 1
         return driver.run_batch(  # type: ignore[no-any-return]
             records[first:last], states[first:last], (drive.times, drive.volts), times, positions[first:last],
-            (tolerance, most_steps(float(np.ptp(times)))),
+            (tolerance, most_steps(float(np.ptp(times))), True),
         )  # fmt: skip
 
     with ThreadPoolExecutor(workers) as pool:

@@ -220,7 +220,7 @@ class Stepper:
     def _go(self, state: _State, time: float, commit: bool) -> int:
         """Step a state, and show it; how many events there were."""
         self._times[0] = time
-        control = (self._tolerance, most_steps(time - state.time.item()))
+        control = (self._tolerance, most_steps(time - state.time.item()), True)
         _, count, outcome = driver.run(
             self._record, state.array, (time, commit), self._samples, self._log, control, None
         )

@@ -16,7 +16,7 @@ from valve_sim.identification.plants.protocol import Array
 from valve_sim.identification.plants.valve_sensors import FIT_TOLERANCE, NO_EVENTS, NO_TIMES, state_before
 from valve_sim.model import Drive
 from valve_sim.model.sensitivities import Variations
-from valve_sim.model.simulation import Samples, run_course
+from valve_sim.model.simulation import Control, Samples, run_course
 from valve_sim.traces import Trace
 
 SAMPLES: Final = 8192
@@ -67,7 +67,7 @@ def run_in_pieces(
         samples = Samples(times, np.empty((len(times), 1)), late, np.empty(len(late)))
         course = (drive.times[cut.commands], drive.volts[cut.commands], cut.end)
         if variations is None:
-            run_course(record, state, course, samples, NO_EVENTS, FIT_TOLERANCE)
+            run_course(record, state, course, samples, NO_EVENTS, Control(FIT_TOLERANCE))
             found = np.empty((len(times), 0)), np.empty((len(late), 0))
         else:
             found = variations.run(record, state, course, samples, FIT_TOLERANCE, cut.commands.start)[:2]

@@ -16,7 +16,7 @@ from valve_sim.model.core_types import EVENT_RECORD
 from valve_sim.model.gas.parameters import GAS
 from valve_sim.model.gas.record import is_of_gas
 from valve_sim.model.gas.step import PRESSURE_COLUMN
-from valve_sim.model.simulation import Samples, new_states, rated_current, run_record
+from valve_sim.model.simulation import Control, Samples, new_states, rated_current, run_record
 from valve_sim.model.supplied import Supply, run_supplied, simulate_supplied
 from valve_sim.traces import Signal, Trace, stroke_numbers
 from valve_sim.traces.measured_input import AT_COMMAND
@@ -242,7 +242,7 @@ def _run(record: Any, state: Any, trace: Trace, drive: Drive, samples: Samples, 
     """Run the model; with gas from the pressures of tank and demand as they were measured, if they were."""
     supply = supply_of(record, trace, offset)
     if supply is None:
-        run_record(record, state, drive, samples, NO_EVENTS, tolerance_of(record))
+        run_record(record, state, drive, samples, NO_EVENTS, Control(tolerance_of(record)))
     else:
         run_supplied(record, state, drive, supply, samples, NO_EVENTS, GAS_TOLERANCE)
 
