@@ -16,7 +16,7 @@ from valve_sim.identification.plants.valve_sensors import response_to
 from valve_sim.model import Drive, Event, Response, Valve
 from valve_sim.model.gas.record import is_of_gas
 from valve_sim.model.response import event_log, event_tuple
-from valve_sim.model.simulation import Samples, columns_of, new_states, rated_current, run_course
+from valve_sim.model.simulation import Control, Samples, columns_of, new_states, rated_current, run_course
 from valve_sim.traces import Trace
 
 STILL_SPEED: Final = 1e-5
@@ -64,7 +64,7 @@ def _run(record: Any, state: Any, drive: Drive, cut: Cut, samples: Samples) -> t
     course, before, room = (drive.times[cut.commands], drive.volts[cut.commands], cut.end), state.copy(), EVENTS
     while True:
         events = event_log(room)
-        count = run_course(record, state, course, samples, events)
+        count = run_course(record, state, course, samples, events, Control(in_series=True))
         if count <= room:
             return event_tuple(events, count)
         state[:], room = before, count
