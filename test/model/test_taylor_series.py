@@ -92,7 +92,7 @@ def test_motion_in_series_is_that_of_small_steps(seed: int) -> None:
     np.testing.assert_allclose(found.pilot_position, known.pilot_position, atol=1e-11)
 
 
-def test_a_fast_eddy_pole_costs_no_small_steps() -> None:
+def test_a_fast_eddy_pole_delays_the_pick_up_by_its_time_constant() -> None:
     valve = Valve().with_values(a0=3.0336, coil_time_constant=0.9934e-3)
     fast = Valve(valve.parameters, {"eddy_lag": {"time_constant": 1e-7}})
     found, without = (simulate(one, Drive.of([0.0], [9.0]), TIMES) for one in (fast, valve))

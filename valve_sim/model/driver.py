@@ -68,7 +68,7 @@ from valve_sim.model.variational import (
     vary_event,
     vary_release,
     vary_sensor,
-)  # fmt: skip
+)
 from valve_sim.model.variational_steps import commit_variations
 
 FINISHED, STEP_TOO_SMALL, TOO_MANY_STEPS, CHATTERING, FLUX_FOLDS = (int(outcome) for outcome in Outcome)
