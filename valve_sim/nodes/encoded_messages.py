@@ -12,7 +12,8 @@ from typing import Any, Final, NamedTuple
 
 from valve_sim.nodes.messages import JOINT_NAMES
 from valve_sim.nodes.realtime import NANOSECONDS
-from valve_sim.traces.cdr import Field, Layout, MalformedMessage, find_layout
+from valve_sim.traces.batches import Field, Layout
+from valve_sim.traces.cdr import MalformedMessage, find_layout
 
 _STAMP: Final = ("header.stamp.sec", "header.stamp.nanosec")
 _KINDS: Final = {"i4": "i", "u4": "I", "f4": "f", "f8": "d"}

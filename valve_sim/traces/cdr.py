@@ -15,6 +15,9 @@ from numpy.lib.stride_tricks import sliding_window_view
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 
+from valve_sim.traces.batches import SECONDS, Batch, Field, Growing, Layout
+from valve_sim.traces.clocks import SECOND
+
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping, Sequence
 
@@ -29,7 +32,8 @@ ENCAPSULATION_SIZE = 4
 LARGEST_PADDING = 3
 """A middleware may pad a message to 4 bytes; more than this after the last field is invalid."""
 
-STAMP = "header.stamp."
+NANOSECONDS = "header.stamp.nanosec"
+"""Beside `SECONDS`."""
 
 MOST_LAYOUTS = 16
 """Layouts tried on all messages of one length before the rest is read one by one (bounds the work on bad data)."""
@@ -60,42 +64,6 @@ def typestore() -> Typestore:
 
 class MalformedMessage(Exception):  # noqa: N818 -- internal: it is counted, not shown
     """These bytes are not a message of this type."""
-
-
-class Field(NamedTuple):
-    """Where the numbers of one field are: `size` values of NumPy type `dtype` from byte `offset`."""
-
-    offset: int
-    dtype: str
-    size: int
-
-
-class Layout(NamedTuple):
-    """The shape of one message.
-
-    Attributes:
-        fields: Dotted path ("header.stamp.sec") to the place of its numbers.
-        texts: Dotted path to its strings.
-        fixed: Byte ranges [start, stop) that another message must share to have this layout: lengths and names.
-        end: Where the last field ends; bytes beyond are padding, or invalid.
-    """
-
-    fields: Mapping[str, Field]
-    texts: Mapping[str, tuple[str, ...]]
-    fixed: tuple[tuple[int, int], ...]
-    end: int
-
-
-class Batch(NamedTuple):
-    """Messages of one layout: `places` (n,) in the topic, `columns` the numbers of the fields kept, shape (n, size)."""
-
-    places: NDArray[np.intp]
-    layout: Layout
-    columns: dict[str, NDArray[Any]]
-
-    def column(self, path: str) -> NDArray[Any]:
-        """Return the numbers of one field, shape (n, size)."""
-        return self.columns[path]
 
 
 class Decoded(NamedTuple):
@@ -208,7 +176,7 @@ class Decoder:
     Args:
         message_type: Their type.
         definitions: Of that type and those in it; None: those of `typestore`.
-        keep: Dotted paths of the fields to keep, stamps apart, which always are; None: all.
+        keep: Dotted paths of the fields to keep beside the header's stamp; None: all.
     """
 
     def __init__(
@@ -219,7 +187,7 @@ class Decoder:
         self.definitions = typestore().fielddefs if definitions is None else definitions
         self.count = 0
         self._malformed = self._trimmed = 0
-        self._grown: dict[bytes, _Growing] = {}
+        self._grown: dict[bytes, Growing] = {}
 
     def take(self, raw: NDArray[np.uint8], starts: NDArray[np.int64], stops: NDArray[np.int64]) -> None:
         """Read messages out of a block of bytes.
@@ -241,8 +209,8 @@ class Decoder:
                     continue
                 if length - rows.layout.end > LARGEST_PADDING:
                     self._trimmed += len(rows.places)
-                grown = self._grown.setdefault(rows.kind(), _Growing(rows.layout))
-                grown.extend(rows.places + self.count, rows.columns(self.keep))
+                grown = self._grown.setdefault(rows.kind(), Growing(rows.layout))
+                grown.extend(rows.places + self.count, rows.columns(self.keep), rows.stamps())
         self.count += len(starts)
 
     def take_messages(self, payloads: Sequence[bytes]) -> None:
@@ -252,10 +220,13 @@ class Decoder:
         self.take(raw, np.concatenate([np.zeros(1, np.int64), stops[:-1]])[: len(stops)], stops)
 
     def absorb(self, later: Decoder) -> None:
-        """Add what another decoder of the same topic has read after this one."""
-        for kind, grown in later._grown.items():
-            batch = grown.batch()
-            self._grown.setdefault(kind, _Growing(batch.layout)).extend(batch.places + self.count, batch.columns)
+        """Add what another decoder of the same topic has read after this one, which then holds nothing."""
+        while later._grown:
+            kind, grown = later._grown.popitem()
+            if kind in self._grown:
+                self._grown[kind].absorb(grown, self.count)
+            else:
+                self._grown[kind] = grown.moved(self.count)
         self._malformed += later._malformed
         self._trimmed += later._trimmed
         self.count += later.count
@@ -278,38 +249,6 @@ def decode_messages(payloads: Sequence[bytes], message_type: str, definitions: D
     return decoder.decoded()
 
 
-class _Growing:
-    """A batch to which messages are added.
-
-    Byte arrays grow in place, so that nothing is held twice; NumPy arrays would have to be concatenated at the end.
-
-    Args:
-        layout: Of the messages.
-    """
-
-    def __init__(self, layout: Layout) -> None:
-        self.layout = layout
-        self._places = bytearray()
-        self._columns: dict[str, bytearray] = {}
-        self._like: dict[str, NDArray[Any]] = {}
-
-    def extend(self, places: NDArray[np.intp], columns: Mapping[str, NDArray[Any]]) -> None:
-        """Add messages."""
-        self._places += places.tobytes()
-        for path, values in columns.items():
-            self._columns.setdefault(path, bytearray()).extend(values.tobytes())
-            self._like.setdefault(path, values[:0])
-
-    def batch(self) -> Batch:
-        """Return all that were added."""
-        places = np.frombuffer(self._places, np.intp)
-        columns = {
-            path: np.frombuffer(raw, self._like[path].dtype).reshape(len(places), self._like[path].shape[1])
-            for path, raw in self._columns.items()
-        }
-        return Batch(places, self.layout, columns)
-
-
 class _Rows(NamedTuple):
     """Messages of one layout: `places` (n,) in their block, `matrix` (n, length) their raw bytes."""
 
@@ -321,12 +260,23 @@ class _Rows(NamedTuple):
         """Return the numbers of the fields to keep, shape (n, size)."""
         found = {}
         for path, field in self.layout.fields.items():
-            if keep is not None and path not in keep and not path.startswith(STAMP):
-                continue
-            stop = field.offset + field.size * np.dtype(field.dtype).itemsize
-            raw = np.ascontiguousarray(self.matrix[:, field.offset : stop])
-            found[path] = raw.view(field.dtype) if field.size else np.empty((len(raw), 0), field.dtype)
+            if keep is None or path in keep:
+                found[path] = self.numbers(field)
         return found
+
+    def numbers(self, field: Field) -> NDArray[Any]:
+        """Return those of one field, shape (n, size)."""
+        stop = field.offset + field.size * np.dtype(field.dtype).itemsize
+        raw = np.ascontiguousarray(self.matrix[:, field.offset : stop])
+        return raw.view(field.dtype) if field.size else np.empty((len(raw), 0), field.dtype)
+
+    def stamps(self) -> NDArray[np.int64] | None:
+        """Return the stamps of the messages' headers, ns, shape (n,); None where they have none."""
+        fields = self.layout.fields
+        if SECONDS not in fields:
+            return None
+        seconds, nanoseconds = self.numbers(fields[SECONDS])[:, 0], self.numbers(fields[NANOSECONDS])[:, 0]
+        return np.asarray(seconds.astype(np.int64) * SECOND + nanoseconds.astype(np.int64))
 
     def kind(self) -> bytes:
         """Return what distinguishes this layout from others: its lengths and names, and its end."""

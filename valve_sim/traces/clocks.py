@@ -11,10 +11,15 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from valve_sim.traces.long_columns import any_in, blocks, filled, median_of, places_in
+
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     Stamps = NDArray[np.int64]
+    Delays = NDArray[np.integer]
 
 SECOND = 1_000_000_000
 """ns."""
@@ -39,37 +44,32 @@ class Ordered(NamedTuple):
     """The samples to keep.
 
     Attributes:
-        places: Where they are in the recording, in the order of their stamps, shape (n,).
+        places: Where they are in the recording, in the order of their stamps, shape (n,); None: all, as they are.
         shift: What to add to the clock of the samples before a jump to get that of the samples kept, ns; for commands.
         findings: What was reordered and dropped.
     """
 
-    places: NDArray[np.intp]
+    places: NDArray[np.intp] | None
     shift: int
     findings: tuple[str, ...]
 
-    @property
-    def changes(self) -> bool:
-        """Whether any sample is dropped or moved, which `findings` say."""
-        return len(self.findings) > 0
 
-
-def order_samples(stamps: Stamps, bag_times: Stamps, values: NDArray[np.float64], topic: str) -> Ordered:
+def order_samples(stamps: Stamps, delays: Delays, values: Sequence[NDArray[np.float64]], topic: str) -> Ordered:
     """Put samples into the order of their stamps; drop duplicates and those with a wrong stamp.
 
     Args:
         stamps: ns, shape (n,), in bag order.
-        bag_times: ns, ascending, shape (n,).
-        values: Shape (n, columns); a repeated stamp with equal values is a repeated message.
+        delays: What bag times, which ascend, are after the stamps, ns, shape (n,).
+        values: (n,) each; a repeated stamp with equal values is a repeated message.
         topic: For the findings.
     """
     findings: list[str] = []
+    if (stamps[1:] > stamps[:-1]).all() and not any_in(len(delays) - 1, lambda own: _jumps_forward(delays, own)):
+        return Ordered(None, 0, ())
     index = np.arange(len(stamps))
-    if (stamps[1:] > stamps[:-1]).all() and not _jumps_forward(stamps, bag_times).any():
-        return Ordered(index, 0, ())
-    index, lead = _without_foreign(index, stamps, bag_times, topic, findings)
+    index, lead = _without_foreign(index, stamps, delays, topic, findings)
     index = _without_repeated(index, stamps, values, topic, findings)
-    index, shift = _longest_stretch(index, stamps, bag_times, topic, findings)
+    index, shift = _longest_stretch(index, stamps, delays, topic, findings)
     index = _without_wrong(index, stamps, topic, findings)
     late = int(_is_late(stamps[index]).sum())
     if late:
@@ -79,8 +79,9 @@ def order_samples(stamps: Stamps, bag_times: Stamps, values: NDArray[np.float64]
     return Ordered(index[np.argsort(stamps[index], kind="stable")], lead + shift, tuple(findings))
 
 
-def _jumps_forward(stamps: Stamps, bag_times: Stamps) -> NDArray[np.bool_]:
-    jumps: NDArray[np.bool_] = np.diff(stamps) - np.diff(bag_times) > FORWARD_JUMP
+def _jumps_forward(delays: Delays, own: slice = slice(None)) -> NDArray[np.bool_]:
+    """Return after which samples the stamps step forward more than bag time, and so the delay falls."""
+    jumps: NDArray[np.bool_] = np.subtract(delays[:-1][own], delays[1:][own], dtype=np.int64) > FORWARD_JUMP
     return jumps
 
 
@@ -91,15 +92,15 @@ def _is_late(stamps: Stamps) -> NDArray[np.bool_]:
 
 
 def _without_foreign(
-    index: NDArray[np.intp], stamps: Stamps, bag_times: Stamps, topic: str, findings: list[str]
+    index: NDArray[np.intp], stamps: Stamps, delays: Delays, topic: str, findings: list[str]
 ) -> tuple[NDArray[np.intp], int]:
     """Drop stamps further from the others than the whole recording lasts (0, or another century).
 
     Returns the rest, and its lead as in `Ordered`: many such stamps mean that the clock was set while recording.
     """
-    delay = bag_times - stamps
+    delay = delays.astype(np.int64)
     usual = np.sort(delay)[(len(delay) - 1) // 2]
-    foreign = np.abs(delay - usual) > np.ptp(bag_times) + SECOND
+    foreign = np.abs(delay - usual) > np.ptp(stamps + delay) + SECOND
     if not foreign.any():
         return index, 0
     first = stamps[np.argmax(foreign)] / SECOND
@@ -113,13 +114,14 @@ def _without_foreign(
 
 
 def _without_repeated(
-    index: NDArray[np.intp], stamps: Stamps, values: NDArray[np.float64], topic: str, findings: list[str]
+    index: NDArray[np.intp], stamps: Stamps, values: Sequence[NDArray[np.float64]], topic: str, findings: list[str]
 ) -> NDArray[np.intp]:
     """Drop duplicated messages: same stamp and same values."""
     order = index[np.argsort(stamps[index], kind="stable")]
-    same_stamp = np.diff(stamps[order]) == 0
-    numbers = np.nan_to_num(values)  # what is missing in both is the same
-    same = same_stamp & (numbers[order[1:]] == numbers[order[:-1]]).all(axis=1)
+    same = np.diff(stamps[order]) == 0
+    for column in values:
+        numbers = np.nan_to_num(column[order])  # what is missing in both is the same
+        same &= numbers[1:] == numbers[:-1]
     if not same.any():
         return index
     findings.append(f"{topic}: dropped {same.sum()} of {len(stamps)} samples that were recorded twice")
@@ -151,12 +153,12 @@ def _runs_start(flags: NDArray[np.bool_]) -> NDArray[np.intp]:
 
 
 def _longest_stretch(
-    index: NDArray[np.intp], stamps: Stamps, bag_times: Stamps, topic: str, findings: list[str]
+    index: NDArray[np.intp], stamps: Stamps, delays: Delays, topic: str, findings: list[str]
 ) -> tuple[NDArray[np.intp], int]:
     """Cut where the clock was set, back or forward, and keep the longest stretch and its lead on the first clock."""
-    kept_stamps, kept_bag = stamps[index], bag_times[index]
+    kept_stamps = stamps[index]
     backward = _runs_start(_misfits(kept_stamps))
-    forward = np.flatnonzero(_jumps_forward(kept_stamps, kept_bag)) + 1
+    forward = np.flatnonzero(_jumps_forward(delays[index])) + 1
     if len(backward) == 0:
         # A message delivered late is followed by a step forward, too: only a step that is not undone later is a jump.
         lowest_ahead = np.minimum.accumulate(kept_stamps[::-1])[::-1]
@@ -165,12 +167,12 @@ def _longest_stretch(
     if len(cuts) == 0:
         return index, 0
     stretches = np.split(index, cuts)
-    delays = [int(np.median(bag_times[stretch] - stamps[stretch])) for stretch in stretches]
+    usual = [int(np.median(delays[stretch])) for stretch in stretches]
     longest = int(np.argmax([len(stretch) for stretch in stretches]))
-    shift = min(delays, key=abs) - delays[longest]
+    shift = min(usual, key=abs) - usual[longest]
     jumps = ", ".join(
         f"{(before - after) / SECOND:+.3f} s at {(kept_stamps[cut - 1] - kept_stamps[0]) / SECOND:.3f} s"
-        for cut, before, after in zip(cuts[:3], delays, delays[1:], strict=False)
+        for cut, before, after in zip(cuts[:3], usual, usual[1:], strict=False)
     )
     findings.append(
         f"{topic}: the stamps' clock was set {len(cuts)} times ({jumps}); kept the longest stretch, "
@@ -188,12 +190,17 @@ def _without_wrong(index: NDArray[np.intp], stamps: Stamps, topic: str, findings
     return index[~wrong]
 
 
-def clock_offset(stamps: Stamps, bag_times: Stamps, topic: str) -> tuple[int, tuple[str, ...]]:
+def clock_offset(delays: Delays, topic: str) -> tuple[int, tuple[str, ...]]:
     """Return what to take from bag times to get the stamps' clock, ns, and what to say about it.
 
     Bag times and stamps are of one clock unless they are days apart; in that case the median difference is removed.
+
+    Args:
+        delays: What bag times are after the stamps, ns, shape (n,).
+        topic: For what is said.
     """
-    delay = int(np.median(bag_times - stamps))
+    is_constant = not any(delays.strides)  # one number stands for all
+    delay = int(np.median(delays[:1] if is_constant else delays))
     if abs(delay) > DAY:
         return delay, (
             f"{topic}: stamps and bag times are of two clocks, {delay / SECOND:.3f} s apart (median): commands and "
@@ -209,7 +216,26 @@ def clock_offset(stamps: Stamps, bag_times: Stamps, topic: str) -> tuple[int, tu
 
 def find_gaps(times: NDArray[np.float64]) -> NDArray[np.intp]:
     """Return after which samples an interval is more than `GAP_FACTOR` times the usual one."""
-    intervals = np.diff(times)
-    if len(intervals) == 0:
+    count = len(times) - 1
+    if count < 1:
         return np.empty(0, dtype=np.intp)
-    return np.flatnonzero(intervals > GAP_FACTOR * np.median(intervals))
+    usual = usual_interval(times)
+    return places_in(count, lambda own: intervals(times, own) > GAP_FACTOR * usual)
+
+
+def usual_interval(times: NDArray[np.float64]) -> float:
+    """Return the median of the intervals between (n,) times, n > 1."""
+    return median_of(filled(len(times) - 1, lambda own: intervals(times, own)))
+
+
+def intervals(times: NDArray[np.float64], own: slice) -> NDArray[np.float64]:
+    """Return those of the intervals between times that a slice has."""
+    return np.diff(times[own.start : own.stop + 1])
+
+
+def seconds_since(epoch: int, times: Stamps) -> NDArray[np.float64]:
+    """Return times, ns, as seconds since an epoch, ns, in the same memory, so that no more is needed: they are gone."""
+    found = times.view(np.float64)
+    for own in blocks(len(times)):
+        found[own] = (times[own] - epoch) / SECOND
+    return found

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from valve_sim.files.data_tables import DataTable
-    from valve_sim.traces.cdr import Batch
+    from valve_sim.traces.batches import Batch
 
     Array = NDArray[np.float64]
 
@@ -126,7 +126,7 @@ def bag_series(path: Path) -> list[Series]:
 
 
 def _fields(topic: str, batches: Sequence[Batch]) -> list[Series]:
-    largest = max(batches, key=lambda batch: len(batch.places))
+    largest = max(batches, key=lambda batch: batch.size)
     paths = [path for path in number_paths(largest) if not LEFT_OUT.search(path)]
     names = largest.layout.texts.get("name", ())
     if names and "position" in largest.layout.fields:

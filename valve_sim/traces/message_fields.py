@@ -12,16 +12,17 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import get_types_from_idl, get_types_from_msg
 
 from valve_sim.traces.cdr import typestore
-from valve_sim.traces.clocks import SECOND
 from valve_sim.traces.salvage import full_type
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from valve_sim.files.recording_map import Source
-    from valve_sim.traces.cdr import Batch, Definitions
+    from valve_sim.traces.batches import Batch
+    from valve_sim.traces.cdr import Definitions
+    from valve_sim.traces.packed_times import PackedTimes
 
 INDEXED = re.compile(r"(.+)\[(\d+)\]")
 
@@ -52,15 +53,36 @@ def _parsed(kind: MessageDefinitionFormat, text: str, message_type: str) -> Mapp
     return get_types_from_idl(text) if kind == MessageDefinitionFormat.IDL else {}
 
 
-def has_stamp(batch: Batch) -> bool:
-    """Whether messages of this layout have a header."""
-    return "header.stamp.sec" in batch.layout.fields
+def stamps_of(
+    batches: Sequence[Batch], bag_times: PackedTimes, *, may_be_zero: bool
+) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Return when each of n messages was taken by its header, ns, and (n,) whether it says; else its bag time."""
+    stamps, is_stamped = bag_times.array(), np.zeros(len(bag_times), dtype=bool)
+    for batch in batches:
+        if batch.stamps is not None:
+            taken = batch.stamps.array()
+            usable = np.full(batch.size, True) if may_be_zero else taken != 0
+            is_stamped[batch.where] = usable
+            np.copyto(taken, stamps[batch.where], where=~usable)
+            stamps[batch.where] = taken
+    return stamps, is_stamped
 
 
-def stamps(batch: Batch) -> NDArray[np.int64]:
-    """Header stamps, ns, shape (n,)."""
-    seconds, nanoseconds = batch.column("header.stamp.sec"), batch.column("header.stamp.nanosec")
-    return np.asarray(seconds[:, 0].astype(np.int64) * SECOND + nanoseconds[:, 0].astype(np.int64))
+def values_of(batches: Sequence[Batch], count: int, source: Source) -> tuple[NDArray[np.float64], Batch | None]:
+    """Return the numbers of one field of so many messages, and the last batch without it; NaN in messages without it.
+
+    Where all messages are of one layout it is a view of what was read: of a long recording a copy is large.
+    """
+    parts = [(batch, field_values(batch, source)) for batch in batches]
+    without = [batch for batch, found in parts if found is None]
+    batch, found = parts[0]
+    if found is not None and isinstance(batch.where, slice) and batch.size == count:
+        return found, None
+    values = np.full(count, np.nan)
+    for batch, found in parts:
+        if found is not None:
+            values[batch.where] = found
+    return values, without[-1] if without else None
 
 
 def field_values(batch: Batch, source: Source) -> NDArray[np.float64] | None:
@@ -71,21 +93,22 @@ def field_values(batch: Batch, source: Source) -> NDArray[np.float64] | None:
     if path is None:
         return None
     if path in batch.layout.fields:
-        values = batch.column(path)
-        return np.asarray(values[:, 0], dtype=np.float64) if values.shape[1] == 1 else None
+        return _number(batch, path, 0) if batch.layout.fields[path].size == 1 else None
     indexed = INDEXED.fullmatch(path)
-    if indexed is None or indexed[1] not in batch.layout.fields:
+    return None if indexed is None else _number(batch, indexed[1], int(indexed[2]))
+
+
+def _number(batch: Batch, path: str, place: int) -> NDArray[np.float64] | None:
+    """One of the numbers of a field, shape (n,), those of a double as they lie in memory; None: there are fewer."""
+    field = batch.layout.fields.get(path)
+    if field is None or place >= field.size:
         return None
-    values, place = batch.column(indexed[1]), int(indexed[2])
-    return np.asarray(values[:, place], dtype=np.float64) if place < values.shape[1] else None
+    return np.asarray(batch.numbers(path, place), dtype=np.float64)
 
 
 def _of_joint(batch: Batch, source: Source) -> NDArray[np.float64] | None:
     names, path = batch.layout.texts.get("name", ()), source.field or "position"
-    if source.joint not in names or path not in batch.layout.fields:
-        return None
-    values, place = batch.column(path), names.index(source.joint)
-    return np.asarray(values[:, place], dtype=np.float64) if place < values.shape[1] else None
+    return _number(batch, path, names.index(source.joint)) if source.joint in names else None
 
 
 def only_number(batch: Batch) -> str | None:

@@ -11,7 +11,7 @@ import numpy as np
 from valve_sim.files.data_tables import TABLE_SUFFIXES
 from valve_sim.files.recording_map import QUANTITIES
 from valve_sim.model.drives import Drive
-from valve_sim.traces.clocks import SECOND, clock_offset
+from valve_sim.traces.clocks import SECOND, clock_offset, seconds_since
 from valve_sim.traces.command_dates import dates_by_voltage
 from valve_sim.traces.command_log import Commands, commands_by_logs
 from valve_sim.traces.errors import TraceError
@@ -29,8 +29,8 @@ from valve_sim.traces.layout import (
     topic_of,
     valves_among,
 )
-from valve_sim.traces.message_fields import field_values, has_stamp, missing_field
-from valve_sim.traces.message_fields import stamps as header_stamps
+from valve_sim.traces.long_columns import any_in
+from valve_sim.traces.message_fields import missing_field, stamps_of, values_of
 from valve_sim.traces.samples import Readings, Samples, in_order, is_broken
 from valve_sim.traces.storage import Recording, read_recording
 from valve_sim.traces.table_reading import read_table_trace, standard_map
@@ -45,7 +45,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from valve_sim.files.recording_map import RecordingMap, Source
-    from valve_sim.traces.cdr import Batch, Decoded
+    from valve_sim.traces.batches import Batch
+    from valve_sim.traces.cdr import Decoded
+    from valve_sim.traces.packed_times import PackedTimes
     from valve_sim.traces.topics import Fields
 
 ZERO_ERROR = 10e-6
@@ -119,13 +121,12 @@ class _Assembly:
         self.forget_positions()
         samples, shift, findings = in_order(samples, f"{self.path}: topic {self.samples_topic}", self.samples_topic)
         self.findings += findings
-        offset, findings = clock_offset(samples.stamps, samples.bag_times + shift, self.samples_topic)
+        offset, findings = clock_offset(samples.delays + shift if shift else samples.delays, self.samples_topic)
         self.findings += findings
         samples = self.with_main_from_elsewhere(samples, offset - shift)
         command_times, volts, errors = self.commands(offset - shift)
         epoch = int(min(command_times[0], samples.stamps[0]))
-        times = (samples.stamps - epoch) / SECOND
-        pilot, main = (np.ascontiguousarray(column) for column in samples.values.T)
+        times, pilot, main = seconds_since(epoch, samples.stamps), samples.pilot, samples.main
         del samples  # of a long recording all that is held twice is large
         signals = {name: found and found.beside(times) for name, found in self.signals(epoch, offset - shift).items()}
         outlet = signals["outlet_pressure"]
@@ -140,7 +141,7 @@ class _Assembly:
             drive_errors=errors,
             times=times,
             pilot_position=pilot,
-            main_position=None if not len(main) or np.isnan(main).any() else main,
+            main_position=None if not len(main) or any_in(len(main), lambda own: np.isnan(main[own])) else main,
             epoch_ns=epoch,
             clock=clock,
             outlet_start=start,
@@ -157,13 +158,13 @@ class _Assembly:
         if self.samples_topic not in {*needed, *self.plan.logs}:
             self.recording.topics.pop(self.samples_topic)
 
-    def decoded(self, source: Source) -> tuple[NDArray[np.int64], Decoded]:
+    def decoded(self, source: Source) -> tuple[PackedTimes, Decoded]:
         """Return bag times and numbers of a topic's messages, of which at least one must be readable."""
         topic = source.topic
         found = self.recording.topics.get(topic)
         if found is None:
             raise TraceError(f"{self.path}: topic {topic} holds no message; record it while the valve works")
-        times, decoded = found
+        count, decoded = found.size, found.decoded
         message_type = self.recording.types[topic]
         if decoded is None:
             raise TraceError(
@@ -172,13 +173,12 @@ class _Assembly:
             )
         if not decoded.batches:
             raise TraceError(
-                f"{self.path}: topic {topic}: none of {len(times)} messages can be read as {message_type}; "
-                "record it again"
+                f"{self.path}: topic {topic}: none of {count} messages can be read as {message_type}; record it again"
             )
         if topic not in self._reported:
             self._reported.add(topic)
-            self._report(topic, decoded, len(times))
-        return times, decoded
+            self._report(topic, decoded, count)
+        return found.bag_times, decoded
 
     def _report(self, topic: str, decoded: Decoded, count: int) -> None:
         if decoded.malformed:
@@ -190,29 +190,24 @@ class _Assembly:
         """Return what one source recorded, in SI; by default the first place of the quantity."""
         source = source or self.plan.sources[quantity]
         times, decoded = self.decoded(source)
-        values = np.full(len(times), np.nan)
-        stamps, is_stamped = times.copy(), np.zeros(len(times), dtype=bool)
-        without: Batch | None = None
-        for batch in decoded.batches:
-            found = field_values(batch, source)
-            if found is None:
-                without = batch
-            else:
-                values[batch.places] = found
-            if source.clock != "bag" and has_stamp(batch):
-                taken = header_stamps(batch)
-                # Model time begins at 0, where a sample may be; in other messages, 0 means that they were not stamped.
-                usable = np.full(len(taken), True) if quantity in POSITIONS else taken != 0
-                is_stamped[batch.places] = usable
-                stamps[batch.places] = np.where(usable, taken, stamps[batch.places])
-        if without is not None and np.isnan(values).all():
-            raise TraceError(self._no_field(source, without))
+        values = self.values(quantity, source)
+        # Model time begins at 0, where a sample may be; in other messages, 0 means that they were not stamped.
+        batches = () if source.clock == "bag" else decoded.batches
+        stamps, is_stamped = stamps_of(batches, times, may_be_zero=quantity in POSITIONS)
         if self.plan.map_path and source.clock == "header" and not is_stamped.any():
             raise TraceError(
                 f"{self.plan.map_path}: {quantity}: clock: header, but the messages of {source.topic} "
                 f"({self.recording.types[source.topic]}) have no stamp; use clock: bag"
             )
-        return Readings(times, stamps, is_stamped, source.to_si(values, QUANTITIES[quantity].dimension))
+        return Readings(times, stamps, is_stamped, values)
+
+    def values(self, quantity: str, source: Source) -> NDArray[np.float64]:
+        """Return the numbers of one source alone, (n,) in SI, NaN where a message has none; not to be changed."""
+        times, decoded = self.decoded(source)
+        values, without = values_of(decoded.batches, len(times), source)
+        if without is not None and np.isnan(values).all():
+            raise TraceError(self._no_field(source, without))
+        return source.to_si(values, QUANTITIES[quantity].dimension)
 
     def _no_field(self, source: Source, batch: Batch) -> str:
         found = missing_field(batch, source)
@@ -230,37 +225,44 @@ class _Assembly:
                 f"{topic_of(self.plan.valve, MEASURED)} is not in the bag: {topic} (a node's output) was taken instead"
             )
         pilot = self.readings("position")
-        values = np.full((len(pilot.values), 2), np.nan)
-        values[:, 0] = pilot.values
-        main = self.plan.sources.get("main_position")
-        if main is not None and main.topic == topic:
-            values[:, 1] = self.main_beside_pilot()
-        broken = is_broken(values)
+        source = self.plan.sources.get("main_position")
+        is_recorded = source is not None and source.topic == topic
+        count, delays = len(pilot.values), pilot.delays()
+        samples = Samples(pilot.stamps, delays, pilot.values, np.broadcast_to(np.nan, count))
+        if is_recorded:
+            samples = samples._replace(main=self.main_beside_pilot())
+        broken = is_broken(samples.pilot, samples.main)
         if broken.any():
-            self.findings.append(f"{topic}: {broken.sum()} positions are none, such as {values[broken][0]:.3g} m")
-            values = np.where(broken, np.nan, values)
-        finite = np.isfinite(values[:, 0])
+            where = int(np.argmax(broken.any(axis=0)))
+            first = (samples.pilot if broken[0, where] else samples.main)[where]
+            self.findings.append(f"{topic}: {broken.sum()} positions are none, such as {first:.3g} m")
+            without = (np.where(of_one, np.nan, column) for of_one, column in zip(broken, samples[2:], strict=True))
+            samples = Samples(pilot.stamps, delays, *without)
+        del broken
+        finite = np.isfinite(samples.pilot)
         if not finite.any():
             raise TraceError(
-                f"{self.path}: topic {topic}: no finite {PILOT} position in {len(values)} samples; "
-                "fill the position array"
+                f"{self.path}: topic {topic}: no finite {PILOT} position in {count} samples; fill the position array"
             )
         if not finite.all():
             self.findings.append(
-                f"{topic}: dropped {(~finite).sum()} of {len(values)} samples without a finite {PILOT} position"
+                f"{topic}: dropped {(~finite).sum()} of {count} samples without a finite {PILOT} position"
             )
-        values = self._main_positions(topic, values, is_recorded=main is not None and main.topic == topic)
-        finite &= np.isfinite(values[:, 1]) | np.isnan(values[:, 1]).all()
+        if is_recorded:
+            samples = samples._replace(main=self._main_positions(topic, samples.main))
+        is_left_out = np.isnan(samples.main)
+        finite &= True if is_left_out.all() else np.isfinite(samples.main)
         if not finite.any():
             raise TraceError(
                 f"{self.path}: topic {topic}: no sample has finite positions of {PILOT} and {MAIN}; record both"
             )
-        samples = Samples(pilot.stamps, pilot.bag_times, values).take(finite)
+        samples = samples.take(finite)
         if not pilot.is_stamped.any() and self.plan.map_path:
             return samples, "bag"
         if len(samples.stamps) > 1 and (samples.stamps == samples.stamps[0]).all():
             self.findings.append(f"{topic}: all header stamps are the same: samples are timed by bag time")
-            return samples._replace(stamps=samples.bag_times), "bag"
+            nothing = np.zeros_like(samples.stamps)
+            return samples._replace(stamps=samples.stamps + samples.delays, delays=nothing), "bag"
         return samples, "header"
 
     def in_their_place(self, quantity: str) -> tuple[Samples, str]:
@@ -287,18 +289,17 @@ class _Assembly:
             self.findings.append(
                 f"{source.topic}: dropped {(~finite).sum()} of {len(finite)} samples without a finite {what}"
             )
-        values = np.column_stack([found.values[finite], np.full(finite.sum(), np.nan)])
-        stamps = np.where(found.is_stamped, found.stamps, found.bag_times)[finite]
-        return Samples(stamps, found.bag_times[finite], values), "header" if found.is_stamped.any() else "bag"
+        samples = Samples(found.stamps, found.delays(), found.values, np.broadcast_to(np.nan, len(finite)))
+        return samples.take(finite), "header" if found.is_stamped.any() else "bag"
 
     def main_beside_pilot(self) -> NDArray[np.float64]:
         """Return the main plunger's positions in the messages that hold the pilot's; NaN where they do not."""
         try:
-            return self.readings("main_position").values
+            return self.values("main_position", self.plan.sources["main_position"])
         except TraceError:
             if self.plan.map_path:
                 raise
-            return np.full(len(self.recording.topics[self.samples_topic].times), np.nan)
+            return np.full(self.recording.topics[self.samples_topic].size, np.nan)
 
     def with_main_from_elsewhere(self, samples: Samples, offset: int) -> Samples:
         """Return samples with a main plunger that another topic has, by straight lines between its samples."""
@@ -309,23 +310,20 @@ class _Assembly:
         if signal is None:
             return samples
         times = (samples.stamps - samples.stamps[0]) / SECOND
-        values = samples.values.copy()
-        values[:, 1] = np.interp(times, signal.times, signal.values)
         self.findings.append(f"{main.topic}: {MAIN} was interpolated at the samples of {self.samples_topic}")
-        return samples._replace(values=values)
+        return samples._replace(main=np.interp(times, signal.times, signal.values))
 
-    def _main_positions(self, topic: str, values: NDArray[np.float64], *, is_recorded: bool) -> NDArray[np.float64]:
+    def _main_positions(self, topic: str, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """Drop the main plunger where too little of it is there; a few bad samples of it go with the sample."""
-        finite = np.isfinite(values[:, 1])
-        if finite.all() or not is_recorded:
-            return values
-        missing = int((~finite).sum())
+        missing = int(np.count_nonzero(~np.isfinite(values)))
         if missing > len(values) / 2:
             self.findings.append(
                 f"{topic}: {MAIN} has no position in {missing} of {len(values)} samples and was left out"
             )
-            return np.column_stack([values[:, 0], np.full(len(values), np.nan)])
-        self.findings.append(f"{topic}: dropped {missing} of {len(values)} samples without a finite {MAIN} position")
+            return np.broadcast_to(np.nan, len(values))
+        if missing:
+            words = f"dropped {missing} of {len(values)} samples without a finite {MAIN} position"
+            self.findings.append(f"{topic}: {words}")
         return values
 
     def commands(self, offset: int) -> tuple[NDArray[np.int64], NDArray[np.float64], DriveErrors | None]:
@@ -337,7 +335,7 @@ class _Assembly:
         topic = self.input.topic
         is_command = "command" in self.plan.sources
         found = self.readings("command" if is_command else "voltage")
-        times, volts = np.where(found.is_stamped, found.stamps, found.bag_times - offset), found.values
+        times, volts = found.times(offset), found.values
         what = "commands" if is_command else "samples"
         finite = np.isfinite(volts)
         if not finite.any():
@@ -383,8 +381,9 @@ class _Assembly:
             messages = self.recording.topics.get(topic)
             if messages is None or messages.decoded is None or not messages.decoded.batches:
                 continue
-            stamps = np.concatenate([header_stamps(batch) for batch in messages.decoded.batches])
-            volts = np.concatenate([np.ravel(batch.column("voltage")) for batch in messages.decoded.batches])
+            stamped = [(batch, batch.stamps) for batch in messages.decoded.batches if batch.stamps is not None]
+            stamps = np.concatenate([stamps.array() for _, stamps in stamped])
+            volts = np.concatenate([batch.numbers("voltage") for batch, _ in stamped])
             order = np.argsort(stamps, kind="stable")
             # The node's clock is the samples' clock, or the recorder's.
             logs += [Commands(stamps[order] - late, volts[order]) for late in {0, offset}]
@@ -441,4 +440,4 @@ class _Assembly:
             )
         if not finite.all():
             times, values = times[finite], values[finite]
-        return Signal((times - epoch) / SECOND, np.ascontiguousarray(values)) if len(times) else None
+        return Signal(seconds_since(epoch, times), np.ascontiguousarray(values)) if len(times) else None

@@ -189,7 +189,7 @@ def _read_by_rosbags(path: Path, select: Select, most: int | None) -> _Part:
 
 def _finished(readers: Mapping[str, TopicReader]) -> dict[str, Topic]:
     topics = {name: reader.topic() for name, reader in readers.items()}
-    return {name: topic for name, topic in topics.items() if len(topic.times)}
+    return {name: topic for name, topic in topics.items() if topic.size}
 
 
 def _storage_files(path: Path) -> list[Path]:

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from valve_sim.traces.long_columns import blocks, extent, filled, median_of
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -68,15 +70,18 @@ def sample_noise(position: Array) -> float:
     """Return the standard deviation of white noise on a position, m, from second differences (robust to motion)."""
     if len(position) < 4:
         return 0.0
-    return float(MAD_TO_SIGMA * np.median(np.abs(np.diff(position, 2))) / np.sqrt(6.0))
+    bends = filled(len(position) - 2, lambda own: np.abs(np.diff(position[own.start : own.stop + 2], 2)))
+    return float(MAD_TO_SIGMA * median_of(bends) / np.sqrt(6.0))
 
 
 def _smallest_change(position: Array) -> float:
     """Return the smallest change between samples, m: the step of a coarse sensor, next to 0 for a fine one."""
-    changes = np.abs(np.diff(position))
-    # Values on a grid come back with rounding errors of 1e-19 m, which are no steps.
-    changes = changes[changes > 1e-12]
-    return float(changes.min()) if len(changes) else 0.0
+    smallest = math.inf
+    for own in blocks(len(position) - 1):
+        changes = np.abs(np.diff(position[own.start : own.stop + 1]))
+        # Values on a grid come back with rounding errors of 1e-19 m, which are no steps.
+        smallest = min(smallest, float(changes[changes > 1e-12].min(initial=math.inf)))
+    return smallest if math.isfinite(smallest) else 0.0
 
 
 def motion_threshold(position: Array) -> float:
@@ -95,7 +100,10 @@ def medians_of_three(values: Array) -> Array:
 
 def largest_travel(position: Array) -> float:
     """Return the span of a position, m, without single outliers."""
-    return float(np.ptp(medians_of_three(position))) if len(position) else 0.0
+    if not len(position):
+        return 0.0
+    low, high = _extent(position)
+    return high - low
 
 
 def begins_stroke(before: float, volts: float) -> bool:
@@ -160,8 +168,9 @@ def _steps(times: Array, volts: Array) -> tuple[Sequence[float], Sequence[float]
 
 def _extent(position: Array) -> tuple[float, float]:
     """Return the closed and the open end of a trace's motion, m."""
-    smooth = medians_of_three(position)
-    return float(smooth.min()), float(smooth.max())
+    if len(position) < 3:
+        return float(position.min()), float(position.max())
+    return extent(len(position) - 2, lambda own: medians_of_three(position[own.start : own.stop + 2]))
 
 
 def _kind_of_step(old: float, new: float) -> str:

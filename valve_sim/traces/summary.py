@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from valve_sim.traces.clocks import find_gaps
+from valve_sim.traces.clocks import find_gaps, intervals, usual_interval
+from valve_sim.traces.long_columns import filled
 from valve_sim.traces.strokes import find_stroke_parts, sample_noise
 
 if TYPE_CHECKING:
@@ -86,16 +87,15 @@ class TraceSummary:
 def describe(trace: Trace) -> TraceSummary:
     """Sum up a trace for `valve-sim info`."""
     times = trace.sample_times
-    intervals = np.diff(times)
-    jitter = float(np.quantile(np.abs(intervals - np.median(intervals)), 0.99)) if len(intervals) else 0.0
+    gaps = find_gaps(times)
     return TraceSummary(
         source=trace.source,
         duration=float(times[-1] - times[0]),
         epoch_ns=trace.epoch_ns,
         clock=trace.clock,
         signals=_rates(trace),
-        jitter=jitter,
-        gaps=tuple(Gap(float(times[place]), float(intervals[place])) for place in find_gaps(times)),
+        jitter=_jitter(times) if len(times) > 1 else 0.0,
+        gaps=tuple(Gap(float(times[place]), float(times[place + 1] - times[place])) for place in gaps),
         commands=len(trace.drive.times),
         voltages=tuple(np.unique(trace.drive.volts).tolist()),
         position_range=_position_range(trace),
@@ -104,6 +104,12 @@ def describe(trace: Trace) -> TraceSummary:
         findings=trace.findings,
         judged=trace.judged,
     )
+
+
+def _jitter(times: NDArray[np.float64]) -> float:
+    usual = usual_interval(times)
+    deviations = filled(len(times) - 1, lambda own: np.abs(intervals(times, own) - usual))
+    return float(np.quantile(deviations, 0.99, overwrite_input=True))
 
 
 def _position_range(trace: Trace) -> tuple[float, float] | None:
@@ -134,5 +140,5 @@ def _rate(times: NDArray[np.float64]) -> Rate:
         return Rate(len(times), 0.0)
     edges = np.unique(np.linspace(0, len(times) - 1, RATE_BLOCKS + 1).astype(np.intp))
     rate = float(np.median(np.diff(edges) / np.diff(times[edges])))
-    usual = float(np.median(np.diff(times)))
+    usual = usual_interval(times)
     return Rate(len(times), rate, in_bursts=usual * rate * BURST_FACTOR < 1.0)

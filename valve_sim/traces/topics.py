@@ -8,6 +8,7 @@ import numpy as np
 
 from valve_sim.traces.cdr import Decoded, Decoder
 from valve_sim.traces.message_fields import definitions_of
+from valve_sim.traces.packed_times import PackedTimes
 from valve_sim.traces.salvage import ZSTD_MAGIC, unpack_zstd
 
 if TYPE_CHECKING:
@@ -26,12 +27,17 @@ class Topic(NamedTuple):
     """What was read of one topic.
 
     Attributes:
-        times: Bag times in ascending order, int64 ns, shape (n,).
+        bag_times: In ascending order, ns.
         decoded: The messages' numbers; None where nobody knows their type.
     """
 
-    times: NDArray[np.int64]
+    bag_times: PackedTimes
     decoded: Decoded | None
+
+    @property
+    def size(self) -> int:
+        """How many messages there are."""
+        return len(self.bag_times)
 
 
 class TopicReader:
@@ -43,16 +49,19 @@ class TopicReader:
 
     def __init__(self, decoder: Decoder | None) -> None:
         self._decoder = decoder
-        self._times = bytearray()
-        self.count = 0
+        self._times = PackedTimes()
         self._waiting: tuple[list[int], list[bytes]] = ([], [])
+
+    @property
+    def count(self) -> int:
+        """How many messages were decoded, or counted."""
+        return len(self._times)
 
     def take(
         self, times: NDArray[np.int64], raw: NDArray[np.uint8], starts: NDArray[np.int64], stops: NDArray[np.int64]
     ) -> None:
         """Take messages that lie in a block of bytes, with their bag times."""
-        self._times += times.tobytes()
-        self.count += len(times)
+        self._times.extend(times)
         if self._decoder is not None:
             self._decoder.take(raw, starts, stops)
 
@@ -65,11 +74,10 @@ class TopicReader:
             self._decode_waiting()
 
     def absorb(self, later: TopicReader) -> None:
-        """Add what another reader has read of the same topic after this one."""
+        """Add what another reader has read of the same topic after this one, which then holds nothing."""
         self._decode_waiting()
         later._decode_waiting()
-        self._times += later._times
-        self.count += later.count
+        self._times.absorb(later._times)
         if self._decoder is not None and later._decoder is not None:
             self._decoder.absorb(later._decoder)
 
@@ -80,25 +88,26 @@ class TopicReader:
     def topic(self) -> Topic:
         """Return all that was taken, in bag-time order."""
         self._decode_waiting()
-        times = np.frombuffer(self._times, np.int64)
         decoded = None if self._decoder is None else self._decoder.decoded()
-        if len(times) and (np.diff(times) < 0).any():
-            order = np.argsort(times, kind="stable")
-            times = times[order]
-            if decoded is not None:
-                rank = np.empty_like(order)
-                rank[order] = np.arange(len(order))
-                moved = tuple(batch._replace(places=rank[batch.places]) for batch in decoded.batches)
-                decoded = decoded._replace(batches=moved)
-        return Topic(times, decoded)
+        if self._times.is_ascending:
+            return Topic(self._times, decoded)
+        times = self._times.array()
+        order = np.argsort(times, kind="stable")
+        in_order = PackedTimes()
+        in_order.extend(times[order])
+        if decoded is not None:
+            rank = np.empty_like(order)
+            rank[order] = np.arange(len(order))
+            moved = tuple(batch._replace(where=rank[batch.where]) for batch in decoded.batches)
+            decoded = decoded._replace(batches=moved)
+        return Topic(in_order, decoded)
 
     def _decode_waiting(self) -> None:
         times, payloads = self._waiting
         if not times:
             return
         self._waiting = ([], [])
-        self._times += np.array(times, dtype=np.int64).tobytes()
-        self.count += len(times)
+        self._times.extend(np.array(times, dtype=np.int64))
         if self._decoder is not None:
             self._decoder.take_messages(payloads)
 
@@ -116,7 +125,8 @@ class TopicReaders:
     def __init__(
         self, path: Path, types: Mapping[str, str], keep: Fields | None = None, most: int | None = None
     ) -> None:
-        self._path, self._types, self._keep, self._most = path, types, keep or {}, most
+        self._path, self._types, self._most = path, types, most
+        self._keep: Fields = {} if keep is None else keep  # which may be filled later
         self.readers: dict[str, TopicReader] = {}
 
     def take(

@@ -52,7 +52,7 @@ def trouble_in(trace: Trace, positions: str, voltage: str) -> list[str]:
     times = trace.sample_times
     gaps = find_gaps(times)
     if len(gaps):
-        longest = float(np.diff(times).max())
+        longest = float((times[gaps + 1] - times[gaps]).max())
         findings.append(f"{positions}: {len(gaps)} gaps in the samples, the longest {longest:.6f} s")
     if not trace.drive.volts.any():
         findings.append(f"{voltage} never leaves 0 V")
@@ -60,7 +60,7 @@ def trouble_in(trace: Trace, positions: str, voltage: str) -> list[str]:
     beside = [f"{voltage}: no command falls into the time of the samples"] if is_beside else []
     if not trace.has_positions:
         return findings + beside
-    reach = float(np.abs(trace.pilot_position).max())
+    reach = float(max(abs(trace.pilot_position.min()), abs(trace.pilot_position.max())))
     if reach > LARGEST_POSITION:
         findings.append(f"{positions}: {PILOT} reaches {reach:.6g} m: positions must be in metres")
     travel = largest_travel(trace.pilot_position)
@@ -180,7 +180,7 @@ def _current(trace: Trace, parameters: ValveParameters) -> str:
     signal = trace.coil_current
     if signal is None or not len(signal.values) or not trace.drive.volts.any():
         return ""
-    highest = float(np.quantile(np.abs(signal.values), 0.999))
+    highest = float(np.quantile(np.abs(signal.values), 0.999, overwrite_input=True))
     expected = float(np.abs(trace.drive.volts).max()) / parameters.coil_resistance
     where = _where(trace, "current")
     words = f"expected about {expected:.3g} A (voltage by valve.coil_resistance {parameters.coil_resistance:g} Ω)"
