@@ -19,10 +19,8 @@ from valve_sim.identification.selection.hypotheses import (
     NEAR,
     SCATTER,
     Search,
-    effect_starts,
-    start_near_off,
-    starts_from_declared,
 )
+from valve_sim.identification.selection.starts import effect_starts, start_near_off, starts_from_declared
 from valve_sim.identification.selection.table import FitLog, Row
 from valve_sim.model import Parameter, SimulationError
 
@@ -400,6 +398,36 @@ def test_a_hypothesis_is_fitted_from_what_is_declared_too(monkeypatch: pytest.Mo
     search.fit(of("a"))
     assert kinds(search, "a")[-1] == "as declared"
     assert world.starts[-1] == ("a", {"a.size": -32.0}, ())
+
+
+def test_what_was_begun_from_what_is_declared_is_tried_from_everywhere_later(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = World({"": 300.0, "a": 90.0}, switches("ab"))
+    world.missed = lambda values: abs(values.get("a.size", 0.0) + 32.0)
+    search = searched(monkeypatch, world)
+    search.fit(of(""))
+    assert search.begin_from_declared([of("a"), of("b")], (0.0, 0.1)) == [of("a")]
+    assert kinds(search, "a") == ["as declared"]
+    assert not search.is_tried(of("a"))
+    search.fit_each([of("a"), of("b")], (0.1, 0.3))
+    assert kinds(search, "a") == ["as declared", "sizes", "sizes", "as declared"]
+    assert search.is_tried(of("a"))
+
+
+def test_beside_what_explains_all_others_start_near_off_from_where_that_left_all_else(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Those that can still come near are carried on; the limit is a score."""
+    world = World({"": 300.0, "a": 90.0, "b": 95.0, "c": 99.0}, switches("abcd"), unfinished="bc", stuck="c")
+    world.fails = lambda start: "d.size" in start
+    search = searched(monkeypatch, world)
+    search.fit(of("a"))
+    search.fit_beside(of("a"), [of(key) for key in "bcd"], 97.0, (0.1, 0.3))
+    (start,) = {tuple(start.items()) for key, start, _ in world.starts if key == "c"}
+    left = search.log[of("a")].values
+    assert dict(start) == {"at": 90.0, "gain": left["gain"], "c.size": 0.1}
+    assert (kinds(search, "b"), kinds(search, "c")) == (["beside the best", "continued"], ["beside the best"])
+    assert [search.is_tried(of(key)) for key in "bcd"] == [True, True, True]
+    assert search.untried == ["D"]
 
 
 def test_of_equal_fits_the_one_without_a_parameter_on_its_bound_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:

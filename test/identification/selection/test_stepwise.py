@@ -152,6 +152,26 @@ def test_an_effect_that_the_plant_points_at_is_not_polished_where_nothing_is_nea
     assert choose(found.table()) == of("a")
 
 
+@pytest.mark.parametrize("short_step", [1e-3, None])
+@pytest.mark.parametrize("explains", [True, False])
+def test_with_gas_what_explains_all_from_what_is_declared_judges_the_others(
+    monkeypatch: pytest.MonkeyPatch, short_step: float | None, *, explains: bool
+) -> None:
+    """Else, and without gas, every effect is tried from every start."""
+    white = {"a": 1.0} if explains else {}
+    world = World({"": 9000.0, "a": 100.0, "b": 120.0}, switches("abc"), white=white)
+    world.missed = lambda values: abs(values.get("a.size", 0.0) - 16.0)
+    world.problem.plant.short_step, world.problem.plant.channels = short_step, []
+    found = explored(world, monkeypatch)
+    first = dict.fromkeys(key for key, _ in rows(found) if len(key) == 1)
+    kinds = {key: {kind for own, kind in rows(found) if own == key} for key in first}
+    if explains and short_step:
+        assert kinds == {"a": {"as declared"}, "b": {"beside the best"}, "c": {"beside the best"}}
+    else:
+        assert all("sizes" in kinds[key] for key in "abc")
+    assert not found.singles_untried()
+
+
 @pytest.mark.parametrize(
     ("p_value", "gain", "is_enough"),
     [(HINT, DECISIVE, True), (0.99 * HINT, DECISIVE, False), (1.0, DECISIVE + 0.1, False)],

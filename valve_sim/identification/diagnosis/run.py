@@ -28,7 +28,8 @@ from valve_sim.identification.plants.stroke_choice import choose_strokes
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.selection.current_check import current_noise_inflation
 from valve_sim.identification.selection.held_out import HeldOut
-from valve_sim.identification.selection.hypotheses import Progress, Search, start_near_off
+from valve_sim.identification.selection.hypotheses import Progress, Search
+from valve_sim.identification.selection.starts import start_near_off
 from valve_sim.identification.selection.stepwise import Exploration
 from valve_sim.identification.selection.table import Hypothesis
 from valve_sim.model import SimulationError, Valve

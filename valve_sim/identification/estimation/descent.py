@@ -18,10 +18,10 @@ from valve_sim.identification.plants.protocol import (
     Array,
     Direction,
     Nuisance,
-    ShortSteps,
     from_internal,
     internal_bounds,
     internal_scale,
+    short_step_of,
     to_internal,
     value_slope,
 )
@@ -124,7 +124,7 @@ class Descent:
         self.upper = np.array([high for _, high in bounds])
         scales = [internal_scale(parameter) for parameter in self.parameters]
         self.steps = np.array([DIFFERENCE * s for s in scales] + [n.step for n in nuisances])
-        short = problem.plant.short_step if isinstance(problem.plant, ShortSteps) else None
+        short = short_step_of(problem.plant)
         self._reuses = len(nuisances) > FEW and short is None
         self._short_steps = {} if short is None else {index: short * size for index, size in enumerate(scales)}
         self.prior = np.array([0.0] * len(free) + [1.0 / n.sigma**2 for n in nuisances])

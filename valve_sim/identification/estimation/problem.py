@@ -71,6 +71,15 @@ class Problem:
         """The same data and noise with other samples taking part."""
         return Problem(self.plant, takes_part, self.noises, self.budget)
 
+    def without_stroke(self, recording: int, group: int) -> Problem:
+        """The same with one stroke less taking part."""
+
+        def takes_part(index: int, groups: NDArray[np.int64]) -> NDArray[np.bool_]:
+            is_other = self.plant.channels[index].recording != recording
+            return np.asarray((self.weight(index) > 0.0) & (is_other | (groups != group)))
+
+        return self.restricted(takes_part)
+
     def with_inflated_noise(self, kind: str, factor: float) -> Problem:
         """The same with the noise of one kind of channel multiplied by a factor."""
         inflated = {

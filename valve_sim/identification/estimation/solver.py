@@ -14,7 +14,7 @@ from valve_sim.identification.estimation.gram import sum_squares
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit, MachineKnowledge, Rows
 from valve_sim.identification.estimation.smoothing import Smoothness
-from valve_sim.identification.plants.protocol import Array, Nuisance, ShortSteps
+from valve_sim.identification.plants.protocol import Array, Nuisance, short_step_of
 
 FAR: Final = 100.0
 """χ² of a sample, 10 σ, beyond which declared values are held at first. Of ten recordings of valves with gas every fit
@@ -79,27 +79,31 @@ def _from_start(
     search = kind(problem, *of_fit)
     if isinstance(start, Fit):
         return search, search.descend(start.coordinates, math.inf, effort, start)
-    at = search.start(start if effort.is_near else _nearer(kind, problem, of_fit, start))
+    at = search.start(start if effort.is_near else _nearer(kind, problem, of_fit, start, effort))
     for scale in effort.robust:
         at = search.descend(at, scale).at
     return search, search.descend(at, math.inf, effort)
 
 
-def _nearer(kind: type[Descent], problem: Problem, of_fit: _OfFit, start: Mapping[str, float]) -> Mapping[str, float]:
+def _nearer(
+    kind: type[Descent], problem: Problem, of_fit: _OfFit, start: Mapping[str, float], effort: Effort
+) -> Mapping[str, float]:
     """A start, or one from which far less is left of the data.
 
     Against errors of many times the noise no tolerance counts: steps far beyond what is linear would take declared
     values to their bounds, from where none leads back. So all else is fitted first. With gas dampings are held as well,
     until the declared values have been fitted, too: a plunger that creeps open delays the pressure as a smaller orifice
-    or a larger volume would, and from there none leads back either.
+    or a larger volume would, and from there none leads back either. Before a trial they are trials as well, or would
+    take most of its time.
     """
     free, estimated, fixed, prior = of_fit
     declared = {own.name: start.get(own.name, own.mean) for own in estimated if own.is_of_machine}
     if not declared or isinstance(prior, MachineKnowledge):
         return start
-    plant, far, dampings = problem.plant, FAR, dict[str, float]()
-    if isinstance(plant, ShortSteps) and plant.short_step:
-        far, dampings = FAR_WITH_GAS, {name: start.get(name, plant.declared(name)) for name in plant.base}
+    plant, far, dampings, until = problem.plant, FAR, dict[str, float](), WHOLE
+    if short_step_of(plant):
+        far, until = FAR_WITH_GAS, Effort(most=effort.most)
+        dampings = {name: start.get(name, plant.declared(name)) for name in plant.base}
         dampings = {name: value for name, value in dampings.items() if name in free}
     rest = tuple(name for name in free if name not in dampings)
     others = tuple(own for own in estimated if not own.is_of_machine)
@@ -108,11 +112,11 @@ def _nearer(kind: type[Descent], problem: Problem, of_fit: _OfFit, start: Mappin
     residuals = first.residuals(at)
     if residuals is None or sum_squares(residuals) <= far * problem.variance_inflation * problem.effective_samples:
         return start
-    nearer = {**start, **first.values(first.descend(at, math.inf).at)}
+    nearer = {**start, **first.values(first.descend(at, math.inf, until).at)}
     if not dampings:
         return nearer
     then = kind(problem, rest, estimated, {**fixed, **dampings}, prior)
-    return {**nearer, **then.values(then.descend(then.start(nearer), math.inf).at)}
+    return {**nearer, **then.values(then.descend(then.start(nearer), math.inf, until).at)}
 
 
 def _jacobian_of(problem: Problem, of_fit: _OfFit, at: Array, left: Rows) -> Array:

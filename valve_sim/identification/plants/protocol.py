@@ -20,8 +20,6 @@ Array = NDArray[np.float64]
 
 SMALL_MOVE: Final = 0.05
 """Prior scales of a parameter: a perturbation that shows in which direction it changes the residual."""
-
-
 RELEASED: Final = 10.0
 """Tolerances by which a declared value is expected to be off, if it is wrong: theory, eq. (82)."""
 FARTHEST: Final = 20.0
@@ -381,6 +379,11 @@ class ShortSteps(Protocol):
     @property
     def short_step(self) -> float | None:
         """Step to try before the usual one, in prior scales; None: the usual one serves."""
+
+
+def short_step_of(plant: Plant) -> float | None:
+    """Its short step, which only valves with gas have."""
+    return plant.short_step if isinstance(plant, ShortSteps) else None
 
 
 def _is_logarithmic(parameter: Parameter) -> bool:

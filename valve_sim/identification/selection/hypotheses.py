@@ -6,6 +6,7 @@ the best row of a hypothesis is its fit, so that asking twice costs nothing.
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -24,26 +25,20 @@ from valve_sim.identification.plants.protocol import (
     from_internal,
     internal_bounds,
     internal_scale,
-    to_internal,
+    strokes_of_plant,
+)
+from valve_sim.identification.selection.starts import (
+    effect_starts,
+    robust_cost,
+    start_nearby,
+    starts_from_declared,
+    starts_of_other_shapes,
 )
 from valve_sim.identification.selection.table import FitLog, Hypothesis, Row
 from valve_sim.model import SimulationError
-from valve_sim.model.parameters import Parameter
 
-SMALL, LARGE = 0.05, (0.5, 1.5, 3.0)
-"""Starts, in prior scales of a parameter: one near off, which follows the gradient, and some far from it."""
-FROM_DECLARED: Final = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
-"""The same where all else is as declared: a strong effect that is left out bends all else away from there."""
-BETWEEN: Final = math.sqrt(2.0)
-"""Factor by which the best of these is then refined."""
-EXPLAINS: Final = 2.0 / 3.0
-"""Cost with an effect over that without, both with all else as declared, below which a fit starts from there, too."""
-SHAPES: Final = (1.0, 0.2, 5.0)
-"""Likewise for parameters that shape an effect but do not switch it."""
 ANNEALING: Final = (100.0, 20.0, 5.0)
 """σ: scales of the Cauchy loss, theory, eq. (30), that lead a fit with impacts out of local minima."""
-ROBUST: Final = 20.0
-"""σ: scale of the cost by which starts are ranked, so that one impact at another time does not decide."""
 RIVALS: Final = 4
 """Of fits side by side, those that cannot come near this many best are given up."""
 NEAR, NEAR_SHARE = 100.0, 0.05
@@ -112,7 +107,7 @@ class Search:
             fractions: of the diagnosis that are done before and after.
         """
         before, after = fractions
-        settled = {*self.log.best, *self._impossible}
+        settled = ({*self.log.best} - self._on_trial) | self._impossible
         new = [hypothesis for hypothesis in dict.fromkeys(hypotheses) if hypothesis not in settled]
         done = {hypothesis: index / len(new) for index, hypothesis in enumerate(new)}
         self.log.expect(new)
@@ -146,6 +141,71 @@ class Search:
         # The score is χ² and what the parameters cost.
         effort = Effort(goal=limit * self.problem.variance_inflation, is_near=True)
         self._fit_from(hypotheses, lambda effect: start_nearby(effects[effect]), effort, fractions)
+
+    def begin_from_declared(self, hypotheses: Sequence[Hypothesis], fractions: tuple[float, float]) -> list[Hypothesis]:
+        """Begin hypotheses of one effect each from where all else is as declared: the best few that explain much there.
+
+        Returns:
+            those begun; of each only this start was tried.
+        """
+        before, after = fractions
+        effects, starts = self.problem.plant.effects, []
+        for index, hypothesis in enumerate(hypotheses):
+            self.say(str(hypothesis), before + (after - before) * index / len(hypotheses))
+            found = starts_from_declared(self.problem, effects[hypothesis.effects[0]], {})
+            starts += [(robust_cost(self.problem, start), hypothesis, start) for start in found]
+        begun = sorted(starts, key=lambda one: one[0])[:RIVALS]
+        self.log.expect([hypothesis for _, hypothesis, _ in begun])
+        for _, hypothesis, start in begun:
+            self._on_trial.add(hypothesis)
+            self._append(hypothesis, "as declared", start)
+        return [hypothesis for _, hypothesis, _ in begun if hypothesis in self.log]
+
+    def leave_strokes_out(self, hypothesis: Hypothesis) -> None:
+        """Fit again from where the best fit goes if strokes are left out, each in turn.
+
+        A main plunger that lifts in the model and not in the data, or the other way round, holds all values where it
+        does so, and no derivative shows that it might not.
+        """
+        free, nuisances = self.free_names(hypothesis), self.problem.plant.nuisances
+        for recording, group in strokes_of_plant(self.problem.plant):
+            others = self.problem.without_stroke(recording, group)
+            with contextlib.suppress(SimulationError):
+                left = fit(others, free, self.log[hypothesis].values, nuisances=nuisances)
+                self._append(hypothesis, "a stroke left out", left.values)
+
+    def fit_beside(
+        self, best: Hypothesis, hypotheses: Sequence[Hypothesis], limit: float, fractions: tuple[float, float]
+    ) -> None:
+        """Fit hypotheses of one effect each, from near off and from where another, which explains all, left all else.
+
+        What may stand in its place has to come to a score S as well, and is given up where it cannot any more. The
+        declared model is no place to start from: refitted without what explains all it may be far off.
+        """
+        before, after = fractions
+        effects, own = self.problem.plant.effects, self.free_names(best)
+        warm = {name: value for name, value in self.log[best].values.items() if name not in own or name in self._base}
+        goal = limit * self.problem.variance_inflation  # the score is χ² and what the parameters cost
+        done = {hypothesis: index / len(hypotheses) for index, hypothesis in enumerate(hypotheses)}
+        self.log.expect(hypotheses)
+
+        def work(hypothesis: Hypothesis) -> None:
+            self._on_trial.add(hypothesis)
+            effect = effects[hypothesis.effects[0]]
+            start = warm if effect.is_declared_value else {**warm, **start_nearby(effect)}
+            self._append(hypothesis, "beside the best", start, Effort(goal=goal, most=TRIAL))
+            if hypothesis in self.log:
+                self._continue(hypothesis, limit)
+            else:
+                self._impossible.add(hypothesis)
+            self._on_trial.discard(hypothesis)
+
+        try:
+            run_parallel(work, hypotheses, lambda h: self.say(str(h), before + (after - before) * done[h]))
+        finally:
+            self._on_trial.discard(best)
+            self.untried.extend(str(one) for one in hypotheses if not self.is_tried(one) or one in self._impossible)
+        self.log.drop_derivatives(KEPT)
 
     def _fit_from(
         self,
@@ -191,14 +251,18 @@ class Search:
             raise SimulationError(f"{hypothesis}: the model cannot be simulated from any start of the fit")
 
     def _end(self, hypothesis: Hypothesis, limit: float) -> None:
-        """Go on with fits that have not converged and may come near a score S, the best first; then try more shapes."""
+        """Go on with fits as below; then try more shapes."""
+        self._continue(hypothesis, limit)
+        self._try_shapes(hypothesis, limit)
+        self._on_trial.discard(hypothesis)
+
+    def _continue(self, hypothesis: Hypothesis, limit: float) -> None:
+        """Go on with fits that have not converged and may come near a score S, the best first."""
         begun = [row.fit for row in self.log.rows_of(hypothesis) if not row.fit.converged]
         for found in sorted(begun, key=lambda one: one.chi2):
             goal = self._goal(hypothesis, limit)
             if found.reach <= min(goal, self.log[hypothesis].chi2):
                 self._append(hypothesis, "continued", found, Effort(goal=goal, made=TRIAL))
-        self._try_shapes(hypothesis, limit)
-        self._on_trial.discard(hypothesis)
 
     def _try_shapes(self, hypothesis: Hypothesis, limit: float) -> None:
         """Start from other shapes of the effect that is added, where its shape was lost."""
@@ -207,8 +271,7 @@ class Search:
         effect, smaller = self._origin(hypothesis)
         if _has_lost_its_shape(self.log[hypothesis], effect):
             warm = self.fit(smaller).values
-            for shape in SHAPES:
-                start = _start(effect, [SMALL] * len(effect.parameters), shape)
+            for start in starts_of_other_shapes(effect):
                 self._append(hypothesis, "shapes", {**warm, **start}, Effort(goal=self._goal(hypothesis, limit)))
 
     def _goal(self, hypothesis: Hypothesis, limit: float) -> float:
@@ -313,76 +376,6 @@ class Search:
             return
 
 
-def effect_starts(problem: Problem, effect: EffectChoice, warm: Mapping[str, float]) -> list[dict[str, float]]:
-    """Where to start an effect's parameters from: near off, and the best of some larger sizes and other shapes."""
-    if effect.is_declared_value:
-        # Its tolerance has let it move already; there the smaller hypothesis has left it.
-        return [{}]
-    near = [] if _is_saddle(effect) else [start_near_off(effect)]
-    amplitudes = [parameter.off is not None for parameter in effect.parameters]
-    choices = [
-        _sizes(parameter) if is_amplitude else (1.0,)
-        for parameter, is_amplitude in zip(effect.parameters, amplitudes, strict=True)
-    ]
-    combinations = (
-        list(itertools.product(*choices)) if sum(amplitudes) <= 2 else [(size,) * len(choices) for size in LARGE]
-    )
-    shapes = SHAPES if not all(amplitudes) else SHAPES[:1]
-    far = [_start(effect, sizes, shape) for sizes in combinations for shape in shapes]
-
-    def cost(start: Mapping[str, float]) -> float:
-        return _robust_cost(problem, {**warm, **start})
-
-    return near + sorted(far, key=cost)[: 1 if near and sum(amplitudes) == 1 else 2]
-
-
-def starts_from_declared(problem: Problem, effect: EffectChoice, known: Mapping[str, float]) -> list[dict[str, float]]:
-    """A start with all but effects as declared, where a further effect explains much from there; else none.
-
-    A model that lacks a strong effect is refitted to dampings of 0 and values that its tolerances make incredible, and
-    from there even the true size of the effect does not lead back.
-
-    Args:
-        problem: what is fitted. effect: what is added. known: values of the effects that it is added to.
-    """
-    switches = [parameter for parameter in effect.parameters if parameter.off is not None]
-    if effect.is_declared_value or not switches:
-        return []
-    is_two_sided = len(switches) == 1 and _is_two_sided(switches[0])
-    shapes = SHAPES if len(switches) < len(effect.parameters) else SHAPES[:1]
-
-    def start(size: float, shape: float) -> dict[str, float]:
-        return {**known, **_start(effect, [size] * len(effect.parameters), shape)}
-
-    def best_of(choices: Iterable[tuple[float, float]]) -> tuple[float, tuple[float, float]]:
-        return min((_robust_cost(problem, start(*choice)), choice) for choice in choices)
-
-    signs = (1.0, -1.0) if is_two_sided else (1.0,)
-    coarse = best_of(itertools.product([sign * size for sign in signs for size in FROM_DECLARED], shapes))
-    most = EXPLAINS * _robust_cost(problem, known)
-    size, shape = coarse[1]
-    least, choice = min(coarse, best_of([(size / BETWEEN, shape), (size * BETWEEN, shape)]))
-    return [start(*choice)] if least < most else []
-
-
-def _robust_cost(problem: Problem, values: Mapping[str, float]) -> float:
-    try:
-        residuals = problem.residuals(values)
-    except SimulationError:
-        return math.inf
-    return float(np.sum(np.log1p(np.square(residuals / ROBUST))))
-
-
-def start_near_off(effect: EffectChoice) -> dict[str, float]:
-    """Its parameters where the effect is all but off."""
-    return _start(effect, [SMALL] * len(effect.parameters), 1.0)
-
-
-def start_nearby(effect: EffectChoice) -> dict[str, float]:
-    """The same, but far enough from off where the gradient vanishes there."""
-    return _start(effect, [LARGE[0] if _is_saddle(effect) else SMALL] * len(effect.parameters), 1.0)
-
-
 def _has_lost_its_shape(result: Fit, effect: EffectChoice) -> bool:
     """Whether a parameter that shapes an effect has run to a bound, where its gradient vanishes.
 
@@ -392,35 +385,3 @@ def _has_lost_its_shape(result: Fit, effect: EffectChoice) -> bool:
         parameter.off is None and result.on_bound(effect.free_name(parameter)) is not None
         for parameter in effect.parameters
     )
-
-
-def _is_saddle(effect: EffectChoice) -> bool:
-    """Whether the gradient vanishes where the effect is off, so that a start there would stay."""
-    return any(parameter.off is not None and math.isinf(parameter.off) for parameter in effect.parameters)
-
-
-def _sizes(parameter: Parameter) -> list[float]:
-    return [sign * size for size in LARGE for sign in ((1.0, -1.0) if _is_two_sided(parameter) else (1.0,))]
-
-
-def _is_two_sided(parameter: Parameter) -> bool:
-    lower, upper = internal_bounds(parameter)
-    return parameter.off is not None and lower < to_internal(parameter, parameter.off) < upper
-
-
-def _start(effect: EffectChoice, sizes: Sequence[float], shape: float) -> dict[str, float]:
-    return {
-        effect.free_name(parameter): _start_value(parameter, size, shape)
-        for parameter, size in zip(effect.parameters, sizes, strict=True)
-    }
-
-
-def _start_value(parameter: Parameter, size: float, shape: float) -> float:
-    if parameter.off is None:
-        return min(max(parameter.prior_scale * shape, parameter.lower), parameter.upper)
-    lower, upper = internal_bounds(parameter)
-    off = to_internal(parameter, parameter.off)
-    at = off + size * internal_scale(parameter)
-    if not lower <= at <= upper:
-        at = off - size * internal_scale(parameter)
-    return from_internal(parameter, min(max(at, lower), upper))

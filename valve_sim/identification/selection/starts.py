@@ -1,0 +1,142 @@
+"""Where a fit of a hypothesis starts the parameters of the effect that it adds: near off, far from it, as declared."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Final
+
+import numpy as np
+
+from valve_sim.identification.estimation.problem import Problem
+from valve_sim.identification.plants.protocol import (
+    EffectChoice,
+    from_internal,
+    internal_bounds,
+    internal_scale,
+    to_internal,
+)
+from valve_sim.model import SimulationError
+from valve_sim.model.parameters import Parameter
+
+SMALL, LARGE = 0.05, (0.5, 1.5, 3.0)
+"""Starts, in prior scales of a parameter: one near off, which follows the gradient, and some far from it."""
+FROM_DECLARED: Final = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
+"""The same where all else is as declared: a strong effect that is left out bends all else away from there."""
+BETWEEN: Final = math.sqrt(2.0)
+"""Factor by which the best of these is then refined."""
+EXPLAINS: Final = 2.0 / 3.0
+"""Cost with an effect over that without, both with all else as declared, below which a fit starts from there, too."""
+SHAPES: Final = (1.0, 0.2, 5.0)
+"""Likewise for parameters that shape an effect but do not switch it."""
+ROBUST: Final = 20.0
+"""σ: scale of the cost by which starts are ranked, so that one impact at another time does not decide."""
+
+
+def effect_starts(problem: Problem, effect: EffectChoice, warm: Mapping[str, float]) -> list[dict[str, float]]:
+    """Where to start an effect's parameters from: near off, and the best of some larger sizes and other shapes."""
+    if effect.is_declared_value:
+        # Its tolerance has let it move already; there the smaller hypothesis has left it.
+        return [{}]
+    near = [] if _is_saddle(effect) else [start_near_off(effect)]
+    amplitudes = [parameter.off is not None for parameter in effect.parameters]
+    choices = [
+        _sizes(parameter) if is_amplitude else (1.0,)
+        for parameter, is_amplitude in zip(effect.parameters, amplitudes, strict=True)
+    ]
+    combinations = (
+        list(itertools.product(*choices)) if sum(amplitudes) <= 2 else [(size,) * len(choices) for size in LARGE]
+    )
+    shapes = SHAPES if not all(amplitudes) else SHAPES[:1]
+    far = [_start(effect, sizes, shape) for sizes in combinations for shape in shapes]
+
+    def cost(start: Mapping[str, float]) -> float:
+        return robust_cost(problem, {**warm, **start})
+
+    return near + sorted(far, key=cost)[: 1 if near and sum(amplitudes) == 1 else 2]
+
+
+def starts_from_declared(problem: Problem, effect: EffectChoice, known: Mapping[str, float]) -> list[dict[str, float]]:
+    """A start with all but effects as declared, where a further effect explains much from there; else none.
+
+    A model that lacks a strong effect is refitted to dampings of 0 and values that its tolerances make incredible, and
+    from there even the true size of the effect does not lead back.
+
+    Args:
+        problem: what is fitted. effect: what is added. known: values of the effects that it is added to.
+    """
+    switches = [parameter for parameter in effect.parameters if parameter.off is not None]
+    if effect.is_declared_value or not switches:
+        return []
+    is_two_sided = len(switches) == 1 and _is_two_sided(switches[0])
+    shapes = SHAPES if len(switches) < len(effect.parameters) else SHAPES[:1]
+
+    def start(size: float, shape: float) -> dict[str, float]:
+        return {**known, **_start(effect, [size] * len(effect.parameters), shape)}
+
+    def best_of(choices: Iterable[tuple[float, float]]) -> tuple[float, tuple[float, float]]:
+        return min((robust_cost(problem, start(*choice)), choice) for choice in choices)
+
+    signs = (1.0, -1.0) if is_two_sided else (1.0,)
+    coarse = best_of(itertools.product([sign * size for sign in signs for size in FROM_DECLARED], shapes))
+    most = EXPLAINS * robust_cost(problem, known)
+    size, shape = coarse[1]
+    least, choice = min(coarse, best_of([(size / BETWEEN, shape), (size * BETWEEN, shape)]))
+    return [start(*choice)] if least < most else []
+
+
+def robust_cost(problem: Problem, values: Mapping[str, float]) -> float:
+    """By which starts are ranked; infinite where the model cannot be simulated."""
+    try:
+        residuals = problem.residuals(values)
+    except SimulationError:
+        return math.inf
+    return float(np.sum(np.log1p(np.square(residuals / ROBUST))))
+
+
+def start_near_off(effect: EffectChoice) -> dict[str, float]:
+    """Its parameters where the effect is all but off."""
+    return _start(effect, [SMALL] * len(effect.parameters), 1.0)
+
+
+def start_nearby(effect: EffectChoice) -> dict[str, float]:
+    """The same, but far enough from off where the gradient vanishes there."""
+    return _start(effect, [LARGE[0] if _is_saddle(effect) else SMALL] * len(effect.parameters), 1.0)
+
+
+def starts_of_other_shapes(effect: EffectChoice) -> list[dict[str, float]]:
+    """Its parameters near off, in each shape."""
+    return [_start(effect, [SMALL] * len(effect.parameters), shape) for shape in SHAPES]
+
+
+def _is_saddle(effect: EffectChoice) -> bool:
+    """Whether the gradient vanishes where the effect is off, so that a start there would stay."""
+    return any(parameter.off is not None and math.isinf(parameter.off) for parameter in effect.parameters)
+
+
+def _sizes(parameter: Parameter) -> list[float]:
+    return [sign * size for size in LARGE for sign in ((1.0, -1.0) if _is_two_sided(parameter) else (1.0,))]
+
+
+def _is_two_sided(parameter: Parameter) -> bool:
+    lower, upper = internal_bounds(parameter)
+    return parameter.off is not None and lower < to_internal(parameter, parameter.off) < upper
+
+
+def _start(effect: EffectChoice, sizes: Sequence[float], shape: float) -> dict[str, float]:
+    return {
+        effect.free_name(parameter): _start_value(parameter, size, shape)
+        for parameter, size in zip(effect.parameters, sizes, strict=True)
+    }
+
+
+def _start_value(parameter: Parameter, size: float, shape: float) -> float:
+    if parameter.off is None:
+        return min(max(parameter.prior_scale * shape, parameter.lower), parameter.upper)
+    lower, upper = internal_bounds(parameter)
+    off = to_internal(parameter, parameter.off)
+    at = off + size * internal_scale(parameter)
+    if not lower <= at <= upper:
+        at = off - size * internal_scale(parameter)
+    return from_internal(parameter, min(max(at, lower), upper))
