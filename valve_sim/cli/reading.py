@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -46,7 +47,8 @@ def read_recordings(bags: Sequence[Path], name: str | None, valve: Valve) -> lis
 
     traces, recording_map = [], chosen_map()
     for bag in bags:
-        trace = read_trace(bag, name, recording_map)
+        # No fit or check asks for the main plunger, and of a long recording it is large.
+        trace = replace(read_trace(bag, name, recording_map), main_position=None)
         refuse_doubtful_units(trace, valve.parameters)
         for finding in trace.findings:
             click.echo(shown(f"valve-sim: {bag}: {finding}"), err=True)

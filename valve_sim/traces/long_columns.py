@@ -5,7 +5,7 @@ What is worked out sample by sample is worked out a block at a time, and is to t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
 import numpy as np
@@ -52,3 +52,29 @@ def extent(count: int, part: Part) -> tuple[float, float]:
     """Return the lowest and the highest of so many values, n > 0, of which a function returns each part."""
     ends = [(float(found.min()), float(found.max())) for found in map(part, blocks(count))]
     return min(low for low, _ in ends), max(high for _, high in ends)
+
+
+def largest_size(values: Array) -> float:
+    """Return the largest absolute value, 0 of none."""
+    return float(max(abs(values.min()), abs(values.max()))) if len(values) else 0.0
+
+
+def repeated_levels(columns: Sequence[Array]) -> Array:
+    """Return the different values, ascending, rounded to 12 digits behind the point; none where few values repeat.
+
+    Those are more than half as many as there are values.
+    """
+    values, start = np.empty(sum(map(len, columns))), 0
+    for column in columns:
+        np.round(column, 12, out=values[start : start + len(column)])
+        start += len(column)
+    values.sort()
+    steps = max(len(values) - 1, 0)
+
+    def is_new(own: slice) -> NDArray[np.bool_]:
+        return np.not_equal(values[own.start + 1 : own.stop + 1], values[own])
+
+    count = 1 + sum(int(np.count_nonzero(is_new(own))) for own in blocks(steps))
+    if count > 0.5 * len(values):
+        return np.empty(0)
+    return np.take(values, np.concatenate([[0], places_in(steps, is_new) + 1]))

@@ -118,10 +118,13 @@ def stroke_starts(drive: Drive) -> IntArray:
     return np.flatnonzero(starts).astype(np.int64)
 
 
-def stroke_numbers(drive: Drive, times: Array) -> IntArray:
+def stroke_numbers(drive: Drive, times: Array) -> NDArray[np.int32]:
     """(n,) which stroke each time belongs to, from 0 on; what comes before the first belongs to it."""
     starts = drive.times[stroke_starts(drive)]
-    return np.maximum(np.searchsorted(starts, times, side="right") - 1, 0).astype(np.int64)
+    found = np.empty(len(times), dtype=np.int32)
+    for own in blocks(len(times)):
+        found[own] = np.maximum(np.searchsorted(starts, times[own], side="right") - 1, 0)
+    return found
 
 
 def command_strokes(drive: Drive) -> list[tuple[float, float]]:

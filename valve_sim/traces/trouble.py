@@ -10,6 +10,7 @@ from valve_sim.model.core_types import Phase
 from valve_sim.model.drives import Drive
 from valve_sim.traces.clocks import find_gaps
 from valve_sim.traces.errors import TraceError
+from valve_sim.traces.long_columns import largest_size
 from valve_sim.traces.strokes import SMALLEST_MOTION, largest_travel, motion_threshold
 
 if TYPE_CHECKING:
@@ -60,7 +61,7 @@ def trouble_in(trace: Trace, positions: str, voltage: str) -> list[str]:
     beside = [f"{voltage}: no command falls into the time of the samples"] if is_beside else []
     if not trace.has_positions:
         return findings + beside
-    reach = float(max(abs(trace.pilot_position.min()), abs(trace.pilot_position.max())))
+    reach = largest_size(trace.pilot_position)
     if reach > LARGEST_POSITION:
         findings.append(f"{positions}: {PILOT} reaches {reach:.6g} m: positions must be in metres")
     travel = largest_travel(trace.pilot_position)

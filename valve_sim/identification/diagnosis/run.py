@@ -207,7 +207,7 @@ def _split(plant: Plant) -> tuple[Mask | None, Mask | None]:
         return None, None
     held = set(strokes[EVERY_FOURTH - 2 :: EVERY_FOURTH])
 
-    def is_held(index: int, groups: NDArray[np.int64]) -> NDArray[np.bool_]:
+    def is_held(index: int, groups: NDArray[np.integer]) -> NDArray[np.bool_]:
         recording = plant.channels[index].recording
         return np.isin(groups, [group for number, group in held if number == recording])
 

@@ -12,6 +12,7 @@ from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
 from valve_sim.identification.plants.protocol import Channel
+from valve_sim.traces.long_columns import repeated_levels
 
 Array = NDArray[np.float64]
 
@@ -98,7 +99,7 @@ def estimate_noise(channels: Sequence[Channel]) -> Noise:
     shows_colour = bool(windows)
     if not shows_colour:
         windows = [window for channel in channels for window in quiet_windows(channel, SHORT_WINDOW)]
-    step = quantisation_step(np.concatenate([channel.data for channel in channels]))
+    step = quantisation_step(*(channel.data for channel in channels))
     windows = _at_the_quieter_rest(windows)
     if not windows:
         # Never still: the second difference of a smooth motion is nearly all noise.
@@ -193,10 +194,10 @@ def _spread(windows: Sequence[Array]) -> float:
     return math.sqrt(squares / max(1, sum(len(window) - 1 for window in windows)))
 
 
-def quantisation_step(data: Array) -> float:
+def quantisation_step(*pieces: Array) -> float:
     """The step of a quantised signal, in its unit; 0 if readings hardly repeat."""
-    levels = np.unique(np.round(data, 12))
-    if len(levels) < 3 or len(levels) > 0.5 * len(data):
+    levels = repeated_levels(pieces)
+    if len(levels) < 3:
         return 0.0
     gaps = np.diff(levels)
     step = float(np.quantile(gaps, 0.05))
@@ -245,25 +246,35 @@ def _autoregression(windows: Sequence[Array], samples: int) -> tuple[tuple[float
     The order is that of the smallest n ln P + 2 m ln n: Schwarz's criterion with twice its penalty, theory, eq. (23).
     Schwarz's own takes 1 in 100 white noises of 2000 samples for coloured, this one fewer than 1 in 1000.
     """
-    forward = [window.copy() for window in windows]
-    backward = [window.copy() for window in windows]
+    reflections: list[float] = []
     power = sum(float(window @ window) for window in windows) / samples
     coefficients = np.empty(0)
     best = (samples * math.log(power), coefficients, power)
     for order in range(1, LARGEST_ORDER + 1):
-        ahead = [f[1:] for f in forward]
-        behind = [b[:-1] for b in backward]
-        top = 2.0 * sum(float(f @ b) for f, b in zip(ahead, behind, strict=True))
-        bottom = sum(float(f @ f + b @ b) for f, b in zip(ahead, behind, strict=True))
-        reflection = top / bottom
+        sums = [_products(window, reflections) for window in windows]
+        reflection = 2.0 * sum(product for product, _ in sums) / sum(squares for _, squares in sums)
+        reflections.append(reflection)
         coefficients = np.concatenate([coefficients - reflection * coefficients[::-1], [reflection]])
-        forward = [f - reflection * b for f, b in zip(ahead, behind, strict=True)]
-        backward = [b - reflection * f for f, b in zip(ahead, behind, strict=True)]
         power *= 1.0 - reflection * reflection
         score = samples * math.log(power) + 2.0 * order * math.log(samples)
         if score < best[0]:
             best = (score, coefficients.copy(), power)
     return tuple(float(value) for value in best[1]), math.sqrt(best[2])
+
+
+def _products(window: Array, reflections: Sequence[float]) -> tuple[float, float]:
+    """Σ f b and Σ f² + b² of what predictions of a window forward and backward leave, the latter a sample before.
+
+    They are worked out anew for each order: those of all windows of a long recording would be most of the memory.
+    """
+    forward = backward = window
+    for reflection in reflections:
+        forward, backward = (
+            forward[1:] - reflection * backward[:-1],
+            backward[:-1] - reflection * forward[1:],
+        )
+    ahead, behind = forward[1:], backward[:-1]
+    return float(ahead @ behind), float(ahead @ ahead + behind @ behind)
 
 
 def _variance_inflation(noise: Noise, windows: Sequence[Array], block: int = BLOCK) -> float:

@@ -26,7 +26,7 @@ from valve_sim.identification.plants.protocol import (
     judged_channels,
 )
 
-Mask = Callable[[int, NDArray[np.int64]], NDArray[np.bool_]]
+Mask = Callable[[int, NDArray[np.integer]], NDArray[np.bool_]]
 
 LONGEST_RUN: Final = 4
 """Identical readings in a row, beyond which a coarse sensor repeats one reading."""

@@ -173,7 +173,7 @@ class Channel:
     times: Array
     data: Array
     quiet: NDArray[np.bool_]
-    group: NDArray[np.int64]
+    group: NDArray[np.integer]
     unit: str = "m"
     role: Role = "response"
     recording: int = 0

@@ -19,6 +19,8 @@ from valve_sim.model.gas.step import PRESSURE_COLUMN
 from valve_sim.model.simulation import Control, Samples, new_states, rated_current, run_record
 from valve_sim.model.supplied import Supply, run_supplied, simulate_supplied
 from valve_sim.traces import Signal, Trace, stroke_numbers
+from valve_sim.traces.clocks import intervals, usual_interval
+from valve_sim.traces.long_columns import any_in, blocks, filled, largest_size, median_of, repeated_levels
 from valve_sim.traces.measured_input import AT_COMMAND
 
 FIT_TOLERANCE: Final = 1e-8
@@ -59,10 +61,9 @@ def still_mask(drive: Drive, readings: Signal, within: float = STILL) -> NDArray
     """
     times, data = readings
     quiet = np.zeros(len(data), dtype=bool)
-    bends = np.abs(np.diff(data, 2)) if len(data) > 2 else np.zeros(1)
     edges = np.searchsorted(times, np.concatenate([[-np.inf], drive.times, [np.inf]]))
-    resting = [bends[max(0, b - (b - a) // 4) : b - 2] for a, b in itertools.pairwise(edges)]
-    spread = [1.4826 * float(np.median(piece)) for piece in resting if len(piece) > 10]
+    resting = (data[max(0, b - (b - a) // 4) : b] for a, b in itertools.pairwise(edges))
+    spread = [1.4826 * float(np.median(np.abs(np.diff(piece, 2)))) for piece in resting if len(piece) > 12]
     sigma = float(np.median(spread)) if spread else 0.0
     width = within * max(sigma, 1e-9) + _coarse_step(data)
     for index, (start, stop) in enumerate(itertools.pairwise(edges)):
@@ -84,7 +85,7 @@ def _position_resolution(trace: Trace) -> float:
     Stamps of samples and of commands are whole nanoseconds, and a plunger moves on meanwhile; a step of the integrator
     is accurate to its tolerance, of a full stroke; a float has 16 digits.
     """
-    reach = float(np.max(np.abs(trace.pilot_position), initial=0.0))
+    reach = largest_size(trace.pilot_position)
     return math.hypot(STAMPS * fastest_motion(trace), FIT_TOLERANCE * reach, float(np.finfo(np.float64).eps) * reach)
 
 
@@ -98,7 +99,7 @@ def fastest_motion(trace: Trace) -> float:
 
 
 def _coarse_step(data: Array) -> float:
-    levels = np.unique(np.round(data, 12))
+    levels = repeated_levels([data])
     return float(np.median(np.diff(levels))) if 1 < len(levels) < 0.5 * len(data) else 0.0
 
 
@@ -136,9 +137,9 @@ def without_jittered_current(trace: Trace) -> Trace:
     """The trace, less a current whose times are those of its arrival: they scatter, and would bias the clock offset."""
     if trace.coil_current is None or len(trace.coil_current.times) < 3:
         return trace
-    steps = np.diff(trace.coil_current.times)
-    usual = float(np.median(steps))
-    scatter = float(np.median(np.abs(steps - usual)))
+    times = trace.coil_current.times
+    usual = usual_interval(times)
+    scatter = median_of(filled(len(times) - 1, lambda own: np.abs(intervals(times, own) - usual)))
     return replace(trace, coil_current=None) if scatter > JITTERED * usual else trace
 
 
@@ -172,19 +173,19 @@ def _pressure_channel(index: int, trace: Trace) -> Channel:
     return Channel(
         f"{trace.source}: outlet_pressure", "pressure", times, data, still,
         stroke_numbers(trace.drive, times), "Pa", recording=index, drifts=True,
-        resolution=PRESSURE_RESOLUTION * float(np.max(np.abs(data), initial=0.0)),
+        resolution=PRESSURE_RESOLUTION * largest_size(data),
     )  # fmt: skip
 
 
-def _current_channel(index: int, trace: Trace, strokes: NDArray[np.int64]) -> Channel:
+def _current_channel(index: int, trace: Trace, strokes: NDArray[np.integer]) -> Channel:
     role: Role = "actuation" if trace.has_positions else "response"
     assert trace.coil_current is not None
     times, data = trace.coil_current
-    is_single = bool(np.array_equal(data, data.astype(np.float32)))
+    is_single = not any_in(len(data), lambda own: data[own] != data[own].astype(np.float32))
     return Channel(
         f"{trace.source}: coil_current", "current", times, data, _settled(trace.drive, trace.coil_current), strokes,
         "A", role=role, recording=index, drifts=True,
-        resolution=(ROUNDING if is_single else FIT_TOLERANCE) * float(np.max(np.abs(data), initial=0.0)),
+        resolution=(ROUNDING if is_single else FIT_TOLERANCE) * largest_size(data),
     )  # fmt: skip
 
 
@@ -342,11 +343,18 @@ def _settled(drive: Drive, current: Signal) -> NDArray[np.bool_]:
     """(n,) the last third of each interval between commands, where the current has settled."""
     times, values = current
     edges = np.concatenate([[times[0]], drive.times, [times[-1]]])
-    index = np.clip(np.searchsorted(edges, times, side="right") - 1, 0, len(edges) - 2)
-    start, stop = edges[index], edges[index + 1]
-    settled = np.asarray((times - start > (2.0 / 3.0) * (stop - start)) | (index == 0))
-    at = np.flatnonzero(settled)
-    for own in np.split(at, np.flatnonzero(np.diff(index[at])) + 1):
+    at, numbers = [], []
+    for block in blocks(len(times)):
+        own = times[block]
+        index = np.clip(np.searchsorted(edges, own, side="right") - 1, 0, len(edges) - 2)
+        start, stop = edges[index], edges[index + 1]
+        chosen = np.flatnonzero((own - start > (2.0 / 3.0) * (stop - start)) | (index == 0))
+        at.append(block.start + chosen)
+        numbers.append(index[chosen].astype(np.int32))
+    late, interval = np.concatenate(at), np.concatenate(numbers)
+    settled = np.zeros(len(times), dtype=bool)
+    settled[late] = True
+    for own in np.split(late, np.flatnonzero(np.diff(interval)) + 1):
         settled[own[_before_it_leaves(values[own]) :]] = False
     return settled
 

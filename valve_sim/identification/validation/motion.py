@@ -39,18 +39,22 @@ class Motion(NamedTuple):
 
 
 def motion_of(valve: Valve, trace: Trace, drive: Drive, times: Array, start: float, offset: float) -> Motion:
-    """The motion at (n,) sample times, s, of a valve that rests until a start, s; arguments as of `response_to`.
+    """The motion at (n,) stamps of samples, s, of a valve that rests until a start, s; arguments as of `response_to`.
 
     Raises:
         SimulationError: the valve cannot be simulated.
     """
+
+    def taken(own: slice) -> Array:
+        return np.maximum(times[own] - offset, start)
+
     record = valve.record()
     if is_of_gas(record) or record[0]["sensor_delay"]:
-        return _whole(response_to(valve, trace, drive, times, start, offset), trace.judged)
+        return _whole(response_to(valve, trace, drive, taken(slice(None)), start, offset), trace.judged)
     state, shown, is_moving = new_states(record, start), np.empty(len(times)), np.empty(len(times), dtype=bool)
     events: list[Event] = []
-    for cut in cuts(times, times, drive, (0.0, 0.0)):
-        own = times[cut.positions]
+    for cut in cuts(times, times, drive, (offset, 0.0)):
+        own = taken(cut.positions)
         samples = Samples(own, np.empty((len(own), columns_of(record))), own, np.empty(len(own)))
         events += _run(record, state, drive, cut, samples)
         is_moving[cut.positions] = np.abs(samples.rows[:, 2]) > STILL_SPEED

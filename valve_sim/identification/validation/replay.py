@@ -21,11 +21,11 @@ from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import READABLE_UNITS, Array
 from valve_sim.identification.plants.recording_errors import CLOCK_SIGMA, drive_with, zero_with
-from valve_sim.identification.plants.root_mean_square import root_mean_square
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.validation.motion import motion_of
 from valve_sim.model import EXACT, Event, EventKind, Valve, ValveError
 from valve_sim.traces import SensorEvent, Signal, StrokePart, Trace, events_from_sensors, find_stroke_parts
+from valve_sim.traces.long_columns import blocks
 
 NOISE_FACTOR: Final = 3.0
 """The default tolerance, in standard deviations of the sensor's noise."""
@@ -37,8 +37,6 @@ FINEST_PRESSURE: Final = 1e3
 """Pa: the same of a pressure, a step of a converter of 16 bits over 70 MPa."""
 MARGIN: Final = 1e-3
 """s around the model's motion that still counts as moving, so that a valve that is late there is seen."""
-AT_ONCE: Final = 2**16
-"""Samples that are looked at together."""
 MICRO: Final = 1e6
 
 _ARRIVALS: Final[Mapping[str, tuple[EventKind, ...]]] = {
@@ -194,6 +192,7 @@ def replay_trace(trace: Trace, valve: Valve, tolerance: float | None = None, *, 
         SimulationError: the valve cannot be simulated.
     """
     valve = replace(valve, tolerances=EXACT)
+    seen = {found.stroke: found.events for found in events_from_sensors(trace, valve.parameters.pilot_gap)}
     plant = ValvePlant([_judged(trace)], valve)
     problem = Problem(plant)
     timing = plant.timing_errors if command_jitter else ()
@@ -202,14 +201,14 @@ def replay_trace(trace: Trace, valve: Valve, tolerance: float | None = None, *, 
     drive = drive_with(trace, 0, nuisances, valve.parameters.release_voltage)
     times = trace.sample_times
     start = min(float(drive.times.min(initial=math.inf)), float(times[0])) - CLOCK_SIGMA
-    motion = motion_of(valve, trace, drive, np.maximum(times - offset, start), start, offset)
+    kind, _, finest = _JUDGED[trace.judged]
+    noise, measured = problem.noises[kind].sigma, trace.judged_signal
+    del plant, problem  # of a long recording what they hold is large
+    motion = motion_of(valve, trace, drive, times, start, offset)
     shown = motion.shown
     if trace.has_positions:
         shown += zero_with(0, nuisances)
-    kind, _, finest = _JUDGED[trace.judged]
-    noise, measured = problem.noises[kind].sigma, trace.judged_signal
-    residual = measured.values - shown
-    errors_of = partial(_errors, residual, _moving(times, times[motion.is_moving]))
+    errors_of = partial(_errors, measured.values, shown, _moving(times, motion.is_moving))
     return Replay(
         trace,
         valve,
@@ -219,7 +218,7 @@ def replay_trace(trace: Trace, valve: Valve, tolerance: float | None = None, *, 
         noise,
         max(NOISE_FACTOR * noise, finest) if tolerance is None else tolerance,
         errors_of(slice(None)),
-        tuple(_stroke_checks(trace, valve, motion.events, offset, errors_of)),
+        tuple(_stroke_checks(trace, seen, (motion.events, offset), errors_of)),
     )
 
 
@@ -270,35 +269,54 @@ def _within_tolerances(
     return plant.with_values(found.values), declared_values(found)
 
 
-def _moving(times: Array, when: Array) -> NDArray[np.bool_]:
-    """(n,) samples no further than MARGIN from one in which the model moves, (m,) s."""
+def _moving(times: Array, is_moving: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(n,) samples no further than MARGIN from one in which the model moves."""
     moving = np.zeros(len(times), dtype=bool)
-    for first in range(0, len(times) if len(when) else 0, AT_ONCE):
-        own = times[first : first + AT_ONCE]
-        after = np.minimum(np.searchsorted(when, own), len(when) - 1)
-        before = np.maximum(after - 1, 0)
-        distance = np.minimum(np.abs(when[after] - own), np.abs(when[before] - own))
-        moving[first : first + AT_ONCE] = distance <= MARGIN
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], is_moving, [False]])))
+    # From the first to the last sample of each motion, none of which need be held one by one.
+    firsts, lasts = times[edges[::2]], times[edges[1::2] - 1]
+    for own in blocks(len(times) if len(edges) else 0):
+        here = times[own]
+        after = np.minimum(np.searchsorted(lasts, here), len(lasts) - 1)
+        before = np.maximum(np.searchsorted(firsts, here, side="right") - 1, 0)
+        distance = np.minimum(np.abs(firsts[after] - here), np.abs(lasts[before] - here))
+        moving[own] = is_moving[own] | (distance <= MARGIN)
     return moving
 
 
-def _errors(residual: Array, moving: NDArray[np.bool_], chosen: slice) -> Errors:
-    left = residual[chosen]
-    return Errors(
-        len(left), root_mean_square(left), root_mean_square(left[moving[chosen]]), float(np.max(np.abs(left)))
-    )
+def _errors(measured: Array, shown: Array, moving: NDArray[np.bool_], chosen: slice) -> Errors:
+    """Over the chosen samples, a block of them at a time."""
+    own = range(*chosen.indices(len(measured)))
+    squares, of_motion, samples, largest = [], [], 0, 0.0
+    for part in blocks(len(own)):
+        block = slice(own.start + part.start, own.start + part.stop)
+        left = measured[block] - shown[block]
+        squares.append(float(np.sum(np.square(left))))
+        of_motion.append(float(np.sum(np.square(left[moving[block]]))))
+        samples += int(np.count_nonzero(moving[block]))
+        largest = max(largest, float(np.max(np.abs(left))))
+    return Errors(len(own), _root(math.fsum(squares), len(own)), _root(math.fsum(of_motion), samples), largest)
+
+
+def _root(squares: float, samples: int) -> float:
+    """Of the mean of squares; nan where there are none."""
+    return math.sqrt(squares / samples) if samples else math.nan
 
 
 def _stroke_checks(
     trace: Trace,
-    valve: Valve,
-    events: Sequence[Event],
-    offset: float,
+    seen: Mapping[StrokePart, Sequence[SensorEvent]],
+    modelled: tuple[Sequence[Event], float],
     errors_of: Callable[[slice], Errors],
 ) -> Iterator[StrokeCheck]:
-    """Every stroke that has samples; of samples and events each stroke looks at its own alone."""
+    """Every stroke that has samples; of samples and events each stroke looks at its own alone.
+
+    Args:
+        trace: what was measured. seen: arrivals in it. modelled: events, and by how much samples are stamped late, s.
+        errors_of: samples.
+    """
+    events, offset = modelled
     when = np.array([event.time for event in events])
-    seen = {found.stroke: found.events for found in events_from_sensors(trace, valve.parameters.pilot_gap)}
     for stroke in find_stroke_parts(trace):
         first, last = np.searchsorted(trace.sample_times, [stroke.start, stroke.stop])
         if first < last:
