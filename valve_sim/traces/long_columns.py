@@ -14,14 +14,17 @@ from numpy.typing import NDArray
 BLOCK: Final = 2**16
 """Samples: what is worked out of them stays near the processor."""
 
+MERGED: Final = 16
+"""Parts of which levels are merged at most: each takes the time of sorting all that were found."""
+
 Array = NDArray[np.float64]
 Part = Callable[[slice], Array]
 Test = Callable[[slice], NDArray[np.bool_]]
 
 
-def blocks(count: int) -> Iterator[slice]:
-    """Return the parts of so many samples, in order."""
-    return (slice(start, min(start + BLOCK, count)) for start in range(0, count, BLOCK))
+def blocks(count: int, size: int = BLOCK) -> Iterator[slice]:
+    """Return the parts of so many samples, in order, each of a size but for the last."""
+    return (slice(start, min(start + size, count)) for start in range(0, count, size))
 
 
 def filled(count: int, part: Part) -> Array:
@@ -64,17 +67,10 @@ def repeated_levels(columns: Sequence[Array]) -> Array:
 
     Those are more than half as many as there are values.
     """
-    values, start = np.empty(sum(map(len, columns))), 0
+    total, levels = sum(map(len, columns)), np.empty(0)
     for column in columns:
-        np.round(column, 12, out=values[start : start + len(column)])
-        start += len(column)
-    values.sort()
-    steps = max(len(values) - 1, 0)
-
-    def is_new(own: slice) -> NDArray[np.bool_]:
-        return np.not_equal(values[own.start + 1 : own.stop + 1], values[own])
-
-    count = 1 + sum(int(np.count_nonzero(is_new(own))) for own in blocks(steps))
-    if count > 0.5 * len(values):
-        return np.empty(0)
-    return np.take(values, np.concatenate([[0], places_in(steps, is_new) + 1]))
+        for own in blocks(len(column), max(BLOCK, total // MERGED)):
+            levels = np.union1d(levels, np.round(column[own], 12))
+            if len(levels) > 0.5 * total:
+                return np.empty(0)
+    return levels

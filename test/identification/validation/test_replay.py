@@ -14,7 +14,7 @@ from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.reporting.validation import validation_json, validation_junit, validation_text
 from valve_sim.identification.validation.replay import _errors, _stroke_checks, validate
 from valve_sim.model import Drive, Event, EventKind, ValveError
-from valve_sim.traces import Trace
+from valve_sim.traces import Trace, events_from_sensors
 
 EXACT_VALVE = default_valve().exact()
 
@@ -152,7 +152,11 @@ def test_the_checks_of_strokes_grow_as_the_recording_does() -> None:
         residual, moving = np.zeros(len(trace.times)).view(Weighed), np.ones(len(trace.times), dtype=bool).view(Weighed)
         events = CountedEvents(Event(float(time), EventKind.PICKED_UP, 0.0, 0.0) for time in trace.drive.times)
         Weighed.elements = CountedEvents.looked_at = 0
-        checks = list(_stroke_checks(trace, default_valve(), events, 0.0, partial(_errors, residual, moving)))
+        seen = {
+            found.stroke: found.events for found in events_from_sensors(trace, default_valve().parameters.pilot_gap)
+        }
+        errors_of = partial(_errors, residual, np.zeros(len(residual)), moving)
+        checks = list(_stroke_checks(trace, seen, (events, 0.0), errors_of))
         assert sum(check.errors.samples for check in checks) <= len(trace.times)
         return Weighed.elements, CountedEvents.looked_at
 

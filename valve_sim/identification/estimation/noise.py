@@ -12,7 +12,7 @@ from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
 from valve_sim.identification.plants.protocol import Channel
-from valve_sim.traces.long_columns import repeated_levels
+from valve_sim.traces.long_columns import places_in, repeated_levels
 
 Array = NDArray[np.float64]
 
@@ -153,7 +153,10 @@ def quiet_windows(channel: Channel, shortest: int = SHORTEST_WINDOW) -> list[Arr
 
 def stretches(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
     """(start, stop) of each run of True in (n,) mask."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
+    if not len(mask):
+        return []
+    changes = 1 + places_in(len(mask) - 1, lambda own: mask[own.start + 1 : own.stop + 1] != mask[own])
+    edges = np.concatenate([[0] if mask[0] else [], changes, [len(mask)] if mask[-1] else []]).astype(np.intp)
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
