@@ -197,7 +197,8 @@ class Decoder:
             starts, stops: Where in it each message lies, shape (n,).
         """
         lengths = stops - starts
-        for length in np.unique(lengths).tolist():
+        is_one = len(lengths) > 0 and bool((lengths == lengths[0]).all())
+        for length in (lengths[:1] if is_one else np.unique(lengths)).tolist():
             index = np.flatnonzero(lengths == length)
             if length == 0:
                 self._malformed += len(index)
@@ -311,10 +312,13 @@ def _split_by_layout(
 
 
 def _same_layout(matrix: NDArray[np.uint8], layout: Layout) -> NDArray[np.bool_]:
-    same = np.ones(len(matrix), dtype=bool)
+    is_fixed = np.zeros(matrix.shape[1], dtype=bool)
     for start, stop in layout.fixed:
-        same &= (matrix[:, start:stop] == matrix[0, start:stop]).all(axis=1)
-    return same
+        is_fixed[start:stop] = True
+    differs = matrix != matrix[0]
+    differs &= is_fixed
+    # Mostly none does, which all bytes in a row say sooner than those of each message.
+    return ~differs.any(axis=1) if differs.any() else np.ones(len(matrix), dtype=bool)
 
 
 def encode_messages(
@@ -334,7 +338,7 @@ def encode_messages(
     for path, values in columns.items():
         field = layout.fields[path]
         numbers = np.ascontiguousarray(np.asarray(values).reshape(count, field.size).astype(field.dtype))
-        raw = numbers.view(np.uint8).reshape(count, -1)
+        raw = numbers.view(np.uint8).reshape(count, field.size * numbers.dtype.itemsize)
         matrix[:, field.offset : field.offset + raw.shape[1]] = raw
     everything = matrix.tobytes()
     size = len(payload)

@@ -13,6 +13,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.records import Chunk, ChunkIndex
+from numpy.lib.stride_tricks import sliding_window_view
 
 from valve_sim.traces.salvage import chunk_is_sound, full_type, unpack_chunk
 
@@ -106,7 +107,7 @@ def _payload_bounds(
     """Return the bytes, and where in them the payloads of the records at `places` start and stop."""
     if len(places) and not 0 <= places.min() <= places.max() <= len(raw) - MESSAGE_HEAD:
         raise NotIndexed
-    heads = raw[places[:, None] + np.arange(RECORD_HEAD + 2)]
+    heads = sliding_window_view(raw, RECORD_HEAD + 2)[places] if len(places) else np.empty((0, RECORD_HEAD + 2), "u1")
     lengths = np.ascontiguousarray(heads[:, 1:RECORD_HEAD]).view("<i8")[:, 0]
     channels = np.ascontiguousarray(heads[:, RECORD_HEAD:]).view("<u2")[:, 0]
     stops = places + RECORD_HEAD + lengths

@@ -18,7 +18,7 @@ from valve_sim.traces.writing import CSV_COLUMNS
 
 Array = NDArray[np.float64]
 
-MOST_SAMPLES: Final = 10_000_000
+MOST_SAMPLES: Final = 20_000_000
 """Of one recording; beyond it memory runs short and the bag takes minutes to write."""
 
 _PROFILE_COLUMNS: Final = {"time": ("time", "times", "t"), "volts": ("volts", "voltage", "coil_voltage", "v")}

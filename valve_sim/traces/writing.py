@@ -8,7 +8,7 @@ import shutil
 import sqlite3
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NoReturn
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, NoReturn
 
 import numpy as np
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
     from rosbags.interfaces import Connection
 
-    from valve_sim.traces.layout import Channel
     from valve_sim.traces.trace import Signal, Trace
 
     Storage = Literal["mcap", "sqlite3"]
@@ -37,6 +36,8 @@ if TYPE_CHECKING:
 CSV_COLUMNS = ("time", "coil_voltage", "coil_current", "pilot_position", "main_position", "pilot_velocity", "phase")
 GAS_COLUMNS = ("outlet_pressure", "mass_flow")
 """Of a valve with gas, after the others."""
+AT_ONCE = 2**15
+"""Messages of the longest topic that are encoded together."""
 
 
 class BagRecorder:
@@ -212,45 +213,86 @@ def write_bags(
     compressed: bool = False,
 ) -> None:
     """Write several valves, by name, into one recording; otherwise as `write_bag`."""
-    topics = []
+    topics: dict[str, _Messages] = {}
     for valve, trace in traces.items():
         if trace.epoch_ns + SECOND * min(float(trace.drive.times.min(initial=0.0)), float(trace.sample_times[0])) < 0:
             raise TraceError(f"{path}: stamps before 0 cannot be stored in a bag; start the trace at 0 or later")
         prefix = "/" + valve.strip("/") if valve.strip("/") else ""
-        topics += [
-            (f"{prefix}/{name}", *content) for name, content in _measured_topics(trace, velocities, efforts).items()
-        ]
+        topics |= {f"{prefix}/{name}": found for name, found in _measured_topics(trace, velocities, efforts).items()}
     with BagRecorder(path, storage=storage, compressed=compressed) as recorder:
-        for topic, message_type, _, _ in topics:
-            recorder.add_topic(topic, message_type)
-        places = np.concatenate([np.full(len(times), place) for place, (_, _, times, _) in enumerate(topics)])
-        times = np.concatenate([times for _, _, times, _ in topics])
-        payloads = [payload for *_, payloads in topics for payload in payloads]
-        order = np.argsort(times, kind="stable")
-        recorder.write_many(
-            [topic for topic, *_ in topics], places[order], times[order].tolist(),
-            [payloads[message] for message in order.tolist()],
-        )  # fmt: skip
+        for topic, messages in topics.items():
+            recorder.add_topic(topic, messages.message_type)
+        for parts in _in_time(list(topics.values())):
+            times = np.concatenate([messages.times[own] for messages, own in parts])
+            places = np.repeat(np.arange(len(parts)), [own.stop - own.start for _, own in parts])
+            payloads = [payload for messages, own in parts for payload in messages.encoded(own)]
+            order = np.argsort(times, kind="stable")
+            recorder.write_many(
+                list(topics), places[order], times[order].tolist(), [payloads[message] for message in order.tolist()]
+            )
+
+
+class _Messages(NamedTuple):
+    """The messages of a topic.
+
+    Attributes:
+        message_type: Theirs.
+        times: When each was taken, ns, shape (n,).
+        columns: Their numbers, (n,) or (n, k), by the field's path.
+        constants: Numbers that are the same in each, (k,), likewise.
+    """
+
+    message_type: str
+    times: NDArray[np.int64]
+    columns: Mapping[str, Sequence[NDArray[np.float64]]]
+    constants: Mapping[str, NDArray[np.float64]] = {}
+
+    def encoded(self, own: slice) -> list[bytes]:
+        """Return some of them, serialized, with header stamps where the type has a header."""
+        stamps = self.times[own]
+        columns = {path: np.column_stack([column[own] for column in field]) for path, field in self.columns.items()}
+        columns |= {path: np.tile(values, (len(stamps), 1)) for path, values in self.constants.items()}
+        if self.message_type != FLOAT:
+            seconds, nanoseconds = np.divmod(stamps, SECOND)
+            columns |= {"header.stamp.sec": seconds, "header.stamp.nanosec": nanoseconds}
+        return encode_messages(_blank(self.message_type), self.message_type, columns, len(stamps))
+
+
+def _in_time(topics: Sequence[_Messages]) -> Iterator[list[tuple[_Messages, slice]]]:
+    """Return all messages of topics in parts, one after another in time: of a long recording all at once are large."""
+    if all((np.diff(messages.times) >= 0).all() for messages in topics):
+        longest = max(topics, key=lambda messages: len(messages.times)).times
+        edges = np.unique(longest[::AT_ONCE])[1:]
+    else:
+        edges = np.empty(0, dtype=np.int64)
+    cuts = [[0, *np.searchsorted(messages.times, edges).tolist(), len(messages.times)] for messages in topics]
+    for part in range(len(edges) + 1):
+        yield [(messages, slice(*own[part : part + 2])) for messages, own in zip(topics, cuts, strict=True)]
 
 
 def _measured_topics(
     trace: Trace, velocities: NDArray[np.float64] | None, efforts: NDArray[np.float64] | None
-) -> dict[str, tuple[str, NDArray[np.int64], list[bytes]]]:
-    """Return by topic its type, times in ns, and messages."""
-    volts = {"data": trace.drive.volts}
-    times = _nanoseconds(trace, trace.drive.times)
-    topics = {COMMAND: (FLOAT, times, _messages(FLOAT, volts, times))}
+) -> dict[str, _Messages]:
+    """Return the messages of each topic."""
+    topics = {COMMAND: _Messages(FLOAT, _nanoseconds(trace, trace.drive.times), {"data": [trace.drive.volts]})}
     if trace.has_positions:
-        stamps = _nanoseconds(trace, trace.times)
-        topics[MEASURED] = (JOINT_STATE, stamps, _joint_states(trace, stamps, velocities, efforts))
+        topics[MEASURED] = _joint_states(trace, velocities, efforts)
+    beside = _current_beside(trace)
     if trace.coil_voltage is not None:
-        times = _nanoseconds(trace, trace.coil_voltage.times)
-        topics[COIL] = (COIL_STATE, times, _coil_states(trace.coil_voltage, _current_beside(trace), times))
+        voltage = trace.coil_voltage
+        nothing = np.broadcast_to(np.nan, len(voltage.times))
+        columns = {"voltage": [voltage.values], "current": [nothing if beside is None else beside]}
+        topics[COIL] = _Messages(COIL_STATE, _nanoseconds(trace, voltage.times), columns)
     for name, channel in CHANNELS.items():
         signal: Signal | None = getattr(trace, name)
-        if signal is not None and not (name == "coil_current" and _current_beside(trace) is not None):
+        if signal is not None and not (name == "coil_current" and beside is not None):
+            constants = {}
+            if channel.path == "linear_acceleration.x":
+                # -1 says that there is no orientation and no angular velocity (sensor_msgs/Imu).
+                unknown = np.array([-1.0, *np.zeros(8)])
+                constants = {"orientation_covariance": unknown, "angular_velocity_covariance": unknown}
             times = _nanoseconds(trace, signal.times)
-            topics[channel.topic] = (channel.message_type, times, _channel_messages(channel, signal, times))
+            topics[channel.topic] = _Messages(channel.message_type, times, {channel.path: [signal.values]}, constants)
     return topics
 
 
@@ -262,48 +304,22 @@ def _current_beside(trace: Trace) -> NDArray[np.float64] | None:
     return current.values
 
 
-def _coil_states(voltage: Signal, current: NDArray[np.float64] | None, stamps: NDArray[np.int64]) -> list[bytes]:
-    columns = {"voltage": voltage.values, "current": np.full(len(stamps), np.nan) if current is None else current}
-    return _messages(COIL_STATE, columns, stamps)
-
-
 def _nanoseconds(trace: Trace, times: NDArray[np.float64]) -> NDArray[np.int64]:
     return trace.epoch_ns + np.rint(np.asarray(times) * SECOND).astype(np.int64)
 
 
-def _channel_messages(channel: Channel, signal: Signal, times: NDArray[np.int64]) -> list[bytes]:
-    columns: dict[str, NDArray[Any]] = {channel.path: signal.values}
-    if channel.path == "linear_acceleration.x":
-        # -1 says that there is no orientation and no angular velocity (sensor_msgs/Imu).
-        unknown = np.zeros((len(times), 9))
-        unknown[:, 0] = -1.0
-        columns |= {"orientation_covariance": unknown, "angular_velocity_covariance": unknown}
-    return _messages(channel.message_type, columns, times)
-
-
 def _joint_states(
-    trace: Trace,
-    stamps: NDArray[np.int64],
-    velocities: NDArray[np.float64] | None,
-    efforts: NDArray[np.float64] | None,
-) -> list[bytes]:
+    trace: Trace, velocities: NDArray[np.float64] | None, efforts: NDArray[np.float64] | None
+) -> _Messages:
     """Return JointStates with all arrays filled: rclpy adds rubbish to those whose last arrays are empty."""
-    main = trace.main_position if trace.main_position is not None else np.full(len(stamps), np.nan)
-    unknown = np.full((len(stamps), 2), np.nan)
+    unknown = np.broadcast_to(np.nan, (len(trace.times), 2))
+    main = trace.main_position if trace.main_position is not None else unknown[:, 0]
     columns = {
-        "position": np.column_stack([trace.pilot_position, main]),
-        "velocity": unknown if velocities is None else velocities,
-        "effort": unknown if efforts is None else efforts,
+        "position": [trace.pilot_position, main],
+        "velocity": [unknown if velocities is None else velocities],
+        "effort": [unknown if efforts is None else efforts],
     }
-    return _messages(JOINT_STATE, columns, stamps)
-
-
-def _messages(message_type: str, columns: Mapping[str, NDArray[Any]], stamps: NDArray[np.int64]) -> list[bytes]:
-    """Serialize messages with these numbers, and with header stamps where the type has a header."""
-    if message_type != FLOAT:
-        seconds, nanoseconds = np.divmod(stamps, SECOND)
-        columns = {**columns, "header.stamp.sec": seconds, "header.stamp.nanosec": nanoseconds}
-    return encode_messages(_blank(message_type), message_type, columns, len(stamps))
+    return _Messages(JOINT_STATE, _nanoseconds(trace, trace.times), columns)
 
 
 def _blank(message_type: str) -> object:

@@ -74,7 +74,7 @@ class Problem:
     def without_stroke(self, recording: int, group: int) -> Problem:
         """The same with one stroke less taking part."""
 
-        def takes_part(index: int, groups: NDArray[np.int64]) -> NDArray[np.bool_]:
+        def takes_part(index: int, groups: NDArray[np.integer]) -> NDArray[np.bool_]:
             is_other = self.plant.channels[index].recording != recording
             return np.asarray((self.weight(index) > 0.0) & (is_other | (groups != group)))
 
