@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from valve_sim.model import CATALOGUE, DECLARED, Drive, Effect, Parameter, ParameterError, Stepper, Tag, Valve, simulate
-from valve_sim.model.effects import VALVE_RECORD
+from valve_sim.model.effects import VALVE_RECORD, Form
 from valve_sim.model.effects.catalogue import Catalogue
 from valve_sim.model.gas.record import GAS_VALVE_RECORD
 from valve_sim.model.simulation import response_of, run_record
@@ -218,6 +218,7 @@ def test_a_users_effect_needs_no_words_for_people() -> None:
 @pytest.mark.parametrize(
     ("effect", "words"),
     [
+        (Effect("of_a_form", "s", (), "t", term=math.hypot, form=Form.OF_V), ("of_a_form", "only ship")),
         (Effect("coil_lag", "s", (), "t", term=math.hypot), ("coil_lag", "registered already")),
         (Effect("idle", "s", (), "t"), ("idle", "neither a term nor a rewrite")),
         (Effect("new", "s", (), "t", rewrite=print, fields={"inertia": 0.0}), ("new", "compiled core", "use a term")),

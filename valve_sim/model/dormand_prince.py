@@ -52,6 +52,7 @@ WORK_RECORD: Final = np.dtype(
         ("k", "f8", (STAGES, ALL_STATES)),  # y' at the stages
         ("dense", "f8", (ALL_STATES, 4)),  # coefficients of the dense output
         ("is_series", "i8"),  # 1 if motion is expanded in series, see `taylor_series`
+        ("has_effects", "i8"),  # 1 if effects take part in these
         ("in_series", "i8"),  # 1 while the step is one of them
         ("series", "f8", (ORDER + 1,)),  # of x, about the start of the step, m/s^k
         ("velocity_series", "f8", (ORDER,)),  # of v

@@ -59,7 +59,7 @@ from valve_sim.model.location import (
     until_current_is_gone,
 )
 from valve_sim.model.sampling import fill_until, is_filled, show_main, show_pilot
-from valve_sim.model.taylor_series import expand, is_series, series_step
+from valve_sim.model.taylor_series import expand, has_effects, is_series, series_step
 from valve_sim.model.transitions import end_current, move_off, push_now, set_voltage, switch_flow, touch, turn
 from valve_sim.model.variational import (
     enter_segment,
@@ -342,6 +342,7 @@ def _run_on(valve, state, works, limits, samples, log, vary):
     events, count = log
     work.states = _states(p)
     work.is_series = in_series and work.states == MECHANICAL_STATES and not has_gas(p) and is_series(p)
+    work.has_effects = has_effects(p)
     done, chatter, last_event = (NONE, NONE), 0, s.segment_time
     for _ in range(most_steps):
         _settle_coil(p, s, work)

@@ -32,6 +32,7 @@ from valve_sim.model.calls import call_term
 from valve_sim.model.compiling import inlined, inner
 from valve_sim.model.core_types import MAIN
 from valve_sim.model.effects.catalogue import shipped
+from valve_sim.model.effects.entry import Effect
 from valve_sim.model.flux import (
     COPPER_TEMPERATURE_COEFFICIENT,
     SHORTEST_INTEGRATED,
@@ -42,11 +43,11 @@ from valve_sim.model.flux import (
 )
 
 
-def _summed(forces: Sequence[Any]) -> Any:
+def summed(forces: Sequence[Any]) -> Any:
     """One compiled function for the sum of many, nothing for none."""
     if not forces:
         return inlined(lambda p, t, motion, coil, condition: 0.0)
-    first, rest = forces[0], _summed(forces[1:])
+    first, rest = forces[0], summed(forces[1:])
     return inlined(
         lambda p, t, motion, coil, condition: first(p, t, motion, coil, condition) + rest(p, t, motion, coil, condition)
     )
@@ -70,20 +71,19 @@ def _any_differs(fields: Sequence[tuple[str, float]]) -> Any:
 
 _OF_DRY_FRICTION: Final = ("friction_opening", "friction_closing")
 """Fields that (6) reads, whichever effects set them."""
-_has_force_of_effects: Final = _any_differs(
-    [
-        field
-        for effect in shipped()
-        if effect.core_force is not None
-        for field in effect.fields.items()
-        if field[0] not in _OF_DRY_FRICTION
-    ]
-)
-has_pull_of_effects: Final = _any_differs(
-    [field for effect in shipped() if effect.core_pull is not None for field in effect.fields.items()]
-)
-_force_of_effects: Final = _summed([effect.core_force for effect in shipped() if effect.core_force is not None])
-_pull_of_effects: Final = _chained([effect.core_pull for effect in shipped() if effect.core_pull is not None])
+
+
+def any_is_on(effects: Sequence[Effect]) -> Any:
+    """One compiled function that tells whether a record has any of these effects, but for the dry friction of (6)."""
+    fields = [field for effect in effects for field in effect.fields.items() if field[0] not in _OF_DRY_FRICTION]
+    return _any_differs(fields)
+
+
+FORCES: Final = [effect for effect in shipped() if effect.core_force is not None]
+PULLS: Final = [effect for effect in shipped() if effect.core_pull is not None]
+_has_force_of_effects: Final = any_is_on(FORCES)
+_force_of_effects: Final = summed([effect.core_force for effect in FORCES])
+_pull_of_effects: Final = _chained([effect.core_pull for effect in PULLS])
 
 NO_TIME: Final = 1e-300
 """s: the reciprocal of a shorter time constant overflows, and 0 s of it would be NaN."""

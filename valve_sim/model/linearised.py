@@ -17,9 +17,10 @@ import numpy as np
 from valve_sim.model import calls
 from valve_sim.model.compiling import inlined, inner
 from valve_sim.model.core_types import MAIN, MAXIMUM_TERM_PARAMETERS, MAXIMUM_TERMS
-from valve_sim.model.effects.catalogue import shipped
 from valve_sim.model.effects.record import VALVE_RECORD
 from valve_sim.model.equations import (
+    FORCES,
+    PULLS,
     attraction,
     coil_decay,
     decayed_coil,
@@ -97,8 +98,8 @@ def _each(functions: Sequence[Any]) -> Any:
     return inlined(both)
 
 
-_add_slopes_of_effects: Final = _each([effect.core_force_slopes for effect in shipped() if effect.core_force])
-(_pull_slope_of_effects,) = [effect.core_pull_slope for effect in shipped() if effect.core_pull]
+_add_slopes_of_effects: Final = _each([effect.core_force_slopes for effect in FORCES])
+(_pull_slope_of_effects,) = [effect.core_pull_slope for effect in PULLS]
 
 
 @inner

@@ -257,8 +257,9 @@ class Control(NamedTuple):
 
     Attributes:
         tolerance: relative error of one step.
-        in_series: whether motion without forces of effects goes in Taylor series. Derivatives follow the short steps of
-            the pair, and what a fit compares is to be to the last digit what its derivatives are of, so it does not.
+        in_series: whether motion goes in Taylor series where it can, see `taylor_series`. Derivatives follow the short
+            steps of the pair, and what a fit compares is to be to the last digit what its derivatives are of, so it
+            does not.
     """
 
     tolerance: float = TOLERANCE

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from valve_sim.model.compiling import inlined
-from valve_sim.model.effects.entry import Effect, Severity, Tag, Values, share
+from valve_sim.model.effects.entry import Effect, Form, Severity, Tag, Values, share
 from valve_sim.model.parameters import Parameter
 
 
@@ -55,6 +55,7 @@ EFFECT = Effect(
     rewrite=_rewrite,
     core_force=damping,
     core_force_slopes=damping_slopes,
+    form=Form.OF_V,
     fields={"friction_opening": 0.0, "friction_closing": 0.0, "damping_opening": 0.0, "damping_closing": 0.0},
     confused_with=("squeeze_film",),
     tags=(Tag.DISSIPATIVE, Tag.ANY_AXIS),

@@ -123,8 +123,10 @@ class Catalogue(Mapping[str, Effect]):
             raise ParameterError(f"{where}: an effect named {effect.name} is registered already")
         if effect.changes_nothing:
             raise ParameterError(f"{where}: has neither a term nor a rewrite, so it would change nothing")
-        if effect.fields or effect.core_force is not None or effect.core_pull is not None:
-            raise ParameterError(f"{where}: a part of the compiled core can only ship with it; use a term")
+        if effect.fields or any(part is not None for part in (effect.core_force, effect.core_pull, effect.form)):
+            raise ParameterError(
+                f"{where}: a part of the compiled core, or a form, can only ship with it; use a term without"
+            )
         self._declared[effect.name] = effect
 
 

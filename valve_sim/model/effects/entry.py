@@ -51,6 +51,21 @@ class Tag(enum.Enum):
     """Belongs to how a machine is built: it neither comes nor goes while the machine is in service."""
 
 
+class Form(enum.IntEnum):
+    """How a force varies while the plungers move one way in one phase, where `taylor_series` knows that."""
+
+    CONSTANT = 1
+    """Not at all."""
+    OF_V = 2
+    """It is so much for each m/s."""
+    OF_V_SQUARED = 3
+    """The same for each m²/s², with a sign that may be that of v."""
+    OF_X_CUBED = 4
+    """The same for each m³."""
+    DECAYING = 5
+    """It decays exponentially, whatever moves."""
+
+
 class Severity(NamedTuple):
     """How much of an effect there is: a share (0.06 for 6 %) of something that a person knows."""
 
@@ -143,6 +158,10 @@ class Effect(_Words):
             stand by name, see `linearised`; it writes those to its own `fields`.
         core_pull_slope: the derivative of `core_pull`, f(p, g, squared, per_pull); it writes that to its own field,
             times the force `per_pull` that one unit of it makes.
+        form: how the force of `term` or `core_force` varies, if that is one of the forms that `taylor_series` knows.
+            With any other force a valve moves by the pair of Dormand and Prince.
+        decays_over: the field that holds the time constant, s, of a force that decays.
+        saturates_by: the field that holds k of a `core_pull` that is s (1 + k)/(1 + k s), which the series knows.
         adds_to: parameter of the effect → declared parameter that it is added to.
         origin: where an installed package names it, for messages.
     """
@@ -171,6 +190,9 @@ class Effect(_Words):
     core_pull: Any = None
     core_force_slopes: Any = None
     core_pull_slope: Any = None
+    form: Form | None = None
+    decays_over: str = ""
+    saturates_by: str = ""
     adds_to: Mapping[str, str] = field(default_factory=dict, hash=False)
     origin: str = field(default="", compare=False)
     _compiled: list[Any] = field(default_factory=list, repr=False, compare=False)
@@ -283,6 +305,7 @@ class Effect(_Words):
             raise ParameterError(f"effects.{self.name}: at most {MAXIMUM_TERMS} compiled force terms can be on at once")
         record["term_address"][slot] = self.address(len(numbers))
         record["term_in_phase_2_only"][slot] = int(self.phase_2_only)
+        record["term_form"][slot] = self.form or 0
         record["term_parameters"][slot, : len(numbers)] = numbers
         record["term_count"] = slot + 1
         may_change = reads_time(self.term) if self.changes_at_rest is None else self.changes_at_rest(values)

@@ -58,6 +58,7 @@ EFFECT = Effect(
     rewrite=_rewrite,
     core_pull=saturated,
     core_pull_slope=saturated_slope,
+    saturates_by="saturation",
     fields={"saturation": 0.0},
     tags=(Tag.COIL,),
 )

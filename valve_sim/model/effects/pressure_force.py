@@ -7,7 +7,7 @@ from typing import Any
 
 from valve_sim.model.compiling import inlined
 from valve_sim.model.core_types import MAIN
-from valve_sim.model.effects.entry import Effect, Tag, set_fields, share_of_preload
+from valve_sim.model.effects.entry import Effect, Form, Tag, set_fields, share_of_preload
 from valve_sim.model.parameters import Parameter
 
 
@@ -50,6 +50,8 @@ EFFECT = Effect(
     rewrite=set_fields(pressure_force="force", equalisation_time="equalisation_time"),
     core_force=pressure,
     core_force_slopes=pressure_slopes,
+    form=Form.DECAYING,
+    decays_over="equalisation_time",
     fields={"pressure_force": 0.0, "equalisation_time": 1.0},
     with_gas=False,
     tags=(Tag.FORCE,),

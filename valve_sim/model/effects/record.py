@@ -30,11 +30,12 @@ VALVE_RECORD: Final = np.dtype(
         *((name, "f8") for name in DECLARED),
         # What the core's mechanisms read for the effects that need one.
         *((name, "f8") for name in _FIELDS),
-        # Compiled force terms: addresses, whether they act in Phase 2 only, and the numbers they read.
+        # Compiled force terms: addresses, whether they act in Phase 2 only, their forms, and the numbers they read.
         ("term_count", "i8"),
         ("terms_read_time", "i8"),  # 1 where one of them may change while nothing else does
         ("term_address", "i8", (MAXIMUM_TERMS,)),
         ("term_in_phase_2_only", "i8", (MAXIMUM_TERMS,)),
+        ("term_form", "i8", (MAXIMUM_TERMS,)),  # a `Form`, or 0
         ("term_parameters", "f8", (MAXIMUM_TERMS, MAXIMUM_TERM_PARAMETERS)),
     ],
     align=True,
