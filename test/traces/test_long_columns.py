@@ -29,6 +29,7 @@ def test_what_spans_blocks_is_seen(count: int) -> None:
 @pytest.mark.parametrize("count", LENGTHS[2:])
 def test_levels_are_those_of_all_columns(count: int) -> None:
     random = np.random.default_rng(count)
-    columns = [0.3e-6 * random.integers(0, 1000, size) for size in (count, 5)]
-    assert np.array_equal(repeated_levels(columns), np.unique(np.round(np.concatenate(columns), 12)))
+    for levels in (1000, count // 3):
+        columns = [0.3e-6 * random.integers(0, levels, size) for size in (count, 5)]
+        assert np.array_equal(repeated_levels(columns), np.unique(np.round(np.concatenate(columns), 12)))
     assert len(repeated_levels([random.normal(size=count)])) == 0

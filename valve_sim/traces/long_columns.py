@@ -71,6 +71,23 @@ def repeated_levels(columns: Sequence[Array]) -> Array:
     for column in columns:
         for own in blocks(len(column), max(BLOCK, total // MERGED)):
             levels = np.union1d(levels, np.round(column[own], 12))
-            if len(levels) > 0.5 * total:
-                return np.empty(0)
+            if len(levels) > total / MERGED:  # no coarse sensor's: all at once take less than merging so many
+                return _sorted_levels(columns, total)
     return levels
+
+
+def _sorted_levels(columns: Sequence[Array], total: int) -> Array:
+    """Return the same of all values at once."""
+    values, start = np.empty(total), 0
+    for column in columns:
+        np.round(column, 12, out=values[start : start + len(column)])
+        start += len(column)
+    values.sort()
+
+    def is_new(own: slice) -> NDArray[np.bool_]:
+        return np.not_equal(values[own.start + 1 : own.stop + 1], values[own])
+
+    count = 1 + sum(int(np.count_nonzero(is_new(own))) for own in blocks(total - 1))
+    if count > 0.5 * total:
+        return np.empty(0)
+    return np.take(values, np.concatenate([[0], places_in(total - 1, is_new) + 1]))
