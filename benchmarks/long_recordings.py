@@ -3,7 +3,8 @@
 Strokes of 80 ms at 20 kHz, 1 µm noise and 0.1 µm steps, written by `simulate`; then `info`, `identify` and `validate`
 as new processes. Printed are the CPU time of a process (user and system), what each stroke of it takes beyond what
 starting takes, and the most memory that it held, less what is allowed for starting, by sample. Exits 1 where time grows
-faster than the recording, or memory is above what is allowed.
+faster than the recording, or memory is above what is allowed. The bag of 10,000 strokes takes 4 GB among the temporary
+files.
 """
 
 from __future__ import annotations
