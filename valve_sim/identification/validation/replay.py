@@ -192,7 +192,9 @@ def replay_trace(trace: Trace, valve: Valve, tolerance: float | None = None, *, 
         SimulationError: the valve cannot be simulated.
     """
     valve = replace(valve, tolerances=EXACT)
-    seen = {found.stroke: found.events for found in events_from_sensors(trace, valve.parameters.pilot_gap)}
+    # Before there is a prediction: each of them needs as much memory, for a moment, as that of a long recording.
+    seen: dict[StrokePart, Sequence[SensorEvent]] = dict.fromkeys(find_stroke_parts(trace), ())
+    seen |= {found.stroke: found.events for found in events_from_sensors(trace, valve.parameters.pilot_gap)}
     plant = ValvePlant([_judged(trace)], valve)
     problem = Problem(plant)
     timing = plant.timing_errors if command_jitter else ()
@@ -312,16 +314,17 @@ def _stroke_checks(
     """Every stroke that has samples; of samples and events each stroke looks at its own alone.
 
     Args:
-        trace: what was measured. seen: arrivals in it. modelled: events, and by how much samples are stamped late, s.
+        trace: what was measured. seen: its strokes, and arrivals in them.
+        modelled: events, and by how much samples are stamped late, s.
         errors_of: samples.
     """
     events, offset = modelled
     when = np.array([event.time for event in events])
-    for stroke in find_stroke_parts(trace):
+    for stroke, found in seen.items():
         first, last = np.searchsorted(trace.sample_times, [stroke.start, stroke.stop])
         if first < last:
             own = events[slice(*np.searchsorted(when, [stroke.start, stroke.stop]))]
-            arrivals = (_arrival(event, stroke, own, offset) for event in seen.get(stroke, ()))
+            arrivals = (_arrival(event, stroke, own, offset) for event in found)
             yield StrokeCheck(stroke.name, errors_of(slice(first, last)), tuple(arrivals))
 
 
