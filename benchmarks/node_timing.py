@@ -33,6 +33,7 @@ from std_msgs.msg import Float64
 
 RATE = 1000.0
 COMMAND_RATE = 50.0
+GOLDEN_RATIO = 0.618034
 CHANGED = 1e-3
 """Newtons by which the attraction moves from one sample to the next when a command has arrived; at rest it stays."""
 FLOOR = """
@@ -157,11 +158,15 @@ def seconds_to_first_messages(**environment: str) -> tuple[float, float]:
 
 
 def command_strokes(listener: Listener, duration: float) -> list[int]:
-    """Full strokes at COMMAND_RATE; the times of sending, ns."""
+    """Full strokes at COMMAND_RATE; the times of sending, ns.
+
+    Spread over the node's period: sent at one phase of it, all would wait equally long, and how long would be chance.
+    """
     sent = []
     start = time.monotonic()
     for index in range(int(duration * COMMAND_RATE)):
-        time.sleep(max(0.0, start + index / COMMAND_RATE - time.monotonic()))
+        phase = index * GOLDEN_RATIO % 1.0
+        time.sleep(max(0.0, start + index / COMMAND_RATE + phase / RATE - time.monotonic()))
         sent.append(time.monotonic_ns())
         listener.commands.publish(Float64(data=9.0 if index % 2 == 0 else 0.0))
     time.sleep(0.1)
