@@ -18,6 +18,7 @@ from valve_sim.identification.selection.force_maps import (
     PLACES,
     describe,
     explains_all,
+    fit_curves,
     fit_local_forces,
     fit_maps,
     on_top,
@@ -133,6 +134,18 @@ def test_maps_are_fitted_beside_what_a_fit_estimates_best_first(monkeypatch: pyt
     assert (first["start"], first["nuisances"]) == (fits.base.values, (CLOCK,))
     assert (first["prior"].names, first["prior"].least, first["prior"].repeats) == (OVER_X.free, -np.inf, False)
     assert second["prior"].least == 0.0
+
+
+def test_curves_that_the_search_has_fitted_are_not_fitted_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A curve over time, which follows anything, and waves are not among these."""
+    over_time = a_map("t", "s")
+    fits = Fits(monkeypatch, {"x": 60.0, "v": 50.0, "t": 55.0, "x, periodic": 70.0}, OVER_X, OVER_V, over_time, TURNS)
+    fits.plant.timing_errors = ()
+    known = fit_curves(cast("Any", fits.search), cast("Any", fits.base))
+    assert [entry.choice.variable for entry in known] == ["x", "v"]
+    found = fit_maps(cast("Any", fits.search), cast("Any", fits.base), known)
+    assert [entry.choice.variable for entry in found] == ["v", "t", "x", "x, periodic"]
+    assert sum(OVER_X.free[0] in call["free"] for call in fits.calls) == 1
 
 
 def test_where_no_map_explains_all_stamps_are_estimated_beside_each(monkeypatch: pytest.MonkeyPatch) -> None:

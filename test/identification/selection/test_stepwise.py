@@ -11,6 +11,7 @@ import pytest
 from identification.selection.made_up_fits import SIZE, World, key_of, of, switches
 from valve_sim.identification.estimation.budget import OutOfTimeError
 from valve_sim.identification.plants.protocol import EffectChoice, Nuisance
+from valve_sim.identification.selection.hypotheses import NEAR
 from valve_sim.identification.selection.residual_tests import SIGNIFICANT
 from valve_sim.identification.selection.stepwise import (
     DECISIVE,
@@ -210,6 +211,24 @@ def test_no_more_than_four_effects_are_tried_at_once(monkeypatch: pytest.MonkeyP
     }
     found = explored(World(scores, switches(names)), monkeypatch)
     assert max(len(one.effects) for one in found.tried()) == MOST_EFFECTS == 4
+
+
+@pytest.mark.parametrize(
+    ("curve", "most"), [(700.0 - NEAR - 0.1, 3), (700.0 - NEAR + 0.1, MOST_EFFECTS), (math.inf, 4)]
+)
+def test_no_more_than_three_are_tried_where_a_curve_without_a_name_leaves_nothing(
+    monkeypatch: pytest.MonkeyPatch, curve: float, most: int
+) -> None:
+    """Sets of three are at 700: they do not come near the first curve, which is fitted once."""
+    names = "abcde"
+    scores = {
+        "".join(chosen): 1000.0 - 100.0 * count for count in range(6) for chosen in itertools.combinations(names, count)
+    }
+    world = World(scores, switches(names), curve=curve)
+    found = explored(world, monkeypatch)
+    assert max(len(one.effects) for one in found.tried()) == most
+    assert world.asked == 1
+    assert len(found.curves(found.search.fit(of("")))) == (curve < math.inf)
 
 
 def test_members_of_the_best_are_swapped_through_the_catalogue(monkeypatch: pytest.MonkeyPatch) -> None:

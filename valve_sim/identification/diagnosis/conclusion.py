@@ -174,7 +174,8 @@ class Conclusion:
         with self.budget.until(MAPPED_BY):
             base, chosen = self.fit(best.base), self.fit(best)
             is_explained = explains_all(base, chosen)
-            maps = [] if table[best.base].is_white else fit_maps(self.search, base, is_explained=is_explained)
+            known = self.exploration.curves(base)
+            maps = [] if table[best.base].is_white else fit_maps(self.search, base, known, is_explained=is_explained)
             has_rests = all(best.without(member) in table for member in best.effects)
             nothing: list[NonparametricFit] = []
             if not (table[best].is_white and has_rests and self.strokes > 1):

@@ -10,7 +10,7 @@ import contextlib
 import functools
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final, NamedTuple
@@ -74,7 +74,15 @@ class NonparametricFit(NamedTuple):
     fit: Fit
 
 
-def fit_maps(search: Search, base: Fit, *, is_explained: bool = False) -> list[NonparametricFit]:
+def fit_curves(search: Search, base: Fit) -> list[NonparametricFit]:
+    """Smooth curves beside a fit, but for one over time, which follows anything, and for waves."""
+    choices = [one for one in base.problem.plant.force_maps if not one.end and one.variable != OVER_TIME]
+    return _fitted_each(search, choices, lambda choice: [_beside(choice, base, base.nuisances)])
+
+
+def fit_maps(
+    search: Search, base: Fit, known: Sequence[NonparametricFit] = (), *, is_explained: bool = False
+) -> list[NonparametricFit]:
     """Force maps on top of a fit, best score first; those for which the time was too short are left out.
 
     Where none makes the residual white, errors of the commands' stamps are estimated beside each, too: what they leave
@@ -82,11 +90,12 @@ def fit_maps(search: Search, base: Fit, *, is_explained: bool = False) -> list[N
 
     Args:
         search: that is told what is being tried. base: the fit.
+        known: those of `fit_curves` beside the base, where they are at hand.
         is_explained: whether effects explain all with so few parameters that no wave can do better, nor anything with
             errors of the stamps: these are left out.
     """
     beside = _Beside(base)
-    found = _fitted_maps(search, beside, base, is_explained=is_explained)
+    found = _fitted_maps(search, beside, base, known, is_explained=is_explained)
     if found and not is_explained and not any(adequacy(entry.fit).is_white for entry in found):
         with contextlib.suppress(OutOfTimeError):
             if timed := beside.timed:
@@ -139,31 +148,42 @@ def explains_all(base: Fit, best: Fit) -> bool:
     return is_white and further * math.log(best.problem.effective_samples) <= DECISIVE
 
 
-def _fitted_maps(search: Search, beside: _Beside, base: Fit, *, is_explained: bool = False) -> list[NonparametricFit]:
+def _fitted_maps(
+    search: Search, beside: _Beside, base: Fit, known: Sequence[NonparametricFit] = (), *, is_explained: bool = False
+) -> list[NonparametricFit]:
     """Every force map beside what a fit estimates."""
 
     def fitted(choice: ForceMap) -> list[NonparametricFit]:
-        try:
-            if choice.end:
-                return _periodic(choice, base, beside.periods(choice, base))
-            return [_beside(choice, base, base.nuisances)]
-        except (OutOfTimeError, SimulationError):
-            return []
+        if choice.end:
+            return _periodic(choice, base, beside.periods(choice, base))
+        return [_beside(choice, base, base.nuisances)]
 
-    def fitted_each(maps: Sequence[ForceMap]) -> list[NonparametricFit]:
-        found = run_parallel(fitted, maps, lambda choice: search.say(f"a force over {choice.variable}", 0.9))
-        search.untried.extend(
-            f"a force over {choice.variable}" for choice, fits in zip(maps, found, strict=True) if not fits
-        )
-        return list(itertools.chain(*found))
-
-    maps = [choice for choice in base.problem.plant.force_maps if not (choice.end and is_explained)]
+    done = [entry.choice for entry in known]
+    maps = [one for one in base.problem.plant.force_maps if one not in done and not (one.end and is_explained)]
     long = [choice for choice in maps if choice.end and choice.unit == "s"]
-    found = fitted_each([choice for choice in maps if choice not in long])
+    found = [*known, *_fitted_each(search, [choice for choice in maps if choice not in long], fitted)]
     # Hundreds of periods fit into a recording, so they are tried last.
     if any(entry.choice.variable != OVER_TIME and adequacy(entry.fit).is_white for entry in found):
         return found
-    return [*found, *fitted_each(long)]
+    return [*found, *_fitted_each(search, long, fitted)]
+
+
+def _fitted_each(
+    search: Search, choices: Sequence[ForceMap], fitted: Callable[[ForceMap], list[NonparametricFit]]
+) -> list[NonparametricFit]:
+    """Fits of many force maps in parallel; those for which the time is too short are noted as untried."""
+
+    def in_time(choice: ForceMap) -> list[NonparametricFit]:
+        try:
+            return fitted(choice)
+        except (OutOfTimeError, SimulationError):
+            return []
+
+    found = run_parallel(in_time, choices, lambda choice: search.say(f"a force over {choice.variable}", 0.9))
+    search.untried.extend(
+        f"a force over {choice.variable}" for choice, fits in zip(choices, found, strict=True) if not fits
+    )
+    return list(itertools.chain(*found))
 
 
 def _beside(

@@ -21,7 +21,8 @@ from valve_sim.identification.estimation.result import MOSTLY, Fit
 from valve_sim.identification.plants.protocol import EffectChoice, short_step_of, to_internal
 from valve_sim.identification.selection.bootstrap import FalseAlarm, false_alarm, false_alarm_of_few
 from valve_sim.identification.selection.criteria import Criteria
-from valve_sim.identification.selection.hypotheses import Search
+from valve_sim.identification.selection.force_maps import NonparametricFit, fit_curves
+from valve_sim.identification.selection.hypotheses import NEAR, Search
 from valve_sim.identification.selection.score_test import score_gains
 from valve_sim.identification.selection.table import (
     DECISIVE,
@@ -70,6 +71,7 @@ class Exploration:
         self.screened: dict[str, float] = {}
         self._away: dict[tuple[Fit, str], bool | None] = {}
         self._pointed_at: tuple[str, ...] = ()
+        self._curves: dict[Fit, Sequence[NonparametricFit]] = {}
 
     def explore(self, *, is_full: bool = False) -> None:
         """Try all that the time allows, beside the declared model; `is_full`: also where that leaves nothing."""
@@ -133,7 +135,7 @@ class Exploration:
                 break
             if best.effects:
                 search.polish(best)
-            if not self._extend(count, names):
+            if not self._extend(count, names) or (count > 2 and self._is_far_from_curve()):
                 break
         if self.needs_larger_model(self.best_claimable()):
             self._extend_timing(names)
@@ -258,6 +260,22 @@ class Exploration:
             best = self._swap(best, names, done + 0.03)
             if search.score(search.best(self.tried())) >= before - DECISIVE or not self.needs_larger_model(best):
                 return
+
+    def curves(self, base: Fit) -> Sequence[NonparametricFit]:
+        """Smooth curves beside a fit, as far as the search has asked for them."""
+        return self._curves.get(base, ())
+
+    def _is_far_from_curve(self) -> bool:
+        """Whether a smooth curve leaves nothing in place of effects that do not come near it: one more will not either.
+
+        Asked after three have been tried: two right ones are often found by a swap alone, or beside stamps that err.
+        """
+        best = self.best_claimable()
+        base = self.search.fit(best.base)
+        if base not in self._curves:
+            self._curves[base] = fit_curves(self.search, base)
+        white = [entry.fit.score for entry in self._curves[base] if self.criteria.is_white(entry.fit)]
+        return self.search.score(best) > min(white, default=math.inf) + NEAR
 
     def _extend(self, count: int, names: Sequence[str]) -> bool:
         """Add one more effect to the best few, swap members; whether that was decisive."""
