@@ -30,15 +30,16 @@ def gram(left: Array, right: Array) -> Array:
         left: (n, k). right: (n, m), or (n,).
 
     Returns:
-        (k, m), or (k,).
+        (k, m), or (k,). What is too large to be squared is infinite or no number, which is for the caller to refuse.
     """
     if right.ndim == 1:
         return np.asarray(gram(left, right[:, None])[:, 0])
     count = len(left) // ROWS
     whole = count * ROWS
     blocks = left[:whole].reshape(count, ROWS, left.shape[1]).transpose(0, 2, 1)
-    product = np.matmul(blocks, right[:whole].reshape(count, ROWS, right.shape[1])).sum(axis=0)
-    return np.asarray(product + left[whole:].T @ right[whole:])
+    with np.errstate(over="ignore", invalid="ignore"):
+        product = np.matmul(blocks, right[:whole].reshape(count, ROWS, right.shape[1])).sum(axis=0)
+        return np.asarray(product + left[whole:].T @ right[whole:])
 
 
 def orthonormal(columns: Array) -> Array:
