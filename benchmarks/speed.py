@@ -10,9 +10,10 @@ the same equations written as plain Python functions, as their users write them.
 from __future__ import annotations
 
 import importlib.util
+import itertools
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -27,6 +28,9 @@ DRIVE: Final = Drive.of([0.0], [9.0])
 TOLERANCE: Final = 1e-8
 MANY: Final = 10_000
 ROW: Final = 1_000
+CALLS: Final = 100
+"""Of `simulate` in a turn, in which `ROW` valves are simulated by the core."""
+TURNS: Final = 100
 DECLARED: Final = Valve().with_values(a0=3.0336, coil_time_constant=0.9934e-3)
 FIVE: Final = Valve(
     DECLARED.parameters,
@@ -49,6 +53,16 @@ def median_time(work: Callable[[], object], repeats: int) -> float:
         work()
         durations.append(time.perf_counter() - start)
     return statistics.median(durations)
+
+
+def times_in_turn(works: Sequence[Callable[[], object]], turns: int) -> Any:
+    """(turns, k) durations of each call, s, one after the other, after a turn for warm-up."""
+    durations = np.empty((turns + 1, len(works)))
+    for turn, index in itertools.product(range(turns + 1), range(len(works))):
+        start = time.perf_counter()
+        works[index]()
+        durations[turn, index] = time.perf_counter() - start
+    return durations[1:]
 
 
 def equations(valve: Valve, moving_main: bool, unseated: float) -> Callable[[float, Any], list[float]]:
@@ -156,23 +170,27 @@ def core_opening(valve: Valve) -> tuple[float, float]:
 
 
 def add_openings(table: Table, name: str, valve: Valve, wanted: float) -> None:
-    """Four rows: the core, one call of `simulate`, and the two others, on the same opening."""
+    """Four rows: the core, one call of `simulate`, and the two others, on the same opening.
+
+    They are timed in turns, and a ratio is the median of those of each turn: machines change their speed by two within
+    seconds.
+    """
     records = np.repeat(valve.record(), ROW)
-    core = median_time(lambda: simulate_many(records, DRIVE, TIMES, tolerance=TOLERANCE, threads=1), 50) / ROW
-    call = median_time(lambda: simulate(valve, DRIVE, TIMES, tolerance=TOLERANCE), 1000)
-    table.add_row(
-        f"{name}: valve_sim, core", f"{core * 1e6:.1f} µs", "1", "", f"{event_error(valve, core_opening(valve)):.1e}"
-    )
-    table.add_row(f"{name}: valve_sim, simulate()", f"{call * 1e6:.1f} µs", f"{call / core:.1f}", "", "")
-    others = [("SciPy RK45", scipy_opening, wanted)]
+    works: dict[str, Callable[[], object]] = {
+        "valve_sim, core": lambda: simulate_many(records, DRIVE, TIMES, tolerance=TOLERANCE, threads=1),
+        "valve_sim, simulate()": lambda: [simulate(valve, DRIVE, TIMES, tolerance=TOLERANCE) for _ in range(CALLS)],
+        "SciPy RK45": lambda: scipy_opening(valve),
+    }
+    openings, wanted_of = {"valve_sim, core": core_opening, "SciPy RK45": scipy_opening}, {"SciPy RK45": wanted}
     if importlib.util.find_spec("sksundae"):
-        others.append(("CVODE", sundae_opening, 200.0))
-    for other, opening, ratio in others:
-        theirs = median_time(lambda opening=opening: opening(valve), 50)  # type: ignore[misc]
-        error = event_error(valve, opening(valve))
-        table.add_row(
-            f"{name}: {other}", f"{theirs * 1e6:.0f} µs", f"{theirs / core:.0f}", f"≥ {ratio:.0f}", f"{error:.1e}"
-        )
+        works["CVODE"] = lambda: sundae_opening(valve)
+        openings["CVODE"], wanted_of["CVODE"] = sundae_opening, 200.0
+    times = times_in_turn(list(works.values()), TURNS) / [ROW, CALLS, *[1] * (len(works) - 2)]
+    for index, what in enumerate(works):
+        ratio = f"{np.median(times[:, index] / times[:, 0]):.0f}"
+        error = f"{event_error(valve, openings[what](valve)):.1e}" if what in openings else ""
+        least = f"≥ {wanted_of[what]:.0f}" if what in wanted_of else ""
+        table.add_row(f"{name}: {what}", f"{1e6 * np.median(times[:, index]):.1f} µs", ratio, least, error)
 
 
 def add_many(table: Table) -> None:
