@@ -11,7 +11,7 @@ import pytest
 
 from valve_sim.files.parameter_files import load_valve
 from valve_sim.files.resources import config_path
-from valve_sim.model import Stepper, driver, transitions
+from valve_sim.model import Stepper, live_record, transitions
 from valve_sim.model.compiling import linked
 from valve_sim.model.gas import boundary
 from valve_sim.warm import warm_gas
@@ -74,7 +74,13 @@ def test_what_is_warm_compiles_nothing_and_what_is_not_says_so(tmp_path: Path) -
 def test_gas_is_warm_once_it_is_asked_for() -> None:
     """What a live valve with gas calls is compiled, or loaded, for records with gas."""
     warm_gas()
-    used = (driver.run, boundary.fill_outlets, boundary.set_inlet, boundary.set_demand, transitions.set_voltage)
+    used = (
+        live_record.step_live,
+        boundary.fill_outlets,
+        boundary.set_inlet,
+        boundary.set_demand,
+        transitions.set_voltage,
+    )
     before = [len(function.signatures) for function in used]
     stepper = Stepper(load_valve(config_path("gas_tank_1.yaml")))
     stepper.command(1e-3, 9.0)

@@ -15,7 +15,7 @@ std_msgs = pytest.importorskip("std_msgs.msg", reason="there is no ROS 2 here: i
 
 from rclpy.serialization import deserialize_message, serialize_message  # noqa: E402
 from sensor_msgs.msg import BatteryState, FluidPressure, JointState  # noqa: E402
-from std_msgs.msg import Float64  # noqa: E402
+from std_msgs.msg import Bool, Float64, UInt8  # noqa: E402
 
 from valve_sim.nodes import messages  # noqa: E402
 
@@ -62,8 +62,8 @@ def test_the_coil_carries_current_and_voltage_and_nothing_else(frame_id: str) ->
 
 @pytest.mark.parametrize("phase", list(Phase))
 def test_phase_and_is_open(phase: Phase) -> None:
-    assert messages.phase_message(phase).data == int(phase)
-    assert messages.is_open_message(phase).data is (phase is Phase.OPEN)
+    assert deserialize_message(messages.PHASE[phase], UInt8).data == int(phase)
+    assert deserialize_message(messages.IS_OPEN[phase], Bool).data is (phase is Phase.OPEN)
 
 
 def test_diagnostics_are_named_after_the_node() -> None:

@@ -31,28 +31,25 @@ def test_every_deadline_is_handed_out_once_and_none_drifts(rate: float) -> None:
     generator = np.random.default_rng(1)
     schedule, now, times = Schedule(rate, 17), 17, []
     while now < 20 * SECOND:
-        due = schedule.take(now)
-        assert due.lost == 0
-        assert all(time <= now for time in due.times)
-        assert schedule.next > now
-        times += due.times
+        assert schedule.drop_overdue(now) == 0
+        while schedule.next <= now:
+            times.append(schedule.take())
         now += int(generator.integers(1, 400 * MILLISECOND))
     assert times == [17 + round(k * SECOND / rate) for k in range(len(times))]
 
 
 def test_of_a_long_backlog_the_newest_half_second_is_made_up_for() -> None:
     schedule = Schedule(1000.0, 0)
-    due = schedule.take(2 * SECOND)
-    assert due.lost == 2001 - 500
-    assert due.times[0] == 1501 * MILLISECOND
-    assert due.times[-1] == 2 * SECOND
-    assert schedule.take(2 * SECOND + MILLISECOND - 1).times == []
-    assert schedule.take(2 * SECOND + MILLISECOND).times == [2 * SECOND + MILLISECOND]
+    assert schedule.backlog == SECOND // 2
+    assert schedule.drop_overdue(2 * SECOND) == 2001 - 500
+    assert schedule.drop_overdue(2 * SECOND) == 0
+    assert [schedule.take() for _ in range(500)] == [k * MILLISECOND for k in range(1501, 2001)]
+    assert schedule.next == 2 * SECOND + MILLISECOND
 
 
 def test_a_slow_rate_still_gets_its_newest_deadline() -> None:
-    due = Schedule(0.1, 0).take(35 * SECOND)
-    assert (due.times, due.lost) == ([30 * SECOND], 3)
+    schedule = Schedule(0.1, 0)
+    assert (schedule.drop_overdue(35 * SECOND), schedule.take(), schedule.next) == (3, 30 * SECOND, 40 * SECOND)
 
 
 @pytest.mark.parametrize(

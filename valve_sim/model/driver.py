@@ -326,11 +326,11 @@ def run(valve, state, until, samples, log, control, vary):
     Returns:
         (position samples, current samples) written, events counted, Outcome.
     """
-    return _run_on(valve, state, np.zeros(1, WORK_RECORD), (*until, *control), samples, log, vary)
+    return run_on(valve, state, np.zeros(1, WORK_RECORD), (*until, *control), samples, log, vary)
 
 
 @taken_in
-def _run_on(valve, state, works, limits, samples, log, vary):
+def run_on(valve, state, works, limits, samples, log, vary):
     """`run` on a (1,) work record.
 
     The caller owns that record: Numba frees an array after the last use of its name, so that an array of which this

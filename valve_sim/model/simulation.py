@@ -22,6 +22,7 @@ from valve_sim.model.flux import why_no_flux
 from valve_sim.model.gas import GasParameters, check_gas
 from valve_sim.model.gas.boundary import fill_outlets
 from valve_sim.model.gas.record import GAS_COLUMNS, GAS_STATE_RECORD, is_of_gas, record_of
+from valve_sim.model.live_record import MOST_STEPS_PER_SECOND, most_steps, new_live, step_live
 from valve_sim.model.parameters import POLYNOMIAL_NAMES, ValveParameters, check_declared, check_geometry
 from valve_sim.model.response import EVENT_ROOM, Response, event_log, event_tuple
 from valve_sim.model.sampling import ROW
@@ -33,9 +34,6 @@ Array = NDArray[np.float64]
 TOLERANCE: Final = 1e-10
 """Relative error of one step; against a 1e-13 reference it leaves events of random valves within 1e-11 s, where ten
 times as much leaves them within 6e-11 s (`python -m benchmarks.accuracy`)."""
-MOST_STEPS_PER_SECOND: Final = 1_000_000
-"""Steps for each second of a run, and for one second more, after which it ends with an error."""
-_NO_TIMES: Final = np.empty(0)
 
 
 class Samples(NamedTuple):
@@ -147,10 +145,9 @@ class Valve:
         state = new_states(record, 0.0)
         set_voltage(record, state, float(record[0]["reference_voltage"]))
         settled = 50.0 * float(record[0]["coil_time_constant"] + record[0]["eddy_time_constant"]) + 1e-3
-        nothing = (_NO_TIMES, np.empty((0, columns_of(record))), _NO_TIMES, np.empty(0))
-        control = (TOLERANCE, most_steps(settled), True)
-        check_outcome(driver.run(record, state, (settled, True), nothing, (event_log(), 0), control, None)[2])
-        return bool(state[0]["mode"] != Phase.CLOSED)
+        live = new_live(record, state, TOLERANCE)
+        check_outcome(step_live(live, settled, True)[1])
+        return bool(live[0]["state"]["mode"] != Phase.CLOSED)
 
 
 def _check_beside_gas(parameters: ValveParameters, effects: Mapping[str, Mapping[str, float]], source: str) -> None:
@@ -390,11 +387,6 @@ def _records_of(valves: Sequence[Valve]) -> Any:
     if len({valve.gas is None for valve in valves}) > 1:
         raise SimulationError("some of the valves have gas and some have none; simulate these apart from those")
     return np.concatenate([valve.record() for valve in valves])
-
-
-def most_steps(duration: float) -> int:
-    """The steps after which a run of some seconds ends with an error."""
-    return int(MOST_STEPS_PER_SECOND * (1.0 + max(0.0, duration)))
 
 
 def check_flux(record: Any) -> None:

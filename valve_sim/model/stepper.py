@@ -6,20 +6,18 @@ import math
 from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
-import numpy as np
+from numba import boolean, float64, typeof
 
-from valve_sim.model import driver
 from valve_sim.model.core_types import STATE_RECORD, Phase
 from valve_sim.model.gas.boundary import set_demand, set_inlet
 from valve_sim.model.gas.record import is_of_gas
-from valve_sim.model.response import Event, event_log, event_tuple
+from valve_sim.model.live_record import new_live, step_live
+from valve_sim.model.response import EVENT_ROOM, Event, event_tuple
 from valve_sim.model.simulation import (
     TOLERANCE,
     Valve,
     check_flux,
     check_outcome,
-    columns_of,
-    most_steps,
     new_states,
     rated_current,
 )
@@ -70,24 +68,40 @@ def reading_at_rest(valve: Valve, time: float) -> Reading | None:
     return Reading(time, *(0.0,) * 7, Phase.CLOSED, (), 0.0)
 
 
-class _State:
-    """A valve's state as it is stepped: to look up one of its fields takes longer than to read it."""
+class _Live:
+    """A record that is stepped, and views of what is read of it: to look up a field takes longer than to read it.
 
-    def __init__(self, array: Any) -> None:
-        self.array = array
-        self.time = array["time"]
+    Args:
+        record: (1,) of the valve. state: (1,) of its state. tolerance: relative error of one step.
+    """
+
+    def __init__(self, record: Any, state: Any, tolerance: float) -> None:
+        self._whole = live = new_live(record, state, tolerance)
+        self.valve, self.state = live["valve"], live["state"]
+        self._time = self.state["time"]
+        self.current, self.row = live["current"][0], live["row"][0, 0]
+        self._events = live["events"][0]
+        self._step: Any = None
 
     @property
     def reached(self) -> float:
         """The time of the state, s."""
-        return float(self.time.item())
+        return float(self._time.item())
+
+    def step(self, time: float, *, commit: bool) -> tuple[Event, ...]:
+        """Step to a time, s; the events on the way, mostly none."""
+        if self._step is None:
+            # Only now, for the model may still have to be compiled. Numba's own choice among what it compiled of
+            # a function takes longer than a step.
+            self._step = step_live.compile((typeof(self._whole), float64, boolean))
+        count, outcome = self._step(self._whole, time, commit)
+        if outcome:
+            check_outcome(outcome)
+        return event_tuple(self._events, min(count, EVENT_ROOM)) if count else ()
 
 
 class Stepper:
     """A valve stepped in real time, by the same compiled core; its state does not depend on the size of the steps.
-
-    A step a millisecond finds the processor's caches filled by others, and then each of NumPy's functions costs ten
-    times what it costs in a loop. So what does not change from step to step is read off the records once.
 
     Args:
         valve: what is stepped.
@@ -97,13 +111,9 @@ class Stepper:
 
     def __init__(self, valve: Valve, start_time: float = 0.0, *, tolerance: float = TOLERANCE) -> None:
         self._tolerance = tolerance
-        self._log = (event_log(), 0)
-        self._pending: list[Event] = []
-        self._times, self._current = np.empty(1), np.empty(1)
-        record = valve.record()
-        check_flux(record)
-        self._become(valve, record)
-        self._commands: list[tuple[float, Setter, float]] = []
+        self._record = valve.record()
+        check_flux(self._record)
+        self._valve = valve
         self.reset(start_time)
 
     @property
@@ -118,10 +128,9 @@ class Stepper:
 
     def reset(self, time: float) -> None:
         """Rest closed and without current at `time`, s."""
-        self._follow(new_states(self._record, time))
+        self._become(self._valve, self._record, new_states(self._record, time))
         self._volts = 0.0
-        self._commands = []
-        self._pending = []
+        self._pending: tuple[Event, ...] = ()
 
     def command(self, time: float, volts: float) -> tuple[CoilReading, CoilReading]:
         """A voltage in force from `time` on; a time that is past takes effect at the latest time stepped to.
@@ -133,7 +142,7 @@ class Stepper:
         before = self._coil(time)
         self._set(time, set_voltage, volts)
         self._volts = float(volts)
-        self._step_to(time, commit=False)
+        self._pending += self._live.step(time, commit=False)
         return before, self._coil(time)
 
     def supply(self, time: float, pressure: float) -> None:
@@ -146,12 +155,12 @@ class Stepper:
 
     def _commit(self, time: float) -> float:
         """Step exactly to a time, or to the latest time stepped to; returns which, s."""
-        time = max(time, self._state.reached)
-        self._step_to(time, commit=True)
+        time = max(time, self._live.reached)
+        self._pending += self._live.step(time, commit=True)
         return time
 
     def _set(self, time: float, setter: Setter, value: float) -> None:
-        setter(self._record, self._state.array, value)
+        setter(self._live.valve, self._live.state, value)
         if self._delay:
             self._commands.append((time, setter, value))
 
@@ -161,17 +170,15 @@ class Stepper:
         Raises:
             SimulationError: the step could not be carried to its end.
         """
-        self._step_to(time, commit=False)
-        pilot, main, velocity, attraction, number, x, volts, *of_gas = self._shown_row.tolist()
+        self._pending += self._live.step(time, commit=False)
+        pilot, main, velocity, attraction, number, x, volts, *of_gas = self._live.row.tolist()
         phase = _PHASES[int(number)]
         if self._delay:
             pilot, main = self._delayed(time - self._delay)
         effort = -(self._preload + self._rate * x) if phase >= _MAIN else 0.0
-        events: tuple[Event, ...] = ()
-        if self._pending:
-            events, self._pending = tuple(self._pending), []
+        events, self._pending = self._pending, ()
         return Reading(
-            time, pilot, main, velocity, velocity if phase is _MAIN else 0.0, self._current.item() * self._rated,
+            time, pilot, main, velocity, velocity if phase is _MAIN else 0.0, self._live.current.item() * self._rated,
             attraction, effort, phase, events, volts, *of_gas,
         )  # fmt: skip
 
@@ -183,61 +190,36 @@ class Stepper:
         record = valve.record()
         check_flux(record)
         self._commit(time)
-        set_voltage(self._record, self._state.array, self._volts)  # the current so far belongs to the old coil
-        state = _state_of(record, self._state.array, self._record)
-        self._become(valve, record)
+        before, state = self._live.valve, self._live.state
+        set_voltage(before, state, self._volts)  # the current so far belongs to the old coil
+        state = _state_of(record, state, before)
         settle(record, state)
-        self._follow(state)
-        self._commands = []
+        self._become(valve, record, state)
 
-    def _become(self, valve: Valve, record: Any) -> None:
-        """Take over a valve, and what each reading needs of its record."""
-        self._valve = valve
-        self._record = record
-        self._row = np.empty((1, columns_of(record)))
-        self._shown_row = self._row[0]
-        self._samples = (self._times, self._row, self._times, self._current)
+    def _become(self, valve: Valve, record: Any, state: Any) -> None:
+        """Step this valve from this state on; what a late sensor shows follows behind it."""
+        self._valve, self._record = valve, record
+        self._live, self._late = (_Live(record, state, self._tolerance) for _ in range(2))
+        self._commands: list[tuple[float, Setter, float]] = []
         self._rated = rated_current(record)
         self._delay, self._preload, self._rate = (
             float(record[0][name]) for name in ("sensor_delay", "spring_preload", "spring_rate")
         )
 
-    def _follow(self, state: Any) -> None:
-        """Step this state from now on; a late sensor shows a copy of it."""
-        self._state, self._shown = _State(state), _State(state.copy())
-
     def _coil(self, time: float) -> CoilReading:
         """The coil as it was shown last."""
-        return CoilReading(time, self._current.item() * self._rated, float(self._row[0, 6]))
-
-    def _step_to(self, time: float, *, commit: bool) -> None:
-        """Step the valve, and note its events."""
-        count = self._go(self._state, time, commit)
-        if count:
-            events, _ = self._log
-            self._pending.extend(event_tuple(events, min(count, len(events))))
-
-    def _go(self, state: _State, time: float, commit: bool) -> int:
-        """Step a state, and show it; how many events there were."""
-        self._times[0] = time
-        control = (self._tolerance, most_steps(time - state.time.item()), True)
-        _, count, outcome = driver.run(
-            self._record, state.array, (time, commit), self._samples, self._log, control, None
-        )
-        if outcome:
-            check_outcome(outcome)
-        return count  # type: ignore[no-any-return]
+        return CoilReading(time, self._live.current.item() * self._rated, float(self._live.row[6]))
 
     def _delayed(self, time: float) -> tuple[float, float]:
         """The positions as a late sensor shows them: a second state follows the first by the delay."""
-        shown = self._shown
-        time = max(time, shown.reached)
+        late = self._late
+        time = max(time, late.reached)
         while self._commands and self._commands[0][0] <= time:
             command_time, setter, value = self._commands.pop(0)
-            self._go(shown, max(command_time, shown.reached), True)
-            setter(self._record, shown.array, value)
-        self._go(shown, time, False)
-        return float(self._row[0, 0]), float(self._row[0, 1])
+            late.step(max(command_time, late.reached), commit=True)
+            setter(late.valve, late.state, value)
+        late.step(time, commit=False)
+        return float(late.row[0]), float(late.row[1])
 
 
 def _set_inlet(record: Any, state: Any, pressure: float) -> None:

@@ -15,6 +15,7 @@ from valve_sim.model.driver import FINISHED, NONE
 from valve_sim.model.drives import Drive
 from valve_sim.model.gas.boundary import set_demand, set_inlet
 from valve_sim.model.gas.variational import enter_demand, leave_demand, vary_inlet
+from valve_sim.model.live_record import most_steps
 from valve_sim.model.response import Response
 from valve_sim.model.simulation import (
     TOLERANCE,
@@ -23,7 +24,6 @@ from valve_sim.model.simulation import (
     Valve,
     check_outcome,
     delay_and_end,
-    most_steps,
     response_of,
 )
 from valve_sim.model.transitions import set_voltage

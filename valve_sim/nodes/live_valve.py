@@ -48,15 +48,16 @@ class Timeline:
 
     def model_time(self, clock: int) -> float:
         """Model time, s."""
-        return self._model + (clock - self._clock) / NANOSECONDS * self._scale
+        return self.at(clock)[0]
 
     def stamp(self, clock: int) -> int:
         """Stamp, ns."""
-        return self.stamp_at(self.model_time(clock))
+        return self.at(clock)[1]
 
-    def stamp_at(self, time: float) -> int:
-        """Stamp, ns, of a model time, s."""
-        return self._stamp + round(time * NANOSECONDS)
+    def at(self, clock: int) -> tuple[float, int]:
+        """Model time, s, and stamp, ns."""
+        time = self._model + (clock - self._clock) / NANOSECONDS * self._scale
+        return time, self._stamp + round(time * NANOSECONDS)
 
     def set_scale(self, clock: int, scale: float) -> None:
         """Change the time scale from this clock time on, without a jump in model time."""
@@ -212,17 +213,17 @@ class LiveValve:
             self._mailbox.deliver(self._reached, clock)
             if self.command_timeout > 0.0:
                 self._watch_command(clock)
-            time = self._timeline.model_time(clock)
+            time, stamp = self._timeline.at(clock)
             reading = stepper.advance(time)
         except SimulationError as error:
             failure = str(error)
             self.failures += 1
             self._rest(clock)
-            time = self._timeline.model_time(clock)
+            time, stamp = self._timeline.at(clock)
             reading = stepper.advance(time)
         self._reached = clock
+        self._stamp = stamp
         self.phase = reading.phase
-        self._stamp = self._timeline.stamp_at(time)
         phases: tuple[Phase, ...] = ()
         if reading.events or reading.phase is not self._announced:
             self.strokes += sum(event.kind is EventKind.REACHED_STOP for event in reading.events)
@@ -244,12 +245,11 @@ class LiveValve:
 
         A request acts from the latest such step on at the earliest: the next `step` makes up for the time since.
         """
-        time = self._timeline.model_time(clock)
+        time, self._stamp = self._timeline.at(clock)
         reading = reading_at_rest(self._running.valve, time)
         if reading is None:
             raise RuntimeError("of this valve only the model can tell whether it rests")
         self._reached = clock
-        self._stamp = self._timeline.stamp_at(time)
         return Step(self._stamp, reading, self._phases_to_announce(reading), "")
 
     @property

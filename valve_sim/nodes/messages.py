@@ -128,14 +128,10 @@ class _Encoding:
         return self._pack(*self._parts)
 
 
-def phase_message(phase: Phase) -> UInt8:
-    """~/phase."""
-    return UInt8(data=int(phase))
-
-
-def is_open_message(phase: Phase) -> Bool:
-    """~/is_open: the flow path is fully open."""
-    return Bool(data=phase is Phase.OPEN)
+PHASE: Final = {phase: serialize_message(UInt8(data=int(phase))) for phase in Phase}
+"""~/phase, encoded."""
+IS_OPEN: Final = {phase: serialize_message(Bool(data=phase is Phase.OPEN)) for phase in Phase}
+"""~/is_open, encoded: the flow path is fully open."""
 
 
 def diagnostic_array(statuses: Sequence[Status], node: str, stamp: int) -> DiagnosticArray:

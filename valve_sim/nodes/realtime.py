@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import threading
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Final, NamedTuple, Protocol
 
 from valve_sim.nodes.stoppable import StoppableThread
@@ -26,15 +26,12 @@ LONGEST_LEAP_SECONDS: Final = 60.0
 _LONGEST_LEAP: Final = round(LONGEST_LEAP_SECONDS * NANOSECONDS)
 
 
-class Due(NamedTuple):
-    """Deadlines that have passed: clock times in ns, ascending, and how many older ones were dropped."""
-
-    times: Sequence[int]
-    lost: int
-
-
 class Schedule:
     """Absolute deadlines start + k / rate, rounded to ns one by one, so that nothing accumulates.
+
+    Attributes:
+        next: clock time of the next deadline, ns.
+        backlog: ns for which a deadline may be overdue.
 
     Args:
         rate: deadlines a second of the clock, Hz.
@@ -43,34 +40,31 @@ class Schedule:
     """
 
     def __init__(self, rate: float, start: int, backlog: float = BACKLOG_SECONDS) -> None:
+        self.next = start
         self._rate = rate
         self._start = start
         self._index = 0
-        self._next = start
         self._most = max(1, int(backlog * rate))
+        self.backlog = round(self._most * NANOSECONDS / rate)
 
-    @property
-    def next(self) -> int:
-        """Clock time of the next deadline, ns."""
-        return self._next
+    def take(self) -> int:
+        """The next deadline, ns; each is handed out once."""
+        time = self.next
+        self._index += 1
+        self.next = self._at(self._index)
+        return time
 
-    def take(self, now: int) -> Due:
-        """The deadlines up to `now`, ns; each is handed out once."""
-        first = self._next
-        if now < first:
-            return Due([], 0)
-        if now < (following := self._at(self._index + 1)):
-            self._index, self._next = self._index + 1, following
-            return Due([first], 0)
+    def drop_overdue(self, now: int) -> int:
+        """Drop the deadlines that are overdue for longer than the backlog at `now`, ns; how many."""
         end = int((now - self._start) * self._rate / NANOSECONDS) + 1
         while self._at(end - 1) > now:
             end -= 1
         while self._at(end) <= now:
             end += 1
-        first = max(self._index, end - self._most)
-        lost = first - self._index
-        self._index, self._next = end, self._at(end)
-        return Due([self._at(index) for index in range(first, end)], lost)
+        lost = max(0, end - self._most - self._index)
+        self._index += lost
+        self.next = self._at(self._index)
+        return lost
 
     def _at(self, index: int) -> int:
         return self._start + round(index * NANOSECONDS / self._rate)
@@ -174,7 +168,7 @@ class Worker(StoppableThread):
         step: called with each deadline, ns of the clock.
         fail: called with what went wrong, if anything did; the thread then ends.
         may_step: whether steps up to a time of the clock, ns, can be made; those that cannot wait, and are dropped if
-            they are overdue for longer than BACKLOG_SECONDS.
+            they are overdue for longer than BACKLOG_SECONDS. Asked until `may_always_step`; default: always.
     """
 
     def __init__(
@@ -186,7 +180,7 @@ class Worker(StoppableThread):
         restart: Callable[[Restart], None],
         step: Callable[[int], None],
         fail: Callable[[Exception], None],
-        may_step: Callable[[int], bool] = lambda now: True,
+        may_step: Callable[[int], bool] | None = None,
     ) -> None:
         super().__init__("valve stepper")
         self.timing = TimingRecord()
@@ -202,6 +196,10 @@ class Worker(StoppableThread):
         """Set the rate of the steps, Hz."""
         self._rate = rate
         self.wake()
+
+    def may_always_step(self) -> None:
+        """From now on steps can always be made."""
+        self._may_step = None
 
     def wake(self) -> None:
         """Interrupt the wait for the next step."""
@@ -219,48 +217,49 @@ class Worker(StoppableThread):
     def _follow(self) -> None:
         pace = _Pace(self._clock, self._restart)
         while not self.is_stopping:
-            schedule = pace.look(self._rate)
+            schedule, may_step = pace.look(self._rate), self._may_step
             if schedule is None:
                 self._clock.sleep_until(0)
-                continue
-            if not self._may_step(pace.now):
+            elif may_step is not None and not may_step(pace.now):
                 self._clock.sleep_until(pace.now + _BETWEEN_QUESTIONS)
-                continue
-            due = schedule.take(pace.now)
-            if due.lost:
-                self.timing.note_lost(due.lost)
-            now = pace.now
-            for time in due.times:
-                if self.is_stopping:
-                    return
-                self.timing.note(now - time, NANOSECONDS / self._rate)
-                self._step(time)
-                if time != due.times[-1] and (reading := self._clock.read()):
-                    now = reading.nanoseconds
-            self._clock.sleep_until(schedule.next)
+            else:
+                self._make_up(schedule, pace.now)
+                self._clock.sleep_until(schedule.next)
+
+    def _make_up(self, schedule: Schedule, until: int) -> None:
+        """Make the steps up to a time, ns, that has just been read off the clock."""
+        if until - schedule.next > schedule.backlog:
+            self.timing.note_lost(schedule.drop_overdue(until))
+        now, period = until, NANOSECONDS / self._rate
+        while schedule.next <= until and not self.is_stopping:
+            time = schedule.take()
+            self.timing.note(now - time, period)
+            self._step(time)
+            if schedule.next <= until and (reading := self._clock.read()):
+                now = reading.nanoseconds
 
 
 class _Pace:
-    """Watches the clock for jumps, and the rate for changes."""
+    """Watches the clock for jumps, and the rate for changes.
+
+    Attributes:
+        now: the last reading of the clock, ns.
+    """
 
     def __init__(self, clock: PaceClock, restart: Callable[[Restart], None]) -> None:
+        self.now = 0
         self._clock = clock
         self._restart = restart
         self._last: ClockReading | None = None
         self._rate = math.nan
         self._schedule: Schedule | None = None
 
-    @property
-    def now(self) -> int:
-        """The last reading of the clock, ns."""
-        return 0 if self._last is None else self._last.nanoseconds
-
     def look(self, rate: float) -> Schedule | None:
         """Read the clock; the present schedule, or None while the clock has no time yet."""
         reading, last = self._clock.read(), self._last
         if reading is None:
             return None
-        self._last = reading
+        self._last, self.now = reading, reading.nanoseconds
         reason = why_restart(last, reading)
         if reason is None and rate == self._rate:
             return self._schedule

@@ -24,7 +24,7 @@ LATCHED: Final = QoSProfile(
 
 
 class EncodedPublisher:
-    """A reliable publisher of messages that are encoded already.
+    """A publisher of messages that are encoded already.
 
     Bytes go straight to what rclpy's own `publish` hands them to. Its checks before that, of the message's type and of
     a publisher that another thread destroys, take 15 to 19 µs of 55 once a thread has slept a millisecond. So whoever
@@ -38,11 +38,11 @@ class EncodedPublisher:
     Args:
         node: publishes; keeps the publisher.
         message_type: of the messages.
-        name: of the topic.
+        name: of the topic. qos: of it.
     """
 
-    def __init__(self, node: Node, message_type: type, name: str) -> None:
-        publisher = node.create_publisher(message_type, name, RELIABLE)
+    def __init__(self, node: Node, message_type: type, name: str, *, qos: QoSProfile = RELIABLE) -> None:
+        publisher = node.create_publisher(message_type, name, qos)
         handle: Any = publisher.handle
         self.topic_name = publisher.topic_name
         self.publish: Callable[[bytes], None] = handle.publish_raw

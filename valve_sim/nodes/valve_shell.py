@@ -40,11 +40,11 @@ from valve_sim.nodes.gas_topics import BETWEEN_WARNINGS, GasTopics
 from valve_sim.nodes.live_valve import LiveValve, Step, self_test
 from valve_sim.nodes.loading import ModelLoader, load_stepper
 from valve_sim.nodes.messages import (
+    IS_OPEN,
+    PHASE,
     ReadingMessages,
     descriptor,
     diagnostic_array,
-    is_open_message,
-    phase_message,
 )
 from valve_sim.nodes.node_clock import NodeClock
 from valve_sim.nodes.parameters import (
@@ -120,7 +120,7 @@ class ValveShell:
             restart=self._restart,
             step=self._step,
             fail=self._fail,
-            may_step=lambda now: self._is_ready or self._live.rests_until(now),
+            may_step=self._live.rests_until,
         )
         self._loader = ModelLoader(self._load, self._fail)
         self._receiver = Receiver(self._node, self._voltage, lambda: not self._clock.is_simulated, self._fail)
@@ -164,8 +164,8 @@ class ValveShell:
         self._coil_current = EncodedPublisher(node, Float64, "~/coil_current")
         sampled = (self._joint_states, self._coil, self._coil_current)
         self._audience = Audience(*(publisher.get_subscription_count for publisher in sampled))
-        self._phase = node.create_publisher(UInt8, "~/phase", LATCHED)
-        self._is_open = node.create_publisher(Bool, "~/is_open", LATCHED)
+        self._phase = EncodedPublisher(node, UInt8, "~/phase", qos=LATCHED)
+        self._is_open = EncodedPublisher(node, Bool, "~/is_open", qos=LATCHED)
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
         events = SubscriptionEventCallbacks(incompatible_qos=guarded(self._on_incompatible_voltage))
         self._voltage = node.create_subscription(
@@ -195,6 +195,7 @@ class ValveShell:
         load_stepper(valve)
         self._warn_if_it_cannot_open(valve)
         self._is_ready = True
+        self._worker.may_always_step()
         self._say_ready()
 
     def _say_ready(self) -> None:
@@ -246,8 +247,8 @@ class ValveShell:
 
     def _publish_phases(self, step: Step) -> None:
         for phase in step.phases:
-            self._phase.publish(phase_message(phase))
-            self._is_open.publish(is_open_message(phase))
+            self._phase.publish(PHASE[phase])
+            self._is_open.publish(IS_OPEN[phase])
 
     def _fail(self, error: Exception) -> None:
         if self._node.context.ok():
