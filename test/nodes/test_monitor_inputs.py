@@ -11,7 +11,8 @@ pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
 
 from rclpy.serialization import serialize_message  # noqa: E402
-from sensor_msgs.msg import FluidPressure, JointState  # noqa: E402
+from sensor_msgs.msg import BatteryState, FluidPressure, JointState  # noqa: E402
+from std_msgs.msg import Float64  # noqa: E402
 
 from valve_sim.nodes.monitor_inputs import MonitorInputs, Takers  # noqa: E402
 from valve_sim.nodes.realtime import ClockReading  # noqa: E402
@@ -56,6 +57,8 @@ class Node:
 class Clock:
     """Not a simulated one."""
 
+    is_simulated = False
+
     def read(self) -> ClockReading:
         return ClockReading(0, False)
 
@@ -72,17 +75,20 @@ class Heard:
         take = Takers(*(note(kind) for kind in ("command", "position", "coil", "outlet", "end", "rejected")))
         node: Any = self.node
         clock: Any = Clock()
-        MonitorInputs(node, clock, "/valve", f"/valve/{measured}", {}, take, has_gas=True)
+        self.inputs = MonitorInputs(node, clock, "/valve", f"/valve/{measured}", {}, take, has_gas=True)
 
     def put(self, topic: str, pressure: float, stamp: int = 0) -> None:
         message = FluidPressure(fluid_pressure=pressure)
         message.header.stamp.nanosec = stamp
         self.node.queues[f"/valve/{topic}"].put(message)
 
-    def sample(self, topic: str = "joint_states") -> None:
+    def put_sample(self, topic: str = "joint_states", stamp: int = 5) -> None:
         joints = JointState(name=["pilot_plunger"], position=[0.0])
-        joints.header.stamp.nanosec = 5
+        joints.header.stamp.nanosec = stamp
         self.node.queues[f"/valve/{topic}"].put(joints)
+
+    def sample(self, topic: str = "joint_states") -> None:
+        self.put_sample(topic)
         self.node.queues[f"/valve/{topic}"].execute()
 
 
@@ -133,3 +139,30 @@ def test_a_message_that_is_no_pressure_is_rejected() -> None:
     queue = heard.node.queues["/valve/outlet_pressure"]
     queue.callback(b"\x00\x01\x00\x00", {})
     assert [taken[0] for taken in heard.taken] == ["rejected"]
+
+
+def test_without_an_executor_all_samples_are_taken_after_what_was_heard_before_them() -> None:
+    heard = Heard("joint_states")
+    assert not heard.inputs.take_waiting()
+    heard.put("outlet_pressure", 2e6, 1)
+    heard.node.queues["/valve/coil_voltage"].put(Float64(data=9.0))
+    for stamp in (5, 6, 7):
+        heard.put_sample(stamp=stamp)
+    for stamp in (8, 9):
+        coil = BatteryState(current=0.5, voltage=9.0)
+        coil.header.stamp.nanosec = stamp
+        heard.node.queues["/valve/coil"].put(coil)
+    heard.node.queues["/valve/coil_current"].put(Float64(data=0.25))
+    assert heard.inputs.take_waiting()
+    unstamped = ("coil", 77, 0.25)
+    assert [taken[:3] for taken in heard.taken if taken[:3] != unstamped] == [
+        ("outlet", 1, 2e6),
+        ("command", 77, 9.0),
+        *(("position", stamp, 0.0) for stamp in (5, 6, 7)),
+        *(("coil", stamp, 0.5) for stamp in (8, 9)),
+    ]
+    assert "/valve/coil_current" not in heard.node.queues, "the stamped one is heard in its place"
+    heard.put_sample(stamp=10)
+    assert heard.inputs.take_waiting()
+    assert heard.taken[-1][:2] == ("position", 10)
+    assert not heard.inputs.take_waiting()

@@ -74,6 +74,7 @@ class MonitorInputs:
         self._has_stamped_current = False
         self._joints_reader, self._coil_reader, self._pressure_reader = joint_states(), coils(), pressures()
         self._pressures: list[Subscription] = []
+        self._sampled: dict[Subscription, Callable[[Any, Any], None]] = {}
         events = SubscriptionEventCallbacks(incompatible_qos=guarded(self._on_incompatible_qos))
         if entries:
             self._subscribe_by_map(entries, events)
@@ -103,8 +104,17 @@ class MonitorInputs:
 
     def is_simulated(self) -> bool:
         """Whether /clock counts, or is waited for."""
-        reading = self._clock.read()
-        return reading is None or reading.is_simulated
+        return self._clock.is_simulated
+
+    def take_waiting(self) -> bool:
+        """Take all queued samples, each after what was heard before it, without an executor; whether there were any."""
+        found = False
+        for subscription, take in tuple(self._sampled.items()):
+            if subscription in self._sampled:
+                for sample, info in self._waiting_on(subscription):
+                    take(sample, info)
+                    found = True
+        return found
 
     def _subscribe_to_own_topics(self, events: SubscriptionEventCallbacks) -> None:
         node = self._node
@@ -115,10 +125,12 @@ class MonitorInputs:
         if self._measured.rpartition("/")[2] not in _OF_COIL:
             on_samples: Any = guarded(self._on_samples)
             self._samples = node.create_subscription(JointState, self._measured, on_samples, _MEASURED, raw=True)
+            self._sampled[self._samples] = self._on_samples
         on_currents: Any = guarded(self._on_currents)
         self._currents = node.create_subscription(Float64, f"{self._sensors}/coil_current", on_currents, _MEASURED)
         on_coil: Any = guarded(self._on_coil)
         self._coil = node.create_subscription(BatteryState, f"{self._sensors}/coil", on_coil, _MEASURED, raw=True)
+        self._sampled |= {self._currents: self._on_currents, self._coil: self._on_coil}
         if self._has_gas:
             self._subscribe_to_pressures()
 
@@ -173,8 +185,10 @@ class MonitorInputs:
         self._commands = subscription_to("command", self._on_command, _COMMANDS, event_callbacks=events)
         if "position" in entries:
             self._samples = subscription_to("position", self._on_samples, _MEASURED)
+            self._sampled[self._samples] = self._on_samples
         if "current" in entries:
             self._currents = subscription_to("current", self._on_currents, _MEASURED)
+            self._sampled[self._currents] = self._on_currents
 
     def _as_own_message(self, entry: LiveInput | None, message: Any, info: Any) -> tuple[Any, Any]:
         """A message and its times as this package's own topics have them; `entry` is None where they are already.
@@ -212,6 +226,7 @@ class MonitorInputs:
         """Unsubscribe from what says nothing more, and costs as much as a sample to send and to take."""
         if not self._has_stamped_current:
             self._has_stamped_current = True
+            del self._sampled[self._currents]
             self._node.destroy_subscription(self._currents)
 
     def _on_pressure(self, take: Callable[[int, float], None], encoded: bytes, info: Any) -> None:

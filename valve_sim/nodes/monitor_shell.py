@@ -10,6 +10,7 @@ import contextlib
 import gc
 import json
 import math
+import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -50,14 +51,16 @@ from valve_sim.nodes.monitor_status import (
 from valve_sim.nodes.monitor_tasks import FaultIsolation, MonitorThread
 from valve_sim.nodes.node_clock import NodeClock
 from valve_sim.nodes.parameters import sources_of
-from valve_sim.nodes.realtime import LONGEST_LEAP_SECONDS, NANOSECONDS
+from valve_sim.nodes.realtime import LONGEST_LEAP_SECONDS, NANOSECONDS, Audience
 from valve_sim.nodes.shell_parts import LATCHED, RELIABLE, declare_read_only, full_name, given_parameters, make_node
 from valve_sim.nodes.spinning import guarded, spin
 from valve_sim.traces import Trace
 from valve_sim.traces.trouble import MOST_STROKES
 
 _PAUSE: Final = 10e-3
-"""s between polls: waking up for each sample would cost rclpy more than the model's step."""
+"""s between polls: waking up for each sample would cost more than the model's step."""
+_POLLS: Final = 5
+"""While samples come, from one look of rclpy's executor at timers and services to the next: it costs as much as ten."""
 _JUMP_SECONDS: Final = 1.0
 """A stamp that goes back by more means a clock that was set or a bag that restarted, not a sample out of order."""
 _MOST_WAITING: Final = 100_000
@@ -143,7 +146,7 @@ class MonitorShell:
     def spin(self) -> None:
         """Monitor until ROS is shut down."""
         self._monitor_thread.start()
-        spin(self._node, lambda: 0.0 if self._inputs.is_simulated() else _PAUSE)
+        spin(self._node, guarded(self._poll))
 
     def close(self, timeout: float | None) -> bool:
         """Stop and release everything; whether both threads have ended."""
@@ -164,6 +167,7 @@ class MonitorShell:
         node = self._node
         self._predicted = node.create_publisher(JointState, "~/predicted/joint_states", RELIABLE)
         self._residual = node.create_publisher(Float64, "~/residual", RELIABLE)
+        self._audience = Audience(self._predicted.get_subscription_count, self._residual.get_subscription_count)
         self._stroke_diagnostics = node.create_publisher(DiagnosticArray, "~/stroke_diagnostics", RELIABLE)
         self._stroke_report = node.create_publisher(String, "~/stroke_report", RELIABLE)
         self._finding = node.create_publisher(String, "~/finding", LATCHED)
@@ -174,6 +178,15 @@ class MonitorShell:
         node.create_timer(1.0, guarded(self._diagnose), clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     # --- what is heard, in the main thread ---
+
+    def _poll(self) -> None:
+        """Take samples as they come, not under simulated time, where the executor keeps their order with /clock."""
+        for _ in range(_POLLS):
+            if self._inputs.is_simulated():
+                return
+            time.sleep(_PAUSE)
+            if not self._node.context.ok() or not self._inputs.take_waiting():
+                return
 
     def _on_command(self, stamp: int, volts: float) -> None:
         self._when_ready(partial(self._command, stamp, volts))
@@ -260,9 +273,10 @@ class MonitorShell:
         if stamp < self._next_message:
             return
         self._next_message = max(self._next_message, stamp) + round(0.9 * NANOSECONDS / self._settings.max_rate)
-        if self._predicted.get_subscription_count():
+        hears_predicted, hears_residual = self._audience.look(stamp)
+        if hears_predicted:
             self._predicted.publish(self._messages.joint_states(stamp, prediction.reading))
-        if self._residual.get_subscription_count():
+        if hears_residual:
             self._residual.publish(Float64(data=prediction.residual))
 
     def _hand_over(self) -> None:

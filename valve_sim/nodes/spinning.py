@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import time
 from collections.abc import Callable, Iterator
 from typing import Any, ParamSpec, TypeVar
 
@@ -32,12 +31,12 @@ def guarded(callback: Callable[P, R]) -> Callable[P, R]:
     return call
 
 
-def spin(node: Node, pause: Callable[[], float] | None = None) -> None:
+def spin(node: Node, between: Callable[[], None] | None = None) -> None:
     """Spin until ROS is shut down.
 
     Args:
         node: what is spun.
-        pause: s to sleep after each callback, for a node that then takes all queued messages; default none.
+        between: what is done after each callback, `guarded`; default nothing.
 
     A /clock before 1970, and whatever else rclpy refuses with an exception of its own, would end every node that
     subscribes to it; here the message is dropped with a line in the log. Exceptions of callbacks of this package, each
@@ -48,11 +47,11 @@ def spin(node: Node, pause: Callable[[], float] | None = None) -> None:
     try:
         while node.context.ok():
             try:
-                if pause is None:
+                if between is None:
                     executor.spin()
                 else:
                     executor.spin_once()
-                    time.sleep(pause())
+                    between()
             except (ExternalShutdownException, CallbackError):
                 raise
             except Exception as error:

@@ -34,11 +34,16 @@ LONGEST: Final = 0.1
 class ArrivalSpread:
     """The jitter of stamped samples: the spread of arrival less stamp, which an offset of the clock does not change.
 
-    The soonest of the last `REMEMBERED` seconds is the delay of the transport; what is later waited for a processor or
-    a network, as a command without a stamp may have.
+    The soonest of the last `ARRIVAL_WINDOW` seconds is the delay of the transport; what is later waited for a processor
+    or a network, as a command without a stamp may have.
+
+    Attributes:
+        earliest: s; inf before the first.
+        spread: seconds between the smallest and the largest delay; 0 before the first.
     """
 
     def __init__(self) -> None:
+        self.earliest, self.spread = math.inf, 0.0
         self._seconds: deque[tuple[float, float, float]] = deque(maxlen=ARRIVAL_WINDOW)
 
     def add(self, time: float, late: float) -> None:
@@ -47,24 +52,17 @@ class ArrivalSpread:
             return
         if not self._seconds or not 0.0 <= time - self._seconds[-1][0] < 1.0:
             self._seconds.append((time, late, late))
-            return
-        start, low, high = self._seconds[-1]
-        if not low <= late <= high:
+        else:
+            start, low, high = self._seconds[-1]
+            if low <= late <= high:
+                return
             self._seconds[-1] = start, min(low, late), max(high, late)
-
-    @property
-    def earliest(self) -> float:
-        """s; inf before the first."""
-        return min((low for _, low, _ in self._seconds), default=math.inf)
+        self.earliest = min(low for _, low, _ in self._seconds)
+        self.spread = max(high for _, _, high in self._seconds) - self.earliest
 
     def beyond_earliest(self, late: float) -> float:
         """A delay less the smallest one, s; nan for one that is not finite."""
         return max(0.0, late - self.earliest) if math.isfinite(late) else math.nan
-
-    @property
-    def spread(self) -> float:
-        """Seconds between the smallest and the largest delay; 0 before the first."""
-        return max(high for _, _, high in self._seconds) - self.earliest if self._seconds else 0.0
 
 
 class StrokeTiming(NamedTuple):
