@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from valve_sim.files.parameter_files import default_valve
+from valve_sim.identification.estimation.noise import Noise
 from valve_sim.model import CATALOGUE, Drive, Stepper, Valve, ValveError, simulate, simulate_many
 from valve_sim.model.compiling import announce_compiling
 from valve_sim.model.gas import GasParameters
@@ -35,6 +36,14 @@ def warm() -> None:
     stepper.advance(3e-3)
     for effect in CATALOGUE.values():
         effect.compile_ahead()
+    _warm_fits()
+
+
+def _warm_fits() -> None:
+    """Residuals, and derivatives: all that a run has room for, or the first few of it."""
+    white, shown = np.empty((2, 1)), np.zeros((2, 2))
+    for columns in (shown[:, :1], shown[:, :1].copy()):
+        Noise(1.0, 1.0, (), 0.0, 1.0, 0).whiten_into(white, columns, np.ones(2))
 
 
 def _warm_derivatives(valve: Valve, drive: Drive) -> None:

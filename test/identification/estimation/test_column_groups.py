@@ -10,7 +10,7 @@ from plants.recording import Profile, Recorder, train_profile
 
 from identification.recordings import recorded
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.estimation.column_groups import columns_decouple, group_columns
+from valve_sim.identification.estimation.column_groups import group_columns
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
@@ -28,18 +28,20 @@ def rows(*indices: int, count: int = 12) -> np.ndarray:
 
 def test_what_has_no_sample_in_common_is_gathered() -> None:
     masks = [rows(0, 1), rows(1, 2), rows(2, 3), rows(4), np.ones(12, bool), rows()]
-    assert group_columns(masks) == [[0, 2, 3, 5], [1], [4]]
+    assert [group.members for group in group_columns(masks)] == [[0, 2, 3, 5], [1], [4]]
     assert group_columns([]) == []
 
 
 def test_what_is_not_over_at_the_end_of_its_stretch_does_not_stay_apart() -> None:
     first, second = rows(*range(6)), rows(*range(6, 12))
     over = np.array([0.0, 5.0, 1.0, 0.0, 0.004, 0.0, 0.0, 0.0, 2.0, 3.0, 4.0, 5.0])
-    assert columns_decouple(over, [first, second])
+    (group,), columns = group_columns([first, second]), np.zeros((12, 2))
+    assert group.part(over, columns)
+    np.testing.assert_array_equal(columns, np.column_stack([first, second]) * over[:, None])
     lasting = over.copy()
     lasting[4] = 0.006
-    assert not columns_decouple(lasting, [first, second])
-    assert columns_decouple(np.zeros(12), [first, second])
+    assert not group.part(lasting, columns)
+    assert group.part(np.zeros(12), columns)
 
 
 class Counting(ValvePlant):

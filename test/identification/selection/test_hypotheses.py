@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from valve_sim.identification.selection.hypotheses import (
     SCATTER,
     Search,
 )
-from valve_sim.identification.selection.starts import effect_starts, start_near_off, starts_from_declared
+from valve_sim.identification.selection.starts import effect_starts, robust_cost, start_near_off, starts_from_declared
 from valve_sim.identification.selection.table import FitLog, Row
 from valve_sim.model import Parameter, SimulationError
 
@@ -36,7 +37,7 @@ def starts(parameters: tuple[Parameter, ...], missed: Mapping[str, float] | None
     aim = missed or {}
     world = World({"": 0.0}, {"a": effect})
     world.missed = lambda values: sum(abs(values[name] - at) for name, at in aim.items())
-    return effect_starts(world.problem, effect, {"gain": 1.0})
+    return effect_starts(partial(robust_cost, world.problem), effect, {"gain": 1.0})
 
 
 # -- starts of an effect -----------------------------------------------------------------------------------------------
@@ -92,12 +93,12 @@ def test_what_cannot_be_simulated_comes_last() -> None:
         return 1.0
 
     world.missed = missed
-    assert effect_starts(world.problem, effect, {})[1:] == [{"a.force": 6.0}]
+    assert effect_starts(partial(robust_cost, world.problem), effect, {})[1:] == [{"a.force": 6.0}]
 
 
 def test_a_declared_value_starts_where_it_is() -> None:
     mass = EffectChoice("valve.m", (Parameter("m", "kg", "", 0.1, 9.0, 0.2, 1.0),), is_declared_value=True)
-    assert effect_starts(World({"": 0.0}, {"a": mass}).problem, mass, {}) == [{}]
+    assert effect_starts(partial(robust_cost, World({"": 0.0}, {"a": mass}).problem), mass, {}) == [{}]
 
 
 def test_a_size_whose_off_is_its_upper_bound_starts_below() -> None:
@@ -120,7 +121,7 @@ def from_declared(
     effect = EffectChoice("a", parameters)
     world = World({"": 0.0}, {"a": effect})
     world.missed = lambda values: sum(abs(values.get(name, 0.0) - at) for name, at in aim.items())
-    return starts_from_declared(world.problem, effect, known or {})
+    return starts_from_declared(partial(robust_cost, world.problem), effect, known or {})
 
 
 def test_a_strong_effect_starts_from_what_is_declared_and_near_its_size() -> None:
@@ -148,7 +149,7 @@ def test_what_explains_little_from_there_needs_no_such_start() -> None:
     assert from_declared((ONE_SIDED,), out_of_reach) == []
     assert from_declared((ONE_SIDED,), {**out_of_reach, "a.force": 8.0}) != []
     mass = EffectChoice("valve.m", (Parameter("m", "kg", "", 0.1, 9.0, 0.2, 1.0),), is_declared_value=True)
-    assert starts_from_declared(World({"": 0.0}, {"a": mass}).problem, mass, {}) == []
+    assert starts_from_declared(partial(robust_cost, World({"": 0.0}, {"a": mass}).problem), mass, {}) == []
 
 
 # -- fits of a hypothesis ----------------------------------------------------------------------------------------------

@@ -20,8 +20,52 @@ LEFT: Final = 1e-3
 """Share of the largest difference in a stretch that counts as zero."""
 
 
-def group_columns(reach: Sequence[NDArray[np.bool_]]) -> list[list[int]]:
-    """Indices of nuisances in groups: those in one group have no sample in common.
+class ColumnGroup:
+    """Nuisances of which no two act on the same sample.
+
+    Args:
+        members: their indices. reach: for each of them, (n,) which samples it acts on.
+
+    Attributes:
+        members: as given.
+    """
+
+    def __init__(self, members: Sequence[int], reach: Sequence[NDArray[np.bool_]]) -> None:
+        self.members = list(members)
+        self._stretches = [stretch for mask in reach for stretch in stretches(mask)]
+        self._rows = np.concatenate([np.flatnonzero(mask) for mask in reach])
+        self._columns = np.repeat(self.members, [np.count_nonzero(mask) for mask in reach])
+
+    def part(self, differences: NDArray[np.float64], columns: NDArray[np.float64]) -> bool:
+        """Part the change of residuals when all are perturbed: what each acts on is its column's.
+
+        Args:
+            differences: (n,) that change. columns: (n, m) of all nuisances, 0 where these are to be filled in.
+
+        Returns:
+            whether they could be parted; else nothing is filled in.
+        """
+        if not self.decouple(differences):
+            return False
+        columns[self._rows, self._columns] = differences[self._rows]
+        return True
+
+    def decouple(self, differences: NDArray[np.float64]) -> bool:
+        """Whether each one's effect has died away at the end of each stretch of samples that it acts on.
+
+        Where it has not, as in strokes that follow each other without rest, it reaches samples that another one acts
+        on. Argument as of `part`.
+        """
+        for start, stop in self._stretches:
+            if stop < len(differences):
+                sizes = np.abs(differences[start:stop])
+                if np.max(sizes[-LAST:]) > LEFT * np.max(sizes):
+                    return False
+        return True
+
+
+def group_columns(reach: Sequence[NDArray[np.bool_]]) -> list[ColumnGroup]:
+    """Nuisances in groups: those in one group have no sample in common.
 
     Args:
         reach: for each nuisance, (n,) which samples it acts on.
@@ -34,22 +78,4 @@ def group_columns(reach: Sequence[NDArray[np.bool_]]) -> list[list[int]]:
             groups.append([index])
         else:
             group.append(index)
-    return groups
-
-
-def columns_decouple(differences: NDArray[np.float64], reach: Sequence[NDArray[np.bool_]]) -> bool:
-    """Whether each nuisance's effect has died away at the end of each stretch of samples that it acts on.
-
-    Where it has not, as in strokes that follow each other without rest, it reaches samples that another one acts on.
-
-    Args:
-        differences: (n,) change of the residuals when all of them are perturbed.
-        reach: for each nuisance, (n,) which samples it acts on.
-    """
-    for mask in reach:
-        for start, stop in stretches(mask):
-            if stop < len(differences):
-                sizes = np.abs(differences[start:stop])
-                if np.max(sizes[-LAST:]) > LEFT * np.max(sizes):
-                    return False
-    return True
+    return [ColumnGroup(members, [reach[member] for member in members]) for members in groups]

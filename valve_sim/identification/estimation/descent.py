@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.identification.estimation.column_groups import columns_decouple
+from valve_sim.identification.estimation.column_groups import ColumnGroup
 from valve_sim.identification.estimation.gram import gram, sum_squares
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import FIRST_DAMPING, NO_INFORMATION, Fit, MachineKnowledge
@@ -135,7 +135,6 @@ class Descent:
         self._weights_hold = False
         if smooth is not None:
             self.lower[self._curve] = np.maximum(self.lower[self._curve], smooth.least)
-        self._reach = [problem.reach(nuisance) for nuisance in nuisances]
         self._groups = problem.groups(nuisances)
         self._nuisance_columns: Array | None = None
 
@@ -182,22 +181,23 @@ class Descent:
         By the plant's own derivatives where it knows them, else by forward differences (backward at an upper bound).
         Nuisances of one group act on disjoint samples: they share a column, which is parted.
         """
-        count = len(self.free)
-        groups = [[index] for index in range(count)]
-        if self._nuisance_columns is None:
-            groups += [[count + index for index in group] for group in self._groups]
+        count, kept = len(self.free), self._nuisance_columns
+        own = self._groups if kept is None else []
+        groups = [[index] for index in range(count)] + [[count + index for index in group.members] for group in own]
         shared, known = self._sensitivities(at, groups)
-        if groups and known.all() and all(group == [place] for place, group in enumerate(groups)):
+        if groups and len(groups) == len(at) and known.all():
             columns = shared
         else:
-            columns = np.empty((len(residuals), sum(map(len, groups))))
-            for place, group in enumerate(groups):
-                found = shared[:, place] if known[place] else None
-                columns[:, group] = self._columns_of_group(at, group, residuals, found)
-        if self._nuisance_columns is None:
+            columns = np.zeros((len(residuals), len(at)))
+            for index in range(count):
+                columns[:, index] = shared[:, index] if known[index] else self._column(at, index, residuals)
+            for place, group in enumerate(own, start=count):
+                self._fill(columns[:, count:], group, at, residuals, shared[:, place] if known[place] else None)
+        if kept is None:
             self._nuisance_columns = columns[:, count:]
-            return columns
-        return np.column_stack([columns, self._nuisance_columns])
+        else:
+            columns[:, count:] = kept
+        return columns
 
     def _sensitivities(self, at: Array, groups: list[list[int]]) -> tuple[Array, NDArray[np.bool_]]:
         """(n, g) derivatives along the sum of each group, and (g,) where the plant knows them."""
@@ -217,28 +217,31 @@ class Descent:
         names = [self.nuisances[index - len(self.free)].name for index in group]
         return Direction(dict.fromkeys(names, 1.0), FINE * float(min(self.steps[group])))
 
-    def _columns_of_group(self, at: Array, group: list[int], residuals: Array, shared: Array | None) -> Array:
-        """(n, g) columns of the members of one group, from that of its sum if it is known and they decouple."""
-        if shared is None:
-            return self._columns_at_once(at, group, residuals)
-        if len(group) == 1:
-            return shared[:, None]
-        masks = [self._reach[index - len(self.free)] for index in group]
-        if columns_decouple(shared, masks):
-            return np.where(np.column_stack(masks), shared[:, None], 0.0)
-        columns, known = self._sensitivities(at, [[index] for index in group])
-        return columns if known.all() else self._columns_at_once(at, group, residuals)
+    def _fill(self, columns: Array, group: ColumnGroup, at: Array, residuals: Array, shared: Array | None) -> None:
+        """Fill in the columns of a group among (n, m) of all nuisances, from that of its sum where it is known.
 
-    def _columns_at_once(self, at: Array, indices: list[int], residuals: Array) -> Array:
-        """Columns of nuisances with disjoint samples, from one simulation, or from one each where they overlap."""
-        if len(indices) > 1:
+        Members that do not decouple take a simulation each.
+        """
+        members, indices = group.members, [len(self.free) + index for index in group.members]
+        if shared is not None:
+            if len(members) == 1:
+                columns[:, members[0]] = shared
+                return
+            if group.part(shared, columns):
+                return
+            apart, known = self._sensitivities(at, [[index] for index in indices])
+            if known.all():
+                columns[:, members] = apart
+                return
+        elif len(members) > 1:
             perturbed, steps = at.copy(), self.steps[indices]
             perturbed[indices] += np.where(at[indices] + steps > self.upper[indices], -steps, steps)
             there = self.residuals(perturbed)
-            masks = [self._reach[index - len(self.free)] for index in indices]
-            if there is not None and columns_decouple(there - residuals, masks):
-                return np.where(np.column_stack(masks), (there - residuals)[:, None] / (perturbed - at)[indices], 0.0)
-        return np.column_stack([self._column(at, index, residuals) for index in indices])
+            if there is not None and group.part(there - residuals, columns):
+                columns[:, members] /= (perturbed - at)[indices]
+                return
+        for member, index in zip(members, indices, strict=True):
+            columns[:, member] = self._column(at, index, residuals)
 
     def _column(self, at: Array, index: int, residuals: Array) -> Array:
         if index in self._short_steps:
@@ -375,19 +378,22 @@ class Descent:
         """The damped step within bounds, and the decrease that it promises."""
         scale = np.maximum(np.diag(information), 1e-300)
         held = ((at <= self.lower) & (gradient > 0)) | ((at >= self.upper) & (gradient < 0)) | (scale <= NO_INFORMATION)
+        size = 1.0 / np.sqrt(scale)
+        normal = information * (size[:, None] * size)
+        normal.flat[:: len(at) + 1] *= 1.0 + damping
+        normal.flat[:: len(at) + 1] += 1e-12
         move = np.zeros(len(at))
         for _ in range(len(at)):
             moving = ~held
-            if not np.any(moving):
+            if not moving.any():
                 break
-            size = 1.0 / np.sqrt(scale[moving])
-            normal = information[np.ix_(moving, moving)] * np.outer(size, size)
-            normal[np.diag_indices_from(normal)] *= 1.0 + damping
-            normal[np.diag_indices_from(normal)] += 1e-12
-            rest = gradient[moving] + information[np.ix_(moving, held)] @ move[held]
-            move[moving] = -size * np.linalg.solve(normal, size * rest)
+            own, rest = normal, gradient
+            if held.any():
+                own = normal[moving][:, moving]
+                rest = gradient[moving] + information[moving][:, held] @ move[held]
+            move[moving] = -size[moving] * np.linalg.solve(own, size[moving] * rest)
             beyond = moving & ((at + move < self.lower) | (at + move > self.upper))
-            if not np.any(beyond):
+            if not beyond.any():
                 break
             move[beyond] = np.clip(at[beyond] + move[beyond], self.lower[beyond], self.upper[beyond]) - at[beyond]
             held = held | beyond

@@ -12,6 +12,7 @@ from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
 from valve_sim.identification.plants.protocol import Channel
+from valve_sim.model.compiling import compiled
 from valve_sim.traces.long_columns import places_in, repeated_levels
 
 Array = NDArray[np.float64]
@@ -22,8 +23,6 @@ SHORTEST_WINDOW: Final = 100
 """Samples: a shorter quiet window says too little about the noise's colour."""
 SHORT_WINDOW: Final = 25
 """Samples: the least where no quiet window is longer; then only the size of the noise is estimated, not its colour."""
-ROWS: Final = 512
-"""Rows of a block that is whitened at once."""
 BLOCK: Final = 64
 """Samples in a block whose mean shows noise slower than the autoregression."""
 ENOUGH_AT_REST: Final = 500
@@ -68,25 +67,28 @@ class Noise:
         white /= self.innovation
         return white
 
-    def whiten_in_place(self, columns: Array, weight: Array) -> None:
-        """The same of every column, weighted: (n, k), (n,); from the last block on, so that no second array is needed.
-
-        An array of many columns is large, and a new one costs more than the sums.
-        """
-        order, scale = len(self.coefficients), (weight / self.innovation)[:, None]
-        for stop in range(len(columns), 0, -ROWS):
-            start = max(0, stop - ROWS)
-            first = max(0, start - order)
-            before = columns[first:stop].copy() if order else columns
-            for lag, coefficient in enumerate(self.coefficients, start=1):
-                begin = max(start, lag)
-                columns[begin:stop] -= coefficient * before[begin - lag - first : stop - lag - first]
-            columns[start:stop] *= scale[start:stop]
+    def whiten_into(self, found: Array, columns: Array, weight: Array) -> None:
+        """The same of every column, weighted: (n, k), (n,) → `found`, (n, k), at once: they are large."""
+        _whiten(found, columns, np.array(self.coefficients, dtype=np.float64), weight / self.innovation)
 
     @property
     def is_coarse(self) -> bool:
         """Whether the quantisation step hides the noise."""
         return self.step > COARSE * self.sigma
+
+
+@compiled
+def _whiten(found, columns, coefficients, scale):  # type: ignore[no-untyped-def]
+    """Filter (n, k) columns by an autoregression of p coefficients, and scale rows by (n,)."""
+    rows, count = columns.shape
+    for row in range(rows):
+        for column in range(count):
+            found[row, column] = columns[row, column]
+        for lag in range(1, min(row, len(coefficients)) + 1):
+            for column in range(count):
+                found[row, column] -= coefficients[lag - 1] * columns[row - lag, column]
+        for column in range(count):
+            found[row, column] *= scale[row]
 
 
 def estimate_noise(channels: Sequence[Channel]) -> Noise:

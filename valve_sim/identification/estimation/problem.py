@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.identification.estimation.budget import Budget
-from valve_sim.identification.estimation.column_groups import group_columns
+from valve_sim.identification.estimation.column_groups import ColumnGroup, group_columns
 from valve_sim.identification.estimation.noise import Noise, estimate_noise, noise_of_residuals, still_runs, stretches
 from valve_sim.identification.estimation.sums import Sums, Weighted, summed
 from valve_sim.identification.plants.protocol import (
@@ -55,7 +55,7 @@ class Problem:
     ) -> None:
         self.plant = plant
         self._reaches: dict[Nuisance, NDArray[np.bool_]] = {}
-        self._groups: dict[tuple[Nuisance, ...], list[list[int]]] = {}
+        self._groups: dict[tuple[Nuisance, ...], list[ColumnGroup]] = {}
         self.budget = budget or Budget.unlimited()
         kinds = {channel.kind for channel in plant.channels}
         self.noises = dict(noises) if noises is not None else {
@@ -153,8 +153,8 @@ class Problem:
             )
         return self._reaches[nuisance]
 
-    def groups(self, nuisances: tuple[Nuisance, ...]) -> list[list[int]]:
-        """Indices of nuisances in groups, of which no two act on the same sample."""
+    def groups(self, nuisances: tuple[Nuisance, ...]) -> list[ColumnGroup]:
+        """Nuisances in groups, of which no two act on the same sample."""
         if nuisances not in self._groups:
             self._groups[nuisances] = group_columns([self.reach(nuisance) for nuisance in nuisances])
         return self._groups[nuisances]
@@ -167,15 +167,8 @@ class Problem:
             SimulationError: the machine cannot be simulated with these values.
         """
         self.budget.check()
-        shown = self.plant.predict(values)
-        return np.concatenate(
-            [
-                self.noise_of(index).whiten(channel.data - prediction) * weight
-                for index, (channel, prediction, weight) in enumerate(
-                    zip(self.plant.channels, shown, self._weights, strict=True)
-                )
-            ]
-        )
+        shown = zip(self.plant.channels, self.plant.predict(values), strict=True)
+        return self._white([(channel.data - prediction)[:, None] for channel, prediction in shown], self._weights)[:, 0]
 
     def sensitivities(
         self, values: Mapping[str, float], directions: Sequence[Direction]
@@ -190,9 +183,17 @@ class Problem:
         if not directions or not isinstance(self.plant, Differentiable):
             return np.empty((0, len(directions))), np.zeros(len(directions), dtype=bool)
         columns, known = self.plant.sensitivities(values, directions)
-        for index, of_channel in enumerate(columns):
-            self.noise_of(index).whiten_in_place(of_channel, -self._weights[index])
-        return columns[0] if len(columns) == 1 else np.concatenate(columns), known
+        return self._white(columns, [-weight for weight in self._weights]), known
+
+    def _white(self, columns: Sequence[Array], weights: Sequence[Array]) -> Array:
+        """(n, k) whitened, weighted columns of all channels, (n of the channel, k) each, in a row."""
+        found = np.empty((sum(map(len, columns)), columns[0].shape[1]))
+        start = 0
+        for index, (of_channel, weight) in enumerate(zip(columns, weights, strict=False)):
+            own = slice(start, start + len(of_channel))
+            self.noise_of(index).whiten_into(found[own], of_channel, weight)
+            start = own.stop
+        return found
 
     @property
     def is_long(self) -> bool:

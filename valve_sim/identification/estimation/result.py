@@ -136,7 +136,7 @@ class Fit:
         """(n, k + m) d(residuals)/d(internal coordinate), nuisances last."""
         return self.derivatives.array()
 
-    @property
+    @functools.cached_property
     def covariance(self) -> Array:
         """(k + m, k + m) of the internal coordinates, variance inflation included: theory, eq. (31).
 

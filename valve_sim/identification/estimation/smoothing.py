@@ -85,7 +85,7 @@ class Smoothness:
     weights: tuple[float, ...] = (FIRST_WEIGHT,) * HATS
     repeats: bool = False
 
-    @property
+    @functools.cached_property
     def precision(self) -> Array:
         """(K, K) S."""
         return _Roughness.of(len(self.names), repeats=self.repeats).precision(np.array(self.weights))
@@ -112,15 +112,15 @@ class Smoothness:
         """(K, K) of the coefficients, the uncertainty of their weights included; arguments as those of `chosen`."""
         curve = self._about(information, gradient, at, where, inflation)
         logs = np.log(np.array(self.weights))
-        fitted, own = curve.fitted(logs)
-        covariance = own.copy()
+        best = curve.best(logs)
+        covariance = best.covariance.copy()
         for axis in _axes(curve, logs, repeats=self.repeats):
-            places = np.clip(logs + ALONG[:, None] * axis, LEAST, MOST)
-            costs = np.array([curve.objective(place) for place in places])
+            places = [curve.best(place) for place in np.clip(logs + ALONG[:, None] * axis, LEAST, MOST)]
+            costs = np.array([place.objective for place in places])
             shares = np.exp(-0.5 * (costs - costs.min()))
             for place, share in zip(places, shares / shares.sum(), strict=True):
-                there, spread = curve.fitted(place)
-                covariance += share * (spread - own + np.outer(there - fitted, there - fitted))
+                apart = place.fitted - best.fitted
+                covariance += share * (place.covariance - best.covariance + np.outer(apart, apart))
         return covariance
 
     def _about(
@@ -130,28 +130,28 @@ class Smoothness:
         roughness = _Roughness.of(len(where), repeats=self.repeats)
         curve = _Quadratic.of(information, gradient, at, where, inflation, roughness)
         is_held = (at[where] <= self.least) & (gradient[where] > 0.0)
-        return curve._replace(information=curve.information + np.diag(np.where(is_held, HELD, 0.0)))
+        return curve._replace(information=curve.information + np.diag(np.where(is_held, HELD, 0.0) + RIDGE))
 
 
 def _settled(curve: _Quadratic, logs: Array) -> Array:
     """Logarithms of the weights that follow from these, downhill by steps that are nearly Newton's."""
-    cost = curve.objective(logs)
+    best = curve.best(logs)
     for _ in range(MOST_UPDATES):
-        determined, bends = curve.shares(logs)
+        determined, bends = curve.shares(logs, best)
         slope = bends - determined + NEIGHBOURS @ logs
         normal = np.diag(0.5 * (determined + bends) + CURVATURE) + NEIGHBOURS
         step = np.clip(-np.linalg.solve(normal, slope), -LARGEST_UPDATE, LARGEST_UPDATE)
         share = 1.0
         while share > SMALLEST_UPDATE:
             updated = np.clip(logs + share * step, LEAST, MOST)
-            lower = curve.objective(updated)
-            if lower < cost:
+            lower = curve.best(updated)
+            if lower.objective < best.objective:
                 break
             share *= 0.5
         else:
             break
         moved = float(np.max(np.abs(updated - logs)))
-        logs, cost = updated, lower
+        logs, best = updated, lower
         if moved < SETTLED:
             break
     return logs
@@ -166,7 +166,7 @@ def _axes(curve: _Quadratic, logs: Array, *, repeats: bool) -> Array:
         directions = np.eye(HATS)
 
     def slope(at: Array) -> Array:
-        determined, bends = curve.shares(at)
+        determined, bends = curve.shares(at, curve.best(at))
         return np.asarray(directions @ (bends - determined + NEIGHBOURS @ at))
 
     steps = DIFFERENCE * directions
@@ -196,13 +196,31 @@ class _Roughness(NamedTuple):
 
     def precision(self, weights: Array) -> Array:
         """(K, K) S: theory, eq. (49)."""
-        rows = self.hats @ weights
-        scaled = self.differences * rows[:, None]
-        return np.asarray(self.differences.T @ scaled + RIDGE * np.eye(self.differences.shape[1]))
+        return self.weighted(self.hats @ weights) + RIDGE * np.eye(self.differences.shape[1])
+
+    def weighted(self, rows: Array) -> Array:
+        """(K, K) Dᵀ diag(rows) D."""
+        return np.asarray(self.differences.T @ (self.differences * rows[:, None]))
+
+
+class _Best(NamedTuple):
+    """The best curve of some weights, these taken for known.
+
+    Attributes:
+        fitted: (K,) its coefficients. covariance: (K, K) of them.
+        objective: R of these weights with what their differences add, but for a constant.
+    """
+
+    fitted: Array
+    covariance: Array
+    objective: float
 
 
 class _Quadratic(NamedTuple):
-    """χ²/f of a linearised fit as a function of a curve's coefficients, all else at its best: cᵀ A c − 2 tᵀ c."""
+    """χ²/f of a linearised fit as a function of a curve's coefficients, all else at its best: cᵀ A c − 2 tᵀ c.
+
+    The ridge of S, which no weight changes, is in A.
+    """
 
     information: Array
     target: Array
@@ -223,21 +241,11 @@ class _Quadratic(NamedTuple):
         slope = gradient[where] - mixed @ solved[:, -1]
         return cls(own / inflation, (own @ at[where] - slope) / inflation, roughness)
 
-    def criterion(self, weights: Array) -> float:
-        """R but for a constant."""
-        normal, scale = self._normal(weights)
-        _, volume = np.linalg.slogdet(normal)
-        fitted = float(self.target * scale @ np.linalg.solve(normal, scale * self.target))
-        rows = self.roughness.hats @ weights
-        certain = float(np.mean(np.log(rows))) * self._rank
-        return -fitted + float(volume) - 2.0 * float(np.sum(np.log(scale))) - certain
-
     def common_weight(self) -> float:
         """The one weight for all of the curve of the least R."""
-        weights, nothing = np.array(WEIGHTS), np.zeros(HATS)
-        ridge = self.roughness.precision(nothing)
-        bends = self.roughness.precision(nothing + 1.0) - ridge
-        normals = self.information + ridge + weights[:, None, None] * bends
+        weights = np.array(WEIGHTS)
+        bends = self.roughness.weighted(self.roughness.hats @ np.ones(HATS))
+        normals = self.information + weights[:, None, None] * bends
         scales = 1.0 / np.sqrt(np.diagonal(normals, axis1=1, axis2=2))
         normals *= scales[:, :, None] * scales[:, None, :]
         targets = scales * self.target
@@ -251,30 +259,27 @@ class _Quadratic(NamedTuple):
         count, rows = len(self.target), len(self.roughness.hats)
         return count - 1 if rows == count else rows
 
-    def objective(self, logs: Array) -> float:
-        """R of the logarithms of weights with what their differences add, but for a constant."""
-        return self.criterion(np.exp(logs)) + 0.5 * float(logs @ NEIGHBOURS @ logs)
+    def best(self, logs: Array) -> _Best:
+        """The curve of the least cᵀ (A + S) c − 2 tᵀ c with these logarithms of weights."""
+        rows = self.roughness.hats @ np.exp(logs)
+        normal = self.information + self.roughness.weighted(rows)
+        scale = 1.0 / np.sqrt(np.diag(normal))
+        scales = scale[:, None] * scale
+        normal *= scales
+        covariance = np.linalg.inv(normal) * scales
+        fitted = covariance @ self.target
+        volume = float(np.linalg.slogdet(normal)[1] - 2.0 * np.sum(np.log(scale)))
+        certain = float(np.mean(np.log(rows))) * self._rank
+        criterion = volume - certain - float(self.target @ fitted)
+        return _Best(fitted, covariance, criterion + 0.5 * float(logs @ NEIGHBOURS @ logs))
 
-    def fitted(self, logs: Array) -> tuple[Array, Array]:
-        """(K,) the coefficients of the best curve and (K, K) their covariance, the weights taken for known."""
-        normal, scale = self._normal(np.exp(logs))
-        covariance = np.linalg.inv(normal) * np.outer(scale, scale)
-        return covariance @ self.target, covariance
-
-    def shares(self, logs: Array) -> tuple[Array, Array]:
+    def shares(self, logs: Array, best: _Best) -> tuple[Array, Array]:
         """(HATS,) how many bends the data determine about each weight, and what these add to the penalty.
 
         The slope of R along the logarithms is the latter less the former: theory, eq. (51).
         """
         differences, hats = self.roughness
         weights = np.exp(logs)
-        fitted, covariance = self.fitted(logs)
-        spread = np.sum((differences @ covariance) * differences, axis=1)
+        spread = np.sum((differences @ best.covariance) * differences, axis=1)
         determined = hats.T @ np.maximum(1.0 / (hats @ weights) - spread, 0.0)
-        return weights * determined, weights * (hats.T @ (differences @ fitted) ** 2)
-
-    def _normal(self, weights: Array) -> tuple[Array, Array]:
-        """A + S scaled to a unit diagonal, and the scale."""
-        normal = self.information + self.roughness.precision(weights)
-        scale = 1.0 / np.sqrt(np.diag(normal))
-        return normal * np.outer(scale, scale), scale
+        return weights * determined, weights * (hats.T @ (differences @ best.fitted) ** 2)

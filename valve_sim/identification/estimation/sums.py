@@ -41,8 +41,9 @@ def summed(pieces: Iterable[Piece], channels: Sequence[Weighted], count: int) ->
         rows = _rows(piece, own.channel, known)
         first, order = len(known), len(own.noise.coefficients)
         before[piece.channel] = rows[max(0, len(rows) - order) :].copy()
-        own.noise.whiten_in_place(rows, own.weight[piece.start - first : piece.start + len(rows) - first])
-        total += gram(rows[first:], rows[first:])
+        white = np.empty_like(rows)
+        own.noise.whiten_into(white, rows, own.weight[piece.start - first : piece.start + len(rows) - first])
+        total += gram(white[first:], white[first:])
     return Sums(float(total[0, 0]), total[0, 1:], total[1:, 1:])
 
 

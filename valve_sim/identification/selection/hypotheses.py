@@ -72,6 +72,7 @@ class Search:
         self._polished: set[Hypothesis] = set()
         self._on_trial: set[Hypothesis] = set()
         self._impossible: set[Hypothesis] = set()
+        self._costs: dict[frozenset[tuple[str, float]], float] = {}
 
     def is_tried(self, hypothesis: Hypothesis) -> bool:
         """Whether a hypothesis was fitted, and not only begun when the time was used up, or cannot be simulated."""
@@ -152,8 +153,8 @@ class Search:
         effects, starts = self.problem.plant.effects, []
         for index, hypothesis in enumerate(hypotheses):
             self.say(str(hypothesis), before + (after - before) * index / len(hypotheses))
-            found = starts_from_declared(self.problem, effects[hypothesis.effects[0]], {})
-            starts += [(robust_cost(self.problem, start), hypothesis, start) for start in found]
+            found = starts_from_declared(self._cost, effects[hypothesis.effects[0]], {})
+            starts += [(self._cost(start), hypothesis, start) for start in found]
         begun = sorted(starts, key=lambda one: one[0])[:RIVALS]
         self.log.expect([hypothesis for _, hypothesis, _ in begun])
         for _, hypothesis, start in begun:
@@ -347,9 +348,9 @@ class Search:
             yield from (("untimed", found) for found in self._attempt(hypothesis, start, effort))
         effect, smaller = self._origin(hypothesis)
         warm = self.fit(smaller).values
-        begun = [("sizes", {**warm, **start}) for start in effect_starts(self.problem, effect, warm)]
+        begun = [("sizes", {**warm, **start}) for start in effect_starts(self._cost, effect, warm)]
         kept = {name: warm[name] for name in self.free_names(smaller) if name not in self._base}
-        begun += [("as declared", start) for start in starts_from_declared(self.problem, effect, kept)]
+        begun += [("as declared", start) for start in starts_from_declared(self._cost, effect, kept)]
         begun += [("by the plant", {**warm, **effect.start})] if effect.start else []
         for kind, start in begun:
             yield from ((kind, found) for found in self._attempt(hypothesis, start, effort))
@@ -359,6 +360,13 @@ class Search:
         known = [name for name in hypothesis.effects if hypothesis.without(name) in self.log]
         added = min(known, key=lambda name: self.score(hypothesis.without(name))) if known else hypothesis.effects[-1]
         return self.problem.plant.effects[added], hypothesis.without(added)
+
+    def _cost(self, values: Mapping[str, float]) -> float:
+        """By which starts are ranked; those of a hypothesis with errors of the stamps are those without, once more."""
+        key = frozenset(values.items())
+        if key not in self._costs:
+            self._costs[key] = robust_cost(self.problem, values)
+        return self._costs[key]
 
     @property
     def _base(self) -> Sequence[str]:

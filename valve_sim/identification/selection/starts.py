@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -33,8 +33,11 @@ SHAPES: Final = (1.0, 0.2, 5.0)
 ROBUST: Final = 20.0
 """σ: scale of the cost by which starts are ranked, so that one impact at another time does not decide."""
 
+Cost = Callable[[Mapping[str, float]], float]
+"""By which starts are ranked, as `robust_cost`."""
 
-def effect_starts(problem: Problem, effect: EffectChoice, warm: Mapping[str, float]) -> list[dict[str, float]]:
+
+def effect_starts(cost: Cost, effect: EffectChoice, warm: Mapping[str, float]) -> list[dict[str, float]]:
     """Where to start an effect's parameters from: near off, and the best of some larger sizes and other shapes."""
     if effect.is_declared_value:
         # Its tolerance has let it move already; there the smaller hypothesis has left it.
@@ -50,21 +53,17 @@ def effect_starts(problem: Problem, effect: EffectChoice, warm: Mapping[str, flo
     )
     shapes = SHAPES if not all(amplitudes) else SHAPES[:1]
     far = [_start(effect, sizes, shape) for sizes in combinations for shape in shapes]
-
-    def cost(start: Mapping[str, float]) -> float:
-        return robust_cost(problem, {**warm, **start})
-
-    return near + sorted(far, key=cost)[: 1 if near and sum(amplitudes) == 1 else 2]
+    return near + sorted(far, key=lambda start: cost({**warm, **start}))[: 1 if near and sum(amplitudes) == 1 else 2]
 
 
-def starts_from_declared(problem: Problem, effect: EffectChoice, known: Mapping[str, float]) -> list[dict[str, float]]:
+def starts_from_declared(cost: Cost, effect: EffectChoice, known: Mapping[str, float]) -> list[dict[str, float]]:
     """A start with all but effects as declared, where a further effect explains much from there; else none.
 
     A model that lacks a strong effect is refitted to dampings of 0 and values that its tolerances make incredible, and
     from there even the true size of the effect does not lead back.
 
     Args:
-        problem: what is fitted. effect: what is added. known: values of the effects that it is added to.
+        cost: of values. effect: what is added. known: values of the effects that it is added to.
     """
     switches = [parameter for parameter in effect.parameters if parameter.off is not None]
     if effect.is_declared_value or not switches:
@@ -76,11 +75,11 @@ def starts_from_declared(problem: Problem, effect: EffectChoice, known: Mapping[
         return {**known, **_start(effect, [size] * len(effect.parameters), shape)}
 
     def best_of(choices: Iterable[tuple[float, float]]) -> tuple[float, tuple[float, float]]:
-        return min((robust_cost(problem, start(*choice)), choice) for choice in choices)
+        return min((cost(start(*choice)), choice) for choice in choices)
 
     signs = (1.0, -1.0) if is_two_sided else (1.0,)
     coarse = best_of(itertools.product([sign * size for sign in signs for size in FROM_DECLARED], shapes))
-    most = EXPLAINS * robust_cost(problem, known)
+    most = EXPLAINS * cost(known)
     size, shape = coarse[1]
     least, choice = min(coarse, best_of([(size / BETWEEN, shape), (size * BETWEEN, shape)]))
     return [start(*choice)] if least < most else []

@@ -70,6 +70,7 @@ class Exploration:
         self.is_cut_short = False
         self.screened: dict[str, float] = {}
         self._away: dict[tuple[Fit, str], bool | None] = {}
+        self._gains: dict[Fit, dict[str, float]] = {}
         self._pointed_at: tuple[str, ...] = ()
         self._curves: dict[Fit, Sequence[NonparametricFit]] = {}
 
@@ -180,7 +181,7 @@ class Exploration:
         """Whether the declared model is adequate and no effect promises anything: then it costs one fit."""
         if not self._is_adequate_without_doubt(base):
             return False
-        gains = score_gains(self.search.fit(base))
+        gains = dict(self._score_gains(self.search.fit(base)))
         promising = self._promising(gains)
         tried = {name: base.adding(name) for name in promising}
         self.search.fit_each(list(tried.values()), (0.0, 0.1))
@@ -204,7 +205,7 @@ class Exploration:
             return False
         if self.search.fit(stamped).stamp_variance > 1.0 or not self._leaves_nothing(stamped):
             return False
-        by_effects = max(score_gains(self.search.fit(declared)).values(), default=math.inf)
+        by_effects = max(self._score_gains(self.search.fit(declared)).values(), default=math.inf)
         if by_effects > MOSTLY * (self.search.score(declared) - self.search.score(stamped)):
             self.screened = {}
             return False
@@ -351,8 +352,14 @@ class Exploration:
         """Whether anything hints that something is missing: the residual, or the score test of an effect."""
         if not self._is_adequate_without_doubt(hypothesis):
             return True
-        gains = score_gains(self.search.fit(hypothesis)) if hypothesis.effects else {}
+        gains = self._score_gains(self.search.fit(hypothesis)) if hypothesis.effects else {}
         return max(gains.values(), default=0.0) > DECISIVE
+
+    def _score_gains(self, result: Fit) -> dict[str, float]:
+        """As of `score_gains`, worked out once."""
+        if result not in self._gains:
+            self._gains[result] = score_gains(result)
+        return self._gains[result]
 
     def _is_adequate_without_doubt(self, hypothesis: Hypothesis) -> bool:
         return self.criteria.adequacy(self.search.fit(hypothesis)).p_value >= HINT
