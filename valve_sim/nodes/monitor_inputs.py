@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final, NamedTuple
@@ -190,13 +189,8 @@ class MonitorInputs:
             self._currents = subscription_to("current", self._on_currents, _MEASURED)
             self._sampled[self._currents] = self._on_currents
 
-    def _as_own_message(self, entry: LiveInput | None, message: Any, info: Any) -> tuple[Any, Any]:
-        """A message and its times as this package's own topics have them; `entry` is None where they are already.
-
-        Of positions that is the stamp, ns, and the number, m.
-        """
-        if entry is None:
-            return message, info
+    def _as_own_message(self, entry: LiveInput, message: Any, info: Any) -> tuple[Any, Any]:
+        """A message and its times as this package's own topics have them; of positions the stamp, ns, and metres."""
         value, stamp = entry.value(message), entry.stamp(message)
         if entry.quantity != "position":
             return Float64(data=value), {"stamp": stamp} if stamp else info
@@ -206,16 +200,13 @@ class MonitorInputs:
         self._take.command(self._arrival(info), message.data)
 
     def _on_currents(self, message: Float64, info: Any) -> None:
-        for current, received in itertools.chain([(message, info)], self._waiting_on(self._currents)):
-            self._take_commands()
+        for current, received in self._all_of(self._currents, message, info):
             if not self._has_stamped_current:
                 self._take.coil(self._arrival(received), current.data, math.nan, 0)
 
     def _on_coil(self, encoded: bytes, info: Any) -> None:
         """Take the current where it is stamped, in place of the one that is not."""
-        self._take_pressures()
-        for coil, received in itertools.chain([(encoded, info)], self._waiting_on(self._coil)):
-            self._take_commands()
+        for coil, received in self._all_of(self._coil, encoded, info):
             found = self._read(self._coil_reader, self._coil.topic_name, coil)
             if found is not None and math.isfinite(found[2]):
                 self._hear_no_unstamped_current()
@@ -244,15 +235,20 @@ class MonitorInputs:
                     subscription.callback(encoded, info)
 
     def _on_samples(self, sample: bytes | tuple[int, float], info: Any) -> None:
-        """Take all queued samples, encoded or as a map gave them, each after the commands received before it."""
-        self._take_pressures()
-        for waiting, received in itertools.chain([(sample, info)], self._waiting_on(self._samples)):
-            self._take_commands()
+        """Take all queued samples, encoded or as a map gave them."""
+        for waiting, received in self._all_of(self._samples, sample, info):
             is_encoded = isinstance(waiting, bytes)
             found = self._read(self._joints_reader, self._measured, waiting) if is_encoded else waiting
             if found is not None:
                 stamp, position = found
                 self._take.position(stamp, position, self._received(received))
+
+    def _all_of(self, subscription: Subscription, message: Any, info: Any) -> list[tuple[Any, Any]]:
+        """A message and all that wait behind it; pressures and commands that were received before are taken first."""
+        messages = [(message, info), *self._waiting_on(subscription)]
+        self._take_pressures()
+        self._take_commands()
+        return messages
 
     def _read(self, reader: EncodedReader, topic: str, encoded: bytes) -> tuple[Any, ...] | None:
         """The stamp and the numbers of a message; None, and rejected, where it does not hold them."""
@@ -270,9 +266,10 @@ class MonitorInputs:
         """Queued messages with their times; none in simulated time, where the order with /clock must be kept."""
         if self.is_simulated():
             return
+        entry = self._entries.get(subscription)
         try:
             for waiting in waiting_messages(subscription):
-                yield self._as_own_message(self._entries.get(subscription), *waiting)
+                yield waiting if entry is None else self._as_own_message(entry, *waiting)
         except Exception as error:  # of rclpy; callbacks of this package are not called in here
             log_left_out(self._node, error)
 
