@@ -27,7 +27,10 @@ from valve_sim.model.equations import (
     dry_friction,
     eddy_decay,
     eddy_share,
-    force_without_dry_friction,
+    forces_of_effects,
+    is_plain,
+    net_force,
+    phase_of,
     pull_squared,
 )
 from valve_sim.model.gas.record import SLOPES_OF_GAS
@@ -47,7 +50,8 @@ def _slopes_record() -> np.dtype[np.void]:
     places = [sum(sizes[:index]) for index in range(len(names) + 1)]
     end = places.pop()
     asked = ("i8", (MAXIMUM_TERMS, MAXIMUM_TERM_PARAMETERS))
-    after: dict[str, Any] = {"all": ("f8", (end // 8,)), "asked": asked, "asks_shapes": "i8", **SLOPES_OF_GAS}
+    after: dict[str, Any] = {"all": ("f8", (end // 8,)), "asked": asked, "asks_effects": "i8", "asks_shapes": "i8"}
+    after |= SLOPES_OF_GAS
     sizes = [0, *(np.dtype(form).itemsize for name, form in after.items() if name != "all")]
     return np.dtype(
         {
@@ -62,14 +66,17 @@ SLOPES_RECORD: Final = _slopes_record()
 """Derivatives of the net force, N over the unit of what each is to.
 
 `terms` holds those to the numbers that compiled terms read; `asked` is 1 for those that are needed. `all` is
-the same memory as everything before it. `force` times `per_mass` is the acceleration. `asks_shapes` is 1 if
-any of `SHAPES` is needed, which take an exponential each. What follows is of gas, see `gas.record`.
+the same memory as everything before it. `force` times `per_mass` is the acceleration. `asks_effects` is 1 if
+any of `OF_EFFECTS` is needed, `asks_shapes` if any of `SHAPES`, which take an exponential each. What follows is of
+gas, see `gas.record`.
 """
 
 FIRST_CONDITION: Final = len(PARAMETERS) + MAXIMUM_TERMS * MAXIMUM_TERM_PARAMETERS
 """Index in `all` of the first condition; the numbers of terms are before it."""
 TARGET, SEGMENT_TIME, SEGMENT_U, SEGMENT_W, UNSEATED_TIME, PEAK_CURRENT = np.arange(len(CONDITIONS))
 
+OF_EFFECTS: Final = tuple(name for effect in FORCES for name in effect.fields)
+"""Numbers of the forces of effects, which most runs have none of."""
 SHAPES: Final = ("breakaway", "pressure_force")
 
 QUOTIENT: Final = 1e-6
@@ -117,7 +124,9 @@ def force_slopes(p, s, g, t, x, v):
     pull2 = pull_squared(p, w, peak)
     condition = (s.mode, s.direction, s.unseated_time)
     per_pull = attraction(p, x, 1.0)
-    g.force = force_without_dry_friction(p, t, (x, v), (u, pull2), condition)
+    plain = is_plain(p)
+    effects = 0.0 if plain else forces_of_effects(p, t, (x, v), (u, pull2), condition)
+    g.force = net_force(p, phase_of(p, s.mode), x, v, pull2, effects)
     g.force -= s.direction * dry_friction(p, v, s.direction)
     # (2)
     g.a0, g.a1, g.a2, g.a3 = pull2, pull2 * x, pull2 * x * x, pull2 * x * x * x
@@ -134,7 +143,8 @@ def force_slopes(p, s, g, t, x, v):
     g.moving_mass, g.pilot_mass = -in_phase_2 * acceleration, -in_phase_1 * acceleration
     # (5)
     g.unseated_time, g.t = 0.0, 0.0
-    _add_slopes_of_effects(p, g, t, (x, v), (u, pull2), condition)
+    if not plain or g.asks_effects != 0:
+        _add_slopes_of_effects(p, g, t, (x, v), (u, pull2), condition)
     to_u = _add_term_slopes(p, g, s.mode, (x, v, u, t)) if p.term_count > 0 else 0.0
     _friction_slopes(p, g, v, s.direction)
     to_u_of_pull, to_w = _pull_slopes(p, s, g, u, w, per_pull)

@@ -15,7 +15,7 @@ from valve_sim.model.gas.flow import density_slope, pressure_at
 from valve_sim.model.gas.record import GAS_FIELDS, GAS_NUMBERS, GAS_VALVE_RECORD, is_of_gas
 from valve_sim.model.gas.step import PRESSURE_COLUMN
 from valve_sim.model.gas.variational import INLET
-from valve_sim.model.linearised import FIRST_CONDITION, PARAMETERS, SHAPES, SLOPES_RECORD
+from valve_sim.model.linearised import FIRST_CONDITION, OF_EFFECTS, PARAMETERS, SHAPES, SLOPES_RECORD
 from valve_sim.model.simulation import Array, Control, Samples, delay_and_end, run_course
 from valve_sim.model.supplied import SuppliedCourse, Supply, course_of, run_changes
 from valve_sim.model.variational_steps import CONTACTS, LANES, NODES, SLOPES, TILE_RECORD
@@ -36,6 +36,7 @@ PRESSURES_AT: Final = tuple(
 )
 """Indices among the numbers of the outlet's pressure at the start, the tank's, and that behind the demand's orifice."""
 _GAS_FIRST: Final = list(GAS_VALVE_RECORD.names or ()).index(GAS_FIELDS[0])
+_OF_EFFECTS: Final = [_PLACES[name] for name in OF_EFFECTS]
 _SHAPES: Final = [_PLACES[name] for name in SHAPES]
 _FOREIGN: Final = ("temperature_rate", "flux_linkage", "release_voltage")
 _SWITCHES: Final = (
@@ -138,6 +139,7 @@ class Variations:
             asked = np.zeros(_OF_TERMS, dtype=np.int64)
             asked[of_terms - _FIRST] = 1
             self._slopes["asked"] = asked.reshape(self._slopes["asked"].shape[1:])
+        self._slopes["asks_effects"] = tangents.numbers[:, _OF_EFFECTS].any()
         self._slopes["asks_shapes"] = tangents.numbers[:, _SHAPES].any()
         if record is not None and is_of_gas(record):
             _add_gas(self._tiles, tangents.numbers, record, state)

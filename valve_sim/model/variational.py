@@ -216,13 +216,15 @@ def show_variations(p, s, work, h, samples, done, vary):
     times, _, _, _ = samples
     tiles, _, _, _, (positions, _, _) = vary
     (first, first_current), (end, end_current) = done
-    if p.sensor_time_constant > 0.0:
-        _show_lagged(p, s, work, h, (times, first, end), tiles, positions)
-    else:
-        for i in range(len(tiles)):
-            _show_positions(p, s, work, h, (times, first, end), tiles[i], positions[:, i])
+    if end > first:
+        if p.sensor_time_constant > 0.0:
+            _show_lagged(p, s, work, h, (times, first, end), tiles, positions)
+        else:
+            for i in range(len(tiles)):
+                _show_positions(p, s, work, h, (times, first, end, i), tiles[i], positions)
     vary_sensor(p, s, work, h, vary)
-    _show_currents(p, s, samples, (first_current, end_current), vary)
+    if end_current > first_current:
+        _show_currents(p, s, samples, (first_current, end_current), vary)
     show_pressures(p, s, work, h, samples, done, vary)
 
 
@@ -250,8 +252,8 @@ def _show_currents(p, s, samples, which, vary):
 
 @inner
 def _show_positions(p, s, work, h, which, tile, positions):
-    """Of one tile, as the sensor shows them; plungers at rest stay where they are."""
-    times, first, end = which
+    """Of tile i, as the sensor shows them; plungers at rest stay where they are."""
+    times, first, end, i = which
     for at in range(first, end):
         if s.moving or at == first:
             theta = max(0.0, (times[at] - s.time) / h)
@@ -265,7 +267,7 @@ def _show_positions(p, s, work, h, which, tile, positions):
                     + along * (tile.dense[0, lane] + theta * slope)
                 )  # fmt: skip
         for lane in range(LANES):
-            positions[at, lane] = tile.total[lane]
+            positions[at, i, lane] = tile.total[lane]
 
 
 @inner
