@@ -19,6 +19,7 @@ from valve_sim.warm import warm_gas
 SIMULATE = ("-m", "valve_sim", "simulate", "--voltage", "9", "--duration", "0.02", "--output")
 USE_ALL = """
 import numpy as np
+from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.plants.protocol import Direction
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import CATALOGUE, Drive, Stepper, Valve, simulate_many
@@ -31,8 +32,10 @@ shown = simulate_many([Valve(opening), drag, stiff, mapped], Drive.of([0.0], [9.
 assert len(set(shown.tolist())) == 4, "each effect finds its own code, not another's"
 times = np.arange(0.0, 0.01, 1e-4)
 trace = Trace("made", Drive.of([0.0], [9.0]), times, 0.0 * times, coil_current=Signal(times, 0.0 * times))
-plant = ValvePlant([trace], drag)
-plant.sensitivities({"main_damping": 4.0}, [Direction({"main_damping": 1.0}, 1e-6)])
+problem = Problem(ValvePlant([trace], drag))
+for count in (1, 4):
+    problem.sensitivities({"main_damping": 4.0}, count * [Direction({"main_damping": 1.0}, 1e-6)])
+problem.residuals({})
 stepper = Stepper(drag)
 stepper.command(1e-3, 9.0)
 stepper.set_valve(Valve(), 2e-3)

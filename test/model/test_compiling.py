@@ -42,6 +42,20 @@ for kind in sys.argv[1:]:
 What it calls is too long to be inlined.
 """
 
+LOADED = """
+import sys
+
+from valve_sim.model.compiling import compiled
+
+
+@compiled
+def doubled(value):
+    return 2.0 * value
+
+
+print(doubled(3.0), "numba.typed.typedlist" in sys.modules)
+"""
+
 
 def shown(program: Path, *kinds: str) -> list[str]:
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(program.parent / "compiled")}
@@ -58,3 +72,10 @@ def test_what_two_processes_compiled_for_records_of_two_kinds_stays_apart_where_
     assert shown(program, "long") == ["7.0"]
     assert shown(program, "short", "long") == ["7.0", "7.0"]
     assert shown(program, "long", "short") == ["7.0", "7.0"]
+
+
+def test_what_is_stored_is_loaded_without_what_only_compiling_needs(tmp_path: Path) -> None:
+    program = tmp_path / "loaded.py"
+    program.write_text(LOADED)
+    assert shown(program) == ["6.0", "True"]
+    assert shown(program) == ["6.0", "False"]

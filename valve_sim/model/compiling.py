@@ -31,6 +31,9 @@ from typing import Any, Final
 
 import numba
 from numba.core.bytecode import FunctionIdentity
+from numba.core.ccallback import CFunc
+from numba.core.runtime.nrt import rtsys
+from numba.core.sigutils import normalize_signature
 
 _ROOM: Final = 16_000_000
 """Bytes that must be free: the compiled code takes about two million, and Numba fails if it cannot write all of it."""
@@ -124,14 +127,32 @@ def compiled(function: Callable[..., Any]) -> Any:
     with cached() as has_folder:
         dispatcher = numba.njit(cache=has_folder, nogil=True, error_model="numpy")(function)
     if has_folder:
-        _keep_where_possible(dispatcher)
-        _announce_where_missing(dispatcher)
+        cache = _cache_of(dispatcher)
+        _load_at_once(cache)
+        _keep_where_possible(cache)
+        _announce_where_missing(cache)
     return dispatcher
 
 
-def _keep_where_possible(dispatcher: Any) -> None:
+def _cache_of(function: Any) -> Any:
+    return function._cache  # Numba has no public way to say how it stores and loads
+
+
+def _load_at_once(cache: Any) -> None:
+    """Load compiled code without what only compiling needs, a hundred modules of Numba: a tenth of a short command."""
+    if not _TRIED[0] <= numba.version_info.short <= _TRIED[1]:
+        return
+
+    def load_at_once(signature: Any, context: Any) -> Any:
+        rtsys.initialize(context)
+        with cache._guard_against_spurious_io_errors():
+            return cache._load_overload(signature, context)
+
+    cache.load_overload = load_at_once
+
+
+def _keep_where_possible(cache: Any) -> None:
     """Use compiled code even if it cannot be stored: the disk or a quota may be full."""
-    cache = dispatcher._cache  # Numba has no public way to say so
     keep = cache.save_overload
 
     def keep_if_possible(signature: Any, result: Any) -> None:
@@ -159,8 +180,7 @@ def announce_compiling(tell: Callable[[], None]) -> None:
     _announcements.append(tell)
 
 
-def _announce_where_missing(dispatcher: Any) -> None:
-    cache = dispatcher._cache
+def _announce_where_missing(cache: Any) -> None:
     load = cache.load_overload
 
     def load_or_announce(signature: Any, context: Any) -> Any:
@@ -186,8 +206,13 @@ def compiled_callback(signature: Any, function: Callable[..., Any], given: Mappi
     bound.__module__ = function.__module__
     if kept_as:
         bound.__qualname__ = kept_as  # the name of its file
+        callback = CFunc(bound, normalize_signature(signature), locals={}, options={})
         with cached() as has_folder, contextlib.suppress(OSError):  # a disk may be full
-            return numba.cfunc(signature, cache=has_folder)(bound)
+            if has_folder:
+                callback.enable_caching()
+                _load_at_once(_cache_of(callback))
+            callback.compile()
+            return callback
     return numba.cfunc(signature)(bound)
 
 
