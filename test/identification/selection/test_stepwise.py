@@ -324,15 +324,6 @@ def test_where_nothing_is_right_stamps_that_explain_as_much_as_a_pair_get_a_seco
     assert ("ac'" in tried(explored(world, monkeypatch))) is is_extended
 
 
-def test_a_pair_that_is_the_best_beside_stamps_that_err_gets_a_third_effect_there(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Although one effect beside them explains less than the pair without them."""
-    scores = {"": 300.0, "a": 110.0, "b": 200.0, "ab": 90.0, "'": 290.0, "a'": 100.0, "b'": 250.0, "ab'": 60.0}
-    found = explored(World({**scores, "abc'": 20.0}, switches("abcd"), white={"abc'": 1.0}, timing=True), monkeypatch)
-    assert found.best_claimable() == of("abc'")
-
-
 def test_beside_stamps_that_err_sets_grow_and_members_are_swapped_as_without_them(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -248,14 +248,13 @@ class Exploration:
         for count in range(2, MOST_EFFECTS + 1):
             sized = [h for h in self.tried() if h.timing and len(h.effects) == count - 1]
             smaller = [h for h in sized if self._has_effects_on(h)]
-            # A larger set may be the best already: it was tried beside such errors by itself.
-            if not smaller or search.score(search.best(smaller)) > search.score(self.best_claimable()):
-                continue
+            if not smaller:
+                return
             start = search.best(smaller)
             larger = [start.adding(name) for name in names if name not in start.effects]
-            if not larger:
-                return
             before = search.score(start)
+            if not larger or before > search.score(self.best_claimable()):
+                return
             done = 0.8 + 0.03 * (count - 2)
             search.fit_each(larger, (done, done + 0.03))
             best = search.best([h for h in self.tried() if h.timing and len(h.effects) == count])
