@@ -45,12 +45,12 @@ class ColumnGroup:
         Returns:
             whether they could be parted; else nothing is filled in.
         """
-        if not self.decouple(differences):
+        if not self._decouples(differences):
             return False
         columns[self._rows, self._columns] = differences[self._rows]
         return True
 
-    def decouple(self, differences: NDArray[np.float64]) -> bool:
+    def _decouples(self, differences: NDArray[np.float64]) -> bool:
         """Whether each one's effect has died away at the end of each stretch of samples that it acts on.
 
         Where it has not, as in strokes that follow each other without rest, it reaches samples that another one acts
