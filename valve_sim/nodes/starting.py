@@ -17,6 +17,7 @@ from typing import Any, Final, NoReturn, Protocol
 from valve_sim.files.parameter_files import valve_from_flat
 from valve_sim.files.parameter_sections import Section, read_sections
 from valve_sim.model.errors import ParameterError, ValveError
+from valve_sim.nodes.dds_profiles import installed_rclpy, offer_profile
 
 UNUSABLE_INPUT: Final = 2
 """Exit code after one line on stderr."""
@@ -60,6 +61,7 @@ def run_node(name: str, make: Callable[[GivenFiles], Shell], args: Sequence[str]
         with _ends_quietly():
             given = read_files(arguments)
             _ensure_log_folder(name)
+            offer_profile(os.environ, Path.cwd(), installed_rclpy())
         rclpy_init(arguments)
         with signals.second_ends_at_once():
             shell = None if signals.have_come else _made(make, given)
