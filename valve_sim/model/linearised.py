@@ -21,15 +21,13 @@ from valve_sim.model.effects.record import VALVE_RECORD
 from valve_sim.model.equations import (
     FORCES,
     PULLS,
+    acceleration,
     attraction,
     coil_decay,
     decayed_coil,
-    dry_friction,
     eddy_decay,
     eddy_share,
-    forces_of_effects,
     is_plain,
-    net_force,
     phase_of,
     pull_squared,
 )
@@ -125,9 +123,10 @@ def force_slopes(p, s, g, t, x, v):
     condition = (s.mode, s.direction, s.unseated_time)
     per_pull = attraction(p, x, 1.0)
     plain = is_plain(p)
-    effects = 0.0 if plain else forces_of_effects(p, t, (x, v), (u, pull2), condition)
-    g.force = net_force(p, phase_of(p, s.mode), x, v, pull2, effects)
-    g.force -= s.direction * dry_friction(p, v, s.direction)
+    phase = phase_of(p, s.mode)
+    g.per_mass = phase[3]
+    rate = acceleration(p, phase, t, (x, v), (u, pull2), condition, plain)
+    g.force = rate / g.per_mass
     # (2)
     g.a0, g.a1, g.a2, g.a3 = pull2, pull2 * x, pull2 * x * x, pull2 * x * x * x
     g.x = pull2 * (p.a1 + x * (2.0 * p.a2 + x * 3.0 * p.a3))
@@ -138,9 +137,7 @@ def force_slopes(p, s, g, t, x, v):
     g.seat_load, g.pilot_damping = -in_phase_1, -in_phase_1 * v
     g.x -= in_phase_2 * p.spring_rate
     g.v = -(in_phase_2 * p.main_damping + in_phase_1 * p.pilot_damping)
-    g.per_mass = 1.0 / (p.moving_mass if s.mode >= MAIN else p.pilot_mass)
-    acceleration = g.force * g.per_mass
-    g.moving_mass, g.pilot_mass = -in_phase_2 * acceleration, -in_phase_1 * acceleration
+    g.moving_mass, g.pilot_mass = -in_phase_2 * rate, -in_phase_1 * rate
     # (5)
     g.unseated_time, g.t = 0.0, 0.0
     if not plain or g.asks_effects != 0:

@@ -189,7 +189,7 @@ class Problem:
         """(n, k) whitened, weighted columns of all channels, (n of the channel, k) each, in a row."""
         found = np.empty((sum(map(len, columns)), columns[0].shape[1]))
         start = 0
-        for index, (of_channel, weight) in enumerate(zip(columns, weights, strict=False)):
+        for index, (of_channel, weight) in enumerate(zip(columns, weights, strict=True)):
             own = slice(start, start + len(of_channel))
             self.noise_of(index).whiten_into(found[own], of_channel, weight)
             start = own.stop
