@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -21,6 +22,7 @@ from valve_sim.model import Valve
 from valve_sim.traces import Signal, Trace
 
 BOTH = ("pilot_damping", "main_damping")
+USUAL_PIECES = valve_pieces.SAMPLES
 DIRECTIONS = [Direction({name: 1.0}, 1e-7) for name in (*BOTH, "clock_offset[0]")]
 COLOURED = {
     "position": Noise(1e-6, 0.7e-6, (0.6, -0.2, 0.1), 0.0, 1.0, 1000),
@@ -92,3 +94,22 @@ def test_a_fit_by_sums_ends_where_one_by_rows_does(
         assert abs(by_sums.values[name] - by_rows.values[name]) < 0.02 * by_rows.stderr(name)
     assert by_sums.residuals == pytest.approx(problem.residuals(by_sums.values), abs=1e-9)
     assert by_sums.jacobian.shape == by_rows.jacobian.shape
+
+
+def test_memory_holds_no_column_of_a_tolerance(trace: Trace, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Residuals come in pieces, so that twelve tolerances take no more memory than what a piece of them does."""
+    monkeypatch.setattr(valve_pieces, "SAMPLES", USUAL_PIECES)
+    times = np.linspace(trace.times[0], trace.times[-1], 4 * problems.LONG)
+    position = np.interp(times, trace.times, trace.pilot_position)
+    plant = ValvePlant([replace(trace, times=times, pilot_position=position, main_position=None)], default_valve())
+    assert len(plant.nuisances) > 8
+    fit(Problem(plant), BOTH, {}, nuisances=plant.nuisances)  # what is compiled on the way counts no more
+    problem = Problem(plant)
+    assert problem.is_long
+    tracemalloc.start()
+    try:
+        fit(problem, BOTH, {}, nuisances=plant.nuisances)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < 60 * len(times)

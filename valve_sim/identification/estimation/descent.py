@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -135,8 +136,12 @@ class Descent:
         self._weights_hold = False
         if smooth is not None:
             self.lower[self._curve] = np.maximum(self.lower[self._curve], smooth.least)
-        self._groups = problem.groups(nuisances)
         self._nuisance_columns: Array | None = None
+
+    @cached_property
+    def _groups(self) -> list[ColumnGroup]:
+        """Nuisances that share a simulation; a fit in sums does not ask: its residuals are too many to be numbered."""
+        return self.problem.groups(self.nuisances)
 
     def _take(self, known: MachineKnowledge) -> Array:
         """The information of other data, in the order of this fit; their priors and means are replaced."""
