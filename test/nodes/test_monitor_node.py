@@ -174,6 +174,7 @@ def test_friction_that_appears_in_a_real_valve_is_warned_of_and_named(probe: Pro
         assert process.wait(ENDS_WITHIN) == 0
 
 
+@pytest.mark.any_distribution
 def test_what_commissioning_found_survives_a_restart_until_it_is_asked_for_anew(probe: Probe, tmp_path: Path) -> None:
     state = tmp_path / "kept" / "tank.json"
     plant = PlantOnTopics(probe, LiveValve(seed=5, rate=5e3, jitter=0.0))
@@ -221,6 +222,7 @@ def test_a_stuck_valve_is_an_error(probe: Probe, tmp_path: Path) -> None:
         assert "did not open" in report["fault"]
 
 
+@pytest.mark.any_distribution
 def test_with_the_topic_of_the_coil_a_valve_is_watched_by_its_current_alone(probe: Probe, tmp_path: Path) -> None:
     ears = Ears(probe)
     with running(tmp_path), monitoring(tmp_path, measured="coil"):
@@ -233,6 +235,7 @@ def test_with_the_topic_of_the_coil_a_valve_is_watched_by_its_current_alone(prob
     assert report["fault"] is None
 
 
+@pytest.mark.any_distribution
 def test_bad_samples_are_counted_and_harm_nothing(probe: Probe, tmp_path: Path) -> None:
     ears = Ears(probe)
     samples = probe.talker("measured/joint_states", JointState)

@@ -23,7 +23,7 @@ from std_msgs.msg import Bool, Float64  # noqa: E402
 HERE = Path(__file__).parent
 SEQUENCER = HERE.parents[1] / "docs" / "examples" / "sequencer.py"
 NAMES = ("quick_1", "quick_2", "quick_3")
-RUNS = 20
+RUNS = 8
 
 
 class QuickValve:

@@ -115,6 +115,7 @@ def test_a_fault_in_one_valve_is_reported_by_its_own_monitor(
         rclpy.try_shutdown()
 
 
+@pytest.mark.any_distribution
 @pytest.mark.ros
 def test_with_gas_a_leak_is_an_alarm_and_a_healthy_valve_is_none(
     plan: LaunchPlan, in_own_domain: None, tmp_path: Path

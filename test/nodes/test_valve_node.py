@@ -395,6 +395,7 @@ def seconds_to_end(tmp_path: Path, number: signal.Signals) -> float:
     return seconds
 
 
+@pytest.mark.any_distribution
 def test_while_the_model_is_compiled_it_tells_that_the_valve_rests_and_a_signal_ends_it_with_code_0(
     ros: None, tmp_path: Path
 ) -> None:
