@@ -183,6 +183,8 @@ class Problem:
         if not directions or not isinstance(self.plant, Differentiable):
             return np.empty((0, len(directions))), np.zeros(len(directions), dtype=bool)
         columns, known = self.plant.sensitivities(values, directions)
+        if not known.any():
+            return np.empty((0, len(directions))), known
         return self._white(columns, [-weight for weight in self._weights]), known
 
     def _white(self, columns: Sequence[Array], weights: Sequence[Array]) -> Array:

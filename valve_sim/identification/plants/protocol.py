@@ -257,7 +257,7 @@ class Sensitivities(NamedTuple):
     """Derivatives of a prediction.
 
     Attributes:
-        columns: for each channel (n, k): along k directions.
+        columns: for each channel (n, k): along k directions; none where nothing is known.
         known: (k,) where they are known; what stands in other columns means nothing.
     """
 

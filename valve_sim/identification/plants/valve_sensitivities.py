@@ -65,7 +65,7 @@ def sensitivities(
     known = has_sensitivities(record, slopes)
     columns: list[Array] = []
     if not known.any():
-        return Sensitivities([np.empty((0, len(directions)))], known)
+        return Sensitivities([], known)
     release = model.valve.parameters.release_voltage
     for index, trace in enumerate(traces):
         at, tangents, zeros = _moving_recording((trace, index), (values, moved), directions, (slopes, release))
