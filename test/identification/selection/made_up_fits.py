@@ -141,7 +141,9 @@ class World:
             variance_inflation=1.0,
             samples=50,
             effective_samples=50.0,
-            residuals=lambda values: np.array([self.missed(values)]),
+            rows=SimpleNamespace(
+                residuals=lambda values: np.array([self.missed(values)]), counts=np.ones(1), constant=0.0
+            ),
         )
 
     def search(self) -> Search:

@@ -13,6 +13,7 @@ from valve_sim.identification.selection.table import (
     Hypothesis,
     backward,
     best_claimable,
+    best_few,
     choose,
     competing_models,
     delta_scores,
@@ -86,6 +87,18 @@ def test_where_no_form_is_right_what_is_left_out_decides() -> None:
     assert best_claimable(found) == of("b")
     # A white residual needs none of this.
     assert best_claimable(table(*found.scores.values(), scored(of("c"), 50.0, left_out=9.0))) == of("c")
+
+
+def test_what_cannot_be_among_the_best_is_not_worked_out() -> None:
+    asked: list[int] = []
+
+    def criterion(item: int) -> float:
+        asked.append(item)
+        return item + {3: 9.0, 4: 0.5}.get(item, 0.0)
+
+    assert best_few([7, 4, 3, 5, 11], 2, float, criterion) == [4, 5]
+    assert asked == [3, 4, 5]
+    assert best_few([2], 3, float, criterion) == [2]
 
 
 def test_competitors_are_of_equal_size_and_near() -> None:

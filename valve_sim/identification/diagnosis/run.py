@@ -168,14 +168,15 @@ def _begun(
     for kind in sorted(actuation):
         problem = problem.with_inflated_noise(kind, inflation)
         held_out = None if held_out is None else held_out.with_inflated_noise(kind, inflation)
-    search = Search(problem, progress)
+    search = Search(problem.condensed(), progress)
     try:
         search.fit(Hypothesis(()))
     except OutOfTimeError:
         # From one start it may be fitted all the same.
         if Hypothesis(()) not in search.log:
             raise
-    return Begun(search.log[Hypothesis(())], Exploration(search), HeldOut(plant, held_out), budget)
+    judged_by = None if held_out is None else held_out.condensed()
+    return Begun(search.log[Hypothesis(())], Exploration(search), HeldOut(plant, judged_by), budget)
 
 
 def _largest_fit(problem: Problem) -> Fit:

@@ -136,12 +136,13 @@ class Descent:
         self._weights_hold = False
         if smooth is not None:
             self.lower[self._curve] = np.maximum(self.lower[self._curve], smooth.least)
+        self.rows = problem.rows
         self._nuisance_columns: Array | None = None
 
     @cached_property
     def _groups(self) -> list[ColumnGroup]:
         """Nuisances that share a simulation; a fit in sums does not ask: its residuals are too many to be numbered."""
-        return self.problem.groups(self.nuisances)
+        return self.rows.groups(self.nuisances)
 
     def _take(self, known: MachineKnowledge) -> Array:
         """The information of other data, in the order of this fit; their priors and means are replaced."""
@@ -175,7 +176,7 @@ class Descent:
     def residuals(self, at: Array) -> Array | None:
         """Residuals, or None where the model cannot be simulated."""
         try:
-            residuals = self.problem.residuals(self.values(at))
+            residuals = self.rows.residuals(self.values(at))
         except SimulationError:
             return None
         return residuals if np.all(np.isfinite(residuals)) else None
@@ -209,7 +210,7 @@ class Descent:
         directions = [self.direction(at, group) for group in groups]
         is_inside = np.array([direction is not STANDING for direction in directions], dtype=bool)
         try:
-            columns, known = self.problem.sensitivities(self.values(at), directions)
+            columns, known = self.rows.sensitivities(self.values(at), directions)
         except SimulationError:
             return np.empty((0, len(groups))), np.zeros(len(groups), dtype=bool)
         return columns, known & is_inside
@@ -278,10 +279,12 @@ class Descent:
         Raises:
             SimulationError: the model cannot be simulated there.
         """
-        if begun is not None and begun.derivatives.is_at_hand:
-            self._nuisance_columns = begun.jacobian[:, len(self.free) :]
-            return begun.residuals, begun.jacobian
-        residuals = self.residuals(at) if begun is None else begun.residuals
+        residuals = None if begun is None else begun.left.few
+        jacobian = None if begun is None else begun.derivatives.few
+        if residuals is not None and jacobian is not None:
+            self._nuisance_columns = jacobian[:, len(self.free) :]
+            return residuals, jacobian
+        residuals = self.residuals(at) if residuals is None else residuals
         if residuals is None:
             raise SimulationError("the model cannot be simulated at the start of the fit")
         return residuals, self.jacobian(at, residuals)
@@ -293,7 +296,7 @@ class Descent:
         damping = FIRST_DAMPING if begun is None else begun.damping
         converged, decrease, reach = False, 0.0, -math.inf
         # Columns that serve a fit that is gone on with may be those of some steps before.
-        is_stale = begun is not None and begun.derivatives.is_at_hand and self._reuses
+        is_stale = begun is not None and begun.derivatives.few is not None and self._reuses
         of_data = self.normal(at, residuals, jacobian, cauchy)
         information, gradient = self._with_curve(at, *of_data)
         cost = self._cost(at, residuals, cauchy)  # the weight of a curve is another now
@@ -376,7 +379,7 @@ class Descent:
         if self.smooth is not None:
             prior += float(at[self._curve] @ self.smooth.precision @ at[self._curve])
         if not math.isfinite(cauchy):
-            return sum_squares(residuals) + prior
+            return sum_squares(residuals) + self.rows.constant + prior
         return float(cauchy**2 * np.sum(np.log1p(np.square(residuals / cauchy)))) + prior
 
     def step(self, at: Array, information: Array, gradient: Array, damping: float) -> tuple[Array, float]:

@@ -218,6 +218,17 @@ def still_runs(data: Array) -> Array:
     return np.repeat(lengths, lengths).astype(np.float64)
 
 
+def readings_near(data: Array, level: float, margin: float) -> int:
+    """How many readings there are before the first that is off a level; those long after it are not looked at."""
+    done, size = 0, 256
+    while done < len(data):
+        off = np.flatnonzero(np.abs(data[done : done + size] - level) > margin)
+        if len(off):
+            return done + int(off[0])
+        done, size = done + size, 2 * size
+    return len(data)
+
+
 def _spread_in_motion(channels: Sequence[Channel], step: float) -> float:
     """Noise and rounding together, from the second differences of samples that move by more than two steps.
 

@@ -14,7 +14,15 @@ from numpy.typing import NDArray
 
 from valve_sim.identification.estimation.budget import Budget
 from valve_sim.identification.estimation.column_groups import ColumnGroup, group_columns
-from valve_sim.identification.estimation.noise import Noise, estimate_noise, noise_of_residuals, still_runs, stretches
+from valve_sim.identification.estimation.condensed import Condensed
+from valve_sim.identification.estimation.noise import (
+    Noise,
+    estimate_noise,
+    noise_of_residuals,
+    readings_near,
+    still_runs,
+    stretches,
+)
 from valve_sim.identification.estimation.sums import Sums, Weighted, summed
 from valve_sim.identification.plants.protocol import (
     Array,
@@ -25,6 +33,7 @@ from valve_sim.identification.plants.protocol import (
     Plant,
     judged_channels,
 )
+from valve_sim.identification.plants.thinning import Thinnable
 
 Mask = Callable[[int, NDArray[np.integer]], NDArray[np.bool_]]
 
@@ -44,7 +53,13 @@ class Problem:
         takes_part: (channel index, (n,) groups) → (n,) mask of samples that are fitted; default all.
         noises: noise by kind of channel; default estimated from the channels.
         budget: of the fits to it; default no limit.
+
+    Attributes:
+        constant: what is to be added to the sum of squares of its residuals. counts: samples that each stands for.
     """
+
+    constant: Final = 0.0
+    counts: Final = 1.0
 
     def __init__(
         self,
@@ -54,6 +69,7 @@ class Problem:
         budget: Budget | None = None,
     ) -> None:
         self.plant = plant
+        self._condenses = False
         self._reaches: dict[Nuisance, NDArray[np.bool_]] = {}
         self._groups: dict[tuple[Nuisance, ...], list[ColumnGroup]] = {}
         self.budget = budget or Budget.unlimited()
@@ -105,12 +121,41 @@ class Problem:
         same = copy.copy(self)
         same.noises = {kind: noises.get(kind, noise) for kind, noise in self.noises.items()}
         same.variance_inflation = max(noise.variance_inflation for noise in same.noises.values())
+        same.__dict__.pop("_few", None)
         return same
+
+    def condensed(self) -> Problem:
+        """The same, whose fits sum up what is read while the machine is still."""
+        return self._with_rows(condenses=True)
+
+    def with_every_row(self) -> Problem:
+        """The same, whose fits take each sample by itself."""
+        return self._with_rows(condenses=False)
+
+    def _with_rows(self, *, condenses: bool) -> Problem:
+        same = copy.copy(self)
+        same.__dict__.pop("_few", None)
+        same._condenses = condenses
+        return same
+
+    @property
+    def rows(self) -> Problem | Condensed:
+        """What fits compare: this, or fewer rows that say the same."""
+        return self._few or self
+
+    @functools.cached_property
+    def _few(self) -> Condensed | None:
+        plant = self.plant
+        if not self._condenses or self.is_long or not (isinstance(plant, Thinnable) and plant.can_be_thinned):
+            return None
+        noises = [self.noise_of(index) for index in range(len(plant.channels))]
+        return Condensed(plant, self._weights, noises, self.budget)
 
     def without_limit(self) -> Problem:
         """The same without a limit of time."""
         same = copy.copy(self)
         same.budget = Budget.unlimited()
+        same.__dict__.pop("_few", None)
         return same
 
     @property
@@ -251,15 +296,4 @@ def _effective(weight: Array) -> float:
 def _stays(data: Array, start: int, stop: int, step: float) -> tuple[int, int]:
     """Where a coarse sensor that is still from `start` to `stop` begins and ends to read so, but for one step."""
     level, margin = float(np.median(data[start:stop])), 1.5 * step
-    return start - _readings_near(data[:start][::-1], level, margin), stop + _readings_near(data[stop:], level, margin)
-
-
-def _readings_near(data: Array, level: float, margin: float) -> int:
-    """How many readings there are before the first that is off a level; those long after it are not looked at."""
-    done, size = 0, 256
-    while done < len(data):
-        off = np.flatnonzero(np.abs(data[done : done + size] - level) > margin)
-        if len(off):
-            return done + int(off[0])
-        done, size = done + size, 2 * size
-    return len(data)
+    return start - readings_near(data[:start][::-1], level, margin), stop + readings_near(data[stop:], level, margin)

@@ -73,11 +73,16 @@ class Rows:
 
     Args:
         found: (n,) or (n, k + m); None where it is dropped already. again: works it out again.
+        few: the same of the rows that were fitted, where these are fewer.
+
+    Attributes:
+        few: of the rows that were fitted; None where it is dropped.
     """
 
-    def __init__(self, found: Array | None, again: Callable[[], Array]) -> None:
+    def __init__(self, found: Array | None, again: Callable[[], Array], few: Array | None = None) -> None:
         self._found = found
         self._again = again
+        self.few = found if few is None else few
 
     def array(self) -> Array:
         """(n,) or (n, k + m)."""
@@ -93,7 +98,7 @@ class Rows:
 
     def drop(self) -> None:
         """Free the memory."""
-        self._found = None
+        self._found = self.few = None
 
 
 @dataclass(frozen=True, eq=False)

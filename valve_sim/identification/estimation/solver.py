@@ -53,10 +53,12 @@ def fit(
     estimated = tuple(own for own in nuisances if not {own.name, own.same_as} & settled)
     of_fit = (tuple(free), estimated, dict(fixed or {}), prior)
     search, end = _descended(problem, of_fit, start, effort)
-    values, whole = search.values(end.at), problem.without_limit()
-    left = Rows(end.residuals if search.holds_rows else None, functools.partial(whole.residuals, values))
+    values, whole = search.values(end.at), problem.without_limit().with_every_row()
+    holds_all = search.holds_rows and isinstance(search.rows, Problem)
+    few = (end.residuals, end.jacobian) if search.holds_rows and problem.rows is search.rows else (None, None)
+    left = Rows(end.residuals if holds_all else None, functools.partial(whole.residuals, values), few[0])
     again = functools.partial(_jacobian_of, whole, of_fit, end.at, left)
-    derivatives = Rows(end.jacobian if search.holds_rows else None, again)
+    derivatives = Rows(end.jacobian if holds_all else None, again, few[1])
     return Fit(
         problem, tuple(free), estimated, values, end.cost, left, derivatives, end.information, end.converged, end.at,
         search.smooth, end.damping, end.reach,
@@ -76,7 +78,8 @@ def _descended(
 def _from_start(
     kind: type[Descent], problem: Problem, of_fit: _OfFit, start: Mapping[str, float] | Fit, effort: Effort
 ) -> tuple[Descent, End]:
-    search = kind(problem, *of_fit)
+    # A loss that counts far residuals less is of each sample's.
+    search = kind(problem.with_every_row() if effort.robust else problem, *of_fit)
     if isinstance(start, Fit):
         return search, search.descend(start.coordinates, math.inf, effort, start)
     at = search.start(start if effort.is_near else _nearer(kind, problem, of_fit, start, effort))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import functools
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
@@ -9,6 +10,7 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from valve_sim.identification.plants.force_map_choice import force_map_over
 from valve_sim.identification.plants.protocol import (
@@ -248,6 +250,18 @@ class ValvePlant:
         """
         return pieces(self._model, self.traces, values, directions)
 
+    @property
+    def can_be_thinned(self) -> bool:
+        """Whether a sample is the same whichever others are shown: not of a valve with gas."""
+        return self.valve.gas is None
+
+    def thinned(self, kept: Sequence[NDArray[np.intp]]) -> ValvePlant:
+        """The same with some samples of each channel, of which the first is one."""
+        same, numbers = copy.copy(self), iter(kept)
+        same._channels = [_thinned(channel, own) for channel, own in zip(self._channels, kept, strict=True)]
+        same.traces = tuple(_thinned_trace(trace, numbers) for trace in self.traces)
+        return same
+
     def predict(self, values: Mapping[str, float]) -> list[Array]:
         """What each channel would show, in its unit.
 
@@ -262,3 +276,23 @@ class ValvePlant:
             positions = [position + zero_with(index, values)] if trace.has_positions else []
             shown.extend([*positions, *others])
         return shown
+
+
+def _thinned(channel: Channel, kept: NDArray[np.intp]) -> Channel:
+    """Some samples of a channel."""
+    return replace(
+        channel, times=channel.times[kept], data=channel.data[kept], quiet=channel.quiet[kept],
+        group=channel.group[kept],
+    )  # fmt: skip
+
+
+def _thinned_trace(trace: Trace, numbers: Iterator[NDArray[np.intp]]) -> Trace:
+    """Some samples of the positions and of the current of a trace."""
+    few = trace
+    if trace.has_positions:
+        own = next(numbers)
+        few = replace(few, times=trace.times[own], pilot_position=trace.pilot_position[own])
+    if trace.coil_current is not None:
+        own = next(numbers)
+        few = replace(few, coil_current=Signal(trace.coil_current.times[own], trace.coil_current.values[own]))
+    return few

@@ -88,10 +88,12 @@ def starts_from_declared(cost: Cost, effect: EffectChoice, known: Mapping[str, f
 def robust_cost(problem: Problem, values: Mapping[str, float]) -> float:
     """By which starts are ranked; infinite where the model cannot be simulated."""
     try:
-        residuals = problem.residuals(values)
+        residuals = problem.rows.residuals(values)
     except SimulationError:
         return math.inf
-    return float(np.sum(np.log1p(np.square(residuals / ROBUST))))
+    # Readings of a row that stands for many scatter by far less than the scale, where the logarithm is linear.
+    counts, scatter = problem.rows.counts, problem.rows.constant / ROBUST**2
+    return float(np.sum(counts * np.log1p(np.square(residuals / ROBUST) / counts))) + scatter
 
 
 def start_near_off(effect: EffectChoice) -> dict[str, float]:

@@ -30,6 +30,7 @@ from valve_sim.identification.selection.table import (
     Score,
     ScoreTable,
     best_claimable,
+    best_few,
     choose,
 )
 
@@ -281,10 +282,10 @@ class Exploration:
     def _extend(self, count: int, names: Sequence[str]) -> bool:
         """Add one more effect to the best few, swap members; whether that was decisive."""
         search = self.search
-        smaller = [hypothesis for hypothesis in self.tried() if len(hypothesis.effects) == count - 1]
-        smaller = sorted((h for h in smaller if not h.timing), key=self.selection_criterion)
+        smaller = [one for one in self.tried() if len(one.effects) == count - 1 and not one.timing]
+        smaller = best_few(smaller, BEAM, search.score, self.selection_criterion)
         before = self.selection_criterion(self.best_claimable())
-        larger = [start.adding(name) for start in smaller[:BEAM] for name in names if name not in start.effects]
+        larger = [start.adding(name) for start in smaller for name in names if name not in start.effects]
         done = 0.5 + 0.1 * (count - 2)
         search.fit_each(larger, (done, done + 0.1))
         best = self.best_claimable()
@@ -428,8 +429,9 @@ class Exploration:
         An effect that the plant points at and that explains all has no need of one where nothing else is near.
         """
         limit = self.selection_criterion(best) + NEARLY
-        near = [h for h in self.tried() if len(h.effects) == len(best.effects) and self.selection_criterion(h) < limit]
-        nearest = {best, *sorted(near, key=self.selection_criterion)[:POLISHED]}
+        alike = [one for one in self.tried() if len(one.effects) == len(best.effects)]
+        near = best_few(alike, POLISHED, self.search.score, self.selection_criterion)
+        nearest = {best, *(one for one in near if self.selection_criterion(one) < limit)}
         if self._pointed_at and nearest == {best}:
             return
         run_parallel(self.search.polish, list(nearest))

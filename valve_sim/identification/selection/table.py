@@ -10,7 +10,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -22,6 +22,8 @@ DECISIVE: Final = 10.0
 """Difference of the score S, theory, eq. (41), that decides: odds of 150 to 1."""
 NEGLIGIBLE: Final = 0.1
 """Difference of χ² that is no reason to put a parameter on its bound, where it names nothing."""
+
+Item = TypeVar("Item")
 
 
 class Hypothesis(NamedTuple):
@@ -225,7 +227,26 @@ def choose(table: ScoreTable) -> Hypothesis:
 def best_claimable(table: ScoreTable) -> Hypothesis:
     """The hypothesis of the best criterion of those that may be claimed."""
     claimable = [one for one in table.scores.values() if one.is_claimable and one.hypothesis.base in table]
-    return min(claimable, key=lambda one: one.own_criterion).hypothesis
+    return best_few(claimable, 1, lambda one: one.score, lambda one: one.own_criterion)[0].hypothesis
+
+
+def best_few(
+    items: Iterable[Item], count: int, least: Callable[[Item], float], criterion: Callable[[Item], float]
+) -> list[Item]:
+    """The few items of the best criterion, best first; of equal ones the first.
+
+    Strokes are left out in turn only of fits that may be among these: S is never more than the criterion.
+
+    Args:
+        items: to choose from. count: how many. least: what the criterion is at least, known at no cost.
+        criterion: of an item.
+    """
+    found: list[tuple[float, int, Item]] = []
+    for index, item in sorted(enumerate(items), key=lambda numbered: least(numbered[1])):
+        if len(found) == count and least(item) > found[-1][0]:
+            break
+        found = sorted([*found, (criterion(item), index, item)])[:count]
+    return [item for _, _, item in found]
 
 
 def backward(table: ScoreTable, best: Hypothesis) -> Hypothesis:
@@ -255,7 +276,7 @@ def delta_scores(table: ScoreTable, best: Hypothesis) -> dict[Hypothesis, float]
     worse = {
         other: one.criterion(residual_is_white=is_white) - least
         for other, one in table.scores.items()
-        if len(other.effects) == count and other not in resized
+        if len(other.effects) == count and other not in resized and one.score - least < 2.0 * DECISIVE
     }
     worse.update(smaller_alternatives(table, best))
     return {other: by for other, by in worse.items() if by < 2.0 * DECISIVE}

@@ -1,0 +1,225 @@
+"""Fewer rows of a fit: what is read while a machine is still is summed up in blocks, of which one sample is simulated.
+
+Where a model says the same for all n samples of a block, and their weights are w, whitened readings aₜ enter the
+criterion by their weighted mean alone:
+
+    Σ w² (a − m)² = W (ā − m)² + Σ w² (a − ā)²,    W = Σ w²,  ā = Σ w² a / W
+
+so that a row of weight √W stands for n, and the last sum, which no model changes, is added to the criterion. A model
+that moves while the machine is still is seen at one sample of each block; blocks are shorter where a still stretch
+begins, in which what settles may still be seen.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valve_sim.identification.estimation.budget import Budget
+from valve_sim.identification.estimation.column_groups import ColumnGroup, group_columns
+from valve_sim.identification.estimation.noise import Noise, readings_near, stretches
+from valve_sim.identification.plants.protocol import Array, Channel, Differentiable, Direction, Nuisance, Plant
+from valve_sim.identification.plants.thinning import Thinnable
+from valve_sim.model import SimulationError
+from valve_sim.model.compiling import compiled
+
+FIRST_BLOCKS: Final = (3, 3, 3, 5, 5, 7, 9, 11, 13)
+"""Samples in the blocks with which a still stretch begins; odd, so that one sample is in the middle."""
+LONGEST_BLOCK: Final = 15
+"""Samples in all others: 0.75 ms at 20 kHz."""
+STILL: Final = 6.0
+"""Standard deviations within which readings stay that are of a machine at rest."""
+SETTLES: Final = 20
+"""Samples at the beginning of those that may be of one that still moves."""
+
+
+class _Layout(NamedTuple):
+    """The rows of one channel.
+
+    Attributes:
+        kept: (m,) which samples are simulated, ascending.
+        at: (r,) index among these of the sample of each row. lags: (r,) how many before it a row takes to be whitened;
+            −1 for a block, in which all are the same.
+        scale: (r,) factor of what is simulated. target: (r,) whitened, weighted reading.
+        counts: (r,) samples that a row stands for. times: (r,) s.
+        constant: what all blocks add to the criterion, whatever is simulated.
+    """
+
+    kept: NDArray[np.intp]
+    at: NDArray[np.intp]
+    lags: NDArray[np.intp]
+    scale: Array
+    target: Array
+    counts: Array
+    times: Array
+    constant: float
+
+
+class Condensed:
+    """Rows of whitened, weighted residuals, of which some stand for many.
+
+    Args:
+        plant: the machine and its data, of which samples can be left out.
+        weights: (n,) of the samples of each channel. noises: of each channel. budget: of the fits.
+
+    Attributes:
+        constant: what is to be added to the sum of their squares. counts: (r,) samples that each stands for.
+    """
+
+    def __init__(self, plant: Thinnable, weights: Sequence[Array], noises: Sequence[Noise], budget: Budget) -> None:
+        edges = np.unique([end for own in (*plant.nuisances, *plant.timing_errors) for end in own.during])
+        edges = edges[np.isfinite(edges)]
+        channels = zip(plant.channels, _reference(plant), weights, noises, strict=True)
+        self._layouts = [_laid_out(*channel, edges) for channel in channels]
+        self._coefficients = [np.array(noise.coefficients, dtype=np.float64) for noise in noises]
+        self._plant = plant.thinned([layout.kept for layout in self._layouts])
+        self._recordings = tuple(plant.channels)
+        self._groups: dict[tuple[Nuisance, ...], list[ColumnGroup]] = {}
+        self._budget = budget
+        self.constant = math.fsum(layout.constant for layout in self._layouts)
+        self.counts = np.concatenate([layout.counts for layout in self._layouts])
+
+    def groups(self, nuisances: tuple[Nuisance, ...]) -> list[ColumnGroup]:
+        """Nuisances in groups, of which no two act on the same row."""
+        if nuisances not in self._groups:
+            self._groups[nuisances] = group_columns([self._reach(nuisance) for nuisance in nuisances])
+        return self._groups[nuisances]
+
+    def residuals(self, values: Mapping[str, float]) -> Array:
+        """(r,) whitened, weighted residuals of all channels in a row (measured − predicted).
+
+        Raises:
+            OutOfTimeError: the time for fits is used up.
+            SimulationError: the machine cannot be simulated with these values.
+        """
+        self._budget.check()
+        shown = [prediction[:, None] for prediction in self._plant.predict(values)]
+        targets = np.concatenate([layout.target for layout in self._layouts])
+        return targets - self._combined(shown)[:, 0]
+
+    def sensitivities(
+        self, values: Mapping[str, float], directions: Sequence[Direction]
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        """(r, k) derivatives of the residuals along directions, and (k,) where the plant knows them.
+
+        Raises:
+            OutOfTimeError: the time for fits is used up.
+            SimulationError: the machine cannot be simulated with these values.
+        """
+        self._budget.check()
+        if not directions or not isinstance(self._plant, Differentiable):
+            return np.empty((0, len(directions))), np.zeros(len(directions), dtype=bool)
+        columns, known = self._plant.sensitivities(values, directions)
+        if not known.any():
+            return np.empty((0, len(directions))), known
+        combined = self._combined(columns)
+        return np.negative(combined, out=combined), known
+
+    def _combined(self, columns: Sequence[Array]) -> Array:
+        """(r, k) of all channels, whitened and weighted, from (m, k) each of the samples that are simulated."""
+        found = np.empty((len(self.counts), columns[0].shape[1]))
+        start = 0
+        for of_channel, layout, coefficients in zip(columns, self._layouts, self._coefficients, strict=True):
+            own = found[start : start + len(layout.at)]
+            _combine(own, of_channel, layout.at, layout.lags, layout.scale, coefficients)
+            start += len(own)
+        return found
+
+    def _reach(self, nuisance: Nuisance) -> NDArray[np.bool_]:
+        """(r,) which rows a nuisance acts on."""
+        low, high = nuisance.during
+        acts_on = nuisance.channels or range(len(self._layouts))
+        masks = [
+            (low <= layout.times) & (layout.times < high) & (index in acts_on)
+            for index, layout in enumerate(self._layouts)
+        ]
+        return np.concatenate(masks)
+
+
+def _reference(plant: Plant) -> list[Array]:
+    """What the declared machine would show in each channel; nothing where it cannot be simulated."""
+    try:
+        return plant.predict({})
+    except SimulationError:
+        return [np.zeros_like(channel.data) for channel in plant.channels]
+
+
+def _laid_out(channel: Channel, reference: Array, weight: Array, noise: Noise, edges: Array) -> _Layout:
+    """The rows of a channel.
+
+    Args:
+        reference: (n,) what is taken from the readings before they are summed up, so that what settles alike in both
+            is not taken for scatter.
+        weight: (n,) of its samples. noise: of it. edges: times, s, that no block may contain.
+    """
+    order = len(noise.coefficients)
+    starts, stops = _blocks(channel, noise, edges)
+    squares = np.square(np.broadcast_to(weight, len(channel.data)))
+    total = np.add.reduceat(squares, starts)
+    takes_part = total > 0.0
+    whitened = noise.whiten(channel.data - reference)
+    mean = np.add.reduceat(squares * whitened, starts) / np.where(takes_part, total, 1.0)
+    constant = float(np.sum(squares * np.square(whitened - np.repeat(mean, stops - starts))))
+    starts, stops, total, mean = starts[takes_part], stops[takes_part], total[takes_part], mean[takes_part]
+    middle, is_block = (starts + stops) // 2, stops - starts > 1
+    lags = np.where(is_block, -1, np.minimum(middle, order))
+    before = [middle[lags >= lag] - lag for lag in range(1, order + 1)]
+    # The first sample says when a run begins.
+    kept = np.unique(np.concatenate([[0], middle, *before]).astype(np.intp))
+    gain = np.where(is_block, (1.0 - math.fsum(noise.coefficients)) / noise.innovation, 1.0 / noise.innovation)
+    mean += np.where(is_block, gain * reference[middle], noise.whiten(reference)[middle])
+    root = np.sqrt(total)
+    return _Layout(
+        kept, np.searchsorted(kept, middle), lags, root * gain, root * mean,
+        (stops - starts).astype(np.float64), channel.times[middle], constant,
+    )  # fmt: skip
+
+
+def _blocks(channel: Channel, noise: Noise, edges: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """(r,) where rows start and stop: samples by themselves, and blocks in which the machine is still."""
+    count, order = len(channel.data), len(noise.coefficients)
+    cuts = np.searchsorted(channel.times, edges).tolist()
+    starts = np.ones(count, dtype=bool)
+    for first, last in _still(channel, STILL * max(noise.sigma, noise.step)):
+        for low, high in itertools.pairwise([first, *(cut for cut in cuts if first < cut < last), last]):
+            # Whitening reaches back by so many samples, which need not be still.
+            begin, sizes = low + order, itertools.chain(FIRST_BLOCKS, itertools.repeat(LONGEST_BLOCK))
+            while begin + (size := next(sizes)) <= high:
+                starts[begin + 1 : begin + size] = False
+                begin += size
+    found = np.flatnonzero(starts)
+    return found, np.append(found[1:], count)
+
+
+def _still(channel: Channel, margin: float) -> list[tuple[int, int]]:
+    """(start, stop) of stretches in which readings stay within a margin of those that are known to be still.
+
+    What is quiet begins late, so that it may tell what noise is; here the model only has to say nearly the same.
+    """
+    found: list[tuple[int, int]] = []
+    for first, last in stretches(channel.quiet):
+        before = channel.data[found[-1][1] if found else 0 : first][::-1]
+        near = readings_near(before, float(np.mean(channel.data[first:last][:LONGEST_BLOCK])), margin)
+        # The first of them may be of what still moves.
+        found.append((first - max(0, near - SETTLES), last))
+    return found
+
+
+@compiled
+def _combine(found, columns, at, lags, scale, coefficients):  # type: ignore[no-untyped-def]
+    """Whiten and weight (m, k) columns of samples: (r, k) rows."""
+    rows, count = found.shape
+    for row in range(rows):
+        place = at[row]
+        for column in range(count):
+            found[row, column] = columns[place, column]
+        for lag in range(1, lags[row] + 1):
+            for column in range(count):
+                found[row, column] -= coefficients[lag - 1] * columns[place - lag, column]
+        for column in range(count):
+            found[row, column] *= scale[row]
