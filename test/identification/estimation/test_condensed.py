@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -71,6 +72,14 @@ def test_what_settles_is_read_at_the_middle_of_short_blocks() -> None:
     problem = problem_of(FINE)
     values = {"sensor_bandwidth.cutoff_frequency": 800.0}
     assert chi2(problem.condensed().rows, values) == pytest.approx(chi2(problem, values), rel=1e-5)
+
+
+def test_a_plunger_that_creeps_is_read_at_more_samples() -> None:
+    trace = recorded(FINE)
+    late = np.maximum(trace.times - trace.drive.times[-1] - 8e-3, 0.0)
+    creeping = replace(trace, pilot_position=trace.pilot_position + 1e-3 * late)
+    still, moving = (Problem(ValvePlant([one], default_valve().exact())).condensed() for one in (trace, creeping))
+    assert len(moving.rows.residuals({})) > len(still.rows.residuals({})) + 100
 
 
 def test_a_loss_that_counts_far_residuals_less_is_of_each_sample() -> None:

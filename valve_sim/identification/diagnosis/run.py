@@ -175,8 +175,7 @@ def _begun(
         # From one start it may be fitted all the same.
         if Hypothesis(()) not in search.log:
             raise
-    judged_by = None if held_out is None else held_out.condensed()
-    return Begun(search.log[Hypothesis(())], Exploration(search), HeldOut(plant, judged_by), budget)
+    return Begun(search.log[Hypothesis(())], Exploration(search), HeldOut(plant, held_out), budget)
 
 
 def _largest_fit(problem: Problem) -> Fit:

@@ -36,6 +36,10 @@ STILL: Final = 6.0
 """Standard deviations within which readings stay that are of a machine at rest."""
 SETTLES: Final = 20
 """Samples at the beginning of those that may be of one that still moves."""
+SCATTER: Final = 0.02
+"""Of χ², that creeping may add to the scatter in all blocks of a stretch."""
+LARGER: Final = 3.0
+"""By how much the scatter of a block may be larger beside what the declared machine shows, by chance."""
 
 
 class _Layout(NamedTuple):
@@ -154,7 +158,7 @@ def _laid_out(channel: Channel, reference: Array, weight: Array, noise: Noise, e
 
     Args:
         reference: (n,) what is taken from the readings before they are summed up, so that what settles alike in both
-            is not taken for scatter.
+            is no scatter; but where it makes the scatter larger.
         weight: (n,) of its samples. noise: of it. edges: times, s, that no block may contain.
     """
     order = len(noise.coefficients)
@@ -162,22 +166,36 @@ def _laid_out(channel: Channel, reference: Array, weight: Array, noise: Noise, e
     squares = np.square(np.broadcast_to(weight, len(channel.data)))
     total = np.add.reduceat(squares, starts)
     takes_part = total > 0.0
-    whitened = noise.whiten(channel.data - reference)
-    mean = np.add.reduceat(squares * whitened, starts) / np.where(takes_part, total, 1.0)
-    constant = float(np.sum(squares * np.square(whitened - np.repeat(mean, stops - starts))))
-    starts, stops, total, mean = starts[takes_part], stops[takes_part], total[takes_part], mean[takes_part]
+    readings = (channel.data, channel.data - reference)
+    by_itself, beside = (_summed(noise.whiten(seen), squares, starts) for seen in readings)
+    is_beside = (stops - starts > 1) & (beside[1] < by_itself[1] + LARGER)
+    mean, constant = np.where(is_beside, beside, by_itself)
+    starts, stops, is_beside = starts[takes_part], stops[takes_part], is_beside[takes_part]
+    total, mean = total[takes_part], mean[takes_part]
     middle, is_block = (starts + stops) // 2, stops - starts > 1
     lags = np.where(is_block, -1, np.minimum(middle, order))
     before = [middle[lags >= lag] - lag for lag in range(1, order + 1)]
     # The first sample says when a run begins.
     kept = np.unique(np.concatenate([[0], middle, *before]).astype(np.intp))
-    gain = np.where(is_block, (1.0 - math.fsum(noise.coefficients)) / noise.innovation, 1.0 / noise.innovation)
-    mean += np.where(is_block, gain * reference[middle], noise.whiten(reference)[middle])
+    gain = np.where(is_block, 1.0 - math.fsum(noise.coefficients), 1.0) / noise.innovation
+    mean[is_beside] += gain[is_beside] * reference[middle[is_beside]]
     root = np.sqrt(total)
     return _Layout(
         kept, np.searchsorted(kept, middle), lags, root * gain, root * mean,
-        (stops - starts).astype(np.float64), channel.times[middle], constant,
+        (stops - starts).astype(np.float64), channel.times[middle], math.fsum(constant),
     )  # fmt: skip
+
+
+def _summed(whitened: Array, squares: Array, starts: NDArray[np.intp]) -> tuple[Array, Array]:
+    """(r,) weighted means of rows that begin so, and the scatter about them; no scatter of one sample.
+
+    Args:
+        whitened: (n,) readings. squares: (n,) of their weights.
+    """
+    total = np.add.reduceat(squares, starts)
+    mean = np.add.reduceat(squares * whitened, starts) / np.where(total > 0.0, total, 1.0)
+    about = np.repeat(mean, np.diff(np.append(starts, len(whitened))))
+    return mean, np.add.reduceat(squares * np.square(whitened - about), starts)
 
 
 def _blocks(channel: Channel, noise: Noise, edges: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -185,28 +203,33 @@ def _blocks(channel: Channel, noise: Noise, edges: Array) -> tuple[NDArray[np.in
     count, order = len(channel.data), len(noise.coefficients)
     cuts = np.searchsorted(channel.times, edges).tolist()
     starts = np.ones(count, dtype=bool)
-    for first, last in _still(channel, STILL * max(noise.sigma, noise.step)):
+    for first, last, longest in _still(channel, max(noise.sigma, noise.step)):
         for low, high in itertools.pairwise([first, *(cut for cut in cuts if first < cut < last), last]):
             # Whitening reaches back by so many samples, which need not be still.
             begin, sizes = low + order, itertools.chain(FIRST_BLOCKS, itertools.repeat(LONGEST_BLOCK))
-            while begin + (size := next(sizes)) <= high:
+            while begin + (size := min(next(sizes), longest)) <= high:
                 starts[begin + 1 : begin + size] = False
                 begin += size
     found = np.flatnonzero(starts)
     return found, np.append(found[1:], count)
 
 
-def _still(channel: Channel, margin: float) -> list[tuple[int, int]]:
-    """(start, stop) of stretches in which readings stay within a margin of those that are known to be still.
+def _still(channel: Channel, sigma: float) -> list[tuple[int, int, int]]:
+    """(start, stop, most samples of a block) of stretches in which readings stay near those known to be still.
 
-    What is quiet begins late, so that it may tell what noise is; here the model only has to say nearly the same.
+    What is quiet begins late, so that it may tell what noise is; here the model only has to say nearly the same. A
+    plunger may creep in it, and blocks are so short that this adds nothing to their scatter, or one sample.
     """
-    found: list[tuple[int, int]] = []
+    found: list[tuple[int, int, int]] = []
     for first, last in stretches(channel.quiet):
+        quiet = channel.data[first:last]
         before = channel.data[found[-1][1] if found else 0 : first][::-1]
-        near = readings_near(before, float(np.mean(channel.data[first:last][:LONGEST_BLOCK])), margin)
+        near = readings_near(before, float(np.mean(quiet[:LONGEST_BLOCK])), STILL * sigma)
+        centred = np.arange(len(quiet)) - 0.5 * (len(quiet) - 1)
+        slope = abs(float(centred @ quiet)) / max(float(centred @ centred), 1.0) / sigma
+        fits = min(LONGEST_BLOCK, int(math.sqrt(12.0 * SCATTER / len(quiet)) / max(slope, 1e-12)))
         # The first of them may be of what still moves.
-        found.append((first - max(0, near - SETTLES), last))
+        found.append((first - max(0, near - SETTLES), last, max(1, fits - (fits + 1) % 2)))
     return found
 
 
