@@ -238,3 +238,10 @@ def test_where_many_names_put_the_form_in_doubt_known_look_alikes_are_listed(
 ) -> None:
     found = table(scored(BASE, 400.0, left_out=3.0), scored(of(*names), 100.0, left_out=1.0))
     assert look_alikes(found, Claim(of(*names), False, False))["a"] == others
+
+
+def test_what_is_named_itself_takes_no_place_among_the_look_alikes_of_another() -> None:
+    alike = {"a": ("b", "c", "d", "e"), "b": ("a",)}
+    scores = table(scored(BASE, 400.0), scored(of("a", "b"), 100.0, white=False)).scores
+    found = look_alikes(ScoreTable(scores, alike), Claim(of("a", "b"), True, False))
+    assert found == {"a": ("c", "d", "e"), "b": ()}

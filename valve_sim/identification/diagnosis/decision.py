@@ -198,7 +198,9 @@ def look_alikes(table: ScoreTable, claim: Claim) -> dict[str, tuple[str, ...]]:
     for name in claim.best.effects:
         others = _in_place_of(table, claim, name)
         if claim.is_unknown or len(claim.best.effects) >= MANY:
-            others = tuple(dict.fromkeys([*others, *table.look_alikes.get(name, ())]))[: LARGEST_CLASS - 1]
+            # What is named itself stands in nobody's place.
+            known = [other for other in table.look_alikes.get(name, ()) if other not in claim.best.effects]
+            others = tuple(dict.fromkeys([*others, *known]))[: LARGEST_CLASS - 1]
         found[name] = others
     return found
 

@@ -50,7 +50,7 @@ LOOK_ALIKES: Final[Mapping[str, tuple[str, ...]]] = {
     "gas.outlet_volume": ("pilot_clogging", "seat_leak", "gas.discharge_coefficient", "gas.pilot_orifice_diameter"),
     "gas.demand_orifice_diameter": ("seat_leak", "gas.outlet_volume"),
 }
-"""What data often cannot tell from a wrong value."""
+"""What data often cannot tell from a wrong value, the closest first."""
 
 
 SMALLER_IS: Final[Mapping[str, str]] = {"gas.pilot_orifice_diameter": "pilot_clogging"}
@@ -203,7 +203,8 @@ class ToleratedValues:
         for name, coordinates in wrong.items():
             others = tuple(value for value in wrong if name in alike.get(value, ()))
             parameters = tuple(self._released(own, effects) for own in coordinates)
-            both = tuple(dict.fromkeys([*others, *alike.get(name, ())]))
+            # The closest first: an attraction that is off at rest is a polynomial that is off in its first coefficient.
+            both = tuple(dict.fromkeys([*alike.get(name, ()), *others]))
             found[name] = EffectChoice(name, parameters, both, is_declared_value=True)
         return found
 
