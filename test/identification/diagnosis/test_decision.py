@@ -226,6 +226,13 @@ def test_a_class_of_more_than_four_is_no_answer() -> None:
     assert decide(claim, {"a": ("b", "c", "d", "e")}, 0.9, 8, singles_untried=False).kind == "insufficient"
 
 
+@pytest.mark.parametrize(("names", "probability"), [("abcd", calibrated("effects", 0.99)), ("abcde", EVEN)])
+def test_more_names_than_any_claim_had_that_was_calibrated_are_an_even_chance(names: str, probability: float) -> None:
+    claim = Claim(of(*names), False, False)
+    decision = decide(claim, {name: () for name in names}, 0.99, 8, singles_untried=False)
+    assert decision == ("effects", tuple(names), probability)
+
+
 def test_where_the_form_is_wrong_known_look_alikes_are_listed() -> None:
     found = two(near=100.0)
     assert look_alikes(found, Claim(of("a"), False, False)) == {"a": ()}

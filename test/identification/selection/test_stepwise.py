@@ -17,6 +17,7 @@ from valve_sim.identification.selection.stepwise import (
     DECISIVE,
     HINT,
     MOST_EFFECTS,
+    MOST_OF_ANOTHER_FORM,
     MOST_ROUNDS,
     NEARLY,
     POLISHED,
@@ -204,18 +205,46 @@ def test_triples_are_tried_where_a_pair_gained_a_decisive_difference(
     assert ("abc" in tried(explored(world, monkeypatch))) is goes_on
 
 
-def test_no_more_than_four_effects_are_tried_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    names = "abcde"
-    scores = {
-        "".join(chosen): 1000.0 - 100.0 * count for count in range(6) for chosen in itertools.combinations(names, count)
-    }
-    found = explored(World(scores, switches(names)), monkeypatch)
-    assert max(len(one.effects) for one in found.tried()) == MOST_EFFECTS == 4
+def scores_falling(names: str, by: float = 100.0) -> dict[str, float]:
+    """Each further effect lowers S alike, so that the first ones are the best."""
+    sets = itertools.chain(*(itertools.combinations(names, count) for count in range(len(names) + 1)))
+    return {"".join(chosen): 1000.0 - by * len(chosen) + 0.1 * sum(map(names.index, chosen)) for chosen in sets}
 
 
-@pytest.mark.parametrize(
-    ("curve", "most"), [(700.0 - NEAR - 0.1, 3), (700.0 - NEAR + 0.1, MOST_EFFECTS), (math.inf, 4)]
-)
+@pytest.mark.parametrize(("p_value", "most"), [(HINT, 4), (0.99 * HINT, MOST_OF_ANOTHER_FORM)])
+def test_more_than_four_effects_are_tried_one_at_a_time_where_four_leave_something(
+    monkeypatch: pytest.MonkeyPatch, p_value: float, most: int
+) -> None:
+    found = explored(World(scores_falling("abcdefgh"), switches("abcdefgh"), white={"abcd": p_value}), monkeypatch)
+    assert max(len(one.effects) for one in found.tried()) == most
+    assert found.best_claimable() == of("abcdef"[:most])
+    # One set alone is extended, and no member is swapped.
+    further = [key for key in tried(found) if len(key) > MOST_EFFECTS]
+    assert further == (["abcde", "abcdf", "abcdg", "abcdh", "abcdef", "abcdeg", "abcdeh"] if most > 4 else [])
+
+
+@pytest.mark.parametrize(("gained", "most"), [(0.9 * DECISIVE, 5), (1.1 * DECISIVE, MOST_OF_ANOTHER_FORM)])
+def test_a_sixth_effect_is_tried_where_the_fifth_was_decisive(
+    monkeypatch: pytest.MonkeyPatch, gained: float, most: int
+) -> None:
+    scores = {**scores_falling("abcdefgh"), "abcde": scores_falling("abcd")["abcd"] - gained}
+    scores = {key: score for key, score in scores.items() if len(key) <= MOST_EFFECTS or key == "abcde"}
+    found = explored(World(scores, switches("abcdefgh")), monkeypatch)
+    assert max(len(one.effects) for one in found.tried()) == most
+
+
+@pytest.mark.parametrize(("missed", "most"), [(0.5, 5), (0.4, MOST_OF_ANOTHER_FORM)])
+def test_a_sixth_effect_is_tried_where_the_fifth_predicts_strokes_left_out(
+    monkeypatch: pytest.MonkeyPatch, missed: float, most: int
+) -> None:
+    """Where no form is right any effect lowers S. Of 100 samples 0.5 each is as much as without it."""
+    scores, left_out = scores_falling("abcdefgh"), dict.fromkeys(scores_falling("abcdefgh"), 0.5)
+    left_out["abcde"] = missed
+    predicted = explored(World(scores, switches("abcdefgh"), left_out=left_out), monkeypatch)
+    assert max(len(one.effects) for one in predicted.tried()) == most
+
+
+@pytest.mark.parametrize(("curve", "most"), [(700.0 - NEAR - 0.1, 3), (700.0 - NEAR + 0.1, 5), (math.inf, 5)])
 def test_no_more_than_three_are_tried_where_a_curve_without_a_name_leaves_nothing(
     monkeypatch: pytest.MonkeyPatch, curve: float, most: int
 ) -> None:
@@ -322,6 +351,28 @@ def test_where_nothing_is_right_stamps_that_explain_as_much_as_a_pair_get_a_seco
     scores = {"": 300.0, "a": 110.0, "b": 200.0, "ab": 90.0, "'": 290.0, "a'": of_timed, "b'": 250.0}
     world = World(scores, switches("abc"), timing=True)
     assert ("ac'" in tried(explored(world, monkeypatch))) is is_extended
+
+
+@pytest.mark.parametrize(
+    ("without", "curve", "most"),
+    [(1890.0, math.inf, 3), (1890.0, 90.0 - NEAR + 0.1, 3), (1890.0, 90.0 - NEAR - 0.1, 2), (190.0, math.inf, 2)],
+)
+def test_a_pair_that_is_the_best_beside_stamps_that_must_err_gets_a_third_effect_unless_a_curve_does_better(
+    monkeypatch: pytest.MonkeyPatch, without: float, curve: float, most: int
+) -> None:
+    """Although one effect beside them explains less than the pair without them."""
+    scores = {
+        "": 4000.0,
+        "a": without + 20.0,
+        "b": 2000.0,
+        "ab": without,
+        "'": 2900.0,
+        "a'": without + 10.0,
+        "b'": 2500.0,
+    }
+    white = {"ab'": 0.9 * HINT, "abc'": 1.0}
+    world = World({**scores, "ab'": 90.0, "abc'": 20.0}, switches("abcd"), white=white, timing=True, curve=curve)
+    assert explored(world, monkeypatch).best_claimable() == of("abc"[:most] + "'")
 
 
 def test_beside_stamps_that_err_sets_grow_and_members_are_swapped_as_without_them(

@@ -13,6 +13,7 @@ from typing import Final, NamedTuple
 
 from valve_sim.identification.diagnosis.calibration import calibrated
 from valve_sim.identification.selection.held_out import Judgement
+from valve_sim.identification.selection.stepwise import MOST_EFFECTS
 from valve_sim.identification.selection.table import (
     DECISIVE,
     Hypothesis,
@@ -42,7 +43,7 @@ named beside an unexplained remainder."""
 MOST_FALSE_ALARMS: Final = 0.01
 """Probability that the search finds as much in noise alone, beyond which nothing is claimed."""
 EVEN: Final = 0.5
-"""Most probable that a claim with a remainder, or of an unfinished search, may be."""
+"""Most probable that a claim with a remainder, of more names than usual, or of an unfinished search, may be."""
 
 
 @dataclass(frozen=True)
@@ -231,7 +232,9 @@ def decide(
         strokes: how many the machine made. singles_untried: whether not even every single effect was tried.
     """
     kind = _kind(claim, alike, strokes, singles_untried=singles_untried)
-    is_sure = not claim.is_unknown and not singles_untried and kind in ("none", "effects")
+    # No claim of more names was among those that the probabilities were calibrated on.
+    is_usual = len(claim.best.effects) <= MOST_EFFECTS
+    is_sure = is_usual and not claim.is_unknown and not singles_untried and kind in ("none", "effects")
     probability = calibrated(kind, evidence) if is_sure else min(evidence, EVEN)
     return Decision(kind, () if kind == "none" else claim.best.effects, probability)
 

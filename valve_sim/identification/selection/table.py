@@ -252,14 +252,15 @@ def best_few(
 def backward(table: ScoreTable, best: Hypothesis) -> Hypothesis:
     """Drop every effect whose loss costs less than a decisive difference."""
     for rest in (best.without(member) for member in best.effects):
-        if rest in table and not _is_missed(table, rest, best):
+        if rest in table and not is_missed(table, rest, best):
             return backward(table, rest)
     untimed = best._replace(timing=False)
     is_better = best.timing and untimed in table and table[untimed].score < table[best].score
     return untimed if is_better else best
 
 
-def _is_missed(table: ScoreTable, rest: Hypothesis, best: Hypothesis) -> bool:
+def is_missed(table: ScoreTable, rest: Hypothesis, best: Hypothesis) -> bool:
+    """Whether what a larger hypothesis has beside a smaller one is decisive."""
     # Where no form is right any effect lowers the score, and must predict other strokes better besides.
     is_decisive = table[best].gain_on(table[rest]) >= DECISIVE
     return is_decisive and (table[best].is_white or table[best].improves_on(table[rest]))
