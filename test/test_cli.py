@@ -4,7 +4,6 @@ import csv
 import html
 import itertools
 import json
-import os
 import re
 import subprocess
 import sys
@@ -462,26 +461,6 @@ def test_written_parameters_say_where_they_are_from(strokes: Path, tmp_path: Pat
 def readme_blocks(language: str) -> list[str]:
     readme = Path(__file__).parents[1] / "README.md"
     return re.findall(rf"```{language}\n(.*?)```", readme.read_text(), flags=re.DOTALL)
-
-
-def test_the_commands_of_the_readme_work_as_they_stand(tmp_path: Path):
-    (block,) = (block for block in readme_blocks("console") if "$ valve-sim" in block)
-    commands = [line.removeprefix("$ ") for line in block.splitlines() if line != "$ make shell"]
-    script = "\n".join(['set -e; valve-sim() { "$PYTHON" -m valve_sim "$@"; }', *commands])
-    done = subprocess.run(
-        ["bash", "-c", script],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHON": sys.executable, "PYTHONPATH": os.pathsep.join(sys.path)},
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
-    # On a busy machine a command tells every ten seconds how far it is.
-    said = [line for line in done.stderr.splitlines() if " % done" not in line]
-    assert (done.returncode, said) == (0, [])
-    assert "passed" in done.stdout
-    assert sorted(path.name for path in (tmp_path / "results").glob("*.yaml")) == ["corrected.yaml", "identified.yaml"]
 
 
 def test_the_python_and_the_parameter_file_of_the_readme_work(tmp_path: Path):

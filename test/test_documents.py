@@ -126,6 +126,9 @@ def test_the_commands_work_as_printed(name: str, terminal: tuple[Path, dict[str,
     told = f"{ran.stdout}\n{ran.stderr}"
     assert ran.returncode == 0, told
     assert "Traceback" not in told, told
+    if name == "README.md":
+        results = sorted(path.name for path in (folder / "results").glob("*.yaml"))
+        assert results == ["corrected.yaml", "identified.yaml"], told
     if name == "docs/tutorials/first_correction.md":
         report = json.loads((folder / "results" / "report.json").read_text(encoding="utf-8"))
         assert report["verdict"]["effects"] == ["coulomb_friction"]

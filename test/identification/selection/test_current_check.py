@@ -40,8 +40,10 @@ def problem(plant: Plant, declared: Entries, recorder: Recorder, effects: Effect
     return Problem(ValvePlant([trace], replace(declared_valve(declared), effects=effects or {})))
 
 
-@pytest.mark.parametrize("jitter", [0.0, 50e-6])
-@pytest.mark.parametrize("effects", [{}, {"drive_gain": {"gain": 0.95}, "coil_lag": {"time_constant": 2e-4}}])
+@pytest.mark.parametrize(
+    ("effects", "jitter"),
+    [({}, 0.0), ({}, 50e-6), ({"drive_gain": {"gain": 0.95}, "coil_lag": {"time_constant": 2e-4}}, 50e-6)],
+)
 def test_a_current_that_effects_explain_is_believed(effects: dict[str, dict[str, float]], jitter: float) -> None:
     recorder = Recorder(with_current=True, command_jitter=jitter)
     made = problem(DeclaredPlant(effects), CAMPAIGN_VALVE, recorder)

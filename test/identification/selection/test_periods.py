@@ -56,9 +56,9 @@ def test_a_vibration_is_found_that_throws_a_resting_plunger_off_its_seat(recorde
     assert min(abs(frequency - VIBRATION["frequency"]) for frequency in frequencies) < 0.5 / DURATION
 
 
-@pytest.mark.parametrize("frequency", [210.0, 330.0])
-def test_the_fits_of_a_few_periods_tell_the_true_one(frequency: float) -> None:
+def test_the_fits_of_a_few_periods_tell_the_true_one() -> None:
     """The periodogram alone has higher peaks elsewhere."""
+    frequency = 330.0
     effects = {"vibration": {"amplitude": frequency / 7000.0, "frequency": frequency, "phase": 1.0}}
     search = begun(effects, "t, periodic", recorder=Recorder())
     (found,) = fit_maps(search, search.fit(Hypothesis(())))
