@@ -13,9 +13,9 @@ from typing import Final, NamedTuple
 
 from valve_sim.identification.diagnosis.calibration import calibrated
 from valve_sim.identification.selection.held_out import Judgement
-from valve_sim.identification.selection.stepwise import MOST_EFFECTS
 from valve_sim.identification.selection.table import (
     DECISIVE,
+    MOST_EFFECTS,
     Hypothesis,
     ScoreTable,
     competing_models,

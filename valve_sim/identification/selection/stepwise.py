@@ -25,6 +25,7 @@ from valve_sim.identification.selection.score_test import score_gains
 from valve_sim.identification.selection.significance import is_away_from_off, is_within_claim
 from valve_sim.identification.selection.table import (
     DECISIVE,
+    MOST_EFFECTS,
     Hypothesis,
     Score,
     ScoreTable,
@@ -34,11 +35,9 @@ from valve_sim.identification.selection.table import (
     is_missed,
 )
 
-MOST_EFFECTS: Final = 4
-"""In one hypothesis. On the plant of another form, three leave the added effect out in 4 of 10 cases, four in 2."""
 MOST_OF_ANOTHER_FORM: Final = 6
-"""The same where as many as that leave something that no smooth curve explains. What a plant of another form differs by
-takes up the names that are allowed, three or four on such plants, before the effect that it was given is looked for."""
+"""In one hypothesis where `MOST_EFFECTS` leave something that no smooth curve explains. What a plant of another form
+differs by takes up the names that are allowed, three or four on such plants, before the effect that it was given."""
 BEAM: Final = 2
 """How many of the best hypotheses are extended by one more effect."""
 HINT: Final = 0.02
@@ -279,10 +278,7 @@ class Exploration:
         return self._stamps_explain_most(best) and not self._is_far_from_curve()
 
     def _extend_further(self, names: Sequence[str]) -> None:
-        """Further effects beside the most that are usual, one at a time, while each is decisive.
-
-        Where the residual is no noise no form is right, and each must predict strokes that are left out better besides.
-        """
+        """Further effects beside the most that are usual, one at a time, while each is decisive (`is_missed`)."""
         for count in range(MOST_EFFECTS, MOST_OF_ANOTHER_FORM):
             best = self.best_claimable()
             if len(best.effects) != count or not self.needs_larger_model(best) or self._is_far_from_curve():
