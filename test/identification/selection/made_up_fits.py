@@ -141,10 +141,12 @@ class World:
             variance_inflation=1.0,
             samples=50,
             effective_samples=50.0,
-            rows=SimpleNamespace(
-                residuals=lambda values: np.array([self.missed(values)]), counts=np.ones(1), constant=0.0
-            ),
+            residuals=self._residuals,
+            rows=SimpleNamespace(residuals=self._residuals, counts=np.ones(1), constant=0.0),
         )
+
+    def _residuals(self, values: Mapping[str, float]) -> Array:
+        return np.array([self.missed(values)])
 
     def search(self) -> Search:
         return Search(self.problem, lambda what, share: self.told.append((what, share)))  # type: ignore[arg-type]

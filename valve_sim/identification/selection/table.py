@@ -252,10 +252,10 @@ def best_few(
 
 
 def backward(table: ScoreTable, best: Hypothesis) -> Hypothesis:
-    """Drop every effect whose loss costs less than a decisive difference."""
-    for rest in (best.without(member) for member in best.effects):
-        if rest in table and not is_missed(table, rest, best):
-            return backward(table, rest)
+    """Drop effects whose loss costs less than a decisive difference, one at a time, the one that costs least first."""
+    rests = [rest for rest in map(best.without, best.effects) if rest in table and not is_missed(table, rest, best)]
+    if rests:
+        return backward(table, min(rests, key=lambda rest: table[rest].own_criterion))
     untimed = best._replace(timing=False)
     is_better = best.timing and untimed in table and table[untimed].score < table[best].score
     return untimed if is_better else best
