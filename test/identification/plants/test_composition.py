@@ -18,5 +18,7 @@ def test_no_plant_inherits_from_another() -> None:
     ]
     plants = {node.name for node in classes if any(getattr(item, "name", "") == "predict" for item in node.body)}
     assert {"ValvePlant", "AxisPlant", "EventPlant", "CommissionedPlant"} <= plants
-    inheriting = [node.name for node in classes if plants & {getattr(base, "id", "") for base in node.bases}]
+    bases = [(node.name, {getattr(base, "id", "") for base in node.bases}) for node in classes]
+    # A protocol that asks for more than another has nothing that could be written over.
+    inheriting = [name for name, own in bases if plants & own and "Protocol" not in own]
     assert inheriting == []
