@@ -123,3 +123,14 @@ def test_a_curve_that_all_else_can_take_the_place_of_has_weights_all_the_same() 
     # Of the curve's own information rounding is left, of either sign.
     chosen = smooth.chosen(columns.T @ columns, -columns.T @ measured, np.zeros(2 * COUNT + 1), where, 1.0)
     assert np.all(np.isfinite(chosen.weights))
+
+
+def test_a_curve_whose_bends_overflow_has_a_band_all_the_same() -> None:
+    """What is linearised far from the data may say so; the weights are then as uncertain as they can be."""
+    where = np.arange(20)
+    smooth = Smoothness(tuple(f"c{number}" for number in where), -np.inf)
+    gradient = 1e160 * np.sin(where)
+    with np.errstate(over="ignore", invalid="ignore"):
+        covariance = smooth.covariance(np.eye(20), gradient, np.zeros(20), where, 1.0)
+    assert covariance.shape == (20, 20)
+    assert np.all(np.diag(covariance) > 0.0)

@@ -116,8 +116,9 @@ class Smoothness:
         covariance = best.covariance.copy()
         for axis in _axes(curve, logs, repeats=self.repeats):
             places = [curve.best(place) for place in np.clip(logs + ALONG[:, None] * axis, LEAST, MOST)]
+            places = [place for place in places if math.isfinite(place.objective)]
             costs = np.array([place.objective for place in places])
-            shares = np.exp(-0.5 * (costs - costs.min()))
+            shares = np.exp(-0.5 * (costs - costs.min(initial=math.inf)))
             for place, share in zip(places, shares / shares.sum(), strict=True):
                 apart = place.fitted - best.fitted
                 covariance += share * (place.covariance - best.covariance + np.outer(apart, apart))
@@ -171,6 +172,9 @@ def _axes(curve: _Quadratic, logs: Array, *, repeats: bool) -> Array:
 
     steps = DIFFERENCE * directions
     hessian = np.array([slope(logs + step) - slope(logs - step) for step in steps]) / (2.0 * DIFFERENCE)
+    if not np.all(np.isfinite(hessian)):
+        # The curve is so far from what is linearised that its bends overflow: then nothing is known of the weights.
+        return WIDEST * directions
     # R is −2 ln of a likelihood.
     sizes, axes = np.linalg.eigh(0.25 * (hessian + hessian.T))
     deviations = 1.0 / np.sqrt(np.maximum(sizes, 0.0) + WIDEST**-2)
