@@ -114,9 +114,11 @@ class Smoothness:
         logs = np.log(np.array(self.weights))
         best = curve.best(logs)
         covariance = best.covariance.copy()
+        if not math.isfinite(float(best.fitted @ best.fitted)):
+            return covariance
         for axis in _axes(curve, logs, repeats=self.repeats):
             places = [curve.best(place) for place in np.clip(logs + ALONG[:, None] * axis, LEAST, MOST)]
-            places = [place for place in places if math.isfinite(place.objective)]
+            places = [place for place in places if math.isfinite(place.objective + float(place.fitted @ place.fitted))]
             costs = np.array([place.objective for place in places])
             shares = np.exp(-0.5 * (costs - costs.min(initial=math.inf)))
             for place, share in zip(places, shares / shares.sum(), strict=True):
