@@ -6,6 +6,7 @@ gives the difference quotients of all of them (Curtis, Powell and Reid, J. Inst.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Final
 
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.identification.estimation.noise import stretches
+from valve_sim.identification.plants.protocol import Array, Nuisance
 
 LAST: Final = 3
 """Samples at the end of each stretch in which the effect of its nuisance must have died away."""
@@ -62,6 +64,15 @@ class ColumnGroup:
                 if np.max(sizes[-LAST:]) > LEFT * np.max(sizes):
                     return False
         return True
+
+
+def reach_of(nuisance: Nuisance, times: Sequence[Array]) -> NDArray[np.bool_]:
+    """(n,) which rows of the Jacobian a nuisance acts on; times: s, of the rows of each channel."""
+    low, high = nuisance.during
+    acts_on = nuisance.channels or range(len(times))
+    if (low, high) == (-math.inf, math.inf) and set(acts_on) == set(range(len(times))):
+        return np.broadcast_to(True, sum(map(len, times)))
+    return np.concatenate([(low <= own) & (own < high) & (index in acts_on) for index, own in enumerate(times)])
 
 
 def group_columns(reach: Sequence[NDArray[np.bool_]]) -> list[ColumnGroup]:

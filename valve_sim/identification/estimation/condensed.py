@@ -14,14 +14,14 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.identification.estimation.budget import Budget
-from valve_sim.identification.estimation.column_groups import ColumnGroup, group_columns
+from valve_sim.identification.estimation.column_groups import ColumnGroup, group_columns, reach_of
 from valve_sim.identification.estimation.noise import Noise, readings_near, stretches
 from valve_sim.identification.plants.protocol import Array, Channel, Differentiable, Direction, Nuisance, Plant
 from valve_sim.identification.plants.thinning import Thinnable
@@ -91,7 +91,8 @@ class Condensed:
     def groups(self, nuisances: tuple[Nuisance, ...]) -> list[ColumnGroup]:
         """Nuisances in groups, of which no two act on the same row."""
         if nuisances not in self._groups:
-            self._groups[nuisances] = group_columns([self._reach(nuisance) for nuisance in nuisances])
+            times = [layout.times for layout in self._layouts]
+            self._groups[nuisances] = group_columns([reach_of(nuisance, times) for nuisance in nuisances])
         return self._groups[nuisances]
 
     def residuals(self, values: Mapping[str, float]) -> Array:
@@ -116,13 +117,7 @@ class Condensed:
             SimulationError: the machine cannot be simulated with these values.
         """
         self._budget.check()
-        if not directions or not isinstance(self._plant, Differentiable):
-            return np.empty((0, len(directions))), np.zeros(len(directions), dtype=bool)
-        columns, known = self._plant.sensitivities(values, directions)
-        if not known.any():
-            return np.empty((0, len(directions))), known
-        combined = self._combined(columns)
-        return np.negative(combined, out=combined), known
+        return whitened_sensitivities(self._plant, values, directions, lambda columns: -self._combined(columns))
 
     def _combined(self, columns: Sequence[Array]) -> Array:
         """(r, k) of all channels, whitened and weighted, from (m, k) each of the samples that are simulated."""
@@ -134,15 +129,27 @@ class Condensed:
             start += len(own)
         return found
 
-    def _reach(self, nuisance: Nuisance) -> NDArray[np.bool_]:
-        """(r,) which rows a nuisance acts on."""
-        low, high = nuisance.during
-        acts_on = nuisance.channels or range(len(self._layouts))
-        masks = [
-            (low <= layout.times) & (layout.times < high) & (index in acts_on)
-            for index, layout in enumerate(self._layouts)
-        ]
-        return np.concatenate(masks)
+
+def whitened_sensitivities(
+    plant: Plant,
+    values: Mapping[str, float],
+    directions: Sequence[Direction],
+    whiten: Callable[[Sequence[Array]], Array],
+) -> tuple[Array, NDArray[np.bool_]]:
+    """(r, k) derivatives of residuals along directions, no rows where none is known, and (k,) which the plant knows.
+
+    Args:
+        plant: the machine. values, directions: as of its `sensitivities`.
+        whiten: what makes derivatives of residuals of those of each channel.
+
+    Raises:
+        SimulationError: the machine cannot be simulated with these values.
+    """
+    nothing = np.empty((0, len(directions)))
+    if not directions or not isinstance(plant, Differentiable):
+        return nothing, np.zeros(len(directions), dtype=bool)
+    columns, known = plant.sensitivities(values, directions)
+    return (whiten(columns) if known.any() else nothing), known
 
 
 def _reference(plant: Plant) -> list[Array]:

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.identification.estimation.budget import Budget
-from valve_sim.identification.estimation.column_groups import ColumnGroup, group_columns
-from valve_sim.identification.estimation.condensed import Condensed
+from valve_sim.identification.estimation.column_groups import ColumnGroup, group_columns, reach_of
+from valve_sim.identification.estimation.condensed import Condensed, whitened_sensitivities
 from valve_sim.identification.estimation.noise import (
     Noise,
     estimate_noise,
@@ -26,7 +26,6 @@ from valve_sim.identification.estimation.noise import (
 from valve_sim.identification.estimation.sums import Sums, Weighted, summed
 from valve_sim.identification.plants.protocol import (
     Array,
-    Differentiable,
     Direction,
     InPieces,
     Nuisance,
@@ -186,16 +185,7 @@ class Problem:
     def reach(self, nuisance: Nuisance) -> NDArray[np.bool_]:
         """(n,) which of the residuals a nuisance acts on."""
         if nuisance not in self._reaches:
-            (low, high), channels = nuisance.during, self.plant.channels
-            acts_on = nuisance.channels or range(len(channels))
-            if (low, high) == (-math.inf, math.inf) and set(acts_on) == set(range(len(channels))):
-                return np.broadcast_to(True, sum(map(len, self._weights)))
-            self._reaches[nuisance] = np.concatenate(
-                [
-                    (low <= channel.times) & (channel.times < high) & (index in acts_on)
-                    for index, channel in enumerate(channels)
-                ]
-            )
+            self._reaches[nuisance] = reach_of(nuisance, [channel.times for channel in self.plant.channels])
         return self._reaches[nuisance]
 
     def groups(self, nuisances: tuple[Nuisance, ...]) -> list[ColumnGroup]:
@@ -225,12 +215,8 @@ class Problem:
             SimulationError: the machine cannot be simulated with these values.
         """
         self.budget.check()
-        if not directions or not isinstance(self.plant, Differentiable):
-            return np.empty((0, len(directions))), np.zeros(len(directions), dtype=bool)
-        columns, known = self.plant.sensitivities(values, directions)
-        if not known.any():
-            return np.empty((0, len(directions))), known
-        return self._white(columns, [-weight for weight in self._weights]), known
+        weights = [-weight for weight in self._weights]
+        return whitened_sensitivities(self.plant, values, directions, lambda columns: self._white(columns, weights))
 
     def _white(self, columns: Sequence[Array], weights: Sequence[Array]) -> Array:
         """(n, k) whitened, weighted columns of all channels, (n of the channel, k) each, in a row."""

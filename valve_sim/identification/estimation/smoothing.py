@@ -115,6 +115,7 @@ class Smoothness:
         best = curve.best(logs)
         covariance = best.covariance.copy()
         if not math.isfinite(float(best.fitted @ best.fitted)):
+            # So far from what is linearised, differences between curves would overflow.
             return covariance
         for axis in _axes(curve, logs, repeats=self.repeats):
             places = [curve.best(place) for place in np.clip(logs + ALONG[:, None] * axis, LEAST, MOST)]

@@ -264,8 +264,8 @@ def backward(table: ScoreTable, best: Hypothesis) -> Hypothesis:
 def is_missed(table: ScoreTable, rest: Hypothesis, best: Hypothesis) -> bool:
     """Whether what a larger hypothesis has beside a smaller one is decisive.
 
-    Where no form is right any effect lowers the score, and must predict other strokes better besides. So it is where
-    the residual is no noise, or only is because more effects than usual add up to what another form does.
+    Where no form is right any effect lowers the score, and must predict other strokes better besides. No form is right
+    where the residual is not white, and more effects than usual may make it white because they add up to another form.
     """
     form_is_right = table[best].is_white and len(best.effects) <= MOST_EFFECTS
     is_decisive = table[best].gain_on(table[rest]) >= DECISIVE
