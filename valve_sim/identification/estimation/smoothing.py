@@ -106,6 +106,7 @@ class Smoothness:
         weights = np.clip(best, before / LARGEST_CHANGE, before * LARGEST_CHANGE)
         return replace(self, weights=tuple(weights.tolist()))
 
+    @np.errstate(over="ignore", invalid="ignore")
     def covariance(
         self, information: Array, gradient: Array, at: Array, where: NDArray[np.int64], inflation: float
     ) -> Array:
@@ -114,17 +115,16 @@ class Smoothness:
         logs = np.log(np.array(self.weights))
         best = curve.best(logs)
         covariance = best.covariance.copy()
-        if not math.isfinite(float(best.fitted @ best.fitted)):
-            # So far from what is linearised, differences between curves would overflow.
-            return covariance
         for axis in _axes(curve, logs, repeats=self.repeats):
             places = [curve.best(place) for place in np.clip(logs + ALONG[:, None] * axis, LEAST, MOST)]
-            places = [place for place in places if math.isfinite(place.objective + float(place.fitted @ place.fitted))]
-            costs = np.array([place.objective for place in places])
-            shares = np.exp(-0.5 * (costs - costs.min(initial=math.inf)))
+            costs = np.nan_to_num([place.objective for place in places], nan=np.inf)
+            shares = np.exp(-0.5 * (costs - costs.min()))
             for place, share in zip(places, shares / shares.sum(), strict=True):
                 apart = place.fitted - best.fitted
-                covariance += share * (place.covariance - best.covariance + np.outer(apart, apart))
+                further = share * (place.covariance - best.covariance + np.outer(apart, apart))
+                # Weights of which the linearised fit is nowhere near the data say nothing of the band.
+                if np.all(np.isfinite(further)):
+                    covariance += further
         return covariance
 
     def _about(
