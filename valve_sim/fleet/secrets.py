@@ -18,9 +18,12 @@ _SHORTEST: Final = 8
 """Shorter values of the environment are words, such as "true", and hide nothing."""
 
 
-def without_credentials(text: str, environment: Mapping[str, str] = os.environ) -> str:
-    """A text without users and passwords in URLs, signed queries, key identifiers, and secrets of the environment."""
-    for name, value in environment.items():
+def without_credentials(text: str, environment: Mapping[str, str] | None = None) -> str:
+    """A text without users and passwords in URLs, signed queries, key identifiers, and secrets of the environment.
+
+    `None` is the environment of this process; as a default it would be printed, values and all, where signatures are.
+    """
+    for name, value in (os.environ if environment is None else environment).items():
         if len(value) >= _SHORTEST and any(part in name.upper() for part in _SECRET_NAMES):
             text = text.replace(value, HIDDEN)
     text = _USER.sub(f"{HIDDEN}@", text)
