@@ -30,6 +30,7 @@ extensions = [
     "sphinx.ext.viewcode",
     *(["sphinx_click"] if has["sphinx_click"] else []),
     *(["mathml"] if has["latex2mathml"] else ["sphinx.ext.mathjax"]),
+    *(["one_navigation"] if has["furo"] else []),
 ]
 exclude_patterns = ["_build", "_ext", "_templates", "examples"]
 templates_path = ["_templates"]
@@ -50,6 +51,7 @@ nb_merge_streams = True
 autosummary_generate = True
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
+autodoc_use_type_comments = False  # there are none, and each source would be read again for them
 autodoc_type_aliases = {name: name for name in ("Array", "ArrayLike", "Mask", "Progress", "Rewrite", "Term")}
 maximum_signature_line_length = 88
 python_use_unqualified_type_names = True
