@@ -66,7 +66,7 @@ Result = TypeVar("Result")
 class _Curves(NamedTuple):
     """Nonparametric forces on the declared model, and at one place in place of an effect; best score first.
 
-    Not whole are those on the declared model where effects explain all.
+    Not whole are those on the declared model where effects explain all: only what comes near these is there.
     """
 
     maps: list[NonparametricFit]
@@ -173,15 +173,15 @@ class Conclusion:
         """Nonparametric forces on the base, where it does not explain all, and in place of members of the best."""
         with self.budget.until(MAPPED_BY):
             base, chosen = self.fit(best.base), self.fit(best)
-            is_explained = explains_all(base, chosen)
+            explaining = chosen if explains_all(base, chosen) else None
             known = self.exploration.curves(base)
-            maps = [] if table[best.base].is_white else fit_maps(self.search, base, known, is_explained=is_explained)
+            maps = [] if table[best.base].is_white else fit_maps(self.search, base, known, explaining)
             has_rests = all(best.without(member) in table for member in best.effects)
             nothing: list[NonparametricFit] = []
             if not (table[best].is_white and has_rests and self.strokes > 1):
-                return _Curves(maps, nothing, not is_explained)
+                return _Curves(maps, nothing, explaining is None)
             find = functools.partial(fit_local_forces, self.search, best)
-            return _Curves(maps, self.in_time(MAPPED_BY, "forces at one place", find, nothing), not is_explained)
+            return _Curves(maps, self.in_time(MAPPED_BY, "forces at one place", find, nothing), explaining is None)
 
     # -- the judgement -------------------------------------------------------------------------------------------------
 

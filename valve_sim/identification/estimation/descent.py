@@ -38,6 +38,8 @@ TRIAL: Final = 6
 """Iterations that fits side by side make before they are compared."""
 ASKED: Final = 3
 """Iterations that a fit may make before it is asked whether it can still reach its goal."""
+ASKED_OF_CURVE: Final = 6
+"""The same of a curve that begins nearly straight: within these its weights can come from there to any others."""
 CATCHES_UP: Final = 10.0
 """Times the last decrease, or the next that is promised, beyond which a goal is out of reach: each decrease is smaller
 than the one before, and where by a tenth of it, all that are left come to ten."""
@@ -134,6 +136,7 @@ class Descent:
         self._curve = np.array([free.index(name) for name in smooth.names] if smooth else [], dtype=np.int64)
         self._small = CONVERGED if smooth is None else CURVE_CONVERGED
         self._weights_hold = False
+        self._asked = ASKED if smooth is None or smooth.repeats else ASKED_OF_CURVE
         if smooth is not None:
             self.lower[self._curve] = np.maximum(self.lower[self._curve], smooth.least)
         self.rows = problem.rows
@@ -306,7 +309,7 @@ class Descent:
                 converged = True
                 break
             reach = cost - CATCHES_UP * max(gain, decrease)
-            if iteration >= ASKED and reach > effort.goal:
+            if iteration >= self._asked and reach > effort.goal:
                 break
             candidate = np.clip(at + move, self.lower, self.upper)
             there = self.residuals(candidate)

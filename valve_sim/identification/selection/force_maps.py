@@ -81,7 +81,7 @@ def fit_curves(search: Search, base: Fit) -> list[NonparametricFit]:
 
 
 def fit_maps(
-    search: Search, base: Fit, known: Sequence[NonparametricFit] = (), *, is_explained: bool = False
+    search: Search, base: Fit, known: Sequence[NonparametricFit] = (), explaining: Fit | None = None
 ) -> list[NonparametricFit]:
     """Force maps on top of a fit, best score first; those for which the time was too short are left out.
 
@@ -91,12 +91,12 @@ def fit_maps(
     Args:
         search: that is told what is being tried. base: the fit.
         known: those of `fit_curves` beside the base, where they are at hand.
-        is_explained: whether effects explain all with so few parameters that no wave can do better, nor anything with
-            errors of the stamps: these are left out.
+        explaining: effects that explain all with so few parameters that no wave can do better, nor anything with
+            errors of the stamps: these are left out, and so is a curve that cannot come near.
     """
     beside = _Beside(base)
-    found = _fitted_maps(search, beside, base, known, is_explained=is_explained)
-    if found and not is_explained and not any(adequacy(entry.fit).is_white for entry in found):
+    found = _fitted_maps(search, beside, base, known, explaining)
+    if found and explaining is None and not any(adequacy(entry.fit).is_white for entry in found):
         with contextlib.suppress(OutOfTimeError):
             if timed := beside.timed:
                 found += _fitted_maps(search, beside, timed)
@@ -149,19 +149,27 @@ def explains_all(base: Fit, best: Fit) -> bool:
 
 
 def _fitted_maps(
-    search: Search, beside: _Beside, base: Fit, known: Sequence[NonparametricFit] = (), *, is_explained: bool = False
+    search: Search,
+    beside: _Beside,
+    base: Fit,
+    known: Sequence[NonparametricFit] = (),
+    explaining: Fit | None = None,
 ) -> list[NonparametricFit]:
     """Every force map beside what a fit estimates."""
+    # The score is χ² and what the parameters cost.
+    goal = math.inf if explaining is None else (explaining.score + NEAR) * base.problem.variance_inflation
 
     def fitted(choice: ForceMap) -> list[NonparametricFit]:
         if choice.end:
             return _periodic(choice, base, beside.periods(choice, base))
-        return [_beside(choice, base, base.nuisances)]
+        return [_beside(choice, base, base.nuisances, effort=Effort(goal=goal))]
 
     done = [entry.choice for entry in known]
-    maps = [one for one in base.problem.plant.force_maps if one not in done and not (one.end and is_explained)]
+    maps = [one for one in base.problem.plant.force_maps if one not in done and not (one.end and explaining)]
     long = [choice for choice in maps if choice.end and choice.unit == "s"]
     found = [*known, *_fitted_each(search, [choice for choice in maps if choice not in long], fitted)]
+    # What was given up is fitted by half, which nobody should look at.
+    found = [entry for entry in found if entry.fit.reach <= goal]
     # Hundreds of periods fit into a recording, so they are tried last.
     if any(entry.choice.variable != OVER_TIME and adequacy(entry.fit).is_white for entry in found):
         return found
