@@ -97,7 +97,9 @@ class Search:
             self._append(hypothesis, "annealed", dict(self.log[hypothesis].values), Effort(ANNEALING))
         return self.log[hypothesis]
 
-    def fit_each(self, hypotheses: Sequence[Hypothesis], fractions: tuple[float, float]) -> None:
+    def fit_each(
+        self, hypotheses: Sequence[Hypothesis], fractions: tuple[float, float], rival: Hypothesis | None = None
+    ) -> None:
         """Fit hypotheses of equal size in parallel: they start from smaller ones, not from each other.
 
         All make a few iterations; then those that cannot come near the best few any more are given up. What cannot be
@@ -106,6 +108,7 @@ class Search:
         Args:
             hypotheses: what to fit.
             fractions: of the diagnosis that are done before and after.
+            rival: that was fitted before, and which one of them is to replace: what cannot come near it is given up.
         """
         before, after = fractions
         settled = ({*self.log.best} - self._on_trial) | self._impossible
@@ -119,6 +122,8 @@ class Search:
             )
             begun = [hypothesis for hypothesis in new if hypothesis not in self._impossible]
             limit = self._limit(begun)
+            if rival is not None:
+                limit = min(limit, self._near(self.log[rival]))
             run_parallel(lambda h: self._end(h, limit), begun)
         except OutOfTimeError:
             self.untried.extend(str(hypothesis) for hypothesis in new if not self.is_tried(hypothesis))
@@ -231,9 +236,12 @@ class Search:
         """The score S that is near enough to those of the best few."""
         if len(hypotheses) <= RIVALS:
             return math.inf
-        last = sorted((self.log[hypothesis] for hypothesis in hypotheses), key=lambda found: found.score)[RIVALS - 1]
-        beyond_noise = last.chi2 / self.problem.variance_inflation - self.problem.effective_samples
-        return last.score + max(NEAR, NEAR_SHARE * beyond_noise)
+        return self._near(sorted((self.log[one] for one in hypotheses), key=lambda found: found.score)[RIVALS - 1])
+
+    def _near(self, rival: Fit) -> float:
+        """The score S that is near enough to that of a fit."""
+        beyond_noise = rival.chi2 / self.problem.variance_inflation - self.problem.effective_samples
+        return rival.score + max(NEAR, NEAR_SHARE * beyond_noise)
 
     def _try(self, hypothesis: Hypothesis, effort: Effort) -> None:
         """Begin a hypothesis, or note that it cannot be simulated."""

@@ -330,7 +330,7 @@ class Exploration:
         rests = [best.without(member) for member in best.effects]
         swapped = [rest.adding(name) for rest in rests for name in names if name not in rest.effects]
         self.search.fit_each(rests, (done, done))
-        self.search.fit_each(swapped, (done, done))
+        self.search.fit_each(swapped, (done, done), best)
         return self.best_claimable()
 
     # -- what a hypothesis is worth ------------------------------------------------------------------------------------
