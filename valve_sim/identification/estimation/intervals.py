@@ -12,7 +12,7 @@ from scipy.special import chdtri
 
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
-from valve_sim.identification.plants.protocol import from_internal, internal_bounds, internal_scale
+from valve_sim.identification.plants.protocol import from_internal, internal_bounds, internal_scale, to_internal
 from valve_sim.model import SimulationError
 
 CHI2_RISE_95: Final = float(chdtri(1, 0.05))
@@ -77,7 +77,8 @@ def profile_interval(result: Fit, name: str, *, points: int = 12) -> tuple[Inter
     spread = math.sqrt(max(0.0, float(result.covariance[index, index])))
     natural = internal_scale(parameter)
     spread = min(spread, 10.0 * max(natural, abs(at))) if spread > 0 else natural
-    walk = _Walk(result, name, at, spread, CHI2_RISE_95 * result.problem.variance_inflation, points)
+    level = CHI2_RISE_95 * result.problem.variance_inflation
+    walk = _Walk(result, name, at, spread, level, points, _slopes_along(result, index))
     low, high = _profile_side(walk, -1.0, lower), _profile_side(walk, 1.0, upper)
     ends = sorted(from_internal(parameter, side.end) for side in (low, high))
     unbounded = None
@@ -91,7 +92,11 @@ def profile_interval(result: Fit, name: str, *, points: int = 12) -> tuple[Inter
 
 
 class _Walk(NamedTuple):
-    """Along a profile: whose, from which coordinate with which first guess of a standard error, up to which rise."""
+    """Along a profile: whose, from which coordinate with which first guess of a standard error, up to which rise.
+
+    Attributes:
+        slopes: by name, derivatives of the search coordinates of all others along it where χ² is quadratic.
+    """
 
     result: Fit
     name: str
@@ -99,6 +104,16 @@ class _Walk(NamedTuple):
     spread: float
     level: float
     points: int
+    slopes: Mapping[str, float]
+
+
+def _slopes_along(result: Fit, index: int) -> dict[str, float]:
+    """How all others go along with one parameter, if each is always at its best: Cov(·, own)/Var(own)."""
+    own, variance = result.covariance[index], float(result.covariance[index, index])
+    names = [*result.free, *(nuisance.name for nuisance in result.nuisances)]
+    known = math.isfinite(variance) and variance > 0.0
+    slopes = zip(names, own.tolist(), strict=True)
+    return {name: by / variance for name, by in slopes if known and math.isfinite(by) and name != result.free[index]}
 
 
 class _Side(NamedTuple):
@@ -133,7 +148,7 @@ def _profile_side(walk: _Walk, sign: float, bound: float) -> _Side:
             where = inside[0] + _share(inside[1], outside[1], level) * (outside[0] - inside[0])
         if where == inside[0]:
             return _Side(where, is_closed=False, is_flat=False, curve=curve)
-        rise, values = _rise(walk, where, warm)
+        rise, values = _rise(walk, where, _gone_along(walk, warm, where - inside[0]))
         if math.isfinite(rise):
             curve.append((where, rise))
         if rise < level:
@@ -159,6 +174,21 @@ def _share(inside: float, outside: float, level: float) -> float:
     low, high = math.sqrt(max(inside, 0.0)), math.sqrt(outside)
     share = (math.sqrt(level) - low) / (high - low) if high > low else 0.5
     return min(max(share, 0.05), 0.95)
+
+
+def _gone_along(walk: _Walk, values: Mapping[str, float], by: float) -> dict[str, float]:
+    """Values a way further along a profile, where χ² is quadratic: a refit from there ends after a step or two."""
+    there, plant = dict(values), walk.result.problem.plant
+    for name, slope in walk.slopes.items():
+        if name in walk.result.free:
+            parameter = plant.parameter(name)
+            lower, upper = internal_bounds(parameter)
+            there[name] = from_internal(
+                parameter, min(max(to_internal(parameter, values[name]) + slope * by, lower), upper)
+            )
+        else:
+            there[name] = values[name] + slope * by
+    return there
 
 
 def _rise(walk: _Walk, where: float, warm: Mapping[str, float]) -> tuple[float, dict[str, float]]:
