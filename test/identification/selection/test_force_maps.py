@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from valve_sim.identification.estimation.budget import OutOfTimeError
+from valve_sim.identification.estimation.descent import Effort
 from valve_sim.identification.plants.protocol import ForceMap, Nuisance
 from valve_sim.identification.selection import force_maps
 from valve_sim.identification.selection.force_maps import (
@@ -24,6 +25,7 @@ from valve_sim.identification.selection.force_maps import (
     on_top,
     where,
 )
+from valve_sim.identification.selection.hypotheses import NEAR
 from valve_sim.identification.selection.periods import Period
 from valve_sim.identification.selection.residual_tests import Adequacy
 from valve_sim.identification.selection.table import Hypothesis
@@ -95,8 +97,9 @@ class Fits:
         prior: Any = None,
     ) -> Any:
         given = dict(
-            free=tuple(free), start=dict(start), nuisances=tuple(nuisances), fixed=dict(fixed or {}), prior=prior
-        )
+            free=tuple(free), start=dict(start), nuisances=tuple(nuisances), fixed=dict(fixed or {}), prior=prior,
+            effort=effort,
+        )  # fmt: skip
         self.calls.append(given)
         over = next((one.variable for one in self.maps if set(one.coefficients) & set(free)), "")
         key = over + "'" * (STAMP in nuisances)
@@ -117,6 +120,7 @@ class Fits:
             score=score,
             key=key,
             chi2=score,
+            reach=score,
         )
 
     def fitted(self) -> list[tuple[str, float]]:
@@ -172,9 +176,23 @@ def test_what_cannot_be_fitted_is_left_out_and_noted(monkeypatch: pytest.MonkeyP
 
 def test_where_effects_explain_all_neither_stamps_nor_waves_are_tried(monkeypatch: pytest.MonkeyPatch) -> None:
     fits = Fits(monkeypatch, {"x": 60.0, "t, periodic": 20.0, "x, periodic": 30.0}, OVER_X, BEATS, TURNS)
-    found = fit_maps(cast("Any", fits.search), cast("Any", fits.base), is_explained=True)
+    found = fit_maps(cast("Any", fits.search), cast("Any", fits.base), (), cast("Any", SimpleNamespace(score=50.0)))
     assert [entry.choice.variable for entry in found] == ["x"]
     assert not any(STAMP in call["nuisances"] for call in fits.calls)
+
+
+def test_where_effects_explain_all_a_curve_that_cannot_come_near_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    goal = 50.0 + NEAR
+    fits = Fits(monkeypatch, {"x": goal, "v": goal + 1.0}, OVER_X, OVER_V)
+    found = fit_maps(cast("Any", fits.search), cast("Any", fits.base), (), cast("Any", SimpleNamespace(score=50.0)))
+    assert [entry.choice.variable for entry in found] == ["x"]
+    assert [call["effort"] for call in fits.calls] == [Effort(goal=goal)] * 2
+    # That is no lack of time.
+    assert fits.search.untried == []
+    # Where nothing explains all, each is carried to its end.
+    whole = Fits(monkeypatch, {"x": goal, "v": goal + 1.0}, OVER_X, OVER_V, white="v")
+    assert whole.fitted() == [("x", goal), ("v", goal + 1.0)]
+    assert [call["effort"] for call in whole.calls] == [Effort()] * 2
 
 
 @pytest.mark.parametrize(

@@ -337,6 +337,17 @@ def test_fits_side_by_side_are_carried_on_towards_the_best_few(monkeypatch: pyte
     assert [effort.goal for key, effort in few.efforts if effort.made] == [1200.0, 1200.0]
 
 
+def test_what_is_to_replace_a_set_that_was_fitted_must_come_near_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    scores = {"": 9000.0, "a": 1000.0, "b": 1100.0, "c": 1200.0, "d": 1300.0, "e": 1350.0, "f": 400.0}
+    world = World(scores, switches("abcdef"), unfinished="ce")
+    search = searched(monkeypatch, world)
+    search.fit(of("f"))
+    search.fit_each([of(key) for key in "abcde"], (0.0, 1.0), of("f"))
+    efforts = [(key, effort.goal) for key, effort in world.efforts if effort.made]
+    # Without one it would be 1300 + NEAR, or what a hypothesis has come to.
+    assert set(efforts) == {("c", 400.0 + NEAR), ("e", 400.0 + NEAR)}
+
+
 def test_beside_an_effect_that_explains_all_others_have_one_start_and_a_goal(monkeypatch: pytest.MonkeyPatch) -> None:
     effects = {**switches("ab"), "c": EffectChoice("c", (RECIPROCAL,))}
     world = World({"": 9000.0, "a": 100.0, "b": 8000.0, "c": 8000.0}, effects)

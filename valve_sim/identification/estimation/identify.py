@@ -17,6 +17,7 @@ from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Channel, InPieces, Nuisance, Plant, judged_channels
 from valve_sim.identification.plants.root_mean_square import root_mean_square
+from valve_sim.identification.plants.stroke_choice import choose_strokes
 from valve_sim.identification.plants.valve import DAMPINGS, ValvePlant
 from valve_sim.identification.plants.valve_model import GAS_NAMES
 from valve_sim.model import CATALOGUE, DECLARED, ParameterError, Valve
@@ -25,7 +26,7 @@ from valve_sim.traces import Trace
 
 DEFAULT_FREE: Final = DAMPINGS
 STARTS: Final = (1.0, 4.0, 0.25)
-"""Factors on the declared values from which a fit starts, to avoid local minima."""
+"""Factors on the declared values from which fits start."""
 DECISIVE: Final = 10.0
 """A difference of scores, theory, eq. (41): odds of 150 to 1."""
 
@@ -92,7 +93,8 @@ def identify(
     plant = ValvePlant(traces, valve)
     say("noise", 0.0)
     problem = Problem(plant)
-    best = best_fit(problem, free, lambda fraction: say("fit", 0.5 * fraction))
+    say("fit", 0.0)
+    best = best_fit(problem, free, starts_of(traces, valve, free), lambda fraction: say("fit", 0.5 * fraction))
     intervals: dict[str, Interval] = {}
     profiles: dict[str, list[tuple[float, float]]] = {}
     for index, name in enumerate(free):
@@ -125,30 +127,50 @@ def check_free(free: Sequence[str], *, has_gas: bool = True) -> None:
             raise ParameterError(f"{name}: cannot be freed, there is no such parameter; did you mean {alike}?")
 
 
-def best_fit(problem: Problem, free: Sequence[str], progress: Callable[[float], None]) -> Fit:
+def starts_of(traces: Sequence[Trace], valve: Valve, free: Sequence[str]) -> list[dict[str, float]]:
+    """Where fits start: at the declared values times each of `STARTS`, to avoid local minima.
+
+    A long recording is fitted once, from the best fit to some of its strokes.
+    """
+    few, choice = choose_strokes(traces)
+    plant = ValvePlant(few, valve)
+    starts = [{name: _started(plant, name, factor) for name in free} for factor in STARTS]
+    if choice is None:
+        return starts
+    found = _best_of_starts(Problem(plant), free, plant.nuisances, starts, lambda fraction: None)
+    return [{name: found.values[name] for name in free}]
+
+
+def best_fit(
+    problem: Problem, free: Sequence[str], starts: Sequence[Mapping[str, float]], progress: Callable[[float], None]
+) -> Fit:
     """The best of fits from several starts.
 
     Where its residual is larger than the noise, errors of the commands' stamps are estimated too, and kept if that is
     decisive: a recorder stamps a command when it receives it, up to a millisecond off the time at which it took effect.
     """
     plant = problem.plant
-    plain = _best_of_starts(problem, free, plant.nuisances, progress)
+    plain = _best_of_starts(problem, free, plant.nuisances, starts, progress)
     if not plant.timing_errors or not leaves_more_than_noise(plain):
         return plain
-    timed = _best_of_starts(problem, free, (*plant.nuisances, *plant.timing_errors), lambda fraction: progress(1.0))
+    nuisances = (*plant.nuisances, *plant.timing_errors)
+    timed = _best_of_starts(problem, free, nuisances, starts, lambda fraction: progress(1.0))
     return timed if timed.score < plain.score - DECISIVE else plain
 
 
 def _best_of_starts(
-    problem: Problem, free: Sequence[str], nuisances: Sequence[Nuisance], progress: Callable[[float], None]
+    problem: Problem,
+    free: Sequence[str],
+    nuisances: Sequence[Nuisance],
+    starts: Sequence[Mapping[str, float]],
+    progress: Callable[[float], None],
 ) -> Fit:
     best: Fit | None = None
-    for index, factor in enumerate(STARTS):
-        start = {name: _started(problem.plant, name, factor) for name in free}
+    for index, start in enumerate(starts):
         found = fit(problem, free, start, nuisances=nuisances)
         # A fit keeps a row of derivatives for each sample: the others' would be most of the memory of a long recording.
         best = found if best is None or found.chi2 < best.chi2 else best
-        progress((index + 1) / len(STARTS))
+        progress((index + 1) / len(starts))
     assert best is not None
     without_influence = {name: problem.plant.declared(name) for name in free if math.isinf(best.stderr(name))}
     if not without_influence:
