@@ -42,6 +42,8 @@ DECLARED := setup.py setup.cfg package.xml tools/environment
 SETS_UP := $(MAKE) --no-print-directory --jobs 2
 # Each command's output comes when the command is done, or the two would be mixed.
 SIDE_BY_SIDE := $(MAKE) --no-print-directory --jobs 2 --output-sync=line
+# The matrices of a fit are thin: threads of the linear algebra would wait for each other.
+export OPENBLAS_NUM_THREADS := 1
 # The lowest priority: whoever else has work goes first, as if alone.
 UNHURRIED := nice -n 19
 
@@ -98,7 +100,7 @@ all-but-nodes: compiled
 	$(UNHURRIED) $(ENVIRONMENT)/bin/lint-imports
 	@$(UNHURRIED) $(MAKE) --no-print-directory docs
 	$(UNHURRIED) $(PYTHON) -m pytest --numprocesses auto --maxprocesses 4 --dist worksteal $(addprefix --ignore=,$(ALONE))
-	OPENBLAS_NUM_THREADS=1 $(UNHURRIED) $(PYTHON) -m benchmarks.campaign --slice
+	$(UNHURRIED) $(PYTHON) -m benchmarks.campaign --slice
 
 # A warning is an error; stubs and pages of modules that have gone would be warned of, or stay.
 docs: $(ENVIRONMENT)/.ready-to-test

@@ -71,6 +71,14 @@ def test_a_signal_raises_nothing_and_ends_the_node_with_code_0(
     assert ran.stdout.splitlines() == ["past make", "past spin", "ROS is shut down"]
 
 
+def test_a_node_does_linear_algebra_in_one_thread() -> None:
+    """NumPy's starts its threads when it is loaded."""
+    program = "import os; import valve_sim.nodes.identification_node, numpy; print(len(os.listdir('/proc/self/task')))"
+    environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
+    ran = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True)
+    assert ran.stdout == "1\n"
+
+
 def test_a_second_signal_ends_a_node_that_is_still_being_made(tmp_path: Path) -> None:
     ran = run(tmp_path, "make", signal.SIGINT, 2)
     assert ran.returncode == -signal.SIGINT

@@ -94,6 +94,16 @@ def test_the_page_says_what_was_found(diagnosis: Diagnosis, page: Path) -> None:
     assert "valve-sim diagnose strokes.mcap" in text
 
 
+def test_the_page_says_why_no_force_is_drawn(diagnosis: Diagnosis, tmp_path: Path) -> None:
+    path, nothing = tmp_path / "report.html", "Nothing but noise is left"
+    assert not diagnosis.before.adequacy.is_white
+    report.write_report(replace(diagnosis, maps=()), path)
+    assert "alone comes near what is named" in path.read_text(encoding="utf-8")
+    assert nothing not in path.read_text(encoding="utf-8")
+    report.write_report(replace(diagnosis, maps=(), before=diagnosis.after), path)
+    assert nothing in path.read_text(encoding="utf-8")
+
+
 def test_root_mean_squares_of_strokes_add_up_to_those_of_the_diagnosis(diagnosis: Diagnosis) -> None:
     strokes = [stroke for stroke in strokes_of(diagnosis) if not stroke.is_held_out]
     squares = sum(len(stroke.time) * stroke.root_mean_squares[0] ** 2 for stroke in strokes)

@@ -335,6 +335,7 @@ def _forces(diagnosis: Diagnosis) -> dict[str, Any]:
         "followed": [stroke_words(stroke) for stroke in followed[:SHOWN_STROKES]],
         "maps_data": [*map(_curve_plot, curves), *map(stroke_plot, followed[:SHOWN_STROKES])],
         "unexplained": unexplained,
+        "is_outdone": bool(diagnosis.verdict.effects) and not diagnosis.before.adequacy.is_white,
         "is_partial": any(curve.is_partial for curve in curves),
     }
 
