@@ -70,6 +70,16 @@ def test_a_healthy_valve_raises_no_alarm(colour: float, rate: float) -> None:
     assert 0.8 < spread < 1.2
 
 
+def test_strokes_that_are_commanded_before_any_sample_comes_are_reported_and_not_judged() -> None:
+    """As where the monitor is ready before the valve's sensor, or the sensor's cable is off."""
+    monitor, reports = Monitor(EXACT_VALVE), []
+    for time in (0.0, 1.0, 2.0):
+        reports += [*monitor.command(time, 9.0), *monitor.command(time + 0.1, 0.0)]
+    reports += [*monitor.measure(2.5, 0.0), *monitor.command(3.0, 9.0)]
+    assert [report.record.remark for report in reports[:2]] == [Unusable.TOO_FEW_SAMPLES] * 2
+    assert all(math.isnan(report.opening_delay) for report in reports[:2])
+
+
 def test_a_valve_that_is_less_noisy_than_declared_is_not_accused_for_moving_during_fewer_samples() -> None:
     monitor = Monitor(EXACT_VALVE, MonitorSettings(commissioning_strokes=8, noise=1e-6), refit=False)
     valve = LiveValve(5, HEALTHY, rate=500.0, noise=0.05e-6, jitter=0.0, levels=(9.0,))

@@ -421,8 +421,10 @@ def _opening_delay(trace: Trace, valve: Valve, lateness: float) -> float:
     """When the pilot plunger left its seat, s after the command: the model's time, and the delay at a low level.
 
     The first micrometres hide in the noise, and grow with the third power of time; the level is a quarter of the gap.
-    By the current alone the delay is that with which the current rises.
+    By the current alone the delay is that with which the current rises. NaN where it is not seen.
     """
+    if not len(trace.sample_times):
+        return math.nan
     drive = Drive(trace.drive.times[:1], trace.drive.volts[:1])
     is_before_next = trace.sample_times < (trace.drive.times[1] if len(trace.drive.times) > 1 else math.inf)
     times = trace.sample_times[is_before_next]
