@@ -57,10 +57,13 @@ from valve_sim.nodes.spinning import guarded, spin
 from valve_sim.traces import Trace
 from valve_sim.traces.trouble import MOST_STROKES
 
-_PAUSE: Final = 10e-3
-"""s between polls: waking up for each sample would cost more than the model's step."""
-_POLLS: Final = 5
-"""While samples come, from one look of rclpy's executor at timers and services to the next: it costs as much as ten."""
+_PAUSE: Final = 40e-3
+"""s between polls: to wake up for a sample costs more than the model's step, and what is done once for each poll costs
+as much as ten samples. What a stroke shows is known when it has ended."""
+_PAUSE_IF_HEARD: Final = 10e-3
+"""s, where each sample's prediction is heard: at 1 kHz no more at a time than the ten that a subscriber queues."""
+_BETWEEN_LOOKS: Final = 0.2
+"""s while samples come, from one look of rclpy's executor at timers and services to the next."""
 _JUMP_SECONDS: Final = 1.0
 """A stamp that goes back by more means a clock that was set or a bag that restarted, not a sample out of order."""
 _MOST_WAITING: Final = 100_000
@@ -131,7 +134,7 @@ class MonitorShell:
         self._told: tuple[str, ...] | None = None
         self._last_report: StrokeReport | None = None
         self._baseline: Baseline | None = None
-        self._is_ready = False
+        self._is_ready = self._is_heard = False
         self._waiting: deque[Callable[[], None]] = deque(maxlen=_MOST_WAITING)
         self._monitor_thread = MonitorThread(
             self._stroke_monitor, prepare=self._prepare, report=self._report, isolate=self._isolate,
@@ -181,10 +184,9 @@ class MonitorShell:
 
     def _poll(self) -> None:
         """Take samples as they come, not under simulated time, where the executor keeps their order with /clock."""
-        for _ in range(_POLLS):
-            if self._inputs.is_simulated():
-                return
-            time.sleep(_PAUSE)
+        end = time.monotonic() + _BETWEEN_LOOKS
+        while time.monotonic() < end and not self._inputs.is_simulated():
+            time.sleep(_PAUSE_IF_HEARD if self._is_heard else _PAUSE)
             if not self._node.context.ok() or not self._inputs.take_waiting():
                 return
 
@@ -274,6 +276,7 @@ class MonitorShell:
             return
         self._next_message = max(self._next_message, stamp) + round(0.9 * NANOSECONDS / self._settings.max_rate)
         hears_predicted, hears_residual = self._audience.look(stamp)
+        self._is_heard = hears_predicted or hears_residual
         if hears_predicted:
             self._predicted.publish(self._messages.joint_states(stamp, prediction.reading))
         if hears_residual:
