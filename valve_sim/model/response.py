@@ -13,6 +13,8 @@ from valve_sim.model.core_types import EVENT_RECORD, EventKind
 
 Array = NDArray[np.float64]
 
+_KINDS: Final = tuple(EventKind)
+
 EVENT_ROOM: Final = 256
 """Events for which there is room at first; a run with more is repeated."""
 
@@ -68,4 +70,4 @@ def event_log(room: int = EVENT_ROOM) -> Any:
 
 def event_tuple(events: Any, count: int) -> tuple[Event, ...]:
     """The first events of a log."""
-    return tuple(Event(time, EventKind(kind), x, v) for time, kind, x, v in events[:count].tolist())
+    return tuple(Event(time, _KINDS[kind], x, v) for time, kind, x, v in events[:count].tolist())

@@ -6,12 +6,13 @@ import math
 from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
-from numba import boolean, float64, typeof
+from numba import boolean, float64, int64, typeof
 
 from valve_sim.model.core_types import STATE_RECORD, Phase
 from valve_sim.model.gas.boundary import set_demand, set_inlet
 from valve_sim.model.gas.record import is_of_gas
 from valve_sim.model.live_record import new_live, step_live
+from valve_sim.model.process_image import NO_IMAGE, ProcessImage
 from valve_sim.model.response import EVENT_ROOM, Event, event_tuple
 from valve_sim.model.simulation import (
     TOLERANCE,
@@ -76,12 +77,13 @@ class _Live:
     """
 
     def __init__(self, record: Any, state: Any, tolerance: float) -> None:
-        self._whole = live = new_live(record, state, tolerance)
+        self.whole = live = new_live(record, state, tolerance)
         self.valve, self.state = live["valve"], live["state"]
         self._time = self.state["time"]
         self.current, self.row = live["current"][0], live["row"][0, 0]
         self._events = live["events"][0]
-        self._step: Any = None
+        self.call: Any = None
+        self.phase = -1
 
     @property
     def reached(self) -> float:
@@ -90,13 +92,18 @@ class _Live:
 
     def step(self, time: float, *, commit: bool) -> tuple[Event, ...]:
         """Step to a time, s; the events on the way, mostly none."""
-        if self._step is None:
+        if self.call is None:
             # Only now, for the model may still have to be compiled. Numba's own choice among what it compiled of
             # a function takes longer than a step.
-            self._step = step_live.compile((typeof(self._whole), float64, boolean))
-        count, outcome = self._step(self._whole, time, commit)
+            types = (typeof(self.whole), float64, boolean, typeof(NO_IMAGE), int64)
+            self.call = step_live.compile(types)
+        count, outcome, self.phase = self.call(self.whole, time, commit, NO_IMAGE, 0)
         if outcome:
             check_outcome(outcome)
+        return self.events(count)
+
+    def events(self, count: int) -> tuple[Event, ...]:
+        """The events of the last step, given how many were counted."""
         return event_tuple(self._events, min(count, EVENT_ROOM)) if count else ()
 
 
@@ -181,6 +188,25 @@ class Stepper:
             time, pilot, main, velocity, velocity if phase is _MAIN else 0.0, self._live.current.item() * self._rated,
             attraction, effort, phase, events, volts, *of_gas,
         )  # fmt: skip
+
+    def passes(self, image: ProcessImage, time: float, stamp: int) -> bool:
+        """Step to a time, s, and fill an image, where nothing but time passes; else `advance` there is to follow.
+
+        Args:
+            image: is to show the valve at that time; of no use where this returns False.
+            stamp: of that time, ns.
+
+        Returns:
+            whether there is nothing else to tell: no event, no other phase than at the last reading.
+        """
+        live = self._live
+        if self._delay or live.call is None:
+            return False
+        count, outcome, phase = live.call(live.whole, time, False, image, stamp)
+        if not (count or outcome or self._pending) and phase == live.phase:
+            return True
+        self._pending += live.events(count)
+        return False
 
     def set_valve(self, valve: Valve, time: float) -> None:
         """Continue as another valve from `time` on, without a jump in position, velocity or current.

@@ -7,6 +7,7 @@ from typing import Final, NamedTuple
 
 from valve_sim.model import CoilReading, Event, EventKind, Phase, Reading, SimulationError, Stepper, Valve
 from valve_sim.model.gas import GAS
+from valve_sim.model.process_image import LAST_STAMP, ProcessImage
 from valve_sim.model.stepper import reading_at_rest
 from valve_sim.nodes.realtime import NANOSECONDS, Mailbox
 
@@ -211,8 +212,7 @@ class LiveValve:
         try:
             # A command cannot act before what is published already.
             self._mailbox.deliver(self._reached, clock)
-            if self.command_timeout > 0.0:
-                self._watch_command(clock)
+            self._watch_command(clock)
             time, stamp = self._timeline.at(clock)
             reading = stepper.advance(time)
         except SimulationError as error:
@@ -230,6 +230,23 @@ class LiveValve:
             phases = self._phases_to_announce(reading)
         switches = tuple(switch for switch in self._switches if switch[0] < self._stamp) if self._switches else ()
         return Step(self._stamp, reading, phases, failure, switches, tuple(self._obeyed))
+
+    def passes(self, image: ProcessImage, clock: int) -> bool:
+        """Make the step to clock time `clock`, ns, and fill an image, where nothing but time passes.
+
+        Returns:
+            whether it did; if not, `step` makes this step, and has more to tell of it than the image would show.
+        """
+        stepper = self._stepper
+        if stepper is None or not self._mailbox.is_empty:
+            return False
+        if self.command_timeout > 0.0 and self._is_overdue(clock):
+            return False
+        time, stamp = self._timeline.at(clock)
+        if not stepper.passes(image, time, min(stamp, LAST_STAMP)):
+            return False
+        self._reached, self._stamp = clock, stamp
+        return True
 
     @property
     def can_rest(self) -> bool:
@@ -286,12 +303,15 @@ class LiveValve:
             del self._heard[name]
         self._running.set_valve(valve, self._timeline.model_time(clock))
 
-    def _watch_command(self, clock: int) -> None:
+    def _is_overdue(self, clock: int) -> bool:
+        """Whether no command has come for so long that the coil is to be de-energised by clock time `clock`, ns."""
         if self.command_timeout <= 0.0 or self.last_command is None or self.timed_out:
-            return
-        deadline = max(self._reached, self.last_command + round(self.command_timeout * NANOSECONDS))
-        if clock >= deadline:
-            self._switch(deadline, 0.0)
+            return False
+        return clock >= self.last_command + round(self.command_timeout * NANOSECONDS)
+
+    def _watch_command(self, clock: int) -> None:
+        if self.last_command is not None and self._is_overdue(clock):
+            self._switch(max(self._reached, self.last_command + round(self.command_timeout * NANOSECONDS)), 0.0)
             self.timed_out = True
 
     def _withdraw_beyond(self, clock: int, max_voltage: float) -> None:

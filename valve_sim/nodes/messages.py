@@ -6,8 +6,9 @@ import array
 import math
 import struct
 from collections.abc import Sequence
-from typing import Final
+from typing import Any, Final, NamedTuple
 
+import numpy as np
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
@@ -16,13 +17,12 @@ from sensor_msgs.msg import BatteryState, FluidPressure, JointState
 from std_msgs.msg import Bool, Float64, UInt8
 
 from valve_sim.model import Phase, Reading
+from valve_sim.model.process_image import KINDS, LAST_STAMP, Number, ProcessImage
 from valve_sim.nodes.diagnostics import Status
 from valve_sim.nodes.parameters import NodeParameter
 from valve_sim.nodes.realtime import NANOSECONDS
 
 JOINT_NAMES: Final = ("pilot_plunger", "main_plunger")
-LAST_STAMP: Final = 2**31 * NANOSECONDS - 1
-"""ns, in 2038: a stamp has 32 bits for seconds. At a thousand times real time a node reaches that in days."""
 _STAMP_MARKS: Final = (1_234_567_891, 123_456_789)
 _MARKS: Final = (-1.1e301, -2.2e302, -3.3e303, -4.4e304, -5.5e305, -6.6e306)
 _SINGLE_MARKS: Final = struct.unpack("=ff", b"\xa1\xb2\xc3\x74\xa5\xb6\xc7\x75")
@@ -55,6 +55,19 @@ class ReadingMessages:
         self._coil = _Encoding(coil, ["i", "I", *"ff"], [*_STAMP_MARKS, *_SINGLE_MARKS])
         pressure = FluidPressure(header=joints.header, fluid_pressure=_MARKS[0])
         self._pressure = _Encoding(pressure, ["i", "I", "d"], [*_STAMP_MARKS, _MARKS[0]])
+
+    def image(self) -> SampleImage:
+        """The messages of each sample, all in one image that compiled code fills."""
+        encodings = (self._joints, self._coil, self._number)
+        content = np.frombuffer(bytearray(b"".join(encoding.content for encoding in encodings)), np.uint8)
+        places, parts, start = [], [], 0
+        for encoding, numbers in zip(encodings, _IN_IMAGE, strict=True):
+            for (at, kind), number in zip(encoding.places, numbers, strict=True):
+                places.append((start + at, number, KINDS[kind]))
+            end = start + len(encoding.content)
+            parts.append(content[start:end])
+            start = end
+        return SampleImage((content, np.array(places, np.int64)), *parts)
 
     def joint_states(self, stamp: int, reading: Reading) -> bytes:
         """Positions m, velocities m/s, efforts N; `stamp` in ns, LAST_STAMP at most."""
@@ -89,6 +102,26 @@ class ReadingMessages:
         return self._number.filled(reading.mass_flow)
 
 
+_IN_IMAGE: Final = (
+    (
+        Number.SECONDS, Number.NANOSECONDS, Number.PILOT_POSITION, Number.MAIN_POSITION, Number.PILOT_VELOCITY,
+        Number.MAIN_VELOCITY, Number.ATTRACTION, Number.MAIN_EFFORT,
+    ),
+    (Number.SECONDS, Number.NANOSECONDS, Number.COIL_VOLTAGE, Number.COIL_CURRENT),
+    (Number.COIL_CURRENT,),
+)  # fmt: skip
+"""The numbers of joint states, of the coil and of its current, in the order in which they stand in a message."""
+
+
+class SampleImage(NamedTuple):
+    """An image of the messages of one sample, and the part of it that each message is."""
+
+    image: ProcessImage
+    joint_states: Any
+    coil: Any
+    coil_current: Any
+
+
 def _blank_coil() -> BatteryState:
     """A message of a coil: what nobody measures is NaN."""
     nothing = math.nan
@@ -107,15 +140,20 @@ class _Encoding:
 
     Where they stand is read off a message that rclpy has encoded, with marks in their place: nothing here knows CDR.
 
+    Attributes:
+        content: the message with the marks. places: where each number begins, and its kind.
+
     Args:
         message: with the marks. kinds: of each number, as in `struct`. marks: what stands there, in order.
     """
 
     def __init__(self, message: object, kinds: Sequence[str], marks: Sequence[float]) -> None:
-        encoded = serialize_message(message)
+        self.content = encoded = serialize_message(message)
+        self.places: list[tuple[int, str]] = []
         form, fixed, done = "=", [], 0
         for kind, mark in zip(kinds, marks, strict=True):
             at = encoded.index(struct.pack("=" + kind, mark), done)
+            self.places.append((at, kind))
             form += f"{at - done}s{kind}"
             fixed.append(encoded[done:at])
             done = at + struct.calcsize("=" + kind)

@@ -51,7 +51,7 @@ class Schedule:
         """The next deadline, ns; each is handed out once."""
         time = self.next
         self._index += 1
-        self.next = self._at(self._index)
+        self.next = self._start + round(self._index * NANOSECONDS / self._rate)
         return time
 
     def drop_overdue(self, now: int) -> int:
@@ -260,9 +260,14 @@ class _Pace:
         if reading is None:
             return None
         self._last, self.now = reading, reading.nanoseconds
+        if (
+            rate == self._rate
+            and last is not None
+            and reading[1] == last[1]
+            and 0 <= self.now - last[0] <= _LONGEST_LEAP
+        ):
+            return self._schedule  # as nearly always; what follows would find the same
         reason = why_restart(last, reading)
-        if reason is None and rate == self._rate:
-            return self._schedule
         if reason is not None:
             self._restart(Restart(reading, reason))
             self._schedule = None
@@ -327,9 +332,14 @@ class Audience:
 
 
 class Mailbox:
-    """A queue between threads: callbacks post actions, the stepper calls those that are due."""
+    """A queue between threads: callbacks post actions, the stepper calls those that are due.
+
+    Attributes:
+        is_empty: whether there is no letter.
+    """
 
     def __init__(self) -> None:
+        self.is_empty = True
         self._letters: deque[tuple[int, Callable[[int], None], str]] = deque()
         self._lock = threading.Lock()
 
@@ -343,6 +353,7 @@ class Mailbox:
             if kind and self._letters and (self._letters[-1][0], self._letters[-1][2]) == (time, kind):
                 self._letters.pop()
             self._letters.append((time, action, kind))
+            self.is_empty = False
 
     def deliver(self, since: int, until: int) -> None:
         """Call every action whose time is not after `until`, ns, in the order of posting, none as of before `since`."""
@@ -359,7 +370,10 @@ class Mailbox:
         """Drop all actions."""
         with self._lock:
             self._letters.clear()
+            self.is_empty = True
 
     def _take(self, until: int) -> tuple[int, Callable[[int], None], str] | None:
         with self._lock:
-            return self._letters.popleft() if self._letters and self._letters[0][0] <= until else None
+            letter = self._letters.popleft() if self._letters and self._letters[0][0] <= until else None
+            self.is_empty = not self._letters
+            return letter

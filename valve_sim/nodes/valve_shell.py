@@ -43,6 +43,7 @@ from valve_sim.nodes.messages import (
     IS_OPEN,
     PHASE,
     ReadingMessages,
+    SampleImage,
     descriptor,
     diagnostic_array,
 )
@@ -109,6 +110,7 @@ class ValveShell:
             self._is_ready = False
             self._was_waiting = True
             self._messages = ReadingMessages(self._settings.frame_id)
+            self._image = self._messages.image()
             self._wire()
         except BaseException:
             self._node.destroy_node()
@@ -225,7 +227,32 @@ class ValveShell:
         )
 
     def _step(self, deadline: int) -> None:
-        step = self._live.step(deadline) if self._is_ready else self._live.step_at_rest(deadline)
+        live, shown, gas = self._live, self._image, self._gas
+        is_of_gas = gas is not None and gas.is_due(deadline)
+        if self._is_ready and not is_of_gas and live.passes(shown.image, deadline):
+            self._publish_image(deadline, shown)
+            return
+        step = live.step(deadline) if self._is_ready else live.step_at_rest(deadline)
+        self._publish_sample(deadline, step)
+        if gas is not None:
+            gas.publish(deadline, step, is_due=is_of_gas)
+        if step.phases:
+            self._publish_phases(step)
+        if step.failure:
+            self._failure = step.failure
+            # A valve that fails at every step would fill the disk with a thousand lines a second.
+            self._node.get_logger().error(f"the valve was put back to rest: {step.failure}", throttle_duration_sec=1.0)
+
+    def _publish_image(self, deadline: int, shown: SampleImage) -> None:
+        hears_joint_states, hears_coil, hears_coil_current = self._audience.look(deadline)
+        if hears_joint_states:
+            self._joint_states.publish(shown.joint_states.tobytes())
+        if hears_coil:
+            self._coil.publish(shown.coil.tobytes())
+        if hears_coil_current:
+            self._coil_current.publish(shown.coil_current.tobytes())
+
+    def _publish_sample(self, deadline: int, step: Step) -> None:
         shown = step.reading
         hears_joint_states, hears_coil, hears_coil_current = self._audience.look(deadline)
         if hears_joint_states:
@@ -236,14 +263,6 @@ class ValveShell:
             self._coil.publish(self._messages.coil(step.stamp, shown.coil_current, shown.coil_voltage))
         if hears_coil_current:
             self._coil_current.publish(self._messages.coil_current(shown))
-        if self._gas is not None:
-            self._gas.publish(deadline, step)
-        if step.phases:
-            self._publish_phases(step)
-        if step.failure:
-            self._failure = step.failure
-            # A valve that fails at every step would fill the disk with a thousand lines a second.
-            self._node.get_logger().error(f"the valve was put back to rest: {step.failure}", throttle_duration_sec=1.0)
 
     def _publish_phases(self, step: Step) -> None:
         for phase in step.phases:
@@ -353,7 +372,9 @@ class ValveShell:
         if settings.max_voltage != self._settings.max_voltage:
             self._live.limit(now, settings.max_voltage)
         self._live.command_timeout = settings.command_timeout
-        self._messages.set_frame_id(settings.frame_id)
+        if settings.frame_id != self._settings.frame_id:
+            self._messages.set_frame_id(settings.frame_id)
+            self._image = self._messages.image()
         if settings.publish_rate != self._settings.publish_rate:
             self._worker.set_rate(settings.publish_rate)
         self._settings = settings
