@@ -90,11 +90,13 @@ def identify(
     """
     say = progress or (lambda what, fraction: None)
     check_free(free, has_gas=valve.gas is not None)
+    say("start", 0.0)
+    # Before the data are prepared: what this takes of memory is free again then.
+    starts = starts_of(traces, valve, free)
     plant = ValvePlant(traces, valve)
     say("noise", 0.0)
     problem = Problem(plant)
-    say("fit", 0.0)
-    best = best_fit(problem, free, starts_of(traces, valve, free), lambda fraction: say("fit", 0.5 * fraction))
+    best = best_fit(problem, free, starts, lambda fraction: say("fit", 0.5 * fraction))
     intervals: dict[str, Interval] = {}
     profiles: dict[str, list[tuple[float, float]]] = {}
     for index, name in enumerate(free):
@@ -137,7 +139,7 @@ def starts_of(traces: Sequence[Trace], valve: Valve, free: Sequence[str]) -> lis
     starts = [{name: _started(plant, name, factor) for name in free} for factor in STARTS]
     if choice is None:
         return starts
-    found = _best_of_starts(Problem(plant), free, plant.nuisances, starts, lambda fraction: None)
+    found = _best_of_starts(Problem(plant).condensed(), free, plant.nuisances, starts, lambda fraction: None)
     return [{name: found.values[name] for name in free}]
 
 
