@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.identification.plants.valve_sensors import STILL, still_mask
-from valve_sim.traces import Signal, Trace, stroke_numbers
+from valve_sim.traces import Signal, Trace
 from valve_sim.traces.strokes import stroke_starts
 
 MANY: Final = 200_000
@@ -86,12 +86,24 @@ def choose_strokes(traces: Sequence[Trace]) -> tuple[list[Trace], StrokeChoice |
 
 def _is_in(trace: Trace, strokes: NDArray[np.int64], times: Array) -> NDArray[np.bool_]:
     """(n,) which of the times belong to some of a recording's strokes."""
-    return np.isin(stroke_numbers(trace.drive, times), strokes)
+    kept, edges = np.zeros(len(times), dtype=bool), _edges(trace, times)
+    for stroke in strokes.tolist():
+        kept[edges[stroke] : edges[stroke + 1]] = True
+    return kept
 
 
 def _sampled_strokes(trace: Trace) -> list[int]:
     """The strokes of which anything was recorded."""
-    return list(np.unique(stroke_numbers(trace.drive, trace.sample_times)).tolist())
+    return list(np.flatnonzero(np.diff(_edges(trace, trace.sample_times))).tolist())
+
+
+def _edges(trace: Trace, times: Array) -> NDArray[np.intp]:
+    """(k + 1,) where among ascending times those of each stroke begin, and where the last one's end.
+
+    What comes before the first stroke belongs to it. Of a long recording nothing is held that is as long.
+    """
+    later = trace.drive.times[stroke_starts(trace.drive)[1:]]
+    return np.concatenate([[0], np.searchsorted(times, later), [len(times)]]).astype(np.intp)
 
 
 def _kinds(trace: Trace) -> list[Kind]:
