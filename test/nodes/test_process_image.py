@@ -14,10 +14,9 @@ pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imp
 
 from valve_sim.files.parameter_files import default_valve, load_valve  # noqa: E402
 from valve_sim.model import Valve  # noqa: E402
-from valve_sim.model.process_image import LAST_STAMP  # noqa: E402
 from valve_sim.nodes.live_valve import LiveValve, Step  # noqa: E402
 from valve_sim.nodes.messages import ReadingMessages  # noqa: E402
-from valve_sim.nodes.realtime import Schedule  # noqa: E402
+from valve_sim.nodes.realtime import LAST_STAMP, Schedule  # noqa: E402
 
 MILLISECOND = 1_000_000
 STEPS = 400

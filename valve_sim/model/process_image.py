@@ -15,8 +15,6 @@ from numba.extending import register_jitable
 from valve_sim.model.core_types import MAIN
 
 NANOSECONDS: Final = 1_000_000_000
-LAST_STAMP: Final = 2**31 * NANOSECONDS - 1
-"""ns, in 2038: a stamp has 32 bits for seconds. At a thousand times real time a node reaches that in days."""
 
 
 class Number(enum.IntEnum):

@@ -7,9 +7,9 @@ from typing import Final, NamedTuple
 
 from valve_sim.model import CoilReading, Event, EventKind, Phase, Reading, SimulationError, Stepper, Valve
 from valve_sim.model.gas import GAS
-from valve_sim.model.process_image import LAST_STAMP, ProcessImage
+from valve_sim.model.process_image import ProcessImage
 from valve_sim.model.stepper import reading_at_rest
-from valve_sim.nodes.realtime import NANOSECONDS, Mailbox
+from valve_sim.nodes.realtime import LAST_STAMP, NANOSECONDS, Mailbox
 
 _PHASE_AFTER: Final = {
     EventKind.UNSEATED: Phase.PILOT,
@@ -240,7 +240,7 @@ class LiveValve:
         stepper = self._stepper
         if stepper is None or not self._mailbox.is_empty:
             return False
-        if self.command_timeout > 0.0 and self._is_overdue(clock):
+        if self.command_timeout > 0.0 and (deadline := self._command_deadline) is not None and clock >= deadline:
             return False
         time, stamp = self._timeline.at(clock)
         if not stepper.passes(image, time, min(stamp, LAST_STAMP)):
@@ -303,15 +303,17 @@ class LiveValve:
             del self._heard[name]
         self._running.set_valve(valve, self._timeline.model_time(clock))
 
-    def _is_overdue(self, clock: int) -> bool:
-        """Whether no command has come for so long that the coil is to be de-energised by clock time `clock`, ns."""
+    @property
+    def _command_deadline(self) -> int | None:
+        """Clock time, ns, at which the coil is de-energised unless another command comes; None if it is not to be."""
         if self.command_timeout <= 0.0 or self.last_command is None or self.timed_out:
-            return False
-        return clock >= self.last_command + round(self.command_timeout * NANOSECONDS)
+            return None
+        return self.last_command + round(self.command_timeout * NANOSECONDS)
 
     def _watch_command(self, clock: int) -> None:
-        if self.last_command is not None and self._is_overdue(clock):
-            self._switch(max(self._reached, self.last_command + round(self.command_timeout * NANOSECONDS)), 0.0)
+        deadline = self._command_deadline
+        if deadline is not None and clock >= deadline:
+            self._switch(max(self._reached, deadline), 0.0)
             self.timed_out = True
 
     def _withdraw_beyond(self, clock: int, max_voltage: float) -> None:

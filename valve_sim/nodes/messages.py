@@ -17,10 +17,10 @@ from sensor_msgs.msg import BatteryState, FluidPressure, JointState
 from std_msgs.msg import Bool, Float64, UInt8
 
 from valve_sim.model import Phase, Reading
-from valve_sim.model.process_image import KINDS, LAST_STAMP, Number, ProcessImage
+from valve_sim.model.process_image import KINDS, Number, ProcessImage
 from valve_sim.nodes.diagnostics import Status
 from valve_sim.nodes.parameters import NodeParameter
-from valve_sim.nodes.realtime import NANOSECONDS
+from valve_sim.nodes.realtime import LAST_STAMP, NANOSECONDS
 
 JOINT_NAMES: Final = ("pilot_plunger", "main_plunger")
 _STAMP_MARKS: Final = (1_234_567_891, 123_456_789)

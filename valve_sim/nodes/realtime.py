@@ -15,6 +15,8 @@ from typing import Final, NamedTuple, Protocol
 from valve_sim.nodes.stoppable import StoppableThread
 
 NANOSECONDS: Final = 1_000_000_000
+LAST_STAMP: Final = 2**31 * NANOSECONDS - 1
+"""ns, in 2038: a stamp has 32 bits for seconds. At a thousand times real time a node reaches that in days."""
 BACKLOG_SECONDS: Final = 0.5
 """s: samples that are overdue for longer are dropped; the model is stepped over them nevertheless."""
 _BETWEEN_LOOKS: Final = 20_000_000
@@ -263,10 +265,10 @@ class _Pace:
         if (
             rate == self._rate
             and last is not None
-            and reading[1] == last[1]
-            and 0 <= self.now - last[0] <= _LONGEST_LEAP
+            and reading.is_simulated == last.is_simulated
+            and 0 <= self.now - last.nanoseconds <= _LONGEST_LEAP
         ):
-            return self._schedule  # as nearly always; what follows would find the same
+            return self._schedule  # as nearly always, without a call; `why_restart` would find the same
         reason = why_restart(last, reading)
         if reason is not None:
             self._restart(Restart(reading, reason))
