@@ -12,6 +12,7 @@ begins, in which what settles may still be seen.
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -23,7 +24,15 @@ from numpy.typing import NDArray
 from valve_sim.identification.estimation.budget import Budget
 from valve_sim.identification.estimation.column_groups import ColumnGroup, group_columns, reach_of
 from valve_sim.identification.estimation.noise import Noise, readings_near, stretches
-from valve_sim.identification.plants.protocol import Array, Channel, Differentiable, Direction, Nuisance, Plant
+from valve_sim.identification.plants.protocol import (
+    Array,
+    Channel,
+    Differentiable,
+    Direction,
+    Nuisance,
+    Plant,
+    strokes_of_plant,
+)
 from valve_sim.identification.plants.thinning import Thinnable
 from valve_sim.model import SimulationError
 from valve_sim.model.compiling import compiled
@@ -51,6 +60,8 @@ class _Layout(NamedTuple):
             −1 for a block, in which all are the same.
         scale: (r,) factor of what is simulated. target: (r,) whitened, weighted reading.
         counts: (r,) samples that a row stands for. times: (r,) s.
+        moves: (r,) whether it is one sample that is not known to be still. groups: (r,) the stroke that it belongs to.
+        steady: (r,) what an offset by one standard deviation of the noise makes of it.
         constant: what all blocks add to the criterion, whatever is simulated.
     """
 
@@ -61,7 +72,41 @@ class _Layout(NamedTuple):
     target: Array
     counts: Array
     times: Array
+    moves: NDArray[np.bool_]
+    groups: NDArray[np.integer]
+    steady: Array
     constant: float
+
+
+class RowPlaces(NamedTuple):
+    """What is known of the rows of a fit, beside what is measured there.
+
+    Attributes:
+        channel: (r,) index of its channel. time: (r,) s. stroke: (r,) number of its stroke, from 0 on.
+        moves: (r,) whether it is one sample, taken while the machine is not known to be still.
+        steady: (r,) what an offset of the channel by one standard deviation of its noise makes of the row.
+    """
+
+    channel: NDArray[np.intp]
+    time: Array
+    stroke: NDArray[np.intp]
+    moves: NDArray[np.bool_]
+    steady: Array
+
+
+def places_of(
+    recordings: Sequence[int], parts: Sequence[tuple[Array, NDArray[np.integer], NDArray[np.bool_], Array]]
+) -> RowPlaces:
+    """The places of rows, channel by channel.
+
+    Args:
+        recordings: of each channel. parts: of each channel, (r,) times, groups, whether it moves, and `steady`.
+    """
+    times, groups, moves, steady = (np.concatenate(part) for part in zip(*parts, strict=True))
+    channel = np.concatenate([np.full(len(part[0]), index) for index, part in enumerate(parts)])
+    keys = np.column_stack([np.asarray(recordings)[channel], groups])
+    _, stroke = np.unique(keys, axis=0, return_inverse=True)
+    return RowPlaces(channel, times, stroke.reshape(-1), moves, steady)
 
 
 class Condensed:
@@ -84,9 +129,15 @@ class Condensed:
         self._plant = plant.thinned([layout.kept for layout in self._layouts])
         self._recordings = tuple(plant.channels)
         self._groups: dict[tuple[Nuisance, ...], list[ColumnGroup]] = {}
-        self._budget = budget
+        self._budget, self._strokes = budget, max(1, len(strokes_of_plant(plant)))
         self.constant = math.fsum(layout.constant for layout in self._layouts)
         self.counts = np.concatenate([layout.counts for layout in self._layouts])
+
+    @functools.cached_property
+    def places(self) -> RowPlaces:
+        """Where the rows were measured."""
+        parts = [(layout.times, layout.groups, layout.moves, layout.steady) for layout in self._layouts]
+        return places_of([channel.recording for channel in self._recordings], parts)
 
     def groups(self, nuisances: tuple[Nuisance, ...]) -> list[ColumnGroup]:
         """Nuisances in groups, of which no two act on the same row."""
@@ -99,10 +150,9 @@ class Condensed:
         """(r,) whitened, weighted residuals of all channels in a row (measured − predicted).
 
         Raises:
-            OutOfTimeError: the time for fits is used up.
             SimulationError: the machine cannot be simulated with these values.
         """
-        self._budget.check()
+        self._budget.count(self._strokes)
         shown = [prediction[:, None] for prediction in self._plant.predict(values)]
         targets = np.concatenate([layout.target for layout in self._layouts])
         return targets - self._combined(shown)[:, 0]
@@ -113,10 +163,9 @@ class Condensed:
         """(r, k) derivatives of the residuals along directions, and (k,) where the plant knows them.
 
         Raises:
-            OutOfTimeError: the time for fits is used up.
             SimulationError: the machine cannot be simulated with these values.
         """
-        self._budget.check()
+        self._budget.count(self._strokes, len(directions))
         return whitened_sensitivities(self._plant, values, directions, lambda columns: -self._combined(columns))
 
     def _combined(self, columns: Sequence[Array]) -> Array:
@@ -187,9 +236,11 @@ def _laid_out(channel: Channel, reference: Array, weight: Array, noise: Noise, e
     gain = np.where(is_block, 1.0 - math.fsum(noise.coefficients), 1.0) / noise.innovation
     mean[is_beside] += gain[is_beside] * reference[middle[is_beside]]
     root = np.sqrt(total)
+    steady = noise.sigma * (1.0 - math.fsum(noise.coefficients)) / noise.innovation
     return _Layout(
         kept, np.searchsorted(kept, middle), lags, root * gain, root * mean,
-        (stops - starts).astype(np.float64), channel.times[middle], math.fsum(constant),
+        (stops - starts).astype(np.float64), channel.times[middle], ~is_block & ~channel.quiet[middle],
+        channel.group[middle], root * steady, math.fsum(constant),
     )  # fmt: skip
 
 

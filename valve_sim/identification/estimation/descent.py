@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from valve_sim.identification.estimation.column_groups import ColumnGroup
 from valve_sim.identification.estimation.gram import gram, sum_squares
+from valve_sim.identification.estimation.priors import Elsewhere, Prior, lowest, prior_of_nuisance
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import FIRST_DAMPING, NO_INFORMATION, Fit, MachineKnowledge
 from valve_sim.identification.estimation.smoothing import Smoothness
@@ -87,13 +88,17 @@ def along(name: str, parameter: Parameter, coordinate: float) -> Direction:
 
 
 class End(NamedTuple):
-    """Where a descent ended; derivatives are those of the place, or None where nothing has asked for them yet."""
+    """Where a descent ended; derivatives are those of the place, or None where nothing has asked for them yet.
+
+    The gradient is half that of the criterion, as of the last derivatives.
+    """
 
     at: Array
     cost: float
     residuals: Array
     jacobian: Array | None
     information: Array
+    gradient: Array
     converged: bool
     damping: float
     reach: float
@@ -123,21 +128,23 @@ class Descent:
         self.parameters = [problem.plant.parameter(name) for name in free]
         bounds = [internal_bounds(parameter) for parameter in self.parameters]
         bounds += [nuisance.bounds for nuisance in nuisances]
-        self.lower = np.array([low for low, _ in bounds])
+        self.priors: list[Prior] = [*(problem.prior(name) for name in free), *map(prior_of_nuisance, nuisances)]
+        self.lower = np.array([max(low, lowest(own)) for (low, _), own in zip(bounds, self.priors, strict=True)])
         self.upper = np.array([high for _, high in bounds])
         scales = [internal_scale(parameter) for parameter in self.parameters]
         self.steps = np.array([DIFFERENCE * s for s in scales] + [n.step for n in nuisances])
         short = short_step_of(problem.plant)
         self._reuses = len(nuisances) > FEW and short is None
         self._short_steps = {} if short is None else {index: short * size for index, size in enumerate(scales)}
-        self.prior = np.array([0.0] * len(free) + [1.0 / n.sigma**2 for n in nuisances])
-        self.mean = np.array([0.0] * len(free) + [n.mean for n in nuisances])
+        self._centre: Array | None = None
         self._known = self._take(prior) if isinstance(prior, MachineKnowledge) else None
         self._curve = np.array([free.index(name) for name in smooth.names] if smooth else [], dtype=np.int64)
         self._small = CONVERGED if smooth is None else CURVE_CONVERGED
         self._weights_hold = False
         self._asked = ASKED if smooth is None or smooth.repeats else ASKED_OF_CURVE
         if smooth is not None:
+            for index in self._curve.tolist():
+                self.priors[index] = Elsewhere()
             self.lower[self._curve] = np.maximum(self.lower[self._curve], smooth.least)
         self.rows = problem.rows
         self._nuisance_columns: Array | None = None
@@ -151,8 +158,10 @@ class Descent:
         """The information of other data, in the order of this fit; their priors and means are replaced."""
         names = [*self.free, *(nuisance.name for nuisance in self.nuisances)]
         order = [names.index(name) for name in known.names]
-        self.prior[order] = 0.0
-        self.mean[order] = known.coordinates
+        self._centre = np.zeros(len(names))
+        self._centre[order] = known.coordinates
+        for index in order:
+            self.priors[index] = Elsewhere()
         matrix = np.zeros((len(names), len(names)))
         matrix[np.ix_(order, order)] = known.information
         return matrix
@@ -282,8 +291,8 @@ class Descent:
         Raises:
             SimulationError: the model cannot be simulated there.
         """
-        residuals = None if begun is None else begun.left.few
-        jacobian = None if begun is None else begun.derivatives.few
+        residuals = None if begun is None else begun.left.at_hand
+        jacobian = None if begun is None else begun.derivatives.at_hand
         if residuals is not None and jacobian is not None:
             self._nuisance_columns = jacobian[:, len(self.free) :]
             return residuals, jacobian
@@ -299,7 +308,7 @@ class Descent:
         damping = FIRST_DAMPING if begun is None else begun.damping
         converged, decrease, reach = False, 0.0, -math.inf
         # Columns that serve a fit that is gone on with may be those of some steps before.
-        is_stale = begun is not None and begun.derivatives.few is not None and self._reuses
+        is_stale = begun is not None and begun.derivatives.at_hand is not None and self._reuses
         of_data = self.normal(at, residuals, jacobian, cauchy)
         information, gradient = self._with_curve(at, *of_data)
         cost = self._cost(at, residuals, cauchy)  # the weight of a curve is another now
@@ -342,10 +351,13 @@ class Descent:
             of_data = self.normal(at, residuals, jacobian, cauchy)
             information, gradient = self._with_curve(at, *of_data)
             cost = self._cost(at, residuals, cauchy)
-        return End(at, cost, residuals, jacobian, information, converged, damping, reach)
+        return End(at, cost, residuals, jacobian, information, gradient, converged, damping, reach)
 
     def normal(self, at: Array, residuals: Array, jacobian: Array, cauchy: float) -> tuple[Array, Array]:
         """Information matrix and half the gradient of the criterion, priors included but for that of a curve."""
+        if self.problem.whitening is not None:
+            both = self.problem.whitening(np.column_stack([jacobian, residuals]))
+            jacobian, residuals = both[:, :-1], both[:, -1]
         if math.isfinite(cauchy):
             weighted = jacobian / (1.0 + np.square(residuals / cauchy))[:, None]
         else:
@@ -354,31 +366,39 @@ class Descent:
 
     def with_priors(self, at: Array, of_data: Array, pull: Array) -> tuple[Array, Array]:
         """The same from JᵀJ and Jᵀe of the residuals and their derivatives."""
-        information = of_data + np.diag(self.prior)
+        _, half_slopes, curvatures = self.pulls(at)
+        information = of_data + np.diag(curvatures)
         if not np.all(np.isfinite(information)):
             # A pilot plunger of next to no mass, for one, whose derivatives are squared beyond all numbers.
             raise SimulationError("the model's derivatives are too large where the fit has led")
-        gradient = pull + self.prior * (at - self.mean)
+        gradient = pull + half_slopes
         if self._known is not None:
             information += self._known
-            gradient += self._known @ (at - self.mean)
+            gradient += self._known @ (at - self._centre)
         return information, gradient
+
+    def pulls(self, at: Array) -> Array:
+        """(3, k + m) what the priors add: costs, half of their slopes, and curvatures."""
+        found = [own.pull(float(coordinate)) for own, coordinate in zip(self.priors, at, strict=True)]
+        return np.array(found, dtype=np.float64).reshape(-1, 3).T
 
     def _with_curve(self, at: Array, information: Array, gradient: Array) -> tuple[Array, Array]:
         """The same with what says that a curve is smooth, whose weights are chosen anew until they hold."""
         if self.smooth is not None:
-            curve, inflation = self._curve, self.problem.variance_inflation
+            curve = self._curve
             if not self._weights_hold:
-                self.smooth = self.smooth.chosen(information, gradient, at, curve, inflation)
+                self.smooth = self.smooth.chosen(information, gradient, at, curve)
             information, gradient = information.copy(), gradient.copy()
             information[np.ix_(curve, curve)] += self.smooth.precision
             gradient[curve] += self.smooth.precision @ at[curve]
         return information, gradient
 
     def _cost(self, at: Array, residuals: Array, cauchy: float) -> float:
-        prior = float(self.prior @ np.square(at - self.mean))
+        if self.problem.whitening is not None:
+            residuals = self.problem.whitening(residuals[:, None])[:, 0]
+        prior = float(np.sum(self.pulls(at)[0]))
         if self._known is not None:
-            prior += float((at - self.mean) @ self._known @ (at - self.mean))
+            prior += float((at - self._centre) @ self._known @ (at - self._centre))
         if self.smooth is not None:
             prior += float(at[self._curve] @ self.smooth.precision @ at[self._curve])
         if not math.isfinite(cauchy):

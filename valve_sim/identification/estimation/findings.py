@@ -91,7 +91,7 @@ def leaves_more_than_noise(result: Fit) -> bool:
     These include that the noise itself is known from a limited number of quiet samples only.
     """
     samples, quiet = result.problem.effective_samples, [noise.samples for noise in result.problem.noises.values()]
-    left = result.chi2 / result.problem.variance_inflation / samples - 1.0
+    left = result.chi2 / samples - 1.0
     return left > max(0.05, TOO_MUCH * math.sqrt(2.0 / samples + 2.0 / max(1, min(quiet))))
 
 

@@ -45,10 +45,10 @@ class Noise:
 
     Attributes:
         sigma: standard deviation of the noise, in the signal's unit.
-        innovation: standard deviation of what whitening leaves.
+        innovation: standard deviation of what whitening leaves; where noise slower than the autoregression makes means
+            over blocks scatter by more than white noise would, by as much larger, theory, eq. (24).
         coefficients: (p,) φ, p ≤ 3.
         step: quantisation step, 0 for none seen.
-        variance_inflation: variance of block means over that of white noise, ≥ 1; divides all evidence, eq. (24).
         samples: how many quiet samples it rests on.
     """
 
@@ -56,7 +56,6 @@ class Noise:
     innovation: float
     coefficients: tuple[float, ...]
     step: float
-    variance_inflation: float
     samples: int
 
     def whiten(self, residual: Array) -> Array:
@@ -107,7 +106,7 @@ def estimate_noise(channels: Sequence[Channel]) -> Noise:
         # Never still: the second difference of a smooth motion is nearly all noise.
         bends = np.concatenate([np.diff(channel.data, 2) for channel in channels])
         sigma = max(1.4826 * float(np.median(np.abs(bends))) / math.sqrt(6.0), step / math.sqrt(12.0), _floor(channels))
-        return Noise(sigma, sigma, (), step, 1.0, 0)
+        return Noise(sigma, sigma, (), step, 0)
     # A position at rest stays; a current drifts while the coil heats, and that is no noise.
     drifts = channels[0].drifts
     centred = [_without_drift(window) if drifts else window - window.mean() for window in windows]
@@ -116,15 +115,13 @@ def estimate_noise(channels: Sequence[Channel]) -> Noise:
     floor = max(step / math.sqrt(12.0), _floor(channels))
     if step > COARSE * spread:
         sigma = max(_spread_in_motion(channels, step), floor)
-        return Noise(sigma, sigma, (), step, 1.0, samples)
+        return Noise(sigma, sigma, (), step, samples)
     if spread < floor:
-        return Noise(floor, floor, (), step, 1.0, samples)
+        return Noise(floor, floor, (), step, samples)
     if not shows_colour:
-        white = Noise(spread, spread, (), step, 1.0, samples)
-        return replace(white, variance_inflation=_variance_inflation(white, centred, SHORT_WINDOW))
+        return _with_slow_part(Noise(spread, spread, (), step, samples), centred, SHORT_WINDOW)
     coefficients, innovation = _autoregression(centred, samples)
-    noise = Noise(spread, innovation, coefficients, step, 1.0, samples)
-    return Noise(spread, innovation, coefficients, step, _variance_inflation(noise, centred), samples)
+    return _with_slow_part(Noise(spread, innovation, coefficients, step, samples), centred)
 
 
 def noise_of_residuals(pieces: Sequence[Array], guess: Noise) -> Noise:
@@ -144,8 +141,7 @@ def noise_of_residuals(pieces: Sequence[Array], guess: Noise) -> Noise:
     if spread <= floor or spread == 0.0:
         return guess
     coefficients, innovation = _autoregression(long, samples)
-    noise = Noise(spread, max(innovation, 1e-6 * spread), coefficients, guess.step, 1.0, 0)
-    return replace(noise, variance_inflation=_variance_inflation(noise, long))
+    return _with_slow_part(Noise(spread, max(innovation, 1e-6 * spread), coefficients, guess.step, 0), long)
 
 
 def quiet_windows(channel: Channel, shortest: int = SHORTEST_WINDOW) -> list[Array]:
@@ -293,7 +289,12 @@ def _products(window: Array, reflections: Sequence[float]) -> tuple[float, float
     return float(ahead @ behind), float(ahead @ ahead + behind @ behind)
 
 
-def _variance_inflation(noise: Noise, windows: Sequence[Array], block: int = BLOCK) -> float:
+def _with_slow_part(noise: Noise, windows: Sequence[Array], block: int = BLOCK) -> Noise:
+    """Noise whose innovation is larger by what noise slower than the autoregression adds to means over blocks."""
+    return replace(noise, innovation=noise.innovation * math.sqrt(_excess_of_means(noise, windows, block)))
+
+
+def _excess_of_means(noise: Noise, windows: Sequence[Array], block: int) -> float:
     """Variance of block means over that of white noise, at least 1: theory, eq. (24). 1 where blocks are too few."""
     means = []
     for window in windows:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from valve_sim.identification.estimation.budget import Budget
 from valve_sim.identification.estimation.column_groups import ColumnGroup, group_columns, reach_of
-from valve_sim.identification.estimation.condensed import Condensed, whitened_sensitivities
+from valve_sim.identification.estimation.condensed import Condensed, RowPlaces, places_of, whitened_sensitivities
 from valve_sim.identification.estimation.noise import (
     Noise,
     estimate_noise,
@@ -23,6 +23,7 @@ from valve_sim.identification.estimation.noise import (
     still_runs,
     stretches,
 )
+from valve_sim.identification.estimation.priors import Prior, prior_of
 from valve_sim.identification.estimation.sums import Sums, Weighted, summed
 from valve_sim.identification.plants.protocol import (
     Array,
@@ -31,10 +32,13 @@ from valve_sim.identification.plants.protocol import (
     Nuisance,
     Plant,
     judged_channels,
+    strokes_of_plant,
 )
 from valve_sim.identification.plants.thinning import Thinnable
 
 Mask = Callable[[int, NDArray[np.integer]], NDArray[np.bool_]]
+Whitening = Callable[[Array], Array]
+"""(r, k) columns of rows to as many, whitened further."""
 
 LONGEST_RUN: Final = 4
 """Identical readings in a row, beyond which a coarse sensor repeats one reading."""
@@ -55,6 +59,7 @@ class Problem:
 
     Attributes:
         constant: what is to be added to the sum of squares of its residuals. counts: samples that each stands for.
+        whitening: of the rows that fits compare, beside that of the noise; None: nothing is whitened further.
     """
 
     constant: Final = 0.0
@@ -69,6 +74,7 @@ class Problem:
     ) -> None:
         self.plant = plant
         self._condenses = False
+        self.whitening: Whitening | None = None
         self._reaches: dict[Nuisance, NDArray[np.bool_]] = {}
         self._groups: dict[tuple[Nuisance, ...], list[ColumnGroup]] = {}
         self.budget = budget or Budget.unlimited()
@@ -80,7 +86,6 @@ class Problem:
         self._weights = [self._weight(index, takes_part) for index in range(len(plant.channels))]
         self.samples = sum(int(np.count_nonzero(weight)) for weight in self._weights)
         self.effective_samples = float(sum(map(_effective, self._weights)))
-        self.variance_inflation = max(noise.variance_inflation for noise in self.noises.values())
 
     def restricted(self, takes_part: Mask) -> Problem:
         """The same data and noise with other samples taking part."""
@@ -119,7 +124,6 @@ class Problem:
         """The same data and samples with other noise."""
         same = copy.copy(self)
         same.noises = {kind: noises.get(kind, noise) for kind, noise in self.noises.items()}
-        same.variance_inflation = max(noise.variance_inflation for noise in same.noises.values())
         same.__dict__.pop("_few", None)
         return same
 
@@ -150,6 +154,12 @@ class Problem:
         noises = [self.noise_of(index) for index in range(len(plant.channels))]
         return Condensed(plant, self._weights, noises, self.budget)
 
+    def with_whitening(self, whitening: Whitening) -> Problem:
+        """The same, whose fits compare rows that are whitened further, for what a model is known to lack."""
+        same = copy.copy(self)
+        same.whitening = whitening
+        return same
+
     def without_limit(self) -> Problem:
         """The same without a limit of time."""
         same = copy.copy(self)
@@ -162,6 +172,10 @@ class Problem:
         """The noise of the response in which errors are reported."""
         return self.noise_of(judged_channels(self.plant)[0])
 
+    def prior(self, name: str) -> Prior:
+        """The prior of a freed parameter, in the coordinate in which it is searched."""
+        return prior_of(self.plant, name)
+
     def noise_of(self, index: int) -> Noise:
         """The noise of a channel."""
         return self.noises[self.plant.channels[index].kind]
@@ -169,6 +183,11 @@ class Problem:
     def weight(self, index: int) -> Array:
         """(n,) how much each sample of a channel counts; 0 where it takes no part."""
         return self._weights[index]
+
+    @functools.cached_property
+    def _simulated(self) -> int:
+        """How many strokes a simulation of the plant is."""
+        return max(1, len(strokes_of_plant(self.plant)))
 
     @functools.cached_property
     def strokes(self) -> NDArray[np.int64]:
@@ -194,14 +213,23 @@ class Problem:
             self._groups[nuisances] = group_columns([self.reach(nuisance) for nuisance in nuisances])
         return self._groups[nuisances]
 
+    @functools.cached_property
+    def places(self) -> RowPlaces:
+        """Where the residuals were measured."""
+        parts = []
+        for index, channel in enumerate(self.plant.channels):
+            noise, weight = self.noise_of(index), self._weights[index]
+            steady = noise.sigma * (1.0 - math.fsum(noise.coefficients)) / noise.innovation
+            parts.append((channel.times, channel.group, ~channel.quiet & (weight > 0.0), weight * steady))
+        return places_of([channel.recording for channel in self.plant.channels], parts)
+
     def residuals(self, values: Mapping[str, float]) -> Array:
         """Whitened, weighted residuals of all channels in a row (measured − predicted).
 
         Raises:
-            OutOfTimeError: the time for fits is used up.
             SimulationError: the machine cannot be simulated with these values.
         """
-        self.budget.check()
+        self.budget.count(self._simulated)
         shown = zip(self.plant.channels, self.plant.predict(values), strict=True)
         return self._white([(channel.data - prediction)[:, None] for channel, prediction in shown], self._weights)[:, 0]
 
@@ -211,10 +239,9 @@ class Problem:
         """(n, k) derivatives of the residuals along directions, and (k,) where the plant knows them.
 
         Raises:
-            OutOfTimeError: the time for fits is used up.
             SimulationError: the machine cannot be simulated with these values.
         """
-        self.budget.check()
+        self.budget.count(self._simulated, len(directions))
         weights = [-weight for weight in self._weights]
         return whitened_sensitivities(self.plant, values, directions, lambda columns: self._white(columns, weights))
 
@@ -237,10 +264,9 @@ class Problem:
         """Sums over the residuals and their derivatives along directions; None where these are not known.
 
         Raises:
-            OutOfTimeError: the time for fits is used up.
             SimulationError: the machine cannot be simulated with these values.
         """
-        self.budget.check()
+        self.budget.count(self._simulated, len(directions))
         pieces = self.plant.pieces(values, directions) if isinstance(self.plant, InPieces) else None
         if pieces is None:
             return None

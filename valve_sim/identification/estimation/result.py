@@ -1,18 +1,4 @@
-"""What a fit found, and how certain it is: standard errors, correlations, and scores for comparing models.
-
-The criterion is χ² = Σ e² + Σ (nuisance / prior)², e the whitened residual. Its score, for comparing models, is
-
-    S = χ²/f + k ln N + Σ ln max(1, σ_j² I_j)
-
-with k freed parameters, N samples (copies of one reading count once), f the factor by which slow noise discounts
-evidence, and for each nuisance the Occam factor of its prior σ_j and information I_j (Laplace; MacKay 2003, chapter
-28): theory, eqs. (26) and (41). A difference of 10 in S is decisive: odds of 150 to 1.
-
-A declared value that is freed although it has a tolerance σ is one that is taken for wrong. It is no parameter of
-unknown size: its prior is ten times as wide as its tolerance, so that it is charged ln max(1, 100 σ² I) in place of
-ln N. Where the data determine it, this is ln 100 = 4.6 more than the nuisance that it takes the place of, and it is
-decisive from √14.6 = 3.8 tolerances on: theory, eq. (82).
-"""
+"""The outcome of a fit: values, what the data say of them, and the evidence of the model: theory, section 4."""
 
 from __future__ import annotations
 
@@ -23,20 +9,19 @@ from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy import special
 
 from valve_sim.identification.estimation.gram import gram
+from valve_sim.identification.estimation.evidence import log_volume
+from valve_sim.identification.estimation.priors import Prior
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.smoothing import Smoothness
 from valve_sim.identification.plants.protocol import (
-    RELEASED,
     Array,
     Nuisance,
     internal_bounds,
     internal_scale,
     internal_slope,
     judged_channels,
-    released_tolerances,
 )
 
 FIRST_DAMPING: Final = 1e-4
@@ -45,12 +30,6 @@ NO_INFORMATION: Final = 1e-290
 """Information below which a parameter has no influence at all."""
 SMALLEST_SHARE: Final = 1e-14
 """Smallest eigenvalue of the information, scaled to a unit diagonal, that is not rounding error."""
-DETERMINED: Final = 2.0
-"""Information of data and prior together, over that of the prior, from which on the data say more than the prior."""
-REFUTED: Final = 1e-3
-"""Probability of larger errors of the stamps, below which their prior is taken to be too narrow."""
-MOSTLY: Final = 0.5
-"""Share of a gain that is most of it."""
 COLLINEAR: Final = 100.0
 """Variance of a parameter, over that if all others were known, beyond which it is collinear: theory, eq. (34)."""
 
@@ -69,36 +48,45 @@ class MachineKnowledge(NamedTuple):
 
 
 class Rows:
-    """What a fit has for each sample: by far its largest part, which may be dropped. It is worked out when asked for.
+    """What a fit has for each sample, or for each row that was fitted; worked out when asked for, and then kept.
+
+    It is by far the largest part of a fit, and may be dropped.
 
     Args:
-        found: (n,) or (n, k + m); None where it is dropped already. again: works it out again.
-        few: the same of the rows that were fitted, where these are fewer.
-
-    Attributes:
-        few: of the rows that were fitted; None where it is dropped.
+        every: works out (n,) or (n, k + m) of each sample.
+        fitted: works out the same of the rows that were fitted, where these are fewer; None: they are not.
+        known: (r,) or (r, k + m) of the rows that were fitted, where they are at hand.
     """
 
-    def __init__(self, found: Array | None, again: Callable[[], Array], few: Array | None = None) -> None:
-        self._found = found
-        self._again = again
-        self.few = found if few is None else few
+    def __init__(self, every: Callable[[], Array], fitted: Callable[[], Array] | None, known: Array | None) -> None:
+        self._every, self._fitted = every, fitted
+        self._known_every = known if fitted is None else None
+        self._known = known
 
     def array(self) -> Array:
         """(n,) or (n, k + m)."""
-        found = self._found
+        found = self._known_every
         if found is None:
-            self._found = found = self._again()
+            self._known_every = found = self._every()
+        return found
+
+    def few(self) -> Array:
+        """(r,) or (r, k + m) of the rows that were fitted."""
+        if self._fitted is None:
+            return self.array()
+        found = self._known
+        if found is None:
+            self._known = found = self._fitted()
         return found
 
     @property
-    def is_at_hand(self) -> bool:
-        """Whether it need not be worked out."""
-        return self._found is not None
+    def at_hand(self) -> Array | None:
+        """(r,) or (r, k + m) of the rows that were fitted, if they need not be worked out."""
+        return self._known_every if self._fitted is None else self._known
 
     def drop(self) -> None:
         """Free the memory."""
-        self._found = self.few = None
+        self._known_every = self._known = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +101,9 @@ class Fit:
         left: whitened residuals there. derivatives: of the residuals there. Of a long recording neither is at hand.
         information: (k + m, k + m), priors included.
         converged: whether the last step was small enough.
+        coordinates: (k + m,) where they were searched. priors: (k + m) of these.
+        slopes: (k + m,) half the gradient of the criterion there: not 0 where a coordinate is on the end of its range.
+        room: (k + m, 2) how far the range goes on below and above.
         smooth: the curve among what was freed, with its prior, which `chi2` and `information` include.
         damping: λ of theory, eq. (29), of the next step. reach: χ² that it can be expected to come to, at the least.
     """
@@ -127,6 +118,9 @@ class Fit:
     information: Array
     converged: bool
     coordinates: Array = field(repr=False)
+    priors: tuple[Prior, ...] = field(repr=False)
+    slopes: Array = field(repr=False)
+    room: Array = field(repr=False)
     smooth: Smoothness | None = None
     damping: float = FIRST_DAMPING
     reach: float = -math.inf
@@ -143,7 +137,7 @@ class Fit:
 
     @functools.cached_property
     def covariance(self) -> Array:
-        """(k + m, k + m) of the internal coordinates, variance inflation included: theory, eq. (31).
+        """(k + m, k + m) of the internal coordinates: theory, eq. (31).
 
         Directions that the data do not determine have a huge variance; a parameter without any influence has an
         infinite one, and no correlation.
@@ -154,7 +148,7 @@ class Fit:
         sizes, directions = np.linalg.eigh(self.information[np.ix_(alive, alive)] * np.outer(scale, scale))
         inverse = (directions / np.maximum(sizes, SMALLEST_SHARE)) @ directions.T
         covariance = np.diag(np.where(alive, 0.0, np.inf))
-        covariance[np.ix_(alive, alive)] = inverse * np.outer(scale, scale) * self.problem.variance_inflation
+        covariance[np.ix_(alive, alive)] = inverse * np.outer(scale, scale)
         return covariance
 
     @property
@@ -174,70 +168,39 @@ class Fit:
         """(m,) by how much each nuisance is off the mean of its prior, in standard deviations of that."""
         return np.array([(self.values[own.name] - own.mean) / own.sigma for own in self.nuisances])
 
-    @property
-    def chi2_of_declared(self) -> float:
-        """What declared values off their tolerances add to the criterion."""
-        pairs = zip(self.deviations, self.nuisances, strict=True)
-        return float(sum(deviation**2 for deviation, own in pairs if own.is_of_machine))
-
-    @property
-    def chi2_of_recordings(self) -> float:
-        """What errors of clocks and of stamps add to the criterion."""
-        return float(np.sum(np.square(self.deviations))) - self.chi2_of_declared
-
     @functools.cached_property
-    def stamp_variance(self) -> float:
-        """Mean square of the errors of the commands' stamps, in their prior's variances; 1 where it may be that.
+    def log_evidence(self) -> float:
+        """Natural logarithm of the evidence ln p(data | model), but for a constant of the data: theory, eq. (41).
 
-        Only those count that the data determine. Stamps of a live node are off by far more than their prior says, and
-        then so may be what else is wrong with the clocks.
+        Laplace's approximation about the optimum, with the share of the Gaussian that lies within the ranges.
         """
-        stamps = [own in self.problem.plant.timing_errors for own in self.nuisances]
-        sigmas = np.array([own.sigma for own in self.nuisances])
-        known = np.diag(self.information)[len(self.free) :] * np.square(sigmas) > DETERMINED
-        squares = np.square(self.deviations)[np.array(stamps, dtype=bool) & known]
-        if special.chdtrc(max(1, len(squares)), float(np.sum(squares))) > REFUTED:
-            return 1.0
-        return float(np.mean(squares))
-
-    @functools.cached_property
-    def score(self) -> float:
-        """The score S, theory, eq. (41): smaller is better, a difference of 10 is decisive."""
-        occam = 0.0
-        for index, nuisance in enumerate(self.nuisances, start=len(self.free)):
-            occam += math.log(max(1.0, nuisance.sigma**2 * float(self.information[index, index])))
-        misfit = (self.chi2 - self._penalty) / self.problem.variance_inflation
-        released = released_tolerances(self.problem.plant)
-        for index, name in enumerate(self.free):
-            if name in released:
-                width = RELEASED * released[name]
-                occam += math.log(max(1.0, width**2 * float(self.information[index, index])))
-        unknown = self.effective_parameters - sum(name in released for name in self.free)
-        return misfit + unknown * math.log(self.problem.effective_samples) + occam
+        costs = sum(own.pull(float(at)).cost for own, at in zip(self.priors, self.coordinates, strict=True))
+        densities = sum(own.log_density(float(at)) for own, at in zip(self.priors, self.coordinates, strict=True))
+        misfit = self.chi2 - costs - self._penalty
+        found = -0.5 * misfit + densities + log_volume(self.information, self.slopes, self.room)
+        return found if self.smooth is None else found + self.smooth.log_density(self.coordinates[self.curve])
 
     @property
     def effective_parameters(self) -> float:
         """How many parameters were freed; of a smooth curve's, those that the data determine: theory, eq. (52)."""
         if self.smooth is None:
             return float(len(self.free))
-        curve = self._curve
-        fitted = self.covariance[np.ix_(curve, curve)] / self.problem.variance_inflation
-        return len(self.free) - float(np.sum(fitted * self.smooth.precision))
+        curve = self.curve
+        return len(self.free) - float(np.sum(self.covariance[np.ix_(curve, curve)] * self.smooth.precision))
 
     def covariance_of_curve(self) -> Array:
         """(K, K) of the coefficients of the smooth curve: what bands are drawn from."""
         if self.smooth is None:
             return np.empty((0, 0))
-        where = np.array(self._curve, dtype=np.int64)
+        where = np.array(self.curve, dtype=np.int64)
         of_data = self.information.copy()
         of_data[np.ix_(where, where)] -= self.smooth.precision
-        priors = np.array([0.0] * len(self.free) + [own.sigma**-2 for own in self.nuisances])
-        means = np.array([0.0] * len(self.free) + [own.mean for own in self.nuisances])
-        gradient = gram(self.jacobian, self.residuals) + priors * (self.coordinates - means)
-        return self.smooth.covariance(of_data, gradient, self.coordinates, where, self.problem.variance_inflation)
+        pulls = [own.pull(float(at)).half_slope for own, at in zip(self.priors, self.coordinates, strict=True)]
+        gradient = gram(self.jacobian, self.residuals) + np.array(pulls)
+        return self.smooth.covariance(of_data, gradient, self.coordinates, where)
 
     @property
-    def _curve(self) -> list[int]:
+    def curve(self) -> list[int]:
         """Indices of the smooth curve's coefficients; none without a curve."""
         return [] if self.smooth is None else [self.free.index(name) for name in self.smooth.names]
 
@@ -246,26 +209,8 @@ class Fit:
         """What a smooth curve's prior adds to the criterion."""
         if self.smooth is None:
             return 0.0
-        at = self.coordinates[self._curve]
+        at = self.coordinates[self.curve]
         return float(at @ self.smooth.precision @ at)
-
-    @property
-    def evidence(self) -> float:
-        """−2 ln of the evidence, but for a constant: χ²/f + ln det(1 + D I D / f), theory, eq. (42).
-
-        D has the prior scales of the freed parameters, and σ of the nuisances: how large each may be before the data
-        are seen. A parameter that the data hardly determine costs hardly anything here, and ln N in the score.
-        """
-        plant, variance_inflation = self.problem.plant, self.problem.variance_inflation
-        sizes = [internal_scale(plant.parameter(name)) for name in self.free]
-        sigmas = [nuisance.sigma for nuisance in self.nuisances]
-        spread = np.array([*sizes, *sigmas])
-        # The priors of the nuisances are the ones of 1 + D I D, so that I is the information of the data alone.
-        of_data = self.information - np.diag([0.0] * len(sizes) + [1.0 / sigma**2 for sigma in sigmas])
-        if self.smooth is not None:
-            of_data[np.ix_(self._curve, self._curve)] -= self.smooth.precision
-        _, volume = np.linalg.slogdet(np.eye(len(spread)) + of_data * np.outer(spread, spread) / variance_inflation)
-        return self.chi2 / variance_inflation + float(volume)
 
     def stderr(self, name: str) -> float:
         """Standard error of a freed parameter in its own unit; inf where the data do not determine it."""
@@ -281,7 +226,7 @@ class Fit:
         """
         index = self.free.index(name)
         known, variance = float(self.information[index, index]), float(self.covariance[index, index])
-        return math.isfinite(variance) and known * variance > COLLINEAR * self.problem.variance_inflation
+        return math.isfinite(variance) and known * variance > COLLINEAR
 
     def correlation(self) -> Array:
         """(k, k) of the freed parameters."""
@@ -301,16 +246,6 @@ class Fit:
         if parameter.infinite_at_upper and at - lower <= scale:
             return None
         return "lower" if at - lower <= scale else "upper" if upper - at <= scale else None
-
-
-def is_relief(smaller: Fit, larger: Fit) -> bool:
-    """Whether most of what a larger model gains is that declared values stay nearer to what is declared.
-
-    The smaller one predicts as well then, with values that their tolerances make incredible: no prediction of strokes
-    that are left out, or held out, can show the difference.
-    """
-    gain = smaller.chi2 - larger.chi2
-    return smaller.chi2_of_declared - larger.chi2_of_declared > MOSTLY * gain > 0.0
 
 
 def rmse(result: Fit) -> float:

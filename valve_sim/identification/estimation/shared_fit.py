@@ -93,7 +93,8 @@ def share_of(problem: Problem, free: Sequence[str], values: Mapping[str, float],
     gradient[shared:] += (priors * off)[len(machine) :]
     information = there.information.copy()
     # Of the machine's values the priors count once, not once for each recording.
-    information[np.arange(len(free), shared), np.arange(len(free), shared)] -= priors[: len(machine)]
+    curvatures = [own.pull(float(at)).curvature for own, at in zip(there.priors, there.coordinates, strict=True)]
+    information[np.arange(shared), np.arange(shared)] -= curvatures[:shared]
     between, inside = information[:shared, shared:], information[shared:, shared:]
     # What is left of the own nuisances' gradient is a step that is taken here.
     solved = np.linalg.solve(inside, np.column_stack([gradient[shared:], between.T]))
@@ -145,13 +146,13 @@ def fit_shared(problem: Problem, free: Sequence[str], shares_at: SharesAt) -> Sh
 
 
 def _chi2(search: Descent, at: Array, shares: Sequence[Share]) -> float:
-    return sum(share.chi2 for share in shares) + float(search.prior @ np.square(at - search.mean))
+    return sum(share.chi2 for share in shares) + float(np.sum(search.pulls(at)[0]))
 
 
 def _normal(search: Descent, at: Array, shares: Sequence[Share]) -> tuple[Array, Array]:
-    information = np.sum([share.information for share in shares], axis=0) + np.diag(search.prior)
-    gradient = np.sum([share.gradient for share in shares], axis=0) + search.prior * (at - search.mean)
-    return information, gradient
+    of_priors, slopes = _prior_alone(search, at)
+    information = np.sum([share.information for share in shares], axis=0) + of_priors
+    return information, np.sum([share.gradient for share in shares], axis=0) + slopes
 
 
 def as_fit(problem: Problem, free: Sequence[str], found: Shared) -> Fit:
@@ -173,4 +174,5 @@ def as_fit(problem: Problem, free: Sequence[str], found: Shared) -> Fit:
 
 
 def _prior_alone(search: Descent, at: Array) -> tuple[Array, Array]:
-    return np.diag(search.prior), search.prior * (at - search.mean)
+    _, half_slopes, curvatures = search.pulls(at)
+    return np.diag(curvatures), half_slopes

@@ -9,9 +9,9 @@ decides where the data say nothing. The criterion then is
 (Eilers and Marx 1996). λ minimises −2 ln of the restricted likelihood of the linearised fit, theory, eq. (50), which
 integrates over all that is fitted (Wood 2011):
 
-    R(λ) = min over z of [χ²(z) + cᵀ S c]/f + ln det(A + S) − Σ ln w
+    R(λ) = min over z of [χ²(z) + cᵀ S c] + ln det(A + S) − Σ ln w
 
-with A the information without S, and f the factor by which slow noise discounts evidence. Logarithms of neighbouring
+with A the information without S. Logarithms of neighbouring
 weights differ by N(0, τ²): without that, weights run to their ends and a curve becomes a chain of straight pieces whose
 errors seem small. One weight for all of the curve is found among many; from there each follows its own way downhill.
 Each step of Gauss–Newton chooses them anew, from a curve that is nearly straight on.
@@ -78,12 +78,14 @@ class Smoothness:
         names: of the coefficients, in order; all are freed. least: value of each.
         weights: λ, 1/N² or (m/(N·s))², evenly spaced along the curve.
         repeats: whether the first coefficient follows the last.
+        log_weights: ln of the prior density of the weights' logarithms times the volume that the data leave them.
     """
 
     names: tuple[str, ...]
     least: float
     weights: tuple[float, ...] = (FIRST_WEIGHT,) * HATS
     repeats: bool = False
+    log_weights: float = 0.0
 
     @functools.cached_property
     def precision(self) -> Array:
@@ -91,27 +93,32 @@ class Smoothness:
         return _Roughness.of(len(self.names), repeats=self.repeats).precision(np.array(self.weights))
 
     def chosen(
-        self, information: Array, gradient: Array, at: Array, where: NDArray[np.int64], inflation: float
+        self, information: Array, gradient: Array, at: Array, where: NDArray[np.int64]
     ) -> Smoothness:
         """The same with weights that go to those of the greatest restricted likelihood.
 
         Args:
             information: (m, m) A of all that is fitted, without S. gradient: (m,) half of that of χ² where the fit is.
-            at: (m,) where the fit is. where: (K,) indices of the coefficients among them. inflation: f.
+            at: (m,) where the fit is. where: (K,) indices of the coefficients among them.
         """
-        curve = self._about(information, gradient, at, where, inflation)
+        curve = self._about(information, gradient, at, where)
         common = curve.common_weight()
         best, before = np.exp(_settled(curve, np.full(HATS, math.log(common)))), np.array(self.weights)
         # A curve that is far from the best of its weights would be led astray by what is linearised about it.
         weights = np.clip(best, before / LARGEST_CHANGE, before * LARGEST_CHANGE)
-        return replace(self, weights=tuple(weights.tolist()))
+        return replace(self, weights=tuple(weights.tolist()), log_weights=curve.log_weights(np.log(weights)))
+
+    def log_density(self, at: Array) -> float:
+        """ln of the prior density of (K,) coefficients, the weights integrated over about these."""
+        spread = float(np.linalg.slogdet(self.precision)[1]) - len(at) * math.log(2.0 * math.pi)
+        return 0.5 * (spread - float(at @ self.precision @ at)) + self.log_weights
 
     @np.errstate(over="ignore", invalid="ignore")
     def covariance(
-        self, information: Array, gradient: Array, at: Array, where: NDArray[np.int64], inflation: float
+        self, information: Array, gradient: Array, at: Array, where: NDArray[np.int64]
     ) -> Array:
         """(K, K) of the coefficients, the uncertainty of their weights included; arguments as those of `chosen`."""
-        curve = self._about(information, gradient, at, where, inflation)
+        curve = self._about(information, gradient, at, where)
         logs = np.log(np.array(self.weights))
         best = curve.best(logs)
         covariance = best.covariance.copy()
@@ -128,11 +135,11 @@ class Smoothness:
         return covariance
 
     def _about(
-        self, information: Array, gradient: Array, at: Array, where: NDArray[np.int64], inflation: float
+        self, information: Array, gradient: Array, at: Array, where: NDArray[np.int64]
     ) -> _Quadratic:
         """χ² about where the fit is; what is held at the least value counts as known."""
         roughness = _Roughness.of(len(where), repeats=self.repeats)
-        curve = _Quadratic.of(information, gradient, at, where, inflation, roughness)
+        curve = _Quadratic.of(information, gradient, at, where, roughness)
         is_held = (at[where] <= self.least) & (gradient[where] > 0.0)
         return curve._replace(information=curve.information + np.diag(np.where(is_held, HELD, 0.0) + RIDGE))
 
@@ -224,7 +231,7 @@ class _Best(NamedTuple):
 
 
 class _Quadratic(NamedTuple):
-    """χ²/f of a linearised fit as a function of a curve's coefficients, all else at its best: cᵀ A c − 2 tᵀ c.
+    """χ² of a linearised fit as a function of a curve's coefficients, all else at its best: cᵀ A c − 2 tᵀ c.
 
     The ridge of S, which no weight changes, is in A.
     """
@@ -235,9 +242,8 @@ class _Quadratic(NamedTuple):
 
     @classmethod
     def of(
-        cls, information: Array, gradient: Array, at: Array, where: NDArray[np.int64], inflation: float,
-        roughness: _Roughness,
-    ) -> _Quadratic:  # fmt: skip
+        cls, information: Array, gradient: Array, at: Array, where: NDArray[np.int64], roughness: _Roughness
+    ) -> _Quadratic:
         rest = np.setdiff1d(np.arange(len(at)), where)
         # The rest has units of its own: a nuisance may be known 10¹⁶ times as well as another.
         scale = 1.0 / np.sqrt(np.maximum(np.diag(information)[rest], np.finfo(float).tiny))
@@ -246,7 +252,7 @@ class _Quadratic(NamedTuple):
         solved = np.linalg.lstsq(information[np.ix_(rest, rest)] * np.outer(scale, scale), right, rcond=1e-13)[0]
         own = information_less(information[np.ix_(where, where)], mixed @ solved[:, :-1])
         slope = gradient[where] - mixed @ solved[:, -1]
-        return cls(own / inflation, (own @ at[where] - slope) / inflation, roughness)
+        return cls(own, own @ at[where] - slope, roughness)
 
     def common_weight(self) -> float:
         """The one weight for all of the curve of the least R."""
@@ -279,6 +285,15 @@ class _Quadratic(NamedTuple):
         certain = float(np.mean(np.log(rows))) * self._rank
         criterion = volume - certain - float(self.target @ fitted)
         return _Best(fitted, covariance, criterion + 0.5 * float(logs @ NEIGHBOURS @ logs))
+
+    def log_weights(self, logs: Array) -> float:
+        """ln of prior density and volume of the weights' logarithms, by Laplace: even in level, a walk in differences."""
+        determined, bends = self.shares(logs, self.best(logs))
+        # R and what the differences add to it are −2 ln of a density.
+        half = 0.5 * (np.diag(0.5 * (determined + bends) + CURVATURE) + NEIGHBOURS)
+        walk = -0.25 * float(logs @ NEIGHBOURS @ logs) - (HATS - 1) * math.log(DIFFERS * math.sqrt(2.0 * math.pi))
+        volume = 0.5 * HATS * math.log(2.0 * math.pi) - 0.5 * float(np.linalg.slogdet(half)[1])
+        return walk - math.log(MOST - LEAST) + min(volume, HATS * math.log(MOST - LEAST))
 
     def shares(self, logs: Array, best: _Best) -> tuple[Array, Array]:
         """(HATS,) how many bends the data determine about each weight, and what these add to the penalty.

@@ -8,6 +8,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Final
 
+import numpy as np
+
 from valve_sim.identification.estimation.descent import WHOLE, Descent, Effort, End
 from valve_sim.identification.estimation.descent_in_sums import DescentInSums, NotInPieces
 from valve_sim.identification.estimation.gram import sum_squares
@@ -54,15 +56,32 @@ def fit(
     of_fit = (tuple(free), estimated, dict(fixed or {}), prior)
     search, end = _descended(problem, of_fit, start, effort)
     values, whole = search.values(end.at), problem.without_limit().with_every_row()
-    holds_all = search.holds_rows and isinstance(search.rows, Problem)
-    few = (end.residuals, end.jacobian) if search.holds_rows and problem.rows is search.rows else (None, None)
-    left = Rows(end.residuals if holds_all else None, functools.partial(whole.residuals, values), few[0])
-    again = functools.partial(_jacobian_of, whole, of_fit, end.at, left)
-    derivatives = Rows(end.jacobian if holds_all else None, again, few[1])
+    known = (end.residuals, end.jacobian) if search.holds_rows and problem.rows is search.rows else (None, None)
+    left, derivatives = _rows(whole, problem.without_limit(), of_fit, end.at, values, known)
     return Fit(
         problem, tuple(free), estimated, values, end.cost, left, derivatives, end.information, end.converged, end.at,
+        tuple(search.priors), end.gradient, np.column_stack([end.at - search.lower, search.upper - end.at]),
         search.smooth, end.damping, end.reach,
     )  # fmt: skip
+
+
+def _rows(
+    whole: Problem, fitted: Problem, of_fit: _OfFit, at: Array, values: dict[str, float],
+    known: tuple[Array | None, Array | None],
+) -> tuple[Rows, Rows]:  # fmt: skip
+    """Residuals and derivatives at an end, of each sample and of the rows that were fitted."""
+    has_fewer = not isinstance(problem_rows := fitted.rows, Problem)
+    left = Rows(
+        functools.partial(whole.residuals, values),
+        functools.partial(problem_rows.residuals, values) if has_fewer else None,
+        known[0],
+    )
+    derivatives = Rows(
+        lambda: Descent(whole, *of_fit).jacobian(at, left.array()),
+        (lambda: Descent(fitted, *of_fit).jacobian(at, left.few())) if has_fewer else None,
+        known[1],
+    )
+    return left, derivatives
 
 
 def _descended(
@@ -113,14 +132,10 @@ def _nearer(
     first = kind(problem, rest, others, {**fixed, **dampings, **declared}, prior)
     at = first.start(start)
     residuals = first.residuals(at)
-    if residuals is None or sum_squares(residuals) <= far * problem.variance_inflation * problem.effective_samples:
+    if residuals is None or sum_squares(residuals) <= far * problem.effective_samples:
         return start
     nearer = {**start, **first.values(first.descend(at, math.inf, until).at)}
     if not dampings:
         return nearer
     then = kind(problem, rest, estimated, {**fixed, **dampings}, prior)
     return {**nearer, **then.values(then.descend(then.start(nearer), math.inf, until).at)}
-
-
-def _jacobian_of(problem: Problem, of_fit: _OfFit, at: Array, left: Rows) -> Array:
-    return Descent(problem, *of_fit).jacobian(at, left.array())

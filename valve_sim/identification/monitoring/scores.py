@@ -157,14 +157,13 @@ def _scored(stroke: _Stroke, result: Fit, directions: Iterable[tuple[str, Array]
         scale, scale
     )
     left = result.residuals - jacobian @ (inverse @ (gram(jacobian, result.residuals) + prior * shifts))
-    slow = math.sqrt(stroke.problem.variance_inflation)
     scores = {SIZE: _size(stroke.problem, left)}
     for name, change in itertools.chain(directions, stroke.delay_directions(result)):
         seen = change @ jacobian
         power = float(change @ change - seen @ inverse @ seen)
         if power > LEAST_SENSITIVITY**2:
             # The fit's residual is measured less predicted, and so is the change of it that an effect makes.
-            scores[name] = -float(change @ left) / math.sqrt(power) / slow
+            scores[name] = -float(change @ left) / math.sqrt(power)
     return Scored(scores, shifts, stroke.rms(result))
 
 
@@ -356,7 +355,7 @@ def _size(problem: Problem, left: Array) -> float:
     count = len(moving)
     if count == 0:
         return 0.0
-    ratio = float(moving @ moving) / count / problem.variance_inflation
+    ratio = float(moving @ moving) / count
     narrow = 2.0 / (9.0 * count)
     return float(np.cbrt(ratio) - 1.0 + narrow) / math.sqrt(narrow)
 

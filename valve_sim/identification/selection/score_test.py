@@ -1,9 +1,9 @@
-"""Rao's score test of every effect that a fit leaves out: what one Gauss–Newton step with it would gain.
+"""The score test of every effect that a fit leaves out: the odds that adding it would have, to first order.
 
 An effect's sensitivity is one simulation with a little of it on. What the fit's own parameters and nuisances can do of
-it is projected out, so that the squared projection of the residual on the rest is the gain of χ² that a refit gives, to
-first order. It costs one simulation for each effect and shape: enough to say that nothing is left to be found, and the
-linear fits of the bootstrap.
+it is projected out; the rest says where the effect's amplitude would come to, how certain it would be, and with its
+prior what the evidence would gain (Rao's score test, with Laplace's volume). It costs one simulation for each effect,
+size and shape: enough to say that nothing is left to be found.
 """
 
 from __future__ import annotations
@@ -13,10 +13,19 @@ from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 import numpy as np
+from scipy.special import log_ndtr
 
-from valve_sim.identification.estimation.gram import gram, orthonormal, sum_squares
+from valve_sim.identification.estimation.gram import gram, orthonormal
+from valve_sim.identification.estimation.priors import HALF, Cauchy, Normal, Prior, prior_of_nuisance
 from valve_sim.identification.estimation.result import Fit
-from valve_sim.identification.plants.protocol import RELEASED, SMALL_MOVE, Array, EffectChoice, perturbed
+from valve_sim.identification.plants.protocol import (
+    SMALL_MOVE,
+    Array,
+    EffectChoice,
+    Nuisance,
+    perturbed,
+    to_internal,
+)
 from valve_sim.model import Parameter, SimulationError
 
 SHAPES: Final = (1.0, 0.2, 5.0)
@@ -25,121 +34,93 @@ SIZES: Final = (SMALL_MOVE, 1.0)
 """In prior scales of a switch: near off, and large enough for a contact that only rebounds above a speed."""
 MOVES_NOTHING: Final = 1e-6
 """Standard deviations, over all samples: a direction that changes the residual by less is ignored."""
-SMALLEST_SHARE: Final = 1e-8
-"""Share of the squared norm of an effect's strongest direction that a further one must have."""
+GRID: Final = 400
+"""Points of the integral over a released value."""
+WIDE: Final = 8.0
+"""Standard deviations, and prior scales, on either side of what is integrated over."""
 
 
-def score_gains(result: Fit) -> dict[str, float]:
-    """By how much each effect that is not in a fit would lower its score S, to first order; largest over its shapes."""
-    problem, outside = result.problem, Outside(result)
-    gains: dict[str, float] = {}
-    for name, effect in problem.plant.effects.items():
+class Addition(NamedTuple):
+    """What a switch of an effect would come to, to first order.
+
+    Attributes:
+        gain: ln p would gain so much by the data, at its best place. log_price: ln of what its prior takes of that.
+        sigma: standard error of its search coordinate.
+    """
+
+    gain: float
+    log_price: float
+    sigma: float
+
+    @property
+    def log_gain(self) -> float:
+        """What ln p would gain in all."""
+        return self.gain + self.log_price
+
+
+NOTHING: Final = Addition(0.0, 0.0, math.inf)
+
+
+def log_gains(result: Fit) -> dict[str, float]:
+    """What ln p would gain by each effect that is not in a fit, to first order; the largest over its sizes and shapes."""
+    outside = Outside(result)
+    gains = {}
+    for name, effect in result.problem.plant.effects.items():
         if set(effect.free_names()) & set(result.free):
             continue
-        if effect.is_declared_value:
-            gains[name] = sum(_released(result, parameter) for parameter in effect.free_names())
+        released = [_released(result, own, effect) for own in result.nuisances if _stands_for(own, effect)]
+        if released:
+            gains[name] = sum(released)
             continue
-        price = len(effect.free_names()) * math.log(problem.effective_samples)
-        found = [outside.gain(directions) for size in SIZES for directions in directions_of(result, effect, size)]
-        gains[name] = max(found, default=0.0) / problem.variance_inflation - price
-        if any(own.same_as in effect.free_names() for own in result.nuisances):
-            # The same thing as a declared value, so that its own direction hardly leaves that of the nuisance.
-            gains[name] = max(gains[name], sum(_released(result, parameter) for parameter in effect.free_names()))
+        found = [
+            _log_gain(result, outside, effect, moves)
+            for size in SIZES
+            for moves in moves_of(result, effect, size)
+        ]
+        gains[name] = max(found, default=-math.inf)
     return gains
 
 
-class Release(NamedTuple):
-    """A declared value taken for wrong.
+def additions(result: Fit, outside: Outside, effect: EffectChoice, size: float = SMALL_MOVE) -> dict[str, Addition]:
+    """What each switch of an effect would come to alone, its shape as first expected, by its name."""
+    for moves in moves_of(result, effect, size):
+        return {move.switch.name: _addition(result, outside, effect, move) for move in moves}
+    return {}
+
+
+class Move(NamedTuple):
+    """A switch that was moved a little.
 
     Attributes:
-        deviation: of its estimate, in tolerances. share: of its deviation that the data show beside its tolerance.
-        price: in S, of the wider prior, theory, eq. (82). tolerance: of it, in `unit`.
+        switch: which. off, by: its search coordinate where it is off, and by how much it was moved.
+        change: (r,) of the residuals that were fitted.
     """
 
-    deviation: float
-    share: float
-    price: float
-    tolerance: float
-    unit: str
+    switch: Parameter
+    off: float
+    by: float
+    change: Array
 
 
-def release_of(result: Fit, name: str) -> Release | None:
-    """What it takes to release a declared value; None of what has no tolerance, or where the data say nothing."""
-    row = next(
-        (row for row, nuisance in enumerate(result.nuisances) if name in (nuisance.name, nuisance.same_as)), None
-    )
-    if row is None:
-        return None
-    index, inflation = len(result.free) + row, result.problem.variance_inflation
-    variance, sigma = result.covariance[index, index] / inflation, result.nuisances[row].sigma
-    share = max(1.0 - variance / sigma**2, 0.0)
-    if share == 0.0:
-        return None
-    price = 2.0 * math.log(RELEASED)
-    return Release(float(result.deviations[row]), share, price, sigma, result.nuisances[row].unit)
-
-
-def _released(result: Fit, name: str) -> float:
-    """What S gains where a declared value is taken for wrong: its tolerance no longer holds it, theory, eq. (82)."""
-    found = release_of(result, name)
-    if found is None:
-        return -math.inf
-    # χ² falls by the square of how far the value that the data alone would have is off, in standard errors of the
-    # difference between it and the declared one.
-    return found.deviation**2 / found.share / result.problem.variance_inflation - found.price
-
-
-class Outside:
-    """Projection onto what is orthogonal to a fit's parameters and nuisances, with the nuisances' priors."""
-
-    def __init__(self, base: Fit) -> None:
-        priors = np.zeros((len(base.nuisances), base.jacobian.shape[1]))
-        for row, nuisance in enumerate(base.nuisances):
-            priors[row, len(base.free) + row] = 1.0 / nuisance.sigma
-        columns = np.vstack([base.jacobian, priors])
-        size = np.sqrt(np.sum(np.square(columns), axis=0))
-        self._residuals = np.concatenate([base.residuals, base.deviations])
-        self._samples = len(base.jacobian)
-        self._fitted = orthonormal(columns[:, size > 0.0] / size[size > 0.0])
-
-    def basis(self, directions: Array) -> Array:
-        """(n, q) → (n, p ≤ q): orthonormal but for the part along nuisances with priors."""
-        return self._axes(directions)[: self._samples]
-
-    def gain(self, directions: Array) -> float:
-        """By how much χ² falls where the fit may move along (n, q) directions, too."""
-        return sum_squares(gram(self._axes(directions), self._residuals))
-
-    def distance(self, direction: Array) -> float:
-        """Standard deviations by which an (n,) change of the residual exceeds what the fit may follow."""
-        return math.sqrt(sum_squares(self._left(direction[:, None])))
-
-    def _axes(self, directions: Array) -> Array:
-        axes, sizes, _ = np.linalg.svd(self._left(directions), full_matrices=False)
-        is_there = (sizes > MOVES_NOTHING) & (sizes**2 > SMALLEST_SHARE * sizes[0] ** 2)
-        return np.asarray(axes[:, is_there])
-
-    def _left(self, directions: Array) -> Array:
-        padded = np.vstack([directions, np.zeros((len(self._fitted) - self._samples, directions.shape[1]))])
-        return np.asarray(padded - self._fitted @ (self._fitted.T @ padded))
-
-
-def directions_of(base: Fit, effect: EffectChoice, size: float = SMALL_MOVE) -> Iterator[Array]:
-    """For each shape of an effect, (n, switches): change of the residual for some prior scales of each switch."""
+def moves_of(base: Fit, effect: EffectChoice, size: float = SMALL_MOVE) -> Iterator[list[Move]]:
+    """For each shape of an effect, its switches moved by some prior scales each."""
     has_shape = any(parameter.off is None for parameter in effect.parameters)
+    rows, left = base.problem.rows, base.left.few()
     for shape in SHAPES if has_shape else SHAPES[:1]:
-        columns = []
+        found = []
         for switch in effect.parameters:
             if switch.off is None:
                 continue
+            values = switched_on(effect, switch, size, shape)
+            parameter = base.problem.plant.parameter(effect.free_name(switch))
+            off = to_internal(parameter, switch.off)
+            by = to_internal(parameter, values[effect.free_name(switch)]) - off
             try:
-                columns.append(
-                    base.problem.residuals({**base.values, **switched_on(effect, switch, size, shape)}) - base.residuals
-                )
+                found.append(Move(switch, off, by, rows.residuals({**base.values, **values}) - left))
             except SimulationError:
                 continue
-        if columns:
-            yield np.column_stack(columns)
+        if found:
+            yield found
 
 
 def switched_on(effect: EffectChoice, switch: Parameter, size: float, shape: float = 1.0) -> dict[str, float]:
@@ -151,3 +132,110 @@ def switched_on(effect: EffectChoice, switch: Parameter, size: float, shape: flo
         return perturbed(parameter, parameter.off, size) if parameter is switch else parameter.off
 
     return {effect.free_name(parameter): value(parameter) for parameter in effect.parameters}
+
+
+def _log_gain(result: Fit, outside: Outside, effect: EffectChoice, moves: list[Move]) -> float:
+    """The most that one of the switches, or all together, would gain."""
+    alone = [_addition(result, outside, effect, move) for move in moves]
+    most = max(one.log_gain for one in alone)
+    if len(moves) == 1:
+        return most
+    together = outside.gain(np.column_stack([move.change for move in moves]))
+    return max(most, 0.5 * together + sum(one.log_price for one in alone))
+
+
+def _addition(result: Fit, outside: Outside, effect: EffectChoice, move: Move) -> Addition:
+    power, seen = outside.along(move.change)
+    if power <= MOVES_NOTHING**2:
+        return NOTHING
+    prior = result.problem.prior(effect.free_name(move.switch))
+    sigma, steps = abs(move.by) / math.sqrt(power), -seen / power
+    is_one_sided = isinstance(prior, Cauchy) and prior.mass == HALF
+    share = float(log_ndtr(steps * math.sqrt(power))) if is_one_sided else 0.0
+    at = max(steps, 0.0) if is_one_sided else steps
+    # Beyond the end of a range the gain is that of the Gaussian's tail, which the share takes back.
+    price = math.log(math.sqrt(2.0 * math.pi) * sigma) + prior.log_density(move.off + at * move.by) + share
+    return Addition(0.5 * steps**2 * power, price, sigma)
+
+
+def _stands_for(own: Nuisance, effect: EffectChoice) -> bool:
+    """Whether a nuisance is a declared value that an effect takes for wrong, by its name or as the same thing."""
+    return own.is_of_machine and bool({own.name, own.same_as} & set(effect.free_names()))
+
+
+def _released(result: Fit, own: Nuisance, effect: EffectChoice) -> float:
+    """What ln p gains where a declared value is taken for wrong: the wider prior in place of its tolerance's."""
+    index = len(result.free) + result.nuisances.index(own)
+    variance, before = float(result.covariance[index, index]), prior_of_nuisance(own)
+    of_data = 1.0 / variance - own.sigma**-2
+    if of_data <= MOVES_NOTHING * own.sigma**-2:
+        return 0.0
+    # What the data alone say of it, all else at its best.
+    sigma = 1.0 / math.sqrt(of_data)
+    estimate = own.mean + (result.values[own.name] - own.mean) / (variance * of_data)
+    width = math.hypot(sigma, own.sigma)
+    after = _prior_of_released(result, own, effect)
+    low, high = _range_of(own, effect, min(estimate, own.mean) - WIDE * width, max(estimate, own.mean) + WIDE * width)
+    if high <= low:
+        return -math.inf
+    at = np.linspace(low, high, GRID)
+    likelihood = np.exp(-0.5 * np.square((at - estimate) / sigma))
+    density = np.exp([after.log_density(float(place)) for place in at])
+    numerator = float(np.trapezoid(likelihood * density, at)) if hasattr(np, "trapezoid") else float(np.trapz(likelihood * density, at))  # noqa: E501
+    denominator = Normal(own.mean, width).log_density(estimate) + math.log(math.sqrt(2.0 * math.pi) * sigma)
+    assert isinstance(before, Normal)
+    return math.log(max(numerator, 1e-300)) - denominator
+
+
+def _prior_of_released(result: Fit, own: Nuisance, effect: EffectChoice) -> Prior:
+    """The prior of the value where it is taken for wrong, in the value's own unit."""
+    prior = result.problem.prior(effect.free_names()[0] if own.same_as in effect.free_names() else own.name)
+    if not isinstance(prior, Cauchy):
+        return prior
+    scale = prior.scale
+    if own.name == "reference_voltage" and own.same_as in effect.free_names():
+        scale *= own.mean
+    return Cauchy(own.mean, scale, prior.mass)
+
+
+def _range_of(own: Nuisance, effect: EffectChoice, low: float, high: float) -> tuple[float, float]:
+    """Where the released value may be: of an effect that only adds, above what is declared."""
+    if own.same_as in effect.free_names():
+        parameter = next(one for one in effect.parameters if effect.free_name(one) == own.same_as)
+        if parameter.off is not None and parameter.lower == parameter.off:
+            return max(low, own.mean), high
+    return max(low, own.lower), min(high, own.upper)
+
+
+class Outside:
+    """Projection onto what is orthogonal to a fit's parameters and nuisances, with their priors.
+
+    Args:
+        base: the fit; its rows are those that were fitted.
+    """
+
+    def __init__(self, base: Fit) -> None:
+        pulls = [own.pull(float(at)) for own, at in zip(base.priors, base.coordinates, strict=True)]
+        roots = np.sqrt([own.curvature for own in pulls])
+        jacobian = base.derivatives.few()
+        columns = np.vstack([jacobian, np.diag(roots)])
+        size = np.sqrt(np.sum(np.square(columns), axis=0))
+        pulled = np.array([own.half_slope for own in pulls]) / np.where(roots > 0.0, roots, 1.0)
+        self._residuals = np.concatenate([base.left.few(), pulled])
+        self._samples = len(jacobian)
+        self._fitted = orthonormal(columns[:, size > 0.0] / size[size > 0.0])
+
+    def along(self, change: Array) -> tuple[float, float]:
+        """Of an (r,) change of the residual: the square of what the fit cannot follow, and its product with what is left."""
+        left = self._left(change[:, None])
+        return float(np.sum(np.square(left))), float(left[:, 0] @ self._residuals)
+
+    def gain(self, directions: Array) -> float:
+        """By how much χ² falls where the fit may move along (r, q) directions, too."""
+        axes, sizes, _ = np.linalg.svd(self._left(directions), full_matrices=False)
+        kept = axes[:, (sizes > MOVES_NOTHING) & (sizes > 1e-4 * sizes[0])]
+        return float(np.sum(np.square(gram(np.asarray(kept), self._residuals))))
+
+    def _left(self, directions: Array) -> Array:
+        padded = np.vstack([directions, np.zeros((len(self._fitted) - self._samples, directions.shape[1]))])
+        return np.asarray(padded - self._fitted @ (self._fitted.T @ padded))

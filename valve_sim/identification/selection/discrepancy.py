@@ -1,0 +1,242 @@
+"""What no named effect explains, as a random process beside the model: evidence with it, and how large it is.
+
+No model is exact. A discrepancy with unknown form is added to what each channel shows while the machine moves:
+a Gaussian process in time within each stroke, of standard deviation τ in units of the channel's noise,
+
+    Cov(δ_c(t), δ_c'(t')) = τ² (1/2 + 1/2 [c = c']) exp(−|t − t'| / ℓ)
+
+(Kennedy and O'Hagan, J. R. Stat. Soc. B 63, 2001, p. 425; what its prior has to do with: Brynjarsdóttir and O'Hagan,
+Inverse Problems 30, 2014, 114007). It is seen in sums over blocks of samples, e = J d + U δ + noise with U the
+orthonormal indicator of the blocks, so that the covariance of the whitened residuals is V = 1 + τ² U K Uᵀ, and
+
+    ln p(data | E, τ, ℓ) = −½ min over d of [(e + J d)ᵀ V⁻¹ (e + J d) + priors] − ½ ln |V| + ln volume
+
+In the eigenvectors Q of each stroke's K, with eigenvalues λ, V⁻¹ = 1 − U Q diag(τ²λ/(1 + τ²λ)) Qᵀ Uᵀ: one Gram matrix
+and one rotation of block sums serve all τ and ℓ, over which the evidence is summed with their priors (theory, section
+6). The linearisation holds within 0.3 of ln p where τ ≤ 0.4; beyond, fits are repeated with V in the whitening.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from valve_sim.identification.estimation.condensed import RowPlaces
+from valve_sim.identification.estimation.evidence import log_volume
+from valve_sim.identification.estimation.gram import gram
+from valve_sim.identification.estimation.result import Fit
+from valve_sim.identification.plants.protocol import Array, Plant
+
+BLOCK: Final = 8
+"""Samples in a block: 0.4 ms at 20 kHz."""
+MOST_BLOCKS: Final = 250
+"""In a stroke; of longer ones each block has more samples. Eigenvectors of so many take 20 ms."""
+SIZES: Final = tuple(0.1 * 2.0**power for power in range(10))
+"""τ: 0.1 to 51.2 standard deviations of a sample's noise."""
+SHARED: Final = 0.5
+"""Share of the covariance that is common to all channels."""
+LENGTHS: Final = (0.03, 0.1, 0.4)
+"""ℓ, of the time for which the machine moves in a stroke: 0.3, 1 and 4 ms of an opening's 10 ms."""
+
+_LOG_PRIOR_OF_SIZE: Final = np.log([2.0 / math.pi / (1.0 + size**2) * size * math.log(2.0) for size in SIZES])
+"""A half-Cauchy density of scale 1 on the grid, whose logarithm is even."""
+
+
+class Cell(NamedTuple):
+    """A place on the grid: τ in standard deviations of the noise, and the index of ℓ."""
+
+    size: float
+    length: int
+
+
+class Spread(NamedTuple):
+    """The evidence of a model with a discrepancy.
+
+    Attributes:
+        log_evidence: ln p(data | E, δ), on the scale of `Fit.log_evidence`. cell: the most probable τ and ℓ.
+        size: τ, its posterior mean.
+    """
+
+    log_evidence: float
+    cell: Cell
+    size: float
+
+
+class _Stroke(NamedTuple):
+    """Blocks of one stroke: from `start` to `stop` among all blocks, and by ℓ eigenvalues and eigenvectors of K."""
+
+    start: int
+    stop: int
+    spectra: tuple[tuple[Array, Array], ...]
+
+
+class Discrepancy:
+    """Blocks of the samples in motion of a problem's rows, and the process on them.
+
+    Args:
+        places: of the rows. lengths: ℓ, s.
+
+    Attributes:
+        blocks: how many there are.
+    """
+
+    def __init__(self, places: RowPlaces, lengths: Sequence[float]) -> None:
+        moving = np.flatnonzero(places.moves & (places.steady > 0.0))
+        order = np.lexsort((places.time[moving], places.channel[moving], places.stroke[moving]))
+        self._order = moving[order]
+        strokes, channels = places.stroke[self._order], places.channel[self._order]
+        counts = np.bincount(strokes) if len(strokes) else np.zeros(0, dtype=np.intp)
+        starts: list[int] = []
+        edges = np.flatnonzero(np.diff(strokes) | np.diff(channels)) + 1
+        for first, last in zip([0, *edges.tolist()], [*edges.tolist(), len(strokes)], strict=True):
+            if last > first:
+                size = max(BLOCK, math.ceil(int(counts[strokes[first]]) / MOST_BLOCKS))
+                starts.extend(range(first, last, size))
+        self._starts = np.array(starts, dtype=np.intp)
+        self._sizes = np.diff(np.append(self._starts, len(strokes)))
+        self.blocks = len(starts)
+        self._lengths = tuple(lengths)
+        self._strokes = self._laid_out(places, strokes, channels)
+
+    def _laid_out(
+        self, places: RowPlaces, strokes: NDArray[np.intp], channels: NDArray[np.intp]
+    ) -> list[_Stroke]:
+        if not self.blocks:
+            return []
+        roots = np.sqrt(self._sizes)
+        times = np.add.reduceat(places.time[self._order], self._starts) / self._sizes
+        gains = np.add.reduceat(places.steady[self._order], self._starts) / self._sizes * roots
+        of_stroke, of_channel = strokes[self._starts], channels[self._starts]
+        edges = np.flatnonzero(np.diff(of_stroke)) + 1
+        found = []
+        for start, stop in zip([0, *edges.tolist()], [*edges.tolist(), self.blocks], strict=True):
+            own = slice(start, stop)
+            apart = np.abs(times[own, None] - times[own])
+            alike = np.where(of_channel[own, None] == of_channel[own], 1.0, SHARED) * np.outer(gains[own], gains[own])
+            spectra = []
+            for length in self._lengths:
+                sizes, axes = np.linalg.eigh(alike * np.exp(-apart / length))
+                spectra.append((np.maximum(sizes, 0.0), axes))
+            found.append(_Stroke(start, stop, tuple(spectra)))
+        return found
+
+    def sums(self, rows: Array) -> Array:
+        """Uᵀ of (r, k) columns: (blocks, k)."""
+        if not self.blocks:
+            return np.empty((0, rows.shape[1]))
+        return np.add.reduceat(rows[self._order], self._starts, axis=0) / np.sqrt(self._sizes)[:, None]
+
+    def _rotated(self, sums: Array, length: int) -> tuple[Array, Array]:
+        """Qᵀ of (blocks, k) sums, and the (blocks,) eigenvalues."""
+        rotated, sizes = np.empty_like(sums), np.empty(self.blocks)
+        for stroke in self._strokes:
+            own = slice(stroke.start, stroke.stop)
+            sizes[own], axes = stroke.spectra[length]
+            rotated[own] = axes.T @ sums[own]
+        return rotated, sizes
+
+    def whiten(self, rows: Array, cell: Cell) -> Array:
+        """V^(−1/2) of (r, k) columns."""
+        sums, found = self.sums(rows), rows.copy()
+        rotated, sizes = self._rotated(sums, cell.length)
+        rotated *= (1.0 / np.sqrt(1.0 + cell.size**2 * sizes) - 1.0)[:, None]
+        change = np.empty_like(rotated)
+        for stroke in self._strokes:
+            own = slice(stroke.start, stroke.stop)
+            change[own] = stroke.spectra[cell.length][1] @ rotated[own]
+        spread = np.repeat(change / np.sqrt(self._sizes)[:, None], self._sizes, axis=0)
+        found[self._order] += spread
+        return found
+
+    def log_determinant(self, cell: Cell) -> float:
+        """ln |V|."""
+        spectra = [stroke.spectra[cell.length][0] for stroke in self._strokes]
+        return float(sum(np.sum(np.log1p(cell.size**2 * sizes)) for sizes in spectra))
+
+    def spread(self, result: Fit) -> Spread:
+        """The evidence of a fitted model with a discrepancy, linearised about the fit.
+
+        Args:
+            result: a fit without, or with V of some cell: it says about which values the model is linearised.
+        """
+        whole = np.column_stack([result.derivatives.few(), result.left.few()])
+        of_rows, sums = gram(whole, whole), self.sums(whole)
+        pulls = [own.pull(float(at)) for own, at in zip(result.priors, result.coordinates, strict=True)]
+        priors = np.diag([own.curvature for own in pulls])
+        slopes = np.array([own.half_slope for own in pulls])
+        known = sum(own.log_density(float(at)) for own, at in zip(result.priors, result.coordinates, strict=True))
+        if result.smooth is not None:
+            where = np.array(result.curve, dtype=np.intp)
+            at = result.coordinates[where]
+            priors[np.ix_(where, where)] += result.smooth.precision
+            slopes[where] += result.smooth.precision @ at
+            known += result.smooth.log_density(at)
+        logs = np.empty((len(SIZES), len(self._lengths)))
+        for length in range(len(self._lengths)):
+            rotated, sizes = self._rotated(sums, length)
+            for number, size in enumerate(SIZES):
+                shrunk = rotated * (1.0 - 1.0 / (1.0 + size**2 * sizes))[:, None]
+                of_both = of_rows - rotated.T @ shrunk
+                logs[number, length] = (
+                    _log_evidence(of_both, priors, slopes, result.room)
+                    + known - 0.5 * (result.problem.rows.constant + float(np.sum(np.log1p(size**2 * sizes))))
+                )  # fmt: skip
+        posterior = logs + _LOG_PRIOR_OF_SIZE[:, None] - math.log(len(self._lengths))
+        total = float(logsumexp(posterior))
+        number, length = np.unravel_index(int(np.argmax(posterior)), posterior.shape)
+        shares = np.exp(posterior - total).sum(axis=1)
+        return Spread(total, Cell(SIZES[int(number)], int(length)), float(shares @ np.array(SIZES)))
+
+
+def _log_evidence(of_both: Array, priors: Array, slopes: Array, room: Array) -> float:
+    """−½ of the least criterion of a linearised model, with its volume, but for what is constant.
+
+    Args:
+        of_both: (k + 1, k + 1) Gram matrix of derivatives and residuals. priors: (k, k) curvatures.
+        slopes: (k,) half of the slopes of the priors. room: (k, 2) to the ends of the ranges.
+    """
+    information, pull = of_both[:-1, :-1] + priors, of_both[:-1, -1] + slopes
+    move = bounded_step(information, pull, room)
+    gain = -float(2.0 * pull @ move + move @ information @ move)
+    left = np.column_stack([room[:, 0] + move, room[:, 1] - move])
+    return -0.5 * (float(of_both[-1, -1]) - gain) + log_volume(information, pull + information @ move, left)
+
+
+def bounded_step(information: Array, pull: Array, room: Array) -> Array:
+    """(k,) d of the least 2 gᵀ d + dᵀ A d within −room[:, 0] ≤ d ≤ room[:, 1]; ends are held one after another."""
+    count = len(pull)
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
+    normal = information * np.outer(scale, scale) + 1e-12 * np.eye(count)
+    target, low, high = scale * pull, -room[:, 0] / scale, room[:, 1] / scale
+    move, held = np.zeros(count), np.zeros(count, dtype=bool)
+    for _ in range(count + 1):
+        free = ~held
+        if not free.any():
+            break
+        rest = target[free] + normal[np.ix_(free, held)] @ move[held]
+        move[free] = -np.linalg.solve(normal[np.ix_(free, free)], rest)
+        beyond = free & ((move < low) | (move > high))
+        if not beyond.any():
+            break
+        move[beyond] = np.clip(move[beyond], low[beyond], high[beyond])
+        held |= beyond
+    return np.asarray(move * scale)
+
+
+def lengths_of(plant: Plant, places: RowPlaces) -> tuple[float, ...]:
+    """ℓ, s: shares of the time for which a machine moves in a stroke, by how its samples tell."""
+    steps = [float(np.median(np.diff(channel.times))) for channel in plant.channels if len(channel.times) > 1]
+    strokes = np.unique(places.stroke[places.moves])
+    if not len(strokes) or not steps:
+        return tuple(share for share in LENGTHS)
+    moving = [
+        np.count_nonzero(places.moves & (places.stroke == stroke) & (places.channel == places.channel[places.moves][0]))
+        for stroke in strokes
+    ]
+    # A stroke is there and back.
+    return tuple(share * 0.5 * float(np.median(moving)) * steps[0] for share in LENGTHS)

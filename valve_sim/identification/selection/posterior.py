@@ -1,0 +1,230 @@
+"""The posterior over what may be missing, and the verdict: functions of a table of evidence, and of nothing else.
+
+A hypothesis is a set E of effects and of wrong declared values, with a discrepancy without a name (δ) or without; or a
+smooth curve in place of it. The priors are these, and no other number decides (theory, section 7):
+
+    the form is as declared, 0.95:   how many effects act and how many declared values are wrong are Poisson numbers of
+                                     mean 1 each, δ = 0
+    something unnamed acts, 0.05:    how many named things act beside it is even on 0 … 8; a discrepancy or one curve
+
+Sets of one size are equally probable. The posterior is the product of prior and evidence, normalised over all that was
+tried and what was left untried when the work was used up, which counts with the best evidence that was found.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Final, NamedTuple
+
+FORM_IS_RIGHT: Final = 0.95
+"""Prior probability that nothing acts but what has a name."""
+EXPECTED: Final = 1.0
+"""Effects that act, and declared values that are wrong, before the data are seen: the means of Poisson numbers."""
+MOST_BESIDE: Final = 8
+"""Named things beside something unnamed: 0 to this many are equally probable."""
+SURE: Final = 0.9
+"""Probability from which effects are named."""
+EVEN: Final = 0.5
+"""Probability from which nothing is said to be missing, or something without a name to act."""
+ALIKE: Final = 20.0
+"""Odds within which a set that differs in one member is a look-alike."""
+LARGEST_CLASS: Final = 4
+"""A class of more names is no answer."""
+
+Set = tuple[str, ...]
+"""Names in alphabetical order."""
+
+
+class Evidence(NamedTuple):
+    """What the data say of one set.
+
+    Attributes:
+        plain, unnamed: ln p(data | set) without and with a discrepancy.
+        is_fitted: whether it was fitted; else it is a linear estimate, or the bound of what was left untried.
+    """
+
+    plain: float
+    unnamed: float
+    is_fitted: bool = True
+
+
+class Share(NamedTuple):
+    """Posterior probabilities of a set: without and beside something unnamed."""
+
+    plain: float
+    unnamed: float
+
+    @property
+    def total(self) -> float:
+        """Of the set, whatever acts beside it."""
+        return self.plain + self.unnamed
+
+
+@dataclass(frozen=True)
+class Rivals:
+    """What may be missing: names of effects, and of declared values and declared effects that may be wrong."""
+
+    effects: frozenset[str]
+    declared: frozenset[str]
+
+    def log_prior(self, names: Set) -> tuple[float, float]:
+        """ln of the prior probability of a set, without and with something unnamed beside it."""
+        wrong = sum(name in self.declared for name in names)
+        right = _poisson(len(names) - wrong, len(self.effects)) + _poisson(wrong, len(self.declared))
+        every = len(self.effects) + len(self.declared)
+        beside = -math.log(MOST_BESIDE + 1.0) - _choices(every, len(names))
+        return math.log(FORM_IS_RIGHT) + right, math.log(0.5 * (1.0 - FORM_IS_RIGHT)) + beside
+
+
+def _poisson(count: int, among: int) -> float:
+    """ln of the probability of one set of so many, where how many there are is a Poisson number."""
+    most = [-EXPECTED + size * math.log(EXPECTED) - math.lgamma(size + 1.0) for size in range(among + 1)]
+    return most[count] - math.log(math.fsum(map(math.exp, most))) - _choices(among, count)
+
+
+def _choices(among: int, count: int) -> float:
+    """ln of the number of sets of so many."""
+    return math.lgamma(among + 1.0) - math.lgamma(count + 1.0) - math.lgamma(among - count + 1.0)
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """Probabilities of all that was tried.
+
+    Attributes:
+        shares: of each set. curves: of each smooth curve in place of a discrepancy.
+        fitted: the sets that were fitted: one of these leads.
+    """
+
+    shares: Mapping[Set, Share]
+    curves: tuple[float, ...] = ()
+    fitted: frozenset[Set] = field(default_factory=frozenset)
+
+    @property
+    def unnamed(self) -> float:
+        """Probability that something without a name acts."""
+        return math.fsum(share.unnamed for share in self.shares.values()) + math.fsum(self.curves)
+
+    @property
+    def names(self) -> list[str]:
+        """All names in the sets."""
+        return sorted({name for names in self.shares for name in names})
+
+    def inclusion(self) -> dict[str, float]:
+        """Of each name, the probability that it acts, alone or among others."""
+        return {
+            name: math.fsum(share.total for names, share in self.shares.items() if name in names)
+            for name in self.names
+        }
+
+    def given(self, *, unnamed: bool) -> dict[Set, float]:
+        """Probabilities of the sets given that something unnamed acts beside them, or that nothing does."""
+        parts = {names: share.unnamed if unnamed else share.plain for names, share in self.shares.items()}
+        total = math.fsum(parts.values())
+        return {names: part / total for names, part in parts.items()} if total > 0.0 else parts
+
+
+def posterior_of(
+    rivals: Rivals,
+    table: Mapping[Set, Evidence],
+    curves: Sequence[float] = (),
+    odds_of_unnamed: Mapping[Set, float] | None = None,
+) -> Posterior:
+    """The posterior of a table of evidence.
+
+    Args:
+        rivals: what may be missing. table: of all that was tried, the empty set among it.
+        curves: ln p(data | curve) of smooth curves beside the declared model, the evidence of 0 … all of them even.
+        odds_of_unnamed: of some sets, ln of the factor by which held-out data raise the odds of a discrepancy.
+    """
+    logs: dict[Set, tuple[float, float]] = {}
+    for names, evidence in table.items():
+        plain, unnamed = rivals.log_prior(names)
+        raised = (odds_of_unnamed or {}).get(names, 0.0)
+        logs[names] = plain + evidence.plain, unnamed + evidence.unnamed + raised
+    of_curve = rivals.log_prior(())[1] - math.log(max(1, len(curves)))
+    with_curves = [of_curve + evidence for evidence in curves]
+    most = max([*(max(pair) for pair in logs.values()), *with_curves])
+    total = math.fsum(math.exp(log - most) for log in [*(one for pair in logs.values() for one in pair), *with_curves])
+    shares = {
+        names: Share(math.exp(plain - most) / total, math.exp(unnamed - most) / total)
+        for names, (plain, unnamed) in logs.items()
+    }
+    fitted = frozenset(names for names, evidence in table.items() if evidence.is_fitted)
+    return Posterior(shares, tuple(math.exp(log - most) / total for log in with_curves), fitted)
+
+
+class Class(NamedTuple):
+    """A set, and what cannot be told from it.
+
+    Attributes:
+        names: of the set that leads. others: of each name, those that would do in its place, the likeliest first.
+        probability: of the set and all of these together, among the sets that were weighed.
+    """
+
+    names: Set
+    others: Mapping[str, tuple[str, ...]]
+    probability: float
+
+    @property
+    def is_answer(self) -> bool:
+        """Whether it names something, of few names each."""
+        return bool(self.names) and all(len(others) < LARGEST_CLASS for others in self.others.values())
+
+
+def class_of(weights: Mapping[Set, float], leader: Set) -> Class:
+    """The class of a set: those that differ in one member and whose odds to it are within `ALIKE`."""
+    least, total = weights[leader] / ALIKE, weights[leader]
+    others: dict[str, list[tuple[float, str]]] = {name: [] for name in leader}
+    for names, weight in weights.items():
+        lost, gained = set(leader) - set(names), set(names) - set(leader)
+        if len(lost) == len(gained) == 1 and weight >= least:
+            others[lost.pop()].append((weight, gained.pop()))
+            total += weight
+    return Class(
+        leader, {name: tuple(other for _, other in sorted(found, reverse=True)) for name, found in others.items()}, total
+    )
+
+
+def leader_of(weights: Mapping[Set, float], fitted: Iterable[Set]) -> Set:
+    """The most probable set that was fitted; of equal ones the smallest, by name."""
+    return min(fitted, key=lambda names: (-weights.get(names, 0.0), len(names), names))
+
+
+class Decision(NamedTuple):
+    """What is claimed.
+
+    Attributes:
+        kind: "none", "effects", "unknown" or "insufficient". names, others: as of a `Class`; of "unknown" the leader's.
+        probability: of what is claimed. unnamed: that something without a name acts.
+    """
+
+    kind: str
+    names: Set
+    others: Mapping[str, tuple[str, ...]]
+    probability: float
+    unnamed: float
+
+
+def decide(posterior: Posterior, beside: Class | None = None) -> Decision:
+    """The verdict.
+
+    Args:
+        posterior: of all that was tried.
+        beside: names that stand beside something unnamed, where held-out strokes confirm them (`naming_beside`).
+    """
+    unnamed = posterior.unnamed
+    if unnamed > EVEN:
+        if beside is not None:
+            return Decision("effects", beside.names, beside.others, beside.probability, unnamed)
+        weights = posterior.given(unnamed=True)
+        leading = class_of(weights, leader_of(weights, posterior.fitted))
+        return Decision("unknown", leading.names, leading.others, unnamed, unnamed)
+    weights = {names: share.plain for names, share in posterior.shares.items()}
+    leading = class_of(weights, leader_of(weights, posterior.fitted))
+    if not leading.names and weights[()] >= EVEN:
+        return Decision("none", (), {}, weights[()], unnamed)
+    kind = "effects" if leading.is_answer and leading.probability >= SURE else "insufficient"
+    return Decision(kind, leading.names, leading.others, leading.probability, unnamed)

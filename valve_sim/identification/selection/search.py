@@ -1,0 +1,398 @@
+"""Which sets of effects are fitted, in which order: theory, section 8.
+
+    fit {} with and without errors of the commands' stamps
+    fit singles from several starts, with errors of the stamps where these gain
+    for sizes 1 to 4:
+        B = the most probable set of that size, something unnamed beside it included
+        if nothing unnamed acts beside B, and no addition gains by the score test: stop
+        fit B with each addition; swap each member of the best
+
+Work is counted in simulated strokes, never by a clock, so that a search on a busy machine finds what it finds on a quiet
+one. What it would still have fitted when the work is used up is left in the table with the best evidence found.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from valve_sim.identification.estimation.budget import OutOfWorkError
+from valve_sim.identification.estimation.descent import TRIAL, Effort
+from valve_sim.identification.estimation.parallel import run_parallel
+from valve_sim.identification.estimation.problem import Problem
+from valve_sim.identification.estimation.result import Fit
+from valve_sim.identification.estimation.solver import fit
+from valve_sim.identification.plants.effect_titles import titles_of
+from valve_sim.identification.plants.protocol import EffectChoice, Nuisance
+from valve_sim.identification.selection.discrepancy import Cell, Discrepancy, Spread, lengths_of
+from valve_sim.identification.selection.posterior import EVEN, Evidence, Posterior, Rivals, Set, posterior_of
+from valve_sim.identification.selection.score_test import log_gains
+from valve_sim.identification.selection.starts import effect_starts, robust_cost, starts_from_declared
+from valve_sim.model import SimulationError
+
+LARGEST_SET: Final = 4
+"""Names in a set: larger ones decided nothing in 153 recordings."""
+PROMISING: Final = 0.02
+"""Odds to the set at hand, by the score test, from which an addition is fitted."""
+NEAR: Final = 25.0
+"""Difference in ln p by which a set that is begun may lag behind the best of its size and is still fitted to its end."""
+REFITTED: Final = 10.0
+"""Difference in ln p from the best, within which sets are fitted again beside a discrepancy."""
+BATCH: Final = 4
+"""Sets that are fitted side by side; between batches it is asked whether work is left."""
+LINEAR: Final = 0.4
+"""τ up to which a discrepancy changes fits so little that one linear step is exact to 0.3 in ln p."""
+
+USUAL_WORK: Final = 100_000.0
+"""Simulated strokes, against which progress is shown where the work has no limit."""
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A set that was fitted.
+
+    Attributes:
+        fit: without a discrepancy, with or without errors of the stamps, whichever has more evidence.
+        plain: ln p(data | set), both added. beside: the fit beside a discrepancy. spread: of that.
+    """
+
+    fit: Fit
+    plain: float
+    beside: Fit
+    spread: Spread
+
+    @property
+    def evidence(self) -> Evidence:
+        """As the posterior takes it."""
+        return Evidence(self.plain, self.spread.log_evidence)
+
+
+class Search:
+    """Fits sets to one problem, and keeps what they are worth.
+
+    Args:
+        problem: training data, with the work that may be done. progress: told what is tried, and the fraction done.
+
+    Attributes:
+        tried: by set. untried: sets that were due when the work was used up. impossible: sets that cannot be simulated.
+        begun: sets whose fits were given up, because they could not come near others.
+        screened: of sets that were not fitted because no addition promised anything, ln p by the score test.
+        discrepancy: of the problem. stamps: whether errors of the commands' stamps gain anything.
+    """
+
+    def __init__(self, problem: Problem, progress: Progress | None = None) -> None:
+        self.problem = problem
+        self._say = progress or (lambda what, fraction: None)
+        self.tried: dict[Set, Tried] = {}
+        self.untried: list[Set] = []
+        self.impossible: list[Set] = []
+        self.begun: dict[Set, Tried] = {}
+        self.screened: dict[Set, float] = {}
+        places = problem.rows.places
+        self.discrepancy = Discrepancy(places, lengths_of(problem.plant, places))
+        self.stamps = bool(problem.plant.timing_errors)
+        effects = problem.plant.effects
+        wrong = frozenset(name for name, choice in effects.items() if choice.is_declared_value)
+        self.rivals = Rivals(frozenset(effects) - wrong, wrong)
+        self._costs: dict[frozenset[tuple[str, float]], float] = {}
+
+    # -- what is known -------------------------------------------------------------------------------------------------
+
+    def table(self) -> dict[Set, Evidence]:
+        """Evidence of all that was fitted, begun, screened or left untried."""
+        found = {names: tried.evidence for names, tried in self.tried.items()}
+        base = self.tried[()]
+        for names, tried in self.begun.items():
+            found.setdefault(names, tried.evidence._replace(is_fitted=False))
+        for names, plain in self.screened.items():
+            found.setdefault(names, Evidence(plain, base.spread.log_evidence + plain - base.plain, is_fitted=False))
+        if self.untried:
+            bound = Evidence(
+                max(one.plain for one in self.tried.values()),
+                max(one.spread.log_evidence for one in self.tried.values()), is_fitted=False,
+            )  # fmt: skip
+            found.update({names: bound for names in self.untried if names not in found})
+        return found
+
+    def posterior(self, curves: Sequence[float] = (), raised: Mapping[Set, float] | None = None) -> Posterior:
+        """Of all that was tried."""
+        return posterior_of(self.rivals, self.table(), curves, raised)
+
+    def _log_weight(self, names: Set) -> float:
+        """ln of prior times evidence of a fitted set, whatever acts beside it."""
+        plain, unnamed = self.rivals.log_prior(names)
+        tried = self.tried[names] if names in self.tried else self.begun[names]
+        return float(np.logaddexp(plain + tried.plain, unnamed + tried.spread.log_evidence))
+
+    def _unnamed(self, names: Set) -> float:
+        """Probability that something unnamed acts beside a fitted set, were it the only one."""
+        plain, unnamed = self.rivals.log_prior(names)
+        tried = self.tried[names]
+        return 1.0 / (1.0 + math.exp(min(700.0, plain + tried.plain - unnamed - tried.spread.log_evidence)))
+
+    def best(self, size: int) -> Set | None:
+        """The most probable fitted set of a size."""
+        sized = [names for names in self.tried if len(names) == size]
+        return max(sized, key=self._log_weight, default=None)
+
+    # -- the search ----------------------------------------------------------------------------------------------------
+
+    def run(self) -> None:
+        """Fit what the table of this module says, as far as the work goes.
+
+        Raises:
+            SimulationError: the declared model cannot be simulated.
+        """
+        try:
+            self.fit_declared()
+            for size in range(LARGEST_SET):
+                base = self.best(size)
+                if base is None or not self._extend(base):
+                    break
+            self._refit_near()
+        except OutOfWorkError:
+            pass
+
+    def fit_declared(self) -> None:
+        """Fit the declared model, with and without errors of the stamps; whatever work is left.
+
+        Raises:
+            SimulationError: it cannot be simulated.
+        """
+        self._say("the declared model", 0.0)
+        self.tried[()] = self._tried(())
+
+    def _extend(self, base: Set) -> bool:
+        """Fit a set with each addition that may gain, then swap members of the best; whether to go on from there."""
+        names = [name for name in self.problem.plant.effects if name not in base]
+        explains_all = self._unnamed(base) < EVEN
+        if explains_all:
+            gains = self._gains(base)
+            promising = [name for name in names if gains.get(name, -math.inf) > math.log(PROMISING)]
+            if not base:
+                self._screen(gains, promising)
+            names = promising
+        self._fit_all([_added(base, name) for name in names], base if explains_all else None)
+        best = self.best(len(base) + 1)
+        if best is None or (explains_all and self._log_weight(best) < self._log_weight(base)):
+            return False
+        if len(best) > 1:
+            self._fit_all(list(self._swapped(best)), best if self._unnamed(best) < EVEN else None)
+        return True
+
+    def _screen(self, gains: Mapping[str, float], promising: Sequence[str]) -> None:
+        """Note what the score test says of single effects that are not fitted."""
+        prior = self.rivals.log_prior(())[0]
+        for name in gains.keys() - set(promising):
+            self.screened[(name,)] = self.tried[()].plain + gains[name] + prior - self.rivals.log_prior((name,))[0]
+
+    def _gains(self, base: Set) -> dict[str, float]:
+        """ln of the odds of each addition to a fitted set, by the score test."""
+        log_prior = self.rivals.log_prior(base)[0]
+        found = log_gains(self.tried[base].fit)
+        return {
+            name: gain + self.rivals.log_prior(_added(base, name))[0] - log_prior
+            for name, gain in found.items()
+            if name not in base
+        }
+
+    def _swapped(self, best: Set) -> Iterable[Set]:
+        for member in best:
+            rest = tuple(name for name in best if name != member)
+            for name in self.problem.plant.effects:
+                if name not in best:
+                    yield _added(rest, name)
+
+    def _fit_all(self, sets: Sequence[Set], reference: Set | None) -> None:
+        """Fit sets, those excepted that are begun and cannot come near the best of them or near a reference.
+
+        Args:
+            sets: of one size. reference: a fitted set that explains all there is; None where none does.
+
+        Raises:
+            OutOfWorkError: the work is used up; what was due is in `untried`.
+        """
+        known = {*self.tried, *self.begun, *self.impossible}
+        due = [names for names in dict.fromkeys(sets) if names not in known]
+        fits: dict[Set, list[Fit]] = {}
+        for batch in _batches(due):
+            if self.problem.budget.is_used_up:
+                self.untried.extend(names for names in due if names not in fits)
+                break
+            found = run_parallel(self._begun, batch, lambda names: self._say(words(names), self._done))
+            fits.update(zip(batch, found, strict=True))
+        self.impossible.extend(names for names, own in fits.items() if not own)
+        begun = {names: own for names, own in fits.items() if own}
+        promise = {names: max(map(_promise, own)) for names, own in begun.items()}
+        most = max([*promise.values(), *([self.tried[reference].plain] if reference is not None else [])], default=0.0)
+        if reference is None:
+            # Beside something unnamed plain evidence orders nothing.
+            self._weigh(begun)
+            worth = {names: self._log_weight(names) for names in begun}
+            most_worth = max(worth.values(), default=0.0)
+            kept = [names for names in begun if promise[names] > most - NEAR or worth[names] > most_worth - NEAR]
+        else:
+            kept = [names for names in begun if promise[names] > most - NEAR]
+            self._weigh({names: own for names, own in begun.items() if names not in kept})
+        for batch in _batches(kept):
+            done = run_parallel(lambda names: self._ended(names, begun[names]), batch)
+            self.tried.update(zip(batch, done, strict=True))
+        if self.untried:
+            raise OutOfWorkError("the work is used up")
+
+    def _weigh(self, begun: Mapping[Set, Sequence[Fit]]) -> None:
+        """Note what sets are worth as far as they were fitted."""
+        done = run_parallel(lambda names: self._weighed(names, begun[names]), list(begun))
+        self.begun.update(zip(begun, done, strict=True))
+
+    @property
+    def _done(self) -> float:
+        """Fraction of the work that is done, or of what a search of pairs usually takes."""
+        budget = self.problem.budget
+        return min(0.9, budget.spent / min(budget.strokes, USUAL_WORK))
+
+    # -- fits ----------------------------------------------------------------------------------------------------------
+
+    def _variants(self) -> list[tuple[Nuisance, ...]]:
+        """Nuisances without, and with, errors of the commands' stamps where these gain."""
+        plant = self.problem.plant
+        plain = tuple(plant.nuisances)
+        return [plain, (*plain, *plant.timing_errors)] if self.stamps else [plain]
+
+    def _tried(self, names: Set) -> Tried:
+        fits = self._begun(names)
+        if not fits:
+            raise SimulationError(f"{words(names)}: the model cannot be simulated from any start of the fit")
+        return self._ended(names, fits)
+
+    def _begun(self, names: Set) -> list[Fit]:
+        """The best begun fit of each variant; none where the machine cannot be simulated."""
+        found = []
+        for nuisances in self._variants():
+            begun = [self._attempt(names, nuisances, start, Effort(most=TRIAL)) for start in self._starts(names)]
+            fits = [one for one in begun if one is not None]
+            if fits:
+                found.append(min(fits, key=lambda one: one.chi2))
+        return found
+
+    def _ended(self, names: Set, begun: Sequence[Fit]) -> Tried:
+        """Fits carried to their end, with their evidence."""
+        done = []
+        for one in begun:
+            if one.converged:
+                done.append(one)
+            else:
+                done.append(self._attempt(names, one.nuisances, one, Effort(made=TRIAL)) or one)
+        return self._weighed(names, done)
+
+    def _weighed(self, names: Set, done: Sequence[Fit]) -> Tried:
+        """Fits with and without errors of the stamps, with their evidence."""
+        if not names and len(done) > 1:
+            # Without any effect it shows whether stamps err: where they do not, errors of theirs only cost power.
+            self.stamps = done[1].log_evidence > done[0].log_evidence - math.log(1.0 / PROMISING)
+        prior = -math.log(len(done))
+        best = max(done, key=lambda one: one.log_evidence)
+        plain = float(np.logaddexp.reduce([one.log_evidence + prior for one in done]))
+        spreads = [self.discrepancy.spread(one) for one in done]
+        total = float(np.logaddexp.reduce([one.log_evidence + prior for one in spreads]))
+        leading = int(np.argmax([one.log_evidence for one in spreads]))
+        return Tried(best, plain, done[leading], spreads[leading]._replace(log_evidence=total))
+
+    def _refit_near(self) -> None:
+        """Fit what is near the best again beside a discrepancy, where this bends the fits."""
+        if self.posterior().unnamed < PROMISING:
+            return
+        least = max(map(self._log_weight, self.tried)) - REFITTED
+        near = [names for names in self.tried if self._log_weight(names) > least]
+        found = run_parallel(self._beside, near, lambda names: self._say(words(names), 0.9))
+        self.tried.update(zip(near, found, strict=True))
+
+    def _beside(self, names: Set) -> Tried:
+        """A set with its fit beside the most probable discrepancy."""
+        tried = self.tried[names]
+        for _ in range(2):
+            cell = tried.spread.cell
+            if cell.size <= LINEAR:
+                break
+            whitening = self._whitening(cell)
+            problem = self.problem.with_whitening(whitening)
+            try:
+                found = fit(
+                    problem, tried.beside.free, tried.beside.values, nuisances=tried.beside.nuisances,
+                    effort=Effort(is_near=True),
+                )  # fmt: skip
+            except SimulationError:
+                break
+            spread = self.discrepancy.spread(found)
+            tried = Tried(tried.fit, tried.plain, found, spread)
+            if spread.cell == cell:
+                break
+        return tried
+
+    def _whitening(self, cell: Cell) -> Callable[[np.ndarray], np.ndarray]:
+        return lambda rows: self.discrepancy.whiten(rows, cell)
+
+    def _starts(self, names: Set) -> list[Mapping[str, float]]:
+        """Where fits of a set start: from the best smaller set that was fitted, and from all else as declared."""
+        plant = self.problem.plant
+        if not names:
+            tripled = {name: 3.0 * plant.declared(name) for name in plant.base}
+            return [{}, tripled] if plant.base else [{}]
+        smaller = [(name, rest) for name in names if (rest := _without(names, name)) in self.tried]
+        added, rest = max(smaller, key=lambda pair: self._log_weight(pair[1])) if smaller else (names[-1], ())
+        effect: EffectChoice = plant.effects[added]
+        warm = self.tried[rest].fit.values
+        starts: list[Mapping[str, float]] = [{**warm, **start} for start in effect_starts(self._cost, effect, warm)]
+        free = [*itertools.chain(*(plant.effects[name].free_names() for name in rest))]
+        known = {name: warm[name] for name in free}
+        starts += starts_from_declared(self._cost, effect, known)
+        return starts + ([{**warm, **effect.start}] if effect.start else [])
+
+    def _cost(self, values: Mapping[str, float]) -> float:
+        """By which starts are ranked."""
+        key = frozenset(values.items())
+        if key not in self._costs:
+            self._costs[key] = robust_cost(self.problem, values)
+        return self._costs[key]
+
+    def _attempt(
+        self, names: Set, nuisances: Sequence[Nuisance], start: Mapping[str, float] | Fit, effort: Effort
+    ) -> Fit | None:
+        try:
+            return fit(self.problem, self.free_names(names), start, nuisances=nuisances, effort=effort)
+        except SimulationError:
+            return None
+
+    def free_names(self, names: Set) -> tuple[str, ...]:
+        """What a set frees."""
+        plant = self.problem.plant
+        return (*plant.base, *itertools.chain(*(plant.effects[name].free_names() for name in names)))
+
+
+def words(names: Set) -> str:
+    """A set, for people."""
+    return titles_of(names) if names else "the declared model"
+
+
+def _promise(result: Fit) -> float:
+    """What ln p of a fit that has not ended may come to."""
+    return result.log_evidence if result.converged else result.log_evidence + 0.5 * max(0.0, result.chi2 - result.reach)
+
+
+def _added(names: Set, name: str) -> Set:
+    return tuple(sorted((*names, name)))
+
+
+def _without(names: Set, name: str) -> Set:
+    return tuple(other for other in names if other != name)
+
+
+def _batches(sets: Sequence[Set]) -> Iterable[Sequence[Set]]:
+    return (sets[start : start + BATCH] for start in range(0, len(sets), BATCH))
