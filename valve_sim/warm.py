@@ -43,7 +43,7 @@ def _warm_fits() -> None:
     """Residuals, and derivatives: all that a run has room for, or the first few of it."""
     white, shown = np.empty((2, 1)), np.zeros((2, 2))
     for columns in (shown[:, :1], shown[:, :1].copy()):
-        Noise(1.0, 1.0, (), 0.0, 1.0, 0).whiten_into(white, columns, np.ones(2))
+        Noise(1.0, 1.0, (), 0.0, 0).whiten_into(white, columns, np.ones(2))
 
 
 def _warm_derivatives(valve: Valve, drive: Drive) -> None:

@@ -8,7 +8,7 @@ from typing import Final
 from valve_sim.fleet.figures import followed_columns, valve_columns, with_errors_of_stamps
 from valve_sim.fleet.units import Row
 from valve_sim.identification.diagnosis.outcome import Diagnosis
-from valve_sim.identification.diagnosis.run import Begun, begin
+from valve_sim.identification.diagnosis.run import DiagnosisSession, begin
 from valve_sim.identification.estimation.budget import Budget
 from valve_sim.identification.estimation.declared_values import declared_values, out_of_tolerance
 from valve_sim.identification.estimation.result import Fit, rmse
@@ -20,11 +20,11 @@ from valve_sim.model import Valve
 from valve_sim.traces import Trace, stroke_starts
 
 
-def refitted(trace: Trace, declared: Valve, budget: Budget) -> tuple[Begun, Fit]:
+def refitted(trace: Trace, declared: Valve, budget: Budget) -> tuple[DiagnosisSession, Fit]:
     """The first stage: a diagnosis that has begun, and the declared valve as it is fitted to every bag.
 
     Raises:
-        OutOfTimeError: the budget is used up before. SimulationError: the declared valve cannot be simulated.
+        SimulationError: the declared valve cannot be simulated.
     """
     begun = begin(ValvePlant([trace], declared), budget=budget)
     return begun, with_errors_of_stamps(begun.declared)

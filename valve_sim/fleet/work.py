@@ -108,7 +108,7 @@ def _diagnosed(unit: Unit, place: Path, output: Path) -> tuple[Row, dict[str, st
     trace = read_trace(place, unit.valve)
     refuse_doubtful_units(trace, unit.declared.parameters)
     trace = dataclasses.replace(trace, source=f"{unit.bag.source} ({unit.valve})")
-    budget = Budget(unit.options.budget, time.process_time)
+    budget = Budget.of_seconds(unit.options.budget)
     with threads_limited_to(1):
         begun, followed = refitted(trace, unit.declared, budget)
         if not unit.options.search:

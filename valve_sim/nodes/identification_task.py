@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -126,26 +125,22 @@ def _objection_to(result: Identification) -> str:
 def _diagnosed(trace: Trace, declared: Valve, settings: Settings, folder: Path, progress: Progress) -> Outcome:
     # Imported where it is needed: it takes half a second.
     from valve_sim.identification.diagnosis.run import diagnose
+    from valve_sim.identification.diagnosis.trust import objection_to
     from valve_sim.identification.estimation.budget import Budget
-    from valve_sim.identification.plants.valve import ValvePlant
     from valve_sim.identification.reporting.diagnosis_json import to_json
     from valve_sim.identification.reporting.recording_profile import write_record_next
     from valve_sim.identification.reporting.summary import summarise
 
-    # The first prediction after an installation compiles the model, which no budget is meant for.
-    ValvePlant([trace], declared).predict({})
-    result = diagnose([trace], [], declared, progress, Budget(settings.budget, time.monotonic))
+    result = diagnose([trace], [], declared, progress, Budget.of_seconds(settings.budget))
     file = folder / CORRECTED_FILE
     summary, report = summarise(result), to_json(result)
     provenance = _provenance(settings, summary)
     save_valve(file, result.valve, provenance)
     advice = write_record_next(folder, result, provenance)
     offset = result.after.fit.values.get("clock_offset[0]", 0.0)
-    after, kind = result.after, result.verdict.kind
-    objection = "" if kind in _NAMED else f"the verdict is {kind!r}"
-    if not objection and not after.adequacy.is_white:
-        objection = "the residual is not white"
-    return Outcome(result.valve, offset, report, file, summary, after.intervals, objection, advice)
+    kind = result.verdict.kind
+    objection = objection_to(result) if kind in _NAMED else f"the verdict is {kind!r}"
+    return Outcome(result.valve, offset, report, file, summary, result.after.intervals, objection, advice)
 
 
 def _provenance(settings: Settings, summary: str) -> str:

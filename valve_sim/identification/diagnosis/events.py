@@ -24,8 +24,8 @@ from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.event_table import EventPlant, EventTable, reached
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.identification.plants.valve import DAMPINGS
-from valve_sim.identification.selection.hypotheses import Search
-from valve_sim.identification.selection.table import Hypothesis
+from valve_sim.identification.selection.posterior import Set
+from valve_sim.identification.selection.search import Search
 from valve_sim.model import CATALOGUE, Drive, EventKind, ParameterError, Response, Tolerances, Valve, simulate
 
 Progress = Callable[[str, float], None]
@@ -204,7 +204,7 @@ def diagnose_events(table: EventTable, progress: Progress | None = None) -> Even
 def event_problem(plant: EventPlant) -> Problem:
     """The fit's problem, with the table's uncertainties for noise."""
     noises = {
-        channel.kind: Noise(event.uncertainty, event.uncertainty, (), 0.0, 1.0, 0)
+        channel.kind: Noise(event.uncertainty, event.uncertainty, (), 0.0, 0)
         for channel, event in zip(plant.channels, plant.table.events, strict=True)
     }
     return Problem(plant, noises=noises)
@@ -212,11 +212,11 @@ def event_problem(plant: EventPlant) -> Problem:
 
 def _candidate(plant: EventPlant, search: Search, effects: Sequence[str]) -> Candidate:
     """The best fit of some effects, tried again from scattered starts where it misses although the valve opens."""
-    hypothesis = Hypothesis(tuple(sorted(effects)))
-    result = search.fit(hypothesis)
+    names: Set = tuple(sorted(effects))
+    result = search.fit(names)
     times = plant.times(result.values)
     if effects and not _meets(plant, times) and not any(math.isnan(time) for time in times):
-        result = search.polish(hypothesis)
+        result = search.fit(names, polish=True)
     return _as_candidate(plant, effects, result.values)
 
 

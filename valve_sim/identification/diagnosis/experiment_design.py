@@ -99,7 +99,7 @@ def _left_of(experiment: Experiment, truth: Fit, rival: Fit) -> float:
     movable = {*rival.free, *(nuisance.name for nuisance in nuisances)}
     fixed = {name: value for name, value in _machine(rival).items() if name not in movable}
     refit = fit(problem, rival.free, rival.values, nuisances=nuisances, fixed=fixed)
-    return math.sqrt(refit.chi2 / problem.variance_inflation)
+    return math.sqrt(refit.chi2)
 
 
 def _machine(result: Fit) -> dict[str, float]:

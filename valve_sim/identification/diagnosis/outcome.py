@@ -9,10 +9,9 @@ from valve_sim.identification.diagnosis.experiment_design import Recommendation
 from valve_sim.identification.estimation.declared_values import DeclaredValue, declared_values, estimated_valve
 from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.identification.estimation.result import Fit
-from valve_sim.identification.plants.protocol import Plant
+from valve_sim.identification.plants.protocol import Array, Plant
 from valve_sim.identification.plants.stroke_choice import StrokeChoice
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.selection.bootstrap import FalseAlarm
 from valve_sim.identification.selection.detection_limits import Limits
 from valve_sim.identification.selection.force_maps import Unexplained
 from valve_sim.identification.selection.residual_tests import Adequacy
@@ -20,45 +19,37 @@ from valve_sim.model import Valve
 
 
 @dataclass(frozen=True)
-class Grounds:
-    """What a verdict is drawn from, beside its evidence.
+class Verdict:
+    """What is claimed; the fields but the last three are those of report.json.
 
     Attributes:
-        best: effects of the hypothesis that stands, whether they are claimed or not.
-        has_remainder: whether something is left that no effect explains.
-        share: of the squared residual of the refitted declared model, what `best` explains, 0 to 1.
-        places: where a force at that place alone would explain the data about as well, e.g. "x 0 to 0.146 mm".
+        kind: "none", "effects", "unknown" or "insufficient".
+        effects: what is named; of "unknown" and "insufficient" the nearest names, which are not claimed.
+        confusable_with: of each, what would do in its place.
+        probability: posterior, of what is claimed: of "effects" and "insufficient" that the set or its class acts,
+            of "none" that nothing does, of "unknown" that something without a name does.
+        unnamed: posterior probability that something without a name acts.
+        share: of the squared error of the refitted declared model beyond noise, what the named effects explain, 0 to 1.
         strokes: how many were recorded.
-        singles_untried: whether the time was too short to try even each effect by itself.
-    """
-
-    best: tuple[str, ...]
-    has_remainder: bool
-    share: float
-    places: tuple[str, ...]
-    strokes: int
-    singles_untried: bool
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """What is claimed; the fields but `grounds` are those of report.json.
-
-    `evidence` is the share of the claim in the evidence of all that was tried; `probability` is how often a claim with
-    such a share was right on the campaign.
     """
 
     kind: str
     effects: tuple[str, ...]
     confusable_with: Mapping[str, tuple[str, ...]]
-    evidence: float
     probability: float
-    grounds: Grounds
+    unnamed: float
+    share: float
+    strokes: int
+
+    @property
+    def has_remainder(self) -> bool:
+        """Whether something without a name is likelier to act than not."""
+        return self.unnamed > 0.5
 
     @property
     def is_open(self) -> bool:
         """Whether a further recording could tell more."""
-        has_rivals = self.grounds.has_remainder or any(self.confusable_with.values())
+        has_rivals = self.has_remainder or any(self.confusable_with.values())
         return self.kind in ("unknown", "insufficient") or (self.kind == "effects" and has_rivals)
 
 
@@ -67,15 +58,22 @@ class State:
     """A fitted model on training and held-out data.
 
     Attributes:
-        fit: on the training data. holdout: the same values on held-out data, nuisances estimated; or None.
+        fit: on the training data.
+        holdout: its machine's values on held-out data, the errors of that recording estimated; None without hold-out.
         train_rmse, holdout_rmse: in the response's unit, m for a valve; nan where there is no hold-out.
-        adequacy: of the training residuals. intervals: of every freed parameter.
+        train_predicted, holdout_predicted: the standard deviations that the posterior predicts of these.
+        bands: of each judged channel of the training data, (n,) standard deviation of what is predicted.
+        adequacy: of the training residuals; it informs, and decides nothing.
+        intervals: of every freed parameter.
     """
 
     fit: Fit
     holdout: Fit | None
     train_rmse: float
     holdout_rmse: float
+    train_predicted: float
+    holdout_predicted: float
+    bands: Mapping[int, Array]
     adequacy: Adequacy
     intervals: Mapping[str, Interval]
 
@@ -84,8 +82,7 @@ class State:
 class Rival:
     """A model that competes with the corrected one.
 
-    `fit` and `holdout` are as of a `State`; `weight` is its likelihood over that of the corrected model, with the price
-    of its parameters, and at most 1.
+    `fit` and `holdout` are as of a `State`; `weight` is its posterior odds to the corrected model, at most 1.
     """
 
     fit: Fit
@@ -95,11 +92,22 @@ class Rival:
 
 @dataclass(frozen=True)
 class Candidate:
-    """One hypothesis that was tried."""
+    """One set that was fitted.
+
+    Attributes:
+        effects: the set. timing: whether errors of the commands' stamps were estimated along.
+        probability: posterior, whatever acts beside it. unnamed: the part of that beside something unnamed.
+        log_evidence: ln p(data | set), without a discrepancy.
+        delta_bic: −2 ln of its evidence over that of the declared model.
+        train_rmse, holdout_rmse: as of a `State`. intervals: of every freed parameter.
+    """
 
     effects: tuple[str, ...]
     timing: bool
-    delta_score: float
+    probability: float
+    unnamed: float
+    log_evidence: float
+    delta_bic: float
     train_rmse: float
     holdout_rmse: float
     intervals: Mapping[str, Interval]
@@ -109,11 +117,19 @@ class Candidate:
 class Diagnosis:
     """The outcome of `diagnose_plant`.
 
-    `recommendation` is the experiment that separates the competing models best, where one does; `untried` is what was
-    left untried when the time was used up, or could not be simulated; `looks` is how often held-out data were opened to
-    judge a choice; `detection_limits` is, where nothing is missing, how large each effect would have to be to show;
-    `choice` is which strokes of a long recording were looked at, None for all of them;
-    `rivals` are named of a valve that is seen through its current alone, whose positions they leave open.
+    Attributes:
+        plant: the training data. before, after: the refitted declared model, and the corrected one.
+        verdict: what is claimed. candidates: what was fitted, the most probable first.
+        inclusion: of each name the posterior probability that it acts.
+        unexplained: what is left without a name, as a force; None where nothing is. maps: all such forces.
+        sources: what was read. recommendation: the experiment that separates the competing models best, where one does.
+        held_out_gain: ln of how much more probable the corrected model makes held-out strokes, beside a discrepancy; nan
+            where nothing is held out.
+        untried: what was left untried when the work was used up, or cannot be simulated.
+        work: simulated strokes, derivatives counted. allowed: how many were allowed; infinite without a limit.
+        detection_limits: where nothing is missing, how large each effect would have to be to be named.
+        rivals: of a valve that is seen through its current alone, models that leave its positions open.
+        choice: which strokes of a long recording were looked at; None for all of them.
     """
 
     plant: Plant
@@ -121,13 +137,15 @@ class Diagnosis:
     after: State
     verdict: Verdict
     candidates: tuple[Candidate, ...]
+    inclusion: Mapping[str, float]
     unexplained: Unexplained | None
     maps: tuple[Unexplained, ...]
-    false_alarm: FalseAlarm
     sources: tuple[str, ...] = ()
     recommendation: Recommendation | None = None
+    held_out_gain: float = float("nan")
     untried: tuple[str, ...] = ()
-    looks: int = 0
+    work: float = 0.0
+    allowed: float = float("inf")
     detection_limits: Limits = field(default_factory=dict)
     rivals: tuple[Rival, ...] = ()
     choice: StrokeChoice | None = None

@@ -1,14 +1,14 @@
 """Close the loop: trace the residual to the missing effect, add it, report the error before and after.
 
-Base fit, test of its residual, refit of the whole catalogue inside the simulator, forward selection with swaps and
-backward elimination, competing models, force maps for what has no name: all on training strokes alone. Effects, timing
-errors and force maps are compared on one scale, the score S of `result`, and timing errors of single commands pay the
-Occam factor of their prior instead of being tried last. Then held-out strokes are opened, and may refute the choice.
+The declared model is refitted, sets of effects are fitted beside it (`selection.search`), and the posterior over all of
+them (`selection.posterior`) says what is missing, or that something without a name acts. Held-out strokes are predicted
+with everything that training has estimated; they may raise the odds of something unnamed, and nothing else.
 """
 
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final, NamedTuple
@@ -16,38 +16,55 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.identification.diagnosis.conclusion import Conclusion, Named
-from valve_sim.identification.diagnosis.outcome import Candidate, Diagnosis, Grounds, State, Verdict
-from valve_sim.identification.estimation.budget import Budget, OutOfTimeError
+from valve_sim.identification.diagnosis.experiment_design import Recommendation, recommend
+from valve_sim.identification.diagnosis.outcome import Candidate, Diagnosis, Rival, State, Verdict
+from valve_sim.identification.diagnosis.trust import PREDICTS_BETTER
+from valve_sim.identification.estimation.budget import Budget
+from valve_sim.identification.estimation.followed_positions import follows_positions
+from valve_sim.identification.estimation.intervals import Interval, covariance_interval, profile_interval
 from valve_sim.identification.estimation.noise import Noise
 from valve_sim.identification.estimation.problem import Mask, Problem
 from valve_sim.identification.estimation.result import Fit, rmse
 from valve_sim.identification.estimation.solver import fit
+from valve_sim.identification.plants.hold_out import held_out_strokes
 from valve_sim.identification.plants.protocol import Plant, strokes_of_plant
 from valve_sim.identification.plants.stroke_choice import choose_strokes
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.selection.current_check import current_noise_inflation
-from valve_sim.identification.selection.held_out import HeldOut
-from valve_sim.identification.selection.hypotheses import Progress, Search
+from valve_sim.identification.selection.detection_limits import detection_limits
+from valve_sim.identification.selection.force_maps import (
+    NonparametricFit,
+    Unexplained,
+    competing_curves,
+    describe,
+    fit_maps,
+    on_top,
+)
+from valve_sim.identification.selection.posterior import (
+    LARGEST_CLASS,
+    SURE,
+    Class,
+    Decision,
+    Posterior,
+    Set,
+    class_of,
+    decide,
+    leader_of,
+)
+from valve_sim.identification.selection.prediction import HeldOut, predicted
+from valve_sim.identification.selection.residual_tests import adequacy
+from valve_sim.identification.selection.search import PROMISING, Progress, Search, words
 from valve_sim.identification.selection.starts import start_near_off
-from valve_sim.identification.selection.stepwise import Exploration
-from valve_sim.identification.selection.table import Hypothesis
 from valve_sim.model import SimulationError, Valve
 from valve_sim.traces import Trace
 
-__all__ = ["Begun", "Candidate", "Diagnosis", "Grounds", "State", "Verdict", "begin", "diagnose", "diagnose_plant"]
-
-EVERY_FOURTH: Final = 4
-"""Every fourth stroke is held out where no hold-out bag is given."""
-CURRENT_CHECKED_BY: Final = 0.2
-"""The share of the time within which the current is tested: can the effects of the coil explain it?"""
-BEGUN_BY: Final = 0.8
-"""The share of the time within which the declared model must be fitted: without it there is no diagnosis."""
-EXPLORED_BY: Final = 0.65
-"""The share of the time after which no further hypothesis is tried; the rest is for the conclusion."""
+__all__ = ["Candidate", "Diagnosis", "DiagnosisSession", "State", "Verdict", "begin", "diagnose", "diagnose_plant"]
 
 SAMPLES_EACH: Final = 10
 """Samples for each parameter, below which a model with all effects would explain noise, too."""
+LISTED: Final = 30
+"""Most candidates in the report."""
+EXPLAINS: Final = 0.3
+"""Share of what the declared model leaves beyond noise that such a name must explain."""
 
 
 def diagnose(
@@ -66,11 +83,10 @@ def diagnose(
         holdout: other recordings of the same valve, or none: strokes are held out inside.
         valve: the declared valve.
         progress: told what is being tried, and the fraction done.
-        budget: how long it may take, e.g. `Budget(60.0, time.monotonic)`; default as long as it takes.
-        is_full: whether effects are tried where the declared valve leaves nothing to be found, too.
+        budget: how much work it may do; default as much as it takes.
+        is_full: whether every effect is fitted where the declared valve leaves nothing to be found, too.
 
     Raises:
-        OutOfTimeError: the budget is used up before the declared valve could be fitted.
         SimulationError: the declared valve cannot be simulated.
     """
     fitted, choice = choose_strokes(traces)
@@ -87,33 +103,16 @@ def diagnose_plant(
     *,
     is_full: bool = False,
 ) -> Diagnosis:
-    """The same for any plant; `holdout` is the same machine with other data."""
-    return begin(plant, holdout, progress, budget).end(is_full=is_full)
+    """Trace the residual of any plant to the effect it lacks.
 
+    Args:
+        plant: the machine with its training data. holdout: the same machine with other data, or None.
+        progress, budget, is_full: as of `diagnose`.
 
-class Begun(NamedTuple):
-    """A diagnosis of which the declared model has been fitted, and nothing else tried yet.
-
-    Attributes:
-        declared: that fit. exploration: the search. held_out: what judges it. budget: of the whole.
+    Raises:
+        SimulationError: the declared model cannot be simulated.
     """
-
-    declared: Fit
-    exploration: Exploration
-    held_out: HeldOut
-    budget: Budget
-
-    def end(self, *, is_full: bool = False) -> Diagnosis:
-        """Search for what is missing, and conclude."""
-        with self.budget.until(EXPLORED_BY):
-            self.exploration.explore(is_full=is_full)
-        return Conclusion(self.exploration, self.held_out).conclude()
-
-    def name(self) -> Named:
-        """The same without what a report has beside the verdict: errors and intervals of all that was tried."""
-        with self.budget.until(EXPLORED_BY):
-            self.exploration.explore()
-        return Conclusion(self.exploration, self.held_out).name()
+    return begin(plant, holdout, progress, budget).end(is_full=is_full)
 
 
 def begin(
@@ -123,7 +122,7 @@ def begin(
     budget: Budget | None = None,
     *,
     least: Mapping[str, float] | None = None,
-) -> Begun:
+) -> DiagnosisSession:
     """The first part of `diagnose_plant`: the declared model, refitted.
 
     Args:
@@ -131,51 +130,242 @@ def begin(
         least: standard deviations by kind of channel, which count where the data show less noise.
 
     Raises:
-        OutOfTimeError: the budget is used up before. SimulationError: the declared model cannot be simulated.
+        SimulationError: the declared model cannot be simulated.
     """
     budget = budget or Budget.unlimited()
-    with budget.until(BEGUN_BY):
-        return _begun(plant, holdout, progress, budget, least or {})
-
-
-def _with_least(problem: Problem, least: Mapping[str, float]) -> Problem:
-    """The same with white noise of at least these standard deviations."""
-    known = problem.noises.items()
-    quiet = {kind: noise for kind, noise in known if noise.samples and noise.sigma < least.get(kind, 0.0)}
-    return problem.with_noises(
-        {kind: Noise(least[kind], least[kind], (), noise.step, 1.0, noise.samples) for kind, noise in quiet.items()}
-    )
-
-
-def _begun(
-    plant: Plant, holdout: Plant | None, progress: Progress | None, budget: Budget, least: Mapping[str, float]
-) -> Begun:
     train_mask, holdout_mask = _split(plant) if holdout is None else (None, None)
-    problem = _with_least(Problem(plant, train_mask, budget=budget), least)
+    problem = _with_least(Problem(plant, train_mask, budget=budget), least or {})
     never_still = [kind for kind, noise in problem.noises.items() if noise.samples == 0]
     if never_still:
         problem = problem.with_noise_left_by(_largest_fit(problem).values)
-    # Weighted by its sensor's noise alone, a current of another form would bias the fit of the motion.
-    actuation = {channel.kind for channel in plant.channels if channel.role == "actuation"}
-    with budget.until(CURRENT_CHECKED_BY):
-        inflation = current_noise_inflation(problem)
     held_out = None
     if holdout is not None:
         held_out = Problem(holdout, budget=budget).with_noises({kind: problem.noises[kind] for kind in never_still})
-        held_out = _with_least(held_out, least)
+        held_out = _with_least(held_out, least or {})
     elif holdout_mask is not None:
         held_out = problem.restricted(holdout_mask)
-    for kind in sorted(actuation):
-        problem = problem.with_inflated_noise(kind, inflation)
-        held_out = None if held_out is None else held_out.with_inflated_noise(kind, inflation)
     search = Search(problem.condensed(), progress)
-    try:
-        search.fit(Hypothesis(()))
-    except OutOfTimeError:
-        # From one start it may be fitted all the same.
-        if Hypothesis(()) not in search.log:
-            raise
-    return Begun(search.log[Hypothesis(())], Exploration(search), HeldOut(plant, held_out), budget)
+    search.fit_declared()
+    return DiagnosisSession(search, HeldOut(held_out), progress or (lambda what, fraction: None))
+
+
+class VerdictWithIntervals(NamedTuple):
+    """A verdict, and the intervals of what it frees, by name."""
+
+    verdict: Verdict
+    intervals: Mapping[str, Interval]
+
+
+class DiagnosisSession:
+    """A diagnosis of which the declared model has been fitted, and nothing else tried yet.
+
+    Args:
+        search: of the training data. held_out: what is predicted. say: told what is being done, and the fraction done.
+    """
+
+    def __init__(self, search: Search, held_out: HeldOut, say: Progress) -> None:
+        self._search, self._held_out, self._say = search, held_out, say
+        self._plant = search.problem.plant
+        self._strokes = len(strokes_of_plant(self._plant))
+        self._curves: list[NonparametricFit] = []
+
+    @property
+    def declared(self) -> Fit:
+        """The refitted declared model."""
+        return self._search.tried[()].fit
+
+    def name(self) -> VerdictWithIntervals:
+        """Search, and decide: what a diagnosis names, and nothing of what a report has beside."""
+        self._search.run()
+        _, decision = self._decided()
+        result = self._fit_of(decision)
+        exact = covariance_interval if decision.unnamed > PROMISING else _profile
+        return VerdictWithIntervals(self._verdict(decision), {name: exact(result, name) for name in result.free})
+
+    def end(self, *, is_full: bool = False) -> Diagnosis:
+        """Search, decide, and describe the result; `is_full` as of `diagnose`."""
+        self._search.run(is_full=is_full)
+        posterior, decision = self._decided()
+        self._say("intervals", 0.95)
+        base, result = self.declared, self._fit_of(decision)
+        verdict = self._verdict(decision)
+        before = self._state(base, profile=False)
+        size = self._search.tried[decision.names].spread.size if verdict.has_remainder else 0.0
+        after = before if result is base else self._state(result, profile=verdict.kind == "effects", size=size)
+        unexplained, maps = self._unexplained(verdict, result)
+        limits = detection_limits(base, self._search.rivals) if verdict.kind == "none" else {}
+        budget = self._search.problem.budget
+        return Diagnosis(
+            self._plant, before, after, verdict, self._candidates(posterior), posterior.inclusion(), unexplained, maps,
+            tuple(channel.name for channel in self._plant.channels), self._recommendation(verdict, decision),
+            self._held_out_gain(base, result),
+            tuple(map(words, [*self._search.untried, *self._search.impossible])), budget.spent, budget.strokes, limits,
+            self._rivals(posterior, decision, result),
+        )  # fmt: skip
+
+    # -- what is claimed -----------------------------------------------------------------------------------------------
+
+    def _decided(self) -> tuple[Posterior, Decision]:
+        """The posterior with curves and held-out odds, and the decision."""
+        posterior = self._search.posterior()
+        if posterior.unnamed > PROMISING:
+            self._curves = competing_curves(self.declared, self._say)
+        curves = [entry.fit.log_evidence for entry in self._curves]
+        best = leader_of({names: share.total for names, share in posterior.shares.items()}, posterior.fitted)
+        raised = {best: self._held_out.log_odds_of_unnamed(self._search.tried[best].fit)}
+        posterior = self._search.posterior(curves, raised)
+        beside = self._beside(posterior) if posterior.unnamed > 0.5 else None
+        return posterior, decide(posterior, beside)
+
+    def _beside(self, posterior: Posterior) -> Class | None:
+        """Names that stand beside something unnamed: theory, section 9; None where none does.
+
+        A force of the catalogue may imitate an unnamed one. So the names must lead given a discrepancy, and given a
+        discrepancy or a smooth curve; they must predict held-out strokes better, and explain a good part of the error.
+        """
+        weights = posterior.given(unnamed=True)
+        leading = class_of(weights, leader_of(weights, posterior.fitted))
+        if not leading.is_answer or leading.probability < SURE or self._held_out.problem is None:
+            return None
+        base, best = self._search.tried[()].beside, self._search.tried[leading.names].beside
+        before, after = self._held_out.log_density(base), self._held_out.log_density(best)
+        if before is None or after is None or after - before < PREDICTS_BETTER:
+            return None
+        if self._share(best) < EXPLAINS or not self._leads_beside_curves(leading, weights):
+            return None
+        return leading
+
+    def _leads_beside_curves(self, leading: Class, weights: Mapping[Set, float]) -> bool:
+        """Whether the class has most of the posterior where a smooth curve may act in place of a discrepancy."""
+        log_priors = {names: self._search.rivals.log_prior(names)[1] for names in weights}
+        near = [names for names in self._search.tried if len(names) == 1 or names in ((), leading.names)]
+        near = sorted(near, key=lambda names: -weights.get(names, 0.0))[: 2 * LARGEST_CLASS]
+        total: dict[Set, float] = {
+            names: log_priors[names] + tried.spread.log_evidence for names, tried in self._search.tried.items()
+        }
+        for names in {*near, (), leading.names}:
+            known = self._curves if not names else competing_curves(self._search.tried[names].fit, self._say)
+            logs = [entry.fit.log_evidence - math.log(len(known)) for entry in known]
+            total[names] = float(np.logaddexp.reduce([total[names], *(log_priors[names] + log for log in logs)]))
+        most = max(total.values())
+        shares = {names: math.exp(log - most) for names, log in total.items()}
+        whole = math.fsum(shares.values())
+        return class_of({n: share / whole for n, share in shares.items()}, leading.names).probability >= SURE
+
+    def _fit_of(self, decision: Decision) -> Fit:
+        """The corrected model: what is named, or the refitted declared model where nothing is."""
+        if decision.kind == "unknown":
+            return self.declared
+        tried = self._search.tried[decision.names]
+        return tried.beside if decision.unnamed > 0.5 else tried.fit
+
+    def _share(self, result: Fit) -> float:
+        """How much of the squared error of the declared model beyond noise a fit explains, from 0 to 1."""
+        noise = self._search.problem.noise.sigma**2
+        before, after = (max(rmse(one) ** 2 - noise, 0.0) for one in (self.declared, result))
+        return min(1.0, max(0.0, 1.0 - after / before)) if before > 0.0 else 0.0
+
+    def _verdict(self, decision: Decision) -> Verdict:
+        return Verdict(
+            decision.kind, decision.names, decision.others, decision.probability, decision.unnamed,
+            self._share(self._search.tried[decision.names].fit), self._strokes,
+        )  # fmt: skip
+
+    # -- what a report has beside --------------------------------------------------------------------------------------
+
+    def _state(self, result: Fit, *, profile: bool, size: float = 0.0) -> State:
+        """A fit with its errors, test and intervals."""
+        here = predicted(result, result, size)
+        there = self._held_out.predicted(result, size)
+        intervals = {
+            name: _profile(result, name)
+            if profile and ("." in name or result.is_collinear(name))
+            else covariance_interval(result, name)
+            for name in result.free
+        }
+        return State(
+            result, None if there is None else there.fit, here.rmse, math.nan if there is None else there.rmse,
+            here.deviation, math.nan if there is None else there.deviation, here.bands, adequacy(result), intervals,
+        )  # fmt: skip
+
+    def _held_out_gain(self, base: Fit, result: Fit) -> float:
+        """Ln of how much more probable a fit makes held-out strokes than the declared model."""
+        before, after = self._held_out.log_density(base), self._held_out.log_density(result)
+        return math.nan if before is None or after is None else after - before
+
+    def _candidates(self, posterior: Posterior) -> tuple[Candidate, ...]:
+        """Every set of effects that was fitted, the most probable first, at most `LISTED`."""
+        base, found = self._search.tried[()], []
+        ordered = sorted((names for names in self._search.tried if names), key=lambda n: -posterior.shares[n].total)
+        for names in ordered[:LISTED]:
+            tried, share = self._search.tried[names], posterior.shares[names]
+            there = self._held_out.fit(tried.fit)
+            timing = any(own in self._plant.timing_errors for own in tried.fit.nuisances)
+            found.append(
+                Candidate(
+                    names, timing, share.total, share.unnamed, tried.plain, -2.0 * (tried.plain - base.plain),
+                    rmse(tried.fit), math.nan if there is None else rmse(there),
+                    {name: covariance_interval(tried.fit, name) for name in tried.fit.free},
+                )
+            )  # fmt: skip
+        return tuple(found)
+
+    def _unexplained(self, verdict: Verdict, result: Fit) -> tuple[Unexplained | None, tuple[Unexplained, ...]]:
+        """What is left without a name, as a force over the variable that explains most of it."""
+        if not verdict.has_remainder:
+            return None, ()
+        base = self.declared
+        maps = fit_maps(base, self._curves, self._say)
+        described = tuple(describe(entry.choice, entry.fit, base) for entry in maps)
+        if not maps:
+            return None, ()
+        if result is base:
+            return described[0], described
+        try:
+            return describe(maps[0].choice, on_top(maps[0].choice, result), result), described
+        except SimulationError:
+            return described[0], described
+
+    def _near(self, decision: Decision) -> list[Set]:
+        """What is named, and what would do in its place."""
+        found = [decision.names]
+        for name, others in decision.others.items():
+            for other in others:
+                names = tuple(sorted({*decision.names, other} - {name}))
+                if names in self._search.tried:
+                    found.append(names)
+        return found[:LARGEST_CLASS]
+
+    def _recommendation(self, verdict: Verdict, decision: Decision) -> Recommendation | None:
+        """The recording that separates the competing models best."""
+        if not verdict.is_open:
+            return None
+        candidates = {" + ".join(names): self._search.tried[names].fit for names in self._near(decision)}
+        return recommend(candidates, self._plant.experiments) if len(candidates) > 1 else None
+
+    def _rivals(self, posterior: Posterior, decision: Decision, result: Fit) -> tuple[Rival, ...]:
+        """What competes with the corrected model, where positions follow from a fit."""
+        if not follows_positions(self._plant) or result is self.declared:
+            return ()
+        best, found = posterior.shares[decision.names].total, []
+        for names in self._near(decision)[1:]:
+            weight = min(1.0, posterior.shares[names].total / best) if best > 0.0 else 0.0
+            other = self._search.tried[names].fit
+            found.append(Rival(other, self._held_out.fit(other), weight))
+        return tuple(found)
+
+
+def _profile(result: Fit, name: str) -> Interval:
+    return profile_interval(result, name)[0]
+
+
+def _with_least(problem: Problem, least: Mapping[str, float]) -> Problem:
+    """A problem with white noise of at least these standard deviations."""
+    known = problem.noises.items()
+    quiet = {kind: noise for kind, noise in known if noise.samples and noise.sigma < least.get(kind, 0.0)}
+    return problem.with_noises(
+        {kind: Noise(least[kind], least[kind], (), noise.step, noise.samples) for kind, noise in quiet.items()}
+    )
 
 
 def _largest_fit(problem: Problem) -> Fit:
@@ -186,7 +376,7 @@ def _largest_fit(problem: Problem) -> Fit:
     """
     plant = problem.plant
     base = fit(problem, plant.base, {}, nuisances=plant.nuisances)
-    effects = [effect for effect in plant.effects.values() if not effect.is_declared_value]
+    effects = [effect for effect in plant.effects.values() if not effect.is_declared]
     free = (*plant.base, *itertools.chain(*(effect.free_names() for effect in effects)))
     if problem.samples < SAMPLES_EACH * len(free):
         return base
@@ -202,10 +392,9 @@ def _largest_fit(problem: Problem) -> Fit:
 
 def _split(plant: Plant) -> tuple[Mask | None, Mask | None]:
     """Masks for training and held-out strokes, or None twice when there are too few strokes to hold any out."""
-    strokes = strokes_of_plant(plant)
-    if len(strokes) < EVERY_FOURTH:
+    held = held_out_strokes(plant)
+    if not held:
         return None, None
-    held = set(strokes[EVERY_FOURTH - 2 :: EVERY_FOURTH])
 
     def is_held(index: int, groups: NDArray[np.integer]) -> NDArray[np.bool_]:
         recording = plant.channels[index].recording

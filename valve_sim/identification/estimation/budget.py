@@ -9,7 +9,7 @@ from typing import Final
 from valve_sim.model.errors import ValveError
 
 STROKES_A_SECOND: Final = 4000
-"""Simulated strokes that `--budget` allows for each of its seconds: what one core of 2024 does, whatever this one does."""
+"""Simulated strokes that `--budget` allows for each of its seconds, whatever the machine."""
 DERIVATIVES: Final = 4
 """Derivatives that cost as much as the stroke itself: 16 take as long as five strokes."""
 

@@ -136,7 +136,7 @@ class Descent:
         short = short_step_of(problem.plant)
         self._reuses = len(nuisances) > FEW and short is None
         self._short_steps = {} if short is None else {index: short * size for index, size in enumerate(scales)}
-        self._centre: Array | None = None
+        self._centre: Array = np.zeros(len(bounds))
         self._known = self._take(prior) if isinstance(prior, MachineKnowledge) else None
         self._curve = np.array([free.index(name) for name in smooth.names] if smooth else [], dtype=np.int64)
         self._small = CONVERGED if smooth is None else CURVE_CONVERGED
@@ -158,7 +158,6 @@ class Descent:
         """The information of other data, in the order of this fit; their priors and means are replaced."""
         names = [*self.free, *(nuisance.name for nuisance in self.nuisances)]
         order = [names.index(name) for name in known.names]
-        self._centre = np.zeros(len(names))
         self._centre[order] = known.coordinates
         for index in order:
             self.priors[index] = Elsewhere()

@@ -30,7 +30,7 @@ FAR: Final = 6.0
 
 
 def log_volume(information: Array, slopes: Array, room: Array) -> float:
-    """ln of the integral of exp(−(2 gᵀ d + dᵀ A d)/2) over the ranges.
+    """Ln of the integral of exp(−(2 gᵀ d + dᵀ A d)/2) over the ranges.
 
     Args:
         information: (k, k) A, priors included. slopes: (k,) g, half the gradient of the criterion.
@@ -54,7 +54,7 @@ def log_volume(information: Array, slopes: Array, room: Array) -> float:
 
 
 def _log_share(sigma: float, slope: float, below: float, above: float) -> float:
-    """ln of ∫ exp(−g d − d²/(2 σ²)) dd from −below to above, over √(2π) σ."""
+    """Ln of ∫ exp(−g d − d²/(2 σ²)) dd from −below to above, over √(2π) σ."""
     if below > FAR * sigma and above > FAR * sigma:
         return 0.0
     # At an end of the range the gradient points outwards: the Gaussian's centre lies beyond it.
@@ -65,7 +65,7 @@ def _log_share(sigma: float, slope: float, below: float, above: float) -> float:
 
 
 def _log_between(low: float, high: float) -> float:
-    """ln of the probability that a standard normal number lies between the two."""
+    """Ln of the probability that a standard normal number lies between the two."""
     if low > 0.0:
         low, high = -high, -low
     top, bottom = float(log_ndtr(high)), float(log_ndtr(low))

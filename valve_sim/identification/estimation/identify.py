@@ -27,8 +27,6 @@ from valve_sim.traces import Trace
 DEFAULT_FREE: Final = DAMPINGS
 STARTS: Final = (1.0, 4.0, 0.25)
 """Factors on the declared values from which fits start."""
-DECISIVE: Final = 10.0
-"""A difference of scores, theory, eq. (41): odds of 150 to 1."""
 
 Progress = Callable[[str, float], None]
 
@@ -148,8 +146,8 @@ def best_fit(
 ) -> Fit:
     """The best of fits from several starts.
 
-    Where its residual is larger than the noise, errors of the commands' stamps are estimated too, and kept if that is
-    decisive: a recorder stamps a command when it receives it, up to a millisecond off the time at which it took effect.
+    Where its residual is larger than the noise, errors of the commands' stamps are estimated too, and kept where the
+    evidence is for them: some recorders stamp a command when they happen to receive it, up to a millisecond late.
     """
     plant = problem.plant
     plain = _best_of_starts(problem, free, plant.nuisances, starts, progress)
@@ -157,7 +155,7 @@ def best_fit(
         return plain
     nuisances = (*plant.nuisances, *plant.timing_errors)
     timed = _best_of_starts(problem, free, nuisances, starts, lambda fraction: progress(1.0))
-    return timed if timed.score < plain.score - DECISIVE else plain
+    return max(plain, timed, key=lambda found: found.log_evidence)
 
 
 def _best_of_starts(

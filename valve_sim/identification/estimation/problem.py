@@ -6,7 +6,6 @@ import copy
 import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -90,24 +89,6 @@ class Problem:
     def restricted(self, takes_part: Mask) -> Problem:
         """The same data and noise with other samples taking part."""
         return Problem(self.plant, takes_part, self.noises, self.budget)
-
-    def without_stroke(self, recording: int, group: int) -> Problem:
-        """The same with one stroke less taking part."""
-
-        def takes_part(index: int, groups: NDArray[np.integer]) -> NDArray[np.bool_]:
-            is_other = self.plant.channels[index].recording != recording
-            return np.asarray((self.weight(index) > 0.0) & (is_other | (groups != group)))
-
-        return self.restricted(takes_part)
-
-    def with_inflated_noise(self, kind: str, factor: float) -> Problem:
-        """The same with the noise of one kind of channel multiplied by a factor."""
-        inflated = {
-            name: replace(noise, innovation=factor * noise.innovation)
-            for name, noise in self.noises.items()
-            if name == kind
-        }
-        return self.with_noises(inflated)
 
     def with_noise_left_by(self, values: Mapping[str, float]) -> Problem:
         """The same with the noise of what is never still taken from what these values leave of it."""

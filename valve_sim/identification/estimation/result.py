@@ -10,8 +10,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from valve_sim.identification.estimation.gram import gram
 from valve_sim.identification.estimation.evidence import log_volume
+from valve_sim.identification.estimation.gram import gram
 from valve_sim.identification.estimation.priors import Prior
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.smoothing import Smoothness

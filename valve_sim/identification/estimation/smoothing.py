@@ -92,9 +92,7 @@ class Smoothness:
         """(K, K) S."""
         return _Roughness.of(len(self.names), repeats=self.repeats).precision(np.array(self.weights))
 
-    def chosen(
-        self, information: Array, gradient: Array, at: Array, where: NDArray[np.int64]
-    ) -> Smoothness:
+    def chosen(self, information: Array, gradient: Array, at: Array, where: NDArray[np.int64]) -> Smoothness:
         """The same with weights that go to those of the greatest restricted likelihood.
 
         Args:
@@ -109,14 +107,12 @@ class Smoothness:
         return replace(self, weights=tuple(weights.tolist()), log_weights=curve.log_weights(np.log(weights)))
 
     def log_density(self, at: Array) -> float:
-        """ln of the prior density of (K,) coefficients, the weights integrated over about these."""
+        """Ln of the prior density of (K,) coefficients, the weights integrated over about these."""
         spread = float(np.linalg.slogdet(self.precision)[1]) - len(at) * math.log(2.0 * math.pi)
         return 0.5 * (spread - float(at @ self.precision @ at)) + self.log_weights
 
     @np.errstate(over="ignore", invalid="ignore")
-    def covariance(
-        self, information: Array, gradient: Array, at: Array, where: NDArray[np.int64]
-    ) -> Array:
+    def covariance(self, information: Array, gradient: Array, at: Array, where: NDArray[np.int64]) -> Array:
         """(K, K) of the coefficients, the uncertainty of their weights included; arguments as those of `chosen`."""
         curve = self._about(information, gradient, at, where)
         logs = np.log(np.array(self.weights))
@@ -134,9 +130,7 @@ class Smoothness:
                     covariance += further
         return covariance
 
-    def _about(
-        self, information: Array, gradient: Array, at: Array, where: NDArray[np.int64]
-    ) -> _Quadratic:
+    def _about(self, information: Array, gradient: Array, at: Array, where: NDArray[np.int64]) -> _Quadratic:
         """χ² about where the fit is; what is held at the least value counts as known."""
         roughness = _Roughness.of(len(where), repeats=self.repeats)
         curve = _Quadratic.of(information, gradient, at, where, roughness)
@@ -287,7 +281,7 @@ class _Quadratic(NamedTuple):
         return _Best(fitted, covariance, criterion + 0.5 * float(logs @ NEIGHBOURS @ logs))
 
     def log_weights(self, logs: Array) -> float:
-        """ln of prior density and volume of the weights' logarithms, by Laplace: even in level, a walk in differences."""
+        """Ln of prior density times volume of the weights' logarithms: even in level, a walk in differences."""
         determined, bends = self.shares(logs, self.best(logs))
         # R and what the differences add to it are −2 ln of a density.
         half = 0.5 * (np.diag(0.5 * (determined + bends) + CURVATURE) + NEIGHBOURS)

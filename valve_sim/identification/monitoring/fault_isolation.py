@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -73,11 +73,8 @@ def isolate_fault(strokes: Sequence[Trace], baseline: Baseline, progress: Progre
     plants = _plants(strokes, baseline)
     # A simulated valve shows rounding alone, and less than was declared: no model is white beside that.
     least = {**FINEST, "position" if baseline.has_positions else "current": baseline.noise.sigma}
-    begun = begin(plants[0], plants[1] if len(plants) > 1 else None, progress, least=least)
-    verdict, intervals = begun.name()
-    if not all(is_credible(effect, plants[0], intervals) for effect in verdict.effects):
-        nothing = replace(verdict, kind="unknown", effects=(), confusable_with={}, probability=0.0)
-        return FaultFinding(nothing, False, {}, {}, len(strokes))
+    session = begin(plants[0], plants[1] if len(plants) > 1 else None, progress, least=least)
+    verdict, intervals = session.name()
     parameters = estimates(verdict.effects, plants[0], intervals)
     before = {name: baseline.valve.declared()[name] for name in verdict.effects if name in DEFAULT_FREE}
     before |= {name: plants[0].declared(name.removeprefix("valve.")) for name in parameters if name.startswith(WRONG)}

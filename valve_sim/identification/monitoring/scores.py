@@ -37,7 +37,6 @@ from valve_sim.identification.plants.recording_errors import CLOCK_SIGMA
 from valve_sim.identification.plants.root_mean_square import root_mean_square
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.plants.valve_sensors import as_it_began
-from valve_sim.identification.selection.hypotheses import ANNEALING
 from valve_sim.identification.selection.residual_tests import moving_residuals
 from valve_sim.model import EXACT, SimulationError, Valve, simulate
 from valve_sim.model.parameters import Parameter
@@ -56,6 +55,8 @@ LEAST_SENSITIVITY: Final = 1e-3
 """Standard deviations by which an effect of its prior scale must move a stroke to be scored."""
 STILL: Final = 1e-5
 """m/s: below it the model rests."""
+ANNEALING: Final = (100.0, 20.0, 5.0)
+"""σ: scales of the Cauchy loss, theory, eq. (30), that lead a fit with impacts out of local minima."""
 POOR_FIT: Final = 2.0
 """χ² per sample beyond which other starting points are tried too."""
 MEDIAN_OF_NORMAL: Final = 0.6745
@@ -194,7 +195,7 @@ def commission(traces: Sequence[Trace], valve: Valve, noise: float) -> Baseline:
     kind = plant.channels[0].kind
     given = None
     if noise > 0.0 and kind == "position":
-        given = {kind: Noise(noise, noise, (), 0.0, 1.0, len(traces[0].times))}
+        given = {kind: Noise(noise, noise, (), 0.0, len(traces[0].times))}
     measured = _at_least_finest(Problem(plant, noises=given).noises[kind], kind)
     problem = Problem(plant, noises={kind: measured})
     rough = {
@@ -255,7 +256,7 @@ def _noise_at_rest(plant: ValvePlant, result: Fit) -> Noise:
         squares += float(np.sum(np.square((channel.data - shown)[is_still])))
         count += int(np.count_nonzero(is_still))
     sigma = math.sqrt(squares / max(1, count))
-    return Noise(sigma, sigma, (), 0.0, 1.0, count)
+    return Noise(sigma, sigma, (), 0.0, count)
 
 
 def _scatter(apart: Array) -> float:
@@ -270,7 +271,7 @@ def _scatter(apart: Array) -> float:
 
 def _at_least_finest(noise: Noise, kind: str) -> Noise:
     finest = FINEST[kind]
-    return noise if noise.sigma >= finest else Noise(finest, finest, (), noise.step, 1.0, noise.samples)
+    return noise if noise.sigma >= finest else Noise(finest, finest, (), noise.step, noise.samples)
 
 
 class _Stroke:

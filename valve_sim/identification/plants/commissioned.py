@@ -255,7 +255,7 @@ class CommissionedPlant:
         found = {name: slope for name, slope in slopes.items() if name in plain and name not in self._errors}
         errors = self._spread @ np.array([slopes.get(name, 0.0) for name in self._errors])
         for name, error in zip(self._estimated, errors.tolist(), strict=True):
-            slope = slopes.get(f"{name}.{_VALUE}", 0.0) + error
+            slope = slopes.get(f"{name}.{_VALUE}", slopes.get(name, 0.0)) + error
             if slope and plain[name] > self._plant.parameter(name).lower:
                 found[name] = slope
         return found
@@ -265,7 +265,7 @@ class CommissionedPlant:
         plain = {name: value for name, value in values.items() if name.partition(".")[0] not in self._dampings}
         errors = self._spread @ np.array([plain.pop(name, 0.0) for name in self._errors])
         for name, error in zip(self._estimated, errors.tolist(), strict=True):
-            value = values.get(f"{name}.{_VALUE}", self._plant.declared(name))
+            value = values.get(f"{name}.{_VALUE}", values.get(name, self._plant.declared(name)))
             plain[name] = max(self._plant.parameter(name).lower, value + error)
         return plain
 

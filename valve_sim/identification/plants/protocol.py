@@ -68,6 +68,7 @@ class EffectChoice:
             claimed; fits search that of `Plant.parameter`.
         confused_with: names of others that data often cannot tell from this one.
         is_declared_value: whether it is a declared value.
+        is_on: whether it is an effect that is declared already, and may be of another size.
         start: values, of its parameters and beside them, that a fit starts from, too; none where none are known.
     """
 
@@ -75,7 +76,13 @@ class EffectChoice:
     parameters: tuple[Parameter, ...]
     confused_with: tuple[str, ...] = ()
     is_declared_value: bool = False
+    is_on: bool = False
     start: Mapping[str, float] = field(default_factory=dict, compare=False)
+
+    @property
+    def is_declared(self) -> bool:
+        """Whether it says that something declared is wrong, not that something is missing."""
+        return self.is_declared_value or self.is_on
 
     def free_name(self, parameter: Parameter) -> str:
         """The name by which a fit frees one of the parameters."""
@@ -130,12 +137,6 @@ class ForceMap:
     def with_period(self, period: float) -> ForceMap:
         """The same over one period, of a curve that repeats itself."""
         return replace(self, high=self.low + period, fixed={**self.fixed, self.end: self.low + period})
-
-    def at_one_place(self, places: int) -> list[ForceMap]:
-        """Forces that act at one place alone: a single B-spline around each of so many places from low to high."""
-        # Of the B-splines over the intervals between the places, the outermost two lie beyond them.
-        few = replace(self, coefficients=self.coefficients[: places + 2])
-        return [replace(few, only=index) for index in range(1, places + 1)]
 
 
 READABLE_UNITS: Final = {"m": (1e6, "µm"), "A": (1e3, "mA"), "Pa": (1e-3, "kPa")}

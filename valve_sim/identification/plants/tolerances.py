@@ -57,6 +57,21 @@ SMALLER_IS: Final[Mapping[str, str]] = {"gas.pilot_orifice_diameter": "pilot_clo
 """Declared values to effects that a smaller one is: its own name can then be claimed above the declared value only."""
 
 
+WRONG_SHARE: Final = 0.05
+"""Of a declared value without a tolerance: the scale of its Cauchy prior, if it is wrong."""
+EXACT_RIVALS: Final = (
+    "pilot_mass", "moving_mass", "spring_rate", "spring_preload", "pilot_gap", "stroke", "reference_voltage",
+    "coil_time_constant", "coil_resistance", "seat_load", "pickup_velocity_ratio",
+)  # fmt: skip
+"""Declared values that may be wrong although nothing says how well they are known. Of the attraction polynomial without
+a covariance `drive_gain` and `rest_attraction` say it."""
+EXACT_RIVALS_OF_GAS: Final = (
+    "pilot_orifice_diameter", "main_orifice_diameter", "seat_diameter", "discharge_coefficient", "outlet_volume",
+    "demand_orifice_diameter",
+)  # fmt: skip
+"""The same of the group `gas`; pressures are measured."""
+
+
 def of_gas(name: str) -> str:
     """What fits call a number of the group `gas`."""
     return f"{GROUP}{name}"
@@ -122,12 +137,17 @@ class ToleratedValues:
             return Parameter(name, "–", "attraction polynomial along an axis of its covariance", prior_scale=RELEASED)
         if name in self._tolerances.declared and name != "moving_mass":
             return DECLARED[name]._replace(prior_scale=RELEASED * self._tolerances.declared[name])
+        if name in EXACT_RIVALS and self._declared[name] != 0.0:
+            return DECLARED[name]._replace(prior_scale=WRONG_SHARE * abs(self._declared[name]))
         own = name.removeprefix(GROUP)
         if own != name and own in self._tolerances.gas:
             # With an off value it is searched as it is, as its nuisance and every other declared value are: else its
             # logarithm would be compared with what it is declared as, and its tolerance with the logarithm's error.
             sigma = self._tolerances.gas[own]
             return GAS[own]._replace(name=name, prior_scale=RELEASED * sigma, off=self.declared(name))
+        if own != name and own in EXACT_RIVALS_OF_GAS and self._declared.get(name, 0.0) != 0.0:
+            scale = WRONG_SHARE * abs(self._declared[name])
+            return GAS[own]._replace(name=name, prior_scale=scale, off=self.declared(name))
         return None
 
     def declared(self, name: str) -> float:
@@ -209,19 +229,20 @@ class ToleratedValues:
         return found
 
     def _coordinates(self) -> dict[str, tuple[str, ...]]:
-        """Declared values with a tolerance, and the names by which each is estimated."""
+        """Declared values that may be wrong, and the names by which each is estimated."""
+        known = [*self._tolerances.declared, *(name for name in EXACT_RIVALS if self._declared[name] != 0.0)]
         found: dict[str, tuple[str, ...]] = {
-            name: (MAIN_MASS if name == "moving_mass" else name,) for name in self._tolerances.declared
+            name: (MAIN_MASS if name == "moving_mass" and self._has_masses else name,) for name in dict.fromkeys(known)
         }
         if self._axis_names:
             found["attraction_polynomial"] = self._axis_names
-        return {**found, **{of_gas(name): (of_gas(name),) for name in self._tolerances.gas}}
+        exact = [name for name in EXACT_RIVALS_OF_GAS if self._declared.get(of_gas(name), 0.0) != 0.0]
+        return {**found, **{of_gas(name): (of_gas(name),) for name in dict.fromkeys([*self._tolerances.gas, *exact])}}
 
     def _released(self, name: str, effects: Mapping[str, EffectChoice]) -> Parameter:
         """A coordinate as a hypothesis frees it: off where it is as declared, and claimed where no effect stands."""
-        parameter = self.parameter(name)
-        assert parameter is not None
-        declared = self._own[name].mean
+        parameter = self.parameter(name) or DECLARED[name]
+        declared = self._own[name].mean if name in self._own else self.declared(name)
         if SMALLER_IS.get(name) in effects:
             return parameter._replace(off=declared, lower=declared)
         return parameter._replace(off=declared, upper=declared if _effect_like(name) in effects else parameter.upper)

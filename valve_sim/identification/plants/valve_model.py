@@ -25,8 +25,8 @@ class ValveModel:
 
     Attributes:
         valve: as given.
-        effects: the catalogue, less the effects that the declared valve has on, and the hypotheses that a declared
-            value with a tolerance is wrong.
+        effects: the catalogue; of effects that the declared valve has on, that they are not as large as declared; and
+            that a declared value is wrong.
         nuisances: declared values with a tolerance.
     """
 
@@ -45,7 +45,11 @@ class ValveModel:
             for name, entry in CATALOGUE.items()
             if entry.named and name not in left_out and name not in valve.effects
         }
-        self.effects: Mapping[str, EffectChoice] = self._tolerated.with_hypotheses(effects, refitted)
+        grown = {name: declared_effect(name, valve.effects[name]) for name in valve.effects if CATALOGUE[name].named}
+        self.effects: Mapping[str, EffectChoice] = {
+            **self._tolerated.with_hypotheses(effects, refitted),
+            **{name: choice for name, choice in grown.items() if choice.parameters},
+        }
         self._declared = valve.declared()
         self._gas = GAS_NAMES if valve.gas is not None else {}
 
@@ -111,3 +115,14 @@ class ValveModel:
             elif dot and name not in self._gas:
                 effects.setdefault(effect, {})[parameter] = value
         return record_of(declared, effects, self._gas_with(values))
+
+
+def declared_effect(name: str, values: Mapping[str, float]) -> EffectChoice:
+    """The hypothesis that an effect which is declared is not as large as that; its shape stays as declared.
+
+    Args:
+        name: of the effect. values: of its parameters, as declared.
+    """
+    entry = CATALOGUE[name]
+    switches = tuple(own._replace(off=values[own.name]) for own in entry.parameters if own.off is not None)
+    return EffectChoice(name, switches, entry.confused_with, is_on=True)

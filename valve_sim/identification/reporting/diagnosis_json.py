@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from valve_sim.files.json_text import plain_mapping
@@ -28,7 +29,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
     problem = diagnosis.before.fit.problem
     scale, unit = problem.plant.channels[judged_channels(problem.plant)[0]].readable
     report = {
-        "schema": "valve_sim/diagnosis/1",
+        "schema": "valve_sim/diagnosis/2",
         "sources": list(diagnosis.sources),
         "unit": unit,
         **_in_unit("noise", scale * problem.noise.sigma, unit),
@@ -38,19 +39,24 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
             "effects": list(diagnosis.verdict.effects),
             "confusable_with": {name: list(others) for name, others in diagnosis.verdict.confusable_with.items()},
             "probability": diagnosis.verdict.probability,
-            "evidence": diagnosis.verdict.evidence,
+            "unnamed": diagnosis.verdict.unnamed,
+            "share": diagnosis.verdict.share,
             "summary": summarise(diagnosis),
             "headline": headline(diagnosis),
         },
         "meaning": {meaning.name: meaning.to_json() for meaning in meanings(diagnosis)},
         "after": {**_state_json(diagnosis.after, scale, unit), "effects": _effects_json(diagnosis.after)},
+        "inclusion": dict(diagnosis.inclusion),
         **declared_json(diagnosis.declared),
         "candidates": [
             {
                 "effect": " + ".join(candidate.effects),
                 "effects": list(candidate.effects),
                 "command_errors": candidate.timing,
-                "delta_bic": candidate.delta_score,
+                "probability": candidate.probability,
+                "unnamed": candidate.unnamed,
+                "log_evidence": candidate.log_evidence,
+                "delta_bic": candidate.delta_bic,
                 **_errors(candidate.train_rmse, candidate.holdout_rmse, scale, unit),
                 "parameters": intervals_json(candidate.intervals),
             }
@@ -62,8 +68,8 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "record_next": recording_advice(diagnosis) or None,
         "record_next_gain": None if diagnosis.recommendation is None else recommendation_json(diagnosis.recommendation),
         "untried": list(diagnosis.untried),
-        "false_alarm": diagnosis.false_alarm._asdict(),
-        "looks": diagnosis.looks,
+        "work": {"strokes": diagnosis.work, "allowed": diagnosis.allowed if math.isfinite(diagnosis.allowed) else None},
+        "held_out_gain": None if math.isnan(diagnosis.held_out_gain) else diagnosis.held_out_gain,
         "strokes": None if diagnosis.choice is None else diagnosis.choice._asdict(),
         "detection_limits": {name: dict(limits) for name, limits in diagnosis.detection_limits.items()},
     }
@@ -93,6 +99,9 @@ def _state_json(state: State, scale: float, unit: str) -> dict[str, Any]:
     return {
         "parameters": intervals_json({name: i for name, i in state.intervals.items() if "." not in name}),
         **_errors(state.train_rmse, state.holdout_rmse, scale, unit),
+        **_in_unit(
+            "predicted", {"train": scale * state.train_predicted, "holdout": scale * state.holdout_predicted}, unit
+        ),
         "white": state.adequacy.is_white,
         "chi2_per_sample": state.fit.chi2 / state.fit.problem.effective_samples,
         "test": {"p_value": state.adequacy.p_value, "worst": state.adequacy.worst},
@@ -103,11 +112,16 @@ def _effects_json(state: State) -> dict[str, dict[str, Any]]:
     effects: dict[str, dict[str, Any]] = {}
     for wrong in state.fit.problem.plant.effects.values():
         if wrong.is_declared_value and set(wrong.free_names()) <= set(state.intervals):
-            effects[wrong.name] = {name: interval_json(state.intervals[name]) for name in wrong.free_names()}
+            plant = state.fit.problem.plant
+            effects[wrong.name] = {
+                name: {**interval_json(state.intervals[name]), "was": plant.declared(name)}
+                for name in wrong.free_names()
+            }
     for name, interval in state.intervals.items():
         effect, dot, parameter = name.partition(".")
         if dot and not name.startswith(GROUP):
-            effects.setdefault(effect, {})[parameter] = interval_json(interval)
+            was = state.fit.problem.plant.declared(name)
+            effects.setdefault(effect, {})[parameter] = {**interval_json(interval), "was": was}
     for name, value in state.fit.values.items():
         effect, dot, parameter = name.partition(".")
         if dot and effect in effects and parameter not in effects[effect]:

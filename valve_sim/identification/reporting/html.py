@@ -268,7 +268,7 @@ def _candidate_row(candidate: Candidate, diagnosis: Diagnosis, scale: float, uni
     return {
         "title": titles_of(candidate.effects) + (" with errors of the commands' stamps" if candidate.timing else ""),
         "name": " + ".join(candidate.effects),
-        "gain": f"{candidate.delta_score:.1f}",
+        "gain": f"{candidate.delta_bic:.1f}",
         "train": _number(scale * candidate.train_rmse, unit),
         "holdout": _number(scale * candidate.holdout_rmse, unit),
         "text": "; ".join(values),

@@ -6,7 +6,7 @@ import math
 from typing import Final
 
 from valve_sim.identification.diagnosis.run import Diagnosis, Verdict
-from valve_sim.identification.plants.effect_titles import listed, named, what_is_missing
+from valve_sim.identification.plants.effect_titles import named, what_is_missing
 from valve_sim.identification.plants.protocol import Advice, advice_of
 
 SHOWN_UNTRIED: Final = 4
@@ -21,7 +21,7 @@ def summarise(diagnosis: Diagnosis) -> str:
         sentences.append(recording_advice(diagnosis))
     if untried:
         few = ", ".join(untried[:SHOWN_UNTRIED]) + (", ..." if len(untried) > SHOWN_UNTRIED else "")
-        sentences.append(f"For want of time, or because it cannot be simulated, {len(untried)} left untried: {few}.")
+        sentences.append(f"Left untried, by the budget or because they cannot be simulated, are {len(untried)}: {few}.")
     return " ".join(sentences)
 
 
@@ -30,7 +30,7 @@ def recording_advice(diagnosis: Diagnosis) -> str:
     if not diagnosis.verdict.is_open:
         return ""
     advice = advice_of(diagnosis.plant)
-    words = advice.first if diagnosis.verdict.grounds.strokes <= 1 else advice.more
+    words = advice.first if diagnosis.verdict.strokes <= 1 else advice.more
     best = diagnosis.recommendation
     if best is None:
         return f"{words}."
@@ -48,31 +48,32 @@ def claim(verdict: Verdict, advice: Advice) -> str:
         verdict: what is claimed.
         advice: of the plant, which says why a single stroke is not enough.
     """
-    grounds = verdict.grounds
-    if grounds.has_remainder:
+    if verdict.has_remainder:
         return _claim_beside_a_remainder(verdict)
     if verdict.kind == "none":
         return "The declared model with refitted damping explains the data down to the noise."
-    if verdict.kind == "insufficient":
-        if grounds.strokes <= 1:
-            return f"{advice.ambiguous}."
-        count = 1 + max(len(others) for others in verdict.confusable_with.values())
-        return f"{count} effects explain the data about equally well."
     others = sorted({other for names in verdict.confusable_with.values() for other in names})
-    places = [f"a force at {place} alone" for place in grounds.places[:1]]
-    alike = listed([*(named([other]) for other in others), *places], "or")
+    alike = named(others, "or")
+    if verdict.kind == "insufficient":
+        if verdict.strokes <= 1:
+            return f"{advice.ambiguous[:1].upper()}{advice.ambiguous[1:]}."
+        nearest = named(verdict.effects) if verdict.effects else "no effect at all"
+        rivals = f", or {alike} in its place," if alike else ""
+        return (
+            f"The data cannot tell what the model lacks: {nearest}{rivals} is the likeliest, with a probability of "
+            f"{100.0 * verdict.probability:.0f} %."
+        )
     alternatives = f"; {alike} would explain the data about as well" if alike else ""
-    return f"The model {what_is_missing(grounds.best)}{alternatives}."
+    return f"The model {what_is_missing(verdict.effects)}{alternatives}."
 
 
 def _claim_beside_a_remainder(verdict: Verdict) -> str:
-    """Likewise where something is left that no effect explains."""
-    grounds = verdict.grounds
-    share = f"that explains {100.0 * grounds.share:.1f} % of the squared residual"
+    """What is claimed where something is left that no effect explains."""
+    share = f"explains {100.0 * verdict.share:.1f} % of the squared error beyond noise"
     if verdict.kind == "effects":
-        nothing = "nothing that was tried" if grounds.singles_untried else "no effect of the catalogue"
-        return f"The model {what_is_missing(grounds.best)}; {share}. What is left, {nothing} explains."
-    closest = f" The closest is {named(grounds.best)}; {share}." if grounds.best else ""
-    if verdict.kind == "insufficient":
-        return f"The time was too short to find what the model lacks.{closest}"
+        return (
+            f"The model {what_is_missing(verdict.effects)}; that {share}. Beside it something acts that no effect of "
+            "the catalogue explains."
+        )
+    closest = f" The nearest is {named(verdict.effects)}, which {share}." if verdict.effects else ""
     return f"Something acts that no effect of the catalogue explains.{closest}"

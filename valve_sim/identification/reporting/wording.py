@@ -106,11 +106,13 @@ def headline(diagnosis: Diagnosis) -> str:
 
 
 def holdout_words(diagnosis: Diagnosis) -> str:
-    """How often held-out strokes were opened, in a sentence."""
-    if diagnosis.looks == 0:
+    """What held-out strokes were used for, in a sentence."""
+    if diagnosis.before.holdout is None:
         return "No strokes were held out: only the fitted strokes support this."
-    times = {1: "once", 2: "twice"}.get(diagnosis.looks, f"{diagnosis.looks} times")
-    return f"Held-out strokes were opened {times}, after the choice, to judge it and not to choose."
+    return (
+        "Held-out strokes are predicted with everything that the fitted strokes have determined; only the errors of "
+        "their recording, its clocks and stamps, are estimated anew. They chose nothing."
+    )
 
 
 def choice_words(diagnosis: Diagnosis) -> str:

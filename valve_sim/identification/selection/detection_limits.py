@@ -1,10 +1,12 @@
-"""How large an effect would have to be to show in these data: what "nothing is missing" is worth.
+"""How large an effect would have to be to be named: what "nothing is missing" is worth.
 
-A fit that lacks an effect of size a misses the data by a s, to first order, where s is the effect's sensitivity less
-what the fit's own parameters and nuisances can do of it (as in the score test). An effect is decisive where this gains
-10 in the score S, theory, eq. (41), beyond the price of its k parameters:
+An effect of size a, alone beside a fit that lacks nothing, would raise ln p by ½ (a/σ)² in half of the recordings like
+this one, σ its standard error beside all that the fit frees, and its prior would take ln (√(2π) σ π(a)) of that. It is
+named where the posterior gives it `SURE` against nothing:
 
-    a² ‖s‖² / f = 10 + k ln N
+    ½ (a/σ)² + ln (√(2π) σ π(a)) + ln P(effect) − ln P(nothing) = ln SURE/(1 − SURE)
+
+The limit is the a that solves this (theory, section 10).
 """
 
 from __future__ import annotations
@@ -13,114 +15,89 @@ import math
 from collections.abc import Mapping
 from typing import Final
 
-from valve_sim.identification.estimation.descent import STANDING, along
-from valve_sim.identification.estimation.gram import sum_squares
+from valve_sim.identification.estimation.priors import Prior
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.plants.protocol import (
-    SMALL_MOVE,
     EffectChoice,
+    Nuisance,
+    from_internal,
     internal_bounds,
-    internal_scale,
     to_internal,
 )
-from valve_sim.identification.selection.score_test import Outside, release_of, switched_on
-from valve_sim.identification.selection.table import DECISIVE
-from valve_sim.model import Parameter, SimulationError
+from valve_sim.identification.selection.posterior import SURE, Rivals
+from valve_sim.identification.selection.score_test import SIZES, Outside, additions, released_spread
+from valve_sim.model import Parameter
 
 Limits = Mapping[str, Mapping[str, float]]
 """By effect and by parameter that switches it, SI."""
-LARGE_MOVE: Final = 1.0
-"""Prior scales: how the change grows from a small move to this one says whether it is one of the first order at all."""
-LEAST_POWER, MOST_POWER = 0.8, 2.2
-"""Of a move, by which the change must grow. A contact that only rebounds above a speed has none."""
-
-LEAST_SHARE: Final = 0.1
-"""Of what an effect changes, that the fit cannot follow, for a difference quotient to show it."""
+SEARCHED: Final = 200
+"""Bisections at most."""
 
 
-def detection_limits(result: Fit) -> dict[str, dict[str, float]]:
-    """The smallest effects that would have been decisive beside a fit, each alone, its shape as first expected.
+def detection_limits(result: Fit, rivals: Rivals) -> dict[str, dict[str, float]]:
+    """The smallest effects that would be named beside a fit in half of such recordings, each alone.
+
+    Args:
+        result: of the declared model, which lacks nothing. rivals: what may be missing.
 
     Returns:
         By effect and parameter, SI: by how much the parameter would have to differ from where it does nothing; of one
-        that does nothing at infinity, its value. inf where nothing within its range would have shown, nan where the
-        first order says nothing.
-
-    Raises:
-        OutOfTimeError: the time is used up.
+        that does nothing at infinity, its value. inf where nothing within its range would be named.
     """
-    outside, found = Outside(result), {}
+    outside = Outside(result)
+    found: dict[str, dict[str, float]] = {}
     for name, effect in result.problem.plant.effects.items():
         if set(effect.free_names()) & set(result.free):
             continue
+        needed = math.log(SURE / (1.0 - SURE)) + rivals.log_prior(())[0] - rivals.log_prior((name,))[0]
+        sigmas = _sigmas(result, outside, effect)
         found[name] = {
-            switch.name: _limit(result, outside, effect, switch)
+            switch.name: _limit(result, effect, switch, sigmas.get(switch.name, math.inf), needed)
             for switch in effect.parameters
             if switch.off is not None
         }
     return found
 
 
-def _limit(result: Fit, outside: Outside, effect: EffectChoice, switch: Parameter) -> float:
-    """By what a little of it changes, or by its release where it is the same thing as a value with a tolerance."""
-    released = release_of(result, effect.free_name(switch))
-    if released is not None and released.unit == switch.unit:
-        off = math.sqrt((DECISIVE + released.price) * result.problem.variance_inflation / released.share)
-        return _within_range(switch, off * released.tolerance)
-    if effect.is_declared_value:
+def _sigmas(result: Fit, outside: Outside, effect: EffectChoice) -> dict[str, float]:
+    """Standard error of each switch in its search coordinate; of a released value, its tolerance included."""
+    released: dict[str, Nuisance] = {
+        name: own for own in result.nuisances if own.is_of_machine for name in (own.name, own.same_as) if name
+    }
+    found: dict[str, float] = {}
+    for size in SIZES:
+        for name, addition in additions(result, outside, effect, size).items():
+            found[name] = min(found.get(name, math.inf), addition.sigma)
+    for switch in effect.parameters:
+        own = released.get(effect.free_name(switch))
+        if own is not None and own.unit == switch.unit:
+            found[switch.name] = released_spread(result, own)
+    return found
+
+
+def _limit(result: Fit, effect: EffectChoice, switch: Parameter, sigma: float, needed: float) -> float:
+    """The limit of one switch, by how far its value is off where it does nothing."""
+    if not math.isfinite(sigma) or sigma == 0.0:
         return math.inf
-    price = len(effect.free_names()) * math.log(result.problem.effective_samples)
-    decisive = math.sqrt((DECISIVE + price) * result.problem.variance_inflation)
-    slope = _slope(result, outside, effect, switch)
-    if slope > 0.0:
-        return _within_range(switch, decisive / slope)
-    small, large = (_distance(result, outside, effect, switch, size) for size in (SMALL_MOVE, LARGE_MOVE))
-    if not 0.0 < small < large:
-        return math.nan
-    # It goes by its switch, by the inverse of that, or by a square.
-    power = math.log(large / small) / math.log(LARGE_MOVE / SMALL_MOVE)
-    if not LEAST_POWER < power < MOST_POWER:
-        return math.nan
-    return _within_range(switch, SMALL_MOVE * (decisive / small) ** (1.0 / power) * internal_scale(switch))
-
-
-def _slope(result: Fit, outside: Outside, effect: EffectChoice, switch: Parameter) -> float:
-    """What one of the search's coordinate changes, in standard deviations, by the plant's derivatives; 0: not known.
-
-    A difference quotient leaves a rest at every contact, even of what the fit can follow wholly.
-    """
+    parameter = result.problem.plant.parameter(effect.free_name(switch))
     assert switch.off is not None
-    name = effect.free_name(switch)
-    direction = along(name, switch, to_internal(switch, switch.off))
-    if direction is STANDING:
-        return 0.0
-    try:
-        columns, known = result.problem.sensitivities(
-            {**result.values, **switched_on(effect, switch, 0.0)}, [direction]
-        )
-    except SimulationError:
-        return 0.0
-    return outside.distance(columns[:, 0]) if known[0] else 0.0
+    off, (lower, upper) = to_internal(parameter, switch.off), internal_bounds(parameter)
+    prior = result.problem.prior(effect.free_name(switch))
+    low, high = 0.0, sigma
+    most = max(off - lower, upper - off)
+    sign = 1.0 if upper - off >= off - lower else -1.0
+    while _margin(prior, off, sign * high, sigma) < needed:
+        high *= 2.0
+        if high > most:
+            return math.inf
+    for _ in range(SEARCHED):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if _margin(prior, off, sign * middle, sigma) >= needed else (middle, high)
+    if math.isinf(switch.off):
+        return from_internal(parameter, off + sign * high)
+    return abs(from_internal(parameter, off + sign * high) - switch.off)
 
 
-def _distance(result: Fit, outside: Outside, effect: EffectChoice, switch: Parameter, size: float) -> float:
-    """By how many standard deviations so many prior scales of one switch change what the fit cannot follow.
-
-    0 where a quotient cannot tell, because the fit can follow nearly all of it.
-    """
-    try:
-        moved = result.problem.residuals({**result.values, **switched_on(effect, switch, size)}) - result.residuals
-    except SimulationError:
-        return 0.0
-    found = outside.distance(moved)
-    return found if found > LEAST_SHARE * math.sqrt(sum_squares(moved)) else 0.0
-
-
-def _within_range(switch: Parameter, move: float) -> float:
-    """A move of the search's coordinate as a change of the value; inf where it leads out of the range."""
-    assert switch.off is not None
-    lower, upper = internal_bounds(switch)
-    at = to_internal(switch, switch.off)
-    if move > max(at - lower, upper - at):
-        return math.inf
-    return 1.0 / move if math.isinf(switch.off) else move
+def _margin(prior: Prior, off: float, by: float, sigma: float) -> float:
+    """What ln p gains by an effect that is moved so far."""
+    return 0.5 * (by / sigma) ** 2 + math.log(math.sqrt(2.0 * math.pi) * sigma) + prior.log_density(off + by)

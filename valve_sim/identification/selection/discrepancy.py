@@ -103,9 +103,8 @@ class Discrepancy:
         self._lengths = tuple(lengths)
         self._strokes = self._laid_out(places, strokes, channels)
 
-    def _laid_out(
-        self, places: RowPlaces, strokes: NDArray[np.intp], channels: NDArray[np.intp]
-    ) -> list[_Stroke]:
+    def _laid_out(self, places: RowPlaces, strokes: NDArray[np.intp], channels: NDArray[np.intp]) -> list[_Stroke]:
+        """The strokes, with the eigenvectors of their K for each ℓ."""
         if not self.blocks:
             return []
         roots = np.sqrt(self._sizes)
@@ -154,7 +153,7 @@ class Discrepancy:
         return found
 
     def log_determinant(self, cell: Cell) -> float:
-        """ln |V|."""
+        """Ln |V|."""
         spectra = [stroke.spectra[cell.length][0] for stroke in self._strokes]
         return float(sum(np.sum(np.log1p(cell.size**2 * sizes)) for sizes in spectra))
 
@@ -164,12 +163,25 @@ class Discrepancy:
         Args:
             result: a fit without, or with V of some cell: it says about which values the model is linearised.
         """
-        whole = np.column_stack([result.derivatives.few(), result.left.few()])
+        return self.log_evidences(result)[1]
+
+    def log_evidences(self, result: Fit, further: Array | None = None) -> tuple[float, Spread]:
+        """The evidence of a linearised model without a discrepancy, and with one.
+
+        Args:
+            result: about which the model is linearised.
+            further: (r, q) changes of its residuals along what may move besides, each with the prior N(0, 1).
+        """
+        jacobian, count = result.derivatives.few(), 0 if further is None else further.shape[1]
+        columns = [jacobian, *([] if further is None else [further]), result.left.few()[:, None]]
+        whole = np.hstack(columns)
         of_rows, sums = gram(whole, whole), self.sums(whole)
         pulls = [own.pull(float(at)) for own, at in zip(result.priors, result.coordinates, strict=True)]
-        priors = np.diag([own.curvature for own in pulls])
-        slopes = np.array([own.half_slope for own in pulls])
+        priors = np.diag([*(own.curvature for own in pulls), *([1.0] * count)])
+        slopes = np.array([*(own.half_slope for own in pulls), *([0.0] * count)])
+        room = np.vstack([result.room, np.full((count, 2), math.inf)])
         known = sum(own.log_density(float(at)) for own, at in zip(result.priors, result.coordinates, strict=True))
+        known -= 0.5 * count * math.log(2.0 * math.pi) + 0.5 * result.problem.rows.constant
         if result.smooth is not None:
             where = np.array(result.curve, dtype=np.intp)
             at = result.coordinates[where]
@@ -181,16 +193,15 @@ class Discrepancy:
             rotated, sizes = self._rotated(sums, length)
             for number, size in enumerate(SIZES):
                 shrunk = rotated * (1.0 - 1.0 / (1.0 + size**2 * sizes))[:, None]
-                of_both = of_rows - rotated.T @ shrunk
-                logs[number, length] = (
-                    _log_evidence(of_both, priors, slopes, result.room)
-                    + known - 0.5 * (result.problem.rows.constant + float(np.sum(np.log1p(size**2 * sizes))))
-                )  # fmt: skip
+                volume = float(np.sum(np.log1p(size**2 * sizes)))
+                found = _log_evidence(of_rows - rotated.T @ shrunk, priors, slopes, room)
+                logs[number, length] = found + known - 0.5 * volume
         posterior = logs + _LOG_PRIOR_OF_SIZE[:, None] - math.log(len(self._lengths))
         total = float(logsumexp(posterior))
-        number, length = np.unravel_index(int(np.argmax(posterior)), posterior.shape)
+        row, column = np.unravel_index(int(np.argmax(posterior)), posterior.shape)
         shares = np.exp(posterior - total).sum(axis=1)
-        return Spread(total, Cell(SIZES[int(number)], int(length)), float(shares @ np.array(SIZES)))
+        spread = Spread(total, Cell(SIZES[int(row)], int(column)), float(shares @ np.array(SIZES)))
+        return _log_evidence(of_rows, priors, slopes, room) + known, spread
 
 
 def _log_evidence(of_both: Array, priors: Array, slopes: Array, room: Array) -> float:
@@ -201,6 +212,8 @@ def _log_evidence(of_both: Array, priors: Array, slopes: Array, room: Array) -> 
         slopes: (k,) half of the slopes of the priors. room: (k, 2) to the ends of the ranges.
     """
     information, pull = of_both[:-1, :-1] + priors, of_both[:-1, -1] + slopes
+    if not len(pull):
+        return -0.5 * float(of_both[-1, -1])
     move = bounded_step(information, pull, room)
     gain = -float(2.0 * pull @ move + move @ information @ move)
     left = np.column_stack([room[:, 0] + move, room[:, 1] - move])

@@ -70,7 +70,7 @@ class Rivals:
     declared: frozenset[str]
 
     def log_prior(self, names: Set) -> tuple[float, float]:
-        """ln of the prior probability of a set, without and with something unnamed beside it."""
+        """Ln of the prior probability of a set, without and with something unnamed beside it."""
         wrong = sum(name in self.declared for name in names)
         right = _poisson(len(names) - wrong, len(self.effects)) + _poisson(wrong, len(self.declared))
         every = len(self.effects) + len(self.declared)
@@ -79,13 +79,13 @@ class Rivals:
 
 
 def _poisson(count: int, among: int) -> float:
-    """ln of the probability of one set of so many, where how many there are is a Poisson number."""
+    """Ln of the probability of one set of so many, where how many there are is a Poisson number."""
     most = [-EXPECTED + size * math.log(EXPECTED) - math.lgamma(size + 1.0) for size in range(among + 1)]
     return most[count] - math.log(math.fsum(map(math.exp, most))) - _choices(among, count)
 
 
 def _choices(among: int, count: int) -> float:
-    """ln of the number of sets of so many."""
+    """Ln of the number of sets of so many."""
     return math.lgamma(among + 1.0) - math.lgamma(count + 1.0) - math.lgamma(among - count + 1.0)
 
 
@@ -115,8 +115,7 @@ class Posterior:
     def inclusion(self) -> dict[str, float]:
         """Of each name, the probability that it acts, alone or among others."""
         return {
-            name: math.fsum(share.total for names, share in self.shares.items() if name in names)
-            for name in self.names
+            name: math.fsum(share.total for names, share in self.shares.items() if name in names) for name in self.names
         }
 
     def given(self, *, unnamed: bool) -> dict[Set, float]:
@@ -161,7 +160,7 @@ class Class(NamedTuple):
 
     Attributes:
         names: of the set that leads. others: of each name, those that would do in its place, the likeliest first.
-        probability: of the set and all of these together, among the sets that were weighed.
+        probability: that all names of the set act, or of one that would do in its place, whatever acts beside them.
     """
 
     names: Set
@@ -176,15 +175,19 @@ class Class(NamedTuple):
 
 def class_of(weights: Mapping[Set, float], leader: Set) -> Class:
     """The class of a set: those that differ in one member and whose odds to it are within `ALIKE`."""
-    least, total = weights[leader] / ALIKE, weights[leader]
+    least, alike = weights[leader] / ALIKE, [frozenset(leader)]
     others: dict[str, list[tuple[float, str]]] = {name: [] for name in leader}
     for names, weight in weights.items():
         lost, gained = set(leader) - set(names), set(names) - set(leader)
         if len(lost) == len(gained) == 1 and weight >= least:
             others[lost.pop()].append((weight, gained.pop()))
-            total += weight
+            alike.append(frozenset(names))
+    # A further effect that is too small to be told makes no name wrong.
+    total = math.fsum(weight for names, weight in weights.items() if any(one <= set(names) for one in alike))
     return Class(
-        leader, {name: tuple(other for _, other in sorted(found, reverse=True)) for name, found in others.items()}, total
+        leader,
+        {name: tuple(other for _, other in sorted(found, reverse=True)) for name, found in others.items()},
+        total,
     )
 
 

@@ -51,11 +51,11 @@ def whiteness(problem: Problem, residuals: Array, free: int) -> Adequacy:
     if count < 50:
         return Adequacy(1.0, "too few samples in motion to tell", 0.0)
     quiet = max(1, min(noise.samples for noise in problem.noises.values()))
-    tests = {"the residual is larger than the noise": _size_test(moving, problem.variance_inflation, quiet, free)}
+    tests = {"the residual is larger than the noise": _size_test(moving, quiet, free)}
     for block in BLOCKS:
         whole = count // block * block
         means = moving[:whole].reshape(-1, block).mean(axis=1) * math.sqrt(block)
-        tests[f"the residual drifts over {block} samples"] = _size_test(means, problem.variance_inflation, quiet, free)
+        tests[f"the residual drifts over {block} samples"] = _size_test(means, quiet, free)
     worst = min(tests, key=lambda name: tests[name])
     lag_one = float(np.sum(moving[1:] * moving[:-1])) / max(sum_squares(moving), 1e-300)
     return Adequacy(min(1.0, len(tests) * tests[worst]), worst, lag_one)
@@ -72,8 +72,8 @@ def moving_residuals(problem: Problem, residuals: Array) -> Array:
     return np.concatenate(pieces)
 
 
-def _size_test(values: Array, variance_inflation: float, quiet: int, free: int) -> float:
+def _size_test(values: Array, quiet: int, free: int) -> float:
     """P-value of Σ values² being noise, whose own variance is known from `quiet` samples only (an F test)."""
     freedom = max(1, len(values) - free)
-    ratio = sum_squares(values) / freedom / variance_inflation
+    ratio = sum_squares(values) / freedom
     return float(fdtrc(freedom, quiet, ratio))

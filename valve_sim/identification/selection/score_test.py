@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import log_ndtr
 
 from valve_sim.identification.estimation.gram import gram, orthonormal
-from valve_sim.identification.estimation.priors import HALF, Cauchy, Normal, Prior, prior_of_nuisance
+from valve_sim.identification.estimation.priors import HALF, Cauchy, Normal, Prior
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.plants.protocol import (
     SMALL_MOVE,
@@ -58,11 +58,11 @@ class Addition(NamedTuple):
         return self.gain + self.log_price
 
 
-NOTHING: Final = Addition(0.0, 0.0, math.inf)
+NOTHING: Final = Addition(0.0, -math.inf, math.inf)
 
 
 def log_gains(result: Fit) -> dict[str, float]:
-    """What ln p would gain by each effect that is not in a fit, to first order; the largest over its sizes and shapes."""
+    """What ln p would gain by each effect that is not in a fit, to first order; the most over sizes and shapes."""
     outside = Outside(result)
     gains = {}
     for name, effect in result.problem.plant.effects.items():
@@ -73,9 +73,7 @@ def log_gains(result: Fit) -> dict[str, float]:
             gains[name] = sum(released)
             continue
         found = [
-            _log_gain(result, outside, effect, moves)
-            for size in SIZES
-            for moves in moves_of(result, effect, size)
+            _log_gain(result, outside, effect, moves) for size in SIZES for moves in moves_of(result, effect, size)
         ]
         gains[name] = max(found, default=-math.inf)
     return gains
@@ -147,6 +145,7 @@ def _log_gain(result: Fit, outside: Outside, effect: EffectChoice, moves: list[M
 def _addition(result: Fit, outside: Outside, effect: EffectChoice, move: Move) -> Addition:
     power, seen = outside.along(move.change)
     if power <= MOVES_NOTHING**2:
+        # What shows nothing is as probable as it was, and no rival of anything.
         return NOTHING
     prior = result.problem.prior(effect.free_name(move.switch))
     sigma, steps = abs(move.by) / math.sqrt(power), -seen / power
@@ -163,28 +162,38 @@ def _stands_for(own: Nuisance, effect: EffectChoice) -> bool:
     return own.is_of_machine and bool({own.name, own.same_as} & set(effect.free_names()))
 
 
+def released_spread(result: Fit, own: Nuisance) -> float:
+    """By how much what the data alone say of a declared value differs from it by chance, its tolerance included.
+
+    Infinite where they say nothing.
+    """
+    of_data = _information_of_data(result, own)
+    return math.hypot(1.0 / math.sqrt(of_data), own.sigma) if of_data > 0.0 else math.inf
+
+
+def _information_of_data(result: Fit, own: Nuisance) -> float:
+    """What the data alone say of a declared value, all else at its best; 0 where that is nothing."""
+    index = len(result.free) + result.nuisances.index(own)
+    information = 1.0 / float(result.covariance[index, index]) - own.sigma**-2
+    return information if information > MOVES_NOTHING * own.sigma**-2 else 0.0
+
+
 def _released(result: Fit, own: Nuisance, effect: EffectChoice) -> float:
     """What ln p gains where a declared value is taken for wrong: the wider prior in place of its tolerance's."""
-    index = len(result.free) + result.nuisances.index(own)
-    variance, before = float(result.covariance[index, index]), prior_of_nuisance(own)
-    of_data = 1.0 / variance - own.sigma**-2
-    if of_data <= MOVES_NOTHING * own.sigma**-2:
-        return 0.0
-    # What the data alone say of it, all else at its best.
+    of_data = _information_of_data(result, own)
+    if of_data == 0.0:
+        return -math.inf
     sigma = 1.0 / math.sqrt(of_data)
-    estimate = own.mean + (result.values[own.name] - own.mean) / (variance * of_data)
+    estimate = own.mean + (result.values[own.name] - own.mean) * (1.0 + 1.0 / (of_data * own.sigma**2))
     width = math.hypot(sigma, own.sigma)
     after = _prior_of_released(result, own, effect)
     low, high = _range_of(own, effect, min(estimate, own.mean) - WIDE * width, max(estimate, own.mean) + WIDE * width)
     if high <= low:
         return -math.inf
     at = np.linspace(low, high, GRID)
-    likelihood = np.exp(-0.5 * np.square((at - estimate) / sigma))
-    density = np.exp([after.log_density(float(place)) for place in at])
-    numerator = float(np.trapezoid(likelihood * density, at)) if hasattr(np, "trapezoid") else float(np.trapz(likelihood * density, at))  # noqa: E501
-    denominator = Normal(own.mean, width).log_density(estimate) + math.log(math.sqrt(2.0 * math.pi) * sigma)
-    assert isinstance(before, Normal)
-    return math.log(max(numerator, 1e-300)) - denominator
+    density = np.exp([after.log_density(float(place)) - 0.5 * ((float(place) - estimate) / sigma) ** 2 for place in at])
+    before = Normal(own.mean, width).log_density(estimate) + math.log(math.sqrt(2.0 * math.pi) * sigma)
+    return math.log(max(float(np.sum(density)) * float(at[1] - at[0]), 1e-300)) - before
 
 
 def _prior_of_released(result: Fit, own: Nuisance, effect: EffectChoice) -> Prior:
@@ -226,7 +235,7 @@ class Outside:
         self._fitted = orthonormal(columns[:, size > 0.0] / size[size > 0.0])
 
     def along(self, change: Array) -> tuple[float, float]:
-        """Of an (r,) change of the residual: the square of what the fit cannot follow, and its product with what is left."""
+        """Of an (r,) change: the square of what the fit cannot follow, and its product with the residual."""
         left = self._left(change[:, None])
         return float(np.sum(np.square(left))), float(left[:, 0] @ self._residuals)
 

@@ -7,8 +7,7 @@
         if nothing unnamed acts beside B, and no addition gains by the score test: stop
         fit B with each addition; swap each member of the best
 
-Work is counted in simulated strokes, never by a clock, so that a search on a busy machine finds what it finds on a quiet
-one. What it would still have fitted when the work is used up is left in the table with the best evidence found.
+Work is counted in simulated strokes, never by a clock, so that a busy machine finds what a quiet one does. What it would still have fitted when the work is used up is left in the table with the best evidence found.
 """
 
 from __future__ import annotations
@@ -32,7 +31,13 @@ from valve_sim.identification.plants.protocol import EffectChoice, Nuisance
 from valve_sim.identification.selection.discrepancy import Cell, Discrepancy, Spread, lengths_of
 from valve_sim.identification.selection.posterior import EVEN, Evidence, Posterior, Rivals, Set, posterior_of
 from valve_sim.identification.selection.score_test import log_gains
-from valve_sim.identification.selection.starts import effect_starts, robust_cost, starts_from_declared
+from valve_sim.identification.selection.starts import (
+    effect_starts,
+    robust_cost,
+    scattered_starts,
+    starts_from_declared,
+    starts_of_other_shapes,
+)
 from valve_sim.model import SimulationError
 
 LARGEST_SET: Final = 4
@@ -40,9 +45,13 @@ LARGEST_SET: Final = 4
 PROMISING: Final = 0.02
 """Odds to the set at hand, by the score test, from which an addition is fitted."""
 NEAR: Final = 25.0
-"""Difference in ln p by which a set that is begun may lag behind the best of its size and is still fitted to its end."""
+"""Difference in ln p by which a set that is begun may lag behind the best of its size and is still gone on with."""
 REFITTED: Final = 10.0
 """Difference in ln p from the best, within which sets are fitted again beside a discrepancy."""
+SCATTER: Final = (1.0, 3.0, 10.0)
+"""Standard errors by which the starts of a polish are scattered."""
+WORTH_KEEPING: Final = 0.1
+"""Difference of χ² that makes a fit a better one."""
 BATCH: Final = 4
 """Sets that are fitted side by side; between batches it is asked whether work is left."""
 LINEAR: Final = 0.4
@@ -99,7 +108,7 @@ class Search:
         self.discrepancy = Discrepancy(places, lengths_of(problem.plant, places))
         self.stamps = bool(problem.plant.timing_errors)
         effects = problem.plant.effects
-        wrong = frozenset(name for name, choice in effects.items() if choice.is_declared_value)
+        wrong = frozenset(name for name, choice in effects.items() if choice.is_declared)
         self.rivals = Rivals(frozenset(effects) - wrong, wrong)
         self._costs: dict[frozenset[tuple[str, float]], float] = {}
 
@@ -126,7 +135,7 @@ class Search:
         return posterior_of(self.rivals, self.table(), curves, raised)
 
     def _log_weight(self, names: Set) -> float:
-        """ln of prior times evidence of a fitted set, whatever acts beside it."""
+        """Ln of prior times evidence of a fitted set, whatever acts beside it."""
         plain, unnamed = self.rivals.log_prior(names)
         tried = self.tried[names] if names in self.tried else self.begun[names]
         return float(np.logaddexp(plain + tried.plain, unnamed + tried.spread.log_evidence))
@@ -144,14 +153,20 @@ class Search:
 
     # -- the search ----------------------------------------------------------------------------------------------------
 
-    def run(self) -> None:
+    def run(self, *, is_full: bool = False) -> None:
         """Fit what the table of this module says, as far as the work goes.
+
+        Args:
+            is_full: whether every single is fitted where the declared model leaves nothing to be found, too.
 
         Raises:
             SimulationError: the declared model cannot be simulated.
         """
         try:
-            self.fit_declared()
+            if () not in self.tried:
+                self.fit_declared()
+            if is_full:
+                self._fit_all([(name,) for name in self.problem.plant.effects], ())
             for size in range(LARGEST_SET):
                 base = self.best(size)
                 if base is None or not self._extend(base):
@@ -169,6 +184,18 @@ class Search:
         self._say("the declared model", 0.0)
         self.tried[()] = self._tried(())
 
+    def fit(self, names: Set, *, polish: bool = False) -> Fit:
+        """The best fit of a set without a discrepancy, from several starts; polished, from around that, too.
+
+        Raises:
+            SimulationError: the machine cannot be simulated from any start.
+        """
+        if names not in self.tried:
+            self.tried[names] = self._tried(names)
+        if polish:
+            self._polish(names)
+        return self.tried[names].fit
+
     def _extend(self, base: Set) -> bool:
         """Fit a set with each addition that may gain, then swap members of the best; whether to go on from there."""
         names = [name for name in self.problem.plant.effects if name not in base]
@@ -181,11 +208,27 @@ class Search:
             names = promising
         self._fit_all([_added(base, name) for name in names], base if explains_all else None)
         best = self.best(len(base) + 1)
+        if best is not None:
+            self._polish(best)
         if best is None or (explains_all and self._log_weight(best) < self._log_weight(base)):
             return False
         if len(best) > 1:
             self._fit_all(list(self._swapped(best)), best if self._unnamed(best) < EVEN else None)
         return True
+
+    def _polish(self, names: Set) -> None:
+        """Fit the best set again from other shapes and from around where it ended: contacts make local minima."""
+        tried = self.tried[names]
+        starts = [
+            {**tried.fit.values, **start}
+            for name in names
+            for start in starts_of_other_shapes(self.problem.plant.effects[name])
+        ]
+        starts += scattered_starts(tried.fit, SCATTER)
+        found = run_parallel(lambda start: self._attempt(names, tried.fit.nuisances, start, Effort()), starts)
+        fits = [one for one in found if one is not None and one.chi2 < tried.fit.chi2 - WORTH_KEEPING]
+        if fits:
+            self.tried[names] = self._weighed(names, [min(fits, key=lambda one: one.chi2)])
 
     def _screen(self, gains: Mapping[str, float], promising: Sequence[str]) -> None:
         """Note what the score test says of single effects that are not fitted."""
@@ -194,7 +237,7 @@ class Search:
             self.screened[(name,)] = self.tried[()].plain + gains[name] + prior - self.rivals.log_prior((name,))[0]
 
     def _gains(self, base: Set) -> dict[str, float]:
-        """ln of the odds of each addition to a fitted set, by the score test."""
+        """Ln of the odds of each addition to a fitted set, by the score test."""
         log_prior = self.rivals.log_prior(base)[0]
         found = log_gains(self.tried[base].fit)
         return {
@@ -231,7 +274,9 @@ class Search:
         self.impossible.extend(names for names, own in fits.items() if not own)
         begun = {names: own for names, own in fits.items() if own}
         promise = {names: max(map(_promise, own)) for names, own in begun.items()}
-        most = max([*promise.values(), *([self.tried[reference].plain] if reference is not None else [])], default=0.0)
+        # A promise may be broken: what is left behind lags behind what was reached.
+        reached = [one.log_evidence for own in begun.values() for one in own]
+        most = max([*reached, *([self.tried[reference].plain] if reference is not None else [])], default=0.0)
         if reference is None:
             # Beside something unnamed plain evidence orders nothing.
             self._weigh(begun)

@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from valve_sim.identification.estimation.problem import Problem
+from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.plants.protocol import (
     EffectChoice,
     from_internal,
@@ -66,7 +67,7 @@ def starts_from_declared(cost: Cost, effect: EffectChoice, known: Mapping[str, f
         cost: of values. effect: what is added. known: values of the effects that it is added to.
     """
     switches = [parameter for parameter in effect.parameters if parameter.off is not None]
-    if effect.is_declared_value or not switches:
+    if effect.is_declared or not switches:
         return []
     is_two_sided = len(switches) == 1 and _is_two_sided(switches[0])
     shapes = SHAPES if len(switches) < len(effect.parameters) else SHAPES[:1]
@@ -101,14 +102,28 @@ def start_near_off(effect: EffectChoice) -> dict[str, float]:
     return _start(effect, [SMALL] * len(effect.parameters), 1.0)
 
 
-def start_nearby(effect: EffectChoice) -> dict[str, float]:
-    """The same, but far enough from off where the gradient vanishes there."""
-    return _start(effect, [LARGE[0] if _is_saddle(effect) else SMALL] * len(effect.parameters), 1.0)
-
-
 def starts_of_other_shapes(effect: EffectChoice) -> list[dict[str, float]]:
     """Its parameters near off, in each shape."""
     return [_start(effect, [SMALL] * len(effect.parameters), shape) for shape in SHAPES]
+
+
+def scattered_starts(best: Fit, spreads: Sequence[float]) -> list[dict[str, float]]:
+    """Values around a fit: contacts that come and go make shallow local minima near the global one.
+
+    Args:
+        best: the fit. spreads: standard errors by which starts are scattered, one each, with a seed of their own.
+    """
+    random, plant, found = np.random.default_rng(len(best.free)), best.problem.plant, []
+    for spread in spreads:
+        start = dict(best.values)
+        for index, name in enumerate(best.free):
+            parameter = plant.parameter(name)
+            error = min(math.sqrt(max(0.0, float(best.covariance[index, index]))), internal_scale(parameter))
+            at = float(best.coordinates[index]) + spread * error * float(random.standard_normal())
+            lower, upper = internal_bounds(parameter)
+            start[name] = from_internal(parameter, min(max(at, lower), upper))
+        found.append(start)
+    return found
 
 
 def _is_saddle(effect: EffectChoice) -> bool:

@@ -1,0 +1,164 @@
+"""Prediction of held-out strokes: the proof of a corrected model, and how far off it may be.
+
+Everything that training estimated is kept; only the errors of the held-out recording are estimated anew. What the
+training data leave open of the machine widens what is predicted:
+
+    Var(y_held) = noise² (1 + τ²) + Σ_k (∂y/∂a_k)²
+
+along the principal axes a_k of the posterior of the machine's values, one standard deviation each.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from valve_sim.identification.estimation.problem import Problem
+from valve_sim.identification.estimation.recording import fit_recording
+from valve_sim.identification.estimation.result import Fit, rmse
+from valve_sim.identification.plants.protocol import Array, from_internal, judged_channels
+from valve_sim.identification.selection.discrepancy import Discrepancy, lengths_of
+from valve_sim.model import SimulationError
+
+
+class Predicted(NamedTuple):
+    """What a model says of data, and how sure it is.
+
+    Attributes:
+        fit: of the errors of the recording, the machine's values kept.
+        rmse: measured less predicted, in the response's unit. deviation: what the posterior predicts of that.
+        bands: of each judged channel, (n,) standard deviation of what is predicted, noise included.
+    """
+
+    fit: Fit
+    rmse: float
+    deviation: float
+    bands: Mapping[int, Array]
+
+
+def machine_values(result: Fit) -> dict[str, float]:
+    """The values of a fit that are the machine's, not its recordings'."""
+    plant = result.problem.plant
+    errors = {own.name for own in (*plant.nuisances, *plant.timing_errors) if not own.is_of_machine}
+    return {name: value for name, value in result.values.items() if name not in errors}
+
+
+def axes_of(result: Fit) -> list[dict[str, float]]:
+    """The machine's values moved by one standard deviation along each principal axis of their posterior."""
+    own = [*range(len(result.free))]
+    own += [len(result.free) + at for at, nuisance in enumerate(result.nuisances) if nuisance.is_of_machine]
+    if not own:
+        return []
+    covariance = result.covariance[np.ix_(own, own)]
+    covariance = np.where(np.isfinite(covariance), covariance, 0.0)
+    scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    safe = np.where(scale > 0.0, scale, 1.0)
+    sizes, directions = np.linalg.eigh(covariance / np.outer(safe, safe))
+    plant, values, found = result.problem.plant, machine_values(result), []
+    for size, direction in zip(sizes.tolist(), directions.T, strict=True):
+        moved = dict(values)
+        for place, index in enumerate(own):
+            low, high = result.room[index]
+            step = float(np.clip(math.sqrt(max(size, 0.0)) * direction[place] * scale[place], -low, high))
+            at = float(result.coordinates[index]) + step
+            name = result.free[index] if index < len(result.free) else result.nuisances[index - len(result.free)].name
+            moved[name] = from_internal(plant.parameter(name), at) if index < len(result.free) else at
+        found.append(moved)
+    return found
+
+
+def predicted(result: Fit, there: Fit, size: float = 0.0) -> Predicted:
+    """What a fit predicts of data, which may be its own.
+
+    Args:
+        result: of the training data. there: its machine's values on the data, with the errors of the recording.
+        size: τ, of a discrepancy without a name.
+
+    Raises:
+        SimulationError: the machine cannot be simulated with its own values.
+    """
+    problem, plant = there.problem, there.problem.plant
+    judged = judged_channels(plant)
+    shown = plant.predict(there.values)
+    spread = {index: np.zeros(len(shown[index])) for index in judged}
+    for moved in axes_of(result):
+        try:
+            changed = plant.predict({**there.values, **moved})
+        except SimulationError:
+            continue
+        for index in judged:
+            spread[index] += np.square(changed[index] - shown[index])
+    bands = {}
+    squares, count = 0.0, 0.0
+    for index in judged:
+        moves = ~plant.channels[index].quiet
+        noise = problem.noise_of(index).sigma ** 2 * (1.0 + size**2 * moves)
+        bands[index] = np.sqrt(spread[index] + noise)
+        weights = problem.weight(index) > 0.0
+        squares += float(np.sum(np.square(bands[index])[weights]))
+        count += float(np.count_nonzero(weights))
+    return Predicted(there, rmse(there), math.sqrt(squares / count) if count else math.nan, bands)
+
+
+class HeldOut:
+    """Held-out data of a machine, and what fits to its training data predict of them.
+
+    Args:
+        problem: the machine with other data, or with other strokes taking part; None where nothing is held out.
+    """
+
+    def __init__(self, problem: Problem | None) -> None:
+        self.problem = problem
+        self._fits: dict[Fit, Fit | None] = {}
+        self._discrepancy: Discrepancy | None = None
+
+    def fit(self, result: Fit) -> Fit | None:
+        """A fit's machine on the held-out data; None where nothing is held out or it cannot be simulated there."""
+        if self.problem is None:
+            return None
+        if result not in self._fits:
+            try:
+                self._fits[result] = fit_recording(self.problem, machine_values(result))
+            except SimulationError:
+                self._fits[result] = None
+        return self._fits[result]
+
+    def predicted(self, result: Fit, size: float = 0.0) -> Predicted | None:
+        """What it predicts of them."""
+        there = self.fit(result)
+        return None if there is None else predicted(result, there, size)
+
+    @property
+    def discrepancy(self) -> Discrepancy:
+        """On the held-out data."""
+        assert self.problem is not None
+        if self._discrepancy is None:
+            places = self.problem.rows.places
+            self._discrepancy = Discrepancy(places, lengths_of(self.problem.plant, places))
+        return self._discrepancy
+
+    def log_odds_of_unnamed(self, result: Fit) -> float:
+        """Ln of the factor by which held-out data raise the odds that something unnamed acts; never below 0.
+
+        What the training data leave open of the machine is no discrepancy: it may move along the axes of its posterior.
+        """
+        there = self.fit(result)
+        if there is None:
+            return 0.0
+        left, rows = there.left.few(), there.problem.rows
+        columns = []
+        for moved in axes_of(result):
+            try:
+                columns.append(rows.residuals({**there.values, **moved}) - left)
+            except SimulationError:
+                continue
+        plain, spread = self.discrepancy.log_evidences(there, np.column_stack(columns) if columns else None)
+        return max(0.0, spread.log_evidence - plain)
+
+    def log_density(self, result: Fit) -> float | None:
+        """Ln p of held-out data beside a discrepancy, the machine kept; None where nothing is held out."""
+        there = self.fit(result)
+        return None if there is None else self.discrepancy.spread(there).log_evidence
