@@ -123,8 +123,8 @@ class Diagnosis:
         inclusion: of each name the posterior probability that it acts.
         unexplained: what is left without a name, as a force; None where nothing is. maps: all such forces.
         sources: what was read. recommendation: the experiment that separates the competing models best, where one does.
-        held_out_gain: ln of how much more probable the corrected model makes held-out strokes, beside a discrepancy; nan
-            where nothing is held out.
+        held_out_gain: ln of how much more probable the corrected model makes held-out strokes, beside a discrepancy;
+            nan where nothing is held out.
         untried: what was left untried when the work was used up, or cannot be simulated.
         work: simulated strokes, derivatives counted. allowed: how many were allowed; infinite without a limit.
         detection_limits: where nothing is missing, how large each effect would have to be to be named.

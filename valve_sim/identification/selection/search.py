@@ -7,7 +7,8 @@
         if nothing unnamed acts beside B, and no addition gains by the score test: stop
         fit B with each addition; swap each member of the best
 
-Work is counted in simulated strokes, never by a clock, so that a busy machine finds what a quiet one does. What it would still have fitted when the work is used up is left in the table with the best evidence found.
+Work is counted in simulated strokes, never by a clock, so that a busy machine finds what a quiet one does.
+What it would still have fitted when the work is used up is left in the table with the best evidence found.
 """
 
 from __future__ import annotations
