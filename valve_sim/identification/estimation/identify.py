@@ -23,6 +23,7 @@ from valve_sim.identification.plants.valve_model import GAS_NAMES
 from valve_sim.model import CATALOGUE, DECLARED, ParameterError, Valve
 from valve_sim.model.parameters import closest
 from valve_sim.traces import Trace
+from valve_sim.traces.checking import check_traces
 
 DEFAULT_FREE: Final = DAMPINGS
 STARTS: Final = (1.0, 4.0, 0.25)
@@ -87,7 +88,9 @@ def identify(
     Raises:
         ParameterError: a name that cannot be freed.
         SimulationError: the declared valve cannot be simulated.
+        TraceError: a recording has columns that cannot be used, say with NaN in them.
     """
+    check_traces(traces)
     say = progress or (lambda what, fraction: None)
     check_free(free, has_gas=valve.gas is not None)
     say("start", 0.0)
