@@ -320,6 +320,12 @@ SLIPS: Final[Mapping[str, Sequence[Slip]]] = {
         _with_nuisance(sigma=-0.1),
         _with_nuisance(step=0.0),
         _with(channels=[{"data": np.zeros(4)}]),
+        *(_with(**{member: None}) for member in ("effects", "nuisances", "timing_errors", "force_maps", "experiments")),
+        _with(effects={"drift": EffectChoice("drift", ("rate",))}),  # type: ignore[arg-type]
+        _with(effects={"drift": EffectChoice("drift", ())}),
+        _with(base=(1,)),
+        _with(base=(["gain"],)),
+        _with_nuisance(channels=("first",)),
     ),
     "too slow": (_slow,),
 }

@@ -90,6 +90,7 @@ def test_a_sound_plant_passes_and_may_have_no_result_far_from_what_is_declared()
     assert check_plant(Heater()) == 4  # nothing given, the base, two effects
     found = diagnose_plant(NanBeyond(), None)
     assert found.verdict.kind == "none"
+    assert repr(found).startswith("Diagnosis(none, probability ")
     with pytest.raises(SimulationError, match=r"NanBeyond.predict\({gain=3}\)\[0\]: found nan"):
         checked_prediction(NanBeyond(), {"gain": 3.0})
 
@@ -97,6 +98,7 @@ def test_a_sound_plant_passes_and_may_have_no_result_far_from_what_is_declared()
 def test_a_valve_passes_and_its_recording_is_checked_by_column() -> None:
     trace = sound_trace()
     check_plant(ValvePlant([trace], Valve()))
+    assert repr(trace) == "Trace('made.mcap', 8 commands, 1200 samples of the position)"
     late = np.copy(trace.times)
     late[40] = late[39]
     for spoilt, words in (

@@ -34,7 +34,7 @@ DECISIVE: Final = 10.0
 Progress = Callable[[str, float], None]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Identification:
     """The outcome of `identify`.
 
@@ -63,6 +63,11 @@ class Identification:
     current_after: float = math.nan
     pressure_before: float = math.nan
     pressure_after: float = math.nan
+
+    def __repr__(self) -> str:
+        """Identification(pilot_damping = 1.4 ± 0.02, main_damping = 3.2 ± 0.03)."""
+        found = (f"{name} = {own.value:.6g} ± {own.stderr:.2g}" for name, own in self.intervals.items())
+        return f"Identification({', '.join(found)})"
 
     @property
     def judged(self) -> Channel:

@@ -60,11 +60,14 @@ def check_plant(plant: Plant, after_each: Check = lambda: None) -> int:
     missing = [member for member in (*MEMBERS, *FUNCTIONS) if not _has(plant, member)]
     if missing:
         raise PlantError(f"{name}: has no {missing[0]}, which every plant has; see docs/how_to/your_own_plant.md")
-    _check_channels(name, plant)
-    _check_effects(name, plant)
-    _check_base(name, plant)
-    _check_nuisances(name, plant)
-    _check_force_maps(name, plant)
+    try:
+        for check in (_check_channels, _check_effects, _check_base, _check_nuisances, _check_force_maps):
+            check(name, plant)
+    except ValveError:
+        raise
+    except Exception as error:
+        # Whatever of a kind that no check has thought of: a list where a name was meant, say.
+        raise PlantError(f"{name}: its members cannot be read as a Plant's: {_raised(error)}") from error
     with named_interrupts(plant):
         return _check_predictions(plant, after_each)
 
@@ -239,6 +242,8 @@ def _problem_of_parameter(parameter: Parameter) -> str:
     if not (_is_number(parameter.prior_scale) and parameter.prior_scale != 0.0):
         return f"found prior_scale {parameter.prior_scale!r}, expected a number that is not 0"
     off = parameter.off
+    if not (off is None or isinstance(off, int | float | np.floating)):
+        return f"found off = {off!r}, expected a number or None"
     if off is not None and not math.isinf(off) and not bounds[0] <= off <= bounds[1]:
         return f"found off = {off!r}, expected {parameter.range_words()}"
     return ""
@@ -254,8 +259,8 @@ def _check_effects(name: str, plant: Plant) -> None:
             raise PlantError(f"{own}: found {type(effect).__name__}, expected an EffectChoice")
         if effect.name != key:
             raise PlantError(f"{own}: found the name {effect.name!r}, expected {key!r}, by which it is listed")
-        if not effect.parameters:
-            raise PlantError(f"{own}: found no parameters, expected at least one")
+        if not effect.parameters or not all(isinstance(one, Parameter) for one in effect.parameters):
+            raise PlantError(f"{own}.parameters: found {effect.parameters!r:.60}, expected a tuple of Parameter")
         for free in effect.free_names():
             _check_name(name, plant, free, own)
         for started, value in effect.start.items():
@@ -266,6 +271,9 @@ def _check_effects(name: str, plant: Plant) -> None:
 def _check_nuisances(name: str, plant: Plant) -> None:
     effects = {free: effect for effect in plant.effects.values() for free in effect.free_names()}
     seen: set[str] = set()
+    for member in ("nuisances", "timing_errors", "force_maps", "experiments"):
+        if not isinstance(getattr(plant, member), Sequence):
+            raise PlantError(f"{name}.{member}: found {getattr(plant, member)!r:.60}, expected a tuple or list, or ()")
     for member in ("nuisances", "timing_errors"):
         for index, own in enumerate(getattr(plant, member)):
             where = f"{name}.{member}[{index}]"
