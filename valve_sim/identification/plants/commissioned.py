@@ -14,9 +14,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from valve_sim.identification.plants.advice import Advice
 from valve_sim.identification.plants.hold_out import Condition
 from valve_sim.identification.plants.protocol import (
-    Advice,
     Array,
     Channel,
     Direction,

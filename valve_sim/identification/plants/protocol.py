@@ -205,31 +205,6 @@ class Experiment:
     commands: tuple[tuple[float, float], ...] = ()
 
 
-class Advice(NamedTuple):
-    """What a plant's owner should record next, in whole sentences without the full stop.
-
-    Attributes:
-        ambiguous: why one stroke cannot tell effects apart. first: after a single stroke. more: after several.
-    """
-
-    ambiguous: str
-    first: str
-    more: str
-
-
-GENERIC_ADVICE: Final = Advice(
-    "one stroke cannot tell an effect from what is refitted anyway",
-    "Record next: at least eight strokes under different conditions, in one recording",
-    "Record next: strokes under conditions not used yet",
-)
-
-
-def advice_of(plant: Plant) -> Advice:
-    """The plant's own `advice`, an optional member, or general advice for any machine."""
-    found = getattr(plant, "advice", GENERIC_ADVICE)
-    return found if isinstance(found, Advice) else GENERIC_ADVICE
-
-
 def judged_channels(plant: Plant) -> list[int]:
     """Indices of the channels in which errors are reported: responses, of the first one's kind and so of one unit."""
     responses = [index for index, channel in enumerate(plant.channels) if channel.role == "response"]

@@ -12,10 +12,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from valve_sim.identification.plants.advice import Advice
 from valve_sim.identification.plants.force_map_choice import force_map_over
 from valve_sim.identification.plants.hold_out import Condition
 from valve_sim.identification.plants.protocol import (
-    Advice,
     Array,
     Channel,
     Direction,
