@@ -18,13 +18,13 @@ from scipy.optimize import least_squares
 
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose_plant
 from valve_sim.identification.estimation.budget import Budget
-from valve_sim.identification.plants.protocol import Array, Channel, EffectChoice, ForceMap, Nuisance
+from valve_sim.identification.plants.protocol import Array, Channel, EffectChoice, Nuisance
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import Parameter, Tolerances, Valve
 from valve_sim.traces import Trace
 
 from .diagnosis.test_run import DECLARED
-from .recordings import TRUTH, recorded
+from .recordings import TRUTH, Short, recorded
 
 COARSE = Recorder(sample_rate=5e3)
 SURE = 0.9
@@ -91,21 +91,6 @@ def noise(seed: int, sigma: float = SIGMA) -> Array:
 
 
 # -- a valve with a short catalogue ------------------------------------------------------------------------------------
-
-
-class Short(ValvePlant):
-    """A valve of whose catalogue few effects are tried, all declared values and no curves."""
-
-    force_maps: Sequence[ForceMap] = ()  # type: ignore[assignment]
-
-    def __init__(self, traces: Sequence[Trace], valve: Valve, few: Sequence[str]) -> None:
-        super().__init__(traces, valve)
-        self._few = few
-
-    @functools.cached_property
-    def effects(self) -> Mapping[str, EffectChoice]:  # type: ignore[override]
-        every = super().effects
-        return {name: every[name] for name in every if name in self._few or every[name].is_declared_value}
 
 
 def diagnosed(

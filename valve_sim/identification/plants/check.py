@@ -186,7 +186,7 @@ def _problem_of_channel(channel: Channel) -> str:
 
 
 def _problem_of_numbers(channel: Channel) -> str:
-    """Likewise of the members that are no columns, and of the numbers of strokes."""
+    """What is wrong with the numbers of its strokes, its role or its resolution, after the name of that member."""
     if int(channel.group.min(initial=0)) < 0:
         return f"group: found {int(channel.group.min())}, expected numbers of strokes from 0 on"
     if channel.role not in get_args(Role):
