@@ -166,14 +166,18 @@ def _check(plant: Plant, budget: Budget) -> None:
     Raises:
         OutOfTimeError: it is not. PlantError: it does not.
     """
-    begun, slow = budget.spent, f"{name_of(plant)}.predict is too slow for a search of some thousand predictions"
-    try:
-        count = check_plant(plant, budget.check)
-    except OutOfTimeError as error:
-        raise OutOfTimeError(f"{slow}: {error}") from error
-    each = (budget.spent - begun) / count
-    if LEAST_PREDICTIONS * each > budget.seconds:
-        raise OutOfTimeError(f"{slow}: it took {each:.2g} s, and the budget is {budget.seconds:g} s; give it more time")
+    looks: list[float] = []
+
+    def look() -> None:
+        looks.append(budget.spent)
+        each = looks[-1] - looks[0]
+        if LEAST_PREDICTIONS * each > budget.seconds:
+            raise OutOfTimeError(
+                f"{name_of(plant)}.predict took {each:.2g} s, and a search takes some thousand predictions: the budget "
+                f"is {budget.seconds:g} s; give it more time"
+            )
+
+    check_plant(plant, look)
 
 
 def _with_least(problem: Problem, least: Mapping[str, float]) -> Problem:

@@ -43,14 +43,13 @@ class _NoResultError(SimulationError):
     """A prediction that is not finite, or an arithmetic error in place of one."""
 
 
-def check_plant(plant: Plant, after_each: Check = lambda: None) -> int:
+def check_plant(plant: Plant, after_declared: Check = lambda: None) -> None:
     """A plant that keeps to the protocol, as far as one prediction at the declared values and one for each effect show.
 
     Args:
-        plant: anything. after_each: called after each prediction, so that a budget ends those of a slow plant.
-
-    Returns:
-        how many predictions it was asked for.
+        plant: anything.
+        after_declared: called after each of the first two predictions, which are of the declared machine: in between
+            one is made without what only the first one takes, compiling say.
 
     Raises:
         PlantError: it does not.
@@ -69,7 +68,7 @@ def check_plant(plant: Plant, after_each: Check = lambda: None) -> int:
         # Whatever of a kind that no check has thought of: a list where a name was meant, say.
         raise PlantError(f"{name}: its members cannot be read as a Plant's: {_raised(error)}") from error
     with named_interrupts(plant):
-        return _check_predictions(plant, after_each)
+        _check_predictions(plant, after_declared)
 
 
 def checked_prediction(plant: Plant, values: Mapping[str, float]) -> list[Array]:
@@ -313,7 +312,7 @@ def _check_force_maps(name: str, plant: Plant) -> None:
             _check_name(name, plant, own, where)
 
 
-def _check_predictions(plant: Plant, after_each: Check) -> int:
+def _check_predictions(plant: Plant, after_declared: Check) -> None:
     # Names that a plant's own `predict` does not know show when they are given.
     as_declared = {own: plant.declared(own) for own in plant.base}
     starts = [{free: _start_of(plant, free) for free in effect.free_names()} for effect in plant.effects.values()]
@@ -326,8 +325,8 @@ def _check_predictions(plant: Plant, after_each: Check) -> int:
             # Not every machine can be simulated with every effect; a search leaves such an effect out and says so.
             if index < 2:
                 raise
-        after_each()
-    return 2 + len(starts)
+        if index < 2:
+            after_declared()
 
 
 def _start_of(plant: Plant, free: str) -> float:
