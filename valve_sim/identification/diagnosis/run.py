@@ -26,6 +26,7 @@ from valve_sim.identification.estimation.noise import Noise
 from valve_sim.identification.estimation.problem import Mask, Problem
 from valve_sim.identification.estimation.result import Fit, rmse
 from valve_sim.identification.estimation.solver import fit
+from valve_sim.identification.plants.check import check_plant, named_interrupts
 from valve_sim.identification.plants.hold_out import held_out_strokes
 from valve_sim.identification.plants.protocol import Plant, strokes_of_plant
 from valve_sim.identification.plants.stroke_choice import choose_strokes
@@ -56,6 +57,7 @@ from valve_sim.identification.selection.search import PROMISING, Progress, Searc
 from valve_sim.identification.selection.starts import start_near_off
 from valve_sim.model import SimulationError, Valve
 from valve_sim.traces import Trace
+from valve_sim.traces.checking import check_traces
 
 __all__ = ["Candidate", "Diagnosis", "DiagnosisSession", "State", "Verdict", "begin", "diagnose", "diagnose_plant"]
 
@@ -88,7 +90,11 @@ def diagnose(
 
     Raises:
         SimulationError: the declared valve cannot be simulated.
+        TraceError: a recording has columns that cannot be used, say with NaN in them.
     """
+    check_traces(traces)
+    if holdout:
+        check_traces(holdout)
     fitted, choice = choose_strokes(traces)
     others = ValvePlant(choose_strokes(holdout)[0], valve) if holdout else None
     found = diagnose_plant(ValvePlant(fitted, valve), others, progress, budget, is_full=is_full)
@@ -110,6 +116,7 @@ def diagnose_plant(
         progress, budget, is_full: as of `diagnose`.
 
     Raises:
+        PlantError: a plant does not keep to what a `Plant` promises.
         SimulationError: the declared model cannot be simulated.
     """
     return begin(plant, holdout, progress, budget).end(is_full=is_full)
@@ -130,18 +137,29 @@ def begin(
         least: standard deviations by kind of channel, which count where the data show less noise.
 
     Raises:
+        PlantError: a plant does not keep to what a `Plant` promises.
         SimulationError: the declared model cannot be simulated.
     """
     budget = budget or Budget.unlimited()
+    with named_interrupts(plant):
+        for one in (plant,) if holdout is None else (plant, holdout):
+            check_plant(one)
+        return _begun(plant, holdout, progress, budget, least or {})
+
+
+def _begun(
+    plant: Plant, holdout: Plant | None, progress: Progress | None, budget: Budget, least: Mapping[str, float]
+) -> DiagnosisSession:
+    """The declared model, refitted, of a plant that keeps to its protocol."""
     train_mask, holdout_mask = _split(plant) if holdout is None else (None, None)
-    problem = _with_least(Problem(plant, train_mask, budget=budget), least or {})
+    problem = _with_least(Problem(plant, train_mask, budget=budget), least)
     never_still = [kind for kind, noise in problem.noises.items() if noise.samples == 0]
     if never_still:
         problem = problem.with_noise_left_by(_largest_fit(problem).values)
     held_out = None
     if holdout is not None:
         held_out = Problem(holdout, budget=budget).with_noises({kind: problem.noises[kind] for kind in never_still})
-        held_out = _with_least(held_out, least or {})
+        held_out = _with_least(held_out, least)
     elif holdout_mask is not None:
         held_out = problem.restricted(holdout_mask)
     search = Search(problem.condensed(), progress)
@@ -184,6 +202,10 @@ class DiagnosisSession:
 
     def end(self, *, is_full: bool = False) -> Diagnosis:
         """Search, decide, and describe the result; `is_full` as of `diagnose`."""
+        with named_interrupts(self._plant):
+            return self._ended(is_full=is_full)
+
+    def _ended(self, *, is_full: bool) -> Diagnosis:
         self._search.run(is_full=is_full)
         posterior, decision = self._decided()
         self._say("intervals", 0.95)

@@ -23,6 +23,7 @@ from valve_sim.identification.plants.valve_model import GAS_NAMES
 from valve_sim.model import CATALOGUE, DECLARED, ParameterError, Valve
 from valve_sim.model.parameters import closest
 from valve_sim.traces import Trace
+from valve_sim.traces.checking import check_traces
 
 DEFAULT_FREE: Final = DAMPINGS
 STARTS: Final = (1.0, 4.0, 0.25)
@@ -31,7 +32,7 @@ STARTS: Final = (1.0, 4.0, 0.25)
 Progress = Callable[[str, float], None]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Identification:
     """The outcome of `identify`.
 
@@ -61,6 +62,11 @@ class Identification:
     pressure_before: float = math.nan
     pressure_after: float = math.nan
 
+    def __repr__(self) -> str:
+        """Identification(pilot_damping = 1.4 ± 0.02, main_damping = 3.2 ± 0.03)."""
+        found = (f"{name} = {own.value:.6g} ± {own.stderr:.2g}" for name, own in self.intervals.items())
+        return f"Identification({', '.join(found)})"
+
     @property
     def judged(self) -> Channel:
         """One of the channels by which the errors are meant."""
@@ -85,7 +91,9 @@ def identify(
     Raises:
         ParameterError: a name that cannot be freed.
         SimulationError: the declared valve cannot be simulated.
+        TraceError: a recording has columns that cannot be used, say with NaN in them.
     """
+    check_traces(traces)
     say = progress or (lambda what, fraction: None)
     check_free(free, has_gas=valve.gas is not None)
     say("start", 0.0)
