@@ -344,6 +344,8 @@ class Search:
             # Without any effect it shows whether stamps err: where they do not, errors of theirs only cost power.
             self.stamps = done[1].log_evidence > done[0].log_evidence - math.log(1.0 / PROMISING)
         prior = -math.log(len(done))
+        # What lies beyond the range of a name is claimed by another name, and is not its evidence.
+        prior = prior if all(self._may_be_claimed(names, one) for one in done) else -math.inf
         best = max(done, key=lambda one: one.log_evidence)
         plain = float(np.logaddexp.reduce([one.log_evidence + prior for one in done]))
         spreads = [self.discrepancy.spread(one) for one in done]
@@ -411,10 +413,17 @@ class Search:
     def _attempt(
         self, names: Set, nuisances: Sequence[Nuisance], start: Mapping[str, float] | Fit, effort: Effort
     ) -> Fit | None:
+        """A fit from one start; none where the machine cannot be simulated."""
         try:
             return fit(self.problem, self.free_names(names), start, nuisances=nuisances, effort=effort)
         except SimulationError:
             return None
+
+    def _may_be_claimed(self, names: Set, result: Fit) -> bool:
+        """Whether what a fit found may bear these names: beyond a name's range something else has the name."""
+        choices = [self.problem.plant.effects[name] for name in names]
+        found = [(own, result.values[choice.free_name(own)]) for choice in choices for own in choice.parameters]
+        return all(own.lower <= value <= own.upper for own, value in found)
 
     def free_names(self, names: Set) -> tuple[str, ...]:
         """What a set frees."""
