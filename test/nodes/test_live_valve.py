@@ -108,16 +108,22 @@ def test_the_coil_is_de_energised_when_commands_stop() -> None:
     assert live.volts == 9.0
 
 
-def test_parameters_change_without_a_jump_in_state() -> None:
-    live = started()
+@pytest.mark.parametrize("delay", [0.0, 1e-3])
+@pytest.mark.parametrize("cutoff", [math.inf, 400.0])
+def test_parameters_change_without_a_jump_in_state(delay: float, cutoff: float) -> None:
+    valve = dataclasses.replace(
+        default_valve(), effects={"sensor_delay": {"delay": delay}, "sensor_bandwidth": {"cutoff_frequency": cutoff}}
+    )
+    live = LiveValve(valve)
+    live.restart(START, START)
     live.command(START, 9.0)
     before = run(live, [0.0, 7.0])[-1].reading
-    live.set_valve(START + 7 * MILLISECOND, default_valve().with_values(spring_rate=2000.0, coil_time_constant=5e-3))
+    live.set_valve(START + 7 * MILLISECOND, valve.with_values(spring_rate=2000.0, coil_time_constant=5e-3))
     after = run(live, [7.0])[-1].reading
-    for name in ("pilot_position", "pilot_velocity", "coil_current"):
+    for name in ("pilot_position", "main_position", "pilot_velocity", "coil_current"):
         assert getattr(after, name) == pytest.approx(getattr(before, name), abs=1e-9)
     assert live.valve.parameters.spring_rate == 2000.0
-    assert run(live, [9.9])[-1].reading.pilot_position != pytest.approx(1.23e-3, abs=1e-6)
+    assert run(live, [9.9 + 1e3 * delay])[-1].reading.pilot_position != pytest.approx(1.23e-3, abs=1e-6)
 
 
 def test_a_reset_forgets_state_and_command() -> None:
