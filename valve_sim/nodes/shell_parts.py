@@ -13,7 +13,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_polic
 
 from valve_sim.files.parameter_sections import Section
 from valve_sim.model import ParameterError
-from valve_sim.model.compiling import announce_compiling
+from valve_sim.model.compiling import COMPILING, announce_compiling
 from valve_sim.nodes.parameters import ROS_OWN, ROS_OWN_PREFIX, files_for_others, sources_of
 
 RELIABLE: Final = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
@@ -74,9 +74,7 @@ def make_node(name: str) -> Node:
             f"({error}); take it out"
         ) from error
     logger = node.get_logger()
-    announce_compiling(
-        lambda: logger.info("compiling the model for this machine, once, for some seconds; what comes meanwhile waits")
-    )
+    announce_compiling(lambda: logger.info(f"{COMPILING}; what comes meanwhile waits"))
     return node
 
 
