@@ -147,7 +147,6 @@ def _series_step(p, s, work, tolerance, longest):
 def _next_step(p, s, work, tolerance):
     """Find the next committed step from the state. Arguments and result as for `_integrated_step`."""
     is_integrated = _is_integrated(p, s, work)
-    # Beyond its end the formula of a freewheeling current grows again, and would pull.
     longest = current_lasts(p, s, work)
     h, ends, following, outcome = min(_rest(p, s), longest), NO_EVENT, s.step, FINISHED
     work.in_series = 0

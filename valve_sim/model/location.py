@@ -267,7 +267,10 @@ def _push_after(p, s, work, h, theta):
 
 @inlined
 def current_lasts(p, s, work):
-    """Seconds until a freewheeling current with a closed form is gone; infinity for any other, located in the step."""
+    """Seconds until a freewheeling current with a closed form is gone; infinity for any other, located in the step.
+
+    Beyond its end the formula grows again, and would pull: no step may look there.
+    """
     if s.path != FREEWHEELING or (work.states > MECHANICAL_STATES and not work.rests):
         return math.inf
     return max(freewheels_for(p, s, coil_now(p, s)[0]), SHORTEST_STEP)
