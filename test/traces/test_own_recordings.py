@@ -390,3 +390,42 @@ def test_nothing_that_moves_is_said(tmp_path: Path, made: Recording) -> None:
     bag.floats("/lab/lvdt", made.times, np.full(len(made.times), 12.5))
     with pytest.raises(TraceError, match=r"nothing in it moves \(/lab/lvdt\); record while the valve works"):
         draft_map(bag.write(tmp_path / "still"), VALVE, "valve-sim map")
+
+
+def test_what_ros_tells_of_itself_and_what_counts_is_no_quantity_of_a_valve(tmp_path: Path, made: Recording) -> None:
+    """Words may lie: a stamp is no ampere, and a name may say more than the numbers can be."""
+    bag, types, random = Bag(), STORE.types, np.random.default_rng(2)
+    bag.floats("/lab/supply", made.command_times, made.volts)
+    bag.floats("/lab/lvdt", made.times, 1e3 * made.pilot_position)
+    few = made.times[::20]
+    bag.floats("/lab/samples_amp", few, np.arange(len(few)) * 1.0)
+    bag.floats("/lab/i_code", few, random.uniform(1e8, 1e9, len(few)))
+    for time in few[::4].tolist():
+        stamp = types["builtin_interfaces/msg/Time"](0, int(random.integers(1, 10**9)))
+        bag.add("/parameter_events", "rcl_interfaces/msg/ParameterEvent", time, stamp, "/node", [], [], [])
+        bag.add("/clock", "rosgraph_msgs/msg/Clock", time, types["builtin_interfaces/msg/Time"](int(time), 0))
+    draft = draft_map(bag.write(tmp_path / "bag"), VALVE, "valve-sim map")
+    entries = [line for line in draft.splitlines() if not line.startswith("#")]
+    assert [entry.partition(":")[0] for entry in entries] == ["command", "position"], draft
+    assert "parameter_events" not in draft
+    assert "/clock" not in draft
+
+
+@pytest.mark.parametrize("name", ["lvdt.yaml", "scope.yaml"])
+def test_every_line_of_a_first_map_is_named_as_a_guess(name: str, tmp_path: Path, made: Recording) -> None:
+    lines = draft_map(makers(made, made)[name](tmp_path), VALVE, "valve-sim map").splitlines()
+    entries = [line.partition(":")[0] for line in lines if line[:1].isalpha() and not line.startswith("time")]
+    assert len(entries) >= 2
+    for quantity in entries:
+        assert any(line.startswith(f"# {quantity} is a guess: ") for line in lines), quantity
+
+
+def test_a_current_by_its_name_alone_must_be_one_that_can_flow(tmp_path: Path, made: Recording) -> None:
+    assert made.coil_current is not None
+    for factor, is_one in ((1.0, True), (1e3, True), (1e9, False)):
+        bag = Bag()
+        bag.floats("/lab/supply", made.command_times, made.volts)
+        bag.floats("/lab/lvdt", made.times, 1e3 * made.pilot_position)
+        bag.floats("/lab/clamp", made.times, factor * made.coil_current)
+        draft = draft_map(bag.write(tmp_path / f"bag_{factor:g}"), VALVE, "valve-sim map")
+        assert ("\ncurrent: {topic: /lab/clamp" in draft) is is_one, draft
