@@ -68,6 +68,7 @@ def _print_summary(summary: TraceSummary, arrivals: Sequence[StrokeEvents]) -> N
             f"  {signal:<18}{rate.samples:>9} samples{rate.rate:>12.6g} Hz{', in bursts' if rate.in_bursts else ''}"
         )
     click.echo(f"  {'commands':<18}{summary.commands:>9} at {', '.join(f'{volts:g}' for volts in summary.voltages)} V")
+    click.echo(shown(f"  {'input':<18}{summary.input}"))
     click.echo(f"  {_judged_words(summary)}; sample interval within {1e6 * summary.jitter:.3f} µs of its median (99 %)")
     for gap in summary.gaps[:10]:
         click.echo(f"  gap at {gap.start:.6f} s: {1e3 * gap.length:.3f} ms without samples")
