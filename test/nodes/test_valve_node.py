@@ -228,7 +228,7 @@ def test_parameters_are_validated_and_applied_without_a_jump(rested: Probe) -> N
         valve__pilot_mass=0, valve__pilot_gap=2e-3, valve__spring_rate="stiff", valve__attraction_polynomial=[1.0, 2.0]
     )
     assert [result.successful for result in bad] == [False] * 4
-    assert "valve.pilot_mass: found 0.0, expected a number above 0 to 100 kg" in bad[0].reason
+    assert "valve.pilot_mass: found 0.0, expected a number above 0 to 5 kg" in bad[0].reason
     assert "expected 0 < pilot_gap < stroke" in bad[1].reason
     assert "expected four numbers" in bad[3].reason
     assert rested.parameters()["valve.pilot_gap"] == 0.26e-3

@@ -102,7 +102,8 @@ def diagnose(
         time_left = Budget(budget - kept_for_writing(budget, wall / processor), time.monotonic)
         result = trace_residual(traces, held_out, valve, progress, time_left)
     report = to_json(result)
-    written = write_diagnosis(result, output, provenance(params, [report["verdict"]["summary"]]), plot)
+    origin = provenance(params, [report["verdict"]["summary"]])
+    written = write_diagnosis(result, output, origin, plot, report=report)
     print_report(report, diagnosis_text(result), written, as_json)
 
 

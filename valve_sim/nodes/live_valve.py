@@ -344,7 +344,10 @@ class LiveValve:
         self.timed_out = False
 
     def _phases_to_announce(self, reading: Reading) -> tuple[Phase, ...]:
-        entered = [_PHASE_AFTER[event.kind] for event in reading.events if event.kind in _PHASE_AFTER]
+        after = _PHASE_AFTER
+        if self._running.valve.parameters.has_one_plunger:
+            after = {**_PHASE_AFTER, EventKind.UNSEATED: Phase.MAIN}
+        entered = [after[event.kind] for event in reading.events if event.kind in after]
         announced: list[Phase] = []
         for phase in [*entered, reading.phase]:
             if phase != (announced[-1] if announced else self._announced):
@@ -357,7 +360,7 @@ class SelfTest(NamedTuple):
     """One stroke of the model at the reference voltage, apart from the running valve.
 
     Attributes:
-        passed: the valve opened fully, and its main plunger seated again.
+        passed: the valve opened fully, and its main plunger, or the only one, seated again.
         summary: the event times, in one sentence.
     """
 
@@ -380,12 +383,17 @@ def self_test(valve: Valve) -> SelfTest:
     except SimulationError as error:
         return SelfTest(False, str(error))
     opened = _milliseconds(opening, 0.0, EventKind.REACHED_STOP, EventKind.BOUNCED_AT_STOP)
-    closed = _milliseconds(closing, held.time, EventKind.MAIN_SEATED)
-    picked_up = _milliseconds(opening, 0.0, EventKind.PICKED_UP, EventKind.HELD_AT_GAP)
     released = _milliseconds(closing, held.time, EventKind.RELEASED)
+    if valve.parameters.has_one_plunger:
+        closed = _milliseconds(closing, held.time, EventKind.SEATED, EventKind.BOUNCED_AT_SEAT)
+        lifted, seated = f"seat left {_milliseconds(opening, 0.0, EventKind.UNSEATED)}", f"plunger seated {closed}"
+    else:
+        closed = _milliseconds(closing, held.time, EventKind.MAIN_SEATED)
+        picked_up = _milliseconds(opening, 0.0, EventKind.PICKED_UP, EventKind.HELD_AT_GAP)
+        lifted, seated = f"main plunger picked up {picked_up}", f"main plunger seated {closed}"
     summary = (
-        f"at {volts:g} V: main plunger picked up {picked_up}, stop reached {opened}{_pressures(valve, held, opened)}; "
-        f"at 0 V: stop left {released}, main plunger seated {closed}"
+        f"at {volts:g} V: {lifted}, stop reached {opened}{_pressures(valve, held, opened)}; "
+        f"at 0 V: stop left {released}, {seated}"
     )
     return SelfTest("never" not in (opened, closed), summary)
 

@@ -48,6 +48,10 @@ SPIKE_SEARCH = 1e-3
 """s; a spike further than this from the arrival seen by the position belongs to something else."""
 
 
+AT_THE_GAP = ("pilot_reaches_main", "main_seats")
+"""Arrivals that a valve with one plunger has not."""
+
+
 class SensorEvent(NamedTuple):
     """An arrival seen by a sensor.
 
@@ -78,13 +82,18 @@ def events_from_sensors(trace: Trace, pilot_gap: float) -> tuple[StrokeEvents, .
 
     Args:
         trace: A measured trace.
-        pilot_gap: Where the pilot plunger meets the main plunger, m above its closed rest.
+        pilot_gap: Where the pilot plunger meets the main plunger, m above its closed rest; 0 of a valve with one
+            plunger, which meets none.
     """
     strokes = [stroke for stroke in find_stroke_parts(trace) if stroke.moved and stroke.kind != "hold"]
     if not strokes:
         return ()
     if not trace.has_positions:
-        return tuple(StrokeEvents(stroke, tuple(_by_current(trace.coil_current, stroke))) for stroke in strokes)
+        by_current = [(stroke, _by_current(trace.coil_current, stroke)) for stroke in strokes]
+        return tuple(
+            StrokeEvents(stroke, tuple(event for event in seen if pilot_gap > 0.0 or event.kind not in AT_THE_GAP))
+            for stroke, seen in by_current
+        )
     levels = _rest_levels(trace.pilot_position, pilot_gap)
     found = []
     for stroke in strokes:
@@ -107,7 +116,9 @@ def _by_position(trace: Trace, stroke: StrokePart, levels: _Levels) -> Iterator[
     window = slice(*np.searchsorted(trace.times, [stroke.start, stroke.stop]))
     times, position = trace.times[window], trace.pilot_position[window]
     seat, gap, stop, noise = levels
-    if stroke.kind == "closing":
+    if stroke.kind == "closing" and gap == seat:  # one plunger
+        ways = [("reaches_seat", seat, seat + STOP_APPROACH_SHARE * (stop - seat))]
+    elif stroke.kind == "closing":
         ways = [
             ("main_seats", gap, gap + STOP_APPROACH_SHARE * (stop - gap)),
             ("reaches_seat", seat, seat + APPROACH_SHARE * (gap - seat)),
@@ -118,7 +129,7 @@ def _by_position(trace: Trace, stroke: StrokePart, levels: _Levels) -> Iterator[
             ("reaches_stop", stop, stop - STOP_APPROACH_SHARE * (stop - gap)),
         ]
     for kind, level, begin in ways:
-        if kind == "reaches_stop" and stroke.kind == "pulse":
+        if (kind == "reaches_stop" and stroke.kind == "pulse") or (kind in AT_THE_GAP and gap == seat):
             continue
         arrival = _arrival(times, position, begin, level, noise)
         if arrival is not None:

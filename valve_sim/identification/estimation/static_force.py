@@ -205,7 +205,7 @@ def _findings(valve: Valve, constant: Interval | None, displacement: Array) -> I
     yield StartOfMotion(
         constant, opening_of(valve), None if constant is None else opening_of(valve.with_values(a0=0.0))
     )
-    if begin > 0.1 * parameters.pilot_gap:
+    if begin > 0.1 * (parameters.pilot_gap or parameters.stroke):
         yield BeginsLate(begin)
     if end < 0.98 * parameters.stroke:
         yield EndsEarly(end, parameters.stroke)

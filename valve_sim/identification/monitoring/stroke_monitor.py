@@ -420,7 +420,8 @@ def _arrivals(trace: Trace, valve: Valve) -> dict[str, float]:
 def _opening_delay(trace: Trace, valve: Valve, lateness: float) -> float:
     """When the pilot plunger left its seat, s after the command: the model's time, and the delay at a low level.
 
-    The first micrometres hide in the noise, and grow with the third power of time; the level is a quarter of the gap.
+    The first micrometres hide in the noise, and grow with the third power of time; the level is a quarter of the gap,
+    or of one plunger a twentieth of its stroke.
     By the current alone the delay is that with which the current rises. NaN where it is not seen.
     """
     if not len(trace.sample_times):
@@ -439,7 +440,7 @@ def _opening_delay(trace: Trace, valve: Valve, lateness: float) -> float:
     except SimulationError:
         return math.nan
     if trace.has_positions:
-        level = 0.25 * valve.parameters.pilot_gap
+        level = 0.25 * valve.parameters.pilot_gap or 0.05 * valve.parameters.stroke
         measured = crossing(times, trace.pilot_position[is_before_next], level, rises=True)
         late = measured - crossing(times, shown.pilot_position, level, rises=True)
     return shown.first(EventKind.UNSEATED) - float(drive.times[0]) + late

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Final
 
-from valve_sim.identification.estimation.identify import DEFAULT_FREE
 from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.identification.monitoring.fault_isolation import FaultFinding
 from valve_sim.identification.monitoring.findings import (
@@ -22,6 +21,7 @@ from valve_sim.identification.monitoring.findings import (
 from valve_sim.identification.monitoring.stroke_monitor import StrokeReport
 from valve_sim.identification.plants.effect_titles import WRONG, named, title_of
 from valve_sim.identification.plants.protocol import GENERIC_ADVICE
+from valve_sim.identification.plants.valve import DAMPINGS
 from valve_sim.identification.reporting.summary import claim
 from valve_sim.identification.reporting.units import measured, quantity
 from valve_sim.model import CATALOGUE, DECLARED
@@ -112,7 +112,7 @@ def _change(effect: str, finding: FaultFinding) -> str:
     if effect.startswith(WRONG):
         return _changed_value(effect, finding)
     own = {name.partition(".")[2]: found for name, found in finding.parameters.items() if name.startswith(f"{effect}.")}
-    if effect in DEFAULT_FREE:
+    if effect in DAMPINGS:
         unit = DECLARED[effect].unit
         value = ", ".join(measured(found, unit) for found in own.values())
         return f"{title_of(effect)} {value}, {quantity(finding.commissioned[effect], unit)} when commissioned"
