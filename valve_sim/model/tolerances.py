@@ -124,11 +124,11 @@ EXACT: Final = Tolerances()
 
 def tolerance_rule(parameter: Parameter) -> Parameter:
     """Name, unit and range of a parameter's tolerance: from 0 (exact) to the width of the parameter's range."""
-    what = "moving_mass - pilot_mass" if parameter.name == "moving_mass" else parameter.description
+    what = "moving_mass - pilot_mass" if parameter.name == "moving_mass" else parameter.name
     return Parameter(
         parameter.name,
         parameter.unit,
-        f"tolerance, one standard deviation, of: {what}; 0: exact",
+        f"tolerance of {what}, one standard deviation; 0: exact",
         0.0,
         parameter.upper - parameter.lower,
         parameter.prior_scale,

@@ -165,7 +165,7 @@ class _Motion(NamedTuple):
         """Mean and standard deviation of the posterior between two times, s."""
         for _ in range(PASSES):
             step = (high - low) / PLACES
-            places = low + step * (np.arange(PLACES) + 0.5)
+            places: Array = np.asarray(low + step * (np.arange(PLACES) + 0.5), dtype=np.float64)
             likelihood = np.logaddexp.reduce([self._log_likelihood(places, float(unit)) for unit in self.units], axis=0)
             likelihood -= likelihood.max()
             kept = np.flatnonzero(likelihood > -NEGLIGIBLE)
@@ -189,7 +189,7 @@ class _Motion(NamedTuple):
         index = np.arange(len(self.times))
         colour = self.noise.correlation ** (self.size * np.abs(index[:, None] - index))
         covariance += own * colour
-        prior = 0.0
+        prior: Array = np.zeros(len(places))
         if self.goes_on:
             bend = np.square(after) / 2.0
             mean += STEP.mean * after + NEXT_ACCELERATION.mean * bend
@@ -199,7 +199,7 @@ class _Motion(NamedTuple):
             bounced = (since > 0.0) & (self.times < self.near)
             rests = np.where(since > 0.0, (REST / self.unit) ** 2, 0.0) + np.where(bounced, (2.0 * BOUNCE) ** 2, 0.0)
             covariance[:, index, index] += rests
-            prior = np.where(bounced.any(axis=1), math.log(BOUNCES), 0.0)
+            prior = np.asarray(np.where(bounced.any(axis=1), math.log(BOUNCES), 0.0), dtype=np.float64)
             covariance += REBOUND**2 * _outer(after)
             together = math.hypot(together, REST)
         covariance += (together / self.unit) ** 2

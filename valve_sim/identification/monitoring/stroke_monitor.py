@@ -71,6 +71,7 @@ class StrokeReport(NamedTuple):
         record: the stroke. volts: its largest command, V, with its sign.
         opening_delay: until the pilot plunger leaves its seat. t1: until it reaches the main plunger. t2: until the
             stop. closing_time: from the closing command until the pilot plunger is back.
+        t1_error, t2_error, closing_time_error: their standard errors, s, by the sensor's noise and rate.
         rms: m, of the residual, or A where the record has no positions; nan where it was not compared with the model.
         noise: m or A, of the sensor; nan before commissioning. damping: refitted to this stroke alone, or empty.
         scores: standard normal while healthy, by direction; empty where the stroke was not scored.
@@ -85,6 +86,9 @@ class StrokeReport(NamedTuple):
     t1: float
     t2: float
     closing_time: float
+    t1_error: float
+    t2_error: float
+    closing_time_error: float
     rms: float
     noise: float
     damping: Mapping[str, Interval]
@@ -351,15 +355,22 @@ class StrokeMonitor:
     ) -> StrokeReport:
         baseline, trace = self.baseline, record.trace
         seen = _arrivals(trace, self._declared) if len(trace.sample_times) >= FEWEST_SAMPLES else {}
+        unseen = (math.nan, math.nan)
+        t1, t1_error = seen.get("pilot_reaches_main", unseen)
+        t2, t2_error = seen.get("reaches_stop", unseen)
+        closing, closing_error = seen.get("reaches_seat", unseen)
         lateness = baseline.lateness if baseline is not None else 0.0
         volts = trace.drive.volts
         return StrokeReport(
             record,
             float(volts[np.argmax(np.abs(volts))]),
             _opening_delay(trace, baseline.valve if baseline is not None else self._declared, lateness),
-            seen.get("pilot_reaches_main", math.nan) - lateness,
-            seen.get("reaches_stop", math.nan) - lateness,
-            seen.get("reaches_seat", math.nan) - lateness,
+            t1 - lateness,
+            t2 - lateness,
+            closing - lateness,
+            t1_error,
+            t2_error,
+            closing_error,
             scored.rms if scored is not None else math.nan,
             baseline.noise.sigma if baseline is not None else math.nan,
             damping,
@@ -411,10 +422,10 @@ def _retimed(trace: Trace, shifts: Array) -> Trace:
     return replace(trace, drive=Drive(times, trace.drive.volts), coil_current=current)
 
 
-def _arrivals(trace: Trace, valve: Valve) -> dict[str, float]:
-    """By kind of arrival: s after its command, by the position sensor, or by the bends of the current."""
+def _arrivals(trace: Trace, valve: Valve) -> dict[str, tuple[float, float]]:
+    """By kind of arrival: s after its command, and its standard error; by positions, or by the bends of the current."""
     strokes = events_from_sensors(trace, valve.parameters.pilot_gap)
-    return {event.kind: event.after_command for stroke in strokes for event in stroke.events}
+    return {event.kind: (event.after_command, event.uncertainty) for stroke in strokes for event in stroke.events}
 
 
 def _opening_delay(trace: Trace, valve: Valve, lateness: float) -> float:
