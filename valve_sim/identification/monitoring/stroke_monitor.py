@@ -71,7 +71,7 @@ class StrokeReport(NamedTuple):
         record: the stroke. volts: its largest command, V, with its sign.
         opening_delay: until the pilot plunger leaves its seat. t1: until it reaches the main plunger. t2: until the
             stop. closing_time: from the closing command until the pilot plunger is back.
-        t1_error, t2_error, closing_time_error: their standard errors, s, by the sensor's noise and rate.
+        errors: standard errors of t1, t2 and closing_time, s, by the sensor's noise and rate.
         rms: m, of the residual, or A where the record has no positions; nan where it was not compared with the model.
         noise: m or A, of the sensor; nan before commissioning. damping: refitted to this stroke alone, or empty.
         scores: standard normal while healthy, by direction; empty where the stroke was not scored.
@@ -86,9 +86,7 @@ class StrokeReport(NamedTuple):
     t1: float
     t2: float
     closing_time: float
-    t1_error: float
-    t2_error: float
-    closing_time_error: float
+    errors: tuple[float, float, float]
     rms: float
     noise: float
     damping: Mapping[str, Interval]
@@ -356,21 +354,17 @@ class StrokeMonitor:
         baseline, trace = self.baseline, record.trace
         seen = _arrivals(trace, self._declared) if len(trace.sample_times) >= FEWEST_SAMPLES else {}
         unseen = (math.nan, math.nan)
-        t1, t1_error = seen.get("pilot_reaches_main", unseen)
-        t2, t2_error = seen.get("reaches_stop", unseen)
-        closing, closing_error = seen.get("reaches_seat", unseen)
+        t1, t2, closing = (seen.get(kind, unseen) for kind in ("pilot_reaches_main", "reaches_stop", "reaches_seat"))
         lateness = baseline.lateness if baseline is not None else 0.0
         volts = trace.drive.volts
         return StrokeReport(
             record,
             float(volts[np.argmax(np.abs(volts))]),
             _opening_delay(trace, baseline.valve if baseline is not None else self._declared, lateness),
-            t1 - lateness,
-            t2 - lateness,
-            closing - lateness,
-            t1_error,
-            t2_error,
-            closing_error,
+            t1[0] - lateness,
+            t2[0] - lateness,
+            closing[0] - lateness,
+            (t1[1], t2[1], closing[1]),
             scored.rms if scored is not None else math.nan,
             baseline.noise.sigma if baseline is not None else math.nan,
             damping,

@@ -217,7 +217,12 @@ def _drawn(diagnosis: Diagnosis, most: int) -> tuple[list[StrokeCurves], list[St
     kind = diagnosis.plant.channels[judged_channels(diagnosis.plant)[0]].kind
     judged = [stroke for stroke in strokes if stroke.quantity == kind]
     worst = sorted(range(len(judged)), key=lambda index: -judged[index].root_mean_squares[0])
-    order = [*sorted(worst[:most]), *sorted(worst[most:])]
+    names = [stroke.title.partition(", stroke ")[0] for stroke in judged]
+
+    def recorded(index: int) -> tuple[int, float]:
+        return names.index(names[index]), float(judged[index].time[0])
+
+    order = [*sorted(worst[:most], key=recorded), *sorted(worst[most:], key=recorded)]
     return [judged[index] for index in order], [stroke for stroke in strokes if stroke.quantity != kind]
 
 
