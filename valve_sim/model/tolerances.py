@@ -143,13 +143,13 @@ EXACT: Final = Tolerances()
 
 def tolerance_rule(parameter: Parameter) -> Parameter:
     """Name, unit and range of a parameter's tolerance: from 0 (exact) to the width of the parameter's range."""
-    what = parameter.description
+    what = parameter.name
     if parameter.name == "moving_mass":
         what = "moving_mass - pilot_mass (of one plunger: moving_mass)"
     return Parameter(
         parameter.name,
         parameter.unit,
-        f"tolerance, one standard deviation, of: {what}; 0: exact",
+        f"tolerance of {what}, one standard deviation; 0: exact",
         0.0,
         parameter.upper - parameter.lower,
         parameter.prior_scale,

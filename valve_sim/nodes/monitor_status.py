@@ -132,6 +132,7 @@ def stroke_status(report: StrokeReport) -> Status:
         "t1 (ms)": 1e3 * report.t1,
         "t2 (ms)": 1e3 * report.t2,
         "closing time (ms)": 1e3 * report.closing_time,
+        **{f"{name} error (ms)": 1e3 * s for name, s in zip(("t1", "t2", "closing time"), report.errors, strict=True)},
         **_errors(report, "residual", "noise"),
         "scatter of commands (ms)": 1e3 * report.command_scatter,
         "highest sum": report.sum,

@@ -71,6 +71,7 @@ class StrokeReport(NamedTuple):
         record: the stroke. volts: its largest command, V, with its sign.
         opening_delay: until the pilot plunger leaves its seat. t1: until it reaches the main plunger. t2: until the
             stop. closing_time: from the closing command until the pilot plunger is back.
+        errors: standard errors of t1, t2 and closing_time, s, by the sensor's noise and rate.
         rms: m, of the residual, or A where the record has no positions; nan where it was not compared with the model.
         noise: m or A, of the sensor; nan before commissioning. damping: refitted to this stroke alone, or empty.
         scores: standard normal while healthy, by direction; empty where the stroke was not scored.
@@ -85,6 +86,7 @@ class StrokeReport(NamedTuple):
     t1: float
     t2: float
     closing_time: float
+    errors: tuple[float, float, float]
     rms: float
     noise: float
     damping: Mapping[str, Interval]
@@ -351,15 +353,18 @@ class StrokeMonitor:
     ) -> StrokeReport:
         baseline, trace = self.baseline, record.trace
         seen = _arrivals(trace, self._declared) if len(trace.sample_times) >= FEWEST_SAMPLES else {}
+        unseen = (math.nan, math.nan)
+        t1, t2, closing = (seen.get(kind, unseen) for kind in ("pilot_reaches_main", "reaches_stop", "reaches_seat"))
         lateness = baseline.lateness if baseline is not None else 0.0
         volts = trace.drive.volts
         return StrokeReport(
             record,
             float(volts[np.argmax(np.abs(volts))]),
             _opening_delay(trace, baseline.valve if baseline is not None else self._declared, lateness),
-            seen.get("pilot_reaches_main", math.nan) - lateness,
-            seen.get("reaches_stop", math.nan) - lateness,
-            seen.get("reaches_seat", math.nan) - lateness,
+            t1[0] - lateness,
+            t2[0] - lateness,
+            closing[0] - lateness,
+            (t1[1], t2[1], closing[1]),
             scored.rms if scored is not None else math.nan,
             baseline.noise.sigma if baseline is not None else math.nan,
             damping,
@@ -411,10 +416,10 @@ def _retimed(trace: Trace, shifts: Array) -> Trace:
     return replace(trace, drive=Drive(times, trace.drive.volts), coil_current=current)
 
 
-def _arrivals(trace: Trace, valve: Valve) -> dict[str, float]:
-    """By kind of arrival: s after its command, by the position sensor, or by the bends of the current."""
+def _arrivals(trace: Trace, valve: Valve) -> dict[str, tuple[float, float]]:
+    """By kind of arrival: s after its command, and its standard error; by positions, or by the bends of the current."""
     strokes = events_from_sensors(trace, valve.parameters.pilot_gap)
-    return {event.kind: event.after_command for stroke in strokes for event in stroke.events}
+    return {event.kind: (event.after_command, event.uncertainty) for stroke in strokes for event in stroke.events}
 
 
 def _opening_delay(trace: Trace, valve: Valve, lateness: float) -> float:

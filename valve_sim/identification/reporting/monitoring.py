@@ -34,6 +34,7 @@ def stroke_json(report: StrokeReport) -> dict[str, Any]:
         "t1": report.t1,
         "t2": report.t2,
         "closing_time": report.closing_time,
+        **dict(zip(("t1_stderr", "t2_stderr", "closing_time_stderr"), report.errors, strict=True)),
         **_errors(report),
         "command_scatter": report.command_scatter,
         "damping": intervals_json(report.damping),
