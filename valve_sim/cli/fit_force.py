@@ -7,9 +7,9 @@ from pathlib import Path
 import click
 
 from valve_sim.cli.command_line import Command
-from valve_sim.cli.options import FILE, finite_number, folder_option, json_option, params_option
+from valve_sim.cli.options import FILE, finite_number, folder_option, json_option, map_option, params_option
 from valve_sim.cli.printing import print_report, provenance
-from valve_sim.cli.reading import declared_valve
+from valve_sim.cli.reading import chosen_map_file, declared_valve
 from valve_sim.files.json_text import json_text
 from valve_sim.files.ledger import plan_files
 
@@ -17,13 +17,7 @@ from valve_sim.files.ledger import plan_files
 @click.command("fit-force", cls=Command)
 @click.argument("file", type=FILE)
 @params_option
-@click.option(
-    "--map",
-    "map_file",
-    metavar="FILE",
-    type=FILE,
-    help="Map: which column is displacement and which force, in which unit; see above.",
-)
+@map_option
 @click.option("--degree", type=int, default=3, help="Degree of the polynomial, up to 3.")
 @click.option(
     "--voltage", metavar="V", type=finite_number(), help="Voltage of the table. Default: valve.reference_voltage."
@@ -35,7 +29,6 @@ def fit_force(
     *,
     file: Path,
     params: Path | None,
-    map_file: Path | None,
     degree: int,
     voltage: float | None,
     no_constant: bool,
@@ -64,6 +57,7 @@ def fit_force(
     from valve_sim.identification.reporting.findings import remarks
     from valve_sim.identification.reporting.static_force import static_force_json, static_force_text
 
+    map_file = chosen_map_file()
     sources = None if map_file is None else load_force_map(map_file)
     valve = declared_valve(params)
     result = fit_static_force(file, valve, sources, degree=degree, voltage=voltage, constant=not no_constant)

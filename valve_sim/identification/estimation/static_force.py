@@ -154,12 +154,7 @@ def fit_static_force(
         POLYNOMIAL_NAMES[power]: Interval(value, error, value - quantile * error, value + quantile * error)
         for power, value, error in zip(powers, at_reference * values, at_reference * errors, strict=True)
     }
-    polynomial = {name: intervals[name].value if name in intervals else 0.0 for name in POLYNOMIAL_NAMES}
-    whole = np.zeros((len(POLYNOMIAL_NAMES), len(POLYNOMIAL_NAMES)))
-    whole[np.ix_(powers, powers)] = at_reference**2 * covariance
-    matrix = tuple(tuple(row) for row in whole.tolist()) if np.any(whole) else None
-    tolerances = replace(valve.tolerances, attraction_covariance=matrix)
-    fitted = replace(valve.with_values(**polynomial), tolerances=tolerances)
+    fitted = _with_attraction(valve, powers, at_reference * values, at_reference**2 * covariance)
     variance = float(np.var(force))
     return StaticForce(
         str(path),
@@ -218,6 +213,16 @@ def _least_squares(displacement: Array, force: Array, powers: NDArray[np.int_]) 
     units = scale ** -powers.astype(np.float64)
     covariance = variance * (inverse @ inverse.T) * np.outer(units, units)
     return coefficients * units, covariance, math.sqrt(squares / len(force))
+
+
+def _with_attraction(valve: Valve, powers: NDArray[np.int_], coefficients: Array, covariance: Array) -> Valve:
+    """The valve with these coefficients of its attraction; all others are 0, and exact."""
+    polynomial = dict.fromkeys(POLYNOMIAL_NAMES, 0.0)
+    polynomial |= {POLYNOMIAL_NAMES[power]: float(value) for power, value in zip(powers, coefficients, strict=True)}
+    whole = np.zeros((len(POLYNOMIAL_NAMES), len(POLYNOMIAL_NAMES)))
+    whole[np.ix_(powers, powers)] = covariance
+    matrix = tuple(tuple(row) for row in whole.tolist()) if np.any(whole) else None
+    return replace(valve.with_values(**polynomial), tolerances=replace(valve.tolerances, attraction_covariance=matrix))
 
 
 def _findings(valve: Valve, constant: Interval | None, displacement: Array) -> Iterator[StaticFinding]:
