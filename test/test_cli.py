@@ -320,6 +320,16 @@ def test_fit_force_writes_parameters_report_and_picture(tmp_path: Path):
     assert (tmp_path / "results" / "fit-force.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_fit_force_takes_a_map(tmp_path: Path):
+    rows = [f"{x};{3000 + 10 * x}".replace(".", ",") for x in np.linspace(0.0, 1230.0, 20)]
+    (tmp_path / "cell.csv").write_text("\n".join(["Weg;Kraft", "um;mN", *rows]) + "\n")
+    (tmp_path / "cell.yaml").write_text("displacement: {column: Weg, unit: um}\nforce: {column: Kraft, unit: mN}\n")
+    files = (tmp_path / "cell.csv", "--map", tmp_path / "cell.yaml", "--output", tmp_path)
+    run_well("fit-force", *files, "--degree", "1")
+    found = load_valve(tmp_path / "attraction.yaml").parameters.attraction_polynomial
+    assert found == pytest.approx((3.0, 1e4, 0.0, 0.0), rel=1e-9)
+
+
 # --- unusable input ---
 
 SIMULATE = ("simulate", "--duration", "0.02", "--output", "{folder}/x.csv")

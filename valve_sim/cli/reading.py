@@ -33,11 +33,17 @@ def declared_parameters(params: Path | None) -> ValveParameters:
     return default_parameters() if params is None else declared_valve(params).parameters
 
 
+def chosen_map_file() -> Path | None:
+    """The file given as --map."""
+    path: Path | None = click.get_current_context().meta.get(MAP_KEY)
+    return path
+
+
 def chosen_map() -> RecordingMap | None:
-    """The map given as --map."""
+    """The map of a recording given as --map."""
     from valve_sim.files.recording_map import load_map
 
-    path: Path | None = click.get_current_context().meta.get(MAP_KEY)
+    path = chosen_map_file()
     return None if path is None else load_map(path)
 
 
