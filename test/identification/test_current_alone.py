@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from plants.coil_alone import Build, simulate
 
-from valve_sim.identification.diagnosis.run import diagnose
+from identification.recordings import Short
+from valve_sim.identification.diagnosis.run import diagnose, diagnose_plant
 from valve_sim.identification.estimation.followed_positions import followed_positions
 from valve_sim.identification.estimation.identify import identify
 from valve_sim.identification.plants.valve import ValvePlant
@@ -150,6 +151,17 @@ def test_the_band_holds_the_truth_where_a_twin_is_named_first() -> None:
         shares.append(float(np.mean(error < 1.96 * followed.stderr[moves])))
     assert shares[1] > 0.9
     assert shares[0] < shares[1]
+
+
+@pytest.mark.parametrize("resistance", [12.0, 6.0])
+def test_a_strong_lag_that_held_out_data_refute_leaves_its_rivals_their_weight(resistance: float) -> None:
+    """The rival explains the training data better by thousands of S: exp of half of that is no double."""
+    build = Build(resistance=resistance, inductance=2e-3 * resistance, eddy_resistance=1.5 * resistance)
+    train, held_out = recorded(build)[0], recorded(build._replace(eddy_resistance=0.0), seed=2)[0]
+    valve = replace(declared(build), effects={"motional_emf": {"share": 1.0}})
+    result = diagnose_plant(Short([train], valve, ["eddy_lag"]), Short([held_out], valve, ["eddy_lag"]))
+    assert result.verdict.kind == "unknown"
+    assert [rival.weight for rival in result.rivals] == [1.0] * len(result.rivals) != []
 
 
 def test_an_experiment_is_recorded_without_samples_at_its_commands_where_the_current_jumps() -> None:

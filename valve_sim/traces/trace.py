@@ -46,7 +46,7 @@ class DriveErrors(NamedTuple):
     volts: NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Trace:
     """One valve in one recording; all times are seconds since `epoch_ns`.
 
@@ -92,6 +92,11 @@ class Trace:
     clock: str = "header"
     findings: tuple[str, ...] = ()
     origins: Mapping[str, str] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        """Trace('train.mcap', 16 commands, 10000 samples of the position)."""
+        count = len(self.sample_times)
+        return f"Trace({self.source!r}, {len(self.drive.times)} commands, {count} samples of the {self.judged})"
 
     @cached_property
     def measured_input(self) -> MeasuredInput | None:

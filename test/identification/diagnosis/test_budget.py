@@ -13,6 +13,7 @@ from valve_sim.identification.diagnosis.run import diagnose
 from valve_sim.identification.estimation.budget import Budget, OutOfTimeError, kept_for_writing
 from valve_sim.identification.reporting.diagnosis_json import to_json
 from valve_sim.identification.reporting.summary import summarise
+from valve_sim.identification.selection.table import Hypothesis
 from valve_sim.model import ValveError
 from valve_sim.progress_lines import ProgressLines
 
@@ -58,6 +59,7 @@ def test_a_diagnosis_keeps_to_its_budget_and_says_what_it_left(seconds: float) -
     assert clock() < 1.1 * seconds
     assert found.untried
     assert to_json(found)["untried"] == list(found.untried)
+    assert not {str(Hypothesis(one.effects, one.timing)) for one in found.candidates} & set(found.untried)
     assert f"{len(found.untried)} left untried" in summarise(found)
     assert found.verdict.probability <= 0.5
     assert (found.verdict.kind, found.verdict.effects) == (

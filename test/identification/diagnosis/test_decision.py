@@ -19,6 +19,7 @@ from valve_sim.identification.diagnosis.decision import (
     is_claimable,
     look_alikes,
     share_of_evidence,
+    weight_of,
 )
 from valve_sim.identification.selection.held_out import NOT_HELD_OUT, Judgement
 from valve_sim.identification.selection.table import ScoreTable
@@ -30,6 +31,17 @@ LARGER = Judgement(is_white=False, ratio=1.1, predicts_better=True)
 NO_BETTER = Judgement(is_white=True, ratio=0.99, predicts_better=False)
 DECLARED_HOLDS = Judgement(is_white=True, ratio=1.0, predicts_better=False)
 DECLARED_FAILS = Judgement(is_white=False, ratio=1.0, predicts_better=False)
+
+
+def test_a_rival_that_is_far_better_than_a_refuted_choice_weighs_no_more_than_one() -> None:
+    """exp of half the difference of S is beyond the largest double from 1,420 on."""
+    found = table(scored(BASE, 40_000.0), scored(of("a"), 100.0))
+    refuted = claim_after_holdout(found, choice_of(found, of("a"), ()), [DECLARED_FAILS, NO_BETTER], 8)
+    assert refuted.best == BASE
+    (rival,) = competitors(found, refuted)
+    assert weight_of(found[rival].score - found[BASE].score) == 1.0
+    assert weight_of(2.0) == pytest.approx(math.exp(-1.0))
+    assert weight_of(1e6) >= 0.0
 
 
 def two(*, base_white: bool = False, best_white: bool = True, near: float = 30.0) -> ScoreTable:

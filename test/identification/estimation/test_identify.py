@@ -48,6 +48,7 @@ def test_both_dampings_come_out(recorder: Recorder) -> None:
         assert result.valve.declared()[name] == interval.value
     assert result.rmse_after < result.rmse_before
     assert result.findings == ()
+    assert repr(result).startswith("Identification(pilot_damping = ")
 
 
 def test_a_small_slice_of_the_coverage_benchmark_is_good() -> None:

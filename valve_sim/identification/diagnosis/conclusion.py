@@ -25,6 +25,7 @@ from valve_sim.identification.diagnosis.decision import (
     is_claimable,
     look_alikes,
     share_of_evidence,
+    weight_of,
 )
 from valve_sim.identification.diagnosis.experiment_design import Recommendation, recommend
 from valve_sim.identification.diagnosis.outcome import Candidate, Diagnosis, Grounds, Rival, State, Verdict
@@ -131,7 +132,9 @@ class Conclusion:
         recommendation = self.in_time(CONCLUDED_BY, "what to record next", find, None) if verdict.is_open else None
         candidates = self.candidates(table, claim.best.base, timing=timing)
         limits = self.limits(base_fit) if verdict.kind == "none" else {}
-        untried = tuple(dict.fromkeys([*self.exploration.untried, *self.untried]))
+        fitted = {str(hypothesis) for hypothesis in table.scores}
+        left = dict.fromkeys([*self.exploration.untried, *self.untried])
+        untried = tuple(what for what in left if what not in fitted)
         return Diagnosis(
             self.plant, before, after, verdict, candidates, unexplained,
             tuple(describe(entry.choice, entry.fit, base_fit) for entry in curves.maps), alarm,
@@ -304,7 +307,7 @@ class Conclusion:
         found = []
         for other in competitors(table, claim)[:LARGEST_CLASS]:
             if other != claim.best:
-                weight = min(1.0, math.exp(0.5 * (table[claim.best].score - table[other].score)))
+                weight = weight_of(table[other].score - table[claim.best].score)
                 work = functools.partial(self.held_out.fit, self.fit(other), timing=timing)
                 found.append(Rival(self.fit(other), self.in_time(CONCLUDED_BY, "", work, None), weight))
         return tuple(found)

@@ -169,17 +169,18 @@ def share_of_evidence(table: ScoreTable, claim: Claim, curves: Sequence[float]) 
         if not best.effects:
             # What it gains only by errors of the recording counts less where these are beyond their prior anyway.
             worse += least - one.score - one.gain_on(table[best])
-        weight[other.effects] = max(weight.get(other.effects, 0.0), _weight(worse))
+        weight[other.effects] = max(weight.get(other.effects, 0.0), weight_of(worse))
     if not best.effects:
-        weight.update({(name,): _weight(-gain) for name, gain in table.screened.items() if (name,) not in weight})
+        weight.update({(name,): weight_of(-gain) for name, gain in table.screened.items() if (name,) not in weight})
     share = weight[best.effects] / (sum(weight.values()) + math.exp(-0.5 * _nearest(curves, least)))
     if not best.effects:
         return share
     gain = table[best].gain_on(table[best.base])
-    return share * -math.expm1(-gain / WEAK_EVIDENCE)
+    return share * -math.expm1(-max(gain, 0.0) / WEAK_EVIDENCE)
 
 
-def _weight(worse: float) -> float:
+def weight_of(worse: float) -> float:
+    """Likelihood of a model over that of one that is better by so much of S; 1 where it is no worse."""
     return math.exp(-0.5 * min(max(worse, 0.0), 700.0))
 
 

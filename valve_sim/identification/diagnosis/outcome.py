@@ -105,7 +105,7 @@ class Candidate:
     intervals: Mapping[str, Interval]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Diagnosis:
     """The outcome of `diagnose_plant`.
 
@@ -131,6 +131,11 @@ class Diagnosis:
     detection_limits: Limits = field(default_factory=dict)
     rivals: tuple[Rival, ...] = ()
     choice: StrokeChoice | None = None
+
+    def __repr__(self) -> str:
+        """Diagnosis(effects: coulomb_friction, probability 0.99)."""
+        names = f": {', '.join(self.verdict.effects)}" if self.verdict.effects else ""
+        return f"Diagnosis({self.verdict.kind}{names}, probability {self.verdict.probability:.2g})"
 
     @property
     def valve(self) -> Valve:

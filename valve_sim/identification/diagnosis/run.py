@@ -23,7 +23,9 @@ from valve_sim.identification.estimation.noise import Noise
 from valve_sim.identification.estimation.problem import Mask, Problem
 from valve_sim.identification.estimation.result import Fit, rmse
 from valve_sim.identification.estimation.solver import fit
-from valve_sim.identification.plants.protocol import Plant, strokes_of_plant
+from valve_sim.identification.plants.check import check_plant, name_of, named_interrupts
+from valve_sim.identification.plants.hold_out import held_out_strokes
+from valve_sim.identification.plants.protocol import Plant
 from valve_sim.identification.plants.stroke_choice import choose_strokes
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.selection.current_check import current_noise_inflation
@@ -34,11 +36,10 @@ from valve_sim.identification.selection.stepwise import Exploration
 from valve_sim.identification.selection.table import Hypothesis
 from valve_sim.model import SimulationError, Valve
 from valve_sim.traces import Trace
+from valve_sim.traces.checking import check_traces
 
 __all__ = ["Begun", "Candidate", "Diagnosis", "Grounds", "State", "Verdict", "begin", "diagnose", "diagnose_plant"]
 
-EVERY_FOURTH: Final = 4
-"""Every fourth stroke is held out where no hold-out bag is given."""
 CURRENT_CHECKED_BY: Final = 0.2
 """The share of the time within which the current is tested: can the effects of the coil explain it?"""
 BEGUN_BY: Final = 0.8
@@ -46,6 +47,8 @@ BEGUN_BY: Final = 0.8
 EXPLORED_BY: Final = 0.65
 """The share of the time after which no further hypothesis is tried; the rest is for the conclusion."""
 
+LEAST_PREDICTIONS: Final = 30
+"""No diagnosis does with fewer; that of one effect takes some hundred to a thousand."""
 SAMPLES_EACH: Final = 10
 """Samples for each parameter, below which a model with all effects would explain noise, too."""
 
@@ -72,7 +75,11 @@ def diagnose(
     Raises:
         OutOfTimeError: the budget is used up before the declared valve could be fitted.
         SimulationError: the declared valve cannot be simulated.
+        TraceError: a recording has columns that cannot be used, say with NaN in them.
     """
+    check_traces(traces)
+    if holdout:
+        check_traces(holdout)
     fitted, choice = choose_strokes(traces)
     others = ValvePlant(choose_strokes(holdout)[0], valve) if holdout else None
     found = diagnose_plant(ValvePlant(fitted, valve), others, progress, budget, is_full=is_full)
@@ -87,7 +94,18 @@ def diagnose_plant(
     *,
     is_full: bool = False,
 ) -> Diagnosis:
-    """The same for any plant; `holdout` is the same machine with other data."""
+    """Trace the residual of any plant to the effect it lacks.
+
+    Args:
+        plant: the machine and its training data. holdout: the same machine with other data, or None: strokes are held
+            out inside.
+        progress, budget, is_full: as of `diagnose`.
+
+    Raises:
+        OutOfTimeError: the budget is used up before the declared machine could be fitted.
+        PlantError: a plant does not keep to what a `Plant` promises.
+        SimulationError: the declared machine cannot be simulated.
+    """
     return begin(plant, holdout, progress, budget).end(is_full=is_full)
 
 
@@ -105,9 +123,10 @@ class Begun(NamedTuple):
 
     def end(self, *, is_full: bool = False) -> Diagnosis:
         """Search for what is missing, and conclude."""
-        with self.budget.until(EXPLORED_BY):
-            self.exploration.explore(is_full=is_full)
-        return Conclusion(self.exploration, self.held_out).conclude()
+        with named_interrupts(self.exploration.plant):
+            with self.budget.until(EXPLORED_BY):
+                self.exploration.explore(is_full=is_full)
+            return Conclusion(self.exploration, self.held_out).conclude()
 
     def name(self) -> Named:
         """The same without what a report has beside the verdict: errors and intervals of all that was tried."""
@@ -132,10 +151,33 @@ def begin(
 
     Raises:
         OutOfTimeError: the budget is used up before. SimulationError: the declared model cannot be simulated.
+        PlantError: a plant does not keep to what a `Plant` promises.
     """
     budget = budget or Budget.unlimited()
-    with budget.until(BEGUN_BY):
+    with budget.until(BEGUN_BY), named_interrupts(plant):
+        for one in (plant,) if holdout is None else (plant, holdout):
+            _check(one, budget)
         return _begun(plant, holdout, progress, budget, least or {})
+
+
+def _check(plant: Plant, budget: Budget) -> None:
+    """A plant that keeps to its protocol and is fast enough for the budget.
+
+    Raises:
+        OutOfTimeError: it is not. PlantError: it does not.
+    """
+    looks: list[float] = []
+
+    def look() -> None:
+        looks.append(budget.spent)
+        each = looks[-1] - looks[0]
+        if LEAST_PREDICTIONS * each > budget.seconds:
+            raise OutOfTimeError(
+                f"{name_of(plant)}.predict took {each:.2g} s, and a search takes some thousand predictions: the budget "
+                f"is {budget.seconds:g} s; give it more time"
+            )
+
+    check_plant(plant, look)
 
 
 def _with_least(problem: Problem, least: Mapping[str, float]) -> Problem:
@@ -202,10 +244,9 @@ def _largest_fit(problem: Problem) -> Fit:
 
 def _split(plant: Plant) -> tuple[Mask | None, Mask | None]:
     """Masks for training and held-out strokes, or None twice when there are too few strokes to hold any out."""
-    strokes = strokes_of_plant(plant)
-    if len(strokes) < EVERY_FOURTH:
+    held = held_out_strokes(plant)
+    if not held:
         return None, None
-    held = set(strokes[EVERY_FOURTH - 2 :: EVERY_FOURTH])
 
     def is_held(index: int, groups: NDArray[np.integer]) -> NDArray[np.bool_]:
         recording = plant.channels[index].recording

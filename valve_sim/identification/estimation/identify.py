@@ -24,6 +24,7 @@ from valve_sim.model import CATALOGUE, DECLARED, ParameterError, Valve
 from valve_sim.model.parameters import UNUSED_BY_ONE_PLUNGER, closest, unused_words
 from valve_sim.model.simulation import OF_TWO_PLUNGERS
 from valve_sim.traces import Trace
+from valve_sim.traces.checking import check_traces
 
 STARTS: Final = (1.0, 4.0, 0.25)
 """Factors on the declared values from which fits start."""
@@ -33,7 +34,7 @@ DECISIVE: Final = 10.0
 Progress = Callable[[str, float], None]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Identification:
     """The outcome of `identify`.
 
@@ -63,6 +64,11 @@ class Identification:
     pressure_before: float = math.nan
     pressure_after: float = math.nan
 
+    def __repr__(self) -> str:
+        """Identification(pilot_damping = 1.4 ± 0.02, main_damping = 3.2 ± 0.03)."""
+        found = (f"{name} = {own.value:.6g} ± {own.stderr:.2g}" for name, own in self.intervals.items())
+        return f"Identification({', '.join(found)})"
+
     @property
     def judged(self) -> Channel:
         """One of the channels by which the errors are meant."""
@@ -87,7 +93,9 @@ def identify(
     Raises:
         ParameterError: a name that cannot be freed.
         SimulationError: the declared valve cannot be simulated.
+        TraceError: a recording has columns that cannot be used, say with NaN in them.
     """
+    check_traces(traces)
     say = progress or (lambda what, fraction: None)
     free = dampings_of(valve) if free is None else free
     check_free(free, valve)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import CancelledError, ThreadPoolExecutor
+from concurrent.futures import Future
 from contextlib import contextmanager
 from typing import Final, TypeVar
 
@@ -44,25 +44,47 @@ def run_parallel(
 
     Raises:
         Exception: what the work raises; what has not been begun by then is left undone.
+        KeyboardInterrupt: at once, whatever the work does: it may never return.
     """
-    failed = threading.Event()
+    ended, lock = threading.Event(), threading.Lock()
+    futures: list[Future[Result]] = [Future() for _ in items]
+    left = zip(items, futures, strict=True)
 
-    def guarded(item: Item) -> Result:
+    def take_turns() -> None:
         # The calling thread may see a failure late on a busy machine: what comes after it is not begun.
-        if failed.is_set():
-            raise CancelledError
-        try:
-            return work(item)
-        except BaseException:
-            failed.set()
-            raise
+        while not ended.is_set():
+            with lock:
+                turn = next(left, None)
+            if turn is None:
+                return
+            item, future = turn
+            try:
+                future.set_result(work(item))
+            except BaseException as error:
+                ended.set()
+                future.set_exception(error)
 
-    pool = ThreadPoolExecutor(min(os.cpu_count() or 1, _most))
+    count = min(os.cpu_count() or 1, _most, len(items))
+    # As daemons they do not keep the process from ending at Ctrl-C.
+    threads = [threading.Thread(target=take_turns, daemon=True) for _ in range(count)]
+    for thread in threads:
+        thread.start()
     try:
         results = []
-        for item, future in [(item, pool.submit(guarded, item)) for item in items]:
+        for item, future in zip(items, futures, strict=True):
             announce(item)
             results.append(future.result())
-        return results
-    finally:
-        pool.shutdown(cancel_futures=True)
+    except KeyboardInterrupt:
+        ended.set()
+        raise
+    except BaseException:
+        ended.set()
+        _join(threads)
+        raise
+    _join(threads)
+    return results
+
+
+def _join(threads: Sequence[threading.Thread]) -> None:
+    for thread in threads:
+        thread.join()

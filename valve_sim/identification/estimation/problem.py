@@ -24,6 +24,7 @@ from valve_sim.identification.estimation.noise import (
     stretches,
 )
 from valve_sim.identification.estimation.sums import Sums, Weighted, summed
+from valve_sim.identification.plants.check import checked_prediction
 from valve_sim.identification.plants.protocol import (
     Array,
     Direction,
@@ -200,9 +201,10 @@ class Problem:
         Raises:
             OutOfTimeError: the time for fits is used up.
             SimulationError: the machine cannot be simulated with these values.
+            PlantError: its plant breaks down with them.
         """
         self.budget.check()
-        shown = zip(self.plant.channels, self.plant.predict(values), strict=True)
+        shown = zip(self.plant.channels, checked_prediction(self.plant, values), strict=True)
         return self._white([(channel.data - prediction)[:, None] for channel, prediction in shown], self._weights)[:, 0]
 
     def sensitivities(

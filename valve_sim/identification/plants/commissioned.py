@@ -14,8 +14,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from valve_sim.identification.plants.advice import Advice
+from valve_sim.identification.plants.hold_out import Condition
 from valve_sim.identification.plants.protocol import (
-    Advice,
     Array,
     Channel,
     Direction,
@@ -206,6 +207,10 @@ class CommissionedPlant:
     def effects(self) -> Mapping[str, EffectChoice]:
         """Changes of the dampings, and those of any valve but what a valve has from the beginning or never."""
         return self._effects
+
+    def condition_of(self, recording: int, group: int) -> Condition:
+        """As of any valve."""
+        return self._plant.condition_of(recording, group)
 
     @property
     def force_maps(self) -> Sequence[ForceMap]:

@@ -22,6 +22,8 @@ SMALL_MOVE: Final = 0.05
 """Prior scales of a parameter: a perturbation that shows in which direction it changes the residual."""
 RELEASED: Final = 10.0
 """Tolerances by which a declared value is expected to be off, if it is wrong: theory, eq. (82)."""
+LARGEST_EXPONENT: Final = 709.0
+"""e to this is still a double."""
 FARTHEST: Final = 20.0
 """Standard deviations of its prior within which a nuisance is searched."""
 
@@ -37,6 +39,7 @@ class Nuisance(NamedTuple):
         mean: of its prior. lower, upper: its range.
         is_of_machine: whether it is a value of the machine, the same in each of its recordings.
         same_as: a parameter of an effect that is the same thing; where that is freed, this one is not needed.
+        same_slope: by how much that parameter changes for each unit of this one, about the mean of the prior.
     """
 
     name: str
@@ -50,6 +53,7 @@ class Nuisance(NamedTuple):
     upper: float = math.inf
     is_of_machine: bool = False
     same_as: str = ""
+    same_slope: float = 1.0
 
     @property
     def bounds(self) -> tuple[float, float]:
@@ -201,31 +205,6 @@ class Experiment:
     commands: tuple[tuple[float, float], ...] = ()
 
 
-class Advice(NamedTuple):
-    """What a plant's owner should record next, in whole sentences without the full stop.
-
-    Attributes:
-        ambiguous: why one stroke cannot tell effects apart. first: after a single stroke. more: after several.
-    """
-
-    ambiguous: str
-    first: str
-    more: str
-
-
-GENERIC_ADVICE: Final = Advice(
-    "one stroke cannot tell an effect from what is refitted anyway",
-    "Record next: at least eight strokes under different conditions, in one recording",
-    "Record next: strokes under conditions not used yet",
-)
-
-
-def advice_of(plant: Plant) -> Advice:
-    """The plant's own `advice`, an optional member, or general advice for any machine."""
-    found = getattr(plant, "advice", GENERIC_ADVICE)
-    return found if isinstance(found, Advice) else GENERIC_ADVICE
-
-
 def judged_channels(plant: Plant) -> list[int]:
     """Indices of the channels in which errors are reported: responses, of the first one's kind and so of one unit."""
     responses = [index for index, channel in enumerate(plant.channels) if channel.role == "response"]
@@ -332,10 +311,13 @@ class Plant(Protocol):
 def released_tolerances(plant: Plant) -> dict[str, float]:
     """Declared values to their tolerances, of those that not every fit frees: a fit that does takes them for wrong.
 
-    A parameter of an effect that is the same thing as a declared value stands for it.
+    A parameter of an effect that is the same thing as a declared value stands for it, with the tolerance in its own
+    unit.
     """
     toleranced = [own for own in plant.nuisances if own.is_of_machine and own.name not in plant.base]
-    return {name: own.sigma for own in toleranced for name in (own.name, own.same_as) if name}
+    return {own.name: own.sigma for own in toleranced} | {
+        own.same_as: abs(own.same_slope) * own.sigma for own in toleranced if own.same_as
+    }
 
 
 @runtime_checkable
@@ -396,6 +378,11 @@ def _is_reciprocal(parameter: Parameter) -> bool:
     return parameter.infinite_at_upper or (parameter.off is not None and math.isinf(parameter.off))
 
 
+def _exp(coordinate: float) -> float:
+    """The exponential of a coordinate, infinite beyond the largest double, where `math.exp` raises."""
+    return math.exp(coordinate) if coordinate < LARGEST_EXPONENT else math.inf
+
+
 def to_internal(parameter: Parameter, value: float) -> float:
     """The coordinate in which a parameter is searched: its value, its reciprocal or its logarithm: theory, eq. (27)."""
     if _is_reciprocal(parameter):
@@ -409,15 +396,15 @@ def from_internal(parameter: Parameter, coordinate: float) -> float:
         most = parameter.upper if parameter.infinite_at_upper else math.inf
         return most if coordinate <= 0.0 else min(1.0 / coordinate, most)
     if _is_logarithmic(parameter):
-        return min(max(math.exp(coordinate), parameter.lower), parameter.upper)
+        return min(max(_exp(coordinate), parameter.lower), parameter.upper)
     return coordinate
 
 
 def internal_slope(parameter: Parameter, coordinate: float) -> float:
     """|d value / d coordinate|; infinite where the value is."""
     if _is_reciprocal(parameter):
-        return math.inf if coordinate <= 0.0 else 1.0 / coordinate**2
-    return math.exp(coordinate) if _is_logarithmic(parameter) else 1.0
+        return math.inf if coordinate <= 0.0 or coordinate**2 == 0.0 else 1.0 / coordinate**2
+    return _exp(coordinate) if _is_logarithmic(parameter) else 1.0
 
 
 def value_slope(parameter: Parameter, coordinate: float) -> float:

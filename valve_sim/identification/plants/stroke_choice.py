@@ -72,7 +72,7 @@ def choose_strokes(traces: Sequence[Trace]) -> tuple[list[Trace], StrokeChoice |
     kept = [_without_long_rests(trace) for trace in traces]
     places = [(index, stroke) for index, trace in enumerate(kept) for stroke in _sampled_strokes(trace)]
     groups: dict[Kind, list[Place]] = defaultdict(list)
-    kinds = [_kinds(trace) for trace in kept]
+    kinds = [stroke_kinds(trace) for trace in kept]
     for index, stroke in places:
         groups[kinds[index][stroke]].append((index, stroke))
     wanted = max(FEWEST, math.floor(len(places) * ENOUGH / max(1, sum(map(_count, kept)))))
@@ -106,8 +106,8 @@ def _edges(trace: Trace, times: Array) -> NDArray[np.intp]:
     return np.concatenate([[0], np.searchsorted(times, later), [len(times)]]).astype(np.intp)
 
 
-def _kinds(trace: Trace) -> list[Kind]:
-    """Of each stroke: its voltages, and for how long each but the last was held."""
+def stroke_kinds(trace: Trace) -> list[Kind]:
+    """Of each stroke of a recording: its voltages, V, and how long each but the last was held, in steps of `SAME`."""
     drive, starts = trace.drive, stroke_starts(trace.drive).tolist()
     kinds = []
     for first, stop in zip(starts, [*starts[1:], len(drive.times)], strict=True):

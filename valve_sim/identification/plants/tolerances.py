@@ -97,7 +97,9 @@ class ToleratedValues:
             same = SAME_AS.get(name)
             is_on = same is None or same.partition(".")[0] in valve.effects
             nuisance = _nuisance(own, sigma, rule.unit, self.declared(own), least, most)
-            found.append(nuisance if is_on or same is None else nuisance._replace(same_as=same))
+            if same is not None and not is_on:
+                nuisance = nuisance._replace(same_as=same, same_slope=_slope_of_effect(name, nuisance.mean))
+            found.append(nuisance)
         found += [_nuisance(name, 1.0, "–", 0.0) for name in self._axis_names]
         for name, sigma in valve.tolerances.gas.items():
             rule = GAS[name]
@@ -238,6 +240,15 @@ def hypothesis_of(name: str) -> str:
 def _effect_like(name: str) -> str:
     """The effect that is the same thing as a wrong declared value; empty where there is none."""
     return SAME_AS.get(name, "").partition(".")[0]
+
+
+def _slope_of_effect(name: str, declared: float) -> float:
+    """By how much the parameter of the effect that is the same thing as a declared value changes with that value.
+
+    A gain of the drive is what the declared voltage is divided by: V/(V_ref) · gain. All others are in the value's
+    unit.
+    """
+    return -1.0 / declared if name == "reference_voltage" else 1.0
 
 
 def _is_one_sided(name: str) -> bool:

@@ -12,9 +12,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from valve_sim.identification.plants.advice import Advice
 from valve_sim.identification.plants.force_map_choice import force_map_over
+from valve_sim.identification.plants.hold_out import Condition
 from valve_sim.identification.plants.protocol import (
-    Advice,
     Array,
     Channel,
     Direction,
@@ -33,6 +34,7 @@ from valve_sim.identification.plants.recording_errors import (
     stamp_errors,
     zero_with,
 )
+from valve_sim.identification.plants.stroke_choice import Kind, stroke_kinds
 from valve_sim.identification.plants.valve_model import ValveModel
 from valve_sim.identification.plants.valve_sensitivities import pieces, sensitivities
 from valve_sim.identification.plants.valve_sensors import (
@@ -162,6 +164,14 @@ class ValvePlant:
             "t": (0.0, max(float(trace.sample_times[-1]) for trace in self.traces), "s"),
         }
         return [force_map_over(variable, *spans[variable[0]]) for variable in FORCE_MAP_VARIABLES]
+
+    @functools.cached_property
+    def _kinds(self) -> list[list[Kind]]:
+        return [stroke_kinds(trace) for trace in self.traces]
+
+    def condition_of(self, recording: int, group: int) -> Condition:
+        """The voltages of a stroke's commands, V, and for how long each was held."""
+        return tuple(itertools.chain.from_iterable(self._kinds[recording][group]))
 
     @property
     def experiments(self) -> Sequence[Experiment]:

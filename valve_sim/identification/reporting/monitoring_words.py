@@ -19,8 +19,8 @@ from valve_sim.identification.monitoring.findings import (
     WaitsForPressure,
 )
 from valve_sim.identification.monitoring.stroke_monitor import StrokeReport
+from valve_sim.identification.plants.advice import GENERIC_ADVICE
 from valve_sim.identification.plants.effect_titles import WRONG, named, title_of
-from valve_sim.identification.plants.protocol import GENERIC_ADVICE
 from valve_sim.identification.plants.valve import DAMPINGS
 from valve_sim.identification.reporting.summary import claim
 from valve_sim.identification.reporting.units import measured, quantity

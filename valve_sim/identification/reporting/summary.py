@@ -6,8 +6,8 @@ import math
 from typing import Final
 
 from valve_sim.identification.diagnosis.run import Diagnosis, Verdict
+from valve_sim.identification.plants.advice import Advice, advice_of
 from valve_sim.identification.plants.effect_titles import listed, named, what_is_missing
-from valve_sim.identification.plants.protocol import Advice, advice_of
 
 SHOWN_UNTRIED: Final = 4
 """How many of the untried hypotheses the summary names."""

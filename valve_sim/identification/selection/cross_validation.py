@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from valve_sim.identification.estimation.gram import gram, information_less, sum_squares
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
+from valve_sim.identification.plants.hold_out import Stroke, in_order_of_conditions
 from valve_sim.identification.plants.protocol import Array, internal_bounds, internal_scale, to_internal
 
 MOST_FOLDS: Final = 16
@@ -55,11 +56,31 @@ class CrossValidation:
 
 
 def folds_of(problem: Problem) -> list[NDArray[np.bool_]]:
-    """For each stroke that takes part, (n,) which residuals are its own; of many strokes, several in a fold."""
+    """For each stroke that takes part, (n,) which residuals are its own; of many strokes, several in a fold.
+
+    These are of different conditions, as far as there are so many: a fold does not hold all strokes of one.
+    """
     strokes = problem.strokes
     count = int(strokes.max(initial=-1)) + 1
-    fold = np.where(strokes < 0, -1, strokes % MOST_FOLDS)
+    if count <= MOST_FOLDS:
+        return [strokes == one for one in range(count)]
+    taking_part = _strokes_taking_part(problem)
+    rank = {stroke: place for place, stroke in enumerate(in_order_of_conditions(problem.plant, taking_part))}
+    fold_of = np.array([rank[stroke] % MOST_FOLDS for stroke in taking_part])
+    fold = np.where(strokes < 0, -1, fold_of[strokes])
     return [fold == one for one in range(min(count, MOST_FOLDS))]
+
+
+def _strokes_taking_part(problem: Problem) -> list[Stroke]:
+    """(recording, group) of the strokes that take part, in the order of their numbers."""
+    channels = enumerate(problem.plant.channels)
+    return sorted(
+        {
+            (channel.recording, group)
+            for index, channel in channels
+            for group in np.unique(channel.group[problem.weight(index) > 0.0]).tolist()
+        }
+    )
 
 
 def cross_validate(result: Fit) -> CrossValidation | None:

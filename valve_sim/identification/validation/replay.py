@@ -25,6 +25,7 @@ from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.validation.motion import motion_of
 from valve_sim.model import EXACT, Event, EventKind, Valve, ValveError
 from valve_sim.traces import SensorEvent, Signal, StrokePart, Trace, events_from_sensors, find_stroke_parts
+from valve_sim.traces.checking import check_traces
 from valve_sim.traces.long_columns import blocks
 
 NOISE_FACTOR: Final = 3.0
@@ -167,7 +168,9 @@ def validate(
     Raises:
         ValveError: the tolerance is not above 0.
         SimulationError: the valve cannot be simulated.
+        TraceError: a recording has columns that cannot be used, say with NaN in them.
     """
+    check_traces(traces)
     if tolerance is not None and not 0.0 < tolerance < math.inf:
         raise ValveError(f"--tolerance-um {MICRO * tolerance:g}: expected a length above 0")
     if current_tolerance is not None and not 0.0 < current_tolerance < math.inf:
