@@ -80,10 +80,9 @@ class GasTopics:
         self._live, self._messages = live, messages
         self._inlet = inlet = _Heard(node, live, "inlet_pressure", live.supply, now)
         self._demand = demand = _Heard(node, live, "demand_pressure", live.set_demand_pressure, now)
-        for heard in (inlet, demand):
-            node.create_subscription(
-                FluidPressure, f"~/{heard.name}", heard.take, RELIABLE, event_callbacks=heard.incompatible.events
-            )
+        of_inlet, of_demand = inlet.incompatible.events, demand.incompatible.events
+        node.create_subscription(FluidPressure, "~/inlet_pressure", inlet.take, RELIABLE, event_callbacks=of_inlet)
+        node.create_subscription(FluidPressure, "~/demand_pressure", demand.take, RELIABLE, event_callbacks=of_demand)
         self._outlet_pressure = EncodedPublisher(node, FluidPressure, "~/outlet_pressure")
         self._mass_flow = EncodedPublisher(node, Float64, "~/mass_flow")
         self._obeyed = {

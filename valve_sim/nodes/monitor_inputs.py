@@ -119,7 +119,7 @@ class MonitorInputs:
         self.incompatible = IncompatiblePublishers(node, self._voltage)
         on_command: Any = guarded(self._on_command)  # its second argument, message info, is missing in rclpy's types
         self._commands = node.create_subscription(
-            Float64, self._voltage, on_command, _COMMANDS, event_callbacks=self.incompatible.events
+            Float64, f"{self._valve}/coil_voltage", on_command, _COMMANDS, event_callbacks=self.incompatible.events
         )
         if self._measured.rpartition("/")[2] not in _OF_COIL:
             on_samples: Any = guarded(self._on_samples)
