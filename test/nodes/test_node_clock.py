@@ -66,6 +66,10 @@ def test_stamps_follow_each_step_of_the_systems_clock_and_elapsed_time_does_not(
 
 def test_a_process_that_is_held_up_between_two_looks_takes_that_for_no_step(node: Any) -> None:
     clocks, generator = SystemClocks(), np.random.default_rng(20)
+    clocks.hold_up = 3_000_000
+    held_up_at_first = NodeClock(node, clocks.monotonic, clocks.system)
+    clocks.hold_up = 0
+    assert [held_up_at_first.was_set() for _ in range(100)] == [0] * 100
     clock = NodeClock(node, clocks.monotonic, clocks.system)
     for _ in range(1000):
         clocks.hold_up = int(generator.exponential(5e6))

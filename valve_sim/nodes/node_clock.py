@@ -16,6 +16,8 @@ from valve_sim.nodes.realtime import NANOSECONDS, ClockReading
 _LONGEST_SLEEP: Final = 0.05
 _ROUNDING: Final = 1_000
 """ns by which two clocks of the system may differ without one of them having been set."""
+_LOOKS: Final = 20
+"""Looks at both clocks of which the one with the least between is believed."""
 _NEW: Final = tuple.__new__
 """A named tuple's own call is one of Python, and takes three times as long."""
 
@@ -40,9 +42,7 @@ class NodeClock:
     ) -> None:
         self._clock: Any = node.get_clock()
         self._monotonic, self._system = monotonic, system
-        self._ahead = 0
-        """ns by which the system's clock is ahead of elapsed time."""
-        self.was_set()
+        self._measure()
         self._woken = threading.Event()
         self._on_exchange: Callable[[], None] = _nothing
         # The handle is kept, because ROS drops a callback without it. Every /clock message is a jump of some size.
@@ -101,11 +101,22 @@ class NodeClock:
         Its distance from elapsed time is known to the time that passes between two looks at the latter, so that no
         interruption in between is taken for a step. Both clocks are slewed alike.
         """
-        before, system, after = self._monotonic(), self._system(), self._monotonic()
-        if system - after - _ROUNDING <= self._ahead <= system - before + _ROUNDING:
+        least, most = self._look()
+        if least <= self._most + _ROUNDING and most >= self._least - _ROUNDING:
             return 0
-        known, self._ahead = self._ahead, system - (before + after) // 2
+        known = self._ahead
+        self._measure()
         return self._ahead - known
+
+    def _measure(self) -> None:
+        """Find by how much the system's clock is ahead of elapsed time, ns, and within which bounds that is known."""
+        looks = [self._look() for _ in range(_LOOKS)]
+        self._least, self._most = min(looks, key=lambda bounds: bounds[1] - bounds[0])
+        self._ahead = (self._least + self._most) // 2
+
+    def _look(self) -> tuple[int, int]:
+        before, system, after = self._monotonic(), self._system(), self._monotonic()
+        return system - after, system - before
 
     def _note_jump(self, jump: object) -> None:
         """/clock has moved, or another clock is followed from now on; or this is the first look."""
