@@ -103,12 +103,11 @@ class IdentificationShell:
         self._replay.start()
         spin(self._node)
 
-    def close(self, timeout: float | None) -> bool:
-        """Stop and release everything; whether both threads have ended."""
-        has_ended = self._replay.stop(timeout) and self._task.stop(timeout)
-        if has_ended:
-            self._node.destroy_node()
-        return has_ended
+    def close(self, timeout: float) -> bool:
+        """Stop and release everything; whether both threads have ended. A fit cannot at once."""
+        have_ended = [self._replay.stop(timeout), self._task.stop(timeout)]
+        self._node.destroy_node()
+        return all(have_ended)
 
     # --- wiring ---
 
