@@ -17,6 +17,8 @@ from typing import Any
 import pytest
 from own_domain import own_domain
 
+pytestmark = [pytest.mark.ros, pytest.mark.long]
+
 ROOT = Path(__file__).parents[1]
 STAND_IN = Path(__file__).with_name("ros2_stand_in.py")
 PATIENCE = 900.0

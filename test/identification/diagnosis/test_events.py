@@ -62,6 +62,7 @@ def test_what_is_never_reached_is_later_the_more_is_missing(table):
     assert nothing[1][0] > almost[1][0] > table.horizon
 
 
+@pytest.mark.long
 def test_no_single_effect_closes_the_table_but_many_pairs_do(diagnosis):
     assert not any(entry.closes for entry in diagnosis.singles)
     closing = {frozenset(entry.effects) for entry in diagnosis.pairs if entry.closes}
