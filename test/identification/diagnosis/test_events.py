@@ -187,6 +187,7 @@ def test_a_table_that_cannot_be_used_is_named(tmp_path, text, words):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.long
 def test_effects_that_do_not_close_the_table_are_not_shipped(tmp_path, table):
     text = (CONFIG / "paper_events.yaml").read_text().replace("[rest_attraction, coil_lag]", "[rest_attraction]")
     path = tmp_path / "table.yaml"
