@@ -33,8 +33,8 @@ DECLARED := setup.py setup.cfg package.xml pyproject.toml tools/environment
 COMPILED := valve_sim/warm.py $(shell find valve_sim/model -name '*.py')
 
 # Parts of a test run side by side, two at a time, and each to its end whatever another one finds.
-# A part's output comes when it is done; parts that failed are named in the end.
 PARTS := $(MAKE) --no-print-directory --keep-going --jobs 2 --output-sync=target
+PARTS_ARE := two parts at a time; what each found is printed when it is done, and those that failed are named in the end
 PYTEST := -m pytest --durations 10
 # Live nodes are tested one after the other, all else by two processes.
 SIDE_BY_SIDE := --numprocesses 2 --dist worksteal
@@ -52,9 +52,13 @@ shell: $(ENVIRONMENT)/.warm
 	@tools/environment shell $(ENVIRONMENT)
 
 test: $(ENVIRONMENT)/.ready-to-test
+	-@$(MAKE) --silent --no-print-directory $(ENVIRONMENT)/.warm
+	@echo "$(PARTS_ARE)"
 	@$(PARTS) nodes lint types layers docs tests
 
 test-long: $(ENVIRONMENT)/.ready-to-test $(KILTED:%=.venv-%/.ready-to-test)
+	-@$(MAKE) --silent --no-print-directory $(ENVIRONMENT)/.warm $(KILTED:%=.venv-%/.warm)
+	@echo "$(PARTS_ARE)"
 	@$(PARTS) long-nodes long-tests $(KILTED) campaign
 
 nodes tests long-nodes long-tests campaign: $(ENVIRONMENT)/.warm
