@@ -221,6 +221,7 @@ def start(folder: Path, *arguments: str, **environment: str) -> subprocess.Popen
     )
 
 
+@pytest.mark.ros
 @needs_ros
 def test_demonstration_shows_records_and_compares(tmp_path: Path):
     demo = start(tmp_path / "demo", "--strokes", "2")
@@ -254,6 +255,7 @@ def test_demonstration_shows_records_and_compares(tmp_path: Path):
     assert "50000 Hz" in shown.stdout
 
 
+@pytest.mark.ros
 @needs_ros
 def test_interrupted_demonstration_leaves_no_half_bag_and_no_node(tmp_path: Path):
     demo = start(tmp_path / "demo")

@@ -17,6 +17,8 @@ from typing import Any
 import pytest
 from own_domain import own_domain
 
+pytestmark = [pytest.mark.ros, pytest.mark.long]
+
 ROOT = Path(__file__).parents[1]
 STAND_IN = Path(__file__).with_name("ros2_stand_in.py")
 PATIENCE = 900.0
@@ -42,7 +44,9 @@ NOT_HERE = {
     "make shell": "test_invocation.py types into one",
     "make test": "is what runs this test",
     "make docs": "make test builds them, too",
-    "rosdep install": "CI has neither rosdep nor colcon; test_resources.py compares what would be installed",
+    "rosdep install": "CI has neither rosdep nor colcon; test_packaging.py compares what would be installed",
+    "python3 -m venv": "belongs to it",
+    "venv/bin/": "belongs to it",
     "ros2 launch": "CI has no launch; nodes/test_station.py starts what the launch file says",
 }
 """Commands that are not run, and what is in their place."""

@@ -15,6 +15,8 @@ import pytest
 from valve_sim.model.compiling import COMPILING
 from valve_sim.traces import read_trace
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).parents[1]
 BAG = ROOT / "bags" / "one_opening.mcap"
 PARAMETERS = ROOT / "config" / "valve.yaml"

@@ -17,6 +17,8 @@ from valve_sim.identification.selection.score_test import score_gains
 from valve_sim.identification.selection.stepwise import Exploration
 from valve_sim.identification.selection.table import DECISIVE, Hypothesis
 
+pytestmark = pytest.mark.long
+
 VOLUME = "gas.outlet_volume"
 ORIFICE = Hypothesis(("gas.pilot_orifice_diameter",))
 

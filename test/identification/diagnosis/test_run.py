@@ -108,6 +108,7 @@ def test_the_outcome_does_not_depend_on_the_number_of_threads(monkeypatch: pytes
     assert to_json(diagnosed(film, 12)) == with_four
 
 
+@pytest.mark.long
 def test_what_has_no_name_gets_none() -> None:
     diagnosis = diagnosed({"damping_bump": {"amplitude": 4.0, "centre": 0.8e-3, "width": 0.1e-3}}, 200)
     assert diagnosis.verdict.kind == "unknown"
