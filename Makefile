@@ -1,106 +1,68 @@
-# make run    sets up what is missing and shows a valve at work on ROS 2 topics
-# make shell  opens a shell in which valve-sim and the nodes are found
-# make test   runs all checks and tests
-# make docs   builds the documentation: build/docs/index.html
+# make run        sets up what is missing and shows a valve at work on ROS 2 topics
+# make shell      opens a shell in which valve-sim and the nodes are found
+# make test       checks and tests, in ten minutes on two cores
+# make test-long  the long tests: fuzzing, faults, a fleet, printed commands, ROS 2 Kilted, a slice of the campaign
+# make docs       builds the documentation: build/docs/index.html
 #
 # Where a ROS 2 is sourced it is used as it is; elsewhere the wheels of Jazzy are installed into .venv.
-# BASE_PYTHON=/path/to/python3 chooses the interpreter (3.10 to 3.13).
+# BASE_PYTHON=/path/to/python3 chooses the interpreter (3.10 to 3.14).
 
 SHELL := /bin/bash
-COMMA := ,
 export BASE_PYTHON
+# The matrices of a fit are thin: threads of the linear algebra would wait for each other.
+export OPENBLAS_NUM_THREADS := 1
 
-SOURCED_ROS := $(shell tools/environment sourced)
-ifeq ($(SOURCED_ROS),)
+ifeq ($(shell tools/environment sourced),)
 ENVIRONMENT := .venv
 RUN_EXTRAS := ros
+TEST_EXTRAS := ros,test,docs
+KILTED := kilted
 # What another ROS left in this terminal would be mixed into the wheels'.
 unexport PYTHONPATH LD_LIBRARY_PATH AMENT_PREFIX_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
 else
 ENVIRONMENT := .venv-sourced-$(ROS_DISTRO)
 RUN_EXTRAS :=
+TEST_EXTRAS := test,docs
+KILTED :=
 endif
-KILTED_ENVIRONMENT := .venv-kilted
-
 PYTHON := $(ENVIRONMENT)/bin/python
-KILTED_PYTHON := $(KILTED_ENVIRONMENT)/bin/python
-# Live nodes want the cores when something comes, and so does killing processes as they write: one after the other, ahead
-# of all else. They mostly wait; the other checks take what they leave: UNHURRIED. There belong the nodes' parts, which are
-# tested without ROS, and what a node refuses.
-SHARING := command_safety dds_profiles diagnostics encoded_messages handing_on live_map live_valve messages parameters profile_playing realtime refusals replay starting
-ALONE := $(filter-out $(SHARING:%=test/nodes/test_%.py),$(sort $(wildcard test/nodes/test_*.py))) \
-	$(foreach name,demo documents faults,test/test_$(name).py)
-# What hangs on the ROS distribution; faults, fuzz and examples are tested once, on Jazzy, and so is what these files mark
-# `any_distribution`: fits, isolation, maps, entry points and values that the nodes refuse, the same code on either.
-KILTED_TESTS := $(foreach name,messages encoded_messages receiving valve_node identification_node monitor_node station supervision refusals,test/nodes/test_$(name).py)
-# Live nodes are tested again by themselves where they fail, and named for it: tools/retest.py says why.
-RETEST := tools/retest.py
-export UNSTEADY_TESTS := $(CURDIR)/build/unsteady_tests.txt
-DECLARED := setup.py setup.cfg package.xml tools/environment
-# The environments are installed side by side: one waits for the network while the other unpacks. What one has compiled
-# the other finds.
-SETS_UP := $(MAKE) --no-print-directory --jobs 2
-# Each command's output comes when the command is done, or the two would be mixed.
-SIDE_BY_SIDE := $(MAKE) --no-print-directory --jobs 2 --output-sync=line
-# The matrices of a fit are thin: threads of the linear algebra would wait for each other.
-export OPENBLAS_NUM_THREADS := 1
-# The lowest priority: whoever else has work goes first, as if alone.
-UNHURRIED := nice -n 19
+KILTED_PYTHON := .venv-kilted/bin/python
 
-# A tested environment can run too, so that whoever ran the tests first waits no second time.
-RUN_READY := $(firstword $(wildcard $(ENVIRONMENT)/.ready-to-test) $(ENVIRONMENT)/.ready-to-run)
-
-# What is compiled belongs to the sources of the model: others, as a pull brings them, are compiled here and now, and not
-# by the first command.
-WARM := $(ENVIRONMENT)/.warm
+# What an environment is made from, and what is compiled into its cache.
+DECLARED := setup.py setup.cfg package.xml pyproject.toml tools/environment
 COMPILED := valve_sim/warm.py $(shell find valve_sim/model -name '*.py')
 
-.PHONY: run shell test check docs compiled nodes kilted-nodes nodes-on-both all-but-nodes
+# Parts of a test run side by side, two at a time, and each to its end whatever another one finds.
+PARTS := $(MAKE) --no-print-directory --keep-going --jobs 2 --output-sync=target
+PARTS_ARE := two parts at a time; what each found is printed when it is done, and those that failed are named in the end
+PYTEST := -m pytest --durations 10
+# Live nodes are tested one after the other, all else by two processes.
+SIDE_BY_SIDE := --numprocesses 2 --dist worksteal
+# The tests that depend on the ROS distribution.
+KILTED_TESTS := $(foreach name,messages encoded_messages receiving valve_node identification_node monitor_node \
+	station supervision refusals,test/nodes/test_$(name).py)
+
+.PHONY: run shell test test-long docs nodes tests lint types layers long-nodes long-tests campaign kilted
 .DELETE_ON_ERROR:
 
-run: $(WARM)
+run: $(ENVIRONMENT)/.warm
 	$(PYTHON) -m valve_sim.demo
 
-shell: $(WARM)
+shell: $(ENVIRONMENT)/.warm
 	@tools/environment shell $(ENVIRONMENT)
 
-ifeq ($(SOURCED_ROS),)
-test:
-	@rm -f $(UNSTEADY_TESTS)
-	@$(SETS_UP) $(ENVIRONMENT)/.ready-to-test $(KILTED_ENVIRONMENT)/.ready-to-test
-	@echo "tests of live nodes, and beside them all other checks, last in priority; each says what it found in the end"
-	@$(SIDE_BY_SIDE) nodes-on-both all-but-nodes
-	@! test -e $(UNSTEADY_TESTS) || cat $(UNSTEADY_TESTS)
-else
-test:
-	@rm -f $(UNSTEADY_TESTS)
-	@$(MAKE) --no-print-directory check
-	@! test -e $(UNSTEADY_TESTS) || cat $(UNSTEADY_TESTS)
-	@echo "tested with the sourced ROS 2 $(ROS_DISTRO); in a terminal without ROS, make test tests Jazzy and Kilted"
-endif
+test: $(ENVIRONMENT)/.ready-to-test
+	-@$(MAKE) --silent --no-print-directory $(ENVIRONMENT)/.warm
+	@echo "$(PARTS_ARE)"
+	@$(PARTS) nodes lint types layers docs tests
 
-check:
-	@$(SIDE_BY_SIDE) nodes all-but-nodes
+test-long: $(ENVIRONMENT)/.ready-to-test $(KILTED:%=.venv-%/.ready-to-test)
+	-@$(MAKE) --silent --no-print-directory $(ENVIRONMENT)/.warm $(KILTED:%=.venv-%/.warm)
+	@echo "$(PARTS_ARE)"
+	@$(PARTS) long-nodes long-tests $(KILTED) campaign
 
-# One after the other: nodes of both distributions at once would hold each other up.
-nodes-on-both: compiled
-	@$(MAKE) --no-print-directory nodes
-	@$(MAKE) --no-print-directory kilted-nodes
-
-compiled: $(ENVIRONMENT)/.ready-to-test
-	$(PYTHON) -m valve_sim.warm
-
-nodes: compiled
-	$(PYTHON) $(RETEST) $(ALONE)
-
-all-but-nodes: compiled
-	$(UNHURRIED) $(PYTHON) -m ruff check .
-	$(UNHURRIED) $(PYTHON) -m ruff format --check .
-	$(UNHURRIED) $(PYTHON) -m mypy
-	$(UNHURRIED) $(ENVIRONMENT)/bin/lint-imports
-	@$(UNHURRIED) $(MAKE) --no-print-directory docs
-	$(UNHURRIED) $(PYTHON) -m pytest --numprocesses auto --maxprocesses 4 --dist worksteal $(addprefix --ignore=,$(ALONE))
-	$(UNHURRIED) $(PYTHON) -m benchmarks.campaign --slice
+nodes tests long-nodes long-tests campaign: $(ENVIRONMENT)/.warm
+kilted: .venv-kilted/.warm
 
 # A warning is an error; stubs and pages of modules that have gone would be warned of, or stay.
 docs: $(ENVIRONMENT)/.ready-to-test
@@ -108,24 +70,54 @@ docs: $(ENVIRONMENT)/.ready-to-test
 	$(PYTHON) -m sphinx -W --keep-going -q -j 2 -d build/docs-doctrees docs build/docs
 	@echo "documentation: build/docs/index.html"
 
-kilted-nodes: $(KILTED_ENVIRONMENT)/.ready-to-test
-	$(KILTED_PYTHON) -m valve_sim.warm
-	$(KILTED_PYTHON) $(RETEST) $(KILTED_TESTS) -m 'not any_distribution'
+lint:
+	$(PYTHON) -m ruff check .
+	$(PYTHON) -m ruff format --check .
 
-$(WARM): $(RUN_READY) $(COMPILED)
+types:
+	$(PYTHON) -m mypy
+
+layers:
+	$(ENVIRONMENT)/bin/lint-imports
+
+tests:
+	$(PYTHON) $(PYTEST) $(SIDE_BY_SIDE) -m "not ros and not long"
+
+nodes:
+	$(PYTHON) $(PYTEST) -m "ros and not long"
+
+long-tests:
+	$(PYTHON) $(PYTEST) $(SIDE_BY_SIDE) -m "not ros and long"
+
+long-nodes:
+	$(PYTHON) $(PYTEST) -m "ros and long"
+
+kilted:
+	$(KILTED_PYTHON) $(PYTEST) -m "not any_distribution" $(KILTED_TESTS)
+
+campaign:
+	$(PYTHON) -m benchmarks.campaign --slice
+
+# A tested environment can run too, so that whoever ran the tests first waits no second time.
+RUN_READY := $(firstword $(wildcard $(ENVIRONMENT)/.ready-to-test) $(ENVIRONMENT)/.ready-to-run)
+
+# What is compiled belongs to the sources of the model: others, as a pull brings them, are compiled here and now.
+$(ENVIRONMENT)/.warm: $(COMPILED) $(RUN_READY)
 	@$(PYTHON) -m valve_sim.warm
+	@touch $@
+
+.venv-kilted/.warm: $(COMPILED) .venv-kilted/.ready-to-test
+	@$(KILTED_PYTHON) -m valve_sim.warm
 	@touch $@
 
 $(ENVIRONMENT)/.ready-to-run: $(DECLARED)
 	@tools/environment make $(ENVIRONMENT) "$(RUN_EXTRAS)"
-	@$(PYTHON) -m valve_sim.warm
-	@touch $@ $(WARM)
+	@touch $@
 
 $(ENVIRONMENT)/.ready-to-test: $(DECLARED)
-	@tools/environment make $(ENVIRONMENT) "$(if $(RUN_EXTRAS),$(RUN_EXTRAS)$(COMMA))test,docs"
-	@$(PYTHON) -m valve_sim.warm
-	@touch $@ $(WARM)
+	@tools/environment make $(ENVIRONMENT) "$(TEST_EXTRAS)"
+	@touch $@
 
-$(KILTED_ENVIRONMENT)/.ready-to-test: $(DECLARED)
-	@tools/environment make $(KILTED_ENVIRONMENT) "ros-kilted,checks"
+.venv-kilted/.ready-to-test: $(DECLARED)
+	@tools/environment make .venv-kilted "ros-kilted,checks"
 	@touch $@

@@ -16,13 +16,25 @@ RUNS_WITHOUT_ROS = [
     "lz4>=4.0",
     "matplotlib>=3.6",
     "mcap>=1.2",
-    "numba>=0.58",
+    "numba>=0.58,<0.69",  # whose private names the model's compile cache uses: model/compiling.py
     "numpy>=1.24",
     "pyyaml>=6.0",
     "rich>=13.0",
     "rosbags>=0.11",
     "scipy>=1.11",
     "zstandard>=0.20",
+]
+PAPER = "https://doi.org/10.3390/app11052329"
+CLASSIFIERS = [
+    "Development Status :: 4 - Beta",
+    "Environment :: Console",
+    "Intended Audience :: Manufacturing",
+    "Intended Audience :: Science/Research",
+    "Operating System :: POSIX :: Linux",
+    "Programming Language :: Python :: 3",
+    *(f"Programming Language :: Python :: 3.{minor}" for minor in range(10, 15)),
+    "Topic :: Scientific/Engineering :: Physics",
+    "Typing :: Typed",
 ]
 # The two cannot share an environment: they pin different versions of the same messages.
 ROS_JAZZY = [
@@ -62,9 +74,17 @@ setup(
     maintainer=MANIFEST.findtext("maintainer"),
     maintainer_email=MANIFEST.find("maintainer").attrib["email"],
     license=MANIFEST.findtext("license"),
-    python_requires=">=3.10,<3.14",
+    license_files=["LICENSE"],
+    long_description=(HERE / "README.md").read_text(encoding="utf-8"),
+    long_description_content_type="text/markdown",
+    url=PAPER,
+    project_urls={"Paper of the model": PAPER},
+    classifiers=CLASSIFIERS,
+    keywords=["ROS", "fault diagnosis", "hybrid systems", "solenoid valve", "system identification"],
+    python_requires=">=3.10,<3.15",
     packages=find_packages(include=["valve_sim", "valve_sim.*"]),
     package_data={
+        NAME: ["py.typed"],
         f"{NAME}.fleet": ["templates/*.j2"],
         f"{NAME}.identification.reporting": ["templates/*.j2"],
     },

@@ -34,6 +34,23 @@ STEP = 0.1e-6
 """m, of the position sensor."""
 CURRENT_NOISE = 1e-3
 """A."""
+BENCH_VALVE = {
+    "pilot_mass": 0.021,
+    "moving_mass": 0.030,
+    "main_damping": 3.0,
+    "spring_rate": 2000.0,
+    "spring_preload": 3.0,
+    "a0": 4.5,
+    "a1": 8.0e3,
+    "a2": 1.0e7,
+    "a3": 0.0,
+    "pilot_gap": 0.15e-3,
+    "stroke": 0.6e-3,
+    "reference_voltage": 24.0,
+    "coil_time_constant": 2.0e-3,
+    "coil_resistance": 38.0,
+}
+"""Of the valve that the oscilloscope's table is of, in SI units; docs/tutorials/own_oscilloscope.md declares it."""
 LIVE_DAMPINGS = {"pilot_damping": 1.3, "main_damping": 4.8}
 """N·s/m, of the valve that the live recording is of."""
 LIVE_RATE = 2000.0
@@ -57,12 +74,12 @@ class Sample(NamedTuple):
     with_current: bool = False
 
 
-def strokes(*levels: float) -> list[tuple[float, float]]:
-    """Openings at these voltages, 30 ms each, 60 ms apart, beginning at 10 ms."""
+def strokes(*levels: float, length: float = 0.030) -> list[tuple[float, float]]:
+    """Openings at these voltages for a time, s, each followed by a rest as long, beginning at 10 ms."""
     commands = []
     for index, volts in enumerate(levels):
-        start = 0.010 + 0.060 * index
-        commands += [(start, volts), (start + 0.030, 0.0)]
+        start = 0.010 + 2.0 * length * index
+        commands += [(start, volts), (start + length, 0.0)]
     return commands
 
 
@@ -96,6 +113,31 @@ def make(sample: Sample, folder: Path) -> Path:
     if path.is_dir():
         shutil.rmtree(path)
     write_bag(path, trace, storage=sample.storage, compressed=True)
+    return path
+
+
+def make_table(folder: Path) -> Path:
+    """Write a seeded recording of another valve as an oscilloscope exports it; returns it.
+
+    CH1 is the coil's voltage behind a 1:10 probe, CH2 a laser of 1 V per mm, CH3 a current clamp of 100 mV per A.
+    """
+    random = np.random.default_rng(4)
+    times = np.arange(round(0.21 * RATE)) / RATE
+    drive = Drive.of(*zip(*strokes(24.0, 20.0, 28.0, 22.0, length=0.025), strict=True))
+    declared = default_valve().with_values(**BENCH_VALVE)
+    shown = simulate(Valve(declared.parameters, {"coulomb_friction": {"force": 0.3}}), drive, times)
+
+    def channel(values: Any, noise: float) -> Any:
+        return values + noise * random.standard_normal(len(times))
+
+    volts = channel(0.1 * shown.coil_voltage, 2e-3)
+    lift = channel(1e3 * shown.pilot_position, 1e-3)
+    clamp = channel(0.1 * shown.coil_current, 2e-4)
+    lines = ["Model;4-channel oscilloscope", "Sample rate;10 kHz", "Time;CH1;CH2;CH3", "s;V;V;V"]
+    for row in zip(times, volts, lift, clamp, strict=True):
+        lines.append(";".join(f"{value:.4f}" for value in row).replace(".", ","))
+    path = folder / "oscilloscope.csv"
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return path
 
 
@@ -192,7 +234,7 @@ def main() -> int:
     parser.add_argument("--folder", type=Path, default=HERE)
     parser.add_argument("--live", action="store_true", help="record the live one too (needs ROS 2)")
     given = parser.parse_args()
-    paths = [make(sample, given.folder) for sample in samples()]
+    paths = [*(make(sample, given.folder) for sample in samples()), make_table(given.folder)]
     if given.live:
         paths.append(make_live(given.folder))
     for path in paths:

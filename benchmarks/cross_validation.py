@@ -16,6 +16,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from valve_sim.identification.selection.cross_validation import cross_validate, folds_of, own_nuisances
+from valve_sim.identification.selection.hypotheses import Search
+from valve_sim.identification.selection.table import Hypothesis
 
 from benchmarks.campaign.cases import draw_case
 from benchmarks.campaign.running import as_trace
@@ -25,10 +28,7 @@ from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.selection.cross_validation import cross_validate, folds_of, own_nuisances
-from valve_sim.identification.selection.hypotheses import Search
 from valve_sim.identification.selection.residual_tests import adequacy
-from valve_sim.identification.selection.table import Hypothesis
 
 CASES: Final = ("single:0", "single:17", "pair:1", "mismatched:0", "mismatched:11")
 OTHERS: Final = ("coulomb_friction", "stiction", "pressure_force", "coil_lag", "squeeze_film", "stop_bounce")

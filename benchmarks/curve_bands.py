@@ -14,6 +14,8 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
+from valve_sim.identification.selection.hypotheses import Search
+from valve_sim.identification.selection.table import Hypothesis
 
 from benchmarks.campaign.cases import Case, draw_case
 from benchmarks.campaign.effects import UNCATALOGUED
@@ -23,8 +25,6 @@ from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.plants.protocol import Array, ForceMap
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.selection.force_maps import describe, fit_maps
-from valve_sim.identification.selection.hypotheses import Search
-from valve_sim.identification.selection.table import Hypothesis
 
 BUMP: Final = "force_bump"
 WANTED: Final = (0.92, 0.98)

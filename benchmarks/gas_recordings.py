@@ -24,12 +24,12 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from rich.console import Console
 from rich.table import Table
+from valve_sim.identification.selection.hypotheses import Search
+from valve_sim.identification.selection.table import Hypothesis
 
 from valve_sim.identification.diagnosis.run import Begun, begin
 from valve_sim.identification.estimation.budget import Budget
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.selection.hypotheses import Search
-from valve_sim.identification.selection.table import Hypothesis
 from valve_sim.model import Drive, Valve, simulate
 from valve_sim.traces import Signal, Trace
 

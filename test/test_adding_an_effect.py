@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).resolve().parents[1]
 DIFF = ROOT / "docs" / "examples" / "flow_force.diff"
 NAME, STIFFNESS = "flow_force", 500.0  # N/m

@@ -10,6 +10,8 @@ from benchmarks.campaign.cases import draw_case
 from benchmarks.campaign.limits import DETECTABLE, Knowledge, detection_limit, yardstick
 from benchmarks.campaign.running import true_effects
 
+pytestmark = pytest.mark.long
+
 POWERS: FloatArray = np.linspace(0.0, 1.2e-3, 7)[:, np.newaxis] ** np.arange(4)
 
 

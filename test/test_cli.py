@@ -320,6 +320,16 @@ def test_fit_force_writes_parameters_report_and_picture(tmp_path: Path):
     assert (tmp_path / "results" / "fit-force.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_fit_force_takes_a_map(tmp_path: Path):
+    rows = [f"{x};{3000 + 10 * x}".replace(".", ",") for x in np.linspace(0.0, 1230.0, 20)]
+    (tmp_path / "cell.csv").write_text("\n".join(["Weg;Kraft", "um;mN", *rows]) + "\n")
+    (tmp_path / "cell.yaml").write_text("displacement: {column: Weg, unit: um}\nforce: {column: Kraft, unit: mN}\n")
+    files = (tmp_path / "cell.csv", "--map", tmp_path / "cell.yaml", "--output", tmp_path)
+    run_well("fit-force", *files, "--degree", "1")
+    found = load_valve(tmp_path / "attraction.yaml").parameters.attraction_polynomial
+    assert found == pytest.approx((3.0, 1e4, 0.0, 0.0), rel=1e-9)
+
+
 # --- unusable input ---
 
 SIMULATE = ("simulate", "--duration", "0.02", "--output", "{folder}/x.csv")
@@ -473,6 +483,7 @@ def test_the_python_and_the_parameter_file_of_the_readme_work(tmp_path: Path):
     assert load_valve(tmp_path / "readme.yaml").effects == {"coulomb_friction": {"force": 0.3}}
 
 
+@pytest.mark.long
 def test_diagnose_takes_a_table_of_events_and_writes_the_default_valve_again(tmp_path: Path) -> None:
     table = Path(__file__).parents[1] / "config" / "paper_events.yaml"
     result = run_well("diagnose", "--events", table, "--output", tmp_path)

@@ -221,6 +221,7 @@ def start(folder: Path, *arguments: str, **environment: str) -> subprocess.Popen
     )
 
 
+@pytest.mark.ros
 @needs_ros
 def test_demonstration_shows_records_and_compares(tmp_path: Path):
     demo = start(tmp_path / "demo", "--strokes", "2")
@@ -235,9 +236,9 @@ def test_demonstration_shows_records_and_compares(tmp_path: Path):
     assert len(openings) == 2
     for found in openings:
         times = {event.kind: event.after_command for event in found.events}
-        # The way between the plungers' events is the valve's own; where it begins, a busy machine makes late.
-        assert times["reaches_stop"] - times["pilot_reaches_main"] == pytest.approx(4.6e-3, abs=1e-5)
-        assert 5.2e-3 < times["pilot_reaches_main"] < 7e-3
+        # Counted from when the coil has its voltage: how late a busy machine hands a command over does not matter.
+        assert times["pilot_reaches_main"] == pytest.approx(5.3e-3, abs=1e-5)
+        assert times["reaches_stop"] == pytest.approx(9.9e-3, abs=1e-5)
     assert f"{1e3 * openings[0].events[0].after_command:.3f}" in output
     told = [float(line.split("ms")[0]) for line in output.splitlines() if "takes the main" in line or ": open" in line]
     recorded = [1e3 * event.after_command for found in openings for event in found.events]
@@ -254,6 +255,7 @@ def test_demonstration_shows_records_and_compares(tmp_path: Path):
     assert "50000 Hz" in shown.stdout
 
 
+@pytest.mark.ros
 @needs_ros
 def test_interrupted_demonstration_leaves_no_half_bag_and_no_node(tmp_path: Path):
     demo = start(tmp_path / "demo")

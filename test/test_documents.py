@@ -1,4 +1,4 @@
-"""Every command of README.md and of the first tutorial works as printed, from top to bottom, in one terminal."""
+"""Every command of README.md and of the tutorials works as printed, from top to bottom, in one terminal."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ from typing import Any
 import pytest
 from own_domain import own_domain
 
+pytestmark = [pytest.mark.ros, pytest.mark.long]
+
 ROOT = Path(__file__).parents[1]
 STAND_IN = Path(__file__).with_name("ros2_stand_in.py")
 PATIENCE = 900.0
@@ -34,12 +36,17 @@ foreground() {
 """
 """A node that is started in the foreground runs until Ctrl-C; here that comes when it is ready."""
 
+WITH_ROS = ("README.md", "docs/tutorials/first_correction.md")
+WITHOUT_ROS = ("docs/tutorials/first_diagnosis.md", "docs/tutorials/own_oscilloscope.md", "docs/sensorless.md")
+
 NOT_HERE = {
     "make run": "test_demo.py runs what it runs",
     "make shell": "test_invocation.py types into one",
     "make test": "is what runs this test",
     "make docs": "make test builds them, too",
-    "rosdep install": "CI has neither rosdep nor colcon; test_resources.py compares what would be installed",
+    "rosdep install": "CI has neither rosdep nor colcon; test_packaging.py compares what would be installed",
+    "python3 -m venv": "belongs to it",
+    "venv/bin/": "belongs to it",
     "ros2 launch": "CI has no launch; nodes/test_station.py starts what the launch file says",
 }
 """Commands that are not run, and what is in their place."""
@@ -56,16 +63,18 @@ def console_blocks(document: str) -> Iterator[list[str]]:
 
 
 def commands(lines: list[str]) -> Iterator[str]:
-    """What is typed at "$ ", with what follows it at "> "."""
-    typed: list[str] = []
-    for line in [*lines, "$ "]:
-        if line.startswith("$ ") and typed:
-            yield "\n".join(typed)
-            typed = []
-        if line.startswith("$ "):
-            typed = [line[2:]]
-        elif line.startswith("> "):
-            typed.append(line[2:])
+    """What is typed at "$ ", with the lines that belong to it: after a backslash, and of a here-document."""
+    rest = iter(lines)
+    for line in rest:
+        if not line.startswith("$ "):
+            continue  # what a command prints
+        typed = [line[2:]]
+        while typed[-1].endswith("\\"):
+            typed.append(next(rest))
+        ending = re.search(r"<<(\w+)$", typed[-1])
+        while ending and typed[-1] != ending[1]:
+            typed.append(next(rest))
+        yield "\n".join(typed)
 
 
 def script(document: str) -> str:
@@ -115,9 +124,8 @@ def terminal(tmp_path: Path) -> tuple[Path, dict[str, str]]:
     return folder, environment
 
 
-@needs_ros
-@pytest.mark.parametrize("name", ["README.md", "docs/tutorials/first_correction.md"])
-def test_the_commands_work_as_printed(name: str, terminal: tuple[Path, dict[str, str]]) -> None:
+def run_page(name: str, terminal: tuple[Path, dict[str, str]]) -> tuple[Path, str]:
+    """Types the commands of a page; returns the folder that they were typed in, and what was printed."""
     folder, environment = terminal
     text = script((ROOT / name).read_text(encoding="utf-8"))
     ran = subprocess.run(
@@ -126,14 +134,63 @@ def test_the_commands_work_as_printed(name: str, terminal: tuple[Path, dict[str,
     told = f"{ran.stdout}\n{ran.stderr}"
     assert ran.returncode == 0, told
     assert "Traceback" not in told, told
+    return folder, told
+
+
+def assert_named(report: dict[str, Any], effect: str, **values: float) -> None:
+    """A report names an effect, and the values are those that were simulated, within four standard errors."""
+    assert report["verdict"]["kind"] == "effects"
+    assert report["verdict"]["effects"] == [effect]
+    for name, value in values.items():
+        found = report["after"]["effects"][effect][name]
+        assert abs(found["value"] - value) < 4.0 * found["stderr"]
+
+
+def report_in(folder: Path) -> dict[str, Any]:
+    """The report that `diagnose --output` left in a folder."""
+    report: dict[str, Any] = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+    return report
+
+
+@needs_ros
+@pytest.mark.parametrize("name", WITH_ROS)
+def test_the_commands_work_as_printed(name: str, terminal: tuple[Path, dict[str, str]]) -> None:
+    folder, told = run_page(name, terminal)
+    assert_named(report_in(folder / "results"), "coulomb_friction", force=0.15)
     if name == "README.md":
         results = sorted(path.name for path in (folder / "results").glob("*.yaml"))
         assert results == ["corrected.yaml", "identified.yaml"], told
     if name == "docs/tutorials/first_correction.md":
-        report = json.loads((folder / "results" / "report.json").read_text(encoding="utf-8"))
-        assert report["verdict"]["effects"] == ["coulomb_friction"]
-        assert_described(report, (ROOT / "docs" / "reference" / "report_json.md").read_text(encoding="utf-8"))
+        page = (ROOT / "docs" / "reference" / "report_json.md").read_text(encoding="utf-8")
+        assert_described(report_in(folder / "results"), page)
         assert "pressure_force" in (folder / "worn" / "corrected.yaml").read_text(encoding="utf-8")
+
+
+def test_the_first_tutorial_says_what_happens(terminal: tuple[Path, dict[str, str]]) -> None:
+    folder, told = run_page("docs/tutorials/first_diagnosis.md", terminal)
+    assert_named(report_in(folder / "results"), "coulomb_friction", force=0.15)
+    assert_named(report_in(folder / "bouncing"), "stop_bounce", restitution_stop=0.3, restitution_seat=0.2)
+    fitted = json.loads((folder / "results" / "identify.json").read_text(encoding="utf-8"))
+    assert fitted["parameters"]["pilot_damping"]["value"] == pytest.approx(7.3, abs=0.1)
+    assert fitted["rmse_um"]["after"] == pytest.approx(1.20, abs=0.01)
+    assert "noise 1.03 µm" in told
+    assert told.index("\npassed\n") < told.index("\nFAILED\n") < told.index("exit code 1")
+
+
+def test_the_tutorial_of_an_own_valve_says_what_happens(terminal: tuple[Path, dict[str, str]]) -> None:
+    folder, told = run_page("docs/tutorials/own_oscilloscope.md", terminal)
+    assert_named(report_in(folder / "results"), "coulomb_friction", force=0.3)
+    fitted = json.loads((folder / "results" / "identify.json").read_text(encoding="utf-8"))
+    assert fitted["parameters"]["pilot_damping"]["value"] == pytest.approx(9.9, abs=0.1)
+    assert fitted["rmse_um"]["after"] == pytest.approx(2.5, abs=0.05)
+    for words in ("voltage: {column: CH1, unit: V}", "scale: 10, say", "8 steps of the measured voltage", "\npassed\n"):
+        assert words in told
+
+
+def test_the_page_of_the_current_alone_works_as_printed(terminal: tuple[Path, dict[str, str]]) -> None:
+    folder, told = run_page("docs/sensorless.md", terminal)
+    assert report_in(folder / "results")["verdict"]["kind"] in ("none", "insufficient")
+    assert "\npassed\n" in told
 
 
 def assert_described(report: dict[str, Any], page: str) -> None:
@@ -150,10 +207,21 @@ def assert_described(report: dict[str, Any], page: str) -> None:
 def test_nothing_is_left_out_that_the_documents_do_not_have() -> None:
     every = [
         command
-        for name in ("README.md", "docs/tutorials/first_correction.md")
+        for name in (*WITH_ROS, *WITHOUT_ROS)
         for block in console_blocks((ROOT / name).read_text(encoding="utf-8"))
         for command in commands(block)
     ]
     assert len(every) > 20
     for words in NOT_HERE:
         assert any(command.startswith(words) for command in every), f"{words} is in no document"
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "docs").rglob("*.md")), ids=lambda path: str(path.relative_to(ROOT)))
+def test_what_is_copied_from_a_page_carries_no_prompt_of_a_second_line(path: Path) -> None:
+    lines = [line for block in console_blocks(path.read_text(encoding="utf-8")) for line in block]
+    assert [line for line in lines if line.startswith("> ")] == []
+
+
+def test_lines_that_belong_to_a_command_are_typed_with_it() -> None:
+    block = ["$ cat > a <<END", "$ not a command", "END", "$ b \\", "    c", "printed", "$ d"]
+    assert list(commands(block)) == ["cat > a <<END\n$ not a command\nEND", "b \\\n    c", "d"]

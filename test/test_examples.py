@@ -10,6 +10,8 @@ import pytest
 
 from valve_sim.model import CATALOGUE
 
+pytestmark = pytest.mark.long
+
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 
 

@@ -4,6 +4,8 @@ import pytest
 
 from benchmarks.fuzz import attempt
 
+pytestmark = pytest.mark.long
+
 ONCE_FOUND = {
     "bags": (242, 457, 777, 799, 935, 1266, 1644, 1942, 2009, 2504, 2643, 4323, 4357),
     "parameter files": (410, 2431, 2544),

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from installed_effect import MAGNET_DRAG, PARAMETERS, Installed
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Installed:

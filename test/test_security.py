@@ -9,6 +9,7 @@ import stat
 import warnings
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import NoReturn
 from xml.etree import ElementTree
 
 import pytest
@@ -238,3 +239,56 @@ def test_a_link_to_a_folder_of_others_is_not_used(cache: Path, tmp_path: Path) -
     open_to_all.chmod(0o777)
     cache.symlink_to(open_to_all)
     assert refused("others can exchange what is in")
+
+
+@pytest.fixture
+def homeless(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A user without a home, as in a container: temporary files are all that there is. Where they are."""
+
+    def unknown(number: int) -> NoReturn:
+        raise KeyError(number)
+
+    for name in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME", "HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("pwd.getpwuid", unknown)
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "temporary"))
+    return tmp_path / "temporary"
+
+
+def test_without_a_home_code_is_kept_among_temporary_files_or_where_it_is_told_to_be(
+    homeless: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = compiling.cache_folder()
+    assert folder is not None and folder.parent.parent == homeless
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "chosen"))
+    folder = compiling.cache_folder()
+    assert folder is not None and folder.parent == tmp_path / "chosen"
+
+
+@pytest.mark.parametrize("home", ["/dev/null", "here", ""])
+def test_a_home_that_cannot_be_written_gives_way_to_temporary_files(
+    homeless: Path, home: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "work").mkdir()
+    monkeypatch.chdir(tmp_path / "work")
+    monkeypatch.setenv("HOME", home)
+    folder = compiling.cache_folder()
+    assert folder is not None and folder.parent.parent == homeless
+    assert not list(Path.cwd().iterdir())
+
+
+@pytest.mark.parametrize("name", ["NUMBA_CACHE_DIR", "XDG_CACHE_HOME"])
+@pytest.mark.parametrize("relative", ["cache", ".", "../cache"])
+def test_a_relative_path_is_never_written_to(
+    homeless: Path, name: str, relative: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "work").mkdir()
+    monkeypatch.chdir(tmp_path / "work")
+    monkeypatch.setenv(name, relative)
+    if name == "NUMBA_CACHE_DIR":
+        assert refused("not an absolute path")
+    else:
+        folder = compiling.cache_folder()
+        assert folder is not None and folder.parent.parent == homeless
+    assert not list(Path.cwd().iterdir())
+    assert not (tmp_path / "cache").exists()

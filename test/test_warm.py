@@ -12,18 +12,21 @@ import pytest
 from valve_sim.files.parameter_files import load_valve
 from valve_sim.files.resources import config_path
 from valve_sim.model import Stepper, live_record, transitions
-from valve_sim.model.compiling import linked
+from valve_sim.model.compiling import COMPILING, linked
 from valve_sim.model.gas import boundary
 from valve_sim.warm import warm_gas
 
 SIMULATE = ("-m", "valve_sim", "simulate", "--voltage", "9", "--duration", "0.02", "--output")
 USE_ALL = """
+import sys
 import numpy as np
+from valve_sim.files.parameter_files import default_valve
+from valve_sim.identification.diagnosis.run import begin
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.plants.protocol import Direction
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import CATALOGUE, Drive, Stepper, Valve, simulate_many
-from valve_sim.traces import Signal, Trace
+from valve_sim.traces import Signal, Trace, read_trace
 opening = Valve().with_values(a0=3.0).parameters
 drag = Valve(opening, {"quadratic_drag": {"coefficient": 1.0}})
 stiff = Valve(opening, {"spring_hardening": {"coefficient": 1e9}})
@@ -36,6 +39,7 @@ problem = Problem(ValvePlant([trace], drag))
 for count in (1, 4):
     problem.sensitivities({"main_damping": 4.0}, count * [Direction({"main_damping": 1.0}, 1e-6)])
 problem.residuals({})
+begin(ValvePlant([read_trace(sys.argv[1])], default_valve()), None)
 stepper = Stepper(drag)
 stepper.command(1e-3, 9.0)
 stepper.set_valve(Valve(), 2e-3)
@@ -62,12 +66,12 @@ def test_what_is_warm_compiles_nothing_and_what_is_not_says_so(tmp_path: Path) -
         )
 
     first = python(*SIMULATE, str(tmp_path / "first.csv"))
-    assert first.stderr == "valve-sim: compiling the model for this machine (ten seconds or so, once)\n"
+    assert first.stderr == f"valve-sim: {COMPILING}\n"
     assert python("-m", "valve_sim.warm").stdout.count("\n") == 1
     warmed = compiled_code(cache)
     assert python("-m", "valve_sim.warm").stdout == ""
     assert python(*SIMULATE, str(tmp_path / "second.csv")).stderr == ""
-    python("-c", USE_ALL)
+    python("-c", USE_ALL, str(Path(__file__).parents[1] / "bags" / "friction"))
     assert compiled_code(cache) == warmed
     assert len(warmed) > 10
     runs = [name for name in warmed if "driver.run-" in name and name.endswith(".nbc")]

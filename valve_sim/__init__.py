@@ -1,3 +1,3 @@
 """A pilot-operated solenoid valve of an ultra-high-pressure hydrogen vessel: simulated, identified, diagnosed."""
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"

@@ -2,7 +2,7 @@
 
 What is compiled is kept in the user's cache folder and found there from then on. `make` runs this; after pip or colcon,
 which run no code of a package, it can be run by hand, or the first use takes the time and says so. `--gas` compiles the
-model with gas as well, which takes half as long again and which most never use.
+model with gas as well, which takes as long again and which most never use.
 """
 
 from __future__ import annotations
@@ -10,17 +10,27 @@ from __future__ import annotations
 import argparse
 import sys
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
 from valve_sim.files.parameter_files import default_valve
+from valve_sim.identification.estimation.budget import Budget
+from valve_sim.identification.estimation.condensed import Condensed
 from valve_sim.identification.estimation.noise import Noise
+from valve_sim.identification.plants.protocol import Direction
+from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import CATALOGUE, Drive, Stepper, Valve, ValveError, simulate, simulate_many
-from valve_sim.model.compiling import announce_compiling
+from valve_sim.model.compiling import COMPILING, announce_compiling
+from valve_sim.model.flux import flux_slope
 from valve_sim.model.gas import GasParameters
 from valve_sim.model.gas.line import Gas, Line
 from valve_sim.model.sensitivities import Tangents, numbers_of, run_tangents
 from valve_sim.model.simulation import TOLERANCE, Samples, new_states
+from valve_sim.traces import Trace
+
+NO_NOISE: Final = Noise(1.0, 1.0, (), 0.0, 0)
+"""White, of 1 m: nothing is fitted here."""
 
 
 def warm() -> None:
@@ -36,14 +46,21 @@ def warm() -> None:
     stepper.advance(3e-3)
     for effect in CATALOGUE.values():
         effect.compile_ahead()
-    _warm_fits()
+    flux_slope(valve.record())
+    _warm_fits(valve, drive)
 
 
-def _warm_fits() -> None:
-    """Residuals, and derivatives: all that a run has room for, or the first few of it."""
+def _warm_fits(valve: Valve, drive: Drive) -> None:
+    """Residuals, and derivatives: all that a run has room for, or the first few of it; and those of fewer rows."""
     white, shown = np.empty((2, 1)), np.zeros((2, 2))
     for columns in (shown[:, :1], shown[:, :1].copy()):
-        Noise(1.0, 1.0, (), 0.0, 0).whiten_into(white, columns, np.ones(2))
+        NO_NOISE.whiten_into(white, columns, np.ones(2))
+    times = np.array([0.0, 1e-3, 2e-3])
+    plant = ValvePlant([Trace("nothing", drive, times, np.zeros(3))], valve)
+    fewer = Condensed(plant, [np.ones(3)], [NO_NOISE], Budget.unlimited())
+    fewer.residuals({})
+    for count in (1, 4):
+        fewer.sensitivities({}, count * [Direction({"main_damping": 1.0}, 1e-6)])
 
 
 def _warm_derivatives(valve: Valve, drive: Drive) -> None:
@@ -64,6 +81,7 @@ def warm_gas() -> None:
     stepper.command(1e-3, valve.parameters.reference_voltage)
     stepper.supply(1e-3, sizes.inlet_pressure)
     stepper.set_demand_pressure(1e-3, sizes.demand_pressure)
+    stepper.set_valve(valve, 1e-3)
     stepper.advance(2e-3)
     Line(Gas(), (1e-9,), 1e-9, 1e-6, 1e-6).step((1e-6, 1e-6), (1e6,), 1e-3)
 
@@ -73,7 +91,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Compile the model now, so that no first command or node has to.")
     parser.add_argument("--gas", action="store_true", help="the model with gas as well")
     has_gas = parser.parse_args().gas
-    announce_compiling(lambda: print("compiling the model for this machine (ten seconds or so, once)", flush=True))
+    announce_compiling(lambda: print(COMPILING, flush=True))
     try:
         warm()
         if has_gas:

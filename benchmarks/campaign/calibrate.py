@@ -18,9 +18,9 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize
+from valve_sim.identification.diagnosis.calibration import calibrated, log_odds
 
 from benchmarks.campaign.cases import SEEN
-from valve_sim.identification.diagnosis.calibration import calibrated, log_odds
 
 FAMILIES: Final = ("single", "none", "pair", "uncatalogued", "weak", "single_within", "none_within", "wrong_value")
 VISIBLE: Final = 3.8

@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+from valve_sim.identification.selection.hypotheses import Search
+from valve_sim.identification.selection.table import Hypothesis
 
 from benchmarks.maglev.force import Lift, lift_of, shares_of_weight
 from benchmarks.maglev.plant import MagnetPlant
@@ -22,8 +24,6 @@ from valve_sim.identification.plants.effect_titles import titles_of
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.identification.plants.root_mean_square import root_mean_square
 from valve_sim.identification.reporting.summary import summarise
-from valve_sim.identification.selection.hypotheses import Search
-from valve_sim.identification.selection.table import Hypothesis
 from valve_sim.model import ValveError
 
 FROM, TO = -0.05, 0.15

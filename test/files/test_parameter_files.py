@@ -94,7 +94,7 @@ def test_an_integer_may_stand_for_a_double(tmp_path: Path) -> None:
         ("tolerances: {valve: {stroke: 1e-6}}", ["tolerances.valve.stroke", "did you mean tolerances.stroke"]),
         ("tolerances: {stroke: -4e-6}", ["tolerances.stroke", "-4e-06", "a number from 0 to 0.1 m"]),
         ("tolerances: {stroke: .nan}", ["tolerances.stroke", "nan", "a number from 0 to 0.1 m"]),
-        ("tolerances: {stroke: 4 um}", ["tolerances.stroke", "'4 um'", "expected a number m"]),
+        ("tolerances: {stroke: 4 um}", ["tolerances.stroke", "'4 um'", "expected a number in m"]),
         ("tolerances: {stroke: }", ["tolerances.stroke", "has no value"]),
         ("tolerances: 3", ["tolerances", "found 3", "names of declared values"]),
         ("tolerances: {a1: 30.0}", ["tolerances.a1", "attraction_covariance", "16 numbers"]),

@@ -22,6 +22,8 @@ from valve_sim.fleet.run import examine_fleet
 from . import deeds
 from .bags import assert_rows_agree, make_bag
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).parents[2]
 GUIDE = (ROOT / "docs" / "how_to" / "fleet.md").read_text("utf-8")
 PATIENCE = 120.0

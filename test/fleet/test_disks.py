@@ -21,6 +21,8 @@ from valve_sim.fleet.units import EXAMINED, Row, Unit
 from valve_sim.fleet.work import Examined
 from valve_sim.model.errors import ValveError
 
+pytestmark = pytest.mark.long
+
 BAGS = ("day_1.mcap", "day_2.mcap", "day_3.mcap")
 
 

@@ -15,6 +15,8 @@ from valve_sim.fleet.sources import SourceError, find_bags
 from .bags import assert_rows_agree, make_bag
 from .object_storage import object_storage
 
+pytestmark = pytest.mark.long
+
 KEY, SECRET = "AKIAIOSFODNN7EXAMPLE", "wJalrXUtnFEMI/K7MDENG/bPxRfiCYEXAMPLEKEY"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -61,9 +62,28 @@ def random_case(seed: int) -> tuple[Valve, Drive]:
         return valve, drive
 
 
-def differences(seed: int, tolerance: float) -> tuple[float, float, float, bool]:
+def random_release(seed: int) -> tuple[Valve, Drive]:
+    """A valve whose current freewheels and has a closed form, with up to three effects, and a pulse or any commands."""
+    random = np.random.default_rng([seed, 43])
+    base = Valve().with_values(
+        a0=random.uniform(2, 7), coil_time_constant=random.uniform(2e-4, 3e-3),
+        pilot_damping=random.uniform(0, 3), main_damping=random.uniform(0, 8), seat_load=random.uniform(0, 0.5),
+        pickup_velocity_ratio=random.uniform(0.7, 1), release_voltage=random.uniform(0.5, 40),
+    )  # fmt: skip
+    chosen = random.choice(
+        [*(name for name in COIL if name != "coil_heating"), *MECHANICAL], random.integers(0, 4), False
+    )
+    effects = {
+        str(name): {key: float(random.uniform(*limits)) for key, limits in RANGES[name].items()} for name in chosen
+    }
+    return Valve(base.parameters, effects), random_drive(random)
+
+
+def differences(
+    seed: int, tolerance: float, drawn: Callable[[int], tuple[Valve, Drive]] = random_case
+) -> tuple[float, float, float, bool]:
     """Largest difference of position, m, of event time, s, and of current, A; whether the events are the same."""
-    valve, drive = random_case(seed)
+    valve, drive = drawn(seed)
     ours = simulate(valve, drive, TIMES, tolerance=tolerance)
     theirs = FluxReference(valve.declared(), valve.effects, float(min(drive.times[0], TIMES[0])))
     position, main, current = theirs.follow(drive, TIMES)

@@ -80,6 +80,11 @@ class FluxReference(ReferenceValve):
         parallel = self.eddy / self.lag
         return (w + parallel * self.applied) / (1 + parallel * r), w
 
+    def strength(self, y: Any) -> float:
+        """Of the current that pulls; beyond the end of a freewheeling current, where a step may look, there is none."""
+        w = self.coil(y)[1]
+        return max(0.0, self.diode * w) if self.diode in (1, -1) else abs(w)
+
     def rates(self, t: float, y: Any) -> Any:
         rate = super().rates(t, y)
         u, w = self.coil(y)

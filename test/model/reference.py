@@ -15,6 +15,9 @@ from scipy.integrate import solve_ivp
 CLOSED, PILOT, GAP_HOLD, MAIN, OPEN = range(5)
 _X, _V, _U, _W, _T, _SHOWN_PILOT, _SHOWN_MAIN = range(7)
 _LONGEST_STEP: Final = 1e-4
+_MOST_PIECES: Final = 1000
+"""Between two commands: SciPy finds the event with which a piece begins again and again where a velocity is 0 to the
+last bit."""
 
 
 class Reference(NamedTuple):
@@ -51,6 +54,10 @@ class ReferenceValve:
         target = self.volts / self.d["reference_voltage"] * self.of("drive_gain", "gain", 1.0)
         u = y[_U] if self.lag > 0 else target / (1 + 0.00393 * y[_T])
         return u, y[_W] if self.eddy > 0 else u
+
+    def strength(self, y: Any) -> float:
+        """Of the current that pulls."""
+        return abs(self.coil(y)[1])
 
     def floor(self, u: float) -> float:
         return self.of("residual_magnetism", "current", 0.0) * min(1.0, max(self.peak, abs(u)))
@@ -134,7 +141,7 @@ class ReferenceValve:
         # Before the first command the current and its floor are both 0, and would cross for ever.
         if "residual_magnetism" in self.e and (self.peak > 0 or self.volts != 0):
             sign = -1.0 if self.held else 1.0
-            found.append(("magnet", lambda t, y: sign * (self.floor(self.coil(y)[0]) - abs(self.coil(y)[1]))))
+            found.append(("magnet", lambda t, y: sign * (self.floor(self.coil(y)[0]) - self.strength(y))))
         if not self.moving:
             if self.mode != OPEN:
                 found.append(("lift", self.lift))
@@ -216,8 +223,12 @@ class ReferenceValve:
                 self.log("STUCK")
 
     def go(self, end: float, times: Any, pilot: Any, main: Any) -> None:
-        """Up to `end`, filling in the samples on the way."""
+        """Up to `end`, filling in the samples on the way; an error where it comes no further."""
+        pieces = 0
         while self.t < end:
+            pieces += 1
+            if pieces > _MOST_PIECES:
+                raise RuntimeError(f"the reference comes no further than {self.t} s")
             if not self.moving and (push := self.push()):
                 self.move(push)
             names, functions = zip(*self.guards(), strict=True)

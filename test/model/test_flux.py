@@ -32,7 +32,7 @@ from valve_sim.model import (
 from valve_sim.model.drives import peak_and_hold, pulse_width_mean, pulse_width_modulated, step
 
 from .energy import imbalance
-from .flux_cases import TIMES, differences, random_case
+from .flux_cases import TIMES, differences, random_case, random_release
 
 END = 0.04
 CLOSED = Valve().with_values(coil_time_constant=2e-3)
@@ -66,6 +66,26 @@ def test_agrees_with_dop853(seed: int) -> None:
     assert position < 1e-12
     assert moment < 1e-11
     assert current < 1e-9
+
+
+@pytest.mark.parametrize("seed", [*range(12), 17, 21, 22, 23, 24])
+def test_a_release_by_a_freewheeling_current_agrees_with_dop853(seed: int) -> None:
+    """`python -m benchmarks.accuracy` compares 1,200; in 3 and 17 the plungers leave before the current ends."""
+    position, moment, _, same = differences(seed, 1e-12, random_release)
+    assert same
+    assert position < 1e-11
+    assert moment < 1e-11
+
+
+@pytest.mark.parametrize("release", [0.0, 12.0])
+def test_a_reversed_voltage_lets_go_for_an_instant(release: float) -> None:
+    """The pull passes through 0 between two looks ahead, and the plungers leave where it no longer holds them."""
+    valve = LIVELY.with_values(coil_time_constant=5e-5, release_voltage=release)
+    held = valve.parameters.spring_preload + valve.parameters.spring_rate * valve.parameters.stroke
+    pull = sum(a * valve.parameters.stroke**i for i, a in enumerate(valve.parameters.attraction_polynomial))
+    response = simulate(valve, Drive.of([0.0, 0.03], [9.0, -9.0]), TIMES)
+    expected = 0.03 + 5e-5 * math.log(2.0 / (1.0 + math.sqrt(held / pull)))
+    assert response.first(EventKind.RELEASED) == pytest.approx(expected, abs=1e-11)
 
 
 @pytest.mark.parametrize("seed", [2, 3, 6, 18, 23])

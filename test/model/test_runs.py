@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
+from valve_sim.files.parameter_files import load_valve
+from valve_sim.files.resources import config_path
 from valve_sim.model import (
     Drive,
     Event,
     EventKind,
     ParameterError,
+    Reading,
     Response,
     SimulationError,
     Stepper,
@@ -67,6 +73,98 @@ def test_a_stepper_with_a_late_sensor_shows_what_a_whole_run_does() -> None:
             stepper.command(*commands.pop(0))
         reading = stepper.advance(time)
         assert (reading.pilot_position, reading.main_position) == pytest.approx((position, main), abs=1e-12)
+
+
+SENSORS: list[dict[str, dict[str, float]]] = [
+    {},
+    {"sensor_delay": {"delay": 1e-3}},
+    {"sensor_bandwidth": {"cutoff_frequency": 500.0}},
+    {"sensor_delay": {"delay": 3e-3}, "sensor_bandwidth": {"cutoff_frequency": 500.0}, "sensor_gain": {"gain": 1.02}},
+]
+
+
+def stepped(valve: Valve, changes: Sequence[tuple[float, Valve]], times: Sequence[float]) -> list[Reading]:
+    """What a stepper shows of a stroke in which the valve becomes another at some times, s."""
+    stepper = Stepper(valve)
+    waiting = sorted(
+        [
+            *(
+                (time, partial(stepper.command, time, volts))
+                for time, volts in zip(STROKE.times, STROKE.volts, strict=True)
+            ),
+            *((time, partial(stepper.set_valve, other, time)) for time, other in changes),
+        ],
+        key=lambda change: change[0],
+    )
+    readings = []
+    for time in times:
+        while waiting and waiting[0][0] <= time:
+            waiting.pop(0)[1]()
+        readings.append(stepper.advance(time))
+    return readings
+
+
+@pytest.mark.parametrize(
+    "effects", [*SENSORS, {"coil_heating": {"temperature_rate": 99.0, "cooling_time_constant": 1.0}}]
+)
+def test_a_valve_exchanged_for_its_like_changes_nothing(effects: dict[str, dict[str, float]]) -> None:
+    valve, times = valve_with(**effects), TIMES.tolist()
+    alone = stepped(valve, [], times)
+    exchanged = stepped(valve, [(time, valve) for time in np.linspace(1e-3, 29e-3, 57)], times)
+    for field in ("pilot_position", "main_position", "pilot_velocity", "coil_current", "phase"):
+        shown, expected = ([getattr(reading, field) for reading in run] for run in (exchanged, alone))
+        assert shown == pytest.approx(expected, rel=1e-6, abs=1e-9), field
+
+
+@pytest.mark.parametrize("effects", SENSORS)
+@pytest.mark.parametrize("moment", [5.5e-3, 9.5e-3, 15e-3, 27e-3])
+def test_another_valve_takes_over_without_a_jump_of_what_is_shown(
+    effects: dict[str, dict[str, float]], moment: float
+) -> None:
+    valve = valve_with(**effects)
+    other = valve.with_values(spring_rate=900.0, main_damping=9.0, pilot_mass=0.05, a0=4.0, coil_time_constant=3e-3)
+    before, after = stepped(valve, [(moment + 1e-12, other)], [moment, moment + 2e-12])
+    for field in ("pilot_position", "main_position", "pilot_velocity", "coil_current"):
+        assert getattr(after, field) == pytest.approx(getattr(before, field), abs=1e-9), field
+
+
+def test_a_late_sensor_shows_an_exchange_late() -> None:
+    delay, moment = 3e-3, 9.5e-3
+    late, prompt = (
+        stepped(valve, [(moment, valve.with_values(spring_rate=900.0))], times)
+        for valve, times in (
+            (valve_with(sensor_delay={"delay": delay}), TIMES.tolist()),
+            (CALIBRATED, np.maximum(TIMES - delay, 0.0).tolist()),
+        )
+    )
+    for field in ("pilot_position", "main_position"):
+        shown, expected = ([getattr(reading, field) for reading in run] for run in (late, prompt))
+        assert shown == pytest.approx(expected, abs=1e-12), field
+
+
+def test_a_sensor_that_becomes_late_or_slow_goes_on_from_what_it_showed() -> None:
+    for effects in SENSORS[1:3]:
+        before, after, later = stepped(CALIBRATED, [(9.5e-3, valve_with(**effects))], [9.5e-3 - 1e-9, 9.5e-3, 10e-3])
+        assert after.pilot_position == pytest.approx(before.pilot_position, abs=1e-8)
+        assert after.main_position == pytest.approx(before.main_position, abs=1e-8)
+        assert later.pilot_position >= after.pilot_position
+    longer = valve_with(sensor_delay={"delay": 2e-3})
+    shown = stepped(valve_with(sensor_delay={"delay": 1e-3}), [(9e-3, longer)], np.arange(7e-3, 14e-3, 1e-4).tolist())
+    positions = [reading.pilot_position for reading in shown]
+    assert min(np.diff(positions)) > -1e-15, "a delay that grows makes nobody go back"
+    assert positions[25] == pytest.approx(positions[29], abs=1e-15), "it stands still until the delay has caught up"
+    assert positions[32] > positions[29] + 1e-6
+
+
+def test_the_outlet_keeps_its_pressure_when_the_gas_is_declared_warmer() -> None:
+    valve = load_valve(config_path("gas_tank_1.yaml"))
+    assert valve.gas is not None
+    stepper = Stepper(valve)
+    stepper.command(0.0, 9.0)
+    before = stepper.advance(0.05)
+    stepper.set_valve(replace(valve, gas=valve.gas._replace(inlet_temperature=330.0)), 0.05)
+    assert stepper.advance(0.05).outlet_pressure == pytest.approx(before.outlet_pressure, rel=1e-6)
+    assert stepper.advance(0.06).outlet_pressure > before.outlet_pressure
 
 
 def test_more_events_than_the_log_has_room_for_at_first_are_all_told() -> None:

@@ -1,4 +1,4 @@
-"""Marker and fixtures of the tests that run a real valve_node."""
+"""Fixtures of the tests that run a real valve_node."""
 
 from __future__ import annotations
 
@@ -7,11 +7,6 @@ from collections.abc import Iterator
 
 import pytest
 from own_domain import own_domain
-
-
-def pytest_configure(config: pytest.Config) -> None:
-    config.addinivalue_line("markers", "ros: runs real ROS 2 processes")
-    config.addinivalue_line("markers", "any_distribution: what it shows is not ROS's; run on one distribution only")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -75,6 +75,21 @@ def test_a_command_that_timed_out_is_a_warning() -> None:
     assert (status.level, status.values["timed out"]) == (Level.WARN, "true")
 
 
+def test_a_command_that_max_voltage_has_ended_is_a_warning() -> None:
+    status = command_status(CommandCount().look(9, None, 0.0, False, withdrawn=9.0))
+    assert status.level is Level.WARN
+    assert status.message == "max_voltage was set below the last, of 9 V: coil de-energised"
+
+
+def test_a_publisher_that_cannot_be_heard_is_a_warning() -> None:
+    words = "publishers that offer an incompatible QoS and cannot be heard: 1; publish reliable"
+    for last_command in (None, 1):
+        status = command_status(CommandCount().look(9, last_command, 0.0, False, incompatible_publishers=1))
+        assert (status.level, status.message) == (Level.WARN, words)
+    status = pressure_status("inlet pressure", 70e6, CommandCount().rejections(), 1)
+    assert (status.level, status.message) == (Level.WARN, words)
+
+
 def test_the_valve_says_where_it_is_and_why_it_was_put_back() -> None:
     status = valve_status(ValveFacts(Phase.GAP_HOLD, 3, 0, ""))
     assert (status.level, status.message) == (Level.OK, "gap_hold")

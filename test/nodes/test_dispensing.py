@@ -128,6 +128,7 @@ def test_the_balance_of_mass_holds(volumes: tuple[float, ...]) -> None:
     ] == [pressure for pressure, volume in zip(plant.settings.tank_pressures, volumes, strict=True) if not volume]
 
 
+@pytest.mark.long
 def test_the_valves_of_the_station_fill_a_vehicle() -> None:
     """The models of the three valves, which obey what is published to them: all open fully, from lowest to highest."""
     dispenser, steppers = Dispenser(Settings()), []

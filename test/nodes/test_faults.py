@@ -15,7 +15,7 @@ import pytest
 
 from .ros_process import NodeProcess, Probe, running
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.long]
 pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
 
 import rclpy  # noqa: E402

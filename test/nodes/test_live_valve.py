@@ -108,16 +108,22 @@ def test_the_coil_is_de_energised_when_commands_stop() -> None:
     assert live.volts == 9.0
 
 
-def test_parameters_change_without_a_jump_in_state() -> None:
-    live = started()
+@pytest.mark.parametrize("delay", [0.0, 1e-3])
+@pytest.mark.parametrize("cutoff", [math.inf, 400.0])
+def test_parameters_change_without_a_jump_in_state(delay: float, cutoff: float) -> None:
+    valve = dataclasses.replace(
+        default_valve(), effects={"sensor_delay": {"delay": delay}, "sensor_bandwidth": {"cutoff_frequency": cutoff}}
+    )
+    live = LiveValve(valve)
+    live.restart(START, START)
     live.command(START, 9.0)
     before = run(live, [0.0, 7.0])[-1].reading
-    live.set_valve(START + 7 * MILLISECOND, default_valve().with_values(spring_rate=2000.0, coil_time_constant=5e-3))
+    live.set_valve(START + 7 * MILLISECOND, valve.with_values(spring_rate=2000.0, coil_time_constant=5e-3))
     after = run(live, [7.0])[-1].reading
-    for name in ("pilot_position", "pilot_velocity", "coil_current"):
+    for name in ("pilot_position", "main_position", "pilot_velocity", "coil_current"):
         assert getattr(after, name) == pytest.approx(getattr(before, name), abs=1e-9)
     assert live.valve.parameters.spring_rate == 2000.0
-    assert run(live, [9.9])[-1].reading.pilot_position != pytest.approx(1.23e-3, abs=1e-6)
+    assert run(live, [9.9 + 1e3 * delay])[-1].reading.pilot_position != pytest.approx(1.23e-3, abs=1e-6)
 
 
 def test_a_reset_forgets_state_and_command() -> None:
@@ -199,6 +205,80 @@ def test_a_valve_at_rest_needs_no_compiled_code(tmp_path: Path) -> None:
     ran = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True)
     assert ran.stdout == "True 9\n"
     assert not list(tmp_path.rglob("*.nbi")), "something was compiled"
+
+
+def test_a_flood_while_the_clock_stands_still_fills_no_memory_and_ends_as_if_each_had_been_obeyed() -> None:
+    live = with_gas(max_voltage=30.0)
+    run(live, [0.0])
+    for index in range(50_000):
+        live.command(START + MILLISECOND, 5.0 + index % 20)
+        live.supply(START + MILLISECOND, 10e6 + index)
+        live.set_demand_pressure(START + MILLISECOND, 2e6 + index)
+        live.set_scale(START + MILLISECOND, 1.0 + index % 2)
+    assert len(live._mailbox) == 4
+    run(live, [2.0])
+    assert (live.volts, live.inlet_pressure, live.demand_pressure) == (24.0, 10e6 + 49_999, 2e6 + 49_999)
+    assert live.last_command == START + MILLISECOND
+
+
+@pytest.mark.parametrize(
+    ("requests", "expected"),
+    [
+        ([("command", 9.0), ("limit", 7.0), ("limit", 30.0)], (0.0, None)),
+        ([("limit", 7.0), ("limit", 20.0)], (0.0, None)),
+        ([("limit", 7.0), ("command", 5.0)], (5.0, START + MILLISECOND)),
+        ([("command", 9.0), ("reset", 0.0)], (0.0, None)),
+        ([("reset", 0.0), ("command", 9.0)], (9.0, START + MILLISECOND)),
+        ([("command", 9.0), ("limit", 12.0)], (9.0, START + MILLISECOND)),
+        ([("limit", 7.0), ("reset", 0.0), ("limit", 30.0), ("command", 11.0)], (11.0, START + MILLISECOND)),
+    ],
+)
+def test_of_what_is_asked_at_one_time_the_order_counts(
+    requests: list[tuple[str, float]], expected: tuple[float, int | None]
+) -> None:
+    live = started(max_voltage=30.0)
+    live.command(START, 8.0)
+    run(live, [0.5])
+    for what, value in requests:
+        if what == "reset":
+            live.reset(START + MILLISECOND)
+        else:
+            getattr(live, what)(START + MILLISECOND, value)
+    run(live, [2.0])
+    assert (live.volts, live.last_command) == expected
+
+
+def test_what_switches_the_coil_off_without_a_command_is_said_once() -> None:
+    live = started(command_timeout=0.02, max_voltage=30.0)
+    live.command(START, 9.0)
+    said = [step.switched_off for step in run(live, [0.0, 10.0, 25.0, 30.0])]
+    assert said == ["", "", "no command for 0.02 s (command_timeout), 9 V held", ""]
+    live.command(START + 31 * MILLISECOND, -9.0)
+    live.limit(START + 32 * MILLISECOND, 7.0)
+    (step, after) = run(live, [33.0, 60.0])
+    assert step.switched_off == "max_voltage was set to 7 V, below the 9 V that held"
+    assert (after.switched_off, live.withdrawn, live.volts) == ("", -9.0, 0.0)
+    live.command(START + 61 * MILLISECOND, 0.0)
+    assert [step.switched_off for step in run(live, [62.0, 90.0])] == ["", ""], "0 V needs no switching off"
+    assert live.withdrawn == 0.0
+
+
+@pytest.mark.parametrize("shift", [3_600 * NANOSECONDS, -3_600 * NANOSECONDS, 5 * MILLISECOND, -5 * MILLISECOND])
+def test_stamps_follow_a_clock_that_was_set_and_the_valve_does_not_notice(shift: int) -> None:
+    live, other = started(command_timeout=0.05), started(command_timeout=0.05)
+    for each in (live, other):
+        each.command(START, 9.0)
+    before, expected = run(live, [0.0, 5.0]), run(other, [0.0, 5.0])
+    live.shift_stamps(shift)
+    for each in (live, other):
+        each.command(START + 8 * MILLISECOND, 12.0)
+    before, expected = before + run(live, [10.0, 80.0]), expected + run(other, [10.0, 80.0])
+    assert [step.reading for step in before] == [step.reading for step in expected]
+    shifts = [step.stamp - unshifted.stamp for step, unshifted in zip(before, expected, strict=True)]
+    assert shifts == [0, 0, shift, shift]
+    switches = [[stamp - shift for stamp, _ in step.switches] for step in before[2:]]
+    assert switches == [[stamp for stamp, _ in step.switches] for step in expected[2:]]
+    assert [len(found) for found in switches] == [2, 2]
 
 
 def test_a_simulation_that_fails_puts_the_valve_to_rest(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -169,9 +169,24 @@ def test_friction_that_appears_in_a_real_valve_is_warned_of_and_named(probe: Pro
         assert probe.until(lambda: findings, 2 * PATIENCE), "the fault was not isolated"
         finding = json.loads(findings[0].data)
         assert finding["effects"] == ["coulomb_friction"], finding
-        assert finding["summary"].startswith("Coulomb friction 0.3")
+        assert ": Coulomb friction 0.3" in finding["summary"]
+        assert finding["summary"].startswith(f"/valve, stroke {finding['stroke']} at 1970-01-01T00:00:")
+        assert (
+            f"; probability {100 * finding['probability']:.0f} %" in finding["summary"]
+            or "> 99 %" in finding["summary"]
+        )
+        (last,) = (report for report in reports if report["stroke"] == finding["stroke"])
+        assert (last["valve"], last["time"]) == (finding["valve"], finding["time"])
+        assert 10.0 < last["time"] < 100.0, "of /clock, which begins with the tenth second"
+        assert probe.until(lambda: ears.is_said("valve", 1, finding["summary"])), "the same words on /diagnostics"
+        # Again with more strokes: each finding is said, not each name.
+        plant.strokes(8, {"coulomb_friction": {"force": 0.3}})
+        assert probe.until(lambda: len(findings) > 1, 2 * PATIENCE), "no second finding"
+        told = [json.loads(message.data)["summary"] for message in findings]
         process.send_signal(signal.SIGTERM)
-        assert process.wait(ENDS_WITHIN) == 0
+        _, said = process.communicate(timeout=ENDS_WITHIN)
+        assert process.returncode == 0
+        assert all(words in said for words in told)
 
 
 @pytest.mark.any_distribution

@@ -6,6 +6,7 @@ import itertools
 import math
 import threading
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -87,23 +88,32 @@ def test_timing_counts_rate_lateness_overruns_and_losses() -> None:
 def test_letters_are_delivered_in_order_when_their_time_has_come() -> None:
     mailbox, got = Mailbox(), []
     for time in (0, 5, 9):
-        mailbox.post(time, got.append)
+        mailbox.post(time, "command", lambda time, volts: got.append((time, volts)), 9.0)
     mailbox.deliver(3, 8)
-    assert got == [3, 5]
+    assert got == [(3, 9.0), (5, 9.0)]
     mailbox.clear()
     mailbox.deliver(0, 100)
-    assert got == [3, 5]
+    assert got == [(3, 9.0), (5, 9.0)]
 
 
-def test_letters_that_flood_a_clock_that_stands_still_fill_no_memory() -> None:
+def test_letters_of_one_time_are_one_of_each_kind_in_the_order_of_their_last() -> None:
     mailbox, got = Mailbox(), []
+
+    def post(time: int, kind: str, value: float, **how: Any) -> None:
+        mailbox.post(time, kind, lambda time, value: got.append((time, kind, value)), value, **how)
+
     for volts in range(10_000):
-        mailbox.post(7, lambda time, volts=volts: got.append((time, volts)), "command")
-    mailbox.post(8, lambda time: got.append((time, "later")), "command")
-    mailbox.post(8, lambda time: got.append((time, "reset")))
-    mailbox.post(8, lambda time: got.append((time, "again")), "command")
+        post(7, "command", volts)
+        post(7, "pressure", -volts)
+    assert len(mailbox) == 2
+    for limit in (7.0, 30.0, 20.0):
+        post(8, "limit", limit, merge=min)
+    post(8, "command", 5.0)
+    post(8, "limit", 30.0, merge=min)
+    post(8, "reset", 0.0, voids=("command",))
     mailbox.deliver(0, 9)
-    assert got == [(7, 9999), (8, "later"), (8, "reset"), (8, "again")]
+    assert got == [(7, "command", 9999), (7, "pressure", -9999), (8, "limit", 7.0), (8, "reset", 0.0)]
+    assert len(mailbox) == 0
 
 
 class ScriptedClock:
@@ -172,6 +182,29 @@ def test_a_fast_clock_gets_every_sample_and_a_leap_of_seconds_is_reported() -> N
     run.worker.run()
     assert run.log[2:] == [k * MILLISECOND for k in [*range(401), *range(2901, 3401)]]
     assert run.worker.timing.look(0).lost == 2500
+
+
+@pytest.mark.parametrize("tick", [25, 100, 400])
+def test_ticks_of_a_simulated_clock_are_not_lateness_of_this_machine(tick: int) -> None:
+    run = Run([simulated(at) for at in range(0, 2000, tick)])
+    run.worker.run()
+    timing = run.worker.timing.look(0)
+    assert (timing.steps_now, timing.lateness, timing.overruns) == (2000 - tick + 1, 0.0, 0)
+
+
+def test_steps_during_which_a_simulated_clock_goes_on_are_late_by_that() -> None:
+    run = Run([simulated(0), simulated(25), simulated(25)])
+    slow = run.clock.read
+
+    def read_later() -> ClockReading | None:
+        reading = slow()
+        assert reading is not None
+        behind = 3 * len(run.log) if run.clock.at == 1 and len(run.log) > 3 else 0
+        return ClockReading(reading.nanoseconds + behind * MILLISECOND, True)
+
+    run.clock.read = read_later  # type: ignore[method-assign]
+    run.worker.run()
+    assert run.worker.timing.look(0).overruns > 20
 
 
 def test_steps_that_cannot_be_made_yet_are_made_up_for_as_far_as_the_backlog_reaches() -> None:

@@ -27,12 +27,12 @@ MILLISECOND = 1_000_000
 class FakeClock:
     """Moves only when slept on, and by what `lateness` says beyond the deadline."""
 
-    def __init__(self, lateness: Callable[[int], int] = lambda deadline: 0) -> None:
+    def __init__(self, lateness: Callable[[int], int] = lambda deadline: 0, *, is_simulated: bool = False) -> None:
         self.now = 1_000
-        self._lateness = lateness
+        self._lateness, self._is_simulated = lateness, is_simulated
 
     def read(self) -> ClockReading:
-        return ClockReading(self.now, False)
+        return ClockReading(self.now, self._is_simulated)
 
     def sleep_until(self, time: int) -> None:
         self.now = time + self._lateness(time)
@@ -117,6 +117,15 @@ def test_late_samples_are_a_warning_and_a_replay_as_fast_as_possible_is_never_la
     fast, _ = play(FakeClock(), 0.0)
     fast.is_done = False
     assert replay_status(fast, 0, "declared").level is Level.OK
+
+
+def test_the_ticks_of_a_slow_clock_are_no_lateness() -> None:
+    clock = FakeClock(lambda deadline: 25 * MILLISECOND - deadline % (25 * MILLISECOND), is_simulated=True)
+    replay, notes = play(clock, 1.0)
+    assert len(notes.played) == 42
+    replay.is_done = False
+    status = replay_status(replay, clock.now, "declared")
+    assert (status.level, status.values["lateness p99 (ms)"]) == (Level.OK, "0.000")
 
 
 def test_the_prediction_is_at_the_samples_and_knows_the_clock_offset() -> None:

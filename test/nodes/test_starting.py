@@ -6,25 +6,32 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 
-from .ros_process import ENDS_WITHIN
+from .ros_process import ENDS_WITHIN, own_lines, slowness
+
+LONGEST = 2.0
+"""s."""
 
 pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
 
 PROGRAM = """
-import os, sys
+import os, sys, time
 import rclpy
 from valve_sim.nodes.starting import run_node
 
 
 def interrupted(place):
     # Whatever Python does next is where an exception would come up.
-    for _ in range(count if place == where else 0):
+    if place == where:
+        print(time.monotonic(), flush=True)
         os.kill(os.getpid(), number)
+    while is_endless and place == where:
+        pass
     for _ in range(1000):
         pass
     print("past", place, flush=True)
@@ -35,12 +42,14 @@ class Shell:
 
     def spin(self):
         interrupted("spin")
+        interrupted("thread")
         while rclpy.ok():
             pass
         print("ROS is shut down", flush=True)
 
     def close(self, timeout):
-        return True
+        interrupted("close")
+        return where != "thread"
 
 
 def make(given):
@@ -48,14 +57,16 @@ def make(given):
     return Shell()
 
 
-where, number, count = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
+where, number, is_endless = sys.argv[1], int(sys.argv[2]), sys.argv[3] == "True"
 raise SystemExit(run_node("node", make, ["node"]))
 """
 
 
-def run(folder: Path, place: str, number: signal.Signals, count: int = 1) -> subprocess.CompletedProcess[str]:
-    """A node that gets so many signals at a place."""
-    arguments = [sys.executable, "-c", PROGRAM, place, str(int(number)), str(count)]
+def run(
+    folder: Path, place: str, number: signal.Signals, *, is_endless: bool = False
+) -> subprocess.CompletedProcess[str]:
+    """A node that gets a signal at a place, and may stay there."""
+    arguments = [sys.executable, "-c", PROGRAM, place, str(int(number)), str(is_endless)]
     environment = {**os.environ, "ROS_LOG_DIR": str(folder)}
     return subprocess.run(arguments, capture_output=True, text=True, timeout=ENDS_WITHIN, env=environment, check=False)
 
@@ -68,7 +79,8 @@ def test_a_signal_raises_nothing_and_ends_the_node_with_code_0(
     ran = run(tmp_path, place, number)
     assert ran.returncode == 0, ran.stderr
     assert "Traceback" not in ran.stderr
-    assert ran.stdout.splitlines() == ["past make", "past spin", "ROS is shut down"]
+    said = [line for line in ran.stdout.splitlines() if not line[0].isdigit()]
+    assert said == ["past make", "past spin", "past thread", "ROS is shut down", "past close"]
 
 
 def test_a_node_does_linear_algebra_in_one_thread() -> None:
@@ -79,7 +91,25 @@ def test_a_node_does_linear_algebra_in_one_thread() -> None:
     assert ran.stdout == "1\n"
 
 
-def test_a_second_signal_ends_a_node_that_is_still_being_made(tmp_path: Path) -> None:
-    ran = run(tmp_path, "make", signal.SIGINT, 2)
-    assert ran.returncode == -signal.SIGINT
-    assert ran.stdout == ""
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("place", ["make", "spin"])
+def test_a_node_that_reads_or_answers_without_end_ends_with_code_0_within_two_seconds(
+    tmp_path: Path, place: str, number: signal.Signals
+) -> None:
+    # A machine that is busy with something else holds up one of them, and not each.
+    assert any(seconds_to_end(tmp_path, place, number, is_endless=True) < LONGEST for _ in range(3))
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_thread_that_calculates_on_does_not_keep_a_node(tmp_path: Path, number: signal.Signals) -> None:
+    ran = run(tmp_path, "thread", number)
+    assert ran.returncode == 0
+    assert own_lines(ran.stderr) == ["node: ended in the middle of a calculation"]
+
+
+def seconds_to_end(folder: Path, place: str, number: signal.Signals, *, is_endless: bool) -> float:
+    """How long it takes from the signal to the end, were it alone here."""
+    ran = run(folder, place, number, is_endless=is_endless)
+    seconds = time.monotonic() - float(next(line for line in ran.stdout.splitlines() if line[0].isdigit()))
+    assert ran.returncode == 0, ran.stderr
+    return seconds / slowness()

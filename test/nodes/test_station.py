@@ -88,6 +88,7 @@ def test_the_page_names_every_argument_with_its_default(plan: LaunchPlan) -> Non
         assert f"| `{name}` | `{default}` |" in page
 
 
+@pytest.mark.long
 @pytest.mark.ros
 def test_a_fault_in_one_valve_is_reported_by_its_own_monitor(
     plan: LaunchPlan, in_own_domain: None, tmp_path: Path
@@ -115,6 +116,7 @@ def test_a_fault_in_one_valve_is_reported_by_its_own_monitor(
         rclpy.try_shutdown()
 
 
+@pytest.mark.long
 @pytest.mark.any_distribution
 @pytest.mark.ros
 def test_with_gas_a_leak_is_an_alarm_and_a_healthy_valve_is_none(

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.long]
 pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
 
 import rclpy  # noqa: E402
@@ -22,4 +22,4 @@ def ros(in_own_domain: None) -> Iterator[None]:
 
 
 def test_nodes_under_fire_go_on() -> None:
-    assert fuzz(5000, seed=7, rounds=1, names=("valve", "simulated", "identification", "monitor")) == []
+    assert fuzz(5000, seed=7, rounds=3, names=("valve", "simulated", "identification", "monitor")) == []

@@ -15,7 +15,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from valve_sim.files.recording_map import MapError, load_map
 from valve_sim.model import Drive, ValveError, ValveParameters
-from valve_sim.traces import Signal, Trace, TraceError, list_valves, read_trace, write_bag
+from valve_sim.traces import Signal, Trace, TraceError, describe, list_valves, read_trace, write_bag
 from valve_sim.traces.map_draft import draft_map
 
 from .bag_makers import good_messages, make_mcap
@@ -390,3 +390,116 @@ def test_nothing_that_moves_is_said(tmp_path: Path, made: Recording) -> None:
     bag.floats("/lab/lvdt", made.times, np.full(len(made.times), 12.5))
     with pytest.raises(TraceError, match=r"nothing in it moves \(/lab/lvdt\); record while the valve works"):
         draft_map(bag.write(tmp_path / "still"), VALVE, "valve-sim map")
+
+
+def test_what_ros_tells_of_itself_and_what_counts_is_no_quantity_of_a_valve(tmp_path: Path, made: Recording) -> None:
+    """Words may lie: a stamp is no ampere, and a name may say more than the numbers can be."""
+    bag, types, random = Bag(), STORE.types, np.random.default_rng(2)
+    bag.floats("/lab/supply", made.command_times, made.volts)
+    bag.floats("/lab/lvdt", made.times, 1e3 * made.pilot_position)
+    few = made.times[::20]
+    bag.floats("/lab/samples_amp", few, np.arange(len(few)) * 1.0)
+    bag.floats("/lab/i_code", few, random.uniform(1e8, 1e9, len(few)))
+    for time in few[::4].tolist():
+        stamp = types["builtin_interfaces/msg/Time"](0, int(random.integers(1, 10**9)))
+        bag.add("/parameter_events", "rcl_interfaces/msg/ParameterEvent", time, stamp, "/node", [], [], [])
+        bag.add("/clock", "rosgraph_msgs/msg/Clock", time, types["builtin_interfaces/msg/Time"](int(time), 0))
+    draft = draft_map(bag.write(tmp_path / "bag"), VALVE, "valve-sim map")
+    entries = [line for line in draft.splitlines() if not line.startswith("#")]
+    assert [entry.partition(":")[0] for entry in entries] == ["command", "position"], draft
+    assert "parameter_events" not in draft
+    assert "/clock" not in draft
+
+
+@pytest.mark.parametrize("name", ["lvdt.yaml", "scope.yaml"])
+def test_every_line_of_a_first_map_is_named_as_a_guess(name: str, tmp_path: Path, made: Recording) -> None:
+    lines = draft_map(makers(made, made)[name](tmp_path), VALVE, "valve-sim map").splitlines()
+    entries = [line.partition(":")[0] for line in lines if line[:1].isalpha() and not line.startswith("time")]
+    assert len(entries) >= 2
+    for quantity in entries:
+        assert any(line.startswith(f"# {quantity} is a guess: ") for line in lines), quantity
+
+
+def test_a_current_by_its_name_alone_must_be_one_that_can_flow(tmp_path: Path, made: Recording) -> None:
+    assert made.coil_current is not None
+    for factor, is_one in ((1.0, True), (1e3, True), (1e9, False)):
+        bag = Bag()
+        bag.floats("/lab/supply", made.command_times, made.volts)
+        bag.floats("/lab/lvdt", made.times, 1e3 * made.pilot_position)
+        bag.floats("/lab/clamp", made.times, factor * made.coil_current)
+        draft = draft_map(bag.write(tmp_path / f"bag_{factor:g}"), VALVE, "valve-sim map")
+        assert ("\ncurrent: {topic: /lab/clamp" in draft) is is_one, draft
+
+
+# --- which voltage is the input ---
+
+
+def controlled(path: Path, volts: np.ndarray, noise: float = 0.01) -> Path:
+    """A coil under a voltage that was measured while its current was, as a table."""
+    times = np.arange(len(volts)) / 20e3
+    random = np.random.default_rng(6)
+    columns = (times, volts + noise * random.standard_normal(len(times)), volts / 10.0)
+    file = path / "coil.csv"
+    file.write_text(
+        "t,u,i\n" + "\n".join(",".join(f"{value:.6f}" for value in row) for row in zip(*columns, strict=True))
+    )
+    return file
+
+
+COIL_MAP = "time: {column: t, unit: s}\nvoltage: {column: u}\ncurrent: {column: i}\n"
+SECONDS = np.arange(4000) / 20e3
+
+
+@pytest.mark.parametrize(
+    ("volts", "words", "steps"),
+    [
+        (24.5 + 4.0 * np.sin(60.0 * SECONDS), "because it changes without a step", 0),
+        (
+            np.where(SECONDS > 0.05, 24.0 * np.exp(-(SECONDS - 0.05) / 0.05), 0.0),
+            "because it goes on changing between its steps",
+            None,
+        ),
+    ],
+    ids=["controlled", "discharged"],
+)
+def test_a_voltage_that_goes_on_changing_is_itself_the_input(
+    tmp_path: Path, volts: np.ndarray, words: str, steps: int | None
+) -> None:
+    file, path = controlled(tmp_path, volts), tmp_path / "map.yaml"
+    path.write_text(COIL_MAP)
+    trace = read_trace(file, None, load_map(path))
+    (finding,) = [line for line in trace.findings if "measured voltage" in line]
+    assert f"column u: the measured voltage itself is the input, {words}" in finding
+    assert "0 steps" not in finding
+    assert describe(trace).input == "the voltage measured by column u"
+    drive = trace.input(0.0)
+    held = drive.volts[np.searchsorted(drive.times, SECONDS, side="right") - 1]
+    assert np.sqrt(np.mean(np.square(held - volts))) < 0.5, "it follows the voltage, and is no constant"
+    assert steps is None or len(trace.drive.times) == 1 + steps
+
+
+def test_a_switched_voltage_is_held_at_its_levels(tmp_path: Path, made: Recording) -> None:
+    file = scope(tmp_path, made)
+    trace = read_trace(file, None, load_map(page_map("scope.yaml", tmp_path)))
+    assert trace.coil_voltage is None
+    assert describe(trace).input == "the levels of the voltage measured by column CH1"
+
+
+def test_command_and_voltage_may_be_one_column(tmp_path: Path) -> None:
+    volts = np.where((SECONDS > 0.05) & (SECONDS < 0.15), 9.0, 0.0)
+    file, path = controlled(tmp_path, volts, noise=0.0), tmp_path / "map.yaml"
+    path.write_text(COIL_MAP + "command: {column: u}\n")
+    trace = read_trace(file, None, load_map(path))
+    assert trace.drive.volts.tolist() == [0.0, 9.0, 0.0]
+    assert describe(trace).input == "the voltage measured by column u, between the commands of column u"
+
+
+def test_a_controlled_voltage_in_a_bag_is_the_input(tmp_path: Path) -> None:
+    bag, volts = Bag(), 24.5 + 4.0 * np.sin(60.0 * SECONDS)
+    bag.floats("/lab/volts", SECONDS, volts)
+    bag.floats("/lab/amps", SECONDS, volts / 10.0)
+    (tmp_path / "map.yaml").write_text("voltage: {topic: /lab/volts}\ncurrent: {topic: /lab/amps}\n")
+    trace = read_trace(bag.write(tmp_path / "bag"), None, load_map(tmp_path / "map.yaml"))
+    assert trace.coil_voltage is not None
+    np.testing.assert_allclose(trace.coil_voltage.values, volts)
+    assert describe(trace).input == "the voltage measured by topic /lab/volts"

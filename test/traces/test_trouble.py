@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.model import Drive, ValveParameters
-from valve_sim.traces import Signal, Trace, TraceError, doubtful_units, refuse_doubtful_units
+from valve_sim.traces import Signal, Trace, TraceError, another_valve, doubtful_units, refuse_doubtful_units
 
 from .bag_makers import clean_trace
 
@@ -91,3 +92,45 @@ def test_a_usual_voltage_is_no_reason_to_simulate(monkeypatch: pytest.MonkeyPatc
     assert doubtful_units(trace(), OPENS) == ()
     with pytest.raises(AssertionError):
         doubtful_units(trace(volts=0.2), OPENS)
+
+
+def resting_at(level: float, volts: float = 9.0) -> Trace:
+    """An opening whose plunger comes to rest at a level, m."""
+    made = trace()
+    position = np.minimum(made.pilot_position, level + 1e-7 * np.sin(1e4 * made.times))
+    return replace(made, pilot_position=position, drive=Drive(made.drive.times, volts / 9.0 * made.drive.volts))
+
+
+@pytest.mark.parametrize(
+    ("made", "words"),
+    [
+        (
+            trace(position=0.49),
+            r"travels 0\.6\d* mm at up to 9 V, 0\.4\d* times the stroke .* \(1\.23 mm, 9 V\), where",
+        ),
+        (trace(position=2.0), r"travels 2\.\d* mm at up to 9 V, 2 times the stroke .* beyond its stop"),
+        (resting_at(0.6e-3, volts=24.0), r"travels 0\.6\d* mm at up to 24 V, .* where at least"),
+    ],
+)
+def test_a_travel_that_the_declared_valve_cannot_have_asks_for_its_parameters(made: Trace, words: str) -> None:
+    (line,) = another_valve(made, OPENS)
+    assert re.search(words, line), line
+    assert line.startswith("topic /lvdt: ")
+    assert line.endswith("another valve? Give its parameter file as --params")
+    refuse_doubtful_units(made, OPENS)
+
+
+@pytest.mark.parametrize(
+    "made",
+    [
+        trace(),
+        trace(position=0.97),
+        resting_at(OPENS.pilot_gap),  # waits for the pressure
+        resting_at(0.6e-3, volts=2.0),  # too little to go on
+        replace(trace(position=0.5), drive=Drive(np.array([0.02, 0.0248]), np.array([9.0, 0.0]))),  # taken back
+        replace(trace(), pilot_position=np.empty(0), times=np.empty(0)),
+    ],
+    ids=["full", "worn", "gap", "weak", "pulse", "current"],
+)
+def test_valid_work_is_not_asked_for_another_valve(made: Trace) -> None:
+    assert another_valve(made, OPENS) == ()

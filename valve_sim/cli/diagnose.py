@@ -93,7 +93,8 @@ def diagnose(
     with progress_bar() as progress:
         result = trace_residual(traces, held_out, valve, progress, Budget.of_seconds(budget))
     report = to_json(result)
-    written = write_diagnosis(result, output, provenance(params, [report["verdict"]["summary"]]), plot)
+    origin = provenance(params, [report["verdict"]["summary"]])
+    written = write_diagnosis(result, output, origin, plot, report=report)
     print_report(report, diagnosis_text(result), written, as_json)
 
 

@@ -25,9 +25,9 @@ def draft(*, recording: Path, params: Path | None, output: Path | None) -> None:
     RECORDING is a bag with any topics, or a table of a data logger: CSV, Parquet, or MATLAB. The map says which topic
     or column is position, voltage and current, in which unit; lines marked CHECK are guesses.
 
-      valve-sim map scope.csv --output scope.yaml
-      valve-sim info scope.csv --map scope.yaml
-      valve-sim identify scope.csv --map scope.yaml --output results
+      valve-sim map scope.csv --params my_valve.yaml --output scope.yaml
+      valve-sim info scope.csv --map scope.yaml --params my_valve.yaml
+      valve-sim identify scope.csv --map scope.yaml --params my_valve.yaml --output results
     """
     from valve_sim.files.whole_files import write_whole
     from valve_sim.traces.map_draft import draft_map
@@ -40,5 +40,6 @@ def draft(*, recording: Path, params: Path | None, output: Path | None) -> None:
         return
     write_whole(output, text)
     checks = text.count("CHECK") - 1  # one is in the heading
-    then = f"{invocation()} {shlex.join(['info', str(recording), '--map', str(output)])}"
+    declared = [] if params is None else ["--params", str(params)]
+    then = f"{invocation()} {shlex.join(['info', str(recording), '--map', str(output), *declared])}"
     click.echo(shown(f"wrote {output}; read it, {checks} guesses are marked CHECK; then: {then}"))

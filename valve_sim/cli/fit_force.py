@@ -7,9 +7,9 @@ from pathlib import Path
 import click
 
 from valve_sim.cli.command_line import Command
-from valve_sim.cli.options import FILE, finite_number, folder_option, json_option, params_option
+from valve_sim.cli.options import FILE, finite_number, folder_option, json_option, map_option, params_option
 from valve_sim.cli.printing import print_report, provenance
-from valve_sim.cli.reading import declared_valve
+from valve_sim.cli.reading import chosen_map_file, declared_valve
 from valve_sim.files.json_text import json_text
 from valve_sim.files.ledger import plan_files
 
@@ -17,6 +17,7 @@ from valve_sim.files.ledger import plan_files
 @click.command("fit-force", cls=Command)
 @click.argument("file", type=FILE)
 @params_option
+@map_option
 @click.option("--degree", type=int, default=3, help="Degree of the polynomial, up to 3.")
 @click.option(
     "--voltage", metavar="V", type=finite_number(), help="Voltage of the table. Default: valve.reference_voltage."
@@ -37,20 +38,29 @@ def fit_force(
     """Fit the attraction to a static table.
 
     FILE is a CSV with the columns displacement (m) and force (N), measured at one voltage with load cell and stage.
+    With --map it may be any table that the other commands read, with columns and units of its own. The map of a column
+    Weg in mm and a column Kraft in N is
+      displacement: {column: Weg, unit: mm}
+      force: {column: Kraft, unit: N}
     Writes DIR/fit-force.json, DIR/fit-force.png (force and residuals) and DIR/attraction.yaml, which valve_node and
     all commands load: the polynomial and the covariance of its coefficients (tolerances.attraction_covariance).
 
       valve-sim fit-force force_9V.csv --output results
+      valve-sim fit-force load_cell.csv --map load_cell.yaml --output results
       valve-sim fit-force force_12V.csv --voltage 12 --params my_valve.yaml --output results
     """
     from valve_sim.files.parameter_files import save_valve
+    from valve_sim.files.recording_map import load_force_map
     from valve_sim.files.whole_files import write_whole
     from valve_sim.identification.estimation.static_force import fit_static_force
     from valve_sim.identification.reporting.figures import plot_static_force
     from valve_sim.identification.reporting.findings import remarks
     from valve_sim.identification.reporting.static_force import static_force_json, static_force_text
 
-    result = fit_static_force(file, declared_valve(params), degree=degree, voltage=voltage, constant=not no_constant)
+    map_file = chosen_map_file()
+    sources = None if map_file is None else load_force_map(map_file)
+    valve = declared_valve(params)
+    result = fit_static_force(file, valve, sources, degree=degree, voltage=voltage, constant=not no_constant)
     report, picture, parameters = (output / f for f in ("fit-force.json", "fit-force.png", "attraction.yaml"))
     plan_files(report, picture, parameters)
     write_whole(report, json_text(static_force_json(result)))

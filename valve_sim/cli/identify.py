@@ -26,9 +26,8 @@ if TYPE_CHECKING:
 @click.option(
     "--free",
     metavar="A,B",
-    default="pilot_damping,main_damping",
     help="What to refit: declared parameters (a0 ... a3: the polynomial), of effects, e.g. coulomb_friction.force, and "
-    "of gas, e.g. gas.outlet_volume.",
+    "of gas, e.g. gas.outlet_volume.  [default: pilot_damping,main_damping; for a valve with one plunger main_damping]",
 )
 @click.option("--shared", is_flag=True, help="For many recordings: each is fitted by itself, and the valve is shared.")
 @cluster_options(
@@ -43,7 +42,7 @@ def identify(
     *,
     bags: tuple[Path, ...],
     params: Path | None,
-    free: str,
+    free: str | None,
     shared: bool,
     name: str | None,
     output: Path,
@@ -62,6 +61,7 @@ def identify(
     from valve_sim.files.parameter_files import save_valve
     from valve_sim.files.whole_files import refuse_unwritable, write_whole
     from valve_sim.identification.estimation.identify import identify as refit
+    from valve_sim.identification.plants.valve import dampings_of
     from valve_sim.identification.reporting.identification import identification_json, identification_text
 
     cluster = chosen_cluster()
@@ -71,7 +71,9 @@ def identify(
     plan_files(*written)
     refuse_unwritable(*written)
     valve = declared_valve(params)
-    names = tuple(dict.fromkeys(part.strip() for part in free.split(",") if part.strip()))
+    names = dampings_of(valve)
+    if free is not None:
+        names = tuple(dict.fromkeys(part.strip() for part in free.split(",") if part.strip()))
     if not names:
         refuse(f"--free {free!r}: found no name, expected names separated by commas")
     if shared:

@@ -29,18 +29,20 @@ def info(*, bag: Path, name: str | None, params: Path | None, as_json: bool) -> 
     """Show what a recording contains.
 
     Valves, signals and their rates, strokes, gaps, clock problems, and what was dropped or repaired on reading.
-    Arrivals in each stroke are found from the sensors alone; of the parameters, only pilot_gap is used.
+    Arrivals in each stroke are found from the sensors alone. Of the parameters, pilot_gap says where to look for them;
+    the others say whether the recording can be of that valve.
 
       valve-sim info strokes.mcap
       valve-sim info station_bag --valve /tank_1/valve --json | jq '.valves[0].strokes'
     """
-    from valve_sim.traces import describe, doubtful_units, events_from_sensors, list_valves, read_trace
+    from valve_sim.traces import another_valve, describe, doubtful_units, events_from_sensors, list_valves, read_trace
 
     parameters, recording_map = declared_parameters(params), chosen_map()
     valves = []
     for valve in (name,) if name else list_valves(bag, recording_map) or (None,):
         trace = read_trace(bag, valve, recording_map)
-        trace = dataclasses.replace(trace, findings=(*trace.findings, *doubtful_units(trace, parameters)))
+        doubts = (*doubtful_units(trace, parameters), *another_valve(trace, parameters))
+        trace = dataclasses.replace(trace, findings=(*trace.findings, *doubts))
         valves.append((describe(trace), events_from_sensors(trace, parameters.pilot_gap)))
     if as_json:
         print_json({"valves": [{**plain(summary), "arrivals": plain(arrivals)} for summary, arrivals in valves]})
@@ -66,6 +68,7 @@ def _print_summary(summary: TraceSummary, arrivals: Sequence[StrokeEvents]) -> N
             f"  {signal:<18}{rate.samples:>9} samples{rate.rate:>12.6g} Hz{', in bursts' if rate.in_bursts else ''}"
         )
     click.echo(f"  {'commands':<18}{summary.commands:>9} at {', '.join(f'{volts:g}' for volts in summary.voltages)} V")
+    click.echo(shown(f"  {'input':<18}{summary.input}"))
     click.echo(f"  {_judged_words(summary)}; sample interval within {1e6 * summary.jitter:.3f} µs of its median (99 %)")
     for gap in summary.gaps[:10]:
         click.echo(f"  gap at {gap.start:.6f} s: {1e3 * gap.length:.3f} ms without samples")

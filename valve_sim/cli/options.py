@@ -43,7 +43,7 @@ map_option = click.option(
     type=FILE,
     expose_value=False,
     callback=lambda context, _, path: context.meta.__setitem__(MAP_KEY, path),
-    help="Map: which topic or column is which quantity; valve-sim map writes a draft.",
+    help="Map: which topic or column is which quantity; valve-sim map drafts that of a recording.",
 )
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON in place of text.")
 folder_option = click.option("--output", metavar="DIR", type=FILE, required=True, help="Folder for the results.")

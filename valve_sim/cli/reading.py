@@ -33,24 +33,30 @@ def declared_parameters(params: Path | None) -> ValveParameters:
     return default_parameters() if params is None else declared_valve(params).parameters
 
 
+def chosen_map_file() -> Path | None:
+    """The file given as --map."""
+    path: Path | None = click.get_current_context().meta.get(MAP_KEY)
+    return path
+
+
 def chosen_map() -> RecordingMap | None:
-    """The map given as --map."""
+    """The map of a recording given as --map."""
     from valve_sim.files.recording_map import load_map
 
-    path: Path | None = click.get_current_context().meta.get(MAP_KEY)
+    path = chosen_map_file()
     return None if path is None else load_map(path)
 
 
 def read_recordings(bags: Sequence[Path], name: str | None, valve: Valve) -> list[Trace]:
     """Read recordings. What was dropped or repaired is reported on stderr; numbers in another unit are refused."""
-    from valve_sim.traces import read_trace, refuse_doubtful_units
+    from valve_sim.traces import another_valve, read_trace, refuse_doubtful_units
 
     traces, recording_map = [], chosen_map()
     for bag in bags:
         # No fit or check asks for the main plunger, and of a long recording it is large.
         trace = replace(read_trace(bag, name, recording_map), main_position=None)
         refuse_doubtful_units(trace, valve.parameters)
-        for finding in trace.findings:
+        for finding in (*trace.findings, *another_valve(trace, valve.parameters)):
             click.echo(shown(f"valve-sim: {bag}: {finding}"), err=True)
         traces.append(trace)
     return traces

@@ -151,7 +151,9 @@ def _plot(path: Path, recording: Recording, valve: Valve, title: str) -> None:
     from valve_sim.identification.reporting.figures import plot_response
     from valve_sim.model import published_times
 
-    levels = {"gap": valve.parameters.pilot_gap, "stroke": valve.parameters.stroke}
+    levels = {"stroke": valve.parameters.stroke}
+    if not valve.parameters.has_one_plunger:
+        levels["gap"] = valve.parameters.pilot_gap
     times = zip(("t1", "t2"), published_times(recording.response), strict=True)
     marks = {name: time for name, time in times if math.isfinite(time)}
     plot_response(path, recording.response, recording.trace.drive, title, marks=marks, levels=levels)

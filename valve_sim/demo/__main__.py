@@ -96,8 +96,9 @@ def _conclude(bag: Path, picture: Path, story: Story, console: Console) -> None:
     seen = events_from_sensors(read_trace(bag), parameters.pilot_gap)
     console.print()
     console.print(comparison(seen))
-    console.print("(from the recorded positions; the lines above are good to one sample)")
-    console.print("(a command takes some hundredths of a millisecond to reach the node)")
+    console.print(
+        "(from the recorded positions, since the voltage on the coil; the lines above are good to one sample)"
+    )
     arrivals = {event.kind: event.after_command for event in seen[0].events} if seen else {}
     names = {"pilot_reaches_main": "t1", "reaches_stop": "t2"}
     plot_response(

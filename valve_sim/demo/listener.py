@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 TOPICS: Final[Mapping[str, str]] = {
     "/valve/joint_states": "sensor_msgs/msg/JointState",
-    "/valve/coil_current": "std_msgs/msg/Float64",
+    "/valve/coil": "sensor_msgs/msg/BatteryState",
     "/valve/phase": "std_msgs/msg/UInt8",
     "/valve/is_open": "std_msgs/msg/Bool",
 }
@@ -108,11 +108,12 @@ class Listener:
 
 def message_classes() -> dict[str, Any]:
     """The message types of the topics by name."""
-    from sensor_msgs.msg import JointState
+    from sensor_msgs.msg import BatteryState, JointState
     from std_msgs.msg import Bool, Float64, UInt8
 
     return {
         "sensor_msgs/msg/JointState": JointState,
+        "sensor_msgs/msg/BatteryState": BatteryState,
         "std_msgs/msg/Float64": Float64,
         "std_msgs/msg/UInt8": UInt8,
         "std_msgs/msg/Bool": Bool,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Iterator
-from typing import Final
+from typing import Any, Final
 
 from rich.console import Console
 from rich.live import Live
@@ -52,6 +52,9 @@ class Performance:
         self._signals = signals
         self._clock = ModelTime(speed)
         self._held: list[Message] = []
+        self._sent = b""
+        self._volts = 0.0
+        self._coil_stamp = 0
         self._stroke = default_valve().parameters.stroke
         self._live: Live | None = None
 
@@ -86,13 +89,14 @@ class Performance:
 
     def rest(self) -> None:
         """Command 0 V, as the first message on a fresh connection takes longer than all that follow."""
-        self._command(0.0)
+        self._record_command(self._listener.command(0.0), self._clock.at(time.time_ns()))
         self.follow(LEAD)
 
     def stroke(self, volts: float) -> None:
         """Command a voltage, then none; follow the valve through both."""
         for level, duration in ((volts, ENERGISED), (0.0, RESTING)):
-            self._say(self.story.command(self._command(level), level))
+            self._say(f"[bold]{level:g} V[/] on the coil")
+            self._sent = self._listener.command(level)
             self.follow(duration)
 
     def follow(self, duration: float) -> None:
@@ -103,11 +107,8 @@ class Performance:
             if self._clock.at(time.time_ns()) - end > LONGEST_SILENCE * self._speed * NANOSECONDS:
                 raise DemoError(f"valve_node fell silent: {self._process.last_words()}")
 
-    def _command(self, volts: float) -> float:
-        """Command and record; the model time of it, s."""
-        when = self._clock.at(time.time_ns())
-        self._recorder.write(COMMAND, "std_msgs/msg/Float64", self._listener.command(volts), when)
-        return when / NANOSECONDS
+    def _record_command(self, payload: bytes, stamp: int) -> None:
+        self._recorder.write(COMMAND, "std_msgs/msg/Float64", payload, stamp)
 
     def _look(self) -> None:
         time.sleep(FRAME)
@@ -118,6 +119,8 @@ class Performance:
             message = self._listener.messages.get()
             if message.topic == "/valve/joint_states":
                 self._take_joint_states(message)
+            elif message.topic == "/valve/coil":
+                self._take_coil(message)
             else:
                 self._held.append(message)
         self._held = [message for message in self._held if not self._take_unstamped(message)]
@@ -126,20 +129,29 @@ class Performance:
 
     def _take_joint_states(self, message: Message) -> None:
         content = self._listener.decode(message)
-        stamp = content.header.stamp.sec * NANOSECONDS + content.header.stamp.nanosec
+        stamp = _stamp(content)
         self._clock.observe(stamp, message.published)
         self.story.joint_states(stamp / NANOSECONDS, content.position, content.velocity[0], content.effort[0])
         self._record(message, stamp)
 
-    def _take_unstamped(self, message: Message) -> bool:
-        """Tell and record a message whose time is known by now; whether it was."""
-        stamp = self._clock.stamp_of(message.published)
-        if stamp is None:
-            return False
+    def _take_coil(self, message: Message) -> None:
+        """Take the current, and the voltage: a command is recorded as of when the coil has it, however late that is."""
         content = self._listener.decode(message)
-        if message.topic == "/valve/coil_current":
-            self.story.current(stamp / NANOSECONDS, content.data)
-        elif message.topic == "/valve/phase":
+        self._coil_stamp = _stamp(content)
+        self.story.current(self._coil_stamp / NANOSECONDS, content.current)
+        if content.voltage != self._volts:
+            self._volts = content.voltage
+            self.story.command(self._coil_stamp / NANOSECONDS, content.voltage)
+            self._record_command(self._sent, self._coil_stamp)
+        self._record(message, self._coil_stamp)
+
+    def _take_unstamped(self, message: Message) -> bool:
+        """Tell and record a message whose time, and the command before it, are known by now; whether it was."""
+        stamp = self._clock.stamp_of(message.published)
+        if stamp is None or stamp > self._coil_stamp:
+            return False
+        if message.topic == "/valve/phase":
+            content = self._listener.decode(message)
             line = self.story.phase(stamp / NANOSECONDS, Phase(content.data))
             if line is not None:
                 self._say(line)
@@ -151,3 +163,8 @@ class Performance:
 
     def _say(self, line: str) -> None:
         self._console.print(line, highlight=False)
+
+
+def _stamp(content: Any) -> int:
+    """The stamp of a decoded message, ns."""
+    return int(content.header.stamp.sec) * NANOSECONDS + int(content.header.stamp.nanosec)

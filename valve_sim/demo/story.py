@@ -62,10 +62,9 @@ class Story:
         self._phases: list[tuple[float, Phase]] = [(-math.inf, Phase.CLOSED)]
         self._currents: list[tuple[float, float]] = [(-math.inf, 0.0)]
 
-    def command(self, when: float, volts: float) -> str:
-        """The coil was commanded at `when`, s."""
+    def command(self, when: float, volts: float) -> None:
+        """The coil has another voltage, V, from `when` on, s."""
         self.commands.append((when, volts))
-        return f"[bold]{volts:g} V[/] on the coil"
 
     def joint_states(self, when: float, position: Sequence[float], velocity: float, attraction: float) -> None:
         """Positions (pilot, main; m), velocity and attraction of the pilot plunger at `when`, s."""

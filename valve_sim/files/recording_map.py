@@ -5,7 +5,7 @@
     voltage: {topic: /daq, field: "channels[2].value", scale: 10}
 
 A reading becomes SI as unit × (sign × scale × reading + offset). A map is read and checked once, here; whether the
-recording has what it names is checked when the recording is read.
+recording has what it names is checked when the recording is read. A static table of force has a map of the same form.
 """
 
 from __future__ import annotations
@@ -58,6 +58,7 @@ UNITS: Final[Mapping[str, Mapping[str, Unit]]] = {
         "MPa": Unit(1e6),
         "psi": Unit(6894.757293168),
     },
+    "force": {"N": Unit(1.0), "mN": Unit(1e-3), "kN": Unit(1e3), "kgf": Unit(9.80665), "lbf": Unit(4.4482216152605)},
     "temperature": {"degC": Unit(1.0), "°C": Unit(1.0), "K": Unit(1.0, -273.15)},
     "time": {
         "s": Unit(1.0),
@@ -90,6 +91,11 @@ QUANTITIES: Final[Mapping[str, Quantity]] = {
     "demand_pressure": Quantity("pressure", "behind the demand's orifice of such a valve, absolute"),
     "temperature": Quantity("temperature", "of the coil"),
 }
+FORCE_QUANTITIES: Final[Mapping[str, Quantity]] = {
+    "displacement": Quantity("length", "of the plunger from its seat, positive towards the core"),
+    "force": Quantity("force", "with which the coil attracts the plunger"),
+}
+"""Quantities of a static table, from load cell and stage."""
 CLOCKS: Final = ("header", "bag")
 DEFAULT_VALVE: Final = "/valve"
 _TEXTS: Final = ("topic", "field", "joint", "column", "type", "unit", "clock")
@@ -213,6 +219,30 @@ def map_from(found: object, path: str) -> RecordingMap:
     return RecordingMap(path, valves, time)
 
 
+def load_force_map(path: Path | str) -> Mapping[str, Source]:
+    """Read and check the map of a static table: the column of each of `FORCE_QUANTITIES`.
+
+    Raises:
+        MapError: it cannot be read, names no column for one of them, or a key, unit or value in it is invalid.
+    """
+    found = read_yaml(path, "expected a map such as displacement: {column: Weg, unit: mm}", MapError)
+    if not isinstance(found, Mapping):
+        raise MapError(f"{path}: found {_short(found)}; expected displacement: and force: with the column of each")
+    _check_keys(found, list(FORCE_QUANTITIES), str(path), "")
+    for key, quantity in FORCE_QUANTITIES.items():
+        if key not in found:
+            raise MapError(
+                f"{path}: names no {key}; add {key}: {{column: ..., unit: {next(iter(UNITS[quantity[0]]))}}}"
+            )
+    sources = {
+        key: _source(quantity.dimension, found[key], "", f"{path}: {key}") for key, quantity in FORCE_QUANTITIES.items()
+    }
+    for key, source in sources.items():
+        if source.topic:
+            raise MapError(f"{path}: {key}.topic: found {source.topic}; a table has columns: give column: in its place")
+    return sources
+
+
 def _named_valves(found: object, clock: str, path: str) -> dict[str, Mapping[str, Source]]:
     if not isinstance(found, Mapping) or not found:
         raise MapError(f"{path}: valves: found {_short(found)}, expected names and what is recorded of each")
@@ -226,7 +256,10 @@ def _named_valves(found: object, clock: str, path: str) -> dict[str, Mapping[str
 
 
 def _sources(entries: Mapping[Any, Any], clock: str, path: str, prefix: str) -> Mapping[str, Source]:
-    sources = {key: _source(key, value, clock, f"{path}: {prefix}{key}") for key, value in entries.items()}
+    sources = {
+        key: _source(QUANTITIES[key].dimension, value, clock, f"{path}: {prefix}{key}")
+        for key, value in entries.items()
+    }
     where = f"{path}: {prefix.rstrip('.')}: " if prefix else f"{path}: "
     if not {"position", "current", "outlet_pressure"} & set(sources):
         raise MapError(
@@ -242,7 +275,7 @@ def _sources(entries: Mapping[Any, Any], clock: str, path: str, prefix: str) -> 
     return sources
 
 
-def _source(key: str, found: object, clock: str, where: str) -> Source:
+def _source(dimension: str, found: object, clock: str, where: str) -> Source:
     if isinstance(found, str):
         found = {"topic": found} if found.startswith("/") else {"column": found}
     elif isinstance(found, int) and not isinstance(found, bool):
@@ -259,7 +292,6 @@ def _source(key: str, found: object, clock: str, where: str) -> Source:
             _text(name, value, f"{where}.{name}") if name in _TEXTS else _number(name, value, f"{where}.{name}")
         )
     source = Source(**values)
-    dimension = QUANTITIES[key].dimension
     if source.unit and source.unit not in UNITS[dimension]:
         raise MapError(f"{where}.unit: found {source.unit!r}, expected one of {', '.join(UNITS[dimension])}")
     if bool(source.topic) == bool(source.column):

@@ -21,7 +21,7 @@ class TableError(ValveError):
     """A table cannot be used: one line that names the file and the line, what was found and what is expected."""
 
 
-def read_table(path: Path | str, columns: Mapping[str, Sequence[str]]) -> dict[str, Array]:
+def read_table(path: Path | str, columns: Mapping[str, Sequence[str]], otherwise: str = "") -> dict[str, Array]:
     """Columns of numbers from a CSV file.
 
     Cells are separated by commas, semicolons, tabs or blanks; beside semicolons or tabs, a comma is a decimal point. A
@@ -31,6 +31,7 @@ def read_table(path: Path | str, columns: Mapping[str, Sequence[str]]) -> dict[s
     Args:
         path: the file.
         columns: the columns to read, each with the names that a header may give it.
+        otherwise: what else would do where the header has none of these names, for the message.
 
     Returns:
         by the same keys, (n,) each.
@@ -43,7 +44,7 @@ def read_table(path: Path | str, columns: Mapping[str, Sequence[str]]) -> dict[s
     rows = [(number, _cells(line, delimiter)) for number, line in lines]
     places = dict(zip(columns, range(len(columns)), strict=True))
     if any(_number(cell) is None for cell in rows[0][1]):
-        places = _places(path, rows.pop(0)[1], columns)
+        places = _places(path, rows.pop(0)[1], columns, otherwise)
     values = [[_cell(path, number, cells, name, place) for name, place in places.items()] for number, cells in rows]
     if not values:
         raise TableError(f"{path}: has no row of numbers; expected columns {', '.join(columns)}")
@@ -69,13 +70,16 @@ def _cells(line: str, delimiter: str | None) -> list[str]:
     return cells if delimiter in (",", None) else [cell.replace(",", ".") for cell in cells]
 
 
-def _places(path: Path | str, header: Sequence[str], columns: Mapping[str, Sequence[str]]) -> dict[str, int]:
+def _places(
+    path: Path | str, header: Sequence[str], columns: Mapping[str, Sequence[str]], otherwise: str
+) -> dict[str, int]:
     found = [name.lower() for name in header]
     places = {}
     for column, names in columns.items():
         matches = [found.index(name) for name in names if name in found]
         if not matches:
-            raise TableError(f"{path}: has the columns {', '.join(header)}; expected one named {' or '.join(names)}")
+            expected = ", ".join(filter(None, (" or ".join(names), otherwise)))
+            raise TableError(f"{path}: has the columns {', '.join(header)}; expected one named {expected}")
         places[column] = matches[0]
     return places
 

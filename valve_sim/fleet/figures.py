@@ -20,7 +20,7 @@ from valve_sim.identification.estimation.followed_positions import a_standard_er
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.model import DECLARED, Drive, EventKind, Valve, ValveError, simulate
+from valve_sim.model import DECLARED, Drive, EventKind, Valve, ValveError, published_times, simulate
 
 HELD: Final = 1.0
 """s for which the reference voltage is on, and then off."""
@@ -37,8 +37,7 @@ def motion(valve: Valve) -> tuple[float, ...]:
     closing = (event.time for event in found.events if event.kind in _BACK and event.time >= HELD)
     return (
         found.first(EventKind.UNSEATED),
-        found.first(EventKind.PICKED_UP, EventKind.HELD_AT_GAP),
-        found.first(EventKind.REACHED_STOP, EventKind.BOUNCED_AT_STOP),
+        *published_times(found),
         next(closing, math.nan) - HELD,
     )
 

@@ -126,7 +126,7 @@ def identify_shared(
         ValveError: a recording or a name cannot be used, the declared valve cannot be simulated, or the cluster was
             lost.
     """
-    check_free(recordings.free, has_gas=recordings.valve.gas is not None)
+    check_free(recordings.free, recordings.valve)
     say, first = progress or (lambda what, fraction: None), recordings.problem(paths[0])
     own: list[Mapping[str, float]] = [{} for _ in paths]
     latest: list[Errors] = []

@@ -11,6 +11,9 @@ such a number too: a function for valves with gas, compiled in one process, and 
 compiled in another, could have one name, and a process that loads both would run one of the two for both
 (https://github.com/numba/numba/issues/10486). So the numbers are drawn at random here, and one process at a time
 writes, since two would choose the same file for different code.
+
+All this takes private names of Numba. A version that it was not tried with, or that numbers functions in another way,
+is left alone: it compiles at every start, in its own way, and nothing is kept.
 """
 
 from __future__ import annotations
@@ -19,10 +22,12 @@ import contextlib
 import fcntl
 import hashlib
 import os
+import pwd
 import shutil
 import stat
 import sys
 import tempfile
+import threading
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -30,42 +35,62 @@ from types import FunctionType
 from typing import Any, Final
 
 import numba
-from numba.core.bytecode import FunctionIdentity
-from numba.core.ccallback import CFunc
-from numba.core.runtime.nrt import rtsys
-from numba.core.sigutils import normalize_signature
 
 _ROOM: Final = 16_000_000
 """Bytes that must be free: the compiled code takes about two million, and Numba fails if it cannot write all of it."""
 _TRIED: Final = ((0, 58), (0, 68))
-"""The first and the last version of Numba that `linking` was tried with."""
+"""The first and the last version of Numba whose private names are used here."""
+COMPILING: Final = "compiling the model for this machine, once: up to 45 s of one core, and as much again with gas"
+"""What is said when code has to be compiled; measured in seconds of processor time on a server of 2.5 GHz."""
+
+
+def is_tried(version: tuple[int, int]) -> bool:
+    """Whether this package was tried with a version of Numba."""
+    return _TRIED[0] <= version <= _TRIED[1]
 
 
 def cache_folder() -> Path | None:
     """The folder for compiled code, created if necessary.
 
     NUMBA_CACHE_DIR is used if it is set; otherwise the user's cache folder or, failing that, a folder of the user's
-    among the temporary files. None if none of them can be written: the package still works, but compiles at every
-    start, and warns about it.
+    among the temporary files. A path that is not absolute is not used: it would be another in each working directory.
+    None if none of them can be written: the package still works, but compiles at every start, and warns about it.
     """
     chosen = os.environ.get("NUMBA_CACHE_DIR")
-    home = os.environ.get("XDG_CACHE_HOME") or str(Path("~").expanduser() / ".cache")
-    temporary = Path(tempfile.gettempdir()) / f"valve_sim-{os.getuid()}"
-    candidates = [Path(chosen)] if chosen else [Path(home) / "valve_sim", temporary]
     tried = []
-    for candidate in candidates:
+    for candidate in [Path(chosen)] if chosen else _own_folders():
         folder = candidate / _digest_of_sources()
         why_not = _why_unusable(folder)
         if not why_not:
             return folder
         tried.append(f"{candidate}: {why_not}")
-    warnings.warn(
-        f"no folder for compiled code can be used ({'; '.join(tried)}): every start compiles anew, which takes about "
-        "ten seconds; set NUMBA_CACHE_DIR to a folder that only you can write to",
-        RuntimeWarning,
-        stacklevel=2,
+    _warn_that_nothing_is_kept(
+        f"no folder for compiled code can be used ({'; '.join(tried)})",
+        "set NUMBA_CACHE_DIR to the absolute path of a folder that only you can write to",
     )
     return None
+
+
+def _own_folders() -> list[Path]:
+    """Where a user's compiled code may be: the user's cache, if there is a home, and a folder of temporary files."""
+    found = []
+    cache, home = os.environ.get("XDG_CACHE_HOME", ""), os.environ.get("HOME", "")
+    with contextlib.suppress(KeyError):  # a user without an entry in the list of users
+        home = home or pwd.getpwuid(os.getuid()).pw_dir
+    if Path(cache).is_absolute():  # else it is to be ignored, says the XDG base directory specification
+        found.append(Path(cache) / "valve_sim")
+    elif home:
+        found.append(Path(home) / ".cache" / "valve_sim")
+    temporary = Path(os.environ.get("TMPDIR") or "/tmp")
+    return [*found, temporary / f"valve_sim-{os.getuid()}"]
+
+
+def _warn_that_nothing_is_kept(why: str, mend: str) -> None:
+    warnings.warn(
+        f"{why}: every start compiles anew, which takes up to 45 s of one core, with gas twice that; {mend}",
+        RuntimeWarning,
+        stacklevel=3,
+    )
 
 
 def _digest_of_sources() -> str:
@@ -77,6 +102,8 @@ def _digest_of_sources() -> str:
 
 def _why_unusable(folder: Path) -> str:
     """Why compiled code cannot be stored in, or loaded from, a folder, which is created; empty if it can."""
+    if not folder.is_absolute():
+        return "not an absolute path"
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         whole = folder.resolve()
@@ -102,24 +129,66 @@ def _others_can_exchange(above: os.stat_result) -> bool:
     return is_foreign or bool(above.st_mode & stat.S_IWOTH and not above.st_mode & stat.S_ISVTX)
 
 
-_FOLDER = cache_folder()
+def _numbered_at_random() -> bool:
+    """Have Numba number compiled functions unlike any other process, one forked from this included.
+
+    The numbers of the whole process are drawn, because what others compile may be taken into code that is kept here;
+    all that anybody asks of a number is that no other is equal.
+
+    Returns:
+        whether this Numba does so.
+    """
+    if not is_tried(numba.version_info.short):
+        return False
+    try:
+        from numba.core.bytecode import FunctionIdentity
+
+        before = FunctionIdentity._unique_ids
+        drawn: Any = iter(lambda: int.from_bytes(os.urandom(16), "big"), None)
+        FunctionIdentity._unique_ids = drawn
+        if FunctionIdentity.from_function(_numbered_at_random).unique_id > 2**64:
+            return True
+        FunctionIdentity._unique_ids = before
+    except (ImportError, AttributeError):
+        pass
+    return False
+
+
+def _folder_in_use() -> Path | None:
+    """The folder for compiled code; None, and a warning, where there is none or this Numba has to be left alone."""
+    if _numbered_at_random():
+        return cache_folder()
+    first, last = (".".join(map(str, version)) for version in _TRIED)
+    _warn_that_nothing_is_kept(
+        f"Numba {numba.__version__} works otherwise than those that were tried, {first} to {last}",
+        f"install a Numba from {first} to {last}",
+    )
+    return None
+
+
+_FOLDER: Final = _folder_in_use()
+_SETTING: Final = threading.Lock()
 
 
 @contextlib.contextmanager
 def cached() -> Iterator[bool]:
-    """Context in which Numba's decorators store code in our folder; yields whether there is such a folder."""
+    """Context in which Numba's decorators store code in our folder; yields whether there is such a folder.
+
+    Numba reads the folder from a variable of the whole process. Two threads that set it at once would leave it empty
+    for each other, and Numba would write into the working directory.
+    """
+    if _FOLDER is None:
+        yield False
+        return
     settings: Any = numba.config
-    before = settings.CACHE_DIR
-    if _FOLDER is not None:
-        settings.CACHE_DIR = str(_FOLDER)
-    try:
-        yield _FOLDER is not None
-    finally:
-        settings.CACHE_DIR = before
-
-
-FunctionIdentity._unique_ids = iter(lambda: int.from_bytes(os.urandom(16)), None)  # type: ignore[assignment]
-"""Numbers of compiled functions, unlike those of any other process, one forked from this included."""
+    ours = {"CACHE_DIR": str(_FOLDER), "CACHE_LOCATOR_CLASSES": ""}
+    with _SETTING:
+        before = {name: getattr(settings, name) for name in ours if hasattr(settings, name)}
+        try:
+            vars(settings).update({name: ours[name] for name in before})
+            yield True
+        finally:
+            vars(settings).update(before)
 
 
 def compiled(function: Callable[..., Any]) -> Any:
@@ -140,8 +209,7 @@ def _cache_of(function: Any) -> Any:
 
 def _load_at_once(cache: Any) -> None:
     """Load compiled code without what only compiling needs, a hundred modules of Numba: a tenth of a short command."""
-    if not _TRIED[0] <= numba.version_info.short <= _TRIED[1]:
-        return
+    from numba.core.runtime.nrt import rtsys
 
     def load_at_once(signature: Any, context: Any) -> Any:
         rtsys.initialize(context)
@@ -156,6 +224,7 @@ def _keep_where_possible(cache: Any) -> None:
     keep = cache.save_overload
 
     def keep_if_possible(signature: Any, result: Any) -> None:
+        _under_way.discard(threading.get_ident())
         with contextlib.suppress(OSError), _alone_in(Path(cache.cache_path)):
             keep(signature, result)
 
@@ -173,6 +242,13 @@ def _alone_in(folder: Path) -> Iterator[None]:
 
 
 _announcements: list[Callable[[], None]] = []
+_under_way: set[int] = set()
+"""Threads that compile."""
+
+
+def is_compiling() -> bool:
+    """Whether a function is being compiled that was not on disk."""
+    return bool(_under_way)
 
 
 def announce_compiling(tell: Callable[[], None]) -> None:
@@ -185,6 +261,8 @@ def _announce_where_missing(cache: Any) -> None:
 
     def load_or_announce(signature: Any, context: Any) -> Any:
         found = load(signature, context)
+        if found is None:
+            _under_way.add(threading.get_ident())
         while found is None and _announcements:
             _announcements.pop()()
         return found
@@ -204,20 +282,23 @@ def compiled_callback(signature: Any, function: Callable[..., Any], given: Mappi
     # equal; it does not compare globals.
     bound: Any = FunctionType(function.__code__, {**function.__globals__, **given})
     bound.__module__ = function.__module__
-    if kept_as:
+    if kept_as and _FOLDER is not None:
+        from numba.core.ccallback import CFunc
+        from numba.core.sigutils import normalize_signature
+
         bound.__qualname__ = kept_as  # the name of its file
         callback = CFunc(bound, normalize_signature(signature), locals={}, options={})
-        with cached() as has_folder, contextlib.suppress(OSError):  # a disk may be full
-            if has_folder:
+        with contextlib.suppress(OSError):  # a disk may be full
+            with cached():
                 callback.enable_caching()
-                _load_at_once(_cache_of(callback))
+            _load_at_once(_cache_of(callback))
             callback.compile()
             return callback
     return numba.cfunc(signature)(bound)
 
 
 def compiled_once(function: Callable[..., Any]) -> Any:
-    """The same without storing it: a function that belongs to no module cannot be found again by its name."""
+    """`compiled` without storing it: a function that belongs to no module cannot be found again by its name."""
     return numba.njit(nogil=True, error_model="numpy")(function)
 
 
@@ -231,7 +312,7 @@ def linked(version: tuple[int, int]) -> dict[str, Any]:
         the pipeline of `linking`; nothing, so Numba's own, for a version whose insides it has not been tried with:
         there the first start takes half as long again.
     """
-    if not _TRIED[0] <= version <= _TRIED[1]:
+    if not is_tried(version):
         return {}
     from valve_sim.model.linking import LinkedCompiler  # another Numba may lack what it imports
 

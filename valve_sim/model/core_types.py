@@ -63,10 +63,13 @@ CLOSED, PILOT, GAP_HOLD, MAIN, OPEN = np.array(list(Phase))
 
 
 class EventKind(enum.IntEnum):
-    """What happened at an event. The published t1 is PICKED_UP, t2 is REACHED_STOP."""
+    """What happened at an event. The published t1 is PICKED_UP, t2 is REACHED_STOP.
+
+    A valve with one plunger has nothing to pick up; its t1 is UNSEATED.
+    """
 
     UNSEATED = 0
-    """The pilot plunger left its seat."""
+    """The pilot plunger, or the only one, left its seat."""
     PICKED_UP = 1
     """The pilot plunger reached the main plunger and picked it up."""
     HELD_AT_GAP = 2

@@ -53,10 +53,10 @@ from valve_sim.model.location import (
     PULL_SWITCH,
     SHORTEST_STEP,
     TURN,
+    current_lasts,
     first_event,
     moved_off,
     polish,
-    until_current_is_gone,
 )
 from valve_sim.model.sampling import fill_until, is_filled, show_main, show_pilot
 from valve_sim.model.taylor_series import expand, has_effects, is_series, series_step
@@ -97,15 +97,18 @@ LONGEST_CHATTER: Final = 1000
 
 
 @inner
-def _integrated_step(p, s, work, tolerance):
+def _integrated_step(p, s, work, tolerance, longest):
     """The next step, as far as error control allows or up to the first event of the plungers or of the coil.
+
+    Args:
+        longest: s, that it may take at most.
 
     Returns:
         its size in s, what ends it, the size for the step after it, and an Outcome.
     """
     if not work.start_is_known:
         rates(p, s, work, s.time, work.y, FIRST)
-    h = min(s.step, _longest_step(p, s, work))
+    h = min(s.step, longest, _longest_step(p, s, work))
     while True:
         try_step(p, s, work, h)
         error = norm_of_error(p, work, h, tolerance)
@@ -124,10 +127,10 @@ def _integrated_step(p, s, work, tolerance):
 
 
 @inner
-def _series_step(p, s, work, tolerance):
-    """The same of a step whose size the last terms of a series give, so that none is tried twice."""
+def _series_step(p, s, work, tolerance, longest):
+    """`_integrated_step` whose size the last terms of a series give, so that none is tried twice."""
     expand(p, s, work)
-    longest = _longest_step(p, s, work)
+    longest = min(longest, _longest_step(p, s, work))
     of_x, of_v = max(abs(work.y[0]), SMALLEST_SCALE[0]), max(abs(work.y[1]), SMALLEST_SCALE[1])
     h = series_step(work, tolerance * of_x, tolerance * of_v, longest)
     if not h >= SHORTEST_STEP:
@@ -143,25 +146,27 @@ def _series_step(p, s, work, tolerance):
 @inner
 def _next_step(p, s, work, tolerance):
     """Find the next committed step from the state. Arguments and result as for `_integrated_step`."""
-    h, ends, following, outcome = _rest(p, s), NO_EVENT, s.step, FINISHED
+    is_integrated = _is_integrated(p, s, work)
+    longest = current_lasts(p, s, work)
+    h, ends, following, outcome = min(_rest(p, s), longest), NO_EVENT, s.step, FINISHED
     work.in_series = 0
     if work.is_series and s.moving:
-        h, ends, following, outcome = _series_step(p, s, work, tolerance)
-    elif _is_integrated(p, s, work):
-        h, ends, following, outcome = _integrated_step(p, s, work, tolerance)
+        h, ends, following, outcome = _series_step(p, s, work, tolerance, longest)
+    elif is_integrated:
+        h, ends, following, outcome = _integrated_step(p, s, work, tolerance, longest)
     else:
         for j in range(work.states):
             work.y_new[j] = work.y[j]
             for power in range(4):
                 work.dense[j, power] = 0.0
+    if h == longest and ends == NO_EVENT:
+        ends = CURRENT_GONE
     if not s.moving and outcome == FINISHED:
         fraction = moved_off(p, s, work, h)
         if fraction <= 1.0:
             shorten(p, s, work, h, fraction)
             h *= fraction
             ends = MOVED_OFF
-    if s.path == FREEWHEELING:
-        h, ends = until_current_is_gone(p, s, work, h, ends)
     if work.rests:
         work.y_new[2] = resting_current(p, s, h)
     return h, ends, following, outcome

@@ -17,7 +17,8 @@ their own files: (5) adds those of the core, g_i, and compiled terms f_j, wherev
     (9)  eddy currents: τ_e w' = u − w; w pulls, u is measured
     (10) heating: T' = q u² − T/τ_c; R/R_0 = 1 + α T divides u's target and τ in (1)
 
-Here τ_c is the cooling time constant and t_o the time when the pilot last left its seat.
+Here τ_c is the cooling time constant and t_o the time when the pilot last left its seat. A valve with one plunger has
+a pilot gap of 0, no Phase 1, and leaves its seat when the net force of (4) exceeds F_seat.
 """
 
 from __future__ import annotations
@@ -118,6 +119,12 @@ def compiled_terms(p, mode, x, v, u, t):
         if mode >= MAIN or p.term_in_phase_2_only[j] == 0:
             force += call_term(p.term_address[j], x, v, u, t, p.term_parameters[j])  # type: ignore[call-arg]
     return force
+
+
+@inlined
+def has_one_plunger(p):
+    """Whether that is all the valve has: (4) alone, from its seat at x = 0, where F_seat holds it too, to the stop."""
+    return p.pilot_gap == 0.0
 
 
 @inlined

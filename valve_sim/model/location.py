@@ -7,6 +7,7 @@ dense output and then polished by retaking the step, so that its time has the ac
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 from valve_sim.model.compiling import inlined, inner
@@ -25,8 +26,7 @@ from valve_sim.model.dormand_prince import (
 )
 from valve_sim.model.equations import coil_now, residual_floor
 from valve_sim.model.flux import DRIVEN, FREEWHEELING, follows_flux, freewheels_for, last_pulling_current
-from valve_sim.model.gas.record import has_gas
-from valve_sim.model.gas.step import difference_within, fill_dense, regime_change, try_step
+from valve_sim.model.gas.step import difference_within, regime_change, try_step
 from valve_sim.model.transitions import push_at_rest
 
 NO_EVENT, CONTACT, TURN, PULL_SWITCH, MOVED_OFF, CURRENT_GONE, CURRENT_PEAK, FLOW_SWITCH = 0, 1, 2, 3, 4, 5, 6, 7
@@ -217,9 +217,11 @@ def _is_held(p, s, work, h, theta):
 @inner
 def moved_off(p, s, work, h):
     """The fraction of a step at rest at which the forces begin to move the plungers, or 2 for not in this step."""
-    low = 0.0
+    low, unpulled = 0.0, _pull_vanishes(p, s, work, h)
     for look in range(1, LOOKS_AT_REST + 1):
         high = look / LOOKS_AT_REST
+        if low < unpulled < high and _push_after(p, s, work, h, unpulled) != 0:
+            high = unpulled
         if _push_after(p, s, work, h, high) != 0:
             soonest = low + SOONEST / h
             if soonest >= high or _push_after(p, s, work, h, soonest) != 0:
@@ -238,21 +240,37 @@ def moved_off(p, s, work, h):
 
 
 @inner
+def _pull_vanishes(p, s, work, h):
+    """The fraction of a step at rest at which the pulling current changes its sign, or 2 for not in this step.
+
+    A voltage of the other sign lets go for an instant that may lie between two looks.
+    """
+    _, before = coil_within(p, s, work, h, 0.0)
+    if before * s.seen >= 0.0 or before * coil_within(p, s, work, h, 1.0)[1] >= 0.0:
+        return 2.0
+    low, high = 0.0, 1.0
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (low + high)
+        if before * coil_within(p, s, work, h, middle)[1] > 0.0:
+            low = middle
+        else:
+            high = middle
+    return high
+
+
+@inner
 def _push_after(p, s, work, h, theta):
     """Which way the forces push plungers that have rested for the fraction theta of a step."""
     coil, difference = coil_within(p, s, work, h, theta), difference_within(p, s, work, h, theta)
     return push_at_rest(p, s, s.time + theta * h, coil, difference)
 
 
-@inner
-def until_current_is_gone(p, s, work, h, ends):
-    """Shorten a step that outlasts a freewheeling current with a closed form; others are located in the step."""
-    if work.states > MECHANICAL_STATES and not work.rests:
-        return h, ends
-    left = max(freewheels_for(p, s, coil_now(p, s)[0]), SHORTEST_STEP)
-    if left > h:
-        return h, ends
-    if s.moving or has_gas(p):
-        try_step(p, s, work, left)
-        fill_dense(p, work)
-    return left, CURRENT_GONE
+@inlined
+def current_lasts(p, s, work):
+    """Seconds until a freewheeling current with a closed form is gone; infinity for any other, located in the step.
+
+    Beyond its end the formula grows again, and would pull: no step may look there.
+    """
+    if s.path != FREEWHEELING or (work.states > MECHANICAL_STATES and not work.rests):
+        return math.inf
+    return max(freewheels_for(p, s, coil_now(p, s)[0]), SHORTEST_STEP)

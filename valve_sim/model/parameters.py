@@ -50,11 +50,13 @@ class Parameter(NamedTuple):
             ParameterError: not a finite number, or outside the range.
         """
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise ParameterError(f"{where}: found {value!r}, expected a number{self._unit_words()}")
+            in_unit = f" in {self.unit}" if self._unit_words() else ""
+            raise ParameterError(f"{where}: found {value!r}, expected a number{in_unit}")
         number = float(value)
         too_low = number < self.lower or (number == self.lower and not self.lower_is_allowed)
         if not math.isfinite(number) or too_low or number > self.upper:
-            raise ParameterError(f"{where}: found {value!r}, expected {self.range_words()}")
+            hint = f"; in kg, {number:g} g are {1e-3 * number:g}" if self.unit == "kg" and number > self.upper else ""
+            raise ParameterError(f"{where}: found {value!r}, expected {self.range_words()}{hint}")
         return number
 
     def range_words(self) -> str:
@@ -90,13 +92,23 @@ class ValveParameters(NamedTuple):
     pickup_velocity_ratio: float = 1.0
     release_voltage: float = 0.0
 
+    @property
+    def has_one_plunger(self) -> bool:
+        """Whether there is no pilot plunger apart from the main one: a gap of 0."""
+        return self.pilot_gap == 0.0
+
 
 POLYNOMIAL_NAMES: Final = ("a0", "a1", "a2", "a3")
 """The attraction polynomial's coefficients, named one by one where a fit frees them."""
 
+HEAVIEST: Final = 5.0
+"""kg: no plunger that a coil of some newtons is to move in milliseconds comes near it; 22 is of grams."""
+UNUSED_BY_ONE_PLUNGER: Final = ("pilot_mass", "pilot_damping", "pickup_velocity_ratio", "pilot_gap")
+"""Declared values that a valve with one plunger does not use: those of Phase 1 and of the pick-up. Its gap is 0."""
+
 _DECLARED: Final = (
-    Parameter("pilot_mass", "kg", "mass that moves in Phase 1", 0, 100, 0.1, lower_is_allowed=False),
-    Parameter("moving_mass", "kg", "mass that moves in Phase 2", 0, 100, 0.1, lower_is_allowed=False),
+    Parameter("pilot_mass", "kg", "mass that moves in Phase 1", 0, HEAVIEST, 0.1, lower_is_allowed=False),
+    Parameter("moving_mass", "kg", "mass that moves in Phase 2", 0, HEAVIEST, 0.1, lower_is_allowed=False),
     Parameter("pilot_damping", "N·s/m", "c1, viscous damping in Phase 1", 0, 1e4, 1.0),
     Parameter("main_damping", "N·s/m", "c2, viscous damping in Phase 2", 0, 1e4, 4.0),
     Parameter("spring_rate", "N/m", "stiffness of the spring in Phase 2", 0, 1e7, 400.0),
@@ -105,12 +117,14 @@ _DECLARED: Final = (
     Parameter("a1", "N/m", "attraction polynomial, first order", -1e9, 1e9, 1e4),
     Parameter("a2", "N/m²", "attraction polynomial, second order", -1e13, 1e13, 1e7),
     Parameter("a3", "N/m³", "attraction polynomial, third order", -1e16, 1e16, 1e10),
-    Parameter("pilot_gap", "m", "travel of the pilot plunger before pick-up", 0, 0.1, 1e-4, lower_is_allowed=False),
+    Parameter(
+        "pilot_gap", "m", "travel of the pilot plunger before pick-up; 0: a valve with one plunger", 0, 0.1, 1e-4
+    ),
     Parameter("stroke", "m", "travel of the pilot plunger to the core", 0, 0.1, 1e-3, lower_is_allowed=False),
     Parameter("reference_voltage", "V", "voltage at which u settles to 1", 0, 1e4, 9.0, lower_is_allowed=False),
     Parameter("coil_time_constant", "s", "first-order lag of the coil current", 0, 1.0, 1e-3),
     Parameter("coil_resistance", "Ω", "gives amperes: i = u · V_ref / R", 0, 1e6, 10.0, lower_is_allowed=False),
-    Parameter("seat_load", "N", "closing force all through Phase 1", 0, 1e5, 1.0),
+    Parameter("seat_load", "N", "closing force all through Phase 1; of one plunger on its seat alone", 0, 1e5, 1.0),
     Parameter("pickup_velocity_ratio", "–", "v after pick-up over v before", 0, 1, 0.9),
     Parameter("release_voltage", "V", "of the freewheeling path at a command of 0; 0: shorted", 0, 1e4, 1.0),
 )
@@ -140,21 +154,29 @@ def check_declared(values: dict[str, object], source: str) -> ValveParameters:
         else:
             raise ParameterError(f"{where}: no such parameter; did you mean {closest(name, ValveParameters._fields)}?")
     parameters = ValveParameters()._replace(**checked)  # type: ignore[arg-type]
-    check_geometry(parameters.pilot_gap, parameters.stroke, source)
+    has_one_plunger = parameters.has_one_plunger
+    check_geometry(parameters.pilot_gap, parameters.stroke, source, has_one_plunger=has_one_plunger)
     return parameters
 
 
-def check_geometry(pilot_gap: float, stroke: float, source: str) -> None:
-    """The gap lies inside the stroke.
+def check_geometry(pilot_gap: float, stroke: float, source: str, *, has_one_plunger: bool) -> None:
+    """The gap lies inside the stroke; that of a valve with one plunger is 0.
 
     Raises:
         ParameterError: it does not.
     """
-    if not 0.0 < pilot_gap < stroke:
+    if not (0.0 <= pilot_gap < stroke and (pilot_gap > 0.0 or has_one_plunger)):
         raise ParameterError(
             f"{source}: valve.pilot_gap: found {pilot_gap:g} m with stroke {stroke:g} m, "
-            "expected 0 < pilot_gap < stroke"
+            "expected 0 < pilot_gap < stroke, or a pilot_gap of 0 for a valve with one plunger"
         )
+
+
+def unused_words(name: str) -> str:
+    """Why one of `UNUSED_BY_ONE_PLUNGER` can neither be estimated nor have a tolerance, for messages."""
+    if name == "pilot_gap":
+        return "a valve.pilot_gap of 0 says that the valve has one plunger, and is exact"
+    return f"{name} is unused in a valve with one plunger (valve.pilot_gap 0)"
 
 
 def closest(name: str, known: Sequence[str]) -> str:

@@ -36,6 +36,7 @@ class Response:
         time: (n,) s. pilot_position, main_position: (n,) m. pilot_velocity: (n,) m/s, of the plunger itself.
         coil_current: (n,) A. attraction: (n,) N. phase: (n,) Phase as uint8.
         events: what happened, in order. coil_voltage: (n,) V, at the terminals.
+        has_one_plunger: whether that is all the valve has, so that both positions are its own.
         outlet_pressure: (n,) Pa. mass_flow: (n,) kg/s through the valve, inlet to outlet. None without gas.
     """
 
@@ -48,6 +49,7 @@ class Response:
     phase: NDArray[np.uint8]
     events: tuple[Event, ...]
     coil_voltage: Array = field(default_factory=lambda: np.empty(0))
+    has_one_plunger: bool = False
     outlet_pressure: Array | None = None
     mass_flow: Array | None = None
 
@@ -57,8 +59,11 @@ class Response:
 
 
 def published_times(response: Response) -> tuple[float, float]:
-    """The paper's t1 (pilot reaches the main plunger) and t2 (all parts reach the core), s; nan when not reached."""
-    t1 = response.first(EventKind.PICKED_UP, EventKind.HELD_AT_GAP)
+    """The paper's t1 (pilot reaches the main plunger) and t2 (all parts reach the core), s; nan when not reached.
+
+    A valve with one plunger has nothing to pick up: its t1 is when it leaves its seat.
+    """
+    t1 = response.first(EventKind.UNSEATED if response.has_one_plunger else EventKind.PICKED_UP, EventKind.HELD_AT_GAP)
     t2 = response.first(EventKind.REACHED_STOP, EventKind.BOUNCED_AT_STOP)
     return t1, t2
 

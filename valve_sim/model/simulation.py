@@ -37,6 +37,10 @@ TOLERANCE: Final = 1e-10
 times as much leaves them within 6e-11 s (`python -m benchmarks.accuracy`)."""
 
 
+OF_TWO_PLUNGERS: Final = ("gap_offset", "pickup_impact")
+"""Effects that a valve with one plunger cannot have."""
+
+
 class Samples(NamedTuple):
     """What a run shall record, and the arrays to write it to.
 
@@ -86,14 +90,17 @@ class Valve:
         effects = check_effects(values.get("effects") or {}, source)
         gas = check_gas(values["gas"], source) if values.get("gas") else None
         tolerances = Tolerances.from_mapping(values.get("tolerances") or {}, source, effects, has_gas=gas is not None)
-        tolerances.check_masses(parameters, source)
+        tolerances.check_against(parameters, source)
+        if parameters.has_one_plunger:
+            _check_one_plunger(effects, gas, source)
         if gas is not None:
             _check_beside_gas(parameters, effects, source)
         else:
             _check_without_gas(effects, source)
         valve = cls(parameters, effects, tolerances, gas)
         record = valve.record()[0]
-        check_geometry(float(record["pilot_gap"]), float(record["stroke"]), f"{source} (with effects)")
+        gap, stroke = float(record["pilot_gap"]), float(record["stroke"])
+        check_geometry(gap, stroke, f"{source} (with effects)", has_one_plunger=parameters.has_one_plunger)
         if why_not := why_no_flux(valve.record()):
             raise ParameterError(f"{source}: effects.{why_not}")
         return valve
@@ -149,6 +156,21 @@ class Valve:
         live = new_live(record, state, TOLERANCE)
         check_outcome(step_live(live, settled, True, NO_IMAGE, 0)[1])
         return bool(live[0]["state"]["mode"] != Phase.CLOSED)
+
+
+def _check_one_plunger(effects: Mapping[str, Mapping[str, float]], gas: GasParameters | None, source: str) -> None:
+    """What is declared beside a pilot_gap of 0 must not need a pilot plunger."""
+    for name in OF_TWO_PLUNGERS:
+        if name in effects:
+            raise ParameterError(
+                f"{source}: effects.{name}: found beside valve.pilot_gap 0, a valve with one plunger, which picks "
+                "nothing up; take the effect out, or declare the gap"
+            )
+    if gas is not None:
+        raise ParameterError(
+            f"{source}: gas: found beside valve.pilot_gap 0, a valve with one plunger, but gas equalises through the "
+            "orifice of a pilot plunger; take the group gas out, or declare the gap"
+        )
 
 
 def _check_beside_gas(parameters: ValveParameters, effects: Mapping[str, Mapping[str, float]], source: str) -> None:
@@ -247,7 +269,8 @@ def response_of(record: Any, times: Array, start_time: float, run: Callable[...,
         rows[:, :2] = shown
     return Response(
         times, rows[:, 0], rows[:, 1], rows[:, 2], currents * rated_current(record), rows[:, 3],
-        rows[:, 4].astype(np.uint8), event_tuple(events, count), rows[:, 6], *rows[:, ROW:].T,
+        rows[:, 4].astype(np.uint8), event_tuple(events, count), rows[:, 6],
+        bool(record[0]["pilot_gap"] == 0.0), *rows[:, ROW:].T,
     )  # fmt: skip
 
 
@@ -331,10 +354,10 @@ def delay_and_end(record: Any, samples: Samples) -> tuple[float, float]:
     """How late positions are shown, s, and when the last sample is, s.
 
     Raises:
-        SimulationError: the valve has no travel beyond its gap.
+        SimulationError: the valve has no travel beyond its gap, or a gap below 0.
     """
     gap, stroke, delay = record["pilot_gap"].item(), record["stroke"].item(), record["sensor_delay"].item()
-    if not 0.0 < gap < stroke:
+    if not 0.0 <= gap < stroke:
         raise SimulationError(f"the simulation cannot start: pilot_gap {gap:g} m is not inside stroke {stroke:g} m")
     times, _, current_times, _ = samples
     end = max(times[-1] if len(times) else -math.inf, current_times[-1] if len(current_times) else -math.inf)

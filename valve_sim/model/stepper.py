@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
 from numba import boolean, float64, int64, typeof
 
 from valve_sim.model.core_types import STATE_RECORD, Phase
-from valve_sim.model.gas.boundary import set_demand, set_inlet
+from valve_sim.model.gas.boundary import keep_pressure, set_demand, set_inlet
 from valve_sim.model.gas.record import is_of_gas
 from valve_sim.model.live_record import new_live, step_live
 from valve_sim.model.process_image import NO_IMAGE, ProcessImage
@@ -106,6 +107,21 @@ class _Live:
         """The events of the last step, given how many were counted."""
         return event_tuple(self._events, min(count, EVENT_ROOM)) if count else ()
 
+    def as_valve(self, record: Any) -> _Live:
+        """This state, stepped on as another valve, whose (1,) record this is."""
+        set_voltage(self.valve, self.state, self.state["volts"].item())  # the current so far belongs to the old coil
+        state = _state_of(record, self.state, self.valve)
+        settle(record, state)
+        return _Live(record, state, self.whole["tolerance"].item())
+
+    def copy(self) -> _Live:
+        """The same valve in the same state, stepped on its own."""
+        return _Live(self.valve, self.state, self.whole["tolerance"].item())
+
+
+_Change = Callable[[_Live], _Live]
+"""Changes a valve that is stepped, at the time of its state; returns what is stepped from there on."""
+
 
 class Stepper:
     """A valve stepped in real time, by the same compiled core; its state does not depend on the size of the steps.
@@ -121,6 +137,7 @@ class Stepper:
         self._record = valve.record()
         check_flux(self._record)
         self._valve = valve
+        self._changes: deque[tuple[float, _Change]] = deque()
         self.reset(start_time)
 
     @property
@@ -135,7 +152,9 @@ class Stepper:
 
     def reset(self, time: float) -> None:
         """Rest closed and without current at `time`, s."""
-        self._become(self._valve, self._record, new_states(self._record, time))
+        self._live = _Live(self._record, new_states(self._record, time), self._tolerance)
+        self._delay = 0.0
+        self._become(self._valve, self._record, time)
         self._volts = 0.0
         self._pending: tuple[Event, ...] = ()
 
@@ -167,9 +186,17 @@ class Stepper:
         return time
 
     def _set(self, time: float, setter: Setter, value: float) -> None:
-        setter(self._live.valve, self._live.state, value)
+        def change(live: _Live) -> _Live:
+            setter(live.valve, live.state, value)
+            return live
+
+        self._change(time, change)
+
+    def _change(self, time: float, change: _Change) -> None:
+        """Change the valve, which has been stepped to this time, s; a late sensor shows it later."""
+        self._live = change(self._live)
         if self._delay:
-            self._commands.append((time, setter, value))
+            self._changes.append((time, change))
 
     def advance(self, time: float) -> Reading:
         """Step to `time`, s (not before the last command), and read the valve there.
@@ -209,43 +236,51 @@ class Stepper:
         return False
 
     def set_valve(self, valve: Valve, time: float) -> None:
-        """Continue as another valve from `time` on, without a jump in position, velocity or current.
+        """Continue as another valve from `time` on, without a jump in its state, and a late sensor with it.
 
-        The only exception is geometry: plungers beyond a stop that moved inwards are put at the new stop.
+        Position, velocity, normalised current u and the outlet's pressure go on; a late or slow sensor shows the old
+        valve until its delay has passed. Exceptions: plungers beyond a stop that moved inwards are put at the new
+        stop; a coil without inductance takes its new current. What only scales a reading shows at once: another rated
+        current, another gain of the sensor, another gap in the main plunger's position, and so do a sensor's shorter
+        delay and the end of its filter.
+
+        Raises:
+            SimulationError: no current follows from the flux of the valve; nothing has changed.
         """
         record = valve.record()
         check_flux(record)
-        self._commit(time)
-        before, state = self._live.valve, self._live.state
-        set_voltage(before, state, self._volts)  # the current so far belongs to the old coil
-        state = _state_of(record, state, before)
-        settle(record, state)
-        self._become(valve, record, state)
+        time = self._commit(time)
+        self._change(time, lambda live: live.as_valve(record))
+        self._become(valve, record, time)
 
-    def _become(self, valve: Valve, record: Any, state: Any) -> None:
-        """Step this valve from this state on; what a late sensor shows follows behind it."""
+    def _become(self, valve: Valve, record: Any, time: float) -> None:
+        """Read this valve from `time` on, s, whose sensor may be late where it was not, or no longer."""
+        was_late = self._delay > 0.0
         self._valve, self._record = valve, record
-        self._live, self._late = (_Live(record, state, self._tolerance) for _ in range(2))
-        self._commands: list[tuple[float, Setter, float]] = []
         self._rated = rated_current(record)
         self._delay, self._preload, self._rate = (
             float(record[0][name]) for name in ("sensor_delay", "spring_preload", "spring_rate")
         )
+        if not (was_late and self._delay):
+            self._changes.clear()
+            self._late, self._shown_until = self._live.copy(), time
 
     def _coil(self, time: float) -> CoilReading:
         """The coil as it was shown last."""
         return CoilReading(time, self._live.current.item() * self._rated, float(self._live.row[6]))
 
     def _delayed(self, time: float) -> tuple[float, float]:
-        """The positions as a late sensor shows them: a second state follows the first by the delay."""
-        late = self._late
-        time = max(time, late.reached)
-        while self._commands and self._commands[0][0] <= time:
-            command_time, setter, value = self._commands.pop(0)
-            late.step(max(command_time, late.reached), commit=True)
-            setter(late.valve, late.state, value)
-        late.step(time, commit=False)
-        return float(late.row[0]), float(late.row[1])
+        """The positions as a late sensor shows them: a second state follows the first by the delay.
+
+        Where a delay grew, they stand still until it has caught up.
+        """
+        self._shown_until = time = max(time, self._shown_until)
+        while self._changes and self._changes[0][0] <= time:
+            changed, change = self._changes.popleft()
+            self._late.step(max(changed, self._late.reached), commit=True)
+            self._late = change(self._late)
+        self._late.step(time, commit=False)
+        return float(self._late.row[0]), float(self._late.row[1])
 
 
 def _set_inlet(record: Any, state: Any, pressure: float) -> None:
@@ -257,15 +292,22 @@ def _state_of(record: Any, state: Any, before: Any) -> Any:
 
     Args:
         record: of the other valve; where it declares another pressure than before, that one counts from now on.
-        state: of the valve so far. before: its record.
+        state: of the valve so far, changed. before: its record.
     """
+    was, will_be = before[0], record[0]
+    if not was["sensor_time_constant"]:
+        state["shown_pilot"] = state["x"]
+        state["shown_main"] = state["x"] - was["pilot_gap"] if state["mode"] >= _MAIN else 0.0
+    if not will_be["temperature_rate"]:
+        state["temperature"] = 0.0
     following = new_states(record, float(state[0]["time"]))
     if following.dtype != state.dtype:
         for name in STATE_RECORD.names or ():
             following[name] = state[name]
         return following
     if is_of_gas(record):
+        keep_pressure(record, state, before)
         for name, setter in (("inlet_pressure", _set_inlet), ("demand_pressure", set_demand)):
-            if record[0][name] != before[0][name]:
-                setter(record, state, float(record[0][name]))
+            if will_be[name] != was[name]:
+                setter(record, state, float(will_be[name]))
     return state

@@ -15,7 +15,15 @@ import numpy as np
 from valve_sim.model.effects import CATALOGUE
 from valve_sim.model.errors import ParameterError
 from valve_sim.model.gas.parameters import GAS
-from valve_sim.model.parameters import DECLARED, POLYNOMIAL_NAMES, Parameter, ValveParameters, closest
+from valve_sim.model.parameters import (
+    DECLARED,
+    POLYNOMIAL_NAMES,
+    UNUSED_BY_ONE_PLUNGER,
+    Parameter,
+    ValveParameters,
+    closest,
+    unused_words,
+)
 
 Matrix = tuple[tuple[float, ...], ...]
 
@@ -39,7 +47,7 @@ class Tolerances:
 
     Attributes:
         declared: name of a declared scalar to its standard deviation, above 0. That of `moving_mass` is of the
-            difference moving_mass − pilot_mass: two bodies are weighed.
+            difference moving_mass − pilot_mass: two bodies are weighed; of one plunger it is of its own mass.
         attraction_covariance: (4, 4), N/m^i times N/m^j, of a0 … a3; symmetric, positive semidefinite.
         effects: effect name to {parameter: standard deviation}, of effects that the valve has on.
         gas: name of a number of the group `gas` to its standard deviation, above 0.
@@ -94,16 +102,27 @@ class Tolerances:
             _check_gas(of_gas, source, has_gas=has_gas),
         )
 
-    def check_masses(self, parameters: ValveParameters, source: str) -> None:
-        """Check that there are two bodies, so that the moving mass can have a tolerance.
+    def check_against(self, parameters: ValveParameters, source: str) -> None:
+        """Check that the declared valve uses what has a tolerance, and that of two masses the whole is the larger.
 
         Raises:
-            ParameterError: the moving mass is not above the pilot's, so that there is no difference to be known.
+            ParameterError: a value has a tolerance that a valve with one plunger does not use; or the moving mass is
+                not above the pilot's, so that there is no difference to be known.
         """
-        if {"pilot_mass", "moving_mass"} & set(self.declared) and parameters.moving_mass <= parameters.pilot_mass:
+        if parameters.has_one_plunger:
+            for name in UNUSED_BY_ONE_PLUNGER:
+                if name in self.declared:
+                    raise ParameterError(
+                        f"{_where(name, source)}: found {self.declared[name]:g}, but {unused_words(name)}; "
+                        "take the line out"
+                    )
+            return
+        known = [name for name in ("pilot_mass", "moving_mass") if name in self.declared]
+        if known and parameters.moving_mass <= parameters.pilot_mass:
             raise ParameterError(
-                f"{_where('moving_mass', source)}: is of the difference moving_mass - pilot_mass, found "
-                f"{parameters.moving_mass - parameters.pilot_mass:g} kg, expected above 0"
+                f"{_where(known[0], source)}: the two bodies that move together are weighed one by one, but found "
+                f"valve.moving_mass {parameters.moving_mass:g} kg and valve.pilot_mass {parameters.pilot_mass:g} kg; "
+                "expected moving_mass, the mass of both, above pilot_mass"
             )
 
     def to_mapping(self) -> dict[str, Any]:
@@ -124,11 +143,13 @@ EXACT: Final = Tolerances()
 
 def tolerance_rule(parameter: Parameter) -> Parameter:
     """Name, unit and range of a parameter's tolerance: from 0 (exact) to the width of the parameter's range."""
-    what = "moving_mass - pilot_mass" if parameter.name == "moving_mass" else parameter.description
+    what = parameter.name
+    if parameter.name == "moving_mass":
+        what = "moving_mass - pilot_mass (of one plunger: moving_mass)"
     return Parameter(
         parameter.name,
         parameter.unit,
-        f"tolerance, one standard deviation, of: {what}; 0: exact",
+        f"tolerance of {what}, one standard deviation; 0: exact",
         0.0,
         parameter.upper - parameter.lower,
         parameter.prior_scale,

@@ -8,7 +8,13 @@ import numpy as np
 
 from valve_sim.model.compiling import compiled, inner
 from valve_sim.model.core_types import CLOSED, GAP_HOLD, MAIN, OPEN, PILOT, EventKind
-from valve_sim.model.equations import coil_now, force_without_dry_friction, pull_squared, residual_floor
+from valve_sim.model.equations import (
+    coil_now,
+    force_without_dry_friction,
+    has_one_plunger,
+    pull_squared,
+    residual_floor,
+)
 from valve_sim.model.flux import block, close_circuit
 from valve_sim.model.gas.flow import closing_force, pressure_difference
 from valve_sim.model.gas.record import has_gas
@@ -36,8 +42,12 @@ def _net_at_rest(p, s, way, t, coil, difference):
     u, w = coil
     mode, direction = way
     pull2 = pull_squared(p, w, max(s.peak_current, abs(u)))
-    force = force_without_dry_friction(p, t, (s.x, 0.0), (u, pull2), (mode, direction, s.unseated_time))
-    return force - closing_force(p, mode, s.x, difference)
+    unseated_time, seat_load = s.unseated_time, 0.0
+    if s.mode == CLOSED and has_one_plunger(p):
+        # On its seat the seat's load and the whole pressure hold the only plunger.
+        unseated_time, seat_load = t, p.seat_load
+    force = force_without_dry_friction(p, t, (s.x, 0.0), (u, pull2), (mode, direction, unseated_time))
+    return force - closing_force(p, mode, s.x, difference) - seat_load
 
 
 @inner
@@ -51,7 +61,7 @@ def push_at_rest(p, s, t, coil, difference):
     if s.mode == CLOSED:
         hold_up = max(hold_up, SEAT_HOLDS)
     hold_down = p.friction_closing + p.breakaway
-    lifting = PILOT if s.mode <= PILOT else MAIN
+    lifting = PILOT if s.mode <= PILOT and not has_one_plunger(p) else MAIN
     if s.mode != OPEN and _net_at_rest(p, s, (lifting, OPENING), t, coil, difference) > hold_up:
         return 1
     falling = MAIN if s.mode >= MAIN else PILOT
@@ -85,10 +95,10 @@ def _come_to_rest(s, mode):
 
 
 @inner
-def _lift_off(s):
-    """The pilot plunger leaves its seat from rest."""
+def _lift_off(p, s):
+    """The pilot plunger, or the only one, leaves its seat from rest."""
     s.unseated_time = s.time
-    s.mode = PILOT
+    s.mode = MAIN if has_one_plunger(p) else PILOT
     s.moving = 1
     s.direction = OPENING
     s.step = FIRST_STEP
@@ -99,7 +109,7 @@ def move_off(p, s, push, events, count):
     """Set plungers at rest in motion, in the mode that follows."""
     kind = BROKE_AWAY
     if s.mode == CLOSED:
-        _lift_off(s)
+        _lift_off(p, s)
         return _log(events, count, s.time, UNSEATED, s.x, 0.0)
     if s.mode == OPEN:
         kind = RELEASED
@@ -124,7 +134,7 @@ def touch(p, s, events, count):
             return _log(events, count, s.time, BOUNCED_AT_STOP, s.x, v)
         _come_to_rest(s, OPEN)
         return _log(events, count, s.time, REACHED_STOP, s.x, v)
-    if s.mode == PILOT and s.direction < 0:
+    if s.direction < 0 and (s.mode == PILOT or has_one_plunger(p)):
         if p.restitution_seat > 0.0 and abs(v) >= SLOWEST_REBOUND:
             s.v = -p.restitution_seat * v
             s.direction = 1
@@ -133,7 +143,7 @@ def touch(p, s, events, count):
         _come_to_rest(s, CLOSED)
         if push_now(p, s) != 0:
             # What pulls lifts it again at once: one event, not a seating and an unseating at one time.
-            _lift_off(s)
+            _lift_off(p, s)
             return _log(events, count, s.time, BOUNCED_AT_SEAT, s.x, v)
         return _log(events, count, s.time, SEATED, s.x, v)
     return _touch_gap(p, s, events, count)

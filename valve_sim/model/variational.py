@@ -38,7 +38,7 @@ import numpy as np
 from valve_sim.model.compiling import inlined, inner
 from valve_sim.model.core_types import MAIN, PILOT
 from valve_sim.model.dormand_prince import LAST, POSITION, VELOCITY, interpolate
-from valve_sim.model.equations import coil_decay, coil_now
+from valve_sim.model.equations import coil_decay, coil_now, has_one_plunger
 from valve_sim.model.gas.variational import add_gas_force, gather_gas_force, show_pressures
 from valve_sim.model.linearised import (
     PEAK_CURRENT,
@@ -122,7 +122,7 @@ def _velocity_after(p, s, tile, before, dv, lane):
         return 0.0
     if mode == MAIN and direction > 0:
         return -p.restitution_stop * dv - tile.restitution_stop[lane] * v_before
-    if mode == PILOT and direction < 0:
+    if direction < 0 and (mode == PILOT or has_one_plunger(p)):
         return -p.restitution_seat * dv - tile.restitution_seat[lane] * v_before
     if mode == PILOT:
         return p.pickup_velocity_ratio * dv + tile.pickup_velocity_ratio[lane] * v_before
@@ -146,6 +146,9 @@ def vary_release(p, s, since, vary):
     if p.term_count > 0:
         u, _ = coil_now(p, s)
         add_term_time_slopes(p, g, s.mode, (s.x, s.v, u, s.time))
+    if has_one_plunger(p) and s.unseated_time == s.time:
+        # Of the net force that freed it: with the seat's load, which no mass enters, and before the pressure fell.
+        g.seat_load, g.unseated_time, g.moving_mass = -1.0, 0.0, 0.0
     # The forces know time by what has passed since a command, or since the pilot left its seat.
     rate = g.t - g.segment_time - g.unseated_time + add_gas_force(p, s, g)
     a_after = g.force * g.per_mass

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterable
 from types import FrameType
 from typing import Final
@@ -16,8 +17,8 @@ from rclpy.signals import uninstall_signal_handlers
 
 from valve_sim.nodes.spinning import spin
 
-_HEARD_SECONDS: Final = 1
-"""s that a node waits at its end for a valve to acknowledge 0 V."""
+_HEARD_SECONDS: Final = 0.8
+"""s that a node waits at its end for its valves to acknowledge 0 V, all together."""
 
 
 class AnsweringThread:
@@ -44,7 +45,7 @@ class AnsweringThread:
             signal.signal(number, self._take_signal)
         self._thread.start()
 
-    def close(self, timeout: float | None) -> bool:
+    def close(self, timeout: float) -> bool:
         """Shut ROS down; whether the thread has ended within so many seconds."""
         self._node.context.try_shutdown()
         if self._thread.ident is not None:
@@ -64,6 +65,7 @@ class AnsweringThread:
 
 
 def wait_until_heard(publishers: Iterable[Publisher]) -> None:
-    """Wait until all is acknowledged, a second for each at most: a process that ends at once loses unsent messages."""
+    """Wait until all is acknowledged, but not for long: a process that ends at once loses unsent messages."""
+    end = time.monotonic() + _HEARD_SECONDS
     for publisher in publishers:
-        publisher.wait_for_all_acked(Duration(seconds=_HEARD_SECONDS))
+        publisher.wait_for_all_acked(Duration(seconds=max(0.0, end - time.monotonic())))

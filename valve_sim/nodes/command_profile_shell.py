@@ -97,7 +97,7 @@ class CommandProfileShell:
             self._switch_off()
             self._write()
 
-    def close(self, timeout: float | None) -> bool:
+    def close(self, timeout: float) -> bool:
         """Release everything; whether all threads have ended."""
         has_ended = self._answering.close(timeout)
         if has_ended:

@@ -46,7 +46,8 @@ class CommandFacts(NamedTuple):
         is_last_rejected: whether no good one has come since the last rejected one.
         last_rejected: the last of them, V.
         timed_out: whether the coil was de-energised for lack of commands.
-        incompatible_publishers: how many publishers offer an incompatible QoS.
+        withdrawn: V of the last good one, if the coil was de-energised because max_voltage was set below it; else 0.
+        incompatible_publishers: how many publishers offer an incompatible QoS now.
     """
 
     age: float
@@ -56,6 +57,7 @@ class CommandFacts(NamedTuple):
     is_last_rejected: bool
     last_rejected: float
     timed_out: bool
+    withdrawn: float
     incompatible_publishers: int
 
 
@@ -122,17 +124,17 @@ def command_status(facts: CommandFacts) -> Status:
         "timed out": str(facts.timed_out).lower(),
         "publishers of incompatible QoS": str(facts.incompatible_publishers),
     }
-    if facts.rejected_now:
-        message = f"{facts.rejected_now} rejected, the last of {facts.last_rejected:g} V; the last good one stays"
-        return Status("command", Level.WARN, message, values)
-    if facts.is_last_rejected:
-        message = f"the last, of {facts.last_rejected:g} V, was rejected; the last good one stays"
+    rejections = Rejections(facts.rejected, facts.rejected_now, facts.last_rejected, facts.is_last_rejected)
+    if message := _rejected(rejections, "V"):
         return Status("command", Level.WARN, message, values)
     if facts.timed_out:
         return Status("command", Level.WARN, "none for longer than command_timeout: coil de-energised", values)
-    if math.isnan(facts.age):
-        return Status("command", Level.OK, "none yet", values)
-    return Status("command", Level.OK, "accepted", values)
+    if facts.withdrawn:
+        message = f"max_voltage was set below the last, of {facts.withdrawn:g} V: coil de-energised"
+        return Status("command", Level.WARN, message, values)
+    if facts.incompatible_publishers:
+        return Status("command", Level.WARN, unheard_words(facts.incompatible_publishers), values)
+    return Status("command", Level.OK, "none yet" if math.isnan(facts.age) else "accepted", values)
 
 
 def pressure_status(task: str, pressure: float, rejections: Rejections, incompatible_publishers: int) -> Status:
@@ -142,12 +144,10 @@ def pressure_status(task: str, pressure: float, rejections: Rejections, incompat
         "rejected": str(rejections.total),
         "publishers of incompatible QoS": str(incompatible_publishers),
     }
-    if rejections.now:
-        message = f"{rejections.now} rejected, the last of {rejections.last:g} Pa; the last good one stays"
+    if message := _rejected(rejections, "Pa"):
         return Status(task, Level.WARN, message, values)
-    if rejections.is_last:
-        message = f"the last, of {rejections.last:g} Pa, was rejected; the last good one stays"
-        return Status(task, Level.WARN, message, values)
+    if incompatible_publishers:
+        return Status(task, Level.WARN, unheard_words(incompatible_publishers), values)
     return Status(task, Level.OK, "accepted", values)
 
 
@@ -172,7 +172,6 @@ class CommandCount:
     def __init__(self) -> None:
         self.rejected = 0
         self.last_rejected = math.nan
-        self.incompatible_publishers = 0
         self._before = 0
         self._is_last_rejected = False
 
@@ -192,7 +191,15 @@ class CommandCount:
         since, self._before = rejected - self._before, rejected
         return Rejections(rejected, since, self.last_rejected, self._is_last_rejected)
 
-    def look(self, now: int, last_command: int | None, volts: float, timed_out: bool) -> CommandFacts:
+    def look(
+        self,
+        now: int,
+        last_command: int | None,
+        volts: float,
+        timed_out: bool,
+        withdrawn: float = 0.0,
+        incompatible_publishers: int = 0,
+    ) -> CommandFacts:
         """The state now; `now` and `last_command` in ns of the node's clock."""
         rejections = self.rejections()
         age = math.nan if last_command is None else (now - last_command) / NANOSECONDS
@@ -204,8 +211,23 @@ class CommandCount:
             rejections.is_last,
             rejections.last,
             timed_out,
-            self.incompatible_publishers,
+            withdrawn,
+            incompatible_publishers,
         )
+
+
+def _rejected(rejections: Rejections, unit: str) -> str:
+    """That something was rejected since the last look, or last of all; empty if not."""
+    if rejections.now:
+        return f"{rejections.now} rejected, the last of {rejections.last:g} {unit}; the last good one stays"
+    if rejections.is_last:
+        return f"the last, of {rejections.last:g} {unit}, was rejected; the last good one stays"
+    return ""
+
+
+def unheard_words(publishers: int) -> str:
+    """That there are publishers who cannot be heard."""
+    return f"publishers that offer an incompatible QoS and cannot be heard: {publishers}; publish reliable"
 
 
 def _number(value: float, form: str) -> str:

@@ -25,6 +25,7 @@ from valve_sim.nodes.realtime import NANOSECONDS, Restart, Worker
 from valve_sim.nodes.receiving import ReceiverGroup
 from valve_sim.nodes.shell_parts import RELIABLE, declare_settings, full_name, make_node
 from valve_sim.nodes.spinning import guarded, log_left_out, waiting_messages
+from valve_sim.nodes.starting import STOP_SECONDS
 
 _BETWEEN_REMINDERS: Final = 10.0
 """s between lines that say which valve is waited for."""
@@ -57,6 +58,9 @@ class DispenserShell:
         self._zero = 0
         self._exit_code = 0
         self._stop = threading.Event()
+        self._commanding = threading.Lock()
+        self._is_off = False
+        """Whether 0 V has been commanded for good; a step that is still being made then commands nothing."""
         self._worker = Worker(
             self._clock,
             self._settings.rate,
@@ -77,18 +81,21 @@ class DispenserShell:
         self._answering.start()
         self._worker.start()
         self._stop.wait()
-        self._worker.stop(None)
+        self._worker.stop(STOP_SECONDS)
+        with self._commanding:
+            self._is_off = True
+            if self._node.context.ok():
+                for voltage in self._voltages:
+                    voltage.publish(Float64(data=0.0))
         if self._node.context.ok():
-            for voltage in self._voltages:
-                voltage.publish(Float64(data=0.0))
             wait_until_heard(self._voltages)
 
-    def close(self, timeout: float | None) -> bool:
-        """Release everything; whether all threads have ended."""
-        has_ended = self._answering.close(timeout) and self._worker.stop(timeout)
-        if has_ended:
+    def close(self, timeout: float) -> bool:
+        """Release everything; whether all threads have ended. The stepping one cannot while it compiles."""
+        have_ended = [self._answering.close(timeout), self._worker.stop(timeout)]
+        if all(have_ended):
             self._node.destroy_node()
-        return has_ended
+        return all(have_ended)
 
     def _wire(self) -> None:
         node = self._node
@@ -168,8 +175,9 @@ class DispenserShell:
         for inlet, pressure in zip(self._inlets, done.tank_pressures, strict=True):
             if inlet is not None:
                 inlet.publish(_pressure(stamp, pressure))
-        for voltage, volts in zip(self._voltages, done.volts, strict=True):
-            voltage.publish(Float64(data=volts))
+        with self._commanding:
+            for voltage, volts in zip(self._voltages, done.volts, strict=True) if not self._is_off else ():
+                voltage.publish(Float64(data=volts))
         self._line.publish(line)
         self._vehicle.publish(_pressure(stamp, done.vehicle_pressure))
 

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Iterator
 from typing import Final
 
-from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
 from rclpy.node import Node
 from sensor_msgs.msg import FluidPressure
 from std_msgs.msg import Float64
@@ -16,7 +15,7 @@ from valve_sim.nodes.diagnostics import CommandCount, Status, pressure_status
 from valve_sim.nodes.live_valve import LiveValve, Step
 from valve_sim.nodes.messages import ReadingMessages
 from valve_sim.nodes.realtime import NANOSECONDS, Audience, Thinning
-from valve_sim.nodes.shell_parts import RELIABLE, EncodedPublisher, warn_of_incompatible
+from valve_sim.nodes.shell_parts import RELIABLE, EncodedPublisher, IncompatiblePublishers
 from valve_sim.nodes.spinning import guarded
 
 BETWEEN_WARNINGS: Final = 5.0
@@ -38,8 +37,8 @@ class _Heard:
         self.name = name
         self.count = CommandCount()
         self.take = guarded(self._take)
-        self.events = SubscriptionEventCallbacks(incompatible_qos=guarded(self._on_incompatible))
         self._node, self._live, self._obey, self._now = node, live, obey, now
+        self.incompatible = IncompatiblePublishers(node, self.topic)
         self._warned_at = -math.inf
 
     @property
@@ -69,10 +68,6 @@ class _Heard:
             "the last good pressure stays"
         )
 
-    def _on_incompatible(self, event: QoSRequestedIncompatibleQoSInfo) -> None:
-        self.count.incompatible_publishers = event.total_count
-        warn_of_incompatible(self._node, self.topic, event)
-
 
 class GasTopics:
     """The topics of a valve with gas.
@@ -85,10 +80,9 @@ class GasTopics:
         self._live, self._messages = live, messages
         self._inlet = inlet = _Heard(node, live, "inlet_pressure", live.supply, now)
         self._demand = demand = _Heard(node, live, "demand_pressure", live.set_demand_pressure, now)
-        node.create_subscription(FluidPressure, "~/inlet_pressure", inlet.take, RELIABLE, event_callbacks=inlet.events)
-        node.create_subscription(
-            FluidPressure, "~/demand_pressure", demand.take, RELIABLE, event_callbacks=demand.events
-        )
+        of_inlet, of_demand = inlet.incompatible.events, demand.incompatible.events
+        node.create_subscription(FluidPressure, "~/inlet_pressure", inlet.take, RELIABLE, event_callbacks=of_inlet)
+        node.create_subscription(FluidPressure, "~/demand_pressure", demand.take, RELIABLE, event_callbacks=of_demand)
         self._outlet_pressure = EncodedPublisher(node, FluidPressure, "~/outlet_pressure")
         self._mass_flow = EncodedPublisher(node, Float64, "~/mass_flow")
         self._obeyed = {
@@ -131,4 +125,4 @@ class GasTopics:
             return
         for heard, pressure in ((self._inlet, live.inlet_pressure), (self._demand, live.demand_pressure)):
             task = heard.name.replace("_", " ")
-            yield pressure_status(task, pressure, heard.count.rejections(), heard.count.incompatible_publishers)
+            yield pressure_status(task, pressure, heard.count.rejections(), heard.incompatible.count())

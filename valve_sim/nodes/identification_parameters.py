@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from valve_sim.identification.estimation.identify import DEFAULT_FREE, check_free
+from valve_sim.identification.estimation.identify import check_free
+from valve_sim.identification.plants.valve import DAMPINGS
 from valve_sim.model import ParameterError
 from valve_sim.nodes.parameters import VALVE_KEYS, unknown_name
 
@@ -33,7 +34,7 @@ class Settings(NamedTuple):
     map: str = ""
     valve_name: str = ""
     params: str = ""
-    free: tuple[str, ...] = DEFAULT_FREE
+    free: tuple[str, ...] = DAMPINGS
     rate: float = 1.0
     loop: bool = False
     apply_to: str = ""
@@ -49,7 +50,8 @@ DESCRIPTIONS: Final = {
     "map": "file that says which topic or column of the recording is what; empty: those of this package",
     "valve_name": "which valve of the recording, such as /tank_1/valve; needed only where it holds several",
     "params": "parameter file of the declared valve; empty: the shipped one",
-    "free": "parameters to refit (mode identify), such as pilot_damping or coulomb_friction.force",
+    "free": "parameters to refit (mode identify), such as pilot_damping or coulomb_friction.force; of a valve with one "
+    "plunger the default is main_damping alone",
     "rate": "[–] replay: 1 as recorded, 2 twice as fast, 0 as fast as possible",
     "loop": "whether the replay begins anew at its end",
     "apply_to": "running valve node that is given the result, if its residual is white; empty: none",

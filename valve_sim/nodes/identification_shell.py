@@ -32,6 +32,7 @@ from valve_sim.nodes.identification_task import (
     Progress,
     Task,
     fit_or_diagnose,
+    freed,
     read_recording,
     report_text,
 )
@@ -102,12 +103,11 @@ class IdentificationShell:
         self._replay.start()
         spin(self._node)
 
-    def close(self, timeout: float | None) -> bool:
-        """Stop and release everything; whether both threads have ended."""
-        has_ended = self._replay.stop(timeout) and self._task.stop(timeout)
-        if has_ended:
-            self._node.destroy_node()
-        return has_ended
+    def close(self, timeout: float) -> bool:
+        """Stop and release everything; whether both threads have ended. A fit cannot at once."""
+        have_ended = [self._replay.stop(timeout), self._task.stop(timeout)]
+        self._node.destroy_node()
+        return all(have_ended)
 
     # --- wiring ---
 
@@ -142,7 +142,7 @@ class IdentificationShell:
 
     def _say_ready(self) -> None:
         settings = self._settings
-        what = f"refits {', '.join(settings.free)}" if settings.mode == "identify" else "diagnoses it"
+        what = f"refits {', '.join(freed(settings, self._declared))}" if settings.mode == "identify" else "diagnoses it"
         topic = (self._measured if self._trace.has_positions else self._measured_coil).topic_name
         self._node.get_logger().info(
             f"ready: replays {settings.bag} on {topic} beside the model, {what}; the result comes on "

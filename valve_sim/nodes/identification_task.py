@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -13,6 +14,7 @@ from valve_sim.identification.estimation.declared_values import out_of_tolerance
 from valve_sim.identification.estimation.findings import leaves_more_than_noise
 from valve_sim.identification.estimation.identify import Identification, identify
 from valve_sim.identification.estimation.intervals import Interval
+from valve_sim.identification.plants.valve import DAMPINGS, dampings_of
 from valve_sim.identification.reporting.identification import identification_json
 from valve_sim.identification.reporting.units import measured
 from valve_sim.model import Valve
@@ -20,7 +22,7 @@ from valve_sim.model.errors import ValveError
 from valve_sim.nodes.diagnostics import Level, Status
 from valve_sim.nodes.identification_parameters import Settings
 from valve_sim.nodes.stoppable import StoppableThread
-from valve_sim.traces import Trace, read_trace, refuse_doubtful_units
+from valve_sim.traces import Trace, another_valve, read_trace, refuse_doubtful_units
 
 IDENTIFIED_FILE: Final = "identified.yaml"
 CORRECTED_FILE: Final = "corrected.yaml"
@@ -83,7 +85,12 @@ def read_recording(settings: Settings, declared: Valve) -> Trace:
     recording_map = load_map(Path(settings.map).expanduser()) if settings.map else None
     trace = read_trace(Path(settings.bag).expanduser(), settings.valve_name or None, recording_map)
     refuse_doubtful_units(trace, declared.parameters)
-    return trace
+    return replace(trace, findings=(*trace.findings, *another_valve(trace, declared.parameters)))
+
+
+def freed(settings: Settings, declared: Valve) -> tuple[str, ...]:
+    """What is refitted: of what is so by default, what the valve uses."""
+    return dampings_of(declared) if settings.free == DAMPINGS else settings.free
 
 
 def fit_or_diagnose(trace: Trace, declared: Valve, settings: Settings, folder: Path, progress: Progress) -> Outcome:
@@ -93,7 +100,7 @@ def fit_or_diagnose(trace: Trace, declared: Valve, settings: Settings, folder: P
         ValveError: the declared valve cannot be simulated, or the file cannot be written.
     """
     if settings.mode == "identify":
-        return _identified(identify([trace], declared, settings.free, progress), settings, folder)
+        return _identified(identify([trace], declared, freed(settings, declared), progress), settings, folder)
     return _diagnosed(trace, declared, settings, folder, progress)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Final, NamedTuple
 
 from valve_sim.model import CoilReading, Event, EventKind, Phase, Reading, SimulationError, Stepper, Valve
@@ -66,6 +67,10 @@ class Timeline:
         self._clock = clock
         self._scale = scale
 
+    def shift_stamps(self, nanoseconds: int) -> None:
+        """Have all stamps from now on so much later; model time goes on as before."""
+        self._stamp += nanoseconds
+
 
 class Step(NamedTuple):
     """Result of one step.
@@ -78,6 +83,7 @@ class Step(NamedTuple):
         switches: the coil just before and just after each change of its voltage since the step before, with stamps,
             ns, that ascend and lie between those of the two steps.
         obeyed: pressures that hold since the step before: the name, the stamp, ns, from which on, and Pa.
+        switched_off: why the coil was switched off since the step before without a command; empty if it was not.
     """
 
     stamp: int
@@ -86,6 +92,7 @@ class Step(NamedTuple):
     failure: str
     switches: tuple[tuple[int, CoilReading], ...] = ()
     obeyed: tuple[tuple[str, int, float], ...] = ()
+    switched_off: str = ""
 
 
 class LiveValve:
@@ -107,6 +114,8 @@ class LiveValve:
         self.command_timeout = command_timeout
         self.last_command: int | None = None
         self.timed_out = False
+        self.withdrawn = 0.0
+        """V of the last command, if that ended because `max_voltage` was set below it; else 0."""
         self.strokes = 0
         self.phase = Phase.CLOSED
         self.failures = 0
@@ -121,6 +130,7 @@ class LiveValve:
         self._announced: Phase | None = None
         self._switches: list[tuple[int, CoilReading]] = []
         self._obeyed: list[tuple[str, int, float]] = []
+        self._switched_off = ""
         self._stamp = -1
 
     @property
@@ -137,7 +147,7 @@ class LiveValve:
         """A voltage that is in force from clock time `clock`, ns; False, and nothing else, if it is not acceptable."""
         if not (math.isfinite(volts) and abs(volts) <= self._max_voltage):
             return False
-        self._mailbox.post(clock, lambda time: self._energise(time, volts), "command")
+        self._mailbox.post(clock, "command", self._energise, volts, voids=("limit",))
         return True
 
     @property
@@ -168,27 +178,27 @@ class LiveValve:
     def _hear(self, name: str, clock: int, pressure: float) -> bool:
         if not GAS[name].lower <= pressure <= GAS[name].upper:
             return False
-        self._mailbox.post(clock, lambda time: self._obey(name, time, pressure), name)
+        self._mailbox.post(clock, name, partial(self._obey, name), pressure)
         return True
 
     def limit(self, clock: int, max_voltage: float) -> None:
         """Limit commands from now on, V; a voltage in force beyond the limit ends at clock time `clock`, ns."""
         self._max_voltage = max_voltage
-        self._mailbox.post(clock, lambda time: self._withdraw_beyond(time, max_voltage))
+        self._mailbox.post(clock, "limit", self._withdraw_beyond, max_voltage, merge=min)
 
     def set_valve(self, clock: int, valve: Valve) -> None:
         """Continue with another valve, without a jump in state."""
         self._valve = valve
-        self._mailbox.post(clock, lambda time: self._continue_as(time, valve), "valve")
+        self._mailbox.post(clock, "valve", self._continue_as, valve)
 
     def set_scale(self, clock: int, scale: float) -> None:
         """Continue at another time scale."""
         self._scale = scale
-        self._mailbox.post(clock, lambda time: self._timeline.set_scale(time, scale))
+        self._mailbox.post(clock, "scale", self._set_scale, scale)
 
     def reset(self, clock: int) -> None:
         """Put the valve to rest: closed, without current, as before the first command."""
-        self._mailbox.post(clock, self._rest)
+        self._mailbox.post(clock, "reset", self._reset, voids=("command", "limit"))
 
     def restart(self, clock: int, stamp: int) -> None:
         """Restart at clock time `clock`, ns, with stamps from `stamp` on: the valve rests closed.
@@ -205,9 +215,17 @@ class LiveValve:
         self._stamp = stamp - 1
         self._forget_command()
 
+    def shift_stamps(self, nanoseconds: int) -> None:
+        """Have all stamps from the next step on so much later, because the clock that they follow was set.
+
+        To be called by the stepping thread.
+        """
+        self._timeline.shift_stamps(nanoseconds)
+        self._stamp += nanoseconds
+
     def step(self, clock: int) -> Step:
         """Advance to clock time `clock`, ns. The state does not depend on how often this is called."""
-        failure, self._switches, self._obeyed = "", [], []
+        failure, self._switches, self._obeyed, self._switched_off = "", [], [], ""
         stepper = self._running
         try:
             # A command cannot act before what is published already.
@@ -229,7 +247,7 @@ class LiveValve:
             self.strokes += sum(event.kind is EventKind.REACHED_STOP for event in reading.events)
             phases = self._phases_to_announce(reading)
         switches = tuple(switch for switch in self._switches if switch[0] < self._stamp) if self._switches else ()
-        return Step(self._stamp, reading, phases, failure, switches, tuple(self._obeyed))
+        return Step(self._stamp, reading, phases, failure, switches, tuple(self._obeyed), self._switched_off)
 
     def passes(self, image: ProcessImage, clock: int) -> bool:
         """Make the step to clock time `clock`, ns, and fill an image, where nothing but time passes.
@@ -279,7 +297,7 @@ class LiveValve:
         self._watch_command(clock)
         self._switch(clock, volts)
         self.last_command = clock
-        self.timed_out = False
+        self.timed_out, self.withdrawn = False, 0.0
 
     def _obey(self, name: str, clock: int, pressure: float) -> None:
         if self._running.valve.gas is None:
@@ -313,13 +331,19 @@ class LiveValve:
     def _watch_command(self, clock: int) -> None:
         deadline = self._command_deadline
         if deadline is not None and clock >= deadline:
+            volts = self._running.volts
+            if volts:
+                self._switched_off = f"no command for {self.command_timeout:g} s (command_timeout), {volts:g} V held"
             self._switch(max(self._reached, deadline), 0.0)
             self.timed_out = True
 
     def _withdraw_beyond(self, clock: int, max_voltage: float) -> None:
-        if abs(self._running.volts) > max_voltage:
+        volts = self._running.volts
+        if abs(volts) > max_voltage:
+            self._switched_off = f"max_voltage was set to {max_voltage:g} V, below the {abs(volts):g} V that held"
             self._switch(clock, 0.0)
             self._forget_command()
+            self.withdrawn = volts
 
     def _switch(self, clock: int, volts: float) -> None:
         """Another voltage from clock time `clock` on, ns; what jumps then is kept with two stamps, 1 ns apart."""
@@ -333,6 +357,12 @@ class LiveValve:
             self._switches.append((stamp - 1, before))
         self._switches.append((stamp, after))
 
+    def _set_scale(self, clock: int, scale: float) -> None:
+        self._timeline.set_scale(clock, scale)
+
+    def _reset(self, clock: int, _: None) -> None:
+        self._rest(clock)
+
     def _rest(self, clock: int) -> None:
         self._running.reset(self._timeline.model_time(clock))
         for name, pressure in self._heard.items():
@@ -341,10 +371,13 @@ class LiveValve:
 
     def _forget_command(self) -> None:
         self.last_command = None
-        self.timed_out = False
+        self.timed_out, self.withdrawn = False, 0.0
 
     def _phases_to_announce(self, reading: Reading) -> tuple[Phase, ...]:
-        entered = [_PHASE_AFTER[event.kind] for event in reading.events if event.kind in _PHASE_AFTER]
+        after = _PHASE_AFTER
+        if self._running.valve.parameters.has_one_plunger:
+            after = {**_PHASE_AFTER, EventKind.UNSEATED: Phase.MAIN}
+        entered = [after[event.kind] for event in reading.events if event.kind in after]
         announced: list[Phase] = []
         for phase in [*entered, reading.phase]:
             if phase != (announced[-1] if announced else self._announced):
@@ -357,7 +390,7 @@ class SelfTest(NamedTuple):
     """One stroke of the model at the reference voltage, apart from the running valve.
 
     Attributes:
-        passed: the valve opened fully, and its main plunger seated again.
+        passed: the valve opened fully, and its main plunger, or the only one, seated again.
         summary: the event times, in one sentence.
     """
 
@@ -380,12 +413,17 @@ def self_test(valve: Valve) -> SelfTest:
     except SimulationError as error:
         return SelfTest(False, str(error))
     opened = _milliseconds(opening, 0.0, EventKind.REACHED_STOP, EventKind.BOUNCED_AT_STOP)
-    closed = _milliseconds(closing, held.time, EventKind.MAIN_SEATED)
-    picked_up = _milliseconds(opening, 0.0, EventKind.PICKED_UP, EventKind.HELD_AT_GAP)
     released = _milliseconds(closing, held.time, EventKind.RELEASED)
+    if valve.parameters.has_one_plunger:
+        closed = _milliseconds(closing, held.time, EventKind.SEATED, EventKind.BOUNCED_AT_SEAT)
+        lifted, seated = f"seat left {_milliseconds(opening, 0.0, EventKind.UNSEATED)}", f"plunger seated {closed}"
+    else:
+        closed = _milliseconds(closing, held.time, EventKind.MAIN_SEATED)
+        picked_up = _milliseconds(opening, 0.0, EventKind.PICKED_UP, EventKind.HELD_AT_GAP)
+        lifted, seated = f"main plunger picked up {picked_up}", f"main plunger seated {closed}"
     summary = (
-        f"at {volts:g} V: main plunger picked up {picked_up}, stop reached {opened}{_pressures(valve, held, opened)}; "
-        f"at 0 V: stop left {released}, main plunger seated {closed}"
+        f"at {volts:g} V: {lifted}, stop reached {opened}{_pressures(valve, held, opened)}; "
+        f"at 0 V: stop left {released}, {seated}"
     )
     return SelfTest("never" not in (opened, closed), summary)
 

@@ -7,9 +7,8 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final, NamedTuple
 
-from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import BatteryState, FluidPressure, JointState
 from std_msgs.msg import Float64
@@ -17,6 +16,7 @@ from std_msgs.msg import Float64
 from valve_sim.nodes.encoded_messages import EncodedReader, UnusableMessageError, coils, joint_states, pressures
 from valve_sim.nodes.live_map import LiveInput
 from valve_sim.nodes.node_clock import NodeClock
+from valve_sim.nodes.shell_parts import IncompatiblePublishers
 from valve_sim.nodes.spinning import guarded, log_left_out, received_time, waiting_messages
 
 _MEASURED: Final = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -74,11 +74,10 @@ class MonitorInputs:
         self._joints_reader, self._coil_reader, self._pressure_reader = joint_states(), coils(), pressures()
         self._pressures: list[Subscription] = []
         self._sampled: dict[Subscription, Callable[[Any, Any], None]] = {}
-        events = SubscriptionEventCallbacks(incompatible_qos=guarded(self._on_incompatible_qos))
         if entries:
-            self._subscribe_by_map(entries, events)
+            self._subscribe_by_map(entries)
         else:
-            self._subscribe_to_own_topics(events)
+            self._subscribe_to_own_topics()
 
     @property
     def measured(self) -> str:
@@ -115,11 +114,12 @@ class MonitorInputs:
                     found = True
         return found
 
-    def _subscribe_to_own_topics(self, events: SubscriptionEventCallbacks) -> None:
+    def _subscribe_to_own_topics(self) -> None:
         node = self._node
+        self.incompatible = IncompatiblePublishers(node, self._voltage)
         on_command: Any = guarded(self._on_command)  # its second argument, message info, is missing in rclpy's types
         self._commands = node.create_subscription(
-            Float64, f"{self._valve}/coil_voltage", on_command, _COMMANDS, event_callbacks=events
+            Float64, f"{self._valve}/coil_voltage", on_command, _COMMANDS, event_callbacks=self.incompatible.events
         )
         if self._measured.rpartition("/")[2] not in _OF_COIL:
             on_samples: Any = guarded(self._on_samples)
@@ -163,7 +163,7 @@ class MonitorInputs:
             self._node.destroy_subscription(told)
         take(stamp, pressure)
 
-    def _subscribe_by_map(self, entries: Mapping[str, LiveInput], events: SubscriptionEventCallbacks) -> None:
+    def _subscribe_by_map(self, entries: Mapping[str, LiveInput]) -> None:
         """Subscribe to the topics that the map names; each message is converted to the type of this package."""
 
         def subscription_to(quantity: str, callback: Callable[..., None], qos: QoSProfile, **settings: Any) -> Any:
@@ -181,7 +181,10 @@ class MonitorInputs:
         subscribe: Any = self._node.create_subscription
         samples = "position" if "position" in entries else "current"
         self._measured, self._voltage = (entries[key].source.topic for key in (samples, "command"))
-        self._commands = subscription_to("command", self._on_command, _COMMANDS, event_callbacks=events)
+        self.incompatible = IncompatiblePublishers(self._node, self._node.resolve_topic_name(self._voltage))
+        self._commands = subscription_to(
+            "command", self._on_command, _COMMANDS, event_callbacks=self.incompatible.events
+        )
         if "position" in entries:
             self._samples = subscription_to("position", self._on_samples, _MEASURED)
             self._sampled[self._samples] = self._on_samples
@@ -285,9 +288,3 @@ class MonitorInputs:
             return int(info["stamp"])
         received = received_time(info)
         return self._clock.stamp() if self.is_simulated() or not received else received
-
-    def _on_incompatible_qos(self, event: QoSRequestedIncompatibleQoSInfo) -> None:
-        policy = qos_policy_name_from_kind(event.last_policy_kind)
-        self._node.get_logger().warning(
-            f"{self._voltage}: a publisher offers an incompatible QoS ({policy}) and cannot be heard; publish reliable"
-        )

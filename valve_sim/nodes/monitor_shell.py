@@ -25,14 +25,13 @@ from std_msgs.msg import Float64, String
 from std_srvs.srv import Trigger
 
 from valve_sim.files.parameter_sections import Section
-from valve_sim.identification.monitoring.fault_isolation import FaultFinding
-from valve_sim.identification.monitoring.findings import Prediction
+from valve_sim.identification.monitoring.findings import Occasion, Prediction, StrokeRecord
 from valve_sim.identification.monitoring.memory import load_commissioning, save_commissioning
 from valve_sim.identification.monitoring.scores import Baseline
 from valve_sim.identification.monitoring.segmenter import StrokeSegmenter
 from valve_sim.identification.monitoring.stroke_monitor import StrokeMonitor, StrokeReport
 from valve_sim.identification.reporting.monitoring import finding_json, stroke_json
-from valve_sim.identification.reporting.monitoring_words import finding_words
+from valve_sim.identification.reporting.monitoring_words import told_finding
 from valve_sim.model import ParameterError, Stepper
 from valve_sim.nodes.diagnostics import Level
 from valve_sim.nodes.live_map import live_inputs
@@ -48,7 +47,7 @@ from valve_sim.nodes.monitor_status import (
     model_status,
     stroke_status,
 )
-from valve_sim.nodes.monitor_tasks import FaultIsolation, MonitorThread
+from valve_sim.nodes.monitor_tasks import FaultIsolation, Found, MonitorThread
 from valve_sim.nodes.node_clock import NodeClock
 from valve_sim.nodes.parameters import sources_of
 from valve_sim.nodes.realtime import LONGEST_LEAP_SECONDS, NANOSECONDS, Audience
@@ -130,8 +129,7 @@ class MonitorShell:
         if self._kept is not None:
             self._stroke_monitor.use(self._kept)
         self._isolation = FaultIsolation(self._tell)
-        self._health = HealthLog()
-        self._told: tuple[str, ...] | None = None
+        self._health = HealthLog(self._valve)
         self._last_report: StrokeReport | None = None
         self._baseline: Baseline | None = None
         self._is_ready = self._is_heard = False
@@ -151,12 +149,11 @@ class MonitorShell:
         self._monitor_thread.start()
         spin(self._node, guarded(self._poll))
 
-    def close(self, timeout: float | None) -> bool:
-        """Stop and release everything; whether both threads have ended."""
-        has_ended = self._monitor_thread.stop(timeout) and self._isolation.stop(timeout)
-        if has_ended:
-            self._node.destroy_node()
-        return has_ended
+    def close(self, timeout: float) -> bool:
+        """Stop and release everything; whether both threads have ended. A search for a fault cannot at once."""
+        have_ended = [self._monitor_thread.stop(timeout), self._isolation.stop(timeout)]
+        self._node.destroy_node()
+        return all(have_ended)
 
     # --- wiring ---
 
@@ -284,7 +281,8 @@ class MonitorShell:
 
     def _hand_over(self) -> None:
         for record in self._segmenter.take_finished():
-            self._monitor_thread.post(record)
+            stamp = (self._epoch or 0) + round(record.time * NANOSECONDS)
+            self._monitor_thread.post(record._replace(stamp=stamp))
         scatter = self._stroke_monitor.command_scatter
         self._segmenter.scatter = scatter if math.isfinite(scatter) else 0.0
         baseline = self._stroke_monitor.baseline
@@ -312,7 +310,8 @@ class MonitorShell:
             waiting_for = f"samples on {self._inputs.wanted}"
         elif self._is_ready and not self._input.commands:
             waiting_for = f"a command on {self._inputs.voltage}"
-        facts = self._input.look(self._clock.elapsed(), self._monitor_thread.lost, waiting_for)
+        unheard = self._inputs.incompatible.count()
+        facts = self._input.look(self._clock.elapsed(), self._monitor_thread.lost, waiting_for, unheard)
         wanted = self._settings.commissioning_strokes
         statuses = (
             health_status(self._segmenter.fault, self._stroke_monitor, self._last_report, wanted, self._isolation),
@@ -339,10 +338,9 @@ class MonitorShell:
 
     def _report(self, report: StrokeReport) -> None:
         self._last_report = report
-        self._stroke_report.publish(String(data=json.dumps(stroke_json(report), ensure_ascii=False)))
-        stamp = (self._epoch or 0) + round(report.record.time * NANOSECONDS)
+        self._stroke_report.publish(String(data=json.dumps(stroke_json(report, self._valve), ensure_ascii=False)))
         name = self._node.get_fully_qualified_name()
-        self._stroke_diagnostics.publish(diagnostic_array([stroke_status(report)], name, stamp))
+        self._stroke_diagnostics.publish(diagnostic_array([stroke_status(report)], name, report.record.stamp))
         self._keep()
         if change := self._health.look(report, self._stroke_monitor):
             self._log(*change)
@@ -362,7 +360,7 @@ class MonitorShell:
 
     def _forget(self) -> None:
         self._isolation.forget()
-        self._told = self._kept = None
+        self._kept = None
         if self._state is not None:
             with contextlib.suppress(OSError):
                 self._state.unlink(missing_ok=True)
@@ -376,14 +374,13 @@ class MonitorShell:
         else:
             self._node.get_logger().info(words)
 
-    def _isolate(self, strokes: list[Trace], baseline: Baseline) -> None:
-        self._isolation.begin(strokes, baseline)
+    def _isolate(self, strokes: list[Trace], baseline: Baseline, last: StrokeRecord) -> None:
+        self._isolation.begin(strokes, baseline, Occasion(self._valve, last.number, last.stamp))
 
-    def _tell(self, finding: FaultFinding) -> None:
-        self._finding.publish(String(data=json.dumps(finding_json(finding), ensure_ascii=False)))
-        if finding.verdict.effects != self._told:
-            self._told = finding.verdict.effects
-            self._node.get_logger().warning(finding_words(finding))
+    def _tell(self, found: Found) -> None:
+        """Say a finding on the topic and in the log, as /diagnostics has it."""
+        self._finding.publish(String(data=json.dumps(finding_json(*found), ensure_ascii=False)))
+        self._node.get_logger().warning(told_finding(*found))
 
     def _fail(self, error: Exception) -> None:
         if self._node.context.ok():

@@ -6,17 +6,17 @@ import math
 from collections.abc import Mapping
 from typing import Final, NamedTuple
 
-from valve_sim.identification.monitoring.findings import Fault, StrokeState
+from valve_sim.identification.monitoring.findings import Fault, Occasion, StrokeState
 from valve_sim.identification.monitoring.stroke_monitor import StrokeMonitor, StrokeReport
 from valve_sim.identification.reporting.monitoring_words import (
     TIMING_UNCERTAIN,
     fault_words,
-    finding_words,
+    occasion_words,
     remark_words,
     state_words,
-    stroke_name,
+    told_finding,
 )
-from valve_sim.nodes.diagnostics import Level, Status
+from valve_sim.nodes.diagnostics import Level, Status, unheard_words
 from valve_sim.nodes.monitor_tasks import FaultIsolation
 
 SILENT_SECONDS: Final = 2.0
@@ -31,6 +31,7 @@ class InputFacts(NamedTuple):
         rejected: samples and commands, in all, that could not be used. rejected_now: since the last look.
         why: reason for the last of them. silence: s since the last sample, nan before the first.
         lost: strokes, in all, that were not judged for lack of time. waiting_for: what is still missing, or empty.
+        incompatible_publishers: how many send commands that cannot be heard, as their QoS is incompatible.
     """
 
     samples: int
@@ -42,13 +43,15 @@ class InputFacts(NamedTuple):
     silence: float
     lost: int
     waiting_for: str
+    incompatible_publishers: int = 0
 
 
 def health_status(
     fault: Fault | None, monitor: StrokeMonitor, last: StrokeReport | None, wanted: int, isolation: FaultIsolation
 ) -> Status:
     """Whether the valve is as commissioned: ERROR where it does not open or close, WARN where it has changed."""
-    cause = "" if isolation.finding is None else finding_words(isolation.finding)
+    found, alarm = isolation.found, monitor.alarm
+    cause = "" if found is None else told_finding(*found)
     values = {
         "strokes": "0" if last is None else str(last.record.number + 1),
         "alarms": str(monitor.alarms),
@@ -63,10 +66,11 @@ def health_status(
         fault = last.record.fault
     if fault is not None:
         return Status("valve", Level.ERROR, fault_words(fault), values)
-    alarm = monitor.alarm
     if alarm is not None:
         changed = f"the strokes since number {alarm.began} are not those of the commissioned valve"
-        return Status("valve", Level.WARN, f"{changed}: {cause or f'most in the direction of {alarm.cause}'}", values)
+        if found is None or found.occasion.stroke < alarm.began:
+            cause = f"most in the direction of {alarm.cause}"
+        return Status("valve", Level.WARN, f"{changed}: {cause}", values)
     if monitor.baseline is None:
         return Status("valve", Level.OK, f"commissioning, {monitor.commissioned} of {wanted} strokes", values)
     if monitor.is_timing_uncertain:
@@ -106,11 +110,14 @@ def input_status(facts: InputFacts) -> Status:
         "strokes not judged": str(facts.lost),
     }
     if facts.waiting_for:
-        return Status("input", Level.WARN, f"waiting for {facts.waiting_for}", values)
+        unheard = f"; {unheard_words(facts.incompatible_publishers)}" if facts.incompatible_publishers else ""
+        return Status("input", Level.WARN, f"waiting for {facts.waiting_for}{unheard}", values)
     if facts.rejected_now:
         return Status("input", Level.WARN, f"{facts.rejected_now} rejected, the last: {facts.why}", values)
     if facts.silence > SILENT_SECONDS:
         return Status("input", Level.WARN, f"no sample for {facts.silence:.1f} s", values)
+    if facts.incompatible_publishers:
+        return Status("input", Level.WARN, unheard_words(facts.incompatible_publishers), values)
     return Status("input", Level.OK, "arrives", values)
 
 
@@ -132,6 +139,7 @@ def stroke_status(report: StrokeReport) -> Status:
         "t1 (ms)": 1e3 * report.t1,
         "t2 (ms)": 1e3 * report.t2,
         "closing time (ms)": 1e3 * report.closing_time,
+        **{f"{name} error (ms)": 1e3 * s for name, s in zip(("t1", "t2", "closing time"), report.errors, strict=True)},
         **_errors(report, "residual", "noise"),
         "scatter of commands (ms)": 1e3 * report.command_scatter,
         "highest sum": report.sum,
@@ -181,9 +189,14 @@ def _number(value: float) -> str:
 
 
 class HealthLog:
-    """A line for the log whenever the state of the valve changes."""
+    """A line for the log whenever the state of the valve changes.
 
-    def __init__(self) -> None:
+    Args:
+        valve: full name of its node.
+    """
+
+    def __init__(self, valve: str) -> None:
+        self._valve = valve
         self._state = ""
 
     def look(self, report: StrokeReport, monitor: StrokeMonitor) -> tuple[Level, str] | None:
@@ -192,7 +205,8 @@ class HealthLog:
         if state == self._state:
             return None
         self._state = state
-        return level, f"{stroke_name(report)}: {words}"
+        occasion = Occasion(self._valve, report.record.number, report.record.stamp)
+        return level, f"{occasion_words(occasion)}, {report.volts:.1f} V: {words}"
 
 
 def _health(report: StrokeReport, monitor: StrokeMonitor) -> tuple[Level, str, str]:
@@ -229,7 +243,7 @@ class InputCount:
         self.rejected += 1
         self._why = why
 
-    def look(self, now: float, lost: int, waiting_for: str) -> InputFacts:
+    def look(self, now: float, lost: int, waiting_for: str, incompatible_publishers: int = 0) -> InputFacts:
         """The state now; `now` in s of a monotonic clock."""
         fresh = self.samples - self._samples_before
         if fresh or math.isnan(self._last_sample):
@@ -239,5 +253,5 @@ class InputCount:
         self._looked_at, self._samples_before, self._rejected_before = now, self.samples, self.rejected
         return InputFacts(
             self.samples, self.commands, rate, self.rejected, rejected_now, self._why, now - self._last_sample, lost,
-            waiting_for,
+            waiting_for, incompatible_publishers,
         )  # fmt: skip

@@ -5,11 +5,11 @@ from __future__ import annotations
 import queue
 import threading
 from collections.abc import Callable
-from typing import Final
+from typing import Final, NamedTuple
 
 from valve_sim.identification.estimation.parallel import threads_limited_to
 from valve_sim.identification.monitoring.fault_isolation import FaultFinding, isolate_fault
-from valve_sim.identification.monitoring.findings import StrokeRecord
+from valve_sim.identification.monitoring.findings import Occasion, StrokeRecord
 from valve_sim.identification.monitoring.scores import Baseline
 from valve_sim.identification.monitoring.stroke_monitor import StrokeMonitor, StrokeReport
 from valve_sim.model.errors import ValveError
@@ -27,7 +27,8 @@ class MonitorThread(StoppableThread):
         monitor: does it; belongs to this thread.
         prepare: called first, in the thread.
         report: called with each report.
-        isolate: called with the strokes of an alarm, when it is time to isolate its fault.
+        isolate: called with the strokes of an alarm, the baseline, and the last of the strokes as it was cut out, when
+            it is time to isolate its fault.
         forget: called when the baseline has been discarded, because `recommission` was called.
         fail: called with the exception, if there is one; the thread then ends.
     """
@@ -38,7 +39,7 @@ class MonitorThread(StoppableThread):
         *,
         prepare: Callable[[], None],
         report: Callable[[StrokeReport], None],
-        isolate: Callable[[list[Trace], Baseline], None],
+        isolate: Callable[[list[Trace], Baseline, StrokeRecord], None],
         forget: Callable[[], None],
         fail: Callable[[Exception], None],
     ) -> None:
@@ -91,42 +92,66 @@ class MonitorThread(StoppableThread):
     def _work(self, record: StrokeRecord) -> None:
         self._report(self._stroke_monitor.assess(record))
         if evidence := self._stroke_monitor.take_evidence():
-            self._isolate(evidence, self._stroke_monitor.with_present_scatter())
+            self._isolate(evidence, self._stroke_monitor.with_present_scatter(), record)
+
+
+class Found(NamedTuple):
+    """A finding, and the last of the strokes that it rests on."""
+
+    finding: FaultFinding
+    occasion: Occasion
+
+
+class _Work(NamedTuple):
+    """What is to be isolated."""
+
+    strokes: list[Trace]
+    baseline: Baseline
+    occasion: Occasion
 
 
 class FaultIsolation:
     """Isolates one fault at a time, each in a thread of its own; of requests meanwhile only the latest is kept.
 
+    The search looks at each report of its progress whether it is still wanted. It may be long until the next one: a
+    node that is to end does not wait for it.
+
     Args:
         tell: called with each finding, in the thread.
+
+    Attributes:
+        found: the last finding. doing: what is being tried; empty while nothing is. failure: why there was no result.
     """
 
-    def __init__(self, tell: Callable[[FaultFinding], None]) -> None:
-        self.finding: FaultFinding | None = None
+    def __init__(self, tell: Callable[[Found], None]) -> None:
+        self.found: Found | None = None
         self.doing = ""
         self.failure = ""
         self._tell = tell
-        self._next: tuple[list[Trace], Baseline] | None = None
+        self._next: _Work | None = None
         self._thread: threading.Thread | None = None
         self._lock = threading.Lock()
-        self._stopping = threading.Event()
+        self._is_wanted = threading.Event()
+        self._is_stopping = False
 
-    def begin(self, strokes: list[Trace], baseline: Baseline) -> None:
-        """Isolate the fault in these strokes, now or after the run in progress."""
+    def begin(self, strokes: list[Trace], baseline: Baseline, occasion: Occasion) -> None:
+        """Isolate the fault in these strokes, now or after the run in progress; `occasion` is that of the last."""
         with self._lock:
-            self._next = strokes, baseline
+            self._next = _Work(strokes, baseline, occasion)
             if self._thread is None:
                 self._thread = threading.Thread(target=self._run, name="fault isolation", daemon=True)
                 self._thread.start()
 
     def forget(self) -> None:
-        """Discard what was found."""
+        """Discard what was found, and what a search that is going on will find."""
         with self._lock:
-            self._next, self.finding, self.failure = None, None, ""
+            self._is_wanted.clear()
+            self._next, self.found, self.failure = None, None, ""
 
-    def stop(self, timeout: float | None) -> bool:
+    def stop(self, timeout: float) -> bool:
         """Cancel at the next report of progress; whether it has ended within `timeout`, s."""
-        self._stopping.set()
+        self._is_stopping = True
+        self._is_wanted.clear()
         thread = self._thread
         if thread is not None:
             thread.join(timeout)
@@ -137,29 +162,36 @@ class FaultIsolation:
             try:
                 # The other processors are for the live path, and for the nodes of other valves.
                 with threads_limited_to(1):
-                    found = isolate_fault(*work, self._say)
+                    finding = isolate_fault(work.strokes, work.baseline, self._say)
             except _Cancelled:
-                return
+                continue
             except (ValveError, ArithmeticError, ValueError) as error:
-                self.failure = f"the fault could not be isolated: {error}"
+                self._conclude(None, f"the fault could not be isolated: {error}")
             else:
-                self.finding, self.failure = found, ""
-                if not self._stopping.is_set():
-                    self._tell(found)
+                self._conclude(Found(finding, work.occasion), "")
 
-    def _take(self) -> tuple[list[Trace], Baseline] | None:
+    def _conclude(self, found: Found | None, failure: str) -> None:
+        with self._lock:
+            if not self._is_wanted.is_set():
+                return
+            self.found, self.failure = found or self.found, failure
+        if found is not None:
+            self._tell(found)
+
+    def _take(self) -> _Work | None:
         with self._lock:
             work, self._next = self._next, None
-            if work is None or self._stopping.is_set():
+            if work is None or self._is_stopping:
                 self._thread, self.doing = None, ""
                 return None
+            self._is_wanted.set()
             return work
 
     def _say(self, what: str, fraction: float) -> None:
-        if self._stopping.is_set():
+        if not self._is_wanted.is_set():
             raise _Cancelled
         self.doing = f"{what} ({100.0 * fraction:.0f} %)"
 
 
 class _Cancelled(Exception):  # noqa: N818 -- not an error: the node ends
-    """Fault isolation is to stop."""
+    """What is being isolated is no longer wanted."""

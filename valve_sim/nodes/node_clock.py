@@ -14,6 +14,10 @@ from rclpy.node import Node
 from valve_sim.nodes.realtime import NANOSECONDS, ClockReading
 
 _LONGEST_SLEEP: Final = 0.05
+_ROUNDING: Final = 1_000
+"""ns by which two clocks of the system may differ without one of them having been set."""
+_LOOKS: Final = 20
+"""Looks at both clocks of which the one with the least between is believed."""
 _NEW: Final = tuple.__new__
 """A named tuple's own call is one of Python, and takes three times as long."""
 
@@ -22,11 +26,23 @@ class NodeClock:
     """The clock that the node follows: elapsed time, or /clock with use_sim_time.
 
     Elapsed time is Python's own, and ROS tells when the clock is exchanged: a look at a ROS clock by a thread that has
-    just slept a millisecond takes 30 µs, and a step takes three of them.
+    just slept a millisecond takes 30 µs, and a step takes three of them. The stamps of what is sampled by elapsed time
+    are those of the system's clock, which may be set while the node runs: `was_set` says by how much.
+
+    Args:
+        node: whose clock it is.
+        monotonic, system: read elapsed time and the system's clock, which is ROS time without use_sim_time, ns.
     """
 
-    def __init__(self, node: Node) -> None:
+    def __init__(
+        self,
+        node: Node,
+        monotonic: Callable[[], int] = time.monotonic_ns,
+        system: Callable[[], int] = time.time_ns,
+    ) -> None:
         self._clock: Any = node.get_clock()
+        self._monotonic, self._system = monotonic, system
+        self._measure()
         self._woken = threading.Event()
         self._on_exchange: Callable[[], None] = _nothing
         # The handle is kept, because ROS drops a callback without it. Every /clock message is a jump of some size.
@@ -49,13 +65,13 @@ class NodeClock:
     def read(self) -> ClockReading | None:
         """Elapsed time, or simulated time once there is any."""
         if not self._is_simulated:
-            return _NEW(ClockReading, (time.monotonic_ns(), False))
+            return _NEW(ClockReading, (self._monotonic(), False))
         now = self._clock.now().nanoseconds
         return ClockReading(now, True) if now else None
 
     def elapsed(self) -> float:
         """Monotonic wall time, s, from any origin."""
-        return time.monotonic_ns() / NANOSECONDS
+        return self._monotonic() / NANOSECONDS
 
     def sleep_until(self, deadline: int) -> None:
         """Return at the deadline, at the next /clock message, or after 50 ms."""
@@ -63,7 +79,7 @@ class NodeClock:
             self._woken.wait(_LONGEST_SLEEP)
             self._woken.clear()
         else:
-            remaining = (deadline - time.monotonic_ns()) / NANOSECONDS
+            remaining = (deadline - self._monotonic()) / NANOSECONDS
             if remaining > 0.0:
                 time.sleep(min(remaining, _LONGEST_SLEEP))
 
@@ -74,6 +90,33 @@ class NodeClock:
     def stamp(self) -> int:
         """ROS time, ns, for the stamp of a message that is sent now."""
         return int(self._clock.now().nanoseconds)
+
+    def stamp_at(self, reading: ClockReading) -> int:
+        """ROS time, ns, at a reading of this clock."""
+        return reading.nanoseconds + (0 if reading.is_simulated else self._ahead)
+
+    def was_set(self) -> int:
+        """By how much, ns, the system's clock was set since this was last asked; negative where it was set back.
+
+        Its distance from elapsed time is known to the time that passes between two looks at the latter, so that no
+        interruption in between is taken for a step. Both clocks are slewed alike.
+        """
+        least, most = self._look()
+        if least <= self._most + _ROUNDING and most >= self._least - _ROUNDING:
+            return 0
+        known = self._ahead
+        self._measure()
+        return self._ahead - known
+
+    def _measure(self) -> None:
+        """Find by how much the system's clock is ahead of elapsed time, ns, and within which bounds that is known."""
+        looks = [self._look() for _ in range(_LOOKS)]
+        self._least, self._most = min(looks, key=lambda bounds: bounds[1] - bounds[0])
+        self._ahead = (self._least + self._most) // 2
+
+    def _look(self) -> tuple[int, int]:
+        before, system, after = self._monotonic(), self._system(), self._monotonic()
+        return system - after, system - before
 
     def _note_jump(self, jump: object) -> None:
         """/clock has moved, or another clock is followed from now on; or this is the first look."""

@@ -243,6 +243,11 @@ def settings_of(values: Mapping[str, Value]) -> Settings:
     return Settings(frame_id=str(values[_FRAME_ID]), **numbers)  # type: ignore[arg-type]
 
 
+def changed_words(before: Mapping[str, Value], after: Mapping[str, Value]) -> str:
+    """The parameters that have another value, each with the old one and the new; empty where none has."""
+    return ", ".join(f"{name} {before[name]} → {value}" for name, value in after.items() if value != before[name])
+
+
 def as_declared(name: str, value: object, entries: Mapping[str, NodeParameter]) -> object:
     """An integer where the table has a double, and integers in its list, become doubles; all else is returned as is."""
     if name not in entries:

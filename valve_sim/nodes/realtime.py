@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 import threading
 from collections import deque
-from collections.abc import Callable
-from typing import Final, NamedTuple, Protocol
+from collections.abc import Callable, Container
+from typing import Any, Final, NamedTuple, Protocol
 
 from valve_sim.nodes.stoppable import StoppableThread
 
@@ -225,17 +225,21 @@ class Worker(StoppableThread):
             elif may_step is not None and not may_step(pace.now):
                 self._clock.sleep_until(pace.now + _BETWEEN_QUESTIONS)
             else:
-                self._make_up(schedule, pace.now)
+                self._make_up(schedule, pace.now, is_simulated=pace.is_simulated)
                 self._clock.sleep_until(schedule.next)
 
-    def _make_up(self, schedule: Schedule, until: int) -> None:
-        """Make the steps up to a time, ns, that has just been read off the clock."""
+    def _make_up(self, schedule: Schedule, until: int, *, is_simulated: bool) -> None:
+        """Make the steps up to a time, ns, that has just been read off the clock.
+
+        Simulated time moves by whole ticks, so that a step can be made only once /clock has passed it: it is late by
+        what the clock goes on between that and the step, and the length of a tick says nothing about this machine.
+        """
         if until - schedule.next > schedule.backlog:
             self.timing.note_lost(schedule.drop_overdue(until))
         now, period = until, NANOSECONDS / self._rate
         while schedule.next <= until and not self.is_stopping:
             time = schedule.take()
-            self.timing.note(now - time, period)
+            self.timing.note(now - (until if is_simulated else time), period)
             self._step(time)
             if schedule.next <= until and (reading := self._clock.read()):
                 now = reading.nanoseconds
@@ -245,11 +249,11 @@ class _Pace:
     """Watches the clock for jumps, and the rate for changes.
 
     Attributes:
-        now: the last reading of the clock, ns.
+        now, is_simulated: the last reading of the clock, ns.
     """
 
     def __init__(self, clock: PaceClock, restart: Callable[[Restart], None]) -> None:
-        self.now = 0
+        self.now, self.is_simulated = 0, False
         self._clock = clock
         self._restart = restart
         self._last: ClockReading | None = None
@@ -261,7 +265,7 @@ class _Pace:
         reading, last = self._clock.read(), self._last
         if reading is None:
             return None
-        self._last, self.now = reading, reading.nanoseconds
+        self._last, (self.now, self.is_simulated) = reading, reading
         if (
             rate == self._rate
             and last is not None
@@ -333,8 +337,20 @@ class Audience:
         return self._is_heard
 
 
+class _Letter(NamedTuple):
+    """An action for a clock time, ns, with the value that it is called with."""
+
+    time: int
+    kind: str
+    action: Callable[[int, Any], None]
+    value: Any
+
+
 class Mailbox:
     """A queue between threads: callbacks post actions, the stepper calls those that are due.
+
+    While a clock stands still, letters may come for hours, in any order of their kinds. So of one time it holds at most
+    one letter of each kind: a value that would hold for no time need not be kept.
 
     Attributes:
         is_empty: whether there is no letter.
@@ -342,31 +358,52 @@ class Mailbox:
 
     def __init__(self) -> None:
         self.is_empty = True
-        self._letters: deque[tuple[int, Callable[[int], None], str]] = deque()
+        self._letters: deque[_Letter] = deque()
         self._lock = threading.Lock()
 
-    def post(self, time: int, action: Callable[[int], None], kind: str = "") -> None:
-        """Store an action for clock time `time`, ns; it will be called with that time.
+    def __len__(self) -> int:
+        """How many letters wait."""
+        return len(self._letters)
 
-        It takes the place of the letter before it if both have this time and this kind: while a clock stands still,
-        letters may come for hours, and memory would fill with them. Letters without a kind are all kept.
+    def post(
+        self,
+        time: int,
+        kind: str,
+        action: Callable[[int, Any], None],
+        value: Any = None,
+        *,
+        voids: Container[str] = (),
+        merge: Callable[[Any, Any], Any] | None = None,
+    ) -> None:
+        """Store an action for clock time `time`, ns; it will be called with that time and the value.
+
+        Args:
+            time: ns. kind: a letter of this kind that waits for the same time is dropped.
+            action, value: what is called, and with what beside the time.
+            voids: other kinds of which letters that wait for the same time are dropped.
+            merge: makes one value of that of a dropped letter of this kind and of the new one; default: the new one.
         """
         with self._lock:
-            if kind and self._letters and (self._letters[-1][0], self._letters[-1][2]) == (time, kind):
-                self._letters.pop()
-            self._letters.append((time, action, kind))
+            kept = []
+            while self._letters and self._letters[-1].time == time:
+                letter = self._letters.pop()
+                if letter.kind == kind:
+                    value = value if merge is None else merge(letter.value, value)
+                elif letter.kind not in voids:
+                    kept.append(letter)
+            self._letters.extend(reversed(kept))
+            self._letters.append(_Letter(time, kind, action, value))
             self.is_empty = False
 
     def deliver(self, since: int, until: int) -> None:
         """Call every action whose time is not after `until`, ns, in the order of posting, none as of before `since`."""
         while self._letters and (letter := self._take(until)) is not None:
-            time, action, _ = letter
-            action(max(time, since))
+            letter.action(max(letter.time, since), letter.value)
 
     def is_due(self, until: int) -> bool:
         """Whether an action's time is not after `until`, ns."""
         with self._lock:
-            return bool(self._letters) and self._letters[0][0] <= until
+            return bool(self._letters) and self._letters[0].time <= until
 
     def clear(self) -> None:
         """Drop all actions."""
@@ -374,8 +411,8 @@ class Mailbox:
             self._letters.clear()
             self.is_empty = True
 
-    def _take(self, until: int) -> tuple[int, Callable[[int], None], str] | None:
+    def _take(self, until: int) -> _Letter | None:
         with self._lock:
-            letter = self._letters.popleft() if self._letters and self._letters[0][0] <= until else None
+            letter = self._letters.popleft() if self._letters and self._letters[0].time <= until else None
             self.is_empty = not self._letters
             return letter

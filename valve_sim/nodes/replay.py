@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from valve_sim.identification.plants.valve_sensors import response_to
 from valve_sim.model import Phase, Reading, Response, Valve
 from valve_sim.nodes.diagnostics import Level, Status
-from valve_sim.nodes.realtime import NANOSECONDS, PaceClock, TimingRecord, why_restart
+from valve_sim.nodes.realtime import NANOSECONDS, ClockReading, PaceClock, TimingRecord, why_restart
 from valve_sim.nodes.stoppable import StoppableThread
 from valve_sim.traces import Trace
 
@@ -199,12 +199,13 @@ class Replay(StoppableThread):
                 return False
             last = reading
             due = int(np.searchsorted(self._timeline.offsets, reading.nanoseconds - start, side="right"))
-            self._hand_out(due, start)
+            self._hand_out(due, start, reading)
             if self.played < self.samples:
                 self._clock.sleep_until(start + int(self._timeline.offsets[self.played]))
         return True
 
-    def _hand_out(self, until: int, start: int) -> None:
+    def _hand_out(self, until: int, start: int, reading: ClockReading) -> None:
+        """Hand out what is due; by simulated time, which moves by ticks, it is late by what the clock went on since."""
         for index in range(self.played, until):
             if self.is_stopping:
                 return
@@ -214,7 +215,10 @@ class Replay(StoppableThread):
             else:
                 now = self._clock.read()
                 if now is not None:
-                    self.timing.note(now.nanoseconds - start - int(self._timeline.offsets[index]), self._period)
+                    due = start + int(self._timeline.offsets[index])
+                    self.timing.note(
+                        now.nanoseconds - (reading.nanoseconds if reading.is_simulated else due), self._period
+                    )
                 self._player.sample(place)
             self.played = index + 1
 

@@ -6,15 +6,16 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, Protocol, TypeVar
 
 from rcl_interfaces.msg import ParameterDescriptor
-from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo
+from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
 from rclpy.expand_topic_name import expand_topic_name
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
 
 from valve_sim.files.parameter_sections import Section
 from valve_sim.model import ParameterError
-from valve_sim.model.compiling import announce_compiling
+from valve_sim.model.compiling import COMPILING, announce_compiling
 from valve_sim.nodes.parameters import ROS_OWN, ROS_OWN_PREFIX, files_for_others, sources_of
+from valve_sim.nodes.spinning import guarded
 
 RELIABLE: Final = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 LATCHED: Final = QoSProfile(
@@ -49,13 +50,35 @@ class EncodedPublisher:
         self.get_subscription_count = publisher.get_subscription_count
 
 
-def warn_of_incompatible(node: Node, topic: str, event: QoSRequestedIncompatibleQoSInfo) -> None:
-    """Log that somebody publishes on a topic, a full name, who cannot be heard."""
-    policy = qos_policy_name_from_kind(event.last_policy_kind)
-    node.get_logger().warning(
-        f"{topic}: a publisher offers an incompatible QoS ({policy}) and cannot be heard; publish reliable, as this "
-        "topic asks"
-    )
+class IncompatiblePublishers:
+    """Publishers on a topic that is subscribed to reliably, who offer best effort and so cannot be heard.
+
+    Args:
+        node: subscribes. topic: full name.
+
+    Attributes:
+        events: for the subscription; each such publisher is warned of in the log.
+    """
+
+    def __init__(self, node: Node, topic: str) -> None:
+        self.events = SubscriptionEventCallbacks(incompatible_qos=guarded(self._warn))
+        self._node, self._topic = node, topic
+        self._have_been = False
+
+    def count(self) -> int:
+        """How many there are now."""
+        if not self._have_been:
+            return 0  # as nearly always, without a look at who publishes
+        found = self._node.get_publishers_info_by_topic(self._topic)
+        return sum(entry.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT for entry in found)
+
+    def _warn(self, event: QoSRequestedIncompatibleQoSInfo) -> None:
+        self._have_been = True
+        policy = qos_policy_name_from_kind(event.last_policy_kind)
+        self._node.get_logger().warning(
+            f"{self._topic}: a publisher offers an incompatible QoS ({policy}) and cannot be heard; publish reliable, "
+            "as this topic asks"
+        )
 
 
 def make_node(name: str) -> Node:
@@ -74,9 +97,7 @@ def make_node(name: str) -> Node:
             f"({error}); take it out"
         ) from error
     logger = node.get_logger()
-    announce_compiling(
-        lambda: logger.info("compiling the model for this machine, once, for some seconds; what comes meanwhile waits")
-    )
+    announce_compiling(lambda: logger.info(f"{COMPILING}; what comes meanwhile waits"))
     return node
 
 

@@ -9,6 +9,8 @@ import os
 import signal
 import sys
 import tempfile
+import threading
+import traceback
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import FrameType
@@ -21,8 +23,10 @@ from valve_sim.nodes.dds_profiles import installed_rclpy, offer_profile
 
 UNUSABLE_INPUT: Final = 2
 """Exit code after one line on stderr."""
-STOP_SECONDS: Final = 0.4
-"""s that a node may take to end before it says why."""
+STOP_SECONDS: Final = 0.3
+"""s that each thread of a node may take to end; one that calculates for longer is ended with the process."""
+END_SECONDS: Final = 1.5
+"""s after a signal at which a node is ended, whatever it does."""
 _PARAMETER_FLAG: Final = "--params-file"
 
 
@@ -40,8 +44,8 @@ class Shell(Protocol):
     def spin(self) -> None:
         """Run until ROS is shut down."""
 
-    def close(self, timeout: float | None) -> bool:
-        """End every thread and release everything, within `timeout`, s, or however long it takes; whether it has."""
+    def close(self, timeout: float) -> bool:
+        """End every thread and release everything; whether each thread has ended within `timeout`, s."""
 
 
 def run_node(name: str, make: Callable[[GivenFiles], Shell], args: Sequence[str] | None) -> int:
@@ -63,14 +67,14 @@ def run_node(name: str, make: Callable[[GivenFiles], Shell], args: Sequence[str]
             _ensure_log_folder(name)
             offer_profile(os.environ, Path.cwd(), installed_rclpy())
         rclpy_init(arguments)
-        with signals.second_ends_at_once():
-            shell = None if signals.have_come else _made(make, given)
+        shell = None if signals.have_come else _made(make, given)
     except ValveError as error:
         print(f"{name}: {error}", file=sys.stderr)
         return UNUSABLE_INPUT
     if shell is None:
         rclpy().try_shutdown()
         return 0
+    signals.shell = shell
     return _spin(name, shell)
 
 
@@ -153,47 +157,50 @@ def _spin(name: str, shell: Shell) -> int:
         if rclpy().ok():
             raise
     finally:
-        _close(name, shell)
+        _on_signals(signal.SIG_IGN)
+        has_ended = shell.close(STOP_SECONDS)
         rclpy().try_shutdown()
+        if not has_ended:
+            # A thread that compiles or searches looks at no flag for as long as that takes: Python would wait for it.
+            print(f"{name}: ended in the middle of a calculation", file=sys.stderr)
+            _end_at_once(shell.exit_code)
     return shell.exit_code
 
 
-def _close(name: str, shell: Shell) -> None:
-    """Release everything; a second Ctrl-C interrupts that only while a thread keeps the program waiting."""
-    _on_signals(signal.SIG_IGN)
-    if shell.close(STOP_SECONDS):
-        return
-    print(f"{name}: ends when a calculation has, or at once with another Ctrl-C", file=sys.stderr)
-    _on_signals(signal.SIG_DFL)
-    shell.close(None)
+def _end_at_once(code: int) -> NoReturn:
+    """End the process wherever its threads are; an exception that is just being raised is printed."""
+    if sys.exc_info()[1] is not None:
+        traceback.print_exc()
+        code = 1
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError):
+            stream.flush()
+    os._exit(code)
 
 
 class _Signals:
     """SIGINT and SIGTERM as noted here, while ROS, whose handlers call these, shuts itself down.
 
     Python's own answer to Ctrl-C is an exception at whatever place is reached, also within a callback or a message that
-    ROS is just making: it came up as another error, or not at all.
+    ROS is just making: it came up as another error, or not at all. A process that has not ended by `END_SECONDS`,
+    because it reads a long recording or answers a question that takes long, is ended there.
     """
 
     def __init__(self) -> None:
         self.have_come = False
-        self._second_ends = False
+        self.shell: Shell | None = None
         _on_signals(self._note)
 
-    @contextlib.contextmanager
-    def second_ends_at_once(self) -> Iterator[None]:
-        """While inside, the second signal ends the process: the first may wait for a long recording to be read."""
-        self._second_ends = True
-        try:
-            yield
-        finally:
-            self._second_ends = False
-
     def _note(self, number: int, frame: FrameType | None) -> None:
-        if self.have_come and self._second_ends:
-            signal.signal(number, signal.SIG_DFL)
-            os.kill(os.getpid(), number)
+        if self.have_come:
+            return
         self.have_come = True
+        latest = threading.Timer(END_SECONDS, self._end)
+        latest.daemon = True
+        latest.start()
+
+    def _end(self) -> None:
+        _end_at_once(0 if self.shell is None else self.shell.exit_code)
 
 
 def _on_signals(action: signal.Handlers | Callable[[int, FrameType | None], None]) -> None:

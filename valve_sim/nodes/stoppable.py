@@ -23,7 +23,7 @@ class StoppableThread(threading.Thread):
     def wake(self) -> None:
         """Interrupt what the thread waits for, if anything, so that it sees that it is to end."""
 
-    def stop(self, timeout: float | None) -> bool:
+    def stop(self, timeout: float) -> bool:
         """Ask the thread to end; whether it has ended within `timeout`, s."""
         self.is_stopping = True
         self._stopping.set()

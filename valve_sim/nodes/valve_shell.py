@@ -17,7 +17,6 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import BatteryState, JointState
 from std_msgs.msg import Bool, Float64, UInt8
@@ -25,7 +24,7 @@ from std_srvs.srv import Trigger
 
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.files.parameter_sections import Section
-from valve_sim.model import ParameterError, Valve
+from valve_sim.model import ParameterError, Phase, Valve
 from valve_sim.nodes.diagnostics import (
     CommandCount,
     Level,
@@ -52,6 +51,7 @@ from valve_sim.nodes.parameters import (
     Settings,
     Value,
     as_declared,
+    changed_words,
     check_overrides,
     left_without_effect,
     settings_of,
@@ -65,10 +65,10 @@ from valve_sim.nodes.shell_parts import (
     LATCHED,
     RELIABLE,
     EncodedPublisher,
+    IncompatiblePublishers,
     declare,
     given_parameters,
     make_node,
-    warn_of_incompatible,
 )
 from valve_sim.nodes.spinning import guarded, spin
 
@@ -109,6 +109,7 @@ class ValveShell:
             self._exit_code = 0
             self._is_ready = False
             self._was_waiting = True
+            self._said_open: bool | None = None
             self._messages = ReadingMessages(self._settings.frame_id)
             self._image = self._messages.image()
             self._wire()
@@ -139,12 +140,14 @@ class ValveShell:
             thread.start()
         spin(self._node)
 
-    def close(self, timeout: float | None) -> bool:
+    def close(self, timeout: float) -> bool:
         """Stop and release everything; whether all threads have ended. The loader cannot while it compiles."""
-        have_ended = [thread.stop(timeout) for thread in (self._receiver, self._worker, self._loader)]
-        if all(have_ended):
+        # Whoever publishes must have ended before the node is destroyed; the loader does not.
+        are_silent = all([thread.stop(timeout) for thread in (self._receiver, self._worker)])
+        is_loaded = self._loader.stop(timeout)
+        if are_silent:
             self._node.destroy_node()
-        return all(have_ended)
+        return are_silent and is_loaded
 
     # --- wiring ---
 
@@ -154,6 +157,7 @@ class ValveShell:
         values = check_overrides(given, self._entries, sources_of(sections, name))
         for key, entry in self._entries.items():
             declare(node, key, values[key], descriptor(entry))
+        self._told = self._values()
         node.add_pre_set_parameters_callback(guarded(self._complete))
         node.add_on_set_parameters_callback(guarded(self._validate))
         node.add_post_set_parameters_callback(guarded(self._apply))
@@ -169,14 +173,14 @@ class ValveShell:
         self._phase = EncodedPublisher(node, UInt8, "~/phase", qos=LATCHED)
         self._is_open = EncodedPublisher(node, Bool, "~/is_open", qos=LATCHED)
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
-        events = SubscriptionEventCallbacks(incompatible_qos=guarded(self._on_incompatible_voltage))
+        self._incompatible = IncompatiblePublishers(node, node.resolve_topic_name("~/coil_voltage"))
         self._voltage = node.create_subscription(
             Float64,
             "~/coil_voltage",
             guarded(self._take_command),
             RELIABLE,
             callback_group=ReceiverGroup(),
-            event_callbacks=events,
+            event_callbacks=self._incompatible.events,
         )
         if self._live.valve.gas is not None:
             self._gas = self._wire_gas()
@@ -219,15 +223,23 @@ class ValveShell:
             self._loader.join()
 
     def _restart(self, restart: Restart) -> None:
-        stamp = self._clock.stamp()
+        self._clock.was_set()
         if restart.reason:
             self._node.get_logger().warning(f"{restart.reason}: the valve rests closed, and no command holds any more")
-        self._live.restart(
-            restart.reading.nanoseconds, restart.reading.nanoseconds if restart.reading.is_simulated else stamp
-        )
+        self._live.restart(restart.reading.nanoseconds, self._clock.stamp_at(restart.reading))
+
+    def _follow_system_clock(self) -> None:
+        """Have stamps follow the system's clock where that was set; elapsed time, and the valve, go on."""
+        shift = 0 if self._clock.is_simulated else self._clock.was_set()
+        if shift:
+            self._live.shift_stamps(shift)
+            self._node.get_logger().warning(
+                f"the system's clock was set by {shift / NANOSECONDS:+.6f} s: stamps follow it, the valve goes on"
+            )
 
     def _step(self, deadline: int) -> None:
         live, shown, gas = self._live, self._image, self._gas
+        self._follow_system_clock()
         is_of_gas = gas is not None and gas.is_due(deadline)
         if self._is_ready and not is_of_gas and live.passes(shown.image, deadline):
             self._publish_image(deadline, shown)
@@ -238,10 +250,20 @@ class ValveShell:
             gas.publish(deadline, step, is_due=is_of_gas)
         if step.phases:
             self._publish_phases(step)
+        if step.switched_off:
+            self._say_switched_off(step.switched_off)
         if step.failure:
             self._failure = step.failure
             # A valve that fails at every step would fill the disk with a thousand lines a second.
             self._node.get_logger().error(f"the valve was put back to rest: {step.failure}", throttle_duration_sec=1.0)
+
+    def _say_switched_off(self, why: str) -> None:
+        words = f"the coil was switched off: {why}"
+        if self._live.timed_out:
+            # A commander that is always later than command_timeout would fill the disk.
+            self._node.get_logger().warning(words, throttle_duration_sec=BETWEEN_WARNINGS)
+        else:
+            self._node.get_logger().warning(words)
 
     def _publish_image(self, deadline: int, shown: SampleImage) -> None:
         hears_joint_states, hears_coil, hears_coil_current = self._audience.look(deadline)
@@ -267,7 +289,9 @@ class ValveShell:
     def _publish_phases(self, step: Step) -> None:
         for phase in step.phases:
             self._phase.publish(PHASE[phase])
-            self._is_open.publish(IS_OPEN[phase])
+            if (is_open := phase is Phase.OPEN) is not self._said_open:
+                self._said_open = is_open
+                self._is_open.publish(IS_OPEN[phase])
 
     def _fail(self, error: Exception) -> None:
         if self._node.context.ok():
@@ -293,14 +317,11 @@ class ValveShell:
             throttle_duration_sec=BETWEEN_WARNINGS,
         )
 
-    def _on_incompatible_voltage(self, event: QoSRequestedIncompatibleQoSInfo) -> None:
-        self._commands.incompatible_publishers = event.total_count
-        warn_of_incompatible(self._node, self._voltage.topic_name, event)
-
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._live.reset(self._now())
         self._commands.accept()
         self._failure = ""
+        self._node.get_logger().info("reset: the valve rests closed, without current")
         response.success = True
         response.message = "the valve rests closed, without current; the last command no longer holds"
         return response
@@ -329,7 +350,11 @@ class ValveShell:
                 self._node.get_logger().warning(line)
         statuses = [
             timing,
-            command_status(self._commands.look(now, live.last_command, live.volts, live.timed_out)),
+            command_status(
+                self._commands.look(
+                    now, live.last_command, live.volts, live.timed_out, live.withdrawn, self._incompatible.count()
+                )
+            ),
             valve_status(ValveFacts(live.phase, live.strokes, live.failures, self._failure, self._duplicates.look())),
         ]
         if self._gas is not None:
@@ -366,7 +391,10 @@ class ValveShell:
         names = {parameter.name for parameter in parameters} & self._entries.keys()
         if not names:
             return
-        now, settings = self._now(), settings_of(self._values())
+        values = self._values()
+        if changes := changed_words(self._told, values):
+            self._node.get_logger().info(f"set: {changes}")
+        now, settings, self._told = self._now(), settings_of(values), values
         if settings.time_scale != self._settings.time_scale:
             self._live.set_scale(now, settings.time_scale)
         if settings.max_voltage != self._settings.max_voltage:

@@ -6,7 +6,7 @@ from valve_sim.traces.reading import list_valves, read_trace
 from valve_sim.traces.strokes import StrokePart, command_strokes, find_stroke_parts, stroke_numbers, stroke_starts
 from valve_sim.traces.summary import Gap, Rate, TraceSummary, describe
 from valve_sim.traces.trace import DriveErrors, Signal, Trace
-from valve_sim.traces.trouble import doubtful_units, refuse_doubtful_units
+from valve_sim.traces.trouble import another_valve, doubtful_units, refuse_doubtful_units
 from valve_sim.traces.writing import CSV_COLUMNS, BagRecorder, commanded_voltage, write_bag, write_bags, write_csv
 
 __all__ = [
@@ -22,6 +22,7 @@ __all__ = [
     "Trace",
     "TraceError",
     "TraceSummary",
+    "another_valve",
     "command_strokes",
     "commanded_voltage",
     "describe",

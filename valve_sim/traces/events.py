@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from valve_sim.traces.contact_times import PositionNoise, contact_time
 from valve_sim.traces.current_bends import find_bends
-from valve_sim.traces.strokes import MAD_TO_SIGMA, find_stroke_parts, sample_noise
+from valve_sim.traces.strokes import MAD_TO_SIGMA, find_stroke_parts, sample_noise, smallest_change
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -23,29 +24,27 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-APPROACH_SHARE = 0.5
-"""Part of the way to the gap, counted from there, that the fitted parabola follows."""
-
-STOP_APPROACH_SHARE = 0.2
-"""The same for the way from the gap to the stop, where speed and force change faster."""
-
 FEWEST_SAMPLES = 5
-"""A parabola has three numbers; with fewer samples than this its error is guesswork."""
+"""Of an acceleration, in which a spike is looked for."""
 
-ARRIVAL_SIGMAS = 4.0
-"""A sample this close to a level may already rest on it."""
+NEAR_REST = 0.02
+"""Share of the travel within which a position may be at one of its ends."""
 
-GOES_ON = 0.05
-"""Share of the last step by which a motion that goes on is beyond the level: at a stop it is not."""
+AT_REST = 4.0
+"""Standard deviations of the noise within which it is there."""
 
-PARABOLA_ERROR = 1e-6
-"""s; what a parabola misses of the real motion: at most 0.9 µs on 8 noise-free strokes, 7.5 to 14 V at 20 kHz."""
+COLOURED, MOST_COLOURED = 0.1, 0.95
+"""Correlation of neighbouring samples below which noise is taken for white, and the largest that is assumed."""
 
 SPIKE_SIGMAS = 6.0
 """An acceleration above this many standard deviations of the noise is a spike."""
 
 SPIKE_SEARCH = 1e-3
 """s; a spike further than this from the arrival seen by the position belongs to something else."""
+
+
+AT_THE_GAP = ("pilot_reaches_main", "main_seats")
+"""Arrivals that a valve with one plunger has not."""
 
 
 class SensorEvent(NamedTuple):
@@ -55,7 +54,8 @@ class SensorEvent(NamedTuple):
         kind: "pilot_reaches_main" (t1), "reaches_stop" (t2), and on the way back "main_seats", "reaches_seat".
         time: s on the trace's clock.
         after_command: s since the stroke's command.
-        uncertainty: Standard error of the time, s, from the sensor's noise.
+        uncertainty: Standard error of the time, s, from the sensor's noise and the interval of its samples. What lag
+            a sensor has is not in it.
         sensor: "position" or "acceleration"; "current" where no position was recorded.
     """
 
@@ -78,13 +78,18 @@ def events_from_sensors(trace: Trace, pilot_gap: float) -> tuple[StrokeEvents, .
 
     Args:
         trace: A measured trace.
-        pilot_gap: Where the pilot plunger meets the main plunger, m above its closed rest.
+        pilot_gap: Where the pilot plunger meets the main plunger, m above its closed rest; 0 of a valve with one
+            plunger, which meets none.
     """
     strokes = [stroke for stroke in find_stroke_parts(trace) if stroke.moved and stroke.kind != "hold"]
     if not strokes:
         return ()
     if not trace.has_positions:
-        return tuple(StrokeEvents(stroke, tuple(_by_current(trace.coil_current, stroke))) for stroke in strokes)
+        by_current = [(stroke, _by_current(trace.coil_current, stroke)) for stroke in strokes]
+        return tuple(
+            StrokeEvents(stroke, tuple(event for event in seen if pilot_gap > 0.0 or event.kind not in AT_THE_GAP))
+            for stroke, seen in by_current
+        )
     levels = _rest_levels(trace.pilot_position, pilot_gap)
     found = []
     for stroke in strokes:
@@ -95,113 +100,67 @@ def events_from_sensors(trace: Trace, pilot_gap: float) -> tuple[StrokeEvents, .
 
 
 class _Levels(NamedTuple):
-    """Where a trace's pilot plunger rests and meets the main plunger, and the noise of its position, m."""
+    """Where a trace's pilot plunger rests and meets the main plunger, m, and the noise of its position."""
 
     seat: float
     gap: float
     stop: float
-    noise: float
+    noise: PositionNoise
 
 
 def _by_position(trace: Trace, stroke: StrokePart, levels: _Levels) -> Iterator[SensorEvent]:
     window = slice(*np.searchsorted(trace.times, [stroke.start, stroke.stop]))
     times, position = trace.times[window], trace.pilot_position[window]
     seat, gap, stop, noise = levels
-    if stroke.kind == "closing":
-        ways = [
-            ("main_seats", gap, gap + STOP_APPROACH_SHARE * (stop - gap)),
-            ("reaches_seat", seat, seat + APPROACH_SHARE * (gap - seat)),
-        ]
+    first, second = gap - seat, stop - gap
+    if first == 0.0:  # one plunger
+        closing, opening = ("reaches_seat", stop - position, second, 0.0), ("reaches_stop", position - gap, second, 0.0)
+        ways = [closing if stroke.kind == "closing" else opening]
+    elif stroke.kind == "closing":
+        ways = [("main_seats", stop - position, second, first), ("reaches_seat", gap - position, first, 0.0)]
     else:
-        ways = [
-            ("pilot_reaches_main", gap, gap - APPROACH_SHARE * (gap - seat)),
-            ("reaches_stop", stop, stop - STOP_APPROACH_SHARE * (stop - gap)),
-        ]
-    for kind, level, begin in ways:
+        ways = [("pilot_reaches_main", position - seat, first, second), ("reaches_stop", position - gap, second, 0.0)]
+    for kind, way, length, beyond in ways:
         if kind == "reaches_stop" and stroke.kind == "pulse":
             continue
-        arrival = _arrival(times, position, begin, level, noise)
-        if arrival is not None:
-            yield SensorEvent(kind, arrival[0], arrival[0] - stroke.start, arrival[1], "position")
+        contact = contact_time(times, way, length, noise, beyond) if min(length, second) > 0.0 else None
+        if contact is not None:
+            yield SensorEvent(kind, contact.time, contact.time - stroke.start, contact.uncertainty, "position")
 
 
 def _rest_levels(position: Array, pilot_gap: float) -> _Levels:
-    """Find seat and stop: the median of the samples near the trace's lowest and highest.
+    """Find seat and stop: the median of the samples near the trace's lowest and highest; and the noise about them.
 
     A valve rests there most of the time, so these samples are many and mostly still. The whole trace is used, so this
     is done once for all strokes.
     """
-    noise = sample_noise(position)
+    white, step = sample_noise(position), smallest_change(position)
     low, high = np.quantile(position, [0.001, 0.999])
-    margin = max(0.02 * (high - low), 6 * noise)
-    seat = float(np.median(position[position < low + margin]))
-    stop = float(np.median(position[position > high - margin]))
-    return _Levels(seat, seat + pilot_gap, stop, noise)
+    margin = max(NEAR_REST * (high - low), 6 * white)
+    seat, at_seat = _rest(position, position < low + margin, white)
+    stop, at_stop = _rest(position, position > high - margin, white)
+    apart = np.concatenate([position[at_seat] - seat, position[at_stop] - stop])
+    spread, coarse = MAD_TO_SIGMA * float(np.median(np.abs(apart))), step / np.sqrt(12.0)
+    sigma = max(spread, white, coarse)
+    changes = np.diff(position)[(at_seat[1:] & at_seat[:-1]) | (at_stop[1:] & at_stop[:-1])]
+    correlation = 0.0
+    if spread > step and len(changes):
+        # Neighbours with correlation r differ by a variance of 2 (1 - r) of theirs.
+        change = MAD_TO_SIGMA * float(np.median(np.abs(changes)))
+        correlation = min(max(1.0 - change**2 / (2.0 * sigma**2), 0.0), MOST_COLOURED)
+        correlation = correlation if correlation > COLOURED else 0.0
+    fewest = min(np.count_nonzero(at_seat), np.count_nonzero(at_stop)) * (1.0 - correlation) / (1.0 + correlation)
+    error = float(np.hypot(sigma * np.sqrt(0.5 * np.pi / fewest), coarse))
+    return _Levels(seat, seat + pilot_gap, stop, PositionNoise(sigma, correlation, error))
 
 
-def _arrival(times: Array, position: Array, begin: float, level: float, noise: float) -> tuple[float, float] | None:
-    """Return when a motion from `begin` first gets to `level`, and the standard error; None if it does not.
-
-    A parabola is fitted to the samples between the two, all of them before the contact, and extrapolated to `level`.
-    """
-    direction = 1.0 if level > begin else -1.0
-    way = direction * (position - begin)
-    length = abs(level - begin)
-    near = np.flatnonzero(way >= length - ARRIVAL_SIGMAS * noise)
-    if len(near) == 0 or near[0] == 0:
-        return None
-    last = int(near[0])
-    outside = np.flatnonzero(way[:last] < 0)
-    first = int(outside[-1]) + 1 if len(outside) else 0
-    if first == 0 or last - first < FEWEST_SAMPLES:
-        return _between_samples(times, way, length, last)
-    return _extrapolate(times[first:last], way[first:last], length)
-
-
-def _between_samples(times: Array, way: Array, length: float, last: int) -> tuple[float, float] | None:
-    """Return the crossing where samples are too few for a fit: good to the sample interval.
-
-    Where the motion goes on beyond, by a parabola through the samples around it and the one before; else by a line.
-    """
-    crossed = np.flatnonzero(way[last - 1 :] >= length)
-    after = last - 1 + int(crossed[0]) if len(crossed) else last
-    before = after - 1
-    if before < 0 or way[after] <= way[before]:
-        return None
-    share = float(np.clip((length - way[before]) / (way[after] - way[before]), 0.0, 1.0))
-    interval = float(times[after] - times[before])
-    if before > 0 and way[after] > length + (way[after] - way[before]) * GOES_ON:
-        found = _by_parabola(times[before - 1 : after + 1], way[before - 1 : after + 1], length)
-        share = share if found is None else found
-    return float(times[before] + share * interval), float(interval / np.sqrt(12.0))
-
-
-def _by_parabola(times: Array, way: Array, length: float) -> float | None:
-    """Return which share of the last of two intervals passes before the parabola through their ends is at `length`."""
-    since = (times - times[1]) / (times[2] - times[1])
-    roots = np.roots(np.polyfit(since, way - length, 2))
-    real = [float(root.real) for root in roots if abs(root.imag) < 1e-9 and 0.0 <= root.real <= 1.0]
-    return real[0] if len(real) == 1 else None
-
-
-def _extrapolate(times: Array, way: Array, length: float) -> tuple[float, float] | None:
-    """Fit the way, where the noise is, as a parabola of time, and solve it for `length`."""
-    origin, scale = times[-1], times[-1] - times[0]
-    design = np.vander((times - origin) / scale, 3)
-    coefficients, *_ = np.linalg.lstsq(design, way, rcond=None)
-    residual = way - design @ coefficients
-    variance = float(residual @ residual) / (len(times) - 3)
-    roots = np.roots([coefficients[0], coefficients[1], coefficients[2] - length])
-    real = np.real(roots[np.abs(np.imag(roots)) < 1e-9])
-    if len(real) == 0:
-        return None
-    root = float(real[np.argmin(np.abs(real))])
-    if abs(root) > 1.0:
-        return None
-    speed = 2 * coefficients[0] * root + coefficients[1]
-    at_root = np.vander([root], 3)[0]
-    spread = variance * float(at_root @ np.linalg.solve(design.T @ design, at_root))
-    return float(origin + root * scale), float(np.hypot(np.sqrt(spread) / abs(speed) * scale, PARABOLA_ERROR))
+def _rest(position: Array, near: NDArray[np.bool_], white: float) -> tuple[float, NDArray[np.bool_]]:
+    """The level at which a position rests among the samples near it, and which of them do."""
+    for _ in range(2):
+        level = float(np.median(position[near]))
+        apart = np.abs(position - level)
+        near = near & (apart <= AT_REST * max(MAD_TO_SIGMA * float(np.median(apart[near])), white))
+    return float(np.median(position[near])), near
 
 
 def _by_current(signal: Signal | None, stroke: StrokePart) -> Iterator[SensorEvent]:

@@ -12,6 +12,7 @@ from valve_sim.files.recording_map import QUANTITIES, UNITS
 from valve_sim.files.tables import TableError
 from valve_sim.traces.errors import TraceError
 from valve_sim.traces.map_series import Series, bag_series, table_series
+from valve_sim.traces.trouble import MOST_AMPERES
 from valve_sim.traces.voltage_steps import count_levels
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ HINTS: Mapping[str, str] = {
     "position": r"pos|lift|lvdt|displ|stroke|travel|plunger|laser|range|dist|tracker|point|hub|weg",
     "command": r"command|cmd|setpoint|demand|supply|driver|volts",
     "voltage": r"volt|(^|[^a-z])u_|spannung",
-    "current": r"curr|amp|clamp|strom|effort|(^|[^a-z])i_",
+    "current": r"curr|(^|[^a-z])amp(s|ere|$|[^a-z])|clamp|strom|effort|(^|[^a-z])i_",
     "acceleration": r"accel|imu",
     "pressure": r"press|druck|_bar",
     "temperature": r"temp",
@@ -50,9 +51,11 @@ class Guess(NamedTuple):
 
     @property
     def lines(self) -> list[str]:
-        """As YAML on one line, after the reasons as comments."""
+        """As YAML on one line, after the reasons as comments, of which the first names it as a guess."""
         inside = ", ".join(f"{key}: {_yaml(value)}" for key, value in {**self.series.place, **self.settings}.items())
-        return [*(f"# {reason}" for reason in self.reasons), f"{self.quantity}: {{{inside}}}"]
+        first, *others = self.reasons
+        comments = [f"# {self.quantity} is a guess: {first}", *(f"# {reason}" for reason in others)]
+        return [*comments, f"{self.quantity}: {{{inside}}}"]
 
 
 def draft_map(path: Path, parameters: ValveParameters, command: str) -> str:
@@ -80,6 +83,7 @@ def draft_map(path: Path, parameters: ValveParameters, command: str) -> str:
     if not moving:
         names = ", ".join(entry.name for entry in series[:12]) or "no number at all"
         raise TraceError(f"{path}: nothing in it moves ({names}); record while the valve works")
+    moving = [entry for entry in moving if not _counts(entry)] or moving
     used: set[str] = set()
     for valve, guesses in _valves(moving, parameters).items():
         indent = ""
@@ -147,10 +151,31 @@ def _guesses(series: Sequence[Series], parameters: ValveParameters) -> list[Gues
         named = [entry for entry in rest if _names(entry, quantity)]
         # A current without a name is taken to be the remaining channel of an oscilloscope.
         unnamed = rest if quantity == "current" and len(rest) == 1 and "column" in rest[0].place else []
-        for entry in (named or unnamed)[:1]:
+        for entry in [found for found in named or unnamed if _is_possible(quantity, found, parameters)][:1]:
             rest.remove(entry)
             guesses.append(_other_guess(quantity, entry, is_named=bool(named), parameters=parameters))
     return guesses
+
+
+def _counts(entry: Series) -> bool:
+    """Whether a series grows from each value to the next, as stamps and counters do and no quantity of a valve does."""
+    return len(entry.values) > MOST_LEVELS and bool((np.diff(entry.values) > 0.0).all())
+
+
+def _is_possible(quantity: str, entry: Series, parameters: ValveParameters) -> bool:
+    """Whether a series can be this quantity in any unit that a map knows, or in the one that its file states.
+
+    A current that would be refused as soon as it is read is none, and nothing is colder than absolute zero.
+    """
+    units = UNITS[QUANTITIES[quantity].dimension]
+    possible = [units[entry.unit]] if entry.unit in units else list(units.values())
+    if quantity == "current":
+        # The drive may be of several times the reference voltage, as with peak and hold.
+        most = MOST_AMPERES * parameters.reference_voltage / parameters.coil_resistance
+        return any(unit.factor * max(abs(entry.low), abs(entry.high)) <= most for unit in possible)
+    if quantity == "temperature":
+        return any(unit.factor * entry.low + unit.zero >= -273.15 for unit in possible)
+    return True
 
 
 def _best(series: Sequence[Series], score: Callable[[Series], float]) -> Series | None:

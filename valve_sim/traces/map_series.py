@@ -25,13 +25,16 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-LARGE_TYPES = re.compile(r".*/(Image|CompressedImage|PointCloud2?|OccupancyGrid|LaserScan|TFMessage|Log|.*Markers?.*)")
-"""Types that hold no quantity of a valve, and fill memory."""
+OTHER_TYPES = re.compile(
+    r".*/(Image|CompressedImage|PointCloud2?|OccupancyGrid|LaserScan|TFMessage|Log|.*Markers?.*)|"
+    r"(rcl_interfaces|rosgraph_msgs|diagnostic_msgs|lifecycle_msgs|statistics_msgs|builtin_interfaces)/.*"
+)
+"""Types that hold no quantity of a valve: large ones, and what ROS tells of itself."""
 MOST_MESSAGES = 200_000
 """Of each topic: enough to see what it is."""
 MOST_FIELDS = 60
 JOINT_FIELDS = ("position", "velocity", "effort")
-LEFT_OUT = re.compile(r"covariance|orientation|angular_velocity|(^|\.)(frame_id|seq|child)")
+LEFT_OUT = re.compile(r"covariance|orientation|angular_velocity|(^|\.)(frame_id|seq|child|sec|nanosec)")
 
 
 @dataclass(frozen=True)
@@ -107,14 +110,14 @@ def table_series(table: DataTable, columns: Mapping[str, Array]) -> list[Series]
 
 
 def bag_series(path: Path) -> list[Series]:
-    """Every number that the messages of a bag hold, large messages left out.
+    """Every number that the messages of a bag hold, messages of other things left out.
 
     Raises:
         TraceError: Nothing can be read from it.
     """
 
     def select(types: Mapping[str, str]) -> dict[str, None]:
-        return {topic: None for topic, message_type in types.items() if not LARGE_TYPES.fullmatch(message_type)}
+        return {topic: None for topic, message_type in types.items() if not OTHER_TYPES.fullmatch(message_type)}
 
     recording = read_recording(path, select, most=MOST_MESSAGES)
     result: list[Series] = []

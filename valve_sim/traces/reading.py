@@ -113,6 +113,7 @@ class _Assembly:
         self.recording = recording
         self.findings = list(recording.findings)
         self._reported: set[str] = set()
+        self._levels_are_input = True
         self.samples_topic = plan.sources[plan.judged].topic
 
     def trace(self) -> Trace:
@@ -356,6 +357,7 @@ class _Assembly:
             return self.dated(Commands(times, volts), offset)
         steps = find_steps((times - times[0]) / SECOND, volts, f"{self.path}: topic {topic}")
         self.findings += steps.findings(topic)
+        self._levels_are_input = steps.are_input
         when = times[0] + np.rint(SECOND * steps.times).astype(np.int64)
         return when, steps.volts, DriveErrors(steps.time_errors, steps.volt_errors)
 
@@ -401,7 +403,7 @@ class _Assembly:
     def signals(self, epoch: int, offset: int) -> dict[str, Signal | None]:
         """Return the optional quantities by their names in a trace."""
         found = {name: self.signal(key, epoch, offset) for key, name in SIGNALS.items()}
-        if self.plan.map_path and "command" not in self.plan.sources:
+        if self.plan.map_path and "command" not in self.plan.sources and self._levels_are_input:
             found["coil_voltage"] = None  # its steps are all that is used of it
         return found
 

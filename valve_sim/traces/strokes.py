@@ -74,7 +74,7 @@ def sample_noise(position: Array) -> float:
     return float(MAD_TO_SIGMA * median_of(bends) / np.sqrt(6.0))
 
 
-def _smallest_change(position: Array) -> float:
+def smallest_change(position: Array) -> float:
     """Return the smallest change between samples, m: the step of a coarse sensor, next to 0 for a fine one."""
     smallest = math.inf
     for own in blocks(len(position) - 1):
@@ -86,7 +86,7 @@ def _smallest_change(position: Array) -> float:
 
 def motion_threshold(position: Array) -> float:
     """Return the span, m, above which a position has moved; below it may be noise."""
-    return MOTION_SIGMAS * sample_noise(position) + MOTION_STEPS * _smallest_change(position) + SMALLEST_MOTION
+    return MOTION_SIGMAS * sample_noise(position) + MOTION_STEPS * smallest_change(position) + SMALLEST_MOTION
 
 
 def medians_of_three(values: Array) -> Array:

@@ -64,6 +64,7 @@ class TraceSummary:
         noise: Standard deviation of the noise from sample to sample: of the position, m, or without any of the
             current, A, or else of the outlet's pressure, Pa.
         judged: Which of them, as `Trace.judged`.
+        input: What drives a model, in words: a measured voltage and where it is recorded, its levels, or the commands.
         strokes: What the commands did: the parts of its strokes.
         findings: What reading the trace found.
     """
@@ -82,6 +83,7 @@ class TraceSummary:
     strokes: tuple[StrokePart, ...]
     findings: tuple[str, ...]
     judged: str = "position"
+    input: str = ""
 
 
 def describe(trace: Trace) -> TraceSummary:
@@ -103,7 +105,15 @@ def describe(trace: Trace) -> TraceSummary:
         strokes=find_stroke_parts(trace),
         findings=trace.findings,
         judged=trace.judged,
+        input=_input(trace),
     )
+
+
+def _input(trace: Trace) -> str:
+    voltage, command = trace.origins.get("voltage", "the coil"), trace.origins.get("command", "")
+    if trace.coil_voltage is not None:
+        return f"the voltage measured by {voltage}" + (f", between the commands of {command}" if command else "")
+    return f"the commands of {command}" if command else f"the levels of the voltage measured by {voltage}"
 
 
 def _jitter(times: NDArray[np.float64]) -> float:

@@ -86,6 +86,8 @@ class _TableAssembly:
         self.sources = sources
         self.map = recording_map
         self.findings: list[str] = []
+        self.voltage: Signal | None = None
+        """Measured, where it is the input without any command, and its steps do not say all of it."""
 
     def trace(self, valve: str) -> Trace:
         """Put the trace together."""
@@ -122,7 +124,7 @@ class _TableAssembly:
             origins={key: source.name for key, source in self.sources.items()},
             clock="time column" if self.axis.column else "rate",
             coil_current=signals["coil_current"],
-            coil_voltage=signals.get("coil_voltage"),
+            coil_voltage=signals.get("coil_voltage") or self.voltage,
             acceleration=signals["acceleration"],
             inlet_pressure=signals["inlet_pressure"],
             outlet_pressure=signals["outlet_pressure"],
@@ -197,6 +199,7 @@ class _TableAssembly:
         if self.input == "voltage":
             steps = find_steps(times, volts, f"{self.path}: {name}")
             self.findings += steps.findings(name)
+            self.voltage = None if steps.are_input else Signal(times, volts)
             return Drive(steps.times, steps.volts), DriveErrors(steps.time_errors, steps.volt_errors)
         if not np.ptp(volts) and not volts[0]:
             raise TraceError(f"{self.path}: {name}: is 0 V in all rows: there is no command; name another column")

@@ -11,7 +11,13 @@ from valve_sim.model.drives import Drive
 from valve_sim.traces.clocks import find_gaps
 from valve_sim.traces.errors import TraceError
 from valve_sim.traces.long_columns import largest_size
-from valve_sim.traces.strokes import SMALLEST_MOTION, largest_travel, motion_threshold
+from valve_sim.traces.strokes import (
+    FULL_TRAVEL,
+    SMALLEST_MOTION,
+    find_stroke_parts,
+    largest_travel,
+    motion_threshold,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -28,8 +34,10 @@ TOO_SMALL = {1e3: "m were taken for mm, or mm for um", 1e6: "m were taken for um
 """A travel so many times smaller than the stroke is another unit; what lies between may be a valve that sticks."""
 ALIKE = 3.0
 """Declared and true stroke differ by less than this factor."""
-OPEN_SHARE = 0.9
-"""Share of the travel from which on the plunger has arrived."""
+PLACES = 100
+"""From a lift to the stop, at which forces are looked at."""
+RESTED = 0.25
+"""The last share of an opening: a plunger that stands still in it has come to rest."""
 SHORTEST_LIFT, LONGEST_LIFT = 20e-6, 0.5
 """s from the gap to the stop or back: it takes milliseconds."""
 MOST_VOLTS = 30.0
@@ -96,6 +104,66 @@ def refuse_doubtful_units(trace: Trace, parameters: ValveParameters) -> None:
         raise TraceError(f"{trace.source}: {line}")
 
 
+def another_valve(trace: Trace, parameters: ValveParameters) -> tuple[str, ...]:
+    """Say where the plunger goes where that of the declared valve cannot: it is another valve, or not as declared.
+
+    Either it travels beyond the declared stop, or it rests below it, where the declared attraction at the voltage that
+    is on exceeds all that is declared to hold it, from there to the stop. Nothing is refused: a valve may be worn, or
+    jammed half open.
+
+    Args:
+        trace: What was read.
+        parameters: The declared valve.
+
+    Returns:
+        One line, or none.
+    """
+    if not trace.has_positions or doubtful_units(trace, parameters):
+        return ()
+    stroke, travel = parameters.stroke, largest_travel(trace.pilot_position)
+    is_beyond = FULL_TRAVEL * travel > stroke
+    pushed = 0.0 if is_beyond or travel > FULL_TRAVEL * stroke else _pushed_on(trace, parameters)
+    if not (is_beyond or pushed > 0.0):
+        return ()
+    volts = float(np.abs(trace.drive.volts).max())
+    why = "beyond its stop" if is_beyond else f"where at least {pushed:.3g} N would draw it on to its stop"
+    declared = f"the stroke of the declared valve ({1e3 * stroke:.3g} mm, {parameters.reference_voltage:g} V)"
+    return (
+        f"{_where(trace, 'position')}: {PILOT} travels {1e3 * travel:.3g} mm at up to {volts:.3g} V, "
+        f"{travel / stroke:.2g} times {declared}, {why}: another valve? Give its parameter file as --params",
+    )
+
+
+def _pushed_on(trace: Trace, parameters: ValveParameters) -> float:
+    """The largest force, N, by which the declared valve would go on from where the plunger rested; 0 for none."""
+    closed, largest = float(trace.pilot_position.min()), 0.0
+    for part in find_stroke_parts(trace):
+        since = part.stop - RESTED * (part.stop - part.start)
+        at_end = trace.pilot_position[slice(*np.searchsorted(trace.times, [since, part.stop]))]
+        if part.kind != "opening" or not part.moved or len(at_end) < 2:
+            continue
+        if largest_travel(at_end) <= motion_threshold(trace.pilot_position):
+            lift = float(np.median(at_end)) - closed
+            largest = max(largest, _least_force(parameters, lift, part.volts))
+    return largest
+
+
+def _least_force(parameters: ValveParameters, lift: float, volts: float) -> float:
+    """The declared valve's least static net force from a lift to the stop, N: above 0 it cannot rest on the way.
+
+    0 at the gap, where a pilot plunger may wait for the pressure. The attraction is at most that at the reference
+    voltage: what pulls more may saturate the core.
+    """
+    gap = parameters.pilot_gap
+    if FULL_TRAVEL * gap <= lift <= gap / FULL_TRAVEL:
+        return 0.0
+    way = np.linspace(lift, parameters.stroke, PLACES)
+    share = min(1.0, abs(volts) / parameters.reference_voltage)
+    pull = share**2 * np.polynomial.polynomial.polyval(way, parameters.attraction_polynomial)
+    held = np.where(way < gap, parameters.seat_load, parameters.spring_preload + parameters.spring_rate * way)
+    return float(np.min(pull - held))
+
+
 def _position(trace: Trace, parameters: ValveParameters) -> str:
     stroke, travel = parameters.stroke, largest_travel(trace.pilot_position)
     where = _where(trace, "position")
@@ -132,7 +200,7 @@ def _time(trace: Trace, parameters: ValveParameters) -> str:
     # Below the gap, a pilot may wait until the pressure lets it lift the main plunger.
     level = np.full(len(share), 0)
     level[share < parameters.pilot_gap / parameters.stroke + 0.1] = -1
-    level[share > OPEN_SHARE] = 1
+    level[share > FULL_TRAVEL] = 1
     ends = np.flatnonzero(level)
     changes = np.flatnonzero(np.diff(level[ends]))
     if not len(changes):

@@ -61,6 +61,8 @@ class Steps(NamedTuple):
         time_errors: s, shape (k,); the first is 0: there is no step.
         volt_errors: V, shape (k,); 0 where the level is 0 V. Of levels that read alike the error is one and the same.
         offset: V, what the probe shows of 0 V; it is taken off the levels.
+        are_input: Whether the levels, held from step to step, are what the coil saw. Those of a voltage that goes on
+            changing between its steps are not; its samples are then the input.
     """
 
     times: Array
@@ -68,10 +70,20 @@ class Steps(NamedTuple):
     time_errors: Array
     volt_errors: Array
     offset: float = 0.0
+    are_input: bool = True
 
     def findings(self, name: str) -> list[str]:
         """Return what was made of a measured voltage of this name, one sentence each."""
-        found = [f"{name}: {len(self.times) - 1} steps of the measured voltage were taken for the commands"]
+        count = len(self.times) - 1
+        if self.are_input:
+            found = [f"{name}: {count} steps of the measured voltage were taken for the commands"]
+        elif count:
+            found = [
+                f"{name}: the measured voltage itself is the input, because it goes on changing between its steps; "
+                f"{count} of these were taken for the commands"
+            ]
+        else:
+            found = [f"{name}: the measured voltage itself is the input, because it changes without a step"]
         if self.offset:
             found.append(f"{name}: {self.offset:.3g} V at rest were taken for the probe's offset, and off all levels")
         return found
@@ -110,17 +122,21 @@ def find_steps(times: Array, volts: Array, source: str) -> Steps:
     is_off = np.abs(levels[which]) < ZERO_SHARE * float(np.abs(levels).max())
     means, errors = np.zeros(len(which)), np.zeros(len(which))
     pieces = [volts[rests] for rests in np.split(at, places)]
+    held = levels[which][np.searchsorted(at[places], np.arange(len(volts)), side="right")]
+    are_input = float(np.sqrt(np.mean(np.square(volts - held)))) <= max(LEVEL_SHARE * span, LEVEL_SIGMAS * sigma)
     step = _converter_step(pieces, span)
     for alike in (is_off, ~is_off):  # a supply that is on is noisier than one that is off
         if alike.any():
             means[alike], errors[alike] = _means([pieces[place] for place in np.flatnonzero(alike)], step)
-    offset, offset_error = _offset(means[is_off], errors[is_off])
+    # What decays to 0 V rests at no level, and so shows no offset.
+    offset, offset_error = _offset(means[is_off], errors[is_off]) if are_input else (0.0, 0.0)
     return Steps(
         np.array([float(times[0]), *edges]),
         np.where(is_off, 0.0, means - offset),
         np.array([0.0, *time_errors]),
         np.where(is_off, 0.0, np.hypot(errors, offset_error)),
         offset,
+        are_input,
     )
 
 

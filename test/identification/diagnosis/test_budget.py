@@ -8,12 +8,12 @@ from collections.abc import Callable
 
 import pytest
 from plants.recording import Recorder, train_profile
+from valve_sim.identification.selection.table import Hypothesis
 
 from valve_sim.identification.diagnosis.run import diagnose
 from valve_sim.identification.estimation.budget import Budget, OutOfTimeError, kept_for_writing
 from valve_sim.identification.reporting.diagnosis_json import to_json
 from valve_sim.identification.reporting.summary import summarise
-from valve_sim.identification.selection.table import Hypothesis
 from valve_sim.model import ValveError
 from valve_sim.progress_lines import ProgressLines
 
@@ -99,10 +99,10 @@ def test_progress_is_a_line_for_each_wait() -> None:
             lines(*latest)
         return latest is None
 
-    lines = ProgressLines(stream, wait, lambda: next(times))
+    lines = ProgressLines(stream, wait, lambda: next(times), lambda what: what.replace("coil_heating", "compiling"))
     with lines:
         pass
     assert stream.getvalue().splitlines() == [
         "valve-sim: 10 s, 10 % done: coulomb_friction",
-        "valve-sim: 20 s, 25 % done: coil_heating",
+        "valve-sim: 20 s, 25 % done: compiling",
     ]

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 
 import pytest
-
-from identification.selection.made_up_scores import BASE, of, scored, table
 from valve_sim.identification.diagnosis.calibration import calibrated
 from valve_sim.identification.diagnosis.decision import (
     EVEN,
@@ -23,6 +21,8 @@ from valve_sim.identification.diagnosis.decision import (
 )
 from valve_sim.identification.selection.held_out import NOT_HELD_OUT, Judgement
 from valve_sim.identification.selection.table import ScoreTable
+
+from identification.selection.made_up_scores import BASE, of, scored, table
 
 HOLDS = Judgement(is_white=True, ratio=0.4, predicts_better=True)
 COLOURED = Judgement(is_white=False, ratio=0.4, predicts_better=True)

@@ -62,6 +62,7 @@ def test_what_is_never_reached_is_later_the_more_is_missing(table):
     assert nothing[1][0] > almost[1][0] > table.horizon
 
 
+@pytest.mark.long
 def test_no_single_effect_closes_the_table_but_many_pairs_do(diagnosis):
     assert not any(entry.closes for entry in diagnosis.singles)
     closing = {frozenset(entry.effects) for entry in diagnosis.pairs if entry.closes}
@@ -186,6 +187,7 @@ def test_a_table_that_cannot_be_used_is_named(tmp_path, text, words):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.long
 def test_effects_that_do_not_close_the_table_are_not_shipped(tmp_path, table):
     text = (CONFIG / "paper_events.yaml").read_text().replace("[rest_attraction, coil_lag]", "[rest_attraction]")
     path = tmp_path / "table.yaml"

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import pytest
 from plants.declared import DeclaredPlant
 from plants.recording import Profile, Recorder, holdout_profile, record, single_opening, train_profile
-
 from valve_sim.identification.diagnosis.calibration import calibrated
+
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
 from valve_sim.identification.estimation.intervals import Unbounded
 from valve_sim.identification.reporting.diagnosis_json import to_json
@@ -108,6 +108,7 @@ def test_the_outcome_does_not_depend_on_the_number_of_threads(monkeypatch: pytes
     assert to_json(diagnosed(film, 12)) == with_four
 
 
+@pytest.mark.long
 def test_what_has_no_name_gets_none() -> None:
     diagnosis = diagnosed({"damping_bump": {"amplitude": 4.0, "centre": 0.8e-3, "width": 0.1e-3}}, 200)
     assert diagnosis.verdict.kind == "unknown"

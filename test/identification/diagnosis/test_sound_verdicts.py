@@ -93,6 +93,7 @@ def test_a_sample_at_the_command_of_an_instant_coil_makes_no_effect() -> None:
     assert (found.verdict.kind, found.verdict.effects) == ("none", ())
 
 
+@pytest.mark.long
 def test_names_beside_a_remainder_are_what_is_written_and_the_remainder_is_beside_them() -> None:
     trace = measured({"coulomb_friction": {"force": 0.3}}, train_profile(), Recorder(), 3)
     # A scale's error of 2 µm, every 20 µm: finer than a map's knots, so that neither effect nor map explains it.

@@ -89,6 +89,7 @@ def test_a_loss_that_counts_far_residuals_less_is_of_each_sample() -> None:
     assert few.values == every.values
 
 
+@pytest.mark.long
 def test_a_valve_with_gas_is_fitted_to_every_sample() -> None:
     valve = gas_valve()
     problem = Problem(ValvePlant([trace_of(valve)], valve)).condensed()

@@ -51,6 +51,7 @@ def test_both_dampings_come_out(recorder: Recorder) -> None:
     assert repr(result).startswith("Identification(pilot_damping = ")
 
 
+@pytest.mark.long
 def test_a_small_slice_of_the_coverage_benchmark_is_good() -> None:
     rows = measure(12)
     assert len(rows) == 6

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from valve_sim.files.parameter_files import default_valve, load_valve, save_valve
+from valve_sim.files.recording_map import MapError, load_force_map
 from valve_sim.files.tables import TableError
 from valve_sim.identification.estimation.static_force import BeginsLate, EndsEarly, StartOfMotion, fit_static_force
 from valve_sim.identification.reporting.findings import remarks
@@ -164,11 +165,11 @@ def test_tables_as_people_export_them_are_read(tmp_path: Path, text: str):
     [
         ("", "is empty"),
         ("displacement,force\n", "no row of numbers"),
-        ("displacement,weight\n0,1\n", "expected one named force"),
+        ("displacement,weight\n0,1\n", "expected one named force.*, or other names and units with --map"),
         ("displacement,force\n0,1\n0.001,abc\n", "line 3: force: found 'abc'"),
         ("displacement,force\n0,1\n0.001,nan\n", "line 3: force: found 'nan'"),
         ("displacement,force\n0,1\n0.001\n", "line 3: has 1 cells"),
-        ("displacement,force\n0,3\n0.26,6\n0.6,7\n1.0,11\n1.23,20\n", "expected metres"),
+        ("displacement,force\n0,3\n0.26,6\n0.6,7\n1.0,11\n1.23,20\n", r"in mm, say so with --map \(unit: mm\)"),
         ("displacement,force\n0,3\n0.001,6\n0.0012,7\n", "has 3 points at 3 displacements"),
     ],
 )
@@ -178,6 +179,63 @@ def test_unusable_tables_are_refused_by_name(tmp_path: Path, text: str, words: s
     with pytest.raises(TableError, match=words) as refusal:
         fit_static_force(path, default_valve())
     assert str(path) in str(refusal.value)
+
+
+LOAD_CELL = "# Stand;3\nZeit;Weg;Kraft\ns;mm;g\n" + "".join(
+    f"{row};{12.5 - 0.1 * row:g};{1000.0 + 100.0 * row:g}\n".replace(".", ",") for row in range(8)
+)
+"""From 12.5 mm downwards, in grams on a load cell with a tare of 1000 g."""
+LOAD_CELL_MAP = (
+    "displacement: {column: Weg, unit: mm, sign: -1, offset: 12.5}\n"
+    "force: {column: Kraft, unit: kgf, scale: 0.001, offset: -1.0}\n"
+)
+
+
+def mapped(folder: Path, text: str = LOAD_CELL, words: str = LOAD_CELL_MAP) -> tuple[Path, Path]:
+    """A table of a load cell and its map."""
+    path, own = folder / "load_cell.csv", folder / "load_cell.yaml"
+    path.write_text(text)
+    own.write_text(words)
+    return path, own
+
+
+def test_a_map_gives_columns_and_units(tmp_path: Path):
+    path, own = mapped(tmp_path)
+    found = fit_static_force(path, default_valve(), load_force_map(own))
+    np.testing.assert_allclose(found.displacement, 1e-4 * np.arange(8), atol=1e-15)
+    np.testing.assert_allclose(found.force, 0.1 * 9.80665 * np.arange(8), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("force: Kraft\n", "names no displacement; add displacement: {column: ..., unit: m}"),
+        (LOAD_CELL_MAP.replace("kgf", "bar"), "force.unit: found 'bar', expected one of N, mN, kN, kgf, lbf"),
+        (LOAD_CELL_MAP.replace("force", "forse"), "forse: unknown key; did you mean force?"),
+        (LOAD_CELL_MAP.replace("{column: Kraft", "{topic: /cell"), "a table has columns"),
+        ("- Weg\n", "expected displacement: and force:"),
+    ],
+)
+def test_a_wrong_map_of_a_table_is_refused(tmp_path: Path, words: str, expected: str):
+    _, own = mapped(tmp_path, words=words)
+    with pytest.raises(MapError) as refusal:
+        load_force_map(own)
+    assert str(refusal.value).startswith(str(own))
+    assert expected in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (LOAD_CELL.replace("Weg", "Strecke"), "has no column Weg; it has Zeit, Strecke, Kraft"),
+        (LOAD_CELL.replace("1200\n", "\n"), "line 6: force: holds no finite number"),
+    ],
+)
+def test_a_table_that_its_map_does_not_fit_is_refused(tmp_path: Path, text: str, expected: str):
+    path, own = mapped(tmp_path, text)
+    with pytest.raises(TableError, match=expected) as refusal:
+        fit_static_force(path, default_valve(), load_force_map(own))
+    assert str(refusal.value).startswith(str(path))
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ import pytest
 from plants.declared import DeclaredPlant
 from plants.recording import Recorder, holdout_profile, record, train_profile
 from plants.tolerances import SHEET_VALVE, declared_tolerances, deviated
+from valve_sim.identification.selection.held_out import HeldOut
 
 from valve_sim.identification.estimation.declared_values import out_of_tolerance
 from valve_sim.identification.estimation.identify import identify
@@ -16,7 +17,6 @@ from valve_sim.identification.plants.tolerances import principal_axes
 from valve_sim.identification.plants.valve import DAMPINGS, ValvePlant
 from valve_sim.identification.plants.valve_model import ValveModel
 from valve_sim.identification.reporting.declared_values import TAKEN_AS_EXACT, declared_lines
-from valve_sim.identification.selection.held_out import HeldOut
 from valve_sim.identification.validation.replay import validate
 from valve_sim.model import EXACT, Drive, Valve
 from valve_sim.traces import Trace

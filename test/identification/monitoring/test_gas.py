@@ -29,6 +29,8 @@ from valve_sim.identification.plants.commissioned import CommissionedPlant
 from valve_sim.identification.plants.protocol import Direction
 from valve_sim.traces import Trace
 
+pytestmark = pytest.mark.long
+
 OPEN_SECONDS, CLOSED_SECONDS, LEAD = 0.1, 0.15, 0.02
 """s: with voltage, without, and of rest before the first command."""
 NOISE = 2e-6

@@ -40,7 +40,7 @@ def test_effects_of_gas_are_tried_with_gas_alone() -> None:
     assert set(bench) - set(with_gas) == {"pressure_force"}
     assert set(with_gas) - set(bench) == {"seat_leak", "pilot_clogging"}
     with pytest.raises(ParameterError, match=r"seat_leak\.area: cannot be freed, the valve declares no gas"):
-        check_free(["seat_leak.area"], has_gas=False)
+        check_free(["seat_leak.area"], replace(gas_valve(), gas=None))
     check_free(["seat_leak.area"])
 
 

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from valve_sim.identification.selection.cross_validation import MOST_FOLDS, folds_of
 
 from valve_sim.identification.plants.hold_out import held_out_strokes, in_order_of_conditions
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.selection.cross_validation import MOST_FOLDS, folds_of
 from valve_sim.model import Drive, Valve
 from valve_sim.traces import Trace
 

@@ -13,6 +13,7 @@ from valve_sim.identification.monitoring.findings import (
     DidNotClose,
     DidNotOpen,
     NotSimulated,
+    Occasion,
     OpenedPartly,
     Remark,
     StrokeState,
@@ -20,7 +21,8 @@ from valve_sim.identification.monitoring.findings import (
     Unusable,
     WaitsForPressure,
 )
-from valve_sim.identification.reporting.monitoring_words import finding_words, remark_words, state_words
+from valve_sim.identification.reporting.monitoring import finding_json
+from valve_sim.identification.reporting.monitoring_words import finding_words, remark_words, state_words, told_finding
 
 SENTENCES: list[tuple[Remark, str]] = [
     (DidNotOpen(20e-6), "the valve did not open: the pilot plunger moved 0.020 mm only"),
@@ -101,3 +103,18 @@ def test_a_declared_value_that_has_changed_is_said_with_what_it_was() -> None:
 def test_a_finding_that_names_nothing_says_why() -> None:
     assert finding_words(found((), {})) == "the last strokes are as those of the commissioned valve"
     assert "no effect is known well enough" in finding_words(found((), {}, is_credible=False))
+
+
+def test_a_finding_is_told_with_valve_stroke_time_and_probability() -> None:
+    occasion = Occasion("/tank_1/valve", 31, 1_764_000_000_123_456_789)
+    friction = found(("coulomb_friction",), {"coulomb_friction.force": Interval(0.31, 0.02, 0.27, 0.35)})
+    words = (
+        "/tank_1/valve, stroke 31 at 2025-11-24T16:00:00.123Z: Coulomb friction 0.310 ± 0.020 N, none when "
+        "commissioned; probability 90 %"
+    )
+    assert told_finding(friction, occasion) == words
+    told = finding_json(friction, occasion)
+    assert told["summary"] == words
+    assert (told["valve"], told["stroke"], told["probability"]) == ("/tank_1/valve", 31, 0.9)
+    assert told["time"] == pytest.approx(1_764_000_000.123456789, abs=1e-6)
+    assert "probability" not in told_finding(found((), {}, is_credible=False), occasion)

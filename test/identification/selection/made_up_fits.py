@@ -15,6 +15,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from valve_sim.identification.selection.cross_validation import CrossValidation
+from valve_sim.identification.selection.hypotheses import Search
+from valve_sim.identification.selection.table import Hypothesis
 
 from valve_sim.identification.estimation.budget import OutOfTimeError
 from valve_sim.identification.estimation.descent import TRIAL, WHOLE, Effort
@@ -29,10 +32,7 @@ from valve_sim.identification.plants.protocol import (
     to_internal,
 )
 from valve_sim.identification.selection import criteria, hypotheses, stepwise
-from valve_sim.identification.selection.cross_validation import CrossValidation
-from valve_sim.identification.selection.hypotheses import Search
 from valve_sim.identification.selection.residual_tests import Adequacy
-from valve_sim.identification.selection.table import Hypothesis
 from valve_sim.model import Parameter, SimulationError
 
 SIZE = Parameter("size", "N", "added", -100.0, 100.0, 2.0, 0.0)

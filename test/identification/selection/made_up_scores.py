@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-
 from valve_sim.identification.selection.cross_validation import CrossValidation
 from valve_sim.identification.selection.table import Hypothesis, Score, ScoreTable
 

@@ -10,19 +10,19 @@ import numpy as np
 import pytest
 from plants.recording import Recorder
 from scipy import stats
+from valve_sim.identification.diagnosis.calibration import CALIBRATION, calibrated
+from valve_sim.identification.selection.bootstrap import RESAMPLES, FalseAlarm, false_alarm, false_alarm_of_few
+from valve_sim.identification.selection.hypotheses import Search
+from valve_sim.identification.selection.table import DECISIVE, Hypothesis
 
 from identification.recordings import recorded
 from identification.selection.linear_plant import COLUMNS, SAMPLES, LinearPlant, measured, problem_of
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.diagnosis.calibration import CALIBRATION, calibrated
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit, Rows
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Array, EffectChoice
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.selection.bootstrap import RESAMPLES, FalseAlarm, false_alarm, false_alarm_of_few
-from valve_sim.identification.selection.hypotheses import Search
-from valve_sim.identification.selection.table import DECISIVE, Hypothesis
 from valve_sim.model import Parameter
 
 LINEAR = ("coulomb_friction", "constant_force", "drive_gain", "eddy_lag", "gap_offset", "sensor_gain")

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-from valve_sim.identification.selection import criteria
 from valve_sim.identification.selection.criteria import Criteria
 from valve_sim.identification.selection.cross_validation import CrossValidation
+
+from valve_sim.identification.selection import criteria
 from valve_sim.identification.selection.residual_tests import SIGNIFICANT, Adequacy
 
 

@@ -6,13 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-
-from valve_sim.identification.estimation.descent import Effort
-from valve_sim.identification.estimation.noise import Noise
-from valve_sim.identification.estimation.problem import Problem
-from valve_sim.identification.estimation.result import Fit
-from valve_sim.identification.estimation.solver import fit
-from valve_sim.identification.plants.protocol import Array, Channel, Nuisance
 from valve_sim.identification.selection.cross_validation import (
     MOST_FOLDS,
     cross_validate,
@@ -20,6 +13,13 @@ from valve_sim.identification.selection.cross_validation import (
     own_nuisances,
     predicts_better,
 )
+
+from valve_sim.identification.estimation.descent import Effort
+from valve_sim.identification.estimation.noise import Noise
+from valve_sim.identification.estimation.problem import Problem
+from valve_sim.identification.estimation.result import Fit
+from valve_sim.identification.estimation.solver import fit
+from valve_sim.identification.plants.protocol import Array, Channel, Nuisance
 from valve_sim.model import Parameter
 
 SIGMA = 0.3

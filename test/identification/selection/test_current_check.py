@@ -13,11 +13,6 @@ from plants.common import Plant
 from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
 from plants.mismatched import BENCH_VALVE, MismatchedPlant
 from plants.recording import Recorder, record, train_profile
-
-from benchmarks.campaign.cases import declared_valve
-from identification.selection.made_up_fits import World, switches
-from valve_sim.identification.estimation.problem import Problem
-from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.selection.current_check import (
     MOVES_NOTHING,
     UNEXPLAINED,
@@ -25,6 +20,11 @@ from valve_sim.identification.selection.current_check import (
     current_noise_inflation,
 )
 from valve_sim.identification.selection.table import DECISIVE
+
+from benchmarks.campaign.cases import declared_valve
+from identification.selection.made_up_fits import World, switches
+from valve_sim.identification.estimation.problem import Problem
+from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import Drive
 from valve_sim.traces import Signal, Trace
 

@@ -9,6 +9,8 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from valve_sim.identification.selection.hypotheses import NEAR
+from valve_sim.identification.selection.table import Hypothesis
 
 from valve_sim.identification.estimation.budget import OutOfTimeError
 from valve_sim.identification.estimation.descent import Effort
@@ -25,10 +27,8 @@ from valve_sim.identification.selection.force_maps import (
     on_top,
     where,
 )
-from valve_sim.identification.selection.hypotheses import NEAR
 from valve_sim.identification.selection.periods import Period
 from valve_sim.identification.selection.residual_tests import Adequacy
-from valve_sim.identification.selection.table import Hypothesis
 from valve_sim.model import SimulationError
 from valve_sim.model.effects import basis
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from plants.declared import DeclaredPlant
 from plants.recording import Profile, Recorder, holdout_profile, record, train_profile
+from valve_sim.identification.selection.held_out import HeldOut
 
 from benchmarks.campaign.running import as_trace
 from benchmarks.hard_recordings.cases import CAMPAIGN
@@ -22,7 +23,6 @@ from valve_sim.identification.plants.protocol import Array, EffectChoice, Nuisan
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.diagnosis_json import to_json
 from valve_sim.identification.reporting.wording import holdout_words
-from valve_sim.identification.selection.held_out import HeldOut
 from valve_sim.model import Parameter
 from valve_sim.traces import Trace
 

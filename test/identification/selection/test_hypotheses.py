@@ -9,11 +9,6 @@ from functools import partial
 
 import numpy as np
 import pytest
-
-from identification.selection.made_up_fits import SIZE, World, of, switches
-from valve_sim.identification.estimation.budget import OutOfTimeError
-from valve_sim.identification.estimation.descent import TRIAL, Effort
-from valve_sim.identification.plants.protocol import EffectChoice
 from valve_sim.identification.selection.hypotheses import (
     ANNEALING,
     KEPT,
@@ -21,8 +16,13 @@ from valve_sim.identification.selection.hypotheses import (
     SCATTER,
     Search,
 )
-from valve_sim.identification.selection.starts import effect_starts, robust_cost, start_near_off, starts_from_declared
 from valve_sim.identification.selection.table import FitLog, Row
+
+from identification.selection.made_up_fits import SIZE, World, of, switches
+from valve_sim.identification.estimation.budget import OutOfTimeError
+from valve_sim.identification.estimation.descent import TRIAL, Effort
+from valve_sim.identification.plants.protocol import EffectChoice
+from valve_sim.identification.selection.starts import effect_starts, robust_cost, start_near_off, starts_from_declared
 from valve_sim.model import Parameter, SimulationError
 
 ONE_SIDED = Parameter("force", "N", "added", 0.0, 100.0, 2.0, 0.0)

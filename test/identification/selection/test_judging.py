@@ -9,12 +9,6 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-
-from identification.selection.linear_plant import COLUMNS, SAMPLES, SIGMA, LinearPlant, measured, problem_of
-from valve_sim.identification.estimation.result import Fit
-from valve_sim.identification.estimation.solver import fit
-from valve_sim.identification.plants.protocol import Array, Nuisance
-from valve_sim.identification.selection import held_out
 from valve_sim.identification.selection.held_out import (
     ALIKE,
     FAILS_HELD_OUT,
@@ -24,6 +18,12 @@ from valve_sim.identification.selection.held_out import (
     Judgement,
 )
 from valve_sim.identification.selection.predictive_density import Prediction
+
+from identification.selection.linear_plant import COLUMNS, SAMPLES, SIGMA, LinearPlant, measured, problem_of
+from valve_sim.identification.estimation.result import Fit
+from valve_sim.identification.estimation.solver import fit
+from valve_sim.identification.plants.protocol import Array, Nuisance
+from valve_sim.identification.selection import held_out
 from valve_sim.identification.selection.residual_tests import SIGNIFICANT, Adequacy
 from valve_sim.model import SimulationError
 

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from plants.declared import CAMPAIGN_VALVE
 from plants.recording import Recorder
+from valve_sim.identification.selection.hypotheses import Search
+from valve_sim.identification.selection.table import Hypothesis
 
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.plants.protocol import ForceMap
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.selection.force_maps import fit_maps
-from valve_sim.identification.selection.hypotheses import Search
 from valve_sim.identification.selection.periods import PHASES, best_wave, likely_periods
 from valve_sim.identification.selection.residual_tests import adequacy
-from valve_sim.identification.selection.table import Hypothesis
 from valve_sim.model import Valve
 
 from ..recordings import recorded

@@ -7,13 +7,13 @@ from typing import cast
 
 import numpy as np
 import pytest
+from valve_sim.identification.selection.predictive_density import FARTHEST, knowledge_for, neg2_log_predictive
 
 from valve_sim.identification.estimation.noise import Noise
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Array, Channel, Nuisance
-from valve_sim.identification.selection.predictive_density import FARTHEST, knowledge_for, neg2_log_predictive
 from valve_sim.model import Parameter, SimulationError
 
 SIGMA = 0.3

@@ -7,12 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 import pytest
-
-from identification.selection.made_up_fits import SIZE, World, key_of, of, switches
-from valve_sim.identification.estimation.budget import OutOfTimeError
-from valve_sim.identification.plants.protocol import EffectChoice, Nuisance
 from valve_sim.identification.selection.hypotheses import NEAR
-from valve_sim.identification.selection.residual_tests import SIGNIFICANT
 from valve_sim.identification.selection.stepwise import (
     DECISIVE,
     HINT,
@@ -23,6 +18,11 @@ from valve_sim.identification.selection.stepwise import (
     Exploration,
 )
 from valve_sim.identification.selection.table import MOST_EFFECTS, Hypothesis, choose
+
+from identification.selection.made_up_fits import SIZE, World, key_of, of, switches
+from valve_sim.identification.estimation.budget import OutOfTimeError
+from valve_sim.identification.plants.protocol import EffectChoice, Nuisance
+from valve_sim.identification.selection.residual_tests import SIGNIFICANT
 from valve_sim.model import Parameter
 
 

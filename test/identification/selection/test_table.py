@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import pytest
-
-from identification.selection.made_up_scores import BASE, of, scored, table
-from identification.selection.test_held_out import recorded
-from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.selection.hypotheses import Search
 from valve_sim.identification.selection.stepwise import Exploration
 from valve_sim.identification.selection.table import (
@@ -19,6 +15,10 @@ from valve_sim.identification.selection.table import (
     delta_scores,
     larger_alternatives,
 )
+
+from identification.selection.made_up_scores import BASE, of, scored, table
+from identification.selection.test_held_out import recorded
+from valve_sim.identification.estimation.problem import Problem
 
 
 def test_the_best_score_is_chosen_of_what_may_be_claimed() -> None:

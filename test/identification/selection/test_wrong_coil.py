@@ -5,14 +5,14 @@ from __future__ import annotations
 import pytest
 from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
 from plants.recording import Recorder, record, train_profile
+from valve_sim.identification.selection.hypotheses import Search
+from valve_sim.identification.selection.stepwise import Exploration
+from valve_sim.identification.selection.table import Hypothesis
 
 from benchmarks.campaign.cases import declared_valve
 from benchmarks.campaign.running import as_trace
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.selection.hypotheses import Search
-from valve_sim.identification.selection.stepwise import Exploration
-from valve_sim.identification.selection.table import Hypothesis
 from valve_sim.model import Valve
 
 DECLARED = float(CAMPAIGN_VALVE["coil_time_constant"])  # type: ignore[arg-type]

@@ -63,7 +63,7 @@ def test_shipped_files_are_the_default_valve_before_a_tank(file: str, pressure: 
         ),
         ({"gas.fluid": "steam"}, "here: gas.fluid: found 'steam', expected one of hydrogen, nitrogen, helium, air"),
         ({"gas.seat_diameter": -1.0}, "here: gas.seat_diameter: found -1.0, expected a number from 1e-06 to 0.5 m"),
-        ({"gas.seat_diameter": "wide"}, "here: gas.seat_diameter: found 'wide', expected a number m"),
+        ({"gas.seat_diameter": "wide"}, "here: gas.seat_diameter: found 'wide', expected a number in m"),
         ({"valve.seat_load": 0.0}, "here: valve.seat_load: found 0 N beside gas, expected above 0 N"),
         (
             {"effects.pressure_force.force": 1.0},

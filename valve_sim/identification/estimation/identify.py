@@ -18,14 +18,14 @@ from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Channel, InPieces, Nuisance, Plant, judged_channels
 from valve_sim.identification.plants.root_mean_square import root_mean_square
 from valve_sim.identification.plants.stroke_choice import choose_strokes
-from valve_sim.identification.plants.valve import DAMPINGS, ValvePlant
+from valve_sim.identification.plants.valve import ValvePlant, dampings_of
 from valve_sim.identification.plants.valve_model import GAS_NAMES
 from valve_sim.model import CATALOGUE, DECLARED, ParameterError, Valve
-from valve_sim.model.parameters import closest
+from valve_sim.model.parameters import UNUSED_BY_ONE_PLUNGER, closest, unused_words
+from valve_sim.model.simulation import OF_TWO_PLUNGERS
 from valve_sim.traces import Trace
 from valve_sim.traces.checking import check_traces
 
-DEFAULT_FREE: Final = DAMPINGS
 STARTS: Final = (1.0, 4.0, 0.25)
 """Factors on the declared values from which fits start."""
 
@@ -77,7 +77,7 @@ class Identification:
 def identify(
     traces: Sequence[Trace],
     valve: Valve,
-    free: Sequence[str] = DEFAULT_FREE,
+    free: Sequence[str] | None = None,
     progress: Progress | None = None,
 ) -> Identification:
     """Refit parameters of the declared valve to one or more traces.
@@ -85,7 +85,7 @@ def identify(
     Args:
         traces: measured strokes.
         valve: the declared valve; effects that it has on stay on.
-        free: declared parameters, `gas.<name>` or `<effect>.<parameter>`, to refit.
+        free: declared parameters, `gas.<name>` or `<effect>.<parameter>`, to refit; default: the dampings.
         progress: told what is being done, and the fraction done.
 
     Raises:
@@ -95,7 +95,8 @@ def identify(
     """
     check_traces(traces)
     say = progress or (lambda what, fraction: None)
-    check_free(free, has_gas=valve.gas is not None)
+    free = dampings_of(valve) if free is None else free
+    check_free(free, valve)
     say("start", 0.0)
     # Before the data are prepared: what this takes of memory is free again then.
     starts = starts_of(traces, valve, free)
@@ -119,12 +120,13 @@ def identify(
     )  # fmt: skip
 
 
-def check_free(free: Sequence[str], *, has_gas: bool = True) -> None:
-    """All names can be freed, of a valve with or without gas.
+def check_free(free: Sequence[str], valve: Valve | None = None) -> None:
+    """Check that all names can be freed, of a given valve or of any.
 
     Raises:
-        ParameterError: one cannot; the message has the closest that can.
+        ParameterError: one cannot; the message has the closest that can, or says why the valve has no use for it.
     """
+    has_gas = valve is None or valve.gas is not None
     known = [*DECLARED, *(f"{e.name}.{p.name}" for e in CATALOGUE.values() if e.named for p in e.parameters)]
     of_gas = {f"{e.name}.{p.name}" for e in CATALOGUE.values() if e.with_gas for p in e.parameters}
     for name in free:
@@ -133,6 +135,11 @@ def check_free(free: Sequence[str], *, has_gas: bool = True) -> None:
         if name not in [*known, *GAS_NAMES]:
             alike = closest(name, [*known, *GAS_NAMES])
             raise ParameterError(f"{name}: cannot be freed, there is no such parameter; did you mean {alike}?")
+        if valve is not None and valve.parameters.has_one_plunger:
+            if name in UNUSED_BY_ONE_PLUNGER:
+                raise ParameterError(f"{name}: cannot be freed, {unused_words(name)}")
+            if name.partition(".")[0] in OF_TWO_PLUNGERS:
+                raise ParameterError(f"{name}: cannot be freed, a valve with one plunger picks nothing up")
 
 
 def starts_of(traces: Sequence[Trace], valve: Valve, free: Sequence[str]) -> list[dict[str, float]]:

@@ -6,7 +6,7 @@ The paper measured the force at one voltage while a stage moved the plunger, and
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, NamedTuple, TypeAlias
@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
+from valve_sim.files.data_tables import open_table
+from valve_sim.files.recording_map import FORCE_QUANTITIES, Source
 from valve_sim.files.tables import TableError, read_table
 from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.identification.plants.protocol import Array
@@ -112,6 +114,7 @@ class StaticForce:
 def fit_static_force(
     path: Path | str,
     valve: Valve,
+    sources: Mapping[str, Source] | None = None,
     *,
     degree: int = HIGHEST_DEGREE,
     voltage: float | None = None,
@@ -120,8 +123,10 @@ def fit_static_force(
     """Fit the attraction polynomial by least squares.
 
     Args:
-        path: a CSV table (see `tables.read_table`) of displacement, m, and force, N.
+        path: a CSV table (see `tables.read_table`) of displacement, m, and force, N; with `sources` a table of a data
+            logger (see `data_tables.open_table`) of any columns and units.
         valve: its other parameters, and the reference voltage that the polynomial is for.
+        sources: the columns, as `recording_map.load_force_map` reads them.
         degree: of the polynomial, 0 to 3.
         voltage: V, at which the table was measured; default the reference voltage.
         constant: fit a0 too; the paper has none.
@@ -139,7 +144,7 @@ def fit_static_force(
         )
     if volts == 0.0 or not math.isfinite(volts):
         raise ValveError(f"--voltage {volts:g}: a coil without voltage does not pull; expected the table's voltage")
-    displacement, force = _read(path, len(powers))
+    displacement, force = _read(path, sources, len(powers))
     at_reference = (reference / volts) ** 2
     values, covariance, rmse = _least_squares(displacement, force, powers)
     errors = np.sqrt(np.diag(covariance))
@@ -149,12 +154,7 @@ def fit_static_force(
         POLYNOMIAL_NAMES[power]: Interval(value, error, value - quantile * error, value + quantile * error)
         for power, value, error in zip(powers, at_reference * values, at_reference * errors, strict=True)
     }
-    polynomial = {name: intervals[name].value if name in intervals else 0.0 for name in POLYNOMIAL_NAMES}
-    whole = np.zeros((len(POLYNOMIAL_NAMES), len(POLYNOMIAL_NAMES)))
-    whole[np.ix_(powers, powers)] = at_reference**2 * covariance
-    matrix = tuple(tuple(row) for row in whole.tolist()) if np.any(whole) else None
-    tolerances = replace(valve.tolerances, attraction_covariance=matrix)
-    fitted = replace(valve.with_values(**polynomial), tolerances=tolerances)
+    fitted = _with_attraction(valve, powers, at_reference * values, at_reference**2 * covariance)
     variance = float(np.var(force))
     return StaticForce(
         str(path),
@@ -169,12 +169,15 @@ def fit_static_force(
     )
 
 
-def _read(path: Path | str, terms: int) -> tuple[Array, Array]:
-    table = read_table(path, _COLUMNS)
+def _read(path: Path | str, sources: Mapping[str, Source] | None, terms: int) -> tuple[Array, Array]:
+    if sources is None:
+        table = read_table(path, _COLUMNS, "or other names and units with --map")
+    else:
+        table = _read_mapped(Path(path), sources)
     displacement, force = table["displacement"], table["force"]
     reach = float(np.max(np.abs(displacement)))
     if reach > LARGEST_DISPLACEMENT:
-        raise TableError(f"{path}: displacement reaches {reach:g}; expected metres (divide millimetres by 1000)")
+        raise TableError(f"{path}: displacement reaches {reach:g} m; if it is in mm, say so with --map (unit: mm)")
     places = len(np.unique(displacement))
     if places < terms or len(force) <= terms:
         raise TableError(
@@ -182,6 +185,19 @@ def _read(path: Path | str, terms: int) -> tuple[Array, Array]:
             "coefficients: measure more, or lower --degree"
         )
     return displacement, force
+
+
+def _read_mapped(path: Path, sources: Mapping[str, Source]) -> dict[str, Array]:
+    """The columns that a map names, in SI, (n,) each."""
+    table = open_table(path)
+    found = {}
+    for name, quantity in FORCE_QUANTITIES.items():
+        column = table.column(sources[name].column)
+        if not np.isfinite(column).all():
+            place = table.place(int(np.argmin(np.isfinite(column))))
+            raise TableError(f"{path}: {place}: {name}: holds no finite number; correct the row or take it out")
+        found[name] = sources[name].to_si(column, quantity.dimension)
+    return found
 
 
 def _least_squares(displacement: Array, force: Array, powers: NDArray[np.int_]) -> tuple[Array, Array, float]:
@@ -199,13 +215,23 @@ def _least_squares(displacement: Array, force: Array, powers: NDArray[np.int_]) 
     return coefficients * units, covariance, math.sqrt(squares / len(force))
 
 
+def _with_attraction(valve: Valve, powers: NDArray[np.int_], coefficients: Array, covariance: Array) -> Valve:
+    """The valve with these coefficients of its attraction; all others are 0, and exact."""
+    polynomial = dict.fromkeys(POLYNOMIAL_NAMES, 0.0)
+    polynomial |= {POLYNOMIAL_NAMES[power]: float(value) for power, value in zip(powers, coefficients, strict=True)}
+    whole = np.zeros((len(POLYNOMIAL_NAMES), len(POLYNOMIAL_NAMES)))
+    whole[np.ix_(powers, powers)] = covariance
+    matrix = tuple(tuple(row) for row in whole.tolist()) if np.any(whole) else None
+    return replace(valve.with_values(**polynomial), tolerances=replace(valve.tolerances, attraction_covariance=matrix))
+
+
 def _findings(valve: Valve, constant: Interval | None, displacement: Array) -> Iterator[StaticFinding]:
     parameters = valve.parameters
     begin, end = float(np.min(displacement)), float(np.max(displacement))
     yield StartOfMotion(
         constant, opening_of(valve), None if constant is None else opening_of(valve.with_values(a0=0.0))
     )
-    if begin > 0.1 * parameters.pilot_gap:
+    if begin > 0.1 * (parameters.pilot_gap or parameters.stroke):
         yield BeginsLate(begin)
     if end < 0.98 * parameters.stroke:
         yield EndsEarly(end, parameters.stroke)

@@ -16,7 +16,6 @@ from typing import Final
 import numpy as np
 
 from valve_sim.identification.diagnosis.run import Verdict, begin
-from valve_sim.identification.estimation.identify import DEFAULT_FREE
 from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.identification.monitoring.joined_signals import joined, with_joined_ends
 from valve_sim.identification.monitoring.lift_times import starts_by_lift
@@ -25,6 +24,7 @@ from valve_sim.identification.plants.commissioned import CommissionedPlant
 from valve_sim.identification.plants.effect_titles import WRONG
 from valve_sim.identification.plants.protocol import Plant
 from valve_sim.identification.plants.tolerances import hypothesis_of
+from valve_sim.identification.plants.valve import DAMPINGS
 from valve_sim.model import Drive, Parameter
 from valve_sim.traces import Signal, Trace
 
@@ -76,7 +76,7 @@ def isolate_fault(strokes: Sequence[Trace], baseline: Baseline, progress: Progre
     session = begin(plants[0], plants[1] if len(plants) > 1 else None, progress, least=least)
     verdict, intervals = session.name()
     parameters = estimates(verdict.effects, plants[0], intervals)
-    before = {name: baseline.valve.declared()[name] for name in verdict.effects if name in DEFAULT_FREE}
+    before = {name: baseline.valve.declared()[name] for name in verdict.effects if name in DAMPINGS}
     before |= {name: plants[0].declared(name.removeprefix("valve.")) for name in parameters if name.startswith(WRONG)}
     return FaultFinding(verdict, True, parameters, before, len(strokes))
 

@@ -114,6 +114,7 @@ class StrokeRecord(NamedTuple):
         fault: what went wrong; None where nothing did.
         arrival_spread: s, largest delay of its samples above the smallest of late; nan where arrivals are not known,
             and where the coil's voltage says when its commands took effect.
+        stamp: ROS time of the opening command, ns; 0 where the times are of no clock.
     """
 
     number: int
@@ -124,3 +125,17 @@ class StrokeRecord(NamedTuple):
     closed: bool | None
     fault: Fault | None
     arrival_spread: float = math.nan
+    stamp: int = 0
+
+
+class Occasion(NamedTuple):
+    """Of which valve something is said, and when.
+
+    Attributes:
+        valve: full name of its node. stroke: number of the last stroke that it is said of.
+        stamp: ROS time of that stroke's opening command, ns.
+    """
+
+    valve: str
+    stroke: int
+    stamp: int

@@ -36,7 +36,7 @@ def opening_fault(highest: float, valve: Valve) -> Fault:
     gap, stroke = valve.parameters.pilot_gap, valve.parameters.stroke
     if valve.gas is not None and abs(highest - gap) < AT_GAP * (stroke - gap):
         return WaitsForPressure(highest)
-    return DidNotOpen(max(highest, 0.0)) if highest < gap else OpenedPartly(highest, stroke)
+    return DidNotOpen(max(highest, 0.0)) if highest < (gap or AT_GAP * stroke) else OpenedPartly(highest, stroke)
 
 
 def held_fault(trace: Trace, valve: Valve, lateness: float = 0.0) -> Fault | None:
@@ -55,8 +55,9 @@ def _held(valve: Valve) -> Iterator[tuple[Fault, Valve]]:
     """What each would mean, and the valve; one held open was not closed by the stroke before."""
     gap, stroke = valve.parameters.pilot_gap, valve.parameters.stroke
     yield DidNotOpen(0.0), _pushed(valve, -HOLDING)
-    at_gap = OpenedPartly(gap, stroke) if valve.gas is None else WaitsForPressure(gap)
-    yield at_gap, valve.with_values(stroke=gap * NEARLY)
+    if gap > 0.0:
+        at_gap = OpenedPartly(gap, stroke) if valve.gas is None else WaitsForPressure(gap)
+        yield at_gap, valve.with_values(stroke=gap * NEARLY)
     yield DidNotClose(stroke), _pushed(valve, HOLDING)
 
 

@@ -14,12 +14,12 @@ import numpy as np
 
 from valve_sim.files.json_text import finite_or_none
 from valve_sim.files.whole_files import write_whole
-from valve_sim.identification.estimation.identify import DEFAULT_FREE
 from valve_sim.identification.estimation.noise import Noise
 from valve_sim.identification.monitoring.command_timing import StrokeTiming
 from valve_sim.identification.monitoring.commissioning import Commissioning, ScoreBaseline
 from valve_sim.identification.monitoring.scores import Baseline
 from valve_sim.identification.plants.commissioned import CommissionedCurrent
+from valve_sim.identification.plants.valve import dampings_of
 from valve_sim.identification.plants.valve_model import ValveModel
 from valve_sim.model import EXACT, ParameterError, Valve
 
@@ -112,10 +112,10 @@ def _flat(values: Any, prefix: str = "") -> dict[str, Any]:
 def _to_plain(commissioning: Commissioning) -> dict[str, Any]:
     baseline = commissioning.baseline
     model, noise = ValveModel(baseline.valve), baseline.noise
-    values = {name: model.declared(name) for name in baseline.estimated}
-    declared_values = {name: value for name, value in values.items() if name not in DEFAULT_FREE}
+    values, dampings = {name: model.declared(name) for name in baseline.estimated}, dampings_of(baseline.valve)
+    declared_values = {name: value for name, value in values.items() if name not in dampings}
     return {
-        "dampings": {name: values[name] for name in DEFAULT_FREE},
+        "dampings": {name: values[name] for name in dampings},
         **({"declared_values": declared_values} if declared_values else {}),
         "damping_covariance": baseline.covariance.tolist(),
         "lateness": baseline.lateness,

@@ -23,7 +23,6 @@ import numpy as np
 
 from valve_sim.identification.estimation.descent import Effort
 from valve_sim.identification.estimation.gram import gram
-from valve_sim.identification.estimation.identify import DEFAULT_FREE
 from valve_sim.identification.estimation.intervals import Interval, covariance_interval
 from valve_sim.identification.estimation.noise import Noise
 from valve_sim.identification.estimation.problem import Problem
@@ -35,7 +34,7 @@ from valve_sim.identification.plants.commissioned import Commissioned, Commissio
 from valve_sim.identification.plants.protocol import Array, Nuisance, perturbed
 from valve_sim.identification.plants.recording_errors import CLOCK_SIGMA
 from valve_sim.identification.plants.root_mean_square import root_mean_square
-from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.identification.plants.valve import DAMPINGS, ValvePlant, dampings_of
 from valve_sim.identification.plants.valve_sensors import as_it_began
 from valve_sim.identification.selection.residual_tests import moving_residuals
 from valve_sim.model import EXACT, SimulationError, Valve, simulate
@@ -89,7 +88,7 @@ class Baseline:
     noise: Noise
     covariance: Array
     current: CommissionedCurrent | None = None
-    estimated: tuple[str, ...] = DEFAULT_FREE
+    estimated: tuple[str, ...] = DAMPINGS
     has_positions: bool = True
 
     @property
@@ -174,8 +173,9 @@ def refitted(trace: Trace, baseline: Baseline, jitter: float | None = None) -> d
     Raises:
         SimulationError: the valve cannot be simulated.
     """
-    result = _Stroke(trace, baseline, jitter).fit(DEFAULT_FREE)
-    return {name: covariance_interval(result, name) for name in DEFAULT_FREE}
+    dampings = dampings_of(baseline.valve)
+    result = _Stroke(trace, baseline, jitter).fit(dampings)
+    return {name: covariance_interval(result, name) for name in dampings}
 
 
 def commission(traces: Sequence[Trace], valve: Valve, noise: float) -> Baseline:
@@ -238,7 +238,7 @@ def _commissioning_fit(problem: Problem, start: Mapping[str, float], prior: floa
     """With a prior of the stamps' errors, s, wide enough for the largest; each is well determined by its stroke."""
     plant = problem.plant
     errors = [error._replace(sigma=prior) for error in plant.timing_errors]
-    return fit(problem, DEFAULT_FREE, start, nuisances=(*plant.nuisances, *errors))
+    return fit(problem, plant.base, start, nuisances=(*plant.nuisances, *errors))
 
 
 def _noise_at_rest(plant: ValvePlant, result: Fit) -> Noise:
@@ -305,7 +305,7 @@ class _Stroke:
     def effect_directions(self, result: Fit) -> Iterator[tuple[str, Array]]:
         """Names, and the change of the whitened residual by a small effect of each: dampings and the catalogue."""
         plant = self._plant
-        for name in DEFAULT_FREE:
+        for name in plant.base:
             yield from self._direction(result, name, {name: perturbed(plant.parameter(name), plant.declared(name))})
         for effect in plant.effects.values():
             for switch in effect.parameters:

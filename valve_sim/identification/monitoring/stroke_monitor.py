@@ -71,6 +71,7 @@ class StrokeReport(NamedTuple):
         record: the stroke. volts: its largest command, V, with its sign.
         opening_delay: until the pilot plunger leaves its seat. t1: until it reaches the main plunger. t2: until the
             stop. closing_time: from the closing command until the pilot plunger is back.
+        errors: standard errors of t1, t2 and closing_time, s, by the sensor's noise and rate.
         rms: m, of the residual, or A where the record has no positions; nan where it was not compared with the model.
         noise: m or A, of the sensor; nan before commissioning. damping: refitted to this stroke alone, or empty.
         scores: standard normal while healthy, by direction; empty where the stroke was not scored.
@@ -85,6 +86,7 @@ class StrokeReport(NamedTuple):
     t1: float
     t2: float
     closing_time: float
+    errors: tuple[float, float, float]
     rms: float
     noise: float
     damping: Mapping[str, Interval]
@@ -351,15 +353,18 @@ class StrokeMonitor:
     ) -> StrokeReport:
         baseline, trace = self.baseline, record.trace
         seen = _arrivals(trace, self._declared) if len(trace.sample_times) >= FEWEST_SAMPLES else {}
+        unseen = (math.nan, math.nan)
+        t1, t2, closing = (seen.get(kind, unseen) for kind in ("pilot_reaches_main", "reaches_stop", "reaches_seat"))
         lateness = baseline.lateness if baseline is not None else 0.0
         volts = trace.drive.volts
         return StrokeReport(
             record,
             float(volts[np.argmax(np.abs(volts))]),
             _opening_delay(trace, baseline.valve if baseline is not None else self._declared, lateness),
-            seen.get("pilot_reaches_main", math.nan) - lateness,
-            seen.get("reaches_stop", math.nan) - lateness,
-            seen.get("reaches_seat", math.nan) - lateness,
+            t1[0] - lateness,
+            t2[0] - lateness,
+            closing[0] - lateness,
+            (t1[1], t2[1], closing[1]),
             scored.rms if scored is not None else math.nan,
             baseline.noise.sigma if baseline is not None else math.nan,
             damping,
@@ -411,16 +416,17 @@ def _retimed(trace: Trace, shifts: Array) -> Trace:
     return replace(trace, drive=Drive(times, trace.drive.volts), coil_current=current)
 
 
-def _arrivals(trace: Trace, valve: Valve) -> dict[str, float]:
-    """By kind of arrival: s after its command, by the position sensor, or by the bends of the current."""
+def _arrivals(trace: Trace, valve: Valve) -> dict[str, tuple[float, float]]:
+    """By kind of arrival: s after its command, and its standard error; by positions, or by the bends of the current."""
     strokes = events_from_sensors(trace, valve.parameters.pilot_gap)
-    return {event.kind: event.after_command for stroke in strokes for event in stroke.events}
+    return {event.kind: (event.after_command, event.uncertainty) for stroke in strokes for event in stroke.events}
 
 
 def _opening_delay(trace: Trace, valve: Valve, lateness: float) -> float:
     """When the pilot plunger left its seat, s after the command: the model's time, and the delay at a low level.
 
-    The first micrometres hide in the noise, and grow with the third power of time; the level is a quarter of the gap.
+    The first micrometres hide in the noise, and grow with the third power of time; the level is a quarter of the gap,
+    or of one plunger a twentieth of its stroke.
     By the current alone the delay is that with which the current rises. NaN where it is not seen.
     """
     if not len(trace.sample_times):
@@ -439,7 +445,7 @@ def _opening_delay(trace: Trace, valve: Valve, lateness: float) -> float:
     except SimulationError:
         return math.nan
     if trace.has_positions:
-        level = 0.25 * valve.parameters.pilot_gap
+        level = 0.25 * valve.parameters.pilot_gap or 0.05 * valve.parameters.stroke
         measured = crossing(times, trace.pilot_position[is_before_next], level, rises=True)
         late = measured - crossing(times, shown.pilot_position, level, rises=True)
     return shown.first(EventKind.UNSEATED) - float(drive.times[0]) + late

@@ -147,7 +147,7 @@ class CommissionedPlant:
         self._estimated = commissioned.estimated
         self._spread = _root(commissioned.covariance) / CLOCK_SIGMA
         self._errors = tuple(f"commissioning_error[{index}]" for index in range(self._spread.shape[1]))
-        self._dampings = {name: self._damping(name) for name in DAMPINGS}
+        self._dampings = {name: self._damping(name) for name in self._plant.base}
         alike = tuple(entry.name for entry in CATALOGUE.tagged(Tag.LIKE_DAMPING))
         built_in = {entry.name for entry in CATALOGUE.tagged(Tag.BUILT_IN)}
         self._effects = {

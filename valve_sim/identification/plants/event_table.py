@@ -101,6 +101,11 @@ def read_event_table(path: Path | str) -> EventTable:
     if not isinstance(valve_name, str):
         raise ParameterError(f"{path}: valve: found {valve_name!r}, expected a parameter file beside this one")
     valve_file = Path(path).parent / valve_name
+    valve = load_valve(valve_file)
+    if valve.parameters.has_one_plunger:
+        raise ParameterError(
+            f"{path}: valve: {valve_file} declares a valve with one plunger (valve.pilot_gap 0), expected one with two"
+        )
     rows = content.get("events")
     if not isinstance(rows, list) or not rows:
         raise ParameterError(f"{path}: events: found {rows!r}, expected a list of events")
@@ -112,7 +117,7 @@ def read_event_table(path: Path | str) -> EventTable:
     return EventTable(
         str(path),
         valve_file,
-        load_valve(valve_file),
+        valve,
         _number(content.get("voltage"), f"{path}: voltage", "V"),
         tuple(sorted(events, key=lambda event: event.time)),
         None if attraction is None else _number(attraction, f"{path}: largest_attraction", "N"),

@@ -1,7 +1,7 @@
 """Declared values with a tolerance, as a fit sees them: nuisances with priors, and hypotheses that one is wrong.
 
-Each value moves by itself, but for two: the moving mass is the pilot plunger's and the main plunger's, which are
-weighed one by one, and the attraction polynomial moves along the principal axes of its covariance,
+Each value moves by itself, but for two: the moving mass of two plungers is the pilot plunger's and the main plunger's,
+which are weighed one by one, and the attraction polynomial moves along the principal axes of its covariance,
 
     (a0, a1, a2, a3) = declared + R z,   R Rᵀ = covariance,   z_k ~ N(0, 1):  theory, eq. (81)
 """
@@ -92,7 +92,8 @@ class ToleratedValues:
         if valve.gas is not None:
             self._declared |= {of_gas(name): float(getattr(valve.gas, name)) for name in GAS}
         self._tolerances = valve.tolerances
-        self._has_masses = bool({"pilot_mass", "moving_mass"} & set(valve.tolerances.declared))
+        is_pair = not valve.parameters.has_one_plunger
+        self._has_masses = is_pair and bool({"pilot_mass", "moving_mass"} & set(valve.tolerances.declared))
         self._axes = principal_axes(valve.tolerances)
         self._axis_names = tuple(f"attraction[{axis}]" for axis in range(self._axes.shape[1]))
         self.nuisances = self._nuisances(valve)
@@ -102,7 +103,7 @@ class ToleratedValues:
         lower, upper = _contacts(valve)
         found = []
         for name, sigma in valve.tolerances.declared.items():
-            own = MAIN_MASS if name == "moving_mass" else name
+            own = self._coordinate(name)
             rule = self.parameter(own) or DECLARED[name]
             least = max(rule.lower, lower.get(name, rule.lower))
             if not rule.lower_is_allowed and least <= rule.lower:
@@ -137,7 +138,7 @@ class ToleratedValues:
             )
         if name in self._axis_names:
             return Parameter(name, "–", "attraction polynomial along an axis of its covariance", prior_scale=RELEASED)
-        if name in self._tolerances.declared and name != "moving_mass":
+        if name in self._tolerances.declared and self._coordinate(name) == name:
             return DECLARED[name]._replace(prior_scale=RELEASED * self._tolerances.declared[name])
         if name in EXACT_RIVALS and self._declared[name] != 0.0:
             return DECLARED[name]._replace(prior_scale=WRONG_SHARE * abs(self._declared[name]))
@@ -230,12 +231,14 @@ class ToleratedValues:
             found[name] = EffectChoice(name, parameters, both, is_declared_value=True)
         return found
 
+    def _coordinate(self, name: str) -> str:
+        """By what a declared value with a tolerance is estimated: of two masses, by the main plunger's own."""
+        return MAIN_MASS if name == "moving_mass" and self._has_masses else name
+
     def _coordinates(self) -> dict[str, tuple[str, ...]]:
         """Declared values that may be wrong, and the names by which each is estimated."""
         known = [*self._tolerances.declared, *(name for name in EXACT_RIVALS if self._declared[name] != 0.0)]
-        found: dict[str, tuple[str, ...]] = {
-            name: (MAIN_MASS if name == "moving_mass" and self._has_masses else name,) for name in dict.fromkeys(known)
-        }
+        found: dict[str, tuple[str, ...]] = {name: (self._coordinate(name),) for name in dict.fromkeys(known)}
         if self._axis_names:
             found["attraction_polynomial"] = self._axis_names
         exact = [name for name in EXACT_RIVALS_OF_GAS if self._declared.get(of_gas(name), 0.0) != 0.0]
@@ -299,12 +302,13 @@ def _nuisance(
 
 
 def _contacts(valve: Valve) -> tuple[dict[str, float], dict[str, float]]:
-    """The least stroke and the largest gap: the gap stays below the stroke, whatever both are estimated to be."""
+    """Bounds, the lower and the upper: the gap stays above 0 and below the stroke, whatever both come to."""
     sigmas = valve.tolerances.declared
     gap, stroke = valve.parameters.pilot_gap, valve.parameters.stroke
     of_gap, of_stroke = sigmas.get("pilot_gap", 0.0), sigmas.get("stroke", 0.0)
-    if of_gap + of_stroke == 0.0:
+    if valve.parameters.has_one_plunger or of_gap + of_stroke == 0.0:
         return {}, {}
     room = (stroke - gap) / (of_gap + of_stroke)
     # In tolerances, both go equally far.
-    return {"stroke": stroke - 0.999 * room * of_stroke}, {"pilot_gap": gap + 0.999 * room * of_gap}
+    least = {"stroke": stroke - 0.999 * room * of_stroke, "pilot_gap": 1e-6 * min(of_gap, gap)}
+    return least, {"pilot_gap": gap + 0.999 * room * of_gap}

@@ -51,7 +51,7 @@ from valve_sim.traces import Signal, Trace
 from valve_sim.traces.layout import SIGNALS
 
 DAMPINGS: Final = ("pilot_damping", "main_damping")
-"""Declared values that every fit frees, because they are not known beforehand."""
+"""Declared values that every fit frees, because they are not known beforehand; see `dampings_of`."""
 LOWEST_LEVEL, HIGHEST_LEVEL = 7.5 / 9.0, 14.0 / 9.0
 """Shares of the reference voltage: the range in which such a valve is driven, 7.5 to 14 V where it is 9 V."""
 PULSE_LEVELS: Final = (LOWEST_LEVEL, 1.0, 11.0 / 9.0, HIGHEST_LEVEL)
@@ -62,9 +62,16 @@ PULSE_START, PULSE_RECORDING = 5e-3, 70e-3
 """s: when a pulse begins, and when its recording ends."""
 
 
+SHORTEST_SPAN: Final = 1e-6
+"""m, of a force map over x, of one plunger that does not move."""
 GAS_STEP: Final = 2e-5
 """Prior scales. Along the usual step the pressures come to be equal so much later that it is more than the main plunger
 takes to open: a clogged orifice was given a twentieth of its standard error."""
+
+
+def dampings_of(valve: Valve) -> tuple[str, ...]:
+    """Those of `DAMPINGS` that a valve uses: one plunger has no Phase 1."""
+    return DAMPINGS[1:] if valve.parameters.has_one_plunger else DAMPINGS
 
 
 def volts_at(valve: Valve, levels: Sequence[float]) -> tuple[float, ...]:
@@ -84,7 +91,7 @@ class ValvePlant:
         jumps = valve.parameters.coil_time_constant == 0.0 or "motional_emf" in valve.effects
         known = [trace if valve.gas is not None else without_pressure(trace) for trace in traces]
         self.traces = tuple(with_usable_current(trace, jumps=jumps) for trace in known)
-        self._model = ValveModel(valve, DAMPINGS)
+        self._model = ValveModel(valve, dampings_of(valve))
         self._channels = [channel for index, trace in enumerate(self.traces) for channel in channels_of(index, trace)]
 
     @property
@@ -104,8 +111,8 @@ class ValvePlant:
 
     @property
     def base(self) -> Sequence[str]:
-        """The dampings."""
-        return DAMPINGS
+        """The dampings that the valve uses."""
+        return dampings_of(self.valve)
 
     @functools.cached_property
     def nuisances(self) -> Sequence[Nuisance]:
@@ -152,7 +159,7 @@ class ValvePlant:
         if not all(trace.has_positions for trace in self.traces):
             furthest = declared.stroke
         spans = {
-            "x": (0.0, min(max(furthest, declared.pilot_gap), declared.stroke), "m"),
+            "x": (0.0, min(max(furthest, declared.pilot_gap or SHORTEST_SPAN), declared.stroke), "m"),
             "v": (-fastest, fastest, "m/s"),
             "t": (0.0, max(float(trace.sample_times[-1]) for trace in self.traces), "s"),
         }

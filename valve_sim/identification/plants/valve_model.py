@@ -11,6 +11,7 @@ from valve_sim.identification.plants.tolerances import ToleratedValues, of_gas
 from valve_sim.model import CATALOGUE, DECLARED, Parameter, Valve
 from valve_sim.model.gas import GAS, GasParameters
 from valve_sim.model.gas.record import record_of
+from valve_sim.model.simulation import OF_TWO_PLUNGERS
 
 GAS_NAMES: Final[Mapping[str, str]] = {of_gas(name): name for name in GAS}
 """What fits call a number of the group `gas`, and what the group calls it."""
@@ -36,6 +37,8 @@ class ValveModel:
         self.nuisances: tuple[Nuisance, ...] = self._tolerated.nuisances
         left_out = {name for name, entry in CATALOGUE.items() if not entry.tried}
         left_out |= {name for name, entry in CATALOGUE.items() if not entry.is_of(has_gas=valve.gas is not None)}
+        if valve.parameters.has_one_plunger:
+            left_out |= {*OF_TWO_PLUNGERS}
         if valve.parameters.coil_time_constant == 0.0:
             left_out |= {name for name, entry in CATALOGUE.items() if entry.needs_inductance}
         effects = {

@@ -69,7 +69,10 @@ def keep_extremes(curves: tuple[Array, ...], most: int) -> NDArray[np.int64]:
 
 
 def strokes_of(diagnosis: Diagnosis) -> list[StrokeCurves]:
-    """Every stroke of every channel in which errors are reported: those that were fitted, then those held out."""
+    """Every stroke of every channel: those that were fitted, then those held out.
+
+    The channels in which errors are reported come first; then others that were fitted too, as a current.
+    """
     before, after = diagnosis.before, diagnosis.after
     found = list(_strokes(before.fit, after.fit, is_held_out=False))
     if before.holdout is not None and after.holdout is not None:
@@ -80,7 +83,9 @@ def strokes_of(diagnosis: Diagnosis) -> list[StrokeCurves]:
 def _strokes(before: Fit, after: Fit, *, is_held_out: bool) -> Iterator[StrokeCurves]:
     problem = before.problem
     shown_before, shown_after = (problem.plant.predict(fitted.values) for fitted in (before, after))
-    for index in judged_channels(problem.plant):
+    judged = judged_channels(problem.plant)
+    fitted = [index for index in range(len(problem.plant.channels)) if np.any(problem.weight(index) > 0.0)]
+    for index in [*judged, *(index for index in fitted if index not in judged)]:
         channel, first, second = problem.plant.channels[index], shown_before[index], shown_after[index]
         takes_part = problem.weight(index) > 0.0
         sigma = problem.noise_of(index).sigma

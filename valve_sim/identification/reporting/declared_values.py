@@ -11,7 +11,7 @@ from valve_sim.identification.estimation.declared_values import BEYOND, Declared
 from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.identification.plants.effect_titles import capitalised
 from valve_sim.identification.plants.tolerances import GROUP
-from valve_sim.identification.reporting.units import measured, readable
+from valve_sim.identification.reporting.units import measured, readable, signed
 
 NORMAL_95: Final = 1.96
 """Half width of a 95 % interval, in standard errors."""
@@ -47,7 +47,7 @@ def declared_lines(values: Sequence[DeclaredValue]) -> list[str]:
         f"{'declared value':<28}{'declared ± tolerance':<30}{'estimate ± standard error':<30}off by, in tolerances"
     ]
     lines += [
-        f"{found.name:<28}{as_declared(found):<30}{as_estimated(found):<30}{signed(found.deviation)}"
+        f"{found.name:<28}{as_declared(found):<30}{as_estimated(found):<30}{signed(found.deviation, 1)}"
         for found in values
     ]
     return [*lines, *(f"{out_words(found)}." for found in values if found.is_out)]
@@ -61,11 +61,6 @@ def as_declared(found: DeclaredValue) -> str:
 def as_estimated(found: DeclaredValue) -> str:
     """461.2 ± 2.4 N/m."""
     return measured(_interval(found.estimate, found.stderr), found.unit)
-
-
-def signed(deviation: float) -> str:
-    """With its sign, and U+2212 for a minus; 0.0 has none."""
-    return "0.0" if abs(deviation) < _LEAST_TOLD else f"{deviation:+.1f}".replace("-", "−")
 
 
 def out_words(found: DeclaredValue) -> str:
@@ -84,7 +79,7 @@ def plain_name(name: str) -> str:
     """The name of a declared value without underscores and dots."""
     axis, bracket, rest = name.partition("[")
     if bracket:
-        return f"{axis}'s coordinate {int(rest.rstrip(']')) + 1}"
+        return f"{axis}, direction {int(rest.rstrip(']')) + 1} of its covariance"
     effect, dot, parameter = name.removeprefix(GROUP).partition(".")
     return (f"{parameter} of {effect}" if dot else effect).replace("_", " ")
 
@@ -101,7 +96,7 @@ def summary_words(values: Sequence[DeclaredValue]) -> str:
         return f"all {len(values)} are where they are declared, within a tenth of a tolerance"
     return (
         f"all {len(values)} are within {BEYOND:g} tolerances of what is declared; the furthest is the "
-        f"{plain_name(furthest.name)}, off by {signed(furthest.deviation)}"
+        f"{plain_name(furthest.name)}, off by {signed(furthest.deviation, 1)}"
     )
 
 
@@ -133,7 +128,7 @@ def _row(found: DeclaredValue, at: Callable[[float], float]) -> dict[str, Any]:
         "words": plain_name(found.name),
         "declared": as_declared(found),
         "estimate": as_estimated(found),
-        "deviation": signed(found.deviation),
+        "deviation": signed(found.deviation, 1),
         "is_out": found.is_out,
         "at": at(found.deviation),
         "left": low,

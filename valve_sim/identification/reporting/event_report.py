@@ -14,7 +14,7 @@ from valve_sim.identification.diagnosis.events import (
 )
 from valve_sim.identification.plants.event_table import EventPlant
 from valve_sim.identification.plants.valve import DAMPINGS
-from valve_sim.identification.reporting.units import listed_values
+from valve_sim.identification.reporting.units import listed_values, signed
 
 
 def event_json(result: EventDiagnosis) -> dict[str, Any]:
@@ -95,7 +95,9 @@ def event_text(result: EventDiagnosis) -> str:
     closing = [entry for entry in result.pairs if entry.closes]
     best_of_rest = [entry for entry in result.pairs if not entry.closes][:3]
     for entry in (result.declared, *result.singles, *closing, *best_of_rest):
-        errors = "".join(f"{'never':>16}" if math.isnan(e) else f"{1e3 * e:>+16.3f}" for e in result.errors(entry))
+        errors = "".join(
+            f"{'never':>16}" if math.isnan(e) else f"{signed(1e3 * e, 3):>16}" for e in result.errors(entry)
+        )
         values = listed_values(EventPlant(result.table), entry.values)
         lines.append(f"{' + '.join(entry.effects) or '(nothing)':<38}{errors}   {values}")
     lines += ["", _summary(result)]
@@ -106,7 +108,8 @@ def event_text(result: EventDiagnosis) -> str:
         )
     shipped = listed_values(EventPlant(result.table), result.shipped.values, 5)
     errors = ", ".join(
-        f"{name} off by {1e6 * error:+.2f} µs" for name, error in zip(names, result.errors(result.shipped), strict=True)
+        f"{name} off by {signed(1e6 * error, 2)} µs"
+        for name, error in zip(names, result.errors(result.shipped), strict=True)
     )
     lines.append(f"written: {shipped} ({errors})")
     if result.table.largest_attraction is not None:

@@ -6,8 +6,9 @@ Of a valve also corrected.yaml, and record_next.yaml where there is something to
 from __future__ import annotations
 
 import importlib
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from valve_sim.files.json_text import json_text
 from valve_sim.files.parameter_files import save_valve
@@ -28,6 +29,8 @@ def write_diagnosis(
     provenance: str,
     picture: Path | None = None,
     final: Path | None = None,
+    *,
+    report: Mapping[str, Any] | None = None,
 ) -> tuple[Path, ...]:
     """Write what a diagnosis found, each file whole or not at all.
 
@@ -37,6 +40,7 @@ def write_diagnosis(
         provenance: how the diagnosis was made; goes into report.html and corrected.yaml.
         picture: where to draw the page's plots, too; default nowhere.
         final: the folder that the files will be moved to, for the commands that the page prints; default `directory`.
+        report: what `to_json` made of it, if that is known; it may take many simulations.
 
     Returns:
         the files, report.json first.
@@ -46,7 +50,7 @@ def write_diagnosis(
     """
     folder = Path(directory)
     data, page, corrected = (folder / name for name in FILES)
-    write_whole(data, json_text(to_json(diagnosis)))
+    write_whole(data, json_text(to_json(diagnosis) if report is None else report))
     write_report(diagnosis, page, provenance, final)
     written = [data, page]
     if isinstance(diagnosis.plant, ValvePlant):

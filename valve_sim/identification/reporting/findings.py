@@ -29,6 +29,12 @@ _UNBOUNDED: Final = {
     Unbounded.FLAT_PROFILE: "the profile is flat: these data do not determine it",
     Unbounded.MAY_BE_INFINITE: "it may be too long to be seen in these data",
 }
+_SIGMAS_95: Final = 1.96
+_HALF_MORE: Final = 1.5
+_DISAGREEING: Final = (
+    "± is one standard error, from the curvature of χ² at the best value; the 95 % interval is where χ² really rises, "
+    "others refitted, or ends at a bound. Here they disagree: go by the interval"
+)
 _SEPARATING: Final = "strokes at other voltages, or a release, would separate them."
 _NOT_WHITE: Final = (
     "the residual is not white, so the model lacks something and the intervals are too narrow; `diagnose` may name it."
@@ -37,8 +43,19 @@ _AT_THE_SEAT: Final = "measure at x = 0, where the motion starts."
 
 
 def remark_on(interval: Interval) -> str:
-    """Why an interval is wide or one-sided; empty where it is neither."""
-    return "" if interval.unbounded is None else _UNBOUNDED[interval.unbounded]
+    """Why an interval is wide, one-sided, or not what its standard error says; empty where it is as usual."""
+    if interval.unbounded is not None:
+        return _UNBOUNDED[interval.unbounded]
+    return _DISAGREEING if disagree(interval) else ""
+
+
+def disagree(interval: Interval) -> bool:
+    """Whether one side of a 95 % interval is longer or shorter by more than a half than its standard error says."""
+    expected = _SIGMAS_95 * interval.stderr
+    if not (math.isfinite(expected) and expected > 0.0):
+        return False
+    sides = (interval.value - interval.low, interval.high - interval.value)
+    return any(not expected / _HALF_MORE <= side <= expected * _HALF_MORE for side in sides)
 
 
 def remarks(findings: Iterable[Finding | StaticFinding]) -> list[str]:

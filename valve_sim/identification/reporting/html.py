@@ -23,14 +23,14 @@ from valve_sim.identification.plants.effect_titles import named_value, titles_of
 from valve_sim.identification.plants.protocol import judged_channels
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.curves import StrokeCurves, strokes_of
-from valve_sim.identification.reporting.declared_values import declared_section
+from valve_sim.identification.reporting.declared_values import declared_section, plain_name
 from valve_sim.identification.reporting.detection_limits import limit_rows
 from valve_sim.identification.reporting.findings import remark_on
 from valve_sim.identification.reporting.followed_positions import stroke_plot, stroke_words, strokes_followed
 from valve_sim.identification.reporting.force_curves import ForceCurve, force_curve, motion_of
 from valve_sim.identification.reporting.recording_profile import duration_of, profile_to_record
 from valve_sim.identification.reporting.summary import recording_advice, summarise
-from valve_sim.identification.reporting.units import limits, measured, quantity, three_digits
+from valve_sim.identification.reporting.units import limits, measured, quantity, signed, three_digits
 from valve_sim.identification.reporting.wording import (
     choice_words,
     headline,
@@ -114,7 +114,7 @@ def plot_diagnosis(diagnosis: Diagnosis, path: Path | str) -> None:
 
     from valve_sim.identification.reporting.figures import MAIN, PILOT, QUIET, save_figure
 
-    strokes = _worst_first(strokes_of(diagnosis))[:PICTURED_STROKES]
+    strokes = _drawn(diagnosis, PICTURED_STROKES)[0][:PICTURED_STROKES]
     figure = Figure(figsize=(4.6 * len(strokes) + 0.8, 8.6 if diagnosis.maps else 6.4), layout="constrained")
     figure.suptitle(f"{headline(diagnosis)}\nProbability {probability_words(diagnosis.verdict)}", wrap=True)
     ratios = (5, 3) if diagnosis.maps else (1,)
@@ -161,14 +161,16 @@ def _wrapped(title: str) -> str:
 
 def _content(diagnosis: Diagnosis) -> dict[str, Any]:
     """The other variables of the template."""
-    verdict, strokes = diagnosis.verdict, _worst_first(strokes_of(diagnosis))
+    verdict = diagnosis.verdict
     channel = diagnosis.plant.channels[judged_channels(diagnosis.plant)[0]]
+    judged, others = _drawn(diagnosis, SHOWN_STROKES)
+    strokes = [*judged, *others]
     scale, unit = channel.readable
     captions = [
-        {"index": index, "title": stroke.title, "rms": _change(*stroke.root_mean_squares, unit)}
+        {"index": index, "title": stroke.title, "rms": _change(*stroke.root_mean_squares, stroke.unit)}
         for index, stroke in enumerate(strokes)
     ]
-    held_out = sum(stroke.is_held_out for stroke in strokes)
+    held_out = sum(stroke.is_held_out for stroke in judged)
     sigma = scale * diagnosis.before.fit.problem.noises[channel.kind].sigma
     words, is_sure = kind_words(verdict)
     candidates = [_candidate_row(candidate, diagnosis, scale, unit) for candidate in diagnosis.candidates]
@@ -200,14 +202,28 @@ def _content(diagnosis: Diagnosis) -> dict[str, Any]:
         "version": __version__,
         "sources": diagnosis.sources,
         "noise": f"{three_digits(sigma)} {unit} rms of the {channel.kind} sensor, read where the machine is still",
-        "strokes": f"{len(strokes) - held_out} fitted, {held_out} held out. Errors are over all samples; drawn are, of "
+        "strokes": f"{len(judged) - held_out} fitted, {held_out} held out. Errors are over all samples; drawn are, of "
         "equal bins of each stroke, the samples at which a curve or a residual is lowest or highest.",
         "strokes_data": [_stroke_plot(stroke.thinned()) for stroke in strokes],
     }
 
 
-def _worst_first(strokes: list[StrokeCurves]) -> list[StrokeCurves]:
-    return sorted(strokes, key=lambda stroke: -stroke.root_mean_squares[0])
+def _drawn(diagnosis: Diagnosis, most: int) -> tuple[list[StrokeCurves], list[StrokeCurves]]:
+    """Strokes of the channels in which errors are reported, and of others that were fitted too, as a current.
+
+    Of the first, those that the declared model misses most come before the others; either in the order of recording.
+    """
+    strokes = strokes_of(diagnosis)
+    kind = diagnosis.plant.channels[judged_channels(diagnosis.plant)[0]].kind
+    judged = [stroke for stroke in strokes if stroke.quantity == kind]
+    worst = sorted(range(len(judged)), key=lambda index: -judged[index].root_mean_squares[0])
+    names = [stroke.title.partition(", stroke ")[0] for stroke in judged]
+
+    def recorded(index: int) -> tuple[int, float]:
+        return names.index(names[index]), float(judged[index].time[0])
+
+    order = [*sorted(worst[:most], key=recorded), *sorted(worst[most:], key=recorded)]
+    return [judged[index] for index in order], [stroke for stroke in strokes if stroke.quantity != kind]
 
 
 def _improvement(diagnosis: Diagnosis, scale: float, unit: str, sigma: float) -> str:
@@ -259,16 +275,21 @@ def _number(value: float, unit: str) -> str:
 
 
 def _candidate_row(candidate: Candidate, diagnosis: Diagnosis, scale: float, unit: str) -> dict[str, Any]:
+    plant = diagnosis.plant
+    own = {
+        name for effect in candidate.effects if effect in plant.effects for name in plant.effects[effect].free_names()
+    }
     values = [
         # By name: a description, such as "C in −C v |v|", does not fit beside a number.
-        f"{name.partition('.')[2].translate(_SPACES)} {quantity(found.value, diagnosis.plant.parameter(name).unit)}"
+        f"{(name.partition('.')[2] or plain_name(name)).translate(_SPACES)} "
+        f"{quantity(found.value, plant.parameter(name).unit)}"
         for name, found in candidate.intervals.items()
-        if "." in name and not _is_drawn(name)
+        if ("." in name or name in own) and not _is_drawn(name)
     ]
     return {
         "title": titles_of(candidate.effects) + (" with errors of the commands' stamps" if candidate.timing else ""),
         "name": " + ".join(candidate.effects),
-        "gain": f"{candidate.delta_bic:.1f}",
+        "gain": signed(candidate.delta_bic, 1).removeprefix("+"),
         "train": _number(scale * candidate.train_rmse, unit),
         "holdout": _number(scale * candidate.holdout_rmse, unit),
         "text": "; ".join(values),
@@ -320,7 +341,7 @@ def _forces(diagnosis: Diagnosis) -> dict[str, Any]:
     maps = [
         {
             "variable": curve.label.partition(",")[0] + _FACTOR_WORDS.get(curve.variable[1:], ""),
-            "gain": f"{-curve.gain:.1f}",
+            "gain": signed(-curve.gain, 1).removeprefix("+"),
             "rms": quantity(curve.rms, "N"),
             "where": curve.where,
         }

@@ -9,7 +9,7 @@ from valve_sim.files.json_text import plain_mapping
 from valve_sim.identification.estimation.identify import Identification
 from valve_sim.identification.plants.protocol import KEY_OF_UNIT
 from valve_sim.identification.reporting.declared_values import declared_json, declared_lines
-from valve_sim.identification.reporting.findings import remarks
+from valve_sim.identification.reporting.findings import remark_on, remarks
 from valve_sim.identification.reporting.interval_json import intervals_json
 from valve_sim.identification.reporting.units import limits, measured, quantity, three_digits
 
@@ -60,6 +60,8 @@ def identification_text(result: Identification) -> str:
         unit, declared = plant.parameter(name).unit, plant.declared(name)
         found = f"{measured(interval, unit):<30}{limits(interval, unit):<30}"
         lines.append(f"{name:<28}{found}{quantity(declared, unit)}")
+        if remark := remark_on(interval):
+            lines.append(f"  {remark}.")
     lines += declared_lines(result.declared)
     noise = result.fit.problem.noises[result.judged.kind]
     scale, unit = result.judged.readable

@@ -6,25 +6,31 @@ from typing import Any
 
 from valve_sim.files.json_text import plain_mapping
 from valve_sim.identification.monitoring.fault_isolation import FaultFinding
+from valve_sim.identification.monitoring.findings import Occasion
 from valve_sim.identification.monitoring.stroke_monitor import StrokeReport
 from valve_sim.identification.reporting.interval_json import intervals_json
 from valve_sim.identification.reporting.monitoring_words import (
     fault_words,
-    finding_words,
     remark_words,
     state_words,
     stroke_name,
+    told_finding,
 )
 
 
-def stroke_json(report: StrokeReport) -> dict[str, Any]:
-    """Plain numbers in SI units; null for what is not known."""
+def stroke_json(report: StrokeReport, valve: str) -> dict[str, Any]:
+    """Plain numbers in SI units; null for what is not known.
+
+    Args:
+        report: on a stroke whose record has a stamp. valve: full name of its node.
+    """
     largest = sorted(report.scores.items(), key=lambda item: -abs(item[1]))[:3]
     plain = {
         "schema": "valve_sim/stroke/1",
+        "valve": valve,
         "stroke": report.record.number,
         "name": stroke_name(report),
-        "time": report.record.time,
+        "time": report.record.stamp / 1e9,
         "state": state_words(report.state),
         "remark": None if report.remark is None else remark_words(report.remark),
         "opened": report.record.opened,
@@ -34,6 +40,7 @@ def stroke_json(report: StrokeReport) -> dict[str, Any]:
         "t1": report.t1,
         "t2": report.t2,
         "closing_time": report.closing_time,
+        **dict(zip(("t1_stderr", "t2_stderr", "closing_time_stderr"), report.errors, strict=True)),
         **_errors(report),
         "command_scatter": report.command_scatter,
         "damping": intervals_json(report.damping),
@@ -55,14 +62,17 @@ def _errors(report: StrokeReport) -> dict[str, float]:
     return {"residual_rms_ma": 1e3 * report.rms, "noise_ma": 1e3 * report.noise}
 
 
-def finding_json(finding: FaultFinding) -> dict[str, Any]:
-    """As on ~/finding."""
+def finding_json(finding: FaultFinding, occasion: Occasion) -> dict[str, Any]:
+    """As on ~/finding; `occasion` is that of the last of the strokes that it rests on."""
     verdict = finding.verdict
     plain = {
         "schema": "valve_sim/finding/1",
+        "valve": occasion.valve,
+        "stroke": occasion.stroke,
+        "time": occasion.stamp / 1e9,
         "kind": verdict.kind,
         "effects": list(verdict.effects),
-        "summary": finding_words(finding),
+        "summary": told_finding(finding, occasion),
         "confusable_with": {name: list(others) for name, others in verdict.confusable_with.items()},
         "parameters": intervals_json(finding.parameters),
         "probability": verdict.probability,

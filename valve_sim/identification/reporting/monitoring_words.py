@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from datetime import datetime, timezone
 from typing import Final
 
-from valve_sim.identification.estimation.identify import DEFAULT_FREE
 from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.identification.monitoring.fault_isolation import FaultFinding
 from valve_sim.identification.monitoring.findings import (
@@ -12,6 +12,7 @@ from valve_sim.identification.monitoring.findings import (
     DidNotOpen,
     Fault,
     NotSimulated,
+    Occasion,
     OpenedPartly,
     Remark,
     StrokeState,
@@ -22,8 +23,10 @@ from valve_sim.identification.monitoring.findings import (
 from valve_sim.identification.monitoring.stroke_monitor import StrokeReport
 from valve_sim.identification.plants.advice import GENERIC_ADVICE
 from valve_sim.identification.plants.effect_titles import WRONG, named, title_of
+from valve_sim.identification.plants.valve import DAMPINGS
 from valve_sim.identification.reporting.summary import claim
 from valve_sim.identification.reporting.units import measured, quantity
+from valve_sim.identification.reporting.wording import probability_words
 from valve_sim.model import CATALOGUE, DECLARED
 from valve_sim.model.gas import GAS
 
@@ -48,6 +51,19 @@ LOPSIDED: Final = 3.0
 _NOT_CREDIBLE: Final = (
     "the strokes are not those of the commissioned valve, and no effect is known well enough to be named"
 )
+
+
+def occasion_words(occasion: Occasion) -> str:
+    """The valve, the stroke and its time, such as "/tank_1/valve, stroke 31 at 2026-11-24T14:31:07.123Z"."""
+    seconds, nanoseconds = divmod(occasion.stamp, 1_000_000_000)
+    time = datetime.fromtimestamp(seconds, timezone.utc).strftime("%Y-%m-%dT%H:%M:%S")
+    return f"{occasion.valve}, stroke {occasion.stroke} at {time}.{nanoseconds // 1_000_000:03d}Z"
+
+
+def told_finding(finding: FaultFinding, occasion: Occasion) -> str:
+    """A finding as it is said on every channel: of which valve, when, what has changed, and with which probability."""
+    probability = f"; probability {probability_words(finding.verdict)}" if finding.is_credible else ""
+    return f"{occasion_words(occasion)}: {finding_words(finding).rstrip('.')}{probability}"
 
 
 def stroke_name(report: StrokeReport) -> str:
@@ -112,7 +128,7 @@ def _change(effect: str, finding: FaultFinding) -> str:
     if effect.startswith(WRONG):
         return _changed_value(effect, finding)
     own = {name.partition(".")[2]: found for name, found in finding.parameters.items() if name.startswith(f"{effect}.")}
-    if effect in DEFAULT_FREE:
+    if effect in DAMPINGS:
         unit = DECLARED[effect].unit
         value = ", ".join(measured(found, unit) for found in own.values())
         return f"{title_of(effect)} {value}, {quantity(finding.commissioned[effect], unit)} when commissioned"

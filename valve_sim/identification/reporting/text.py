@@ -11,8 +11,9 @@ from valve_sim.identification.plants.protocol import judged_channels
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.declared_values import summary_words
 from valve_sim.identification.reporting.detection_limits import limit_rows
+from valve_sim.identification.reporting.findings import remark_on
 from valve_sim.identification.reporting.summary import recording_advice, summarise
-from valve_sim.identification.reporting.units import measured, quantity
+from valve_sim.identification.reporting.units import limits, measured, quantity
 from valve_sim.identification.reporting.wording import (
     choice_words,
     headline,
@@ -51,12 +52,15 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
         lines.append(f"  {meaning.title} ({meaning.name}): {amounts}{severity}")
         lines += [f"    {words}" for words in (meaning.on_a_real_valve, meaning.what_to_do) if words]
     for name, found in after.intervals.items():
-        lines.append(f"  {name:<{_WIDTH}}{measured(found, named_value(diagnosis.plant, name)[1])}")
+        unit = named_value(diagnosis.plant, name)[1]
+        lines.append(f"  {name:<{_WIDTH}}{measured(found, unit)}")
+        if remark := remark_on(found):
+            lines += textwrap.wrap(
+                f"95 % interval {limits(found, unit)}: {remark}.", 118, initial_indent="    ", subsequent_indent="    "
+            )
     if rows := limit_rows(diagnosis):
-        would = "; ".join(f"{title} {words}" for title, words in rows)
-        lines += textwrap.wrap(
-            f"Would have shown, each alone: {would}.", 118, initial_indent="  ", subsequent_indent="    "
-        )
+        lines.append("  What would have shown in these data, each alone, from:")
+        lines += [f"    {title:<{_WIDTH - 2}}{words}" for title, words in rows]
     declared = diagnosis.declared
     if declared or isinstance(diagnosis.plant, ValvePlant):
         lines.append(f"  {capitalised(summary_words(declared))}.")

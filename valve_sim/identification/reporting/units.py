@@ -85,6 +85,12 @@ def limits(found: Interval, unit: str) -> str:
     return f"{low} to {high} {name}".rstrip()
 
 
+def signed(value: float, places: int) -> str:
+    """With its sign, U+2212 for a minus, and so many decimals; what is rounded to nothing has none."""
+    words = f"{value:+.{places}f}".replace("-", "−")
+    return words if any(digit in words for digit in "123456789") else words[1:]
+
+
 def _short(value: float, digits: int) -> str:
     """So many significant digits, an exponent only where the number would be long, and U+2212 for a minus."""
     text = f"{value:#.{digits}g}".rstrip(".")

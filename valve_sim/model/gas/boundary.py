@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from valve_sim.model.compiling import compiled
-from valve_sim.model.gas.flow import density_at, flow_regime
+from valve_sim.model.gas.flow import density_at, flow_regime, pressure_at
 
 _NO_MARGIN: Final = (0.0, 0.0)
 
@@ -32,3 +32,12 @@ def set_inlet(valve, state, pressure, rate):
 def set_demand(valve, state, pressure):
     """The pressure behind the demand's orifice, Pa, from the state's time on."""
     state[0].demand_pressure = pressure
+
+
+@compiled
+def keep_pressure(valve, state, before):
+    """Keep the outlet's pressure where another gas, or one of another temperature, takes the place of that before."""
+    p, s = valve[0], state[0]
+    pressure = pressure_at(before[0], s.density)
+    if density_at(p, pressure) != density_at(before[0], pressure):
+        s.density = density_at(p, pressure)

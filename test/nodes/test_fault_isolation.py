@@ -1,0 +1,89 @@
+"""One search at a time, without ROS: the latest request counts, and what is no longer wanted is not told."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from valve_sim.identification.monitoring.findings import Occasion
+from valve_sim.nodes import monitor_tasks
+from valve_sim.nodes.monitor_tasks import FaultIsolation, Found
+
+Progress = Callable[[str, float], None]
+PATIENCE = 120.0
+"""s."""
+
+
+class Search:
+    """Stands for `isolate_fault`: begins, waits to be let go, reports progress, and finds what it was given."""
+
+    def __init__(self) -> None:
+        self.begun, self.let_go = threading.Semaphore(0), threading.Semaphore(0)
+        self.running = self.most_running = 0
+
+    def __call__(self, strokes: Any, baseline: Any, progress: Progress) -> Any:
+        self.running += 1
+        self.most_running = max(self.most_running, self.running)
+        self.begun.release()
+        assert self.let_go.acquire(timeout=PATIENCE)
+        self.running -= 1
+        progress("searched", 1.0)
+        return f"found in {strokes}"
+
+
+@pytest.fixture
+def search(monkeypatch: pytest.MonkeyPatch) -> Search:
+    search = Search()
+    monkeypatch.setattr(monitor_tasks, "isolate_fault", search)
+    return search
+
+
+def begin(isolation: FaultIsolation, number: int) -> None:
+    isolation.begin([number], None, Occasion("/valve", number, 0))  # type: ignore[list-item,arg-type]
+
+
+def end(isolation: FaultIsolation) -> None:
+    while isolation._thread is not None and isolation._thread.is_alive():
+        isolation._thread.join(PATIENCE)
+
+
+def test_of_requests_during_a_search_only_the_latest_is_kept_and_each_finding_has_its_stroke(search: Search) -> None:
+    told: list[Found] = []
+    isolation = FaultIsolation(told.append)
+    begin(isolation, 1)
+    assert search.begun.acquire(timeout=PATIENCE)
+    for number in range(2, 100):
+        begin(isolation, number)
+    search.let_go.release(2)
+    end(isolation)
+    assert [(found.finding, found.occasion.stroke) for found in told] == [("found in [1]", 1), ("found in [99]", 99)]
+    assert isolation.found == told[-1]
+    assert search.most_running == 1
+
+
+def test_a_valve_that_is_commissioned_anew_is_not_told_what_the_search_before_has_found(search: Search) -> None:
+    told: list[Found] = []
+    isolation = FaultIsolation(told.append)
+    begin(isolation, 1)
+    assert search.begun.acquire(timeout=PATIENCE)
+    isolation.forget()
+    search.let_go.release()
+    end(isolation)
+    assert (told, isolation.found, isolation.failure) == ([], None, "")
+    begin(isolation, 7)
+    search.let_go.release()
+    end(isolation)
+    assert [found.occasion.stroke for found in told] == [7], "and the next search is wanted again"
+
+
+def test_a_search_that_reports_nothing_is_not_waited_for(search: Search) -> None:
+    isolation = FaultIsolation(lambda found: pytest.fail("told"))
+    begin(isolation, 1)
+    assert search.begun.acquire(timeout=PATIENCE)
+    assert not isolation.stop(0.01)
+    search.let_go.release()
+    assert isolation.stop(PATIENCE)
+    assert isolation.found is None
