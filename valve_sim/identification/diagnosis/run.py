@@ -237,19 +237,21 @@ class DiagnosisSession:
         raised = {best: self._held_out.log_odds_of_unnamed(self._search.tried[best].fit)}
         of_training = self._search.posterior(curves)
         posterior = self._search.posterior(curves, raised)
-        # Names that explain all fitted strokes, and fail on others, are refuted: nothing stands beside the unnamed then.
+        # Names that explain all fitted strokes, and fail on others, are refuted: none stands beside the unnamed then.
         beside = self._beside(posterior) if of_training.unnamed > 0.5 else None
         return posterior, decide(posterior, beside)
 
     def _beside(self, posterior: Posterior) -> Class | None:
-        """Names that stand beside something unnamed: theory, section 9; None where none does.
+        """A name that stands beside something unnamed: theory, section 9; None where none does.
 
-        A force of the catalogue may imitate an unnamed one. So the names must lead given a discrepancy, and given a
-        discrepancy or a smooth curve; they must predict held-out strokes better, and explain a good part of the error.
+        A force of the catalogue may imitate an unnamed one, and several together nearly always can. So it must be one,
+        which leads given a discrepancy, and given a discrepancy or a smooth curve; it must predict held-out strokes
+        better, and explain a good part of the error.
         """
         weights = posterior.given(unnamed=True)
         leading = class_of(weights, leader_of(weights, posterior.fitted))
-        if not leading.is_answer or leading.probability < SURE or self._held_out.problem is None:
+        is_one = leading.is_answer and len(leading.names) == 1
+        if not is_one or leading.probability < SURE or self._held_out.problem is None:
             return None
         base, best = self._search.tried[()].beside, self._search.tried[leading.names].beside
         before, after = self._held_out.log_density(base), self._held_out.log_density(best)

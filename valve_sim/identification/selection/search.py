@@ -5,7 +5,8 @@
     for sizes 1 to 4:
         B = the most probable set of that size, something unnamed beside it included
         if nothing unnamed acts beside B, and no addition gains by the score test: stop
-        fit B with each addition; swap each member of the best
+        fit B with each addition, and the look-alikes of the best; stop where that is no more probable than B
+        where nothing unnamed acts beside the best: swap each of its members
 
 Work is counted in simulated strokes, never by a clock, so that a busy machine finds what a quiet one does.
 What it would still have fitted when the work is used up is left in the table with the best evidence found.
@@ -209,13 +210,35 @@ class Search:
             names = promising
         self._fit_all([_added(base, name) for name in names], base if explains_all else None)
         best = self.best(len(base) + 1)
-        if best is not None:
-            self._polish(best)
-        if best is None or (explains_all and self._log_weight(best) < self._log_weight(base)):
+        if best is None:
             return False
-        if len(best) > 1:
-            self._fit_all(list(self._swapped(best)), best if self._unnamed(best) < EVEN else None)
+        self._polish(best)
+        self._fit_look_alikes(best)
+        if (explains_all or base) and self._log_weight(best) < self._log_weight(base):
+            return False
+        if len(best) > 1 and self._unnamed(best) < EVEN:
+            self._fit_all(list(self._swapped(best)), best)
         return True
+
+    def _fit_look_alikes(self, best: Set) -> None:
+        """Fit what the catalogue says is often taken for a member of the best set, from where all else is there."""
+        effects, values = self.problem.plant.effects, self.tried[best].fit.values
+        due: dict[Set, str] = {}
+        for member in best:
+            for other in effects[member].confused_with:
+                names = _added(_without(best, member), other)
+                if other in effects and other not in best and names not in self.tried:
+                    due[names] = other
+
+        def fitted(names: Set) -> Tried | None:
+            starts = [{**values, **start} for start in effect_starts(self._cost, effects[due[names]], values)]
+            fits = [self._attempt(names, self.tried[best].fit.nuisances, start, Effort()) for start in starts]
+            done = [one for one in fits if one is not None]
+            return self._weighed(names, [min(done, key=lambda one: one.chi2)]) if done else None
+
+        for names, found in zip(due, run_parallel(fitted, list(due)), strict=True):
+            if found is not None:
+                self.tried[names] = found
 
     def _polish(self, names: Set) -> None:
         """Fit the best set again from other shapes and from around where it ended: contacts make local minima."""
