@@ -56,6 +56,10 @@ _FREE_PHASE: Final = int(Phase.PILOT)
 _MAP_VARIABLES: Final = ("x", "v", "t", "x·v", "t·v")
 
 
+EXPECTED_SHARE: Final = 0.1
+"""Of the drive's force: the prior scale of what an effect adds to it."""
+
+
 @dataclass(frozen=True)
 class AxisRecord:
     """What was measured, at a fixed rate.
@@ -115,6 +119,9 @@ class AxisPlant:
             ),
         )  # fmt: skip
         self._size = root_mean_square(force)
+        fastest = float(np.max(np.abs(self.motion.velocity)))
+        expected = EXPECTED_SHARE * self._size
+        self._scales = {"N": expected, "N·s/m": expected / fastest, "N·s²/m²": expected / fastest**2}
 
     @property
     def channels(self) -> Sequence[Channel]:
@@ -140,7 +147,7 @@ class AxisPlant:
     def effects(self) -> Mapping[str, EffectChoice]:
         """Those of the catalogue that any axis can have; a gain of the drive would be mass."""
         return {
-            entry.name: EffectChoice(entry.name, entry.parameters, entry.confused_with)
+            entry.name: EffectChoice(entry.name, tuple(map(self._scaled, entry.parameters)), entry.confused_with)
             for entry in CATALOGUE.tagged(Tag.ANY_AXIS)
         }
 
@@ -167,7 +174,12 @@ class AxisPlant:
             KeyError: there is none.
         """
         effect, dot, parameter = name.partition(".")
-        return CATALOGUE[effect].parameter(parameter) if dot else BASE[name]
+        return self._scaled(CATALOGUE[effect].parameter(parameter)) if dot else BASE[name]
+
+    def _scaled(self, parameter: Parameter) -> Parameter:
+        """A parameter of the catalogue with the prior scale of this axis, in place of that of a small valve's plunger."""
+        scale = self._scales.get(parameter.unit)
+        return parameter if scale is None else parameter._replace(prior_scale=scale)
 
     def declared(self, name: str) -> float:
         """Where a fit starts, or the value at which an effect changes nothing."""

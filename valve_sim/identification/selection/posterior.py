@@ -3,8 +3,8 @@
 A hypothesis is a set E of effects and of wrong declared values, with a discrepancy without a name (δ) or without; or a
 smooth curve in place of it. The priors are these, and no other number decides (theory, section 7):
 
-    the form is as declared, 0.95:   how many effects act and how many declared values are wrong are Poisson numbers of
-                                     mean 1 each, δ = 0
+    the form is as declared, 0.95:   how many effects act, and how many declared numbers without a tolerance are wrong,
+                                     are Poisson numbers of mean 1 each; δ = 0
     something unnamed acts, 0.05:    how many named things act beside it is even on 0 … 8; a discrepancy or one curve
 
 Sets of one size are equally probable. The posterior is the product of prior and evidence, normalised over all that was
@@ -64,7 +64,12 @@ class Share(NamedTuple):
 
 @dataclass(frozen=True)
 class Rivals:
-    """What may be missing: names of effects, and of declared values and declared effects that may be wrong."""
+    """What may be missing.
+
+    Attributes:
+        effects: names of effects, and of declared values that may be wrong although a tolerance is given.
+        declared: of declared values without a tolerance, and of declared effects, that may be wrong.
+    """
 
     effects: frozenset[str]
     declared: frozenset[str]

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -22,6 +22,9 @@ from valve_sim.identification.estimation.result import Fit, rmse
 from valve_sim.identification.plants.protocol import Array, from_internal, judged_channels
 from valve_sim.identification.selection.discrepancy import Discrepancy, lengths_of
 from valve_sim.model import SimulationError
+
+ELSEWHERE: Final = 10.0
+"""Standard deviations within which values lie that do not carry over to other strokes."""
 
 
 class Predicted(NamedTuple):
@@ -144,6 +147,8 @@ class HeldOut:
         """Ln of the factor by which held-out data raise the odds that something unnamed acts; never below 0.
 
         What the training data leave open of the machine is no discrepancy: it may move along the axes of its posterior.
+        A model of another form fails in one of two ways: it leaves a discrepancy, or its values do not carry over, and
+        lie many of their standard deviations elsewhere.
         """
         there = self.fit(result)
         if there is None:
@@ -155,8 +160,13 @@ class HeldOut:
                 columns.append(rows.residuals({**there.values, **moved}) - left)
             except SimulationError:
                 continue
-        plain, spread = self.discrepancy.log_evidences(there, np.column_stack(columns) if columns else None)
-        return max(0.0, spread.log_evidence - plain)
+        within = np.column_stack(columns) if columns else None
+        plain, spread = self.discrepancy.log_evidences(there, within)
+        failures = [spread.log_evidence]
+        if within is not None:
+            elsewhere = self.discrepancy.log_evidences(there, ELSEWHERE * within)
+            failures += [elsewhere[0], elsewhere[1].log_evidence]
+        return max(0.0, float(np.logaddexp.reduce(failures)) - math.log(len(failures)) - plain)
 
     def log_density(self, result: Fit) -> float | None:
         """Ln p of held-out data beside a discrepancy, the machine kept; None where nothing is held out."""

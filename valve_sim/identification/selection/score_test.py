@@ -145,10 +145,12 @@ def _log_gain(result: Fit, outside: Outside, effect: EffectChoice, moves: list[M
 def _addition(result: Fit, outside: Outside, effect: EffectChoice, move: Move) -> Addition:
     power, seen = outside.along(move.change)
     if power <= MOVES_NOTHING**2:
-        # What shows nothing is as probable as it was, and no rival of anything.
         return NOTHING
     prior = result.problem.prior(effect.free_name(move.switch))
     sigma, steps = abs(move.by) / math.sqrt(power), -seen / power
+    if isinstance(prior, Cauchy) and sigma > prior.scale:
+        # The data say less of it than its prior does: it is as probable as it was, and no rival of anything.
+        return NOTHING
     is_one_sided = isinstance(prior, Cauchy) and prior.mass == HALF
     share = float(log_ndtr(steps * math.sqrt(power))) if is_one_sided else 0.0
     at = max(steps, 0.0) if is_one_sided else steps
@@ -187,6 +189,8 @@ def _released(result: Fit, own: Nuisance, effect: EffectChoice) -> float:
     estimate = own.mean + (result.values[own.name] - own.mean) * (1.0 + 1.0 / (of_data * own.sigma**2))
     width = math.hypot(sigma, own.sigma)
     after = _prior_of_released(result, own, effect)
+    if isinstance(after, Cauchy) and sigma > after.scale:
+        return -math.inf
     low, high = _range_of(own, effect, min(estimate, own.mean) - WIDE * width, max(estimate, own.mean) + WIDE * width)
     if high <= low:
         return -math.inf
