@@ -317,6 +317,8 @@ def _coverage(case: Case, answer: Answer, diagnosis: Diagnosis) -> dict[str, boo
         if name in answer.declared:
             estimate, error = answer.declared[name]["estimate"], answer.declared[name]["stderr"]
             found[f"{DECLARED}{name}"] = abs(estimate - value) <= NORMAL_95 * error
+        elif name in intervals and name not in case.dampings:
+            found[f"{DECLARED}{name}"] = intervals[name].low <= value <= intervals[name].high
     return found
 
 
