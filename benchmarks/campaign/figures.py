@@ -290,7 +290,15 @@ def _is_true(outcome: Outcome) -> bool:
     kind = outcome.answers[0].kind if outcome.answers else "error"
     if kind == "unknown":
         return is_unnamed(case)
-    return outcome.is_in_class if kind == "effects" else kind == "none" and not case.truth
+    if kind == "effects":
+        return outcome.is_in_class and not _has_extra(outcome)
+    return kind == "none" and not case.truth
+
+
+def _has_extra(outcome: Outcome) -> bool:
+    """Whether all that is true is named, and something besides that is not."""
+    true = true_names(outcome.case)
+    return outcome.is_in_class and any(not names & true for names in outcome.answers[0].classes)
 
 
 def standing(outcome: Outcome) -> str:
@@ -316,7 +324,7 @@ def family_table(outcomes: Sequence[Outcome]) -> str:
         rows.setdefault(_part(outcome), []).append(outcome)
     columns = ("unique", "class", "missed", "wrong", "error")
     head = f"{'family':<26}{'cases':>6}" + "".join(f"{column:>8}" for column in columns)
-    lines = [f"{head}{'≥ 0.9 wrong':>13}{'CPU s':>8}{'Brier':>8}{'of':>5}{'95 % covers':>13}{'of':>5}"]
+    lines = [f"{head}{'≥ 0.9 wrong':>13}{'and extra':>11}{'CPU s':>8}{'Brier':>8}{'of':>5}{'95 % covers':>13}{'of':>5}"]
     for name, found in [*rows.items(), *([("all", list(outcomes))] if len(rows) > 1 else [])]:
         counts = Counter(map(standing, found))
         shown = "".join(f"{counts[column] or '·':>8}" for column in columns)
@@ -324,7 +332,9 @@ def family_table(outcomes: Sequence[Outcome]) -> str:
         squares = [(one.answers[0].probability - _is_true(one)) ** 2 for one in claims]
         held = [is_held for one in found for is_held in (one.is_covered or {}).values()]
         seconds = [sum(answer.cpu_seconds for answer in one.answers) for one in found if one.answers]
-        shown += f"{sum(map(_is_misnamed, found)) or '·':>13}{_mean(seconds, '.1f'):>8}{_mean(squares, '.3f'):>8}"
+        extra = sum(one.is_confident and _says("effects")(one) and _has_extra(one) for one in found)
+        shown += f"{sum(map(_is_misnamed, found)) or '·':>13}{extra or '·':>11}"
+        shown += f"{_mean(seconds, '.1f'):>8}{_mean(squares, '.3f'):>8}"
         lines.append(f"{name:<26}{len(found):>6}{shown}{len(claims):>5}{_mean(held, '.1%'):>13}{len(held):>5}")
     wrong, count = sum(map(_is_misnamed, outcomes)), len(outcomes)
     pooled = f"{wrong} of {count}, {wrong / count:.2%}, upper 95 % limit {upper_limit(wrong, count):.2%}"
