@@ -67,9 +67,9 @@ def ladder(plant: AxisPlant, diagnosis: Diagnosis) -> list[Rung]:
     rungs, least = [rung(plant, ())], 0.0
     for added in range(1, 1 + max(sum(sizes[name] for name in c.effects) for c in diagnosis.candidates)):
         tried = [c for c in diagnosis.candidates if sum(sizes[name] for name in c.effects) == added]
-        best = min(tried, key=lambda candidate: candidate.delta_score, default=None)
-        if best is not None and best.delta_score < least:
-            least = best.delta_score
+        best = min(tried, key=lambda candidate: candidate.delta_bic, default=None)
+        if best is not None and best.delta_bic < least:
+            least = best.delta_bic
             found = {name: interval.value for name, interval in best.intervals.items()}
             rungs.append(rung(plant, tuple(sorted(best.effects, key=lambda name: name == "constant_force")), found))
     return rungs

@@ -7,8 +7,8 @@ allows, and the dampings are not known. Recorded are the command and the pressur
 tank's: of a valve before a demand four openings in one recording, of one before a dead end three recordings of one
 opening each; two more openings are held out. In the first half of the cases nothing is missing, in the others a leak,
 a clogged pilot orifice or friction in turn. Of these it also prints by how much χ² falls where what is missing is
-freed and nothing else: where that is little, no search can tell it. A diagnosis has as long as `valve-sim diagnose`
-has, but in CPU time: what else the machine does must not change a count.
+freed and nothing else: where that is little, no search can tell it. A diagnosis may do as much work as one of
+`valve-sim diagnose`, counted in simulated strokes.
 """
 
 from __future__ import annotations
@@ -24,12 +24,11 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from rich.console import Console
 from rich.table import Table
-from valve_sim.identification.selection.hypotheses import Search
-from valve_sim.identification.selection.table import Hypothesis
 
-from valve_sim.identification.diagnosis.run import Begun, begin
+from valve_sim.identification.diagnosis.run import DiagnosisSession, begin
 from valve_sim.identification.estimation.budget import Budget
 from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.identification.selection.search import Search
 from valve_sim.model import Drive, Valve, simulate
 from valve_sim.traces import Signal, Trace
 
@@ -166,9 +165,9 @@ def _recorded(
 
 
 def examined(case: Case, seconds_given: float) -> Found:
-    """Diagnose it within so many seconds, and compare the time that the corrected valve takes to equalise."""
+    """Diagnose it with the work that so many seconds stand for, and compare when the corrected valve equalises."""
     started = time.process_time()
-    budget = Budget(seconds_given, time.process_time)
+    budget = Budget.of_seconds(seconds_given)
     begun = begin(ValvePlant(case.training, case.declared), ValvePlant(case.held_out, case.declared), budget=budget)
     result = begun.end()
     seconds = time.process_time() - started
@@ -192,11 +191,10 @@ def examined(case: Case, seconds_given: float) -> Found:
     )
 
 
-def _falls(begun: Begun, missing: str) -> float:
+def _falls(begun: DiagnosisSession, missing: str) -> float:
     """By how much χ² falls where what is missing is freed, and nothing else."""
-    search, truth = begun.exploration.search, Hypothesis((missing,))
-    with_it = search.log[truth] if truth in search.log else Search(search.problem.without_limit()).fit(truth)
-    return (search.log[Hypothesis(())].chi2 - with_it.chi2) / search.problem.variance_inflation
+    search = Search(begun.declared.problem)
+    return search.fit(()).chi2 - search.fit((missing,)).chi2
 
 
 def main() -> None:
@@ -205,7 +203,7 @@ def main() -> None:
     parser.add_argument("--cases", type=int, default=40)
     parser.add_argument("--first", type=int, default=0, help="seed of the first case")
     parser.add_argument("--effects", action="store_true", help="only cases in which something is missing")
-    parser.add_argument("--budget", type=float, default=120.0, help="CPU seconds of a diagnosis")
+    parser.add_argument("--budget", type=float, default=120.0, help="of a diagnosis, as of valve-sim diagnose")
     options = parser.parse_args()
     headings = ("case", "", "missing", "χ² falls by", "verdict", "right", "equalises, %", "CPU, s")
     table = Table(*headings, title="Outlet pressure alone")

@@ -1,16 +1,18 @@
 """What the campaign draws: cases that a family and a seed determine, with declared files that the package reads."""
 
+import json
+
 import numpy as np
 import pytest
 from plants.common import FloatArray
 from plants.recording import Recorder
 from plants.tolerances import SHEET_VALVE
 
-from benchmarks.campaign.cases import draw_case
+from benchmarks.campaign.cases import AT_LIMITS, EXACT_VALUES, draw_case
+from benchmarks.campaign.effects import CATALOGUED
+from benchmarks.campaign.figures import family_table, standing, upper_limit
 from benchmarks.campaign.limits import DETECTABLE, Knowledge, detection_limit, yardstick
-from benchmarks.campaign.running import true_effects
-
-pytestmark = pytest.mark.long
+from benchmarks.campaign.running import Answer, Outcome, is_unnamed, true_effects, true_names
 
 POWERS: FloatArray = np.linspace(0.0, 1.2e-3, 7)[:, np.newaxis] ** np.arange(4)
 
@@ -77,3 +79,73 @@ def test_an_effect_that_takes_up_an_unknown_deviation_is_not_judged() -> None:
     assert true_effects(within)["stroke_offset.offset"] == pytest.approx(
         within.truth["stroke_offset"]["offset"] + within.true_scalars["stroke"] - within.declared.parameters.stroke
     )
+
+
+@pytest.mark.parametrize("seed", range(len(EXACT_VALUES) + len(CATALOGUED)))
+def test_an_exact_file_is_wrong_in_one_value_or_one_effect(seed: int) -> None:
+    case = draw_case("exact_wrong", seed)
+    [(name, amount)] = case.amplitudes.items()
+    declared = case.declared
+    assert declared.tolerances.is_exact
+    if name in CATALOGUED:
+        assert amount > 0.0
+        assert declared.effects[name] != case.effects[name]
+        return
+    own = name.removeprefix("valve.")
+    assert 0.05 <= abs(amount) <= 0.2
+    np.testing.assert_allclose(
+        getattr(declared.parameters, own), (1.0 + amount) * np.asarray(case.true_values[own], float)
+    )
+
+
+@pytest.mark.parametrize("turn", [0, 4])
+def test_effects_at_limits_take_the_same_number_of_limits_for_a_round(turn: int) -> None:
+    case = draw_case("at_limits", len(CATALOGUED) * turn + 3)
+    assert case.amplitudes == {"constant_force": pytest.approx(AT_LIMITS[turn])}
+
+
+def test_an_effect_beside_an_unnamed_one_is_all_that_is_to_be_named() -> None:
+    case = draw_case("unnamed_beside", 0)
+    assert len(case.truth) == 2
+    assert true_names(case) == {"coulomb_friction"}
+    assert is_unnamed(case)
+
+
+def outcome_of(family: str, kind: str, effects: tuple[str, ...], probability: float, alike: str = "") -> Outcome:
+    """A made-up answer to the first case of a family."""
+    others = {effects[0]: (alike,)} if alike else {}
+    answer = Answer(kind, effects, others, probability, 2.0, 2.0, 1.0, None, 1.0, 0.1, 1.0, 5.0, 1.0)
+    return Outcome(draw_case(family, 0), (answer,), 1.0, {"pilot_damping": True})
+
+
+@pytest.mark.parametrize(
+    ("family", "kind", "effects", "alike", "wanted"),
+    [
+        ("none", "none", (), "", "unique"),
+        ("none", "effects", ("stiction",), "", "wrong"),
+        ("uncatalogued", "unknown", ("stiction",), "", "unique"),
+        ("uncatalogued", "none", (), "", "missed"),
+        ("unnamed_beside", "effects", ("coulomb_friction",), "", "unique"),
+        ("unnamed_beside", "effects", ("stiction",), "coulomb_friction", "class"),
+        ("unnamed_beside", "unknown", ("coulomb_friction",), "", "missed"),
+        ("at_limits", "none", (), "", "missed"),
+        ("wrong_value", "effects", ("valve.pilot_mass",), "", "unique"),
+    ],
+)
+def test_what_becomes_of_an_answer(family: str, kind: str, effects: tuple[str, ...], alike: str, wanted: str) -> None:
+    assert standing(outcome_of(family, kind, effects, 0.95, alike)) == wanted
+
+
+def test_lines_of_json_are_pooled() -> None:
+    outcomes = [
+        outcome_of("none", "effects", ("stiction",), 0.95),
+        outcome_of("none", "none", (), 0.9),
+        outcome_of("uncatalogued", "effects", ("stiction",), 0.5),
+    ]
+    lines = [json.loads(json.dumps(outcome.to_json(), allow_nan=False)) for outcome in outcomes]
+    lines[0]["answers"][0]["evidence"] = 0.5
+    table = family_table([Outcome.from_json(line) for line in lines])
+    assert table == family_table(outcomes)
+    assert "confidently wrong, all together: 1 of 3, 33.33%" in table
+    # Of 1000 cases without one it is 3 in 1000, to the nearest.
+    assert upper_limit(0, 1000) == pytest.approx(3e-3, rel=0.01)

@@ -18,7 +18,14 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from benchmarks.campaign import __doc__ as campaign_words
 from benchmarks.campaign.cases import EXACT, FAMILIES, NOISES, WITHIN, draw_case, planned
 from benchmarks.campaign.effects import CATALOGUED, EARLIER_LIMITS
-from benchmarks.campaign.figures import confusion_table, figures, least_demands, reliability_table, tolerance_figures
+from benchmarks.campaign.figures import (
+    confusion_table,
+    family_table,
+    figures,
+    least_demands,
+    reliability_table,
+    tolerance_figures,
+)
 from benchmarks.campaign.limits import Knowledge, detection_limit
 from benchmarks.campaign.running import Cost, Outcome, Timing, cost_of, examine, run_cases, time_cold, true_declared
 from valve_sim.identification.diagnosis.run import Diagnosis
@@ -33,8 +40,8 @@ TIMED: Final = [
 COMPARED: Final = [("none_within", 0), ("none_within", 1), *(("single_within", seed) for seed in (0, 5, 11, 12, 17))]
 """Cases that are diagnosed with and without tolerances, one at a time."""
 MEASURED_APART: Final = ("time", "cost")
-DRAWN_BY_LIMITS: Final = {"single", "pair", "mismatched", "opening"}
-DRAWN_WITHIN: Final = {"single_within", "folder", "mismatched_within", "reluctance"}
+DRAWN_BY_LIMITS: Final = {"single", "pair", "mismatched", "opening", "at_limits", "unnamed_beside"}
+DRAWN_WITHIN: Final = {"single_within", "folder", "mismatched_within", "reluctance", "at_limits_within"}
 """Families whose amplitudes are in detection limits: of exact values, and of those with tolerances."""
 SHOWN_CANDIDATES: Final = 8
 
@@ -56,9 +63,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser.error(f"--first {options.first}: expected at least 0")
     if options.json is not None and not options.json.parent.is_dir():
         parser.error(f"--json {options.json}: expected a file in a folder that exists")
+    if options.pool:
+        _print_tables([outcome for path in options.pool for outcome in _read(path)], has_limits=False)
+        return 0
     started = time.perf_counter()
     outcomes, timings, costs = _measure(options, families)
-    _print_tables(outcomes, is_slice=options.slice)
+    _print_tables(outcomes, has_limits=not options.slice)
     shown = tolerance_figures(outcomes, costs) if options.tolerances else figures(outcomes, timings)
     print("\n".join(figure.line(is_judged=not options.slice) for figure in shown))
     judged = shown
@@ -92,6 +102,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--jobs", type=int, default=2, help="processes (default: 2)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write every case as it ends, one line of JSON each")
+    parser.add_argument("--pool", type=Path, nargs="+", metavar="FILE", help="run nothing: the tables of such lines")
     parser.add_argument("--slice", action="store_true", help="a few cases of every family, judged by the least demands")
     parser.add_argument("--case", metavar="FAMILY:SEED", help="diagnose one case again and print what was tried")
     return parser
@@ -139,6 +150,12 @@ def _write(lines: TextIO | None, document: object) -> None:
         lines.flush()
 
 
+def _read(path: Path) -> list[Outcome]:
+    """The cases among a campaign's lines."""
+    rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    return [Outcome.from_json(row) for row in rows if "case" in row]
+
+
 def _progress() -> Progress:
     """A bar on a terminal, nothing elsewhere."""
     console = Console(stderr=True)
@@ -148,14 +165,15 @@ def _progress() -> Progress:
     )
 
 
-def _print_tables(outcomes: Sequence[Outcome], *, is_slice: bool) -> None:
+def _print_tables(outcomes: Sequence[Outcome], *, has_limits: bool) -> None:
     families = {outcome.case.family for outcome in outcomes}
-    if not is_slice and families & DRAWN_BY_LIMITS:
+    if has_limits and families & DRAWN_BY_LIMITS:
         print(_limits_table(), end="\n\n")
-    if not is_slice and families & DRAWN_WITHIN:
+    if has_limits and families & DRAWN_WITHIN:
         print(_limits_within_table(), end="\n\n")
     if outcomes:
         print(confusion_table(outcomes), end="\n\n")
+        print(family_table(outcomes), end="\n\n")
         print(reliability_table(outcomes), end="\n\n")
 
 
@@ -187,7 +205,8 @@ def _run_again(parser: argparse.ArgumentParser, name: str) -> int:
         parser.error(f"--case {name}: expected FAMILY:SEED with one of {', '.join(FAMILIES)}")
     case = draw_case(family, int(seed))
     print(f"truth      {case.truth or 'none'}")
-    print(f"amplitude  {case.amplitudes} detection limits (µm RMS where uncatalogued)")
+    units = "of what is declared" if case.family == "exact_wrong" else "detection limits (µm RMS where uncatalogued)"
+    print(f"amplitude  {case.amplitudes} {units}")
     print(f"dampings   {case.dampings}")
     if case.deviations:
         print(
@@ -212,22 +231,26 @@ def _run_again(parser: argparse.ArgumentParser, name: str) -> int:
 def _diagnosis_text(diagnosis: Diagnosis) -> str:
     verdict = diagnosis.verdict
     lines = [
-        f"verdict    {verdict.kind} {', '.join(verdict.effects)}, probability {verdict.probability:.4f}",
+        f"verdict    {verdict.kind} {', '.join(verdict.effects)}, probability {verdict.probability:.4f}, unnamed "
+        f"{verdict.unnamed:.4f}, {diagnosis.work:.0f} simulated strokes",
         f"confusable {dict(verdict.confusable_with)}",
         f"summary    {summarise(diagnosis)}",
     ]
     for words, state in (("before", diagnosis.before), ("after", diagnosis.after)):
         lines.append(
-            f"{words:<10} train {1e6 * state.train_rmse:.4f} µm, holdout {1e6 * state.holdout_rmse:.4f} µm, "
+            f"{words:<10} train {1e6 * state.train_rmse:.4f} µm, holdout {1e6 * state.holdout_rmse:.4f} µm "
+            f"({1e6 * state.holdout_predicted:.4f} predicted), "
             f"adequacy p {state.adequacy.p_value:.2g} ({state.adequacy.worst})"
         )
     for parameter, interval in diagnosis.after.intervals.items():
         lines.append(f"    {parameter:<40} {interval.value:.6g} [{interval.low:.6g}, {interval.high:.6g}]")
+    lines.append("probability   unnamed   ΔBIC         train, µm   holdout, µm")
     for candidate in diagnosis.candidates[:SHOWN_CANDIDATES]:
         timing = " with errors of the stamps" if candidate.timing else ""
         lines.append(
-            f"candidate  {candidate.delta_score:>12.1f}  {1e6 * candidate.train_rmse:.4f} µm, holdout "
-            f"{1e6 * candidate.holdout_rmse:.4f} µm  {' + '.join(candidate.effects)}{timing}"
+            f"{candidate.probability:<14.3g}{candidate.unnamed:<10.3g}{candidate.delta_bic:<13.1f}"
+            f"{1e6 * candidate.train_rmse:<12.4f}{1e6 * candidate.holdout_rmse:<12.4f}"
+            f"{' + '.join(candidate.effects)}{timing}"
         )
     if diagnosis.unexplained is not None:
         lines.append(f"remainder  {diagnosis.unexplained.where}, {diagnosis.unexplained.force_rms:.3g} N RMS")

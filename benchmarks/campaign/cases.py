@@ -54,6 +54,16 @@ SEEN: Final = "seen"
 """Among a wrong value's amplitudes: standard deviations by which it stands out of noise and other tolerances."""
 WRONG: Final = "valve."
 """Begins the name of a declared value that is wrong, where effects have theirs."""
+AT_LIMITS: Final = (0.5, 1.0, 1.5, 2.0, 3.0)
+"""Detection limits at which effects are drawn round by round: too weak to be named, and just strong enough."""
+OFF: Final = (0.05, 0.2)
+"""Shares by which a file has a value off that it says to be exact, either way."""
+GROWTH: Final = (0.2, 3.0)
+"""By how many times its declared size an effect has grown, drawn evenly in the logarithm."""
+EXACT_VALVE: Final[Entries] = {**SHEET_VALVE, "pickup_velocity_ratio": 0.82}
+"""The valve of files that are wrong: every value can be off either way."""
+EXACT_VALUES: Final = tuple(name for name in EXACT_VALVE if not name.endswith("_damping"))
+"""Every declared value but the dampings, which are refitted anyway."""
 LARGEST_WITHIN: Final[Mapping[str, float]] = {
     "stroke_offset": 100e-6,
     "gap_offset": 100e-6,
@@ -69,7 +79,8 @@ class Case:
     """One valve and its recordings.
 
     Attributes:
-        truth: the effects that are on. amplitudes: in detection limits, or in µm RMS for uncatalogued effects.
+        truth: the effects that are on, and values of the file that are wrong. amplitudes: in detection limits, in µm
+            RMS for uncatalogued effects; of `exact_wrong` the share by which a value is off, or an effect has grown.
         dampings: true ones, N·s/m; empty where the plant has its own.
         deviations: of the true values from the declared ones, in tolerances; none where the declared file is exact.
         noise: one of `NOISES`. clock_offsets: s, of the bags in the order in which they are recorded.
@@ -101,6 +112,8 @@ class Case:
         """The true valve's numbers, where it is of the declared form."""
         if self.family in FORMED_OTHERWISE:
             return {}
+        if self.family == "exact_wrong":
+            return {**EXACT_VALVE, **self.dampings}
         declared = SHEET_VALVE if FAMILIES[self.family].has_tolerances else CAMPAIGN_VALVE
         return {**deviated(declared, self.deviations), **self.dampings}
 
@@ -129,6 +142,8 @@ class Case:
         """What the diagnosis is told of the valve."""
         if self.family == "mismatched":
             return declared_valve(BENCH_VALVE)
+        if self.family == "exact_wrong":
+            return self._wrong_file()
         if not FAMILIES[self.family].has_tolerances:
             return declared_valve(CAMPAIGN_VALVE)
         if self.family == "mismatched_within":
@@ -138,6 +153,15 @@ class Case:
         if self.family == "reluctance":
             return self._from_static_table()
         return declared_valve(SHEET_VALVE, declared_tolerances(SHEET_VALVE))
+
+    def _wrong_file(self) -> Valve:
+        """One value is off, or one effect is declared smaller than it is; all of it is said to be exact."""
+        [(name, amount)] = self.amplitudes.items()
+        if name in CATALOGUED:
+            return declared_valve(EXACT_VALVE, effects={name: CATALOGUED[name].parameters(*_declared_size(name))})
+        own = name.removeprefix(WRONG)
+        off = (np.asarray(EXACT_VALVE[own]) * (1.0 + amount)).tolist()
+        return declared_valve({**EXACT_VALVE, own: off})
 
     def _from_static_table(self) -> Valve:
         """A rounded data sheet, with the attraction that `fit_static_force` finds in a noisy table."""
@@ -180,10 +204,13 @@ class Case:
         )
 
 
-def declared_valve(entries: Entries, tolerances: Mapping[str, float | list[float]] | None = None) -> Valve:
-    """The package's valve of a plant's entries, exact or with tolerances."""
+def declared_valve(
+    entries: Entries, tolerances: Mapping[str, float | list[float]] | None = None, effects: Effects | None = None
+) -> Valve:
+    """The package's valve of a plant's entries, exact or with tolerances, and of declared effects."""
     values = {name: list(value) if isinstance(value, tuple) else value for name, value in entries.items()}
-    return Valve.from_mapping({"valve": values} | ({"tolerances": tolerances} if tolerances else {}), "the campaign")
+    beside = {"tolerances": tolerances, "effects": effects}
+    return Valve.from_mapping({"valve": values} | {key: own for key, own in beside.items() if own}, "the campaign")
 
 
 @dataclass(frozen=True)
@@ -224,6 +251,11 @@ def draw_case(family: str, seed: int) -> Case:
         # The pull is measured at rest.
         deviations = {name: deviations[name] for name in (*SHARES, *LENGTHS)}
     truth, amplitudes = FAMILIES[family].draw(seed, random, NOISES[noise])
+    # No position shows the coil's resistance.
+    with_current = with_current or f"{WRONG}coil_resistance" in truth
+    if family == "wrong_value":
+        # What is wrong is not within its tolerance.
+        deviations |= {name.removeprefix(WRONG): size for name, size in amplitudes.items() if name.startswith(WRONG)}
     return Case(
         family,
         seed,
@@ -234,11 +266,7 @@ def draw_case(family: str, seed: int) -> Case:
         with_current,
         tuple(offsets.tolist()),
         tuple(seeds.tolist()),
-        # What is wrong is not within its tolerance.
-        {
-            **deviations,
-            **{name.removeprefix(WRONG): size for name, size in amplitudes.items() if name.startswith(WRONG)},
-        },
+        deviations,
     )
 
 
@@ -262,6 +290,49 @@ def _catalogued(
 
 def _single(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[Effects, Numbers]:
     return _catalogued(list(CATALOGUED)[seed % len(CATALOGUED)], random, recorder)
+
+
+def _at_limits(
+    seed: int, random: np.random.Generator, recorder: Recorder, knowledge: Knowledge = Knowledge.EXACT
+) -> tuple[Effects, Numbers]:
+    """One effect at so many detection limits, as its round has it."""
+    turn, kind = divmod(seed, len(CATALOGUED))
+    name = list(CATALOGUED)[kind]
+    scale = CATALOGUED[name]
+    shape, sign = scale.draw_shape(random), scale.draw_sign(random)
+    limit = detection_limit(name, shape, recorder, knowledge)
+    size = min(AT_LIMITS[turn % len(AT_LIMITS)] * limit, scale.most)
+    return {name: scale.parameters(sign * size, shape)}, {name: size / limit}
+
+
+def _at_limits_within(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[Effects, Numbers]:
+    return _at_limits(seed, random, recorder, Knowledge.WITHIN)
+
+
+def _exact_wrong(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[Effects, Numbers]:
+    """A value that is off, by its true value, or an effect that has grown since it was declared."""
+    names = (*EXACT_VALUES, *CATALOGUED)
+    name = names[seed % len(names)]
+    if name in CATALOGUED:
+        size, shape = _declared_size(name)
+        growth = min(log_uniform(random, *GROWTH), CATALOGUED[name].most / size - 1.0)
+        return {name: CATALOGUED[name].parameters(size * (1.0 + growth), shape)}, {name: growth}
+    share = random.uniform(*OFF) * (-1.0 if random.random() < 0.5 else 1.0)
+    true = np.asarray(EXACT_VALVE[name])
+    return {f"{WRONG}{name}": {name: float(true)} if true.ndim == 0 else {}}, {f"{WRONG}{name}": share}
+
+
+def _declared_size(name: str) -> tuple[float, Numbers]:
+    """The size and the shape of an effect in a file that declares it."""
+    scale = CATALOGUED[name]
+    return math.sqrt(scale.guess * min(scale.largest, scale.most)), scale.middle()
+
+
+def _unnamed_beside(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[Effects, Numbers]:
+    """One effect of the catalogue, and one that no catalogue holds."""
+    effects, amplitudes = _single(seed, random, recorder)
+    others, other_amplitudes = _uncatalogued(seed, random, recorder)
+    return {**effects, **others}, {**amplitudes, **other_amplitudes}
 
 
 def _none(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[Effects, Numbers]:
@@ -336,6 +407,9 @@ EXACT: Final[Mapping[str, Family]] = {
     "weak": Family(_weak, len(UNCATALOGUED), 5, (2,)),
     "mismatched": Family(_mismatched, len(EFFECTS), 5, (10,)),
     "opening": Family(_single, len(CATALOGUED), 4, (0,)),
+    "at_limits": Family(_at_limits, len(CATALOGUED), len(CATALOGUED), ()),
+    "exact_wrong": Family(_exact_wrong, len(EXACT_VALUES) + len(CATALOGUED), len(EXACT_VALUES) + len(CATALOGUED), ()),
+    "unnamed_beside": Family(_unnamed_beside, len(CATALOGUED), 5, ()),
 }
 WITHIN: Final[Mapping[str, Family]] = {
     "none_within": Family(_none, 1, 10, (), has_tolerances=True),
@@ -344,6 +418,7 @@ WITHIN: Final[Mapping[str, Family]] = {
     "folder": Family(_single_within, len(CATALOGUED), 2, (), has_tolerances=True),
     "mismatched_within": Family(_mismatched_within, len(EFFECTS), 3, (), has_tolerances=True),
     "reluctance": Family(_reluctance, len(RELUCTANCE_EFFECTS), 3, (), has_tolerances=True),
+    "at_limits_within": Family(_at_limits_within, len(CATALOGUED), len(CATALOGUED), (), has_tolerances=True),
 }
 FAMILIES: Final[Mapping[str, Family]] = {**EXACT, **WITHIN}
 """In the order in which they are run and reported; those of `WITHIN` with tolerances."""

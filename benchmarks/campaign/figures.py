@@ -10,8 +10,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
 
+from scipy.stats import beta
+
 from benchmarks.campaign.cases import SEEN, STRONG
-from benchmarks.campaign.running import DECLARED, Cost, Outcome, Timing
+from benchmarks.campaign.running import DECLARED, Cost, Outcome, Timing, is_unnamed, true_names
 
 LABELS: Final = ("unique", "class", "unknown", "insufficient", "none", "wrong", "error")
 """Columns of the confusion table."""
@@ -282,6 +284,82 @@ def _times(timings: Sequence[Timing]) -> list[Figure]:
     return lines
 
 
+def _is_true(outcome: Outcome) -> bool:
+    """Whether the first answer claims what is so: a class holds all that is to be named; nothing; something unnamed."""
+    case = outcome.case
+    kind = outcome.answers[0].kind if outcome.answers else "error"
+    if kind == "unknown":
+        return is_unnamed(case)
+    if kind == "effects":
+        return outcome.is_in_class and not _has_extra(outcome)
+    return kind == "none" and not case.truth
+
+
+def _has_extra(outcome: Outcome) -> bool:
+    """Whether all that is true is named, and something besides that is not."""
+    true = true_names(outcome.case)
+    return outcome.is_in_class and any(not names & true for names in outcome.answers[0].classes)
+
+
+def standing(outcome: Outcome) -> str:
+    """Column of the table of families.
+
+    "unique" is also "none" where nothing is missing, and "unknown" where all that is has no name; "missed" is what is
+    not claimed and true; "wrong" names effects, and not what is true.
+    """
+    if outcome.label in ("unique", "class", "wrong", "error"):
+        return outcome.label
+    return "unique" if _is_true(outcome) and not true_names(outcome.case) else "missed"
+
+
+def upper_limit(count: int, of: int) -> float:
+    """The share that is exceeded by 5 % of all true shares of so many (Clopper and Pearson 1934), one-sided."""
+    return 1.0 if count >= of else float(beta.ppf(0.95, count + 1, of - count))
+
+
+def family_table(outcomes: Sequence[Outcome]) -> str:
+    """What became of each family, at its limits by how many of them, and pooled: how often it was confidently wrong."""
+    rows: dict[str, list[Outcome]] = {}
+    for outcome in outcomes:
+        rows.setdefault(_part(outcome), []).append(outcome)
+    columns = ("unique", "class", "missed", "wrong", "error")
+    head = f"{'family':<26}{'cases':>6}" + "".join(f"{column:>8}" for column in columns)
+    lines = [f"{head}{'≥ 0.9 wrong':>13}{'and extra':>11}{'CPU s':>8}{'Brier':>8}{'of':>5}{'95 % covers':>13}{'of':>5}"]
+    for name, found in [*rows.items(), *([("all", list(outcomes))] if len(rows) > 1 else [])]:
+        counts = Counter(map(standing, found))
+        shown = "".join(f"{counts[column] or '·':>8}" for column in columns)
+        claims = [one for one in found if _says("effects")(one) or _says("none")(one)]
+        squares = [(one.answers[0].probability - _is_true(one)) ** 2 for one in claims]
+        held = [is_held for one in found for is_held in (one.is_covered or {}).values()]
+        seconds = [sum(answer.cpu_seconds for answer in one.answers) for one in found if one.answers]
+        extra = sum(one.is_confident and _says("effects")(one) and _has_extra(one) for one in found)
+        shown += f"{sum(map(_is_misnamed, found)) or '·':>13}{extra or '·':>11}"
+        shown += f"{_mean(seconds, '.1f'):>8}{_mean(squares, '.3f'):>8}"
+        lines.append(f"{name:<26}{len(found):>6}{shown}{len(claims):>5}{_mean(held, '.1%'):>13}{len(held):>5}")
+    wrong, count = sum(map(_is_misnamed, outcomes)), len(outcomes)
+    pooled = f"{wrong} of {count}, {wrong / count:.2%}, upper 95 % limit {upper_limit(wrong, count):.2%}"
+    return "\n".join([*lines, f"confidently wrong, all together: {pooled}"])
+
+
+def _part(outcome: Outcome) -> str:
+    """The family, with how many limits where that is what it is about, and what is wrong with an exact file."""
+    family = outcome.case.family
+    if family.startswith("at_limits"):
+        return f"{family} {next(iter(outcome.case.amplitudes.values())):.2g}"
+    if family == "exact_wrong":
+        return f"{family} {'effect' if outcome.case.effects else 'value'}"
+    return family
+
+
+def _mean(values: Sequence[float], form: str) -> str:
+    return format(statistics.fmean(values), form) if values else "–"
+
+
+def _is_misnamed(outcome: Outcome) -> bool:
+    """Whether effects are named confidently, and not those that act; not a failure, which has its own column."""
+    return not outcome.error and is_confidently_misnamed(outcome)
+
+
 def confusion_table(outcomes: Sequence[Outcome]) -> str:
     """A row for every truth: how often it was named how, and the names that were wrong."""
     rows: dict[str, list[Outcome]] = {}
@@ -329,19 +407,18 @@ def _misnamed(outcome: Outcome) -> str:
 
 
 def reliability_table(outcomes: Sequence[Outcome]) -> str:
-    """Probability against rightness of all claims: a class holds all of the truth, or none is claimed rightly."""
-    lines = [f"{'probability':<16}{'names':>7}{'right':>8}{'none':>7}{'right':>8}"]
+    """Probability against rightness of all claims: a class holds all that has a name, or none or unknown is right."""
+    lines = [f"{'probability':<16}{'names':>7}{'right':>8}{'none':>7}{'right':>8}{'unknown':>9}{'right':>8}"]
     for low, high in pairwise(PROBABILITY_BINS):
         cells = []
-        for kind in ("effects", "none"):
+        for kind in ("effects", "none", "unknown"):
             found = [
                 outcome
                 for outcome in filter(_says(kind), outcomes)
                 if low <= outcome.answers[0].probability < high or (high == 1.0 == outcome.answers[0].probability)
             ]
-            right = sum(
-                1 for outcome in found if (outcome.is_in_class if kind == "effects" else not outcome.case.truth)
-            )
-            cells.append(f"{len(found):>7}" + (f"{right / len(found):>8.1%}" if found else f"{'–':>8}"))
+            right = sum(map(_is_true, found))
+            width = 9 if kind == "unknown" else 7
+            cells.append(f"{len(found):>{width}}" + (f"{right / len(found):>8.1%}" if found else f"{'–':>8}"))
         lines.append(f"{low:.2f} to {high:.2f}    " + "".join(cells))
     return "\n".join(lines)

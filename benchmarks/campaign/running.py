@@ -12,7 +12,7 @@ import traceback
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -20,9 +20,10 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from plants.recording import Recording, write_bag
 
-from benchmarks.campaign.cases import Case, draw_case
+from benchmarks.campaign.cases import FORMED_OTHERWISE, Case, draw_case
+from benchmarks.campaign.effects import UNCATALOGUED
 from valve_sim.files.parameter_files import save_valve
-from valve_sim.identification.diagnosis.run import Diagnosis, State, diagnose
+from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
 from valve_sim.identification.plants.tolerances import SAME_AS, principal_axes
 from valve_sim.identification.reporting.summary import recording_advice
 from valve_sim.model import Drive, Valve
@@ -44,6 +45,8 @@ SAME_THING: Final = {
     "valve.pilot_gap": "gap_offset",
     "valve.coil_time_constant": "coil_lag",
     "valve.moving_mass": "valve.main_mass",
+    "valve.reference_voltage": "drive_gain",
+    "valve.pickup_velocity_ratio": "pickup_impact",
 }
 """Declared values that are wrong, by the name of the effect that is the same thing."""
 REPOSITORY: Final = Path(__file__).resolve().parents[2]
@@ -53,8 +56,10 @@ REPOSITORY: Final = Path(__file__).resolve().parents[2]
 class Answer:
     """What one diagnosis said.
 
-    Errors are in µm RMS, None without a hold-out; whole if nothing is left unexplained. `seconds` are of the wall
-    clock, `cpu_seconds` of this process on all its threads. `declared` is what the data say of values with a tolerance.
+    Errors are in µm RMS, None without a hold-out; so is `predicted_holdout`, what the corrected model says of its own.
+    `unnamed` is the probability that something without a name acts. `seconds` are of the wall clock, `cpu_seconds` of
+    this process on all its threads, `work` in simulated strokes. `declared` is what the data say of values with a
+    tolerance.
     """
 
     kind: str
@@ -66,8 +71,9 @@ class Answer:
     after_train: float
     after_holdout: float | None
     seconds: float
-    evidence: float
-    is_whole: bool
+    unnamed: float | None = None
+    predicted_holdout: float | None = None
+    work: float | None = None
     cpu_seconds: float = math.nan
     declared: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
@@ -128,6 +134,19 @@ class Outcome:
         document["noise_floor"] = self.noise_floor if math.isfinite(self.noise_floor) else None
         return {"name": self.case.name, "label": self.label, **document}
 
+    @classmethod
+    def from_json(cls, document: Mapping[str, Any]) -> Outcome:
+        """What `to_json` made, also by earlier versions: what they had besides is left out."""
+        known = {one.name for one in fields(Answer)}
+        answers = tuple(
+            Answer(**{key: value for key, value in answer.items() if key in known}) for answer in document["answers"]
+        )
+        noise = document["noise_floor"]
+        return cls(
+            Case(**document["case"]), answers, math.nan if noise is None else noise, document["is_covered"],
+            document["advice"], document["error"],
+        )  # fmt: skip
+
 
 @dataclass(frozen=True)
 class Timing:
@@ -165,7 +184,7 @@ class Cost:
 def is_named(case: Case, answer: Answer) -> bool:
     """Whether an answer claims exactly what is true, and no other name would do."""
     named = {_plain(name) for name in answer.effects}
-    return answer.kind == "effects" and named == _true_names(case) and not any(answer.confusable_with.values())
+    return answer.kind == "effects" and named == true_names(case) and all(len(names) == 1 for names in answer.classes)
 
 
 def is_right(case: Case, answer: Answer) -> bool:
@@ -176,7 +195,13 @@ def is_right(case: Case, answer: Answer) -> bool:
 def is_in_class(case: Case, answer: Answer) -> bool:
     """Whether every true effect is in a class that is small enough to be an answer."""
     usable = [names for names in answer.classes if len(names) <= LARGEST_CLASS]
-    return bool(case.truth) and all(any(name in names for names in usable) for name in _true_names(case))
+    true = true_names(case)
+    return bool(true) and all(any(name in names for names in usable) for name in true)
+
+
+def is_unnamed(case: Case) -> bool:
+    """Whether something acts that has no name: an uncatalogued effect, or a form that is not the declared one."""
+    return case.family in FORMED_OTHERWISE or any(name in UNCATALOGUED for name in case.truth)
 
 
 def _plain(name: str) -> str:
@@ -184,8 +209,9 @@ def _plain(name: str) -> str:
     return SAME_THING.get(name, name)
 
 
-def _true_names(case: Case) -> set[str]:
-    return {_plain(name) for name in case.truth}
+def true_names(case: Case) -> set[str]:
+    """What is to be named."""
+    return {_plain(name) for name in case.truth if name not in UNCATALOGUED}
 
 
 def as_trace(recording: Recording, source: str) -> Trace:
@@ -245,12 +271,13 @@ def _answer(timed: _Timed) -> Answer:
         dict(verdict.confusable_with),
         verdict.probability,
         1e6 * before.train_rmse,
-        _held_out(before),
+        _micrometres(before.holdout_rmse),
         1e6 * after.train_rmse,
-        _held_out(after),
+        _micrometres(after.holdout_rmse),
         timed.seconds,
-        verdict.evidence,
-        diagnosis.unexplained is None,
+        verdict.unnamed,
+        _micrometres(after.holdout_predicted),
+        diagnosis.work,
         timed.cpu_seconds,
         {
             found.name: {"estimate": found.estimate, "stderr": found.stderr, "deviation": found.deviation}
@@ -259,8 +286,8 @@ def _answer(timed: _Timed) -> Answer:
     )
 
 
-def _held_out(state: State) -> float | None:
-    return None if math.isnan(state.holdout_rmse) else 1e6 * state.holdout_rmse
+def _micrometres(error: float) -> float | None:
+    return None if math.isnan(error) else 1e6 * error
 
 
 def _noise(recording: Recording) -> float:
@@ -290,6 +317,8 @@ def _coverage(case: Case, answer: Answer, diagnosis: Diagnosis) -> dict[str, boo
         if name in answer.declared:
             estimate, error = answer.declared[name]["estimate"], answer.declared[name]["stderr"]
             found[f"{DECLARED}{name}"] = abs(estimate - value) <= NORMAL_95 * error
+        elif name in intervals and name not in case.dampings:
+            found[f"{DECLARED}{name}"] = intervals[name].low <= value <= intervals[name].high
     return found
 
 

@@ -11,8 +11,6 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from valve_sim.identification.selection.hypotheses import Search
-from valve_sim.identification.selection.table import Hypothesis
 
 from benchmarks.maglev.force import Lift, lift_of, shares_of_weight
 from benchmarks.maglev.plant import MagnetPlant
@@ -24,6 +22,7 @@ from valve_sim.identification.plants.effect_titles import titles_of
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.identification.plants.root_mean_square import root_mean_square
 from valve_sim.identification.reporting.summary import summarise
+from valve_sim.identification.selection.search import Search
 from valve_sim.model import ValveError
 
 FROM, TO = -0.05, 0.15
@@ -139,11 +138,12 @@ def ladder(
     search, named = Search(Problem(MagnetPlant(records))), diagnosis.verdict.effects
     rungs = []
     for count in range(len(named) + 1):
-        best = search.best(Hypothesis(effects) for effects in itertools.combinations(named, count))
-        say(str(best))
+        sets = (tuple(sorted(effects)) for effects in itertools.combinations(named, count))
+        best = max(sets, key=lambda names: search.fit(names).log_evidence)
+        say(titles_of(best) or "the declared model")
         values = search.fit(best).values
-        unseen = errors_of(others, values) if others else left_out(records, best.effects, values)
-        rungs.append(Rung(best.effects, values, errors_of(records, values), unseen))
+        unseen = errors_of(others, values) if others else left_out(records, best, values)
+        rungs.append(Rung(best, values, errors_of(records, values), unseen))
     return rungs
 
 

@@ -177,7 +177,7 @@ class AxisPlant:
         return self._scaled(CATALOGUE[effect].parameter(parameter)) if dot else BASE[name]
 
     def _scaled(self, parameter: Parameter) -> Parameter:
-        """A parameter of the catalogue with the prior scale of this axis, in place of that of a small valve's plunger."""
+        """A parameter of the catalogue with the prior scale of this axis, in place of a small plunger's."""
         scale = self._scales.get(parameter.unit)
         return parameter if scale is None else parameter._replace(prior_scale=scale)
 

@@ -129,7 +129,7 @@ class ToleratedValues:
     def parameter(self, name: str) -> Parameter | None:
         """Unit and range of what has a tolerance, or of the coordinates that stand for it; None for anything else.
 
-        Its prior scale is that of a wrong value: `RELEASED` tolerances.
+        Its prior scale is that of a wrong value: `RELEASED` tolerances, or `WRONG_SHARE` of what is declared as exact.
         """
         if name == MAIN_MASS and self._has_masses:
             sigma = self._tolerances.declared.get("moving_mass", self.declared(name))
@@ -138,20 +138,28 @@ class ToleratedValues:
             )
         if name in self._axis_names:
             return Parameter(name, "–", "attraction polynomial along an axis of its covariance", prior_scale=RELEASED)
-        if name in self._tolerances.declared and self._coordinate(name) == name:
-            return DECLARED[name]._replace(prior_scale=RELEASED * self._tolerances.declared[name])
-        if name in EXACT_RIVALS and self._declared[name] != 0.0:
-            return DECLARED[name]._replace(prior_scale=WRONG_SHARE * abs(self._declared[name]))
+        scale = self._scale_if_wrong(name)
+        if scale is None:
+            return None
         own = name.removeprefix(GROUP)
-        if own != name and own in self._tolerances.gas:
-            # With an off value it is searched as it is, as its nuisance and every other declared value are: else its
-            # logarithm would be compared with what it is declared as, and its tolerance with the logarithm's error.
-            sigma = self._tolerances.gas[own]
-            return GAS[own]._replace(name=name, prior_scale=RELEASED * sigma, off=self.declared(name))
-        if own != name and own in EXACT_RIVALS_OF_GAS and self._declared.get(name, 0.0) != 0.0:
-            scale = WRONG_SHARE * abs(self._declared[name])
-            return GAS[own]._replace(name=name, prior_scale=scale, off=self.declared(name))
-        return None
+        if own == name:
+            return DECLARED[name]._replace(prior_scale=scale)
+        # With an off value it is searched as it is, as its nuisance and every other declared value are: else its
+        # logarithm would be compared with what it is declared as, and its tolerance with the logarithm's error.
+        return GAS[own]._replace(name=name, prior_scale=scale, off=self.declared(name))
+
+    def _scale_if_wrong(self, name: str) -> float | None:
+        """The prior scale of a declared value that is wrong; None of what is no rival, or is estimated otherwise."""
+        if name == "moving_mass" and self._has_masses:
+            return None
+        own = name.removeprefix(GROUP)
+        is_of_gas = own != name
+        sigma = (self._tolerances.gas if is_of_gas else self._tolerances.declared).get(own)
+        if sigma is not None:
+            return RELEASED * sigma
+        known = own in EXACT_RIVALS_OF_GAS if is_of_gas else own in EXACT_RIVALS
+        value = abs(self._declared.get(name, 0.0))
+        return WRONG_SHARE * value if known and value > 0.0 else None
 
     def declared(self, name: str) -> float:
         """The declared value of any scalar, of `gas.<name>`, of the main mass, and of the polynomial's coordinates."""

@@ -234,5 +234,7 @@ def decide(posterior: Posterior, beside: Class | None = None) -> Decision:
     leading = class_of(weights, leader_of(weights, posterior.fitted))
     if not leading.names and weights[()] >= EVEN:
         return Decision("none", (), {}, weights[()], unnamed)
+    if not leading.names:
+        return Decision("insufficient", (), {}, weights[()], unnamed)
     kind = "effects" if leading.is_answer and leading.probability >= SURE else "insufficient"
     return Decision(kind, leading.names, leading.others, leading.probability, unnamed)

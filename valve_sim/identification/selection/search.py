@@ -110,7 +110,7 @@ class Search:
         self.discrepancy = Discrepancy(places, lengths_of(problem.plant, places))
         self.stamps = bool(problem.plant.timing_errors)
         effects = problem.plant.effects
-        # What has a tolerance is as rarely wrong as an effect acts; of what has none nobody has said how well it is known.
+        # What has a tolerance is as rarely wrong as an effect acts; of what has none nobody says how well it is known.
         tolerated = {own.name for own in problem.plant.nuisances if own.is_of_machine}
         wrong = frozenset(
             name for name, choice in effects.items() if choice.is_declared and not tolerated & set(choice.free_names())
