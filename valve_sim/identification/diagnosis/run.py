@@ -190,8 +190,9 @@ class DiagnosisSession:
         base, result = self.declared, self._fit_of(decision)
         verdict = self._verdict(decision)
         before = self._state(base, profile=False)
-        size = self._search.tried[decision.names].spread.size if verdict.has_remainder else 0.0
-        after = before if result is base else self._state(result, profile=verdict.kind == "effects", size=size)
+        names = () if result is base else decision.names
+        size = self._search.tried[names].spread.size if verdict.has_remainder else 0.0
+        after = before if result is base and size == 0.0 else self._state(result, profile=verdict.kind == "effects", size=size)
         unexplained, maps = self._unexplained(verdict, result)
         limits = detection_limits(base, self._search.rivals) if verdict.kind == "none" else {}
         budget = self._search.problem.budget

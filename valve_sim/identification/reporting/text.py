@@ -55,7 +55,7 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
     if rows := limit_rows(diagnosis):
         would = "; ".join(f"{title} {words}" for title, words in rows)
         lines += textwrap.wrap(
-            f"Would have shown, each alone: {would}.", 118, initial_indent="  ", subsequent_indent="    "
+            f"Would be named, each alone, at: {would}.", 118, initial_indent="  ", subsequent_indent="    "
         )
     declared = diagnosis.declared
     if declared or isinstance(diagnosis.plant, ValvePlant):
