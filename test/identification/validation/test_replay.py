@@ -51,13 +51,10 @@ def test_declared_valve_passes_at_three_times_the_noise(trace: Trace):
 
 
 @pytest.mark.parametrize("change", [{"main_damping": 4.8}, {"main_damping": 3.2}, {"a0": 3.2}, {"stroke": 1.235e-3}])
-def test_another_valve_fails_in_most_openings(trace: Trace, change: dict[str, float]):
+def test_another_valve_fails(trace: Trace, change: dict[str, float]):
     result = validate([trace], EXACT_VALVE.with_values(**change))
-    openings = [stroke for stroke in result.replays[0].strokes if stroke.name.startswith("opening")]
-    outside = [stroke for stroke in openings if not stroke.errors.is_within]
+    # The error of each command's stamp, free within its prior, can put most openings right, but not all strokes.
     assert not result.passed
-    # The clock offset, free within its prior, can put the slowest openings right, but not all of them.
-    assert len(outside) > len(openings) / 2
 
 
 def test_a_long_rest_does_not_hide_a_wrong_motion(trace: Trace):
@@ -92,11 +89,11 @@ def test_errors_of_the_stamps_within_their_prior_are_estimated_and_forgiven():
 
 
 def test_tolerances_widen_the_band_and_move_nothing(trace: Trace):
-    spread = replace(EXACT_VALVE, tolerances=Tolerances({"spring_preload": 0.05}))
+    spread = replace(EXACT_VALVE, tolerances=Tolerances({"spring_preload": 0.15}))
     exact, wide = (validate([trace], valve).replays[0] for valve in (EXACT_VALVE, spread))
     np.testing.assert_array_equal(wide.predicted, exact.predicted)
     assert wide.errors.tolerance > 1.5 * exact.errors.tolerance
-    off = spread.with_values(spring_preload=1.02 * EXACT_VALVE.parameters.spring_preload)
+    off = spread.with_values(spring_preload=1.06 * EXACT_VALVE.parameters.spring_preload)
     assert validate([trace], off).passed
     assert not validate([trace], replace(off, tolerances=EXACT)).passed
 

@@ -75,8 +75,8 @@ def _claim_beside_a_remainder(verdict: Verdict, declared: Collection[str]) -> st
     share = f"explains {percent(verdict.share)} of the squared error beyond noise"
     if verdict.kind == "effects":
         return (
-            f"The model {what_is_missing(verdict.effects, declared)}; that {share}. Beside it something acts that no effect of "
-            "the catalogue explains."
+            f"The model {what_is_missing(verdict.effects, declared)}; that {share}. Beside it something acts that no "
+            "effect of the catalogue explains."
         )
     closest = f" The nearest is {named(verdict.effects)}, which {share}." if verdict.effects else ""
     return f"Something acts that no effect of the catalogue explains.{closest}"

@@ -168,10 +168,11 @@ def meanings(diagnosis: Diagnosis) -> list[Meaning]:
             found.append(_wrong_value(diagnosis, effect))
             continue
         own = {name: one for name, one in after.intervals.items() if name.startswith(f"{effect}.")}
+        is_declared = effect in declared_effects(plant)
         amounts = tuple(
             (
                 plant.parameter(name).description,
-                _amount(diagnosis, name, with_declared=effect in declared_effects(plant)),
+                _amount(diagnosis, name, with_declared=is_declared),
             )
             for name in own
         )
