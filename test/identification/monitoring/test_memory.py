@@ -105,7 +105,12 @@ def test_a_file_that_cannot_be_used_is_refused_in_one_line(monitor: Monitor, tmp
     words = str(caught.value)
     assert words.startswith(f"{path}: ")
     assert "\n" not in words
-    says = {"earlier": "delete this one to commission anew", "schema": "commissioning/9", "valve": "valve.pilot_gap", "list": "schema None"}
+    says = {
+        "earlier": "delete this one to commission anew",
+        "schema": "commissioning/9",
+        "valve": "valve.pilot_gap",
+        "list": "schema None",
+    }
     assert says.get(damage, "damaged") in words
     assert "delete this one to commission anew" in words
 
