@@ -117,7 +117,7 @@ def test_a_summary_and_its_advice_have_no_names_of_code(diagnosis: Diagnosis, ki
 
 
 def test_an_effect_beside_something_unnamed_is_said_to_be_beside_it(diagnosis: Diagnosis) -> None:
-    verdict = replace(diagnosis.verdict, unnamed=0.998, share=0.62)
+    verdict = Verdict("effects", ("coulomb_friction",), {}, 0.93, 0.998, 0.62, 8)
     summary = summarise(replace(diagnosis, verdict=verdict))
     assert "lacks Coulomb friction; that explains 62 % of the squared error" in summary
     assert "Beside it something acts that no effect of the catalogue explains." in summary
