@@ -241,7 +241,7 @@ def test_identify_frees_what_it_is_told_to(tmp_path: Path, strokes: Path):
 def test_diagnose_of_the_declared_valve_claims_nothing(tmp_path: Path, strokes: Path):
     run_well("diagnose", strokes, "--output", tmp_path)
     report = json.loads((tmp_path / "report.json").read_text())
-    assert report["schema"] == "valve_sim/diagnosis/1"
+    assert report["schema"] == "valve_sim/diagnosis/2"
     assert report["verdict"]["kind"] in ("none", "insufficient")
     assert report["verdict"]["effects"] == []
     assert load_valve(tmp_path / "corrected.yaml").effects == {}

@@ -126,7 +126,7 @@ def test_a_bag_of_the_current_alone_has_no_errors_in_metres(tmp_path: Path) -> N
 
 def test_the_schema_has_units_and_meanings_in_its_metadata(examined: Path) -> None:
     schema = pq.read_schema(examined / "fleet.parquet")
-    assert schema.metadata[b"schema"] == b"valve_sim/fleet/1"
+    assert schema.metadata[b"schema"] == b"valve_sim/fleet/2"
     units = {field.name: field.metadata[b"unit"].decode() for field in schema}
     assert (units["t2"], units["spring_rate_stderr"], units["coulomb_friction_force"]) == ("s", "N/m", "N")
     assert all(field.metadata[b"meaning"] for field in schema)

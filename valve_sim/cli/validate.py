@@ -24,24 +24,23 @@ OUTSIDE: Final = 1
     "--tolerance-um",
     metavar="UM",
     type=finite_number(0.0, is_open=True),
-    show_default="3 times the noise",
+    show_default="3 times the standard deviation that is predicted",
     help="Largest rms error, µm.",
 )
 @click.option(
     "--tolerance-ma",
     metavar="MA",
     type=finite_number(0.0, is_open=True),
-    show_default="3 times the noise",
+    show_default="3 times the standard deviation that is predicted",
     help="The same of the current, mA, for recordings without positions.",
 )
 @click.option(
     "--tolerance-kpa",
     metavar="KPA",
     type=finite_number(0.0, is_open=True),
-    show_default="3 times the noise",
+    show_default="3 times the standard deviation that is predicted",
     help="The same of the outlet's pressure, kPa, of a valve with gas.",
 )
-@click.option("--command-jitter", is_flag=True, help="Estimate an error of each command's stamp, prior N(0, 50 µs).")
 @click.option("--junit", metavar="XML", type=FILE, help="Write a JUnit report, a test case for each stroke.")
 @click.option(
     "--plot", metavar="PNG", type=FILE, help="Draw measured and predicted position, and the residual (one BAG)."
@@ -56,7 +55,6 @@ def validate(
     tolerance_um: float | None,
     tolerance_ma: float | None,
     tolerance_kpa: float | None,
-    command_jitter: bool,
     junit: Path | None,
     plot: Path | None,
     name: str | None,
@@ -66,8 +64,9 @@ def validate(
 
     The recorded commands are replayed on it. Exit 0 if every stroke is within the tolerance, 1 if not. A stroke is
     within the tolerance if its root-mean-square error is, both over all its samples and over those in which the model
-    moves. Nothing is fitted but the offset between the clocks of commands and samples, prior N(0, 50 µs), and values
-    that have a tolerance in the file; one that has to be off by more than three tolerances fails.
+    moves. Nothing of the valve is estimated, only the offset between the clocks of commands and samples and, where the
+    recording speaks for them, errors of the commands' stamps, prior N(0, 50 µs) each. By default the tolerance is three
+    times the standard deviation that is predicted, by the sensor's noise and by the tolerances in the file.
 
       valve-sim validate strokes.mcap --params config/valve.yaml
       valve-sim validate tests/*.mcap --params results/identified.yaml --tolerance-um 17 --junit replay.xml
@@ -89,7 +88,7 @@ def validate(
     with progress_bar() as progress:
         result = replay(
             traces, valve, tolerance, current_tolerance=current_tolerance, pressure_tolerance=pressure_tolerance,
-            command_jitter=command_jitter, progress=progress,
+            progress=progress,
         )  # fmt: skip
     if junit is not None:
         write_whole(junit, shown(validation_junit(result)))  # XML has no place for control characters

@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 
 from valve_sim.model import CATALOGUE, DECLARED
 
-SCHEMA: Final = "valve_sim/fleet/1"
+SCHEMA: Final = "valve_sim/fleet/2"
 """Name of the table's form, in its metadata."""
 
 TEXT, NUMBER, COUNT, TIME, LIST, TRUTH = "text", "number", "count", "time", "list of texts", "truth"
@@ -37,7 +37,7 @@ _OF_A_DIAGNOSIS: Final = (
     Column("verdict", TEXT, "", "none, effects, unknown or insufficient, as in report.json"),
     Column("effects", LIST, "", "effects that are named"),
     Column("out_of_tolerance", LIST, "", "declared values beyond 3 of their tolerances"),
-    Column("probability", NUMBER, "", "that the verdict is right"),
+    Column("probability", NUMBER, "", "posterior, of what the verdict claims"),
     Column("summary", TEXT, "", "the verdict in one sentence"),
     Column("white", TRUTH, "", "whether what the refitted declared valve leaves is noise"),
     Column("p_value", NUMBER, "", "of that test"),

@@ -75,7 +75,7 @@ class Results:
             except (pa.ArrowException, OSError) as error:
                 raise ValveError(
                     f"{self.table}: cannot be read as a table of this program ({_first_line(error)}); move it away, or "
-                    "choose another --output"
+                    "choose another --output, and the bags are examined anew"
                 ) from error
         for part in self._parts():
             # A part that a failing disk has damaged is done without: its units are examined again.
@@ -148,7 +148,7 @@ def _read(path: Path, wanted: Any) -> list[Row]:
     """The rows of a file, of this version or an earlier one: columns that it lacks are null."""
     table = pq.read_table(path)
     if (table.schema.metadata or {}).get(b"schema") != SCHEMA.encode():
-        raise pa.ArrowInvalid(f"its schema is not {SCHEMA}")
+        raise pa.ArrowInvalid(f"its form is not {SCHEMA}")
     for missing in [field for field in wanted if field.name not in table.column_names]:
         table = table.append_column(missing, pa.nulls(len(table), missing.type))
     times = table.column("start_time").cast(pa.int64())

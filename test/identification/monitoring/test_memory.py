@@ -79,7 +79,7 @@ def test_what_is_not_known_is_not_made_up(monitor: Monitor, tmp_path: Path) -> N
     assert again.strokes[0].shifts == kept.strokes[0].shifts
 
 
-@pytest.mark.parametrize("damage", ["cut", "digit", "schema", "valve", "text", "list"])
+@pytest.mark.parametrize("damage", ["earlier", "cut", "digit", "schema", "valve", "text", "list"])
 def test_a_file_that_cannot_be_used_is_refused_in_one_line(monitor: Monitor, tmp_path: Path, damage: str) -> None:
     kept = monitor.stroke_monitor.commissioning
     assert kept is not None
@@ -92,6 +92,7 @@ def test_a_file_that_cannot_be_used_is_refused_in_one_line(monitor: Monitor, tmp
     changed = {
         "cut": text[: len(text) // 2],
         "digit": json.dumps(found),
+        "earlier": text.replace(SCHEMA, "valve_sim/commissioning/1"),
         "schema": text.replace(SCHEMA, "valve_sim/commissioning/9"),
         "valve": text,
         "text": "\x00",
@@ -104,7 +105,12 @@ def test_a_file_that_cannot_be_used_is_refused_in_one_line(monitor: Monitor, tmp
     words = str(caught.value)
     assert words.startswith(f"{path}: ")
     assert "\n" not in words
-    says = {"schema": "commissioning/9", "valve": "valve.pilot_gap", "list": "schema None"}
+    says = {
+        "earlier": "delete this one to commission anew",
+        "schema": "commissioning/9",
+        "valve": "valve.pilot_gap",
+        "list": "schema None",
+    }
     assert says.get(damage, "damaged") in words
     assert "delete this one to commission anew" in words
 

@@ -6,13 +6,11 @@ import math
 from dataclasses import replace
 
 import pytest
-from valve_sim.identification.diagnosis.decision import Claim, decide
-from valve_sim.identification.selection.table import Hypothesis
 
 from identification.recordings import recorded
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.diagnosis.experiment_design import Recommendation
-from valve_sim.identification.diagnosis.run import Diagnosis, Grounds, Verdict, diagnose
+from valve_sim.identification.diagnosis.run import Diagnosis, Verdict, diagnose
 from valve_sim.identification.estimation.declared_values import DeclaredValue
 from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.identification.plants.effect_titles import title_of
@@ -22,7 +20,7 @@ from valve_sim.identification.reporting.diagnosis_json import to_json
 from valve_sim.identification.reporting.summary import recording_advice, summarise
 from valve_sim.identification.reporting.text import diagnosis_text
 from valve_sim.identification.reporting.units import limits, measured, quantity
-from valve_sim.identification.reporting.wording import headline, kind_words, meanings, rounding_words
+from valve_sim.identification.reporting.wording import headline, kind_words, meanings, percent, rounding_words
 from valve_sim.model import CATALOGUE
 
 NAMED = [name for name, entry in CATALOGUE.items() if entry.named]
@@ -98,30 +96,46 @@ def test_that_nothing_is_missing_is_said_once_and_as_sure_as_it_is(
     assert f"Probability {100 * probability:.0f} %." in text
 
 
-@pytest.mark.parametrize(("is_unknown", "names_most"), [(False, False), (True, False), (True, True)])
+@pytest.mark.parametrize("kind", ["effects", "unknown", "insufficient"])
 @pytest.mark.parametrize("strokes", [1, 8])
-@pytest.mark.parametrize("singles_untried", [False, True])
-def test_a_summary_and_its_advice_have_no_names_of_code(
-    diagnosis: Diagnosis, is_unknown: bool, names_most: bool, strokes: int, singles_untried: bool
-) -> None:
+def test_a_summary_and_its_advice_have_no_names_of_code(diagnosis: Diagnosis, kind: str, strokes: int) -> None:
     plant = diagnosis.plant
     experiment = Experiment("a pulse of 4 ms at 9 V", lambda machine: plant)
     recommendation = Recommendation(experiment, {("asymmetric_friction + coil_lag", "stop_bounce"): 7.0})
     for name in NAMED:
-        best, alike = Hypothesis((name,), timing=True), {name: ("eddy_lag", "stroke_offset")}
-        claim = Claim(best, is_unknown, names_most)
-        decision = decide(claim, alike, 0.9, strokes, singles_untried=singles_untried)
-        grounds = Grounds(best.effects, is_unknown, 0.7, (), strokes, singles_untried)
-        verdict = Verdict(decision.kind, decision.effects, alike, 0.9, decision.probability, grounds)
-        untried = (str(best), "sets of more effects", f"models that compete with {best}")
+        alike = {name: ("eddy_lag", "stroke_offset")}
+        unnamed = 0.99 if kind == "unknown" else 0.02
+        verdict = Verdict(kind, (name,), alike, 0.9, unnamed, 0.7, strokes)
+        untried = ("Coulomb friction and coil lag", "sets of more effects")
         found = replace(diagnosis, verdict=verdict, recommendation=recommendation, untried=untried)
         summary, advice = summarise(found), recording_advice(found)
         assert "_" not in summary + advice
         assert verdict.is_open
         assert "friction that differs by direction and coil lag apart from bounce" in advice
-        assert (advice in summary) == (verdict.kind == "insufficient")
-        assert verdict.kind == "insufficient" or title_of(name).lower() in summary.lower()
-        assert verdict.effects == (name,)
+        assert (advice in summary) == (kind == "insufficient")
+        assert title_of(name).lower() in summary.lower() or (kind == "insufficient" and strokes == 1)
+
+
+def test_an_effect_beside_something_unnamed_is_said_to_be_beside_it(diagnosis: Diagnosis) -> None:
+    verdict = Verdict("effects", ("coulomb_friction",), {}, 0.93, 0.998, 0.62, 8)
+    summary = summarise(replace(diagnosis, verdict=verdict))
+    assert "lacks Coulomb friction; that explains 62 % of the squared error" in summary
+    assert "Beside it something acts that no effect of the catalogue explains." in summary
+
+
+@pytest.mark.parametrize(("probability", "words"), [(1.0, "> 99 %"), (0.5, "50 %"), (0.0, "< 1 %")])
+def test_nothing_is_said_to_be_certain(probability: float, words: str) -> None:
+    assert percent(probability) == words
+
+
+def test_what_is_off_is_said_beside_what_was_declared() -> None:
+    valve = default_valve().exact()
+    trace = recorded(effects={"coulomb_friction": {"force": 0.1}})
+    declared = replace(valve, effects={"coulomb_friction": {"force": 0.03}})
+    grown = diagnose([trace], [], declared)
+    assert grown.verdict.effects == ("coulomb_friction",)
+    assert headline(grown).startswith("The model declares another size of Coulomb friction: 0.10")
+    assert "declared 0.0300 N" in headline(grown)
 
 
 def test_nothing_is_advised_where_nothing_is_open(diagnosis: Diagnosis) -> None:

@@ -11,9 +11,10 @@ from plants.recording import Recorder, Recording, record, train_profile
 from traces.test_summary import Weighed, repeated
 
 from valve_sim.files.parameter_files import default_valve
+from valve_sim.identification.diagnosis.run import diagnose
 from valve_sim.identification.reporting.validation import validation_json, validation_junit, validation_text
 from valve_sim.identification.validation.replay import _errors, _stroke_checks, validate
-from valve_sim.model import Drive, Event, EventKind, ValveError
+from valve_sim.model import EXACT, Drive, Event, EventKind, Tolerances, ValveError
 from valve_sim.traces import Trace, events_from_sensors
 
 EXACT_VALVE = default_valve().exact()
@@ -50,13 +51,10 @@ def test_declared_valve_passes_at_three_times_the_noise(trace: Trace):
 
 
 @pytest.mark.parametrize("change", [{"main_damping": 4.8}, {"main_damping": 3.2}, {"a0": 3.2}, {"stroke": 1.235e-3}])
-def test_another_valve_fails_in_most_openings(trace: Trace, change: dict[str, float]):
+def test_another_valve_fails(trace: Trace, change: dict[str, float]):
     result = validate([trace], EXACT_VALVE.with_values(**change))
-    openings = [stroke for stroke in result.replays[0].strokes if stroke.name.startswith("opening")]
-    outside = [stroke for stroke in openings if stroke.errors.judged > result.replays[0].tolerance]
+    # The error of each command's stamp, free within its prior, can put most openings right, but not all strokes.
     assert not result.passed
-    # The clock offset, free within its prior, can put the slowest openings right, but not all of them.
-    assert len(outside) > len(openings) / 2
 
 
 def test_a_long_rest_does_not_hide_a_wrong_motion(trace: Trace):
@@ -84,10 +82,29 @@ def test_clock_offset_far_beyond_its_prior_is_not_forgiven():
     assert not validate([as_trace(measured(clock_offset=-5e-3))], EXACT_VALVE).passed
 
 
-def test_command_jitter_is_forgiven_only_on_request():
-    jittered = as_trace(measured(command_jitter=50e-6))
-    assert not validate([jittered], EXACT_VALVE).passed
-    assert validate([jittered], EXACT_VALVE, command_jitter=True).passed
+def test_errors_of_the_stamps_within_their_prior_are_estimated_and_forgiven():
+    result = validate([as_trace(measured(command_jitter=50e-6))], EXACT_VALVE)
+    assert result.passed
+    assert result.replays[0].errors.rmse == pytest.approx(1e-6, rel=0.05)
+
+
+def test_tolerances_widen_the_band_and_move_nothing(trace: Trace):
+    spread = replace(EXACT_VALVE, tolerances=Tolerances({"spring_preload": 0.15}))
+    exact, wide = (validate([trace], valve).replays[0] for valve in (EXACT_VALVE, spread))
+    np.testing.assert_array_equal(wide.predicted, exact.predicted)
+    assert wide.errors.tolerance > 1.5 * exact.errors.tolerance
+    off = spread.with_values(spring_preload=1.06 * EXACT_VALVE.parameters.spring_preload)
+    assert validate([trace], off).passed
+    assert not validate([trace], replace(off, tolerances=EXACT)).passed
+
+
+def test_the_corrected_valve_has_the_error_that_the_diagnosis_predicts_of_held_out_strokes(trace: Trace):
+    other = as_trace(measured(seed=4, clock_offset=-30e-6, command_jitter=20e-6))
+    declared = replace(EXACT_VALVE, tolerances=Tolerances({"spring_preload": 0.05})).with_values(spring_preload=2.56)
+    plain = [replace(entry, main_position=None) for entry in (trace, other)]
+    found = diagnose(plain[:1], plain[1:], declared)
+    replayed = validate(plain[1:], found.valve).replays[0]
+    assert replayed.errors.rmse == pytest.approx(found.after.holdout_rmse, rel=0.01)
 
 
 def test_arrivals_agree_with_the_model_within_their_error(trace: Trace):
@@ -155,7 +172,7 @@ def test_the_checks_of_strokes_grow_as_the_recording_does() -> None:
         seen = {
             found.stroke: found.events for found in events_from_sensors(trace, default_valve().parameters.pilot_gap)
         }
-        errors_of = partial(_errors, residual, np.zeros(len(residual)), moving)
+        errors_of = partial(_errors, residual, np.zeros(len(residual)), moving, 1e-6)
         checks = list(_stroke_checks(trace, seen, (events, 0.0), errors_of))
         assert sum(check.errors.samples for check in checks) <= len(trace.times)
         return Weighed.elements, CountedEvents.looked_at

@@ -212,8 +212,13 @@ class DiagnosisSession:
         base, result = self.declared, self._fit_of(decision)
         verdict = self._verdict(decision)
         before = self._state(base, profile=False)
-        size = self._search.tried[decision.names].spread.size if verdict.has_remainder else 0.0
-        after = before if result is base else self._state(result, profile=verdict.kind == "effects", size=size)
+        names = () if result is base else decision.names
+        size = self._search.tried[names].spread.size if verdict.has_remainder else 0.0
+        after = (
+            before
+            if result is base and size == 0.0
+            else self._state(result, profile=verdict.kind == "effects", size=size)
+        )
         unexplained, maps = self._unexplained(verdict, result)
         limits = detection_limits(base, self._search.rivals) if verdict.kind == "none" else {}
         budget = self._search.problem.budget
@@ -239,7 +244,8 @@ class DiagnosisSession:
         posterior = self._search.posterior(curves, raised)
         # Names that explain all fitted strokes, and fail on others, are refuted: none stands beside the unnamed then.
         beside = self._beside(posterior) if of_training.unnamed > 0.5 else None
-        return posterior, decide(posterior, beside)
+        sizes = {name: len(choice.parameters) for name, choice in self._plant.effects.items()}
+        return posterior, decide(posterior, beside, sizes)
 
     def _beside(self, posterior: Posterior) -> Class | None:
         """A name that stands beside something unnamed: theory, section 9; None where none does.

@@ -23,7 +23,7 @@ from valve_sim.identification.plants.valve import dampings_of
 from valve_sim.identification.plants.valve_model import ValveModel
 from valve_sim.model import EXACT, ParameterError, Valve
 
-SCHEMA: Final = "valve_sim/commissioning/1"
+SCHEMA: Final = "valve_sim/commissioning/2"
 MEND: Final = "name another file, or, while the valve is healthy, delete this one to commission anew"
 
 

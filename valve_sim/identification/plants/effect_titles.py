@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Final
 
 from valve_sim.identification.plants.protocol import Plant
@@ -33,11 +33,13 @@ def named(effects: Sequence[str], last: str = "and") -> str:
     return listed([inside_sentence(title_of(effect)) for effect in effects], last)
 
 
-def what_is_missing(effects: Sequence[str]) -> str:
-    """Of a model, within a sentence: lacks Coulomb friction and has a wrong spring rate."""
+def what_is_missing(effects: Sequence[str], declared: Collection[str] = ()) -> str:
+    """Of a model, within a sentence: lacks Coulomb friction and has a wrong spring rate; some effects are declared."""
     wrong = [effect for effect in effects if effect.startswith(WRONG)]
-    lacks = [effect for effect in effects if effect not in wrong]
+    grown = [effect for effect in effects if effect in declared and effect not in wrong]
+    lacks = [effect for effect in effects if effect not in wrong and effect not in grown]
     parts = [f"lacks {named(lacks)}"] if lacks else []
+    parts += [f"declares another size of {named(grown)}"] if grown else []
     return " and ".join([*parts, *([f"has a {named(wrong)}"] if wrong else [])])
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -25,6 +25,8 @@ class StrokeCurves:
     Attributes:
         title: recording and stroke. is_held_out: whether it took no part in the fit.
         time: ms. measured, before, after: in `unit`. noise: σ of the sensor, in `unit`.
+        band: standard deviation that the corrected model predicts of measured − after, in `unit`; of held-out strokes
+            its root mean square.
         root_mean_squares: of measured − before and measured − after, over all samples.
     """
 
@@ -37,6 +39,7 @@ class StrokeCurves:
     before: Array
     after: Array
     noise: float
+    band: Array
     root_mean_squares: tuple[float, float]
 
     def thinned(self) -> StrokeCurves:
@@ -45,7 +48,8 @@ class StrokeCurves:
         kept = keep_extremes(curves, DRAWN_POINTS)
         return StrokeCurves(
             self.title, self.is_held_out, self.quantity, self.unit, self.time[kept], self.measured[kept],
-            self.before[kept], self.after[kept], self.noise, self.root_mean_squares,
+            self.before[kept], self.after[kept], self.noise, self.band[kept],
+            self.root_mean_squares,
         )  # fmt: skip
 
 
@@ -74,13 +78,15 @@ def strokes_of(diagnosis: Diagnosis) -> list[StrokeCurves]:
     The channels in which errors are reported come first; then others that were fitted too, as a current.
     """
     before, after = diagnosis.before, diagnosis.after
-    found = list(_strokes(before.fit, after.fit, is_held_out=False))
+    found = list(_strokes(before.fit, after.fit, after.bands, is_held_out=False))
     if before.holdout is not None and after.holdout is not None:
-        found += _strokes(before.holdout, after.holdout, is_held_out=True)
+        channels = before.holdout.problem.plant.channels
+        bands = {index: np.full(len(channel.data), after.holdout_predicted) for index, channel in enumerate(channels)}
+        found += _strokes(before.holdout, after.holdout, bands, is_held_out=True)
     return found
 
 
-def _strokes(before: Fit, after: Fit, *, is_held_out: bool) -> Iterator[StrokeCurves]:
+def _strokes(before: Fit, after: Fit, bands: Mapping[int, Array], *, is_held_out: bool) -> Iterator[StrokeCurves]:
     problem = before.problem
     shown_before, shown_after = (problem.plant.predict(fitted.values) for fitted in (before, after))
     judged = judged_channels(problem.plant)
@@ -91,19 +97,20 @@ def _strokes(before: Fit, after: Fit, *, is_held_out: bool) -> Iterator[StrokeCu
         sigma = problem.noise_of(index).sigma
         for group in np.unique(channel.group[takes_part]):
             chosen = takes_part & (channel.group == group)
-            yield _stroke(channel, chosen, (first[chosen], second[chosen]), sigma, is_held_out=is_held_out)
+            shown = first[chosen], second[chosen], bands[index][chosen]
+            yield _stroke(channel, chosen, shown, sigma, is_held_out=is_held_out)
 
 
 def _stroke(
-    channel: Channel, chosen: NDArray[np.bool_], shown: tuple[Array, Array], sigma: float, *, is_held_out: bool
+    channel: Channel, chosen: NDArray[np.bool_], shown: tuple[Array, Array, Array], sigma: float, *, is_held_out: bool
 ) -> StrokeCurves:
     scale, unit = channel.readable
     measured = scale * channel.data[chosen]
-    before, after = (scale * curve for curve in shown)
+    before, after, band = (scale * curve for curve in shown)
     number = int(channel.group[chosen][0]) + 1
     title = f"{channel.name}, stroke {number}" + (", held out" if is_held_out else "")
     errors = (root_mean_square(measured - before), root_mean_square(measured - after))
     return StrokeCurves(
         title, is_held_out, channel.kind, unit, 1e3 * channel.times[chosen], measured, before, after, scale * sigma,
-        errors,
+        band, errors,
     )  # fmt: skip

@@ -19,7 +19,7 @@ from valve_sim import __version__
 from valve_sim.files.json_text import finite_or_none
 from valve_sim.files.whole_files import write_whole
 from valve_sim.identification.diagnosis.run import Candidate, Diagnosis, State
-from valve_sim.identification.plants.effect_titles import named_value, titles_of
+from valve_sim.identification.plants.effect_titles import named_value, title_of, titles_of
 from valve_sim.identification.plants.protocol import judged_channels
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.curves import StrokeCurves, strokes_of
@@ -37,6 +37,7 @@ from valve_sim.identification.reporting.wording import (
     holdout_words,
     kind_words,
     meanings,
+    percent,
     probability_words,
     rounding_words,
 )
@@ -56,6 +57,8 @@ _FACTOR_WORDS: Final = {
     "·u²": ", with the current squared",
 }
 SHOWN_CANDIDATES: Final = 8
+LEAST_SHOWN: Final = 0.01
+"""Smallest probability of an effect that the page lists."""
 _SPACES: Final = str.maketrans("._", "  ")
 """Turns names of parameters into words."""
 _SMALLEST_PROBABILITY: Final = 1e-6
@@ -127,7 +130,7 @@ def plot_diagnosis(diagnosis: Diagnosis, path: Path | str) -> None:
         above.plot(stroke.time, stroke.before, color=MAIN, linewidth=1.2, label="before")
         above.plot(stroke.time, stroke.after, color=PILOT, linewidth=1.2, label="after")
         above.set_ylabel(f"{stroke.quantity}, {stroke.unit}")
-        below.axhspan(-2 * stroke.noise, 2 * stroke.noise, color=PILOT, alpha=0.1, linewidth=0)
+        below.fill_between(stroke.time, -2 * stroke.band, 2 * stroke.band, color=PILOT, alpha=0.1, linewidth=0)
         below.plot(stroke.time, stroke.measured - stroke.before, color=MAIN, linewidth=0.8)
         below.plot(stroke.time, stroke.measured - stroke.after, color=PILOT, linewidth=0.8)
         below.set_ylabel(f"residual, {stroke.unit}")
@@ -174,6 +177,7 @@ def _content(diagnosis: Diagnosis) -> dict[str, Any]:
     sigma = scale * diagnosis.before.fit.problem.noises[channel.kind].sigma
     words, is_sure = kind_words(verdict)
     candidates = [_candidate_row(candidate, diagnosis, scale, unit) for candidate in diagnosis.candidates]
+    candidates.insert(0, _declared_row(diagnosis, scale, unit))
     return {
         "kind": verdict.kind,
         "kind_words": words,
@@ -189,6 +193,7 @@ def _content(diagnosis: Diagnosis) -> dict[str, Any]:
         "rest": captions[SHOWN_STROKES:],
         **_forces(diagnosis),
         "candidates": candidates[:SHOWN_CANDIDATES],
+        "inclusion": _inclusion_rows(diagnosis),
         "limits": limit_rows(diagnosis),
         "more_candidates": candidates[SHOWN_CANDIDATES:],
         "intervals": _interval_rows(diagnosis),
@@ -198,7 +203,7 @@ def _content(diagnosis: Diagnosis) -> dict[str, Any]:
         "gain": _gain_rows(diagnosis),
         "untried": diagnosis.untried,
         "choice": choice_words(diagnosis),
-        "looks": holdout_words(diagnosis),
+        "held_out": holdout_words(diagnosis),
         "version": __version__,
         "sources": diagnosis.sources,
         "noise": f"{three_digits(sigma)} {unit} rms of the {channel.kind} sensor, read where the machine is still",
@@ -249,6 +254,7 @@ def _comparison(diagnosis: Diagnosis, scale: float, unit: str) -> list[tuple[str
     rows = [
         of_both("rms error, fitted strokes", lambda state: _number(scale * state.train_rmse, unit)),
         of_both("rms error, held-out strokes", lambda state: _number(scale * state.holdout_rmse, unit)),
+        of_both("the same, as predicted", lambda state: _predicted(state, scale, unit)),
         of_both("residual is white", _whiteness),
         of_both("χ² per sample", lambda state: f"{state.fit.chi2 / state.fit.problem.effective_samples:.4g}"),
     ]
@@ -257,6 +263,34 @@ def _comparison(diagnosis: Diagnosis, scale: float, unit: str) -> list[tuple[str
             words, parameter_unit = named_value(diagnosis.plant, name)
             rows.append((words, _value(before, name, parameter_unit), _value(after, name, parameter_unit)))
     return rows
+
+
+def _predicted(state: State, scale: float, unit: str) -> str:
+    """Of fitted, and of held-out strokes."""
+    fitted, held_out = (_number(scale * found, unit) for found in (state.train_predicted, state.holdout_predicted))
+    return f"{fitted}; held out {held_out}"
+
+
+def _inclusion_rows(diagnosis: Diagnosis) -> list[tuple[str, str]]:
+    """Names that act with a probability worth a look, the likeliest first."""
+    ordered = sorted(diagnosis.inclusion.items(), key=lambda entry: -entry[1])
+    return [(title_of(name), percent(found)) for name, found in ordered[:SHOWN_CANDIDATES] if found >= LEAST_SHOWN]
+
+
+def _declared_row(diagnosis: Diagnosis, scale: float, unit: str) -> dict[str, Any]:
+    """Of the declared model among the hypotheses."""
+    verdict, before = diagnosis.verdict, diagnosis.before
+    return {
+        "title": "nothing: the declared model, refitted",
+        "name": "",
+        "probability": percent(verdict.probability) if verdict.kind == "none" else "–",
+        "unnamed": "–",
+        "gain": "0",
+        "train": _number(scale * before.train_rmse, unit),
+        "holdout": _number(scale * before.holdout_rmse, unit),
+        "text": "",
+        "chosen": verdict.kind == "none",
+    }
 
 
 def _whiteness(state: State) -> str:
@@ -289,7 +323,9 @@ def _candidate_row(candidate: Candidate, diagnosis: Diagnosis, scale: float, uni
     return {
         "title": titles_of(candidate.effects) + (" with errors of the commands' stamps" if candidate.timing else ""),
         "name": " + ".join(candidate.effects),
-        "gain": signed(candidate.delta_bic, 1).removeprefix("+"),
+        "probability": percent(candidate.probability),
+        "unnamed": percent(candidate.unnamed),
+        "gain": signed(-0.5 * candidate.delta_bic, 1),
         "train": _number(scale * candidate.train_rmse, unit),
         "holdout": _number(scale * candidate.holdout_rmse, unit),
         "text": "; ".join(values),
@@ -341,7 +377,7 @@ def _forces(diagnosis: Diagnosis) -> dict[str, Any]:
     maps = [
         {
             "variable": curve.label.partition(",")[0] + _FACTOR_WORDS.get(curve.variable[1:], ""),
-            "gain": signed(-curve.gain, 1).removeprefix("+"),
+            "gain": signed(0.5 * curve.gain, 1),
             "rms": quantity(curve.rms, "N"),
             "where": curve.where,
         }
@@ -365,7 +401,7 @@ def _stroke_plot(stroke: StrokeCurves) -> dict[str, Any]:
     return {
         "quantity": stroke.quantity,
         "unit": stroke.unit,
-        "noise": float(f"{stroke.noise:.3g}"),
+        "band": _rounded(2.0 * stroke.band, 3),
         "time": _rounded(stroke.time, 4),
         "measured": _rounded(stroke.measured, 2),
         "before": _rounded(stroke.before, 2),

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from typing import Final
 
 from valve_sim.identification.diagnosis.run import Diagnosis, Verdict
 from valve_sim.identification.plants.advice import Advice, advice_of
 from valve_sim.identification.plants.effect_titles import named, what_is_missing
+from valve_sim.identification.reporting.wording import declared_effects, percent
 
 SHOWN_UNTRIED: Final = 4
 """How many of the untried hypotheses the summary names."""
@@ -16,7 +18,7 @@ SHOWN_UNTRIED: Final = 4
 def summarise(diagnosis: Diagnosis) -> str:
     """What is claimed, how well that is known, and what was left untried."""
     verdict, untried = diagnosis.verdict, diagnosis.untried
-    sentences = [claim(verdict, advice_of(diagnosis.plant))]
+    sentences = [claim(verdict, advice_of(diagnosis.plant), declared_effects(diagnosis.plant))]
     if verdict.kind == "insufficient":
         sentences.append(recording_advice(diagnosis))
     if untried:
@@ -41,15 +43,16 @@ def recording_advice(diagnosis: Diagnosis) -> str:
     )
 
 
-def claim(verdict: Verdict, advice: Advice) -> str:
+def claim(verdict: Verdict, advice: Advice, declared: Collection[str] = ()) -> str:
     """The verdict in one or two sentences.
 
     Args:
         verdict: what is claimed.
         advice: of the plant, which says why a single stroke is not enough.
+        declared: effects that the declared model has already.
     """
     if verdict.has_remainder:
-        return _claim_beside_a_remainder(verdict)
+        return _claim_beside_a_remainder(verdict, declared)
     if verdict.kind == "none":
         return "The declared model with refitted damping explains the data down to the noise."
     others = sorted({other for names in verdict.confusable_with.values() for other in names})
@@ -61,19 +64,19 @@ def claim(verdict: Verdict, advice: Advice) -> str:
         rivals = f", or {alike} in its place," if alike else ""
         return (
             f"The data cannot tell what the model lacks: {nearest}{rivals} is the likeliest, with a probability of "
-            f"{100.0 * verdict.probability:.0f} %."
+            f"{percent(verdict.probability)}."
         )
     alternatives = f"; {alike} would explain the data about as well" if alike else ""
-    return f"The model {what_is_missing(verdict.effects)}{alternatives}."
+    return f"The model {what_is_missing(verdict.effects, declared)}{alternatives}."
 
 
-def _claim_beside_a_remainder(verdict: Verdict) -> str:
+def _claim_beside_a_remainder(verdict: Verdict, declared: Collection[str]) -> str:
     """What is claimed where something is left that no effect explains."""
-    share = f"explains {100.0 * verdict.share:.1f} % of the squared error beyond noise"
+    share = f"explains {percent(verdict.share)} of the squared error beyond noise"
     if verdict.kind == "effects":
         return (
-            f"The model {what_is_missing(verdict.effects)}; that {share}. Beside it something acts that no effect of "
-            "the catalogue explains."
+            f"The model {what_is_missing(verdict.effects, declared)}; that {share}. Beside it something acts that no "
+            "effect of the catalogue explains."
         )
     closest = f" The nearest is {named(verdict.effects)}, which {share}." if verdict.effects else ""
     return f"Something acts that no effect of the catalogue explains.{closest}"

@@ -59,7 +59,7 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
                 f"95 % interval {limits(found, unit)}: {remark}.", 118, initial_indent="    ", subsequent_indent="    "
             )
     if rows := limit_rows(diagnosis):
-        lines.append("  What would have shown in these data, each alone, from:")
+        lines.append("  Would be named in half of such recordings, each alone, from:")
         lines += [f"    {title:<{_WIDTH - 2}}{words}" for title, words in rows]
     declared = diagnosis.declared
     if declared or isinstance(diagnosis.plant, ValvePlant):

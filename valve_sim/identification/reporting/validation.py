@@ -8,7 +8,6 @@ from xml.etree import ElementTree
 
 from valve_sim.files.json_text import plain_mapping
 from valve_sim.identification.plants.protocol import KEY_OF_UNIT
-from valve_sim.identification.reporting.declared_values import amount_words, declared_json, summary_words
 from valve_sim.identification.reporting.units import three_digits
 from valve_sim.identification.validation.replay import MICRO, Arrival, Errors, Replay, Validation
 
@@ -19,7 +18,6 @@ def validation_json(result: Validation) -> dict[str, Any]:
         "schema": "valve_sim/validation/1",
         "passed": result.passed,
         "recordings": [_replay_json(replay) for replay in result.replays],
-        **declared_json(result.declared),
     }
     return plain_mapping(report)
 
@@ -27,22 +25,14 @@ def validation_json(result: Validation) -> dict[str, Any]:
 def validation_text(result: Validation) -> str:
     """For the terminal."""
     lines = [_replay_text(replay) for replay in result.replays]
-    if result.declared:
-        lines.append(f"declared values: {summary_words(result.declared)}")
     return "\n".join([*lines, "passed" if result.passed else "FAILED"])
 
 
 def validation_junit(result: Validation) -> str:
-    """JUnit XML: a suite for each recording, a test case for each stroke and one for the recording as a whole.
-
-    Declared values with a tolerance are a suite of their own.
-    """
+    """JUnit XML: a suite for each recording, a test case for each stroke and one for the recording as a whole."""
     root = ElementTree.Element("testsuites", name="valve-sim validate")
     for replay in result.replays:
         _add_recording(root, replay)
-    if result.declared:
-        cases = {found.name: (amount_words(found), found.is_out) for found in result.declared}
-        _add_suite(root, "declared values", cases)
     for key in ("tests", "failures", "errors"):
         root.set(key, str(sum(int(suite.get(key, "0")) for suite in root)))
     ElementTree.indent(root)
@@ -64,7 +54,8 @@ def _replay_json(replay: Replay) -> dict[str, Any]:
         "strokes": [
             {
                 "name": stroke.name,
-                "passed": stroke.errors.judged <= replay.tolerance,
+                "passed": stroke.errors.is_within,
+                f"tolerance_{key}": scale * stroke.errors.tolerance,
                 **_errors_json(stroke.errors, scale, key),
                 "arrivals": [_arrival_json(arrival) for arrival in stroke.arrivals],
             }
@@ -108,7 +99,7 @@ def _replay_text(replay: Replay) -> str:
         moving = three_digits(scale * errors.moving_rmse)
         lines.append(
             f"  {name:<32}{three_digits(scale * errors.rmse):>9}{moving:>9}{three_digits(scale * errors.maximum):>9}"
-            f"  {'' if errors.judged <= replay.tolerance else 'outside'}".rstrip()
+            f"  {'' if errors.is_within else 'outside'}".rstrip()
         )
     return "\n".join([*lines, *_arrival_lines(replay)])
 
@@ -132,9 +123,9 @@ def _add_recording(root: ElementTree.Element, replay: Replay) -> None:
             f"rmse {three_digits(scale * errors.rmse)} {unit}, "
             f"moving {three_digits(scale * errors.moving_rmse)} {unit}, "
             f"maximum {three_digits(scale * errors.maximum)} {unit}, "
-            f"tolerance {three_digits(scale * replay.tolerance)} {unit}"
+            f"tolerance {three_digits(scale * errors.tolerance)} {unit}"
         )
-        cases[name] = words, errors.judged > replay.tolerance
+        cases[name] = words, not errors.is_within
     _add_suite(root, replay.trace.source, cases)
 
 

@@ -73,7 +73,14 @@ def kind_words(verdict: Verdict) -> tuple[str, bool]:
 
 def probability_words(verdict: Verdict) -> str:
     """The probability in percent; never 100."""
-    return f"{100 * verdict.probability:.0f} %" if verdict.probability < 0.995 else "> 99 %"
+    return percent(verdict.probability)
+
+
+def percent(probability: float) -> str:
+    """Of a probability; never 0 or 100."""
+    if probability >= 0.995:
+        return "> 99 %"
+    return f"{100 * probability:.0f} %" if probability >= 0.005 else "< 1 %"
 
 
 def headline(diagnosis: Diagnosis) -> str:
@@ -96,7 +103,7 @@ def headline(diagnosis: Diagnosis) -> str:
     if verdict.kind == "unknown":
         nearest = f" The closest is {missing}." if missing else ""
         return f"Something acts that no effect of the catalogue explains.{nearest}"
-    lacks = what_is_missing(verdict.effects)
+    lacks = what_is_missing(verdict.effects, declared_effects(diagnosis.plant))
     claim = f"The model {lacks}" if verdict.probability >= EVEN else f"Perhaps the model {lacks}"
     amounts = [_largest(meaning) for meaning in meanings(diagnosis)]
     much = f": {amounts[0]}" if len(amounts) == 1 and amounts[0] else ""
@@ -153,14 +160,21 @@ def rounding_words(diagnosis: Diagnosis) -> str:
 def meanings(diagnosis: Diagnosis) -> list[Meaning]:
     """What each named effect is on a real valve, how much of it there is, and what to do."""
     verdict, after, plant = diagnosis.verdict, diagnosis.after, diagnosis.plant
-    found = []
+    found: list[Meaning] = []
+    if verdict.kind == "unknown":
+        return found  # nothing is claimed
     for effect in verdict.effects:
         if effect in plant.effects and plant.effects[effect].is_declared_value:
             found.append(_wrong_value(diagnosis, effect))
             continue
         own = {name: one for name, one in after.intervals.items() if name.startswith(f"{effect}.")}
+        is_declared = effect in declared_effects(plant)
         amounts = tuple(
-            (plant.parameter(name).description, measured(one, plant.parameter(name).unit)) for name, one in own.items()
+            (
+                plant.parameter(name).description,
+                _amount(diagnosis, name, with_declared=is_declared),
+            )
+            for name in own
         )
         values = {name.partition(".")[2]: one.value for name, one in own.items()}
         others = verdict.confusable_with.get(effect, ())
@@ -175,13 +189,30 @@ def meanings(diagnosis: Diagnosis) -> list[Meaning]:
     return found
 
 
+def declared_effects(plant: Plant) -> list[str]:
+    """Effects that the declared model has already; of these another size is named."""
+    return [name for name, effect in plant.effects.items() if effect.is_on and not effect.is_declared_value]
+
+
+def _amount(diagnosis: Diagnosis, name: str, *, with_declared: bool) -> str:
+    """0.80 ± 0.01 N, declared 0.30 N."""
+    unit = diagnosis.plant.parameter(name).unit
+    words = measured(diagnosis.after.intervals[name], unit)
+    return f"{words}, declared {quantity(diagnosis.plant.declared(name), unit)}" if with_declared else words
+
+
 def _wrong_value(diagnosis: Diagnosis, effect: str) -> Meaning:
     """A declared value that is not what was declared."""
     name = effect.removeprefix("valve.")
     rows = [row for row in diagnosis.declared if row.name == name or row.name.startswith(f"{COORDINATES.get(name)}[")]
     words = name.removeprefix(GROUP).replace("_", " ")
+    amounts = tuple((plain_name(row.name), amount_words(row)) for row in rows)
+    if not amounts:  # declared without a tolerance
+        own = diagnosis.plant.effects[effect].free_names()
+        estimated = [one for one in own if one in diagnosis.after.intervals]
+        amounts = tuple((plain_name(one), _amount(diagnosis, one, with_declared=True)) for one in estimated)
     return Meaning(
-        effect, title_of(effect), tuple((plain_name(row.name), amount_words(row)) for row in rows), "",
+        effect, title_of(effect), amounts, "",
         f"The {words} is not what was declared: another part was fitted, or the number was copied wrongly.",
         f"Measure the {words} again, and write what you find into the parameter file with its tolerance.",
         tuple(title_of(other) for other in diagnosis.verdict.confusable_with.get(effect, ())),

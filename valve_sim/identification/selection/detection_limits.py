@@ -25,7 +25,7 @@ from valve_sim.identification.plants.protocol import (
     to_internal,
 )
 from valve_sim.identification.selection.posterior import SURE, Rivals
-from valve_sim.identification.selection.score_test import SIZES, Outside, additions, released_spread
+from valve_sim.identification.selection.score_test import Outside, released_spread, standard_errors
 from valve_sim.model import Parameter
 
 Limits = Mapping[str, Mapping[str, float]]
@@ -64,10 +64,7 @@ def _sigmas(result: Fit, outside: Outside, effect: EffectChoice) -> dict[str, fl
     released: dict[str, Nuisance] = {
         name: own for own in result.nuisances if own.is_of_machine for name in (own.name, own.same_as) if name
     }
-    found: dict[str, float] = {}
-    for size in SIZES:
-        for name, addition in additions(result, outside, effect, size).items():
-            found[name] = min(found.get(name, math.inf), addition.sigma)
+    found = standard_errors(result, outside, effect)
     for switch in effect.parameters:
         own = released.get(effect.free_name(switch))
         if own is not None and own.unit == switch.unit:

@@ -30,6 +30,8 @@ EVEN: Final = 0.5
 """Probability from which nothing is said to be missing, or something without a name to act."""
 ALIKE: Final = 20.0
 """Odds within which a set that differs in one member is a look-alike."""
+NEARLY: Final = 3.0
+"""Odds within which the simpler of two look-alikes gives its name to the class."""
 LARGEST_CLASS: Final = 4
 """A class of more names is no answer."""
 
@@ -201,6 +203,25 @@ def leader_of(weights: Mapping[Set, float], fitted: Iterable[Set]) -> Set:
     return min(fitted, key=lambda names: (-weights.get(names, 0.0), len(names), names))
 
 
+def simplest_of(weights: Mapping[Set, float], leading: Class, sizes: Mapping[str, int]) -> Class:
+    """A class by its simplest name, where that is nearly as probable as the one that leads.
+
+    Coulomb friction is stiction without a breakaway: where the data do not show one, the name without it stands first.
+
+    Args:
+        weights: probabilities. leading: the class. sizes: of each name, how many parameters it frees.
+    """
+    near = [leading.names]
+    for name, others in leading.others.items():
+        near += [tuple(sorted({*leading.names, other} - {name})) for other in others]
+    least = weights[leading.names] / NEARLY
+    sizes_of = {names: sum(sizes.get(name, 1) for name in names) for names in near if weights.get(names, 0.0) >= least}
+    simplest = min(sizes_of, key=lambda names: (sizes_of[names], -weights[names]))
+    if sizes_of[simplest] == sizes_of[leading.names]:
+        return leading
+    return class_of(weights, simplest)._replace(probability=leading.probability)
+
+
 class Decision(NamedTuple):
     """What is claimed.
 
@@ -216,11 +237,11 @@ class Decision(NamedTuple):
     unnamed: float
 
 
-def decide(posterior: Posterior, beside: Class | None = None) -> Decision:
+def decide(posterior: Posterior, beside: Class | None = None, sizes: Mapping[str, int] | None = None) -> Decision:
     """The verdict.
 
     Args:
-        posterior: of all that was tried.
+        posterior: of all that was tried. sizes: of each name, how many parameters it frees; default all alike.
         beside: names that stand beside something unnamed, where held-out strokes confirm them (`naming_beside`).
     """
     unnamed = posterior.unnamed
@@ -236,5 +257,6 @@ def decide(posterior: Posterior, beside: Class | None = None) -> Decision:
         return Decision("none", (), {}, weights[()], unnamed)
     if not leading.names:
         return Decision("insufficient", (), {}, weights[()], unnamed)
+    leading = simplest_of(weights, leading, sizes or {})
     kind = "effects" if leading.is_answer and leading.probability >= SURE else "insufficient"
     return Decision(kind, leading.names, leading.others, leading.probability, unnamed)

@@ -8,6 +8,7 @@ size and shape: enough to say that nothing is left to be found.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 from typing import Final, NamedTuple
@@ -23,6 +24,7 @@ from valve_sim.identification.plants.protocol import (
     Array,
     EffectChoice,
     Nuisance,
+    is_two_sided,
     perturbed,
     to_internal,
 )
@@ -79,11 +81,25 @@ def log_gains(result: Fit) -> dict[str, float]:
     return gains
 
 
-def additions(result: Fit, outside: Outside, effect: EffectChoice, size: float = SMALL_MOVE) -> dict[str, Addition]:
-    """What each switch of an effect would come to alone, its shape as first expected, by its name."""
-    for moves in moves_of(result, effect, size):
-        return {move.switch.name: _addition(result, outside, effect, move) for move in moves}
-    return {}
+def standard_errors(result: Fit, outside: Outside, effect: EffectChoice) -> dict[str, float]:
+    """Of each switch of an effect alone, in its search coordinate; infinite of what shows nothing.
+
+    That of the sign that shows less, its shape as first expected; of a contact that only rebounds above a speed, of a
+    large move.
+    """
+    found: dict[str, float] = {}
+    for size in reversed(SIZES):
+        of_size: dict[str, float] = {}
+        for moves in itertools.islice(moves_of(result, effect, size), 2 if _has_two_signs(effect) else 1):
+            for move in moves:
+                sigma = _addition(result, outside, effect, move).sigma
+                of_size[move.switch.name] = max(of_size.get(move.switch.name, 0.0), sigma)
+        found.update({name: sigma for name, sigma in of_size.items() if math.isfinite(sigma)})
+    return found
+
+
+def _has_two_signs(effect: EffectChoice) -> bool:
+    return all(is_two_sided(switch) for switch in effect.parameters if switch.off is not None)
 
 
 class Move(NamedTuple):
@@ -101,17 +117,18 @@ class Move(NamedTuple):
 
 
 def moves_of(base: Fit, effect: EffectChoice, size: float = SMALL_MOVE) -> Iterator[list[Move]]:
-    """For each shape of an effect, its switches moved by some prior scales each."""
+    """For each shape of an effect, and each sign that it may have, its switches moved by some prior scales each."""
     has_shape = any(parameter.off is None for parameter in effect.parameters)
+    switches = [parameter for parameter in effect.parameters if parameter.off is not None]
+    # A force that opens lifts a plunger without load off its seat, and one that closes does not.
+    signs = (1.0, -1.0) if _has_two_signs(effect) else (1.0,)
     rows, left = base.problem.rows, base.left.few()
-    for shape in SHAPES if has_shape else SHAPES[:1]:
+    for shape, sign in itertools.product(SHAPES if has_shape else SHAPES[:1], signs):
         found = []
-        for switch in effect.parameters:
-            if switch.off is None:
-                continue
-            values = switched_on(effect, switch, size, shape)
+        for switch in switches:
+            values = switched_on(effect, switch, sign * size, shape)
             parameter = base.problem.plant.parameter(effect.free_name(switch))
-            off = to_internal(parameter, switch.off)
+            off = to_internal(parameter, switch.off if switch.off is not None else 0.0)
             by = to_internal(parameter, values[effect.free_name(switch)]) - off
             try:
                 found.append(Move(switch, off, by, rows.residuals({**base.values, **values}) - left))

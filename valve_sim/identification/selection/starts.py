@@ -16,6 +16,7 @@ from valve_sim.identification.plants.protocol import (
     from_internal,
     internal_bounds,
     internal_scale,
+    is_two_sided,
     to_internal,
 )
 from valve_sim.model import SimulationError
@@ -69,7 +70,7 @@ def starts_from_declared(cost: Cost, effect: EffectChoice, known: Mapping[str, f
     switches = [parameter for parameter in effect.parameters if parameter.off is not None]
     if effect.is_declared or not switches:
         return []
-    is_two_sided = len(switches) == 1 and _is_two_sided(switches[0])
+    has_two_signs = len(switches) == 1 and is_two_sided(switches[0])
     shapes = SHAPES if len(switches) < len(effect.parameters) else SHAPES[:1]
 
     def start(size: float, shape: float) -> dict[str, float]:
@@ -78,7 +79,7 @@ def starts_from_declared(cost: Cost, effect: EffectChoice, known: Mapping[str, f
     def best_of(choices: Iterable[tuple[float, float]]) -> tuple[float, tuple[float, float]]:
         return min((cost(start(*choice)), choice) for choice in choices)
 
-    signs = (1.0, -1.0) if is_two_sided else (1.0,)
+    signs = (1.0, -1.0) if has_two_signs else (1.0,)
     coarse = best_of(itertools.product([sign * size for sign in signs for size in FROM_DECLARED], shapes))
     most = EXPLAINS * cost(known)
     size, shape = coarse[1]
@@ -132,12 +133,7 @@ def _is_saddle(effect: EffectChoice) -> bool:
 
 
 def _sizes(parameter: Parameter) -> list[float]:
-    return [sign * size for size in LARGE for sign in ((1.0, -1.0) if _is_two_sided(parameter) else (1.0,))]
-
-
-def _is_two_sided(parameter: Parameter) -> bool:
-    lower, upper = internal_bounds(parameter)
-    return parameter.off is not None and lower < to_internal(parameter, parameter.off) < upper
+    return [sign * size for size in LARGE for sign in ((1.0, -1.0) if is_two_sided(parameter) else (1.0,))]
 
 
 def _start(effect: EffectChoice, sizes: Sequence[float], shape: float) -> dict[str, float]:

@@ -1,14 +1,15 @@
 """Replay validation: does a declared valve under the recorded commands reproduce the measurement?
 
-Nothing about the valve is fitted. Only nuisance parameters are estimated, within their priors: the offset between the
-clocks of commands and samples and, on request, an error of each command's stamp (theory, eq. (26)). Declared values
-with a tolerance are nuisances, too: of one valve, and so from all its recordings together.
+Nothing of the valve is estimated, only errors of each recording, within their priors: the offset between the clocks of
+commands and samples and, where the evidence is for it, an error of each command's stamp (theory, eq. (26)). Tolerances
+of declared values widen the band within which the measurement is expected.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final, NamedTuple
@@ -16,20 +17,19 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.identification.estimation.declared_values import DeclaredValue, declared_values, out_of_tolerance
 from valve_sim.identification.estimation.problem import Problem
-from valve_sim.identification.estimation.solver import fit
+from valve_sim.identification.estimation.recording import fit_recording
 from valve_sim.identification.plants.protocol import READABLE_UNITS, Array
 from valve_sim.identification.plants.recording_errors import CLOCK_SIGMA, drive_with, zero_with
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.validation.motion import motion_of
-from valve_sim.model import EXACT, Event, EventKind, Valve, ValveError
+from valve_sim.model import EXACT, Event, EventKind, SimulationError, Valve, ValveError
 from valve_sim.traces import SensorEvent, Signal, StrokePart, Trace, events_from_sensors, find_stroke_parts
 from valve_sim.traces.checking import check_traces
 from valve_sim.traces.long_columns import blocks
 
 NOISE_FACTOR: Final = 3.0
-"""The default tolerance, in standard deviations of the sensor's noise."""
+"""The default tolerance, in standard deviations of what is predicted."""
 FINEST_TOLERANCE: Final = 0.15e-6
 """m: three times the repeatability of the paper's laser, for recordings without noise."""
 FINEST_CURRENT: Final = 0.1e-3
@@ -58,17 +58,24 @@ class Errors(NamedTuple):
         rmse: over all of them.
         moving_rmse: over those in which the model moves, 1 ms around included; nan where it does not move.
         maximum: the largest absolute error.
+        tolerance: of `judged`.
     """
 
     samples: int
     rmse: float
     moving_rmse: float
     maximum: float
+    tolerance: float
 
     @property
     def judged(self) -> float:
         """The error that is compared with the tolerance: a long rest must not hide a wrong motion."""
         return self.rmse if math.isnan(self.moving_rmse) else max(self.rmse, self.moving_rmse)
+
+    @property
+    def is_within(self) -> bool:
+        """Whether it is within the tolerance."""
+        return self.judged <= self.tolerance
 
 
 class Arrival(NamedTuple):
@@ -98,7 +105,7 @@ class Replay:
         measured: what is judged: the positions, m, or where none were recorded the currents, A, or pressures, Pa.
         predicted: (n,) the same by the model.
         clock_offset: s, by which samples are stamped late.
-        noise: standard deviation of the sensor. tolerance: of the errors, both in the unit of `measured`.
+        noise: standard deviation of the sensor, in the unit of `measured`.
         errors: over the whole recording. strokes: one by one.
     """
 
@@ -108,7 +115,6 @@ class Replay:
     predicted: Array
     clock_offset: float
     noise: float
-    tolerance: float
     errors: Errors
     strokes: tuple[StrokeCheck, ...]
 
@@ -120,7 +126,12 @@ class Replay:
     @property
     def passed(self) -> bool:
         """Whether every stroke, and the recording as a whole, is within the tolerance."""
-        return all(errors.judged <= self.tolerance for errors in (self.errors, *(s.errors for s in self.strokes)))
+        return all(errors.is_within for errors in (self.errors, *(stroke.errors for stroke in self.strokes)))
+
+    @property
+    def tolerance(self) -> float:
+        """Of the recording as a whole; by default each stroke has its own."""
+        return self.errors.tolerance
 
 
 @dataclass(frozen=True)
@@ -128,17 +139,15 @@ class Validation:
     """Recordings replayed against one declared valve.
 
     Attributes:
-        replays: one for each recording, on the valve as all of them together want it within its tolerances.
-        declared: its values that have a tolerance, as declared and as wanted.
+        replays: one for each recording.
     """
 
     replays: tuple[Replay, ...]
-    declared: tuple[DeclaredValue, ...] = ()
 
     @property
     def passed(self) -> bool:
-        """Whether all are within their tolerance, and no declared value has to be out of its own for that."""
-        return all(replay.passed for replay in self.replays) and not out_of_tolerance(self.declared)
+        """Whether all are within their tolerance."""
+        return all(replay.passed for replay in self.replays)
 
 
 def validate(
@@ -148,21 +157,20 @@ def validate(
     *,
     current_tolerance: float | None = None,
     pressure_tolerance: float | None = None,
-    command_jitter: bool = False,
     progress: Progress | None = None,
 ) -> Validation:
     """Replay recordings on a declared valve.
 
     A stroke passes when the root mean square of its error, over all its samples and over those in which the model
-    moves, is within the tolerance. A declared value that has to be off by more than three of its own for that fails.
+    moves, is within the tolerance.
 
     Args:
         traces: measured strokes.
         valve: the declared valve.
-        tolerance: m, of recordings with positions; default NOISE_FACTOR times the noise of each recording, at least
+        tolerance: m, of recordings with positions; default, of each stroke, NOISE_FACTOR times the standard deviation
+            of what is predicted, by the sensor's noise and the tolerances of declared values; at least
             FINEST_TOLERANCE. current_tolerance: A, of those without; at least FINEST_CURRENT. pressure_tolerance: Pa,
             of the outlet's pressure, which is judged by itself; at least FINEST_PRESSURE.
-        command_jitter: estimate an error of each command's stamp too, prior N(0, CLOCK_SIGMA).
         progress: told what is being done, and the fraction done.
 
     Raises:
@@ -178,42 +186,43 @@ def validate(
     if pressure_tolerance is not None and not 0.0 < pressure_tolerance < math.inf:
         raise ValveError(f"--tolerance-kpa {1e-3 * pressure_tolerance:g}: expected a pressure above 0")
     given = {"position": tolerance, "current": current_tolerance, "outlet_pressure": pressure_tolerance}
-    valve, declared = _within_tolerances(traces, valve, command_jitter=command_jitter)
     replays = []
     for index, trace in enumerate(traces):
         if progress is not None:
             progress(f"replaying {trace.source}", index / len(traces))
         for part in _parts(trace, valve):
-            replays.append(replay_trace(part, valve, given[part.judged], command_jitter=command_jitter))
-    return Validation(tuple(replays), declared)
+            replays.append(replay_trace(part, valve, given[part.judged]))
+    return Validation(tuple(replays))
 
 
-def replay_trace(trace: Trace, valve: Valve, tolerance: float | None = None, *, command_jitter: bool = False) -> Replay:
-    """Replay one recording on a valve as it stands; arguments as in `validate`.
+def replay_trace(trace: Trace, valve: Valve, tolerance: float | None = None) -> Replay:
+    """Replay one recording on a valve as it is declared; arguments as in `validate`.
 
     Raises:
         SimulationError: the valve cannot be simulated.
     """
-    valve = replace(valve, tolerances=EXACT)
     # Before there is a prediction: each of them needs as much memory, for a moment, as that of a long recording.
     seen: dict[StrokePart, Sequence[SensorEvent]] = dict.fromkeys(find_stroke_parts(trace), ())
     seen |= {found.stroke: found.events for found in events_from_sensors(trace, valve.parameters.pilot_gap)}
-    plant = ValvePlant([_judged(trace)], valve)
-    problem = Problem(plant)
-    timing = plant.timing_errors if command_jitter else ()
-    nuisances = fit(problem, (), {}, nuisances=(*plant.nuisances, *timing)).values
+    problem = Problem(ValvePlant([_judged(trace)], replace(valve, tolerances=EXACT)))
+    nuisances = fit_recording(problem, {}).values
     offset = nuisances["clock_offset[0]"]
     drive = drive_with(trace, 0, nuisances, valve.parameters.release_voltage)
     times = trace.sample_times
     start = min(float(drive.times.min(initial=math.inf)), float(times[0])) - CLOCK_SIGMA
     kind, _, finest = _JUDGED[trace.judged]
     noise, measured = problem.noises[kind].sigma, trace.judged_signal
-    del plant, problem  # of a long recording what they hold is large
-    motion = motion_of(valve, trace, drive, times, start, offset)
-    shown = motion.shown
+    del problem  # of a long recording what they hold is large
+    motion = motion_of(replace(valve, tolerances=EXACT), trace, drive, times, start, offset)
+    shown, variance = motion.shown, np.full(len(times), noise**2)
+    if tolerance is None:
+        for moved in _within_tolerances(trace, valve):
+            with suppress(SimulationError):
+                variance += np.square(motion_of(moved, trace, drive, times, start, offset).shown - shown)
     if trace.has_positions:
         shown += zero_with(0, nuisances)
-    errors_of = partial(_errors, measured.values, shown, _moving(times, motion.is_moving))
+    allowed = Allowed(variance, finest) if tolerance is None else tolerance
+    errors_of = partial(_errors, measured.values, shown, _moving(times, motion.is_moving), allowed)
     return Replay(
         trace,
         valve,
@@ -221,10 +230,27 @@ def replay_trace(trace: Trace, valve: Valve, tolerance: float | None = None, *, 
         shown,
         offset,
         noise,
-        max(NOISE_FACTOR * noise, finest) if tolerance is None else tolerance,
         errors_of(slice(None)),
         tuple(_stroke_checks(trace, seen, (motion.events, offset), errors_of)),
     )
+
+
+class Allowed(NamedTuple):
+    """The default tolerance.
+
+    Attributes:
+        variance: (n,) of what is predicted, noise included. finest: the least tolerance.
+    """
+
+    variance: Array
+    finest: float
+
+    def of(self, chosen: slice, moving: NDArray[np.bool_]) -> float:
+        """For some samples: NOISE_FACTOR standard deviations, over all of them or those that move."""
+        variances, largest = self.variance[chosen], 0.0
+        for own in (variances, variances[moving[chosen]]):
+            largest = max(largest, float(np.mean(own)) if len(own) else 0.0)
+        return max(NOISE_FACTOR * math.sqrt(largest), self.finest)
 
 
 class _Judged(NamedTuple):
@@ -262,16 +288,14 @@ def _judged(trace: Trace) -> Trace:
     return replace(trace, coil_current=None) if trace.has_positions else trace
 
 
-def _within_tolerances(
-    traces: Sequence[Trace], valve: Valve, *, command_jitter: bool
-) -> tuple[Valve, tuple[DeclaredValue, ...]]:
-    """The valve with the estimates of its toleranced values; itself where all are exact."""
+def _within_tolerances(trace: Trace, valve: Valve) -> Iterator[Valve]:
+    """The valve, with one of its declared values after another off by its tolerance; none where all are exact."""
     if valve.tolerances.is_exact:
-        return valve, ()
-    plant = ValvePlant([_judged(trace) for trace in traces], valve)
-    timing = plant.timing_errors if command_jitter else ()
-    found = fit(Problem(plant), (), {}, nuisances=(*plant.nuisances, *timing))
-    return plant.with_values(found.values), declared_values(found)
+        return
+    plant = ValvePlant([_judged(trace)], valve)
+    for own in plant.nuisances:
+        if own.is_of_machine:
+            yield replace(plant.with_values({own.name: own.mean + own.sigma}), tolerances=EXACT)
 
 
 def _moving(times: Array, is_moving: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -289,7 +313,9 @@ def _moving(times: Array, is_moving: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return moving
 
 
-def _errors(measured: Array, shown: Array, moving: NDArray[np.bool_], chosen: slice) -> Errors:
+def _errors(
+    measured: Array, shown: Array, moving: NDArray[np.bool_], allowed: Allowed | float, chosen: slice
+) -> Errors:
     """Over the chosen samples, a block of them at a time."""
     own = range(*chosen.indices(len(measured)))
     squares, of_motion, samples, largest = [], [], 0, 0.0
@@ -300,7 +326,9 @@ def _errors(measured: Array, shown: Array, moving: NDArray[np.bool_], chosen: sl
         of_motion.append(float(np.sum(np.square(left[moving[block]]))))
         samples += int(np.count_nonzero(moving[block]))
         largest = max(largest, float(np.max(np.abs(left))))
-    return Errors(len(own), _root(math.fsum(squares), len(own)), _root(math.fsum(of_motion), samples), largest)
+    tolerance = allowed.of(chosen, moving) if isinstance(allowed, Allowed) else allowed
+    rmse, moving_rmse = _root(math.fsum(squares), len(own)), _root(math.fsum(of_motion), samples)
+    return Errors(len(own), rmse, moving_rmse, largest, tolerance)
 
 
 def _root(squares: float, samples: int) -> float:
