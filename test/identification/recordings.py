@@ -2,19 +2,37 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
 from plants.recording import Profile, Recorder, record, single_opening, train_profile
 
-from valve_sim.identification.plants.protocol import Channel
-from valve_sim.model import Drive
+from valve_sim.identification.plants.protocol import Channel, EffectChoice, ForceMap
+from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.model import Drive, Valve
 from valve_sim.traces import Trace
 
 FINE = Recorder(quantisation=0.1e-6)
 TRUTH = {"pilot_damping": 1.4, "main_damping": 3.2}
 """N·s/m, neither of them declared."""
+
+
+class Short(ValvePlant):
+    """A valve of whose catalogue few effects are tried, all declared values and no curves."""
+
+    force_maps: Sequence[ForceMap] = ()  # type: ignore[assignment]
+
+    def __init__(self, traces: Sequence[Trace], valve: Valve, few: Sequence[str]) -> None:
+        super().__init__(traces, valve)
+        self._few = few
+
+    @functools.cached_property
+    def effects(self) -> Mapping[str, EffectChoice]:  # type: ignore[override]
+        every = super().effects
+        return {name: every[name] for name in every if name in self._few or every[name].is_declared_value}
 
 
 def recorded(

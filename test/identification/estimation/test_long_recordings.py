@@ -25,8 +25,8 @@ BOTH = ("pilot_damping", "main_damping")
 USUAL_PIECES = valve_pieces.SAMPLES
 DIRECTIONS = [Direction({name: 1.0}, 1e-7) for name in (*BOTH, "clock_offset[0]")]
 COLOURED = {
-    "position": Noise(1e-6, 0.7e-6, (0.6, -0.2, 0.1), 0.0, 1.0, 1000),
-    "current": Noise(1e-3, 0.9e-3, (0.3,), 0.0, 1.0, 1000),
+    "position": Noise(1e-6, 0.7e-6, (0.6, -0.2, 0.1), 0.0, 1000),
+    "current": Noise(1e-3, 0.9e-3, (0.3,), 0.0, 1000),
 }
 
 

@@ -56,9 +56,9 @@ class LinearPlant:
         return [values.get("level", 0.0) * COLUMNS[:, 0] + self.shown(values)]
 
 
-def problem_of(plant: LinearPlant, variance_inflation: float = 1.0) -> Problem:
+def problem_of(plant: LinearPlant) -> Problem:
     """With noise that is known."""
-    noises = {"position": Noise(SIGMA, SIGMA, (), 0.0, variance_inflation, 10_000)}
+    noises = {"position": Noise(SIGMA, SIGMA, (), 0.0, 10_000)}
     return Problem(plant, noises=noises)  # type: ignore[arg-type]
 
 
