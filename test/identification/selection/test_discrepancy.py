@@ -22,7 +22,9 @@ from valve_sim.identification.selection.discrepancy import (
     Cell,
     Discrepancy,
     bounded_step,
+    lengths_of,
 )
+from valve_sim.identification.selection.discrepancy import LENGTHS as SHARES
 from valve_sim.model import Parameter
 
 STEP, SAMPLES, SIGMA = 1e-3, 120, 0.5
@@ -172,6 +174,20 @@ def test_where_nothing_moves_there_is_no_discrepancy() -> None:
     rows = np.ones((2 * SAMPLES, 1))
     np.testing.assert_array_equal(found.whiten(rows, Cell(1.6, 0)), rows)
     assert found.log_determinant(Cell(1.6, 0)) == 0.0
+
+
+def test_lengths_are_shares_of_a_stroke_however_many_recordings_there_are() -> None:
+    """Channels of another recording have other numbers."""
+    own = problem()
+    alone = lengths_of(own.plant, own.places)
+    assert alone == pytest.approx([share * 0.5 * 45 * STEP for share in SHARES])
+    places, others = own.places, own.places
+    several = places._replace(
+        channel=np.concatenate([places.channel, *(others.channel + 2 * number for number in (1, 2, 3))]),
+        stroke=np.concatenate([places.stroke, *(others.stroke + 2 * number for number in (1, 2, 3))]),
+        time=np.tile(places.time, 4), moves=np.tile(places.moves, 4), steady=np.tile(places.steady, 4),
+    )  # fmt: skip
+    assert lengths_of(own.plant, several) == pytest.approx(alone)
 
 
 def test_the_size_that_is_found_is_that_which_acts() -> None:
