@@ -7,15 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from valve_sim.identification.selection.hypotheses import Search
+from valve_sim.identification.selection.stepwise import Exploration
+from valve_sim.identification.selection.table import DECISIVE, Hypothesis
 
 from benchmarks.gas_recordings import drawn
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.plants.protocol import strokes_of_plant
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.selection.hypotheses import Search
 from valve_sim.identification.selection.score_test import score_gains
-from valve_sim.identification.selection.stepwise import Exploration
-from valve_sim.identification.selection.table import DECISIVE, Hypothesis
 
 VOLUME = "gas.outlet_volume"
 ORIFICE = Hypothesis(("gas.pilot_orifice_diameter",))

@@ -8,7 +8,6 @@ from collections.abc import Mapping
 
 import numpy as np
 import pytest
-from scipy.integrate import nquad
 
 from identification.selection.linear_plant import (
     COLUMNS,
@@ -37,7 +36,9 @@ def integral(information: Array, slopes: Array, room: Array) -> float:
         for (below, above), sigma in zip(room.tolist(), sigmas.tolist(), strict=True)
     ]
     axes = [np.polynomial.legendre.leggauss(80) for _ in ends]
-    places = [0.5 * (high - low) * points + 0.5 * (high + low) for (points, _), (low, high) in zip(axes, ends, strict=True)]
+    places = [
+        0.5 * (high - low) * points + 0.5 * (high + low) for (points, _), (low, high) in zip(axes, ends, strict=True)
+    ]
     weights = [0.5 * (high - low) * own for (_, own), (low, high) in zip(axes, ends, strict=True)]
     d = np.stack([own.ravel() for own in np.meshgrid(*places, indexing="ij")], axis=1)
     product = np.prod(np.stack([own.ravel() for own in np.meshgrid(*weights, indexing="ij")]), axis=0)
@@ -135,7 +136,9 @@ def test_the_evidence_counts_the_prior_of_a_nuisance_once() -> None:
     data = plant.channels[0].data / SIGMA
     covariance = np.eye(2) + columns.T @ columns
     pulled = columns.T @ data
-    expected = -0.5 * (data @ data - pulled @ np.linalg.solve(covariance, pulled)) - 0.5 * np.linalg.slogdet(covariance)[1]
+    expected = (
+        -0.5 * (data @ data - pulled @ np.linalg.solve(covariance, pulled)) - 0.5 * np.linalg.slogdet(covariance)[1]
+    )
     assert found.log_evidence == pytest.approx(float(expected), abs=1e-6)
 
 

@@ -21,7 +21,7 @@ from valve_sim.identification.estimation.findings import (
     ResidualNotWhite,
     StampErrors,
 )
-from valve_sim.identification.estimation.identify import DEFAULT_FREE, check_free, identify
+from valve_sim.identification.estimation.identify import check_free, identify
 from valve_sim.identification.estimation.intervals import Unbounded
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit

@@ -6,10 +6,11 @@ import math
 from dataclasses import replace
 
 import pytest
+from valve_sim.identification.diagnosis.decision import Claim, decide
+from valve_sim.identification.selection.table import Hypothesis
 
 from identification.recordings import recorded
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.diagnosis.decision import Claim, decide
 from valve_sim.identification.diagnosis.experiment_design import Recommendation
 from valve_sim.identification.diagnosis.run import Diagnosis, Grounds, Verdict, diagnose
 from valve_sim.identification.estimation.declared_values import DeclaredValue
@@ -22,7 +23,6 @@ from valve_sim.identification.reporting.summary import recording_advice, summari
 from valve_sim.identification.reporting.text import diagnosis_text
 from valve_sim.identification.reporting.units import limits, measured, quantity
 from valve_sim.identification.reporting.wording import headline, kind_words, meanings, rounding_words
-from valve_sim.identification.selection.table import Hypothesis
 from valve_sim.model import CATALOGUE
 
 NAMED = [name for name, entry in CATALOGUE.items() if entry.named]

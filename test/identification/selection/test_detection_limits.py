@@ -55,7 +55,6 @@ def plant_of(switch: Parameter, off_by: float, seed: int) -> LinearPlant:
         return np.asarray(columns @ np.array(sizes) + values.get("known", 0.0) * COLUMNS[:, 5])
 
     effects = [EffectChoice(name, (switch,)) for name in names]
-    plant = LinearPlant(measured(seed), shown, effects=effects, nuisances=[DRIFT])
     known = float(np.random.default_rng(seed).normal(0.0, DRIFT.sigma))
     acting = shown({"first.size": switch.off + off_by, "known": known})
     return LinearPlant(measured(seed) + acting, shown, effects=effects, nuisances=[DRIFT])
@@ -131,7 +130,7 @@ def test_a_tolerance_hides_the_effect_that_is_the_same_thing(exact: dict[str, di
 @pytest.mark.xfail(
     strict=True,
     raises=AssertionError,
-    reason="the change by a twentieth of a prior scale is no tangent: what a clock leaves of it is taken for the effect",
+    reason="a twentieth of a prior scale is no small move: what a clock leaves of it is taken for the effect",
 )
 def test_what_a_clock_can_do_is_priced_by_its_prior(exact: dict[str, dict[str, float]]) -> None:
     """A sensor that is late is a clock that is off, which is known to 50 µs."""

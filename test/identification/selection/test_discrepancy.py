@@ -1,4 +1,4 @@
-"""The discrepancy's structured algebra beside the whole covariance matrix, which a small recording allows to write out."""
+"""The discrepancy's structured algebra beside the whole covariance matrix, written out for a small recording."""
 
 from __future__ import annotations
 
@@ -144,9 +144,7 @@ def test_about_a_fit_that_has_the_discrepancy_in_its_whitening_it_is_the_same() 
     plain = fit(own, (), {}, nuisances=[WIDE, NARROW])
     found = Discrepancy(own.places, LENGTHS)
     expected = found.spread(plain)
-    beside = fit(
-        own.with_whitening(lambda rows: found.whiten(rows, expected.cell)), (), {}, nuisances=[WIDE, NARROW]
-    )
+    beside = fit(own.with_whitening(lambda rows: found.whiten(rows, expected.cell)), (), {}, nuisances=[WIDE, NARROW])
     assert abs(beside.values["narrow"] - plain.values["narrow"]) > 1e-3
     assert found.spread(beside).log_evidence == pytest.approx(expected.log_evidence, abs=1e-6)
     # Its criterion is that of the whitened residuals.
@@ -199,7 +197,9 @@ def test_the_size_that_is_found_is_that_which_acts() -> None:
     for _ in range(20):
         own.plant.channels = [
             Channel(one.name, one.kind, one.times, SIGMA * part, one.quiet, one.group)
-            for one, part in zip(own.plant.channels, np.split(factor @ random.standard_normal(2 * SAMPLES), 2), strict=True)
+            for one, part in zip(
+                own.plant.channels, np.split(factor @ random.standard_normal(2 * SAMPLES), 2), strict=True
+            )
         ]
         result = fit(own, (), {}, nuisances=[WIDE, NARROW])
         sizes.append(Discrepancy(own.places, LENGTHS).spread(result).size)

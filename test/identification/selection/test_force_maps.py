@@ -48,7 +48,12 @@ class Fits:
     """
 
     def __init__(
-        self, patch: pytest.MonkeyPatch, evidence: Mapping[str, float], *maps: ForceMap, white: str = "", further: int = 0
+        self,
+        patch: pytest.MonkeyPatch,
+        evidence: Mapping[str, float],
+        *maps: ForceMap,
+        white: str = "",
+        further: int = 0,
     ) -> None:
         self.evidence, self.maps, self.white = evidence, maps, white
         self.calls: list[dict[str, Any]] = []
@@ -61,9 +66,7 @@ class Fits:
         )
         patch.setattr(force_maps, "fit", self.fit)
         patch.setattr(force_maps, "likely_periods", self.periods)
-        patch.setattr(
-            force_maps, "adequacy", lambda one: Adequacy(float(one.over in self.white.split("; ")), "", 0.0)
-        )
+        patch.setattr(force_maps, "adequacy", lambda one: Adequacy(float(one.over in self.white.split("; ")), "", 0.0))
 
     def say(self, what: str, fraction: float) -> None:
         self.said.append(what)
@@ -123,7 +126,9 @@ def test_curves_compete_beside_what_a_fit_estimates_and_waves_and_time_do_not(mo
 def test_maps_come_by_their_evidence_and_curves_that_are_known_are_not_fitted_again(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    fits = Fits(monkeypatch, {"x": -60.0, "v": -50.0, "t": -55.0, "x, periodic": -70.0}, OVER_X, OVER_V, OVER_TIME, TURNS)
+    fits = Fits(
+        monkeypatch, {"x": -60.0, "v": -50.0, "t": -55.0, "x, periodic": -70.0}, OVER_X, OVER_V, OVER_TIME, TURNS
+    )
     assert fits.fitted() == [("v", -50.0), ("t", -55.0), ("x", -60.0), ("x, periodic", -70.0)]
     assert sum(OVER_X.free[0] in call["free"] for call in fits.calls) == 1
 

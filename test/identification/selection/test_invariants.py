@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from plants.recording import Recorder
 
+from identification.diagnosis.test_run import DECLARED
 from identification.recordings import Short, recorded
 from identification.selection.linear_plant import COLUMNS, SAMPLES, SIGMA, LinearPlant, measured
-from identification.diagnosis.test_run import DECLARED
 from valve_sim.identification.diagnosis.run import diagnose_plant
 from valve_sim.identification.estimation.noise import Noise
 from valve_sim.identification.estimation.problem import Problem
@@ -107,7 +107,11 @@ def test_other_names_in_another_order_change_no_probability() -> None:
     same = {name: name for name in EFFECTS}
     new = dict(zip(EFFECTS, ("zeta", "eta", "epsilon", "aleph"), strict=True))
     first = searched(same, list(EFFECTS)).posterior()
-    for names, order in ((same, [*reversed(EFFECTS)]), (new, list(EFFECTS)), (new, ["gamma", "alpha", "delta", "beta"])):
+    for names, order in (
+        (same, [*reversed(EFFECTS)]),
+        (new, list(EFFECTS)),
+        (new, ["gamma", "alpha", "delta", "beta"]),
+    ):
         second = searched(names, order).posterior()
         for name, probability in first.inclusion().items():
             assert second.inclusion()[names[name]] == pytest.approx(probability, abs=1e-4)

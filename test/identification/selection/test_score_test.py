@@ -82,7 +82,9 @@ def gained(columns: Array, plant: LinearPlant) -> float:
 def test_the_gain_of_a_switch_is_that_of_its_refit(size: float, switch: Parameter) -> None:
     """From 3 standard errors on the wrong side of a one-sided range to 60 on the right one."""
     plant = LinearPlant(
-        measured() + size * COLUMNS[:, 1], lambda values: values.get("e.size", 0.0) * COLUMNS[:, 1], effects=only(switch)
+        measured() + size * COLUMNS[:, 1],
+        lambda values: values.get("e.size", 0.0) * COLUMNS[:, 1],
+        effects=only(switch),
     )
     base = base_of(plant)
     assert log_gains(base) == {"e": pytest.approx(gain_of_refit(base, "e"), abs=0.05, rel=1e-3)}
