@@ -108,7 +108,7 @@ def by_brute_force(found: Fit, columns: Array) -> float:
 @pytest.mark.parametrize("size", [0.0, 0.1, 3.0])
 @pytest.mark.parametrize("lower", [-1e6, 0.0])
 def test_the_evidence_of_a_fit_is_its_integral(size: float, lower: float) -> None:
-    """Of two values with Cauchy densities, one of them perhaps one-sided, and without or with a value in a tolerance."""
+    """Of two values with Cauchy densities, one perhaps one-sided, or of one beside a value in a tolerance."""
     switch = Parameter("size", "N", "added", lower, 1e6, 0.2, 0.0)
     drift = Nuisance("drift", 0.02, "m")
 

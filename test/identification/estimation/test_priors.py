@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -41,7 +42,7 @@ LOG_NORMAL, EVEN = LogNormal(1.4, 0.7), Even(-2.0, 3.5)
 def test_a_density_integrates_to_one(prior: Prior, pieces: tuple[float, ...]) -> None:
     parts = [
         quad(lambda at: math.exp(prior.log_density(at)) if at > 0.0 or prior is not LOG_NORMAL else 0.0, low, high)[0]
-        for low, high in zip(pieces[:-1], pieces[1:], strict=True)
+        for low, high in itertools.pairwise(pieces)
     ]
     assert sum(parts) == pytest.approx(1.0, abs=1e-6)
 
