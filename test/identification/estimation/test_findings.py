@@ -20,7 +20,7 @@ def made_up(correlation: list[list[float]], **changes: Any) -> Fit:
     clock = SimpleNamespace(name="clock_offset[0]")
     plant = SimpleNamespace(declared=lambda name: 1.0, nuisances=(clock,), timing_errors=stamps)
     noises = {"position": SimpleNamespace(samples=1000)}
-    problem = SimpleNamespace(plant=plant, effective_samples=1000, noises=noises, variance_inflation=1.0)
+    problem = SimpleNamespace(plant=plant, effective_samples=1000, noises=noises)
     content = {
         "problem": problem, "free": NAMES, "chi2": 1000.0, "nuisances": plant.nuisances, "values": {},
         "converged": True, "correlation": lambda: np.array(correlation), "on_bound": lambda name: None,

@@ -79,16 +79,17 @@ def test_a_damping_of_a_phase_that_never_comes_is_not_identifiable() -> None:
 
 
 def test_two_parameters_that_do_the_same_are_named_together() -> None:
-    result = identify([one_opening()], EXACT_VALVE, ("pilot_damping", "seat_load"))
+    """Of a lag and a time constant the data tell the sum alone; so their priors are all that tells them apart."""
+    result = identify([one_opening()], EXACT_VALVE, ("coil_time_constant", "coil_lag.time_constant"))
     (pair,) = (finding for finding in result.findings if isinstance(finding, Correlated))
-    assert {pair.name, pair.other} == {"pilot_damping", "seat_load"}
+    assert {pair.name, pair.other} == {"coil_time_constant", "coil_lag.time_constant"}
     assert pair.correlation > 0.99
 
 
 def test_a_parameter_on_its_bound_is_said_to_be_there() -> None:
-    weak = EXACT_VALVE.with_values(a0=2.95)
-    result = identify([recorded(pilot_damping=0.0)], weak, ("pilot_damping",))
-    assert OnBound("pilot_damping", "lower") in result.findings
+    weak = EXACT_VALVE.with_values(**TRUTH, a0=2.95)
+    result = identify([recorded()], weak, ("coulomb_friction.force",))
+    assert OnBound("coulomb_friction.force", "lower") in result.findings
 
 
 def test_several_bags_make_one_fit() -> None:

@@ -36,12 +36,12 @@ def fitted(truth: np.ndarray, places: np.ndarray, seed: int, *, repeats: bool = 
     smooth = Smoothness(tuple(f"c{number}" for number in where), -np.inf, repeats=repeats)
     gradient = -columns.T @ (measured / NOISE)
     for _ in range(12):
-        smooth = smooth.chosen(information, gradient + information @ at, at, where, 1.0)
+        smooth = smooth.chosen(information, gradient + information @ at, at, where)
         normal = information.copy()
         normal[np.ix_(where, where)] += smooth.precision
         at = np.linalg.solve(normal, -gradient)
     known = np.linalg.inv(normal)[np.ix_(where, where)]
-    covariance = smooth.covariance(information, gradient + information @ at, at, where, 1.0)
+    covariance = smooth.covariance(information, gradient + information @ at, at, where)
     own = shapes * NOISE
     errors = [np.sqrt(np.einsum("ij,jk,ik->i", own, one, own)) for one in (covariance, known)]
     return Found(own @ at[where], errors[0], errors[1], smooth)
@@ -107,7 +107,7 @@ def test_a_weight_changes_by_little_in_one_step() -> None:
     information = 1e8 * np.eye(COUNT)
     smooth = Smoothness(tuple(f"c{number}" for number in range(COUNT)), -np.inf)
     gradient = 1e8 * np.random.default_rng(0).standard_normal(COUNT)
-    once = smooth.chosen(information, gradient, np.zeros(COUNT), np.arange(COUNT), 1.0)
+    once = smooth.chosen(information, gradient, np.zeros(COUNT), np.arange(COUNT))
     assert max(once.weights) / min(smooth.weights) <= 30.0 * (1 + 1e-9)
     assert min(once.weights) / max(smooth.weights) == pytest.approx(1 / 30.0)
 
@@ -121,7 +121,7 @@ def test_a_curve_that_all_else_can_take_the_place_of_has_weights_all_the_same() 
     where = np.arange(COUNT + 1, 2 * COUNT + 1)
     smooth = Smoothness(tuple(f"c{number}" for number in where), -np.inf)
     # Of the curve's own information rounding is left, of either sign.
-    chosen = smooth.chosen(columns.T @ columns, -columns.T @ measured, np.zeros(2 * COUNT + 1), where, 1.0)
+    chosen = smooth.chosen(columns.T @ columns, -columns.T @ measured, np.zeros(2 * COUNT + 1), where)
     assert np.all(np.isfinite(chosen.weights))
 
 
@@ -130,6 +130,6 @@ def test_a_curve_whose_bends_overflow_has_a_band_all_the_same() -> None:
     where = np.arange(20)
     smooth = Smoothness(tuple(f"c{number}" for number in where), -np.inf)
     gradient = 1e160 * np.sin(where)
-    covariance = smooth.covariance(np.eye(20), gradient, np.zeros(20), where, 1.0)
+    covariance = smooth.covariance(np.eye(20), gradient, np.zeros(20), where)
     assert covariance.shape == (20, 20)
     assert np.all(np.isfinite(covariance)) and np.all(np.diag(covariance) > 0.0)

@@ -25,7 +25,7 @@ def problem(data: Array, quiet: Array, declared: Array) -> Problem:
     groups = np.zeros(SAMPLES, dtype=np.int64)
     channel = Channel("seen", "position", np.arange(SAMPLES) / 2e4, STEP * np.round(data / STEP), quiet, groups)
     plant = SimpleNamespace(channels=[channel], predict=lambda values: [values.get("shown", declared)])
-    return Problem(plant, noises={"position": Noise(1e-6, 1e-6, (), STEP, 1.0, 200)})  # type: ignore[arg-type]
+    return Problem(plant, noises={"position": Noise(1e-6, 1e-6, (), STEP, 200)})  # type: ignore[arg-type]
 
 
 def weights(data: Array, quiet: Array, declared: Array) -> Array:

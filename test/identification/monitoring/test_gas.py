@@ -81,7 +81,7 @@ def strokes_of(made: Strokes) -> list[StrokeRecord]:
 
 def baseline() -> Baseline:
     """Of the valve as declared, with what commissioning would leave open of its dampings."""
-    noise = Noise(NOISE, NOISE, (), 0.0, 1.0, 1000)
+    noise = Noise(NOISE, NOISE, (), 0.0, 1000)
     return Baseline(VALVE, 0.0, 50e-6, 50e-6, noise, np.diag([1e-8, 1e-8]))
 
 

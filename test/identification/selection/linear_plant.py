@@ -49,16 +49,15 @@ class LinearPlant:
         return self.parameters.get(name, Parameter(name, "m", "of a sum", -1e6, 1e6, 1.0, 0.0))
 
     def declared(self, name: str) -> float:
-        off = self.parameter(name).off
-        return 0.0 if off is None else off
+        return self.parameter(name).neutral
 
     def predict(self, values: Mapping[str, float]) -> list[Array]:
         return [values.get("level", 0.0) * COLUMNS[:, 0] + self.shown(values)]
 
 
-def problem_of(plant: LinearPlant, variance_inflation: float = 1.0) -> Problem:
+def problem_of(plant: LinearPlant) -> Problem:
     """With noise that is known."""
-    noises = {"position": Noise(SIGMA, SIGMA, (), 0.0, variance_inflation, 10_000)}
+    noises = {"position": Noise(SIGMA, SIGMA, (), 0.0, 10_000)}
     return Problem(plant, noises=noises)  # type: ignore[arg-type]
 
 

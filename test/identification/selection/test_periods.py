@@ -12,6 +12,8 @@ from valve_sim.identification.selection.hypotheses import Search
 from valve_sim.identification.selection.table import Hypothesis
 
 from valve_sim.identification.estimation.problem import Problem
+from valve_sim.identification.estimation.result import Fit
+from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import ForceMap
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.selection.force_maps import fit_maps
@@ -40,18 +42,22 @@ class Mapped(ValvePlant):
         return [choice for choice in super().force_maps if choice.variable in self.variables]
 
 
-def begun(effects: dict[str, dict[str, float]], *variables: str, recorder: Recorder = COARSE) -> Search:
+def quietly(what: str, done: float) -> None:
+    """No word of what is being tried."""
+
+
+def begun(effects: dict[str, dict[str, float]], *variables: str, recorder: Recorder = COARSE) -> Fit:
     plant = Mapped([recorded(recorder, effects=effects)], DECLARED)
     plant.variables = variables
-    return Search(Problem(plant))
+    return fit(Problem(plant), plant.base, {}, nuisances=plant.nuisances)
 
 
 @pytest.mark.parametrize("recorder", [COARSE, Recorder()], ids=["coarse", "fine"])
 def test_a_vibration_is_found_that_throws_a_resting_plunger_off_its_seat(recorder: Recorder) -> None:
     """Half of each wave lifts it and the other half presses it down, which no sum of a sine and a cosine can show."""
-    search = begun({"vibration": VIBRATION}, "t, periodic", recorder=recorder)
-    (choice,) = search.problem.plant.force_maps
-    first = likely_periods(choice, search.fit(Hypothesis(())))[0][:2]
+    base = begun({"vibration": VIBRATION}, "t, periodic", recorder=recorder)
+    (choice,) = base.problem.plant.force_maps
+    first = likely_periods(choice, base)[0][:2]
     frequencies = [1.0 / period.length for period in first]
     assert min(abs(frequency - VIBRATION["frequency"]) for frequency in frequencies) < 0.5 / DURATION
 
@@ -60,14 +66,14 @@ def test_the_fits_of_a_few_periods_tell_the_true_one() -> None:
     """The periodogram alone has higher peaks elsewhere."""
     frequency = 330.0
     effects = {"vibration": {"amplitude": frequency / 7000.0, "frequency": frequency, "phase": 1.0}}
-    search = begun(effects, "t, periodic", recorder=Recorder())
-    (found,) = fit_maps(search, search.fit(Hypothesis(())))
+    base = begun(effects, "t, periodic", recorder=Recorder())
+    (found,) = fit_maps(base, [], quietly)
     assert 1.0 / (found.choice.high - found.choice.low) == pytest.approx(frequency, abs=0.1 / DURATION)
 
 
 def test_a_white_curve_over_time_does_not_end_the_search() -> None:
-    search = begun({"vibration": SLOW}, "t", "t, periodic")
-    found = fit_maps(search, search.fit(Hypothesis(())))
+    base = begun({"vibration": SLOW}, "t", "t, periodic")
+    found = fit_maps(base, [], quietly)
     assert adequacy(next(entry.fit for entry in found if entry.choice.variable == "t")).is_white
     assert found[0].choice.variable == "t, periodic"
     period = found[0].choice.high - found[0].choice.low
@@ -75,8 +81,8 @@ def test_a_white_curve_over_time_does_not_end_the_search() -> None:
 
 
 def test_a_ripple_over_the_stroke_is_found() -> None:
-    search = begun({"force_ripple": RIPPLE}, "x", "x, periodic")
-    found = fit_maps(search, search.fit(Hypothesis(())))
+    base = begun({"force_ripple": RIPPLE}, "x", "x, periodic")
+    found = fit_maps(base, [], quietly)
     assert found[0].choice.variable == "x, periodic"
     assert found[0].choice.high - found[0].choice.low == pytest.approx(RIPPLE["wavelength"], rel=0.01)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import pytest
 from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
 from plants.recording import Recorder, record, train_profile
@@ -11,52 +13,46 @@ from valve_sim.identification.selection.table import Hypothesis
 
 from benchmarks.campaign.cases import declared_valve
 from benchmarks.campaign.running import as_trace
-from valve_sim.identification.estimation.problem import Problem
+from identification.recordings import Short
+from valve_sim.identification.diagnosis.outcome import Verdict
+from valve_sim.identification.diagnosis.run import begin
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import Valve
 
 DECLARED = float(CAMPAIGN_VALVE["coil_time_constant"])  # type: ignore[arg-type]
 SIGMA = 0.02 * DECLARED
-LAG, WRONG = Hypothesis(("coil_lag",)), Hypothesis(("valve.coil_time_constant",))
+LAG, WRONG = "coil_lag", "valve.coil_time_constant"
 
 
 def declared_within(**tolerances: float) -> Valve:
     return declared_valve(CAMPAIGN_VALVE, tolerances)
 
 
-def explored(tolerances_off: float) -> Exploration:
-    plant = DeclaredPlant(parameters={**CAMPAIGN_VALVE, "coil_time_constant": DECLARED + tolerances_off * SIGMA})
-    trace = as_trace(record(plant, train_profile(), Recorder(), 5), "train")
-    return Exploration(Search(Problem(ValvePlant([trace], declared_within(coil_time_constant=SIGMA)))))
+@cache
+def verdict(tolerances_off: float, *, is_whole: bool = False) -> Verdict:
+    """Of few effects, or of the whole catalogue."""
+    truth = DeclaredPlant(parameters={**CAMPAIGN_VALVE, "coil_time_constant": DECLARED + tolerances_off * SIGMA})
+    trace = as_trace(record(truth, train_profile(), Recorder(), 5), "train")
+    valve = declared_within(coil_time_constant=SIGMA)
+    plant = ValvePlant([trace], valve) if is_whole else Short([trace], valve, [LAG, "drive_gain"])
+    return begin(plant).name().verdict
 
 
-@pytest.mark.parametrize(("tolerances_off", "right", "other"), [(8.0, LAG, WRONG), (-8.0, WRONG, LAG)])
-def test_a_coil_that_is_later_has_the_name_of_the_effect_and_one_that_is_earlier_its_own(
-    tolerances_off: float, right: Hypothesis, other: Hypothesis
-) -> None:
-    exploration = explored(tolerances_off)
-    exploration.search.fit_each([right, other], (0.0, 1.0))
-    assert exploration.is_adequate(right)
-    assert exploration.best_claimable() == right
-    assert not exploration.is_claimable(other)
-    assert right in exploration.table()
-    assert (WRONG in exploration.table()) == (right == WRONG)
+def named(found: Verdict) -> set[str]:
+    return {*found.effects, *(other for others in found.confusable_with.values() for other in others)}
 
 
-@pytest.mark.parametrize("tolerances_off", [-2.6, 2.6])
-def test_a_value_within_three_tolerances_starts_no_search(tolerances_off: float) -> None:
-    exploration = explored(tolerances_off)
-    exploration.explore()
-    assert exploration.tried() == [Hypothesis(())]
-    assert max(exploration.screened.values()) > 0.0
+def test_a_coil_that_is_later_is_a_lag_or_a_wrong_value_and_one_that_is_earlier_is_wrong() -> None:
+    """Nothing tells a lag from a larger time constant; no lag is negative."""
+    later, earlier = verdict(8.0), verdict(-8.0)
+    assert later.kind == earlier.kind == "effects"
+    assert named(later) == {LAG, WRONG}
+    assert named(earlier) == {WRONG}
 
 
-@pytest.mark.parametrize("tolerances_off", [-5.0, 5.0])
-def test_one_that_is_clearly_beyond_starts_a_search(tolerances_off: float) -> None:
-    exploration = explored(tolerances_off)
-    exploration.search.fit(Hypothesis(()))
-    exploration.explore()
-    assert {LAG, WRONG} <= set(exploration.tried())
+@pytest.mark.parametrize("tolerances_off", [-1.5, 1.5])
+def test_a_value_within_its_tolerance_is_not_named(tolerances_off: float) -> None:
+    assert verdict(tolerances_off, is_whole=True).kind == "none"
 
 
 def test_freed_by_hand_the_coil_time_constant_has_its_natural_range() -> None:

@@ -19,6 +19,7 @@ from scipy.optimize import least_squares
 
 from valve_sim.identification.estimation.intervals import CHI2_RISE_95
 from valve_sim.identification.estimation.noise import Noise
+from valve_sim.identification.estimation.priors import Elsewhere, Prior
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.event_table import EventPlant, EventTable, reached
@@ -207,7 +208,15 @@ def event_problem(plant: EventPlant) -> Problem:
         channel.kind: Noise(event.uncertainty, event.uncertainty, (), 0.0, 0)
         for channel, event in zip(plant.channels, plant.table.events, strict=True)
     }
-    return Problem(plant, noises=noises)
+    return _OfEvents(plant, noises=noises)
+
+
+class _OfEvents(Problem):
+    """Two events and as many values: it is asked what meets them, however large."""
+
+    def prior(self, name: str) -> Prior:
+        """None."""
+        return Elsewhere()
 
 
 def _candidate(plant: EventPlant, search: Search, effects: Sequence[str]) -> Candidate:

@@ -247,9 +247,8 @@ def lengths_of(plant: Plant, places: RowPlaces) -> tuple[float, ...]:
     strokes = np.unique(places.stroke[places.moves])
     if not len(strokes) or not steps:
         return tuple(share for share in LENGTHS)
-    moving = [
-        np.count_nonzero(places.moves & (places.stroke == stroke) & (places.channel == places.channel[places.moves][0]))
-        for stroke in strokes
-    ]
+    # Each stroke by its own first channel: another recording has other channels.
+    channels = [places.channel[places.moves & (places.stroke == stroke)] for stroke in strokes]
+    moving = [np.count_nonzero(own == own[0]) for own in channels]
     # A stroke is there and back.
     return tuple(share * 0.5 * float(np.median(moving)) * steps[0] for share in LENGTHS)

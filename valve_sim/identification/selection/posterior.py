@@ -189,6 +189,8 @@ def class_of(weights: Mapping[Set, float], leader: Set) -> Class:
         if len(lost) == len(gained) == 1 and weight >= least:
             others[lost.pop()].append((weight, gained.pop()))
             alike.append(frozenset(names))
+    if not leader:
+        return Class((), {}, weights[()])
     # A further effect that is too small to be told makes no name wrong.
     total = math.fsum(weight for names, weight in weights.items() if any(one <= set(names) for one in alike))
     return Class(

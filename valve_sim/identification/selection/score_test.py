@@ -37,7 +37,7 @@ SIZES: Final = (SMALL_MOVE, 1.0)
 MOVES_NOTHING: Final = 1e-6
 """Standard deviations, over all samples: a direction that changes the residual by less is ignored."""
 GRID: Final = 400
-"""Points of the integral over a released value."""
+"""Points of the integral over a released value, for what the data say of it and for its prior each."""
 WIDE: Final = 8.0
 """Standard deviations, and prior scales, on either side of what is integrated over."""
 
@@ -204,17 +204,20 @@ def _released(result: Fit, own: Nuisance, effect: EffectChoice) -> float:
         return -math.inf
     sigma = 1.0 / math.sqrt(of_data)
     estimate = own.mean + (result.values[own.name] - own.mean) * (1.0 + 1.0 / (of_data * own.sigma**2))
-    width = math.hypot(sigma, own.sigma)
     after = _prior_of_released(result, own, effect)
     if isinstance(after, Cauchy) and sigma > after.scale:
         return -math.inf
-    low, high = _range_of(own, effect, min(estimate, own.mean) - WIDE * width, max(estimate, own.mean) + WIDE * width)
+    # The data may know it a thousand times better than its tolerance or worse: both widths are resolved.
+    steps, scale = np.linspace(-WIDE, WIDE, GRID), after.scale if isinstance(after, Cauchy) else own.sigma
+    places = np.concatenate([estimate + sigma * steps, own.mean + scale * steps])
+    low, high = _range_of(own, effect, float(np.min(places)), float(np.max(places)))
     if high <= low:
         return -math.inf
-    at = np.linspace(low, high, GRID)
+    at = np.unique(np.clip(places, low, high))
     density = np.exp([after.log_density(float(place)) - 0.5 * ((float(place) - estimate) / sigma) ** 2 for place in at])
-    before = Normal(own.mean, width).log_density(estimate) + math.log(math.sqrt(2.0 * math.pi) * sigma)
-    return math.log(max(float(np.sum(density)) * float(at[1] - at[0]), 1e-300)) - before
+    before = Normal(own.mean, math.hypot(sigma, own.sigma)).log_density(estimate)
+    mass = 0.5 * float(np.diff(at) @ (density[1:] + density[:-1]))
+    return math.log(max(mass, 1e-300)) - before - math.log(math.sqrt(2.0 * math.pi) * sigma)
 
 
 def _prior_of_released(result: Fit, own: Nuisance, effect: EffectChoice) -> Prior:

@@ -120,8 +120,12 @@ class Search:
 
     # -- what is known -------------------------------------------------------------------------------------------------
 
-    def table(self) -> dict[Set, Evidence]:
-        """Evidence of all that was fitted, begun, screened or left untried."""
+    def table(self, raised: float = 0.0) -> dict[Set, Evidence]:
+        """Evidence of all that was fitted, begun, screened or left untried.
+
+        Args:
+            raised: ln of the factor by which held-out data raise the odds of something unnamed beside the best.
+        """
         found = {names: tried.evidence for names, tried in self.tried.items()}
         base = self.tried[()]
         for names, tried in self.begun.items():
@@ -129,16 +133,17 @@ class Search:
         for names, plain in self.screened.items():
             found.setdefault(names, Evidence(plain, base.spread.log_evidence + plain - base.plain, is_fitted=False))
         if self.untried:
-            bound = Evidence(
-                max(one.plain for one in self.tried.values()),
-                max(one.spread.log_evidence for one in self.tried.values()), is_fitted=False,
-            )  # fmt: skip
+            # Of what was not tried it is not known that it leaves anything unnamed.
+            unnamed = max(one.spread.log_evidence for one in self.tried.values())
+            most = max(unnamed + raised, *(one.plain for one in self.tried.values()))
+            bound = Evidence(most, unnamed, is_fitted=False)
             found.update({names: bound for names in self.untried if names not in found})
         return found
 
     def posterior(self, curves: Sequence[float] = (), raised: Mapping[Set, float] | None = None) -> Posterior:
         """Of all that was tried."""
-        return posterior_of(self.rivals, self.table(), curves, raised)
+        table = self.table(max((raised or {}).values(), default=0.0))
+        return posterior_of(self.rivals, table, curves, raised)
 
     def _log_weight(self, names: Set) -> float:
         """Ln of prior times evidence of a fitted set, whatever acts beside it."""
