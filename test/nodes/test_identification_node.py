@@ -262,7 +262,7 @@ def test_a_diagnosis_is_published_too(samples: Path, probe: Probe, tmp_path: Pat
         assert probe.until(lambda: results, 3 * PATIENCE), "no result"
         assert probe.until(lambda: is_said(f"and {profile} for what to record next", heard))
     report = json.loads(results[0].data)
-    assert report["schema"] == "valve_sim/diagnosis/1"
+    assert report["schema"] == "valve_sim/diagnosis/2"
     assert load_valve(tmp_path / "corrected.yaml").parameters.stroke == 1.23e-3
     assert report["record_next"], "one stroke tells nothing apart"
     assert set(volts_at(default_valve(), STROKE_LEVELS)) <= set(read_profile(profile).volts)
