@@ -94,7 +94,7 @@ def with_errors_of_stamps(declared: Fit) -> Fit:
     if they are taken as they stand.
 
     Raises:
-        OutOfTimeError: its budget is used up. SimulationError: the valve cannot be simulated.
+        SimulationError: the valve cannot be simulated.
     """
     plant = declared.problem.plant
     nuisances = (*plant.nuisances, *plant.timing_errors)

@@ -33,7 +33,7 @@ class Options:
 
     Attributes:
         full: whether missing effects are searched for where the declared valve leaves nothing, too.
-        budget: s of a processor for one unit.
+        budget: s for one unit, each as much work as `Budget.of_seconds` makes of it, on any machine.
         largest: bytes of a bag that is still read.
         search: whether missing effects are searched for at all.
     """

@@ -39,7 +39,7 @@ class Outcome(NamedTuple):
         valve: the identified or corrected one. clock_offset: s by which the samples are stamped late.
         report: content of identify.json or report.json. file: where the valve was written.
         summary: one sentence for a person. intervals: by name of each fitted parameter.
-        objection: why the valve should not be handed on; empty where the residual is white.
+        objection: why the valve should not be handed on; empty where nothing speaks against it.
         advice: the profile to record next; None where nothing is to be told apart.
     """
 
@@ -132,7 +132,7 @@ def _objection_to(result: Identification) -> str:
 def _diagnosed(trace: Trace, declared: Valve, settings: Settings, folder: Path, progress: Progress) -> Outcome:
     # Imported where it is needed: it takes half a second.
     from valve_sim.identification.diagnosis.run import diagnose
-    from valve_sim.identification.diagnosis.trust import objection_to
+    from valve_sim.identification.diagnosis.trust import objection_to, what_is_left
     from valve_sim.identification.estimation.budget import Budget
     from valve_sim.identification.reporting.diagnosis_json import to_json
     from valve_sim.identification.reporting.recording_profile import write_record_next
@@ -141,6 +141,8 @@ def _diagnosed(trace: Trace, declared: Valve, settings: Settings, folder: Path, 
     result = diagnose([trace], [], declared, progress, Budget.of_seconds(settings.budget))
     file = folder / CORRECTED_FILE
     summary, report = summarise(result), to_json(result)
+    if result.verdict.kind == "effects" and (left := what_is_left(result)):
+        summary += f" Beside it {left}."
     provenance = _provenance(settings, summary)
     save_valve(file, result.valve, provenance)
     advice = write_record_next(folder, result, provenance)

@@ -10,7 +10,6 @@ import pytest
 
 from identification.live_strokes import LiveValve, feed
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.identification.monitoring.command_timing import (
     UNINFORMATIVE,
     ArrivalSpread,
@@ -19,16 +18,13 @@ from valve_sim.identification.monitoring.command_timing import (
     level_for,
     scatter_levels,
 )
-from valve_sim.identification.monitoring.fault_isolation import is_credible, isolate_fault
+from valve_sim.identification.monitoring.fault_isolation import isolate_fault
 from valve_sim.identification.monitoring.findings import DidNotOpen, StrokeRecord, StrokeState, TimingTooUncertain
 from valve_sim.identification.monitoring.monitor import Monitor
 from valve_sim.identification.monitoring.segmenter import CONFIRMED, StrokeSegmenter
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.monitoring.stroke_monitor import StrokeReport
-from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.monitoring_words import finding_words, remark_words
-from valve_sim.model import Drive
-from valve_sim.traces import Trace
 
 EXACT_VALVE = default_valve().exact()
 
@@ -171,28 +167,6 @@ def test_a_valve_that_obeys_before_its_command_comes_in_is_judged_from_its_rest_
     assert trace.pilot_position[0] < 10e-6
     assert trace.drive.times[0] - trace.times[0] > 0.008
     assert trace.pilot_position[-1] < 10e-6
-
-
-@pytest.mark.parametrize(
-    ("effect", "name", "value", "low", "high", "is_one"),
-    [
-        ("pressure_force", "force", -34_000.0, -134_000.0, 66_000.0, False),
-        ("pressure_force", "force", -34_000.0, -44_000.0, -24_000.0, False),
-        ("coulomb_friction", "force", 0.05, 0.0, 0.1, False),
-        ("coulomb_friction", "force", 0.31, 0.27, 0.35, True),
-        ("coulomb_friction", "force", 0.31, 0.27, math.inf, False),
-        ("drive_gain", "gain", 1.001, 0.999, 1.003, False),
-        ("drive_gain", "gain", 0.97, 0.969, 0.971, True),
-        ("magnetic_saturation", "current", 9.0, 4.0, math.inf, False),
-        ("magnetic_saturation", "current", 9.0, 8.0, 10.0, True),
-    ],
-)
-def test_what_holds_zero_or_is_beyond_nature_is_no_finding(
-    effect: str, name: str, value: float, low: float, high: float, is_one: bool
-) -> None:
-    trace = Trace("", Drive.of([0.0], [9.0]), np.linspace(0.0, 0.01, 50), np.zeros(50))
-    plant = ValvePlant([trace], EXACT_VALVE)
-    assert is_credible(effect, plant, {f"{effect}.{name}": Interval(value, 1.0, low, high)}) == is_one
 
 
 def test_a_valve_that_is_told_to_close_when_it_has_hardly_begun_to_open_is_not_judged() -> None:

@@ -104,7 +104,7 @@ def test_a_healthy_valve_raises_no_alarm_and_its_reports_are_in_milliamperes(mon
     healthy = Coil(monitor).strokes(9)
     assert monitor.stroke_monitor.alarms == 0
     assert np.mean([report.rms for report in healthy]) == pytest.approx(NOISE, rel=0.1)
-    report = stroke_json(healthy[-1])
+    report = stroke_json(healthy[-1], "/valve")
     assert report["residual_rms_ma"] == pytest.approx(1.0, rel=0.2)
     assert "residual_rms_um" not in report
     assert (report["opened"], report["closed"], report["fault"]) == (True, None, None)

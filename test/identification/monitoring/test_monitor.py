@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -99,7 +100,7 @@ def test_a_valve_that_is_less_noisy_than_declared_is_not_accused_for_moving_duri
 def test_a_report_tells_the_stroke(commissioned: tuple[Monitor, LiveValve]) -> None:
     monitor, valve = commissioned
     valve.strokes = 0
-    report = stroke_json(strokes(monitor, valve, 2)[-1])
+    report = stroke_json(strokes(monitor, valve, 2)[-1], "/valve")
     assert report["opened"] is True
     assert report["closed"] is True
     assert report["fault"] is None
@@ -155,6 +156,36 @@ def test_friction_that_grows_is_named() -> None:
     words = finding_words(finding)
     assert words.startswith("Coulomb friction 0.007")
     assert " N, none when commissioned" in words
+
+
+@pytest.mark.parametrize(
+    ("declared", "now", "parameters", "words"),
+    [
+        (
+            {"coulomb_friction": {"force": 0.3}}, {"coulomb_friction": {"force": 0.8}}, {},
+            ("Coulomb friction 0.", " N, declared 0.300 N"),
+        ),
+        ({"drive_gain": {"gain": 0.95}}, {"drive_gain": {"gain": 0.9}}, {}, ("Drive gain 0.90", ", declared 0.950")),
+        ({}, {}, {"spring_preload": 2.7}, ("Spring preload 2.70", " N, declared 2.52 N")),
+    ],
+    ids=["friction", "gain", "preload"],
+)  # fmt: skip
+def test_what_is_declared_and_is_another_now_is_named_with_what_was_declared(
+    declared: dict[str, dict[str, float]],
+    now: dict[str, dict[str, float]],
+    parameters: dict[str, float],
+    words: tuple[str, str],
+) -> None:
+    monitor, valve = Monitor(replace(EXACT_VALVE, effects=declared), refit=False), LiveValve(22, HEALTHY, jitter=0.0)
+    strokes(monitor, valve, 22, declared)
+    for _ in range(10):
+        list(feed(monitor, valve.stroke(now, **parameters)))
+    finding = isolate_fault(monitor.stroke_monitor.evidence()[-9:], monitor.stroke_monitor.with_present_scatter())
+    assert finding.verdict.kind == "effects"
+    assert finding.verdict.probability > 0.9
+    said = finding_words(finding)
+    assert said.startswith(words[0])
+    assert words[1] in said
 
 
 def test_a_changed_damping_is_said_to_be_one() -> None:

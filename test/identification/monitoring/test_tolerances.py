@@ -1,12 +1,14 @@
 """A monitor beside a valve whose declared values are off within their tolerances, by the independent plant."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from plants.declared import CAMPAIGN_VALVE
 
 from identification.live_strokes import LiveValve, feed
 from valve_sim.identification.estimation.intervals import Interval
-from valve_sim.identification.monitoring.fault_isolation import estimates, is_credible
+from valve_sim.identification.monitoring.fault_isolation import estimates
 from valve_sim.identification.monitoring.findings import StrokeState
 from valve_sim.identification.monitoring.memory import load_commissioning, save_commissioning
 from valve_sim.identification.monitoring.monitor import Monitor
@@ -67,13 +69,21 @@ def test_what_a_valve_is_built_with_is_no_fault_of_a_commissioned_one(commission
     assert in_service - any_valve == {"pilot_damping", "main_damping"}
 
 
-def test_a_declared_value_is_credible_and_reported_by_the_name_that_a_fit_frees():
+def test_a_declared_effect_of_another_size_bears_its_own_name_and_not_that_of_a_value_which_is_the_same(commissioned):
+    found = commissioned[0].stroke_monitor.baseline.commissioned
+    worn = replace(found.valve, effects={"drive_gain": {"gain": 0.95}, "motional_emf": {"share": 1.0}})
+    trace = Trace("at rest", Drive.of([1e-3], [9.0]), np.arange(0.0, 0.01, 1e-4), np.zeros(100))
+    effects = CommissionedPlant(trace, found._replace(valve=worn), 50e-6).effects
+    assert effects["drive_gain"].is_on
+    assert effects["drive_gain"].parameters[0].off == 0.95
+    assert "valve.reference_voltage" not in effects
+    assert "motional_emf" not in effects
+
+
+def test_a_declared_value_is_reported_by_the_name_that_a_fit_frees():
     trace = Trace("at rest", Drive.of([1e-3], [9.0]), np.arange(0.0, 0.01, 1e-4), np.zeros(100))
     plant = ValvePlant([trace], declared({**TOLERANCES, "spring_rate": 12.8}))
     off, on = Interval(430.0, 3.0, 424.0, 436.0), Interval(500.0, 3.0, 494.0, 506.0)
-    assert not is_credible("valve.spring_rate", plant, {"spring_rate": off})
-    assert is_credible("valve.spring_rate", plant, {"spring_rate": on})
-    assert not is_credible("valve.spring_rate", plant, {})
     force = Interval(0.2, 0.01, 0.18, 0.22)
     found = estimates(
         ("coulomb_friction", "valve.spring_rate", "valve.moving_mass"), plant,

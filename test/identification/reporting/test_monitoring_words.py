@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import pytest
 
-from valve_sim.identification.diagnosis.run import Grounds, Verdict
+from valve_sim.identification.diagnosis.run import Verdict
 from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.identification.monitoring.fault_isolation import FaultFinding
 from valve_sim.identification.monitoring.findings import (
@@ -52,14 +52,13 @@ def found(
     parameters: Mapping[str, Interval],
     alike: tuple[str, ...] = (),
     *,
-    is_credible: bool = True,
+    kind: str = "effects",
+    declared: Mapping[str, float] | None = None,
+    unnamed: float = 0.01,
 ) -> FaultFinding:
-    kind = "effects" if effects else "none"
-    verdict = Verdict(
-        kind, effects, {name: alike for name in effects}, 0.9, 0.9, Grounds(effects, False, 0.9, (), 8, False)
-    )
-    commissioned = {"main_damping": 4.0, "valve.spring_rate": 428.0}
-    return FaultFinding(verdict, is_credible, parameters, commissioned, 8)
+    verdict = Verdict(kind, effects, {name: alike for name in effects}, 0.9, unnamed, 0.9, 8)
+    commissioned = {"main_damping.value": 4.0, "valve.spring_rate": 428.0}
+    return FaultFinding(verdict, parameters, commissioned, declared or {}, 8)
 
 
 def test_what_has_changed_is_said_with_its_size_and_what_it_was() -> None:
@@ -100,9 +99,40 @@ def test_a_declared_value_that_has_changed_is_said_with_what_it_was() -> None:
     assert finding_words(found(("valve.attraction_polynomial",), shape)) == "Wrong attraction polynomial"
 
 
+def test_growth_of_what_is_declared_is_said_with_what_was_declared() -> None:
+    force, gain = Interval(0.8, 0.02, 0.76, 0.84), Interval(0.9, 0.002, 0.896, 0.904)
+    grown = found(("coulomb_friction",), {"coulomb_friction.force": force}, declared={"coulomb_friction.force": 0.3})
+    assert finding_words(grown) == "Coulomb friction 0.800 ± 0.020 N, declared 0.300 N"
+    spring = found(("valve.seat_load",), {"valve.seat_load": force}, declared={"valve.seat_load": 0.5})
+    assert finding_words(spring) == "Seat load 0.800 ± 0.020 N, declared 0.500 N"
+    clogged = found(("pilot_clogging",), {"pilot_clogging.ratio": gain}, declared={"pilot_clogging.ratio": 0.95})
+    assert finding_words(clogged) == "pilot orifice at 90.00 ± 0.20 % of its full size, declared 0.950"
+    rebounds = {"stop_bounce.restitution_stop": gain, "stop_bounce.restitution_seat": gain}
+    bounce = found(("stop_bounce",), rebounds, declared={name: 0.3 for name in rebounds})
+    assert finding_words(bounce).count("0.9000 ± 0.0020, declared 0.300") == 2
+    told = finding_json(grown, Occasion("/tank_2/valve", 31, 0))
+    assert told["was"]["coulomb_friction.force"] == 0.3
+
+
 def test_a_finding_that_names_nothing_says_why() -> None:
-    assert finding_words(found((), {})) == "the last strokes are as those of the commissioned valve"
-    assert "no effect is known well enough" in finding_words(found((), {}, is_credible=False))
+    assert finding_words(found((), {}, kind="none")) == "the last strokes are as those of the commissioned valve"
+    nearest = found(("pilot_clogging", "main_damping"), {}, kind="unknown", unnamed=0.9)
+    assert finding_words(nearest) == (
+        "something has changed that no effect of the catalogue explains; the nearest is clogged pilot orifice and main "
+        "damping"
+    )
+
+
+def test_what_is_not_certain_is_not_said_as_if_it_were() -> None:
+    force = {"coulomb_friction.force": Interval(0.31, 0.02, 0.27, 0.35)}
+    hedged = found(("coulomb_friction",), force, alike=("stiction",), kind="insufficient")
+    assert finding_words(hedged) == (
+        "the strokes cannot tell what has changed; the likeliest: Coulomb friction 0.310 ± 0.020 N, none when "
+        "commissioned (stiction would explain it about as well)"
+    )
+    assert finding_words(found((), {}, kind="insufficient")).endswith("the likeliest: no change at all")
+    beside = found(("coulomb_friction",), force, unnamed=0.97)
+    assert finding_words(beside).endswith("; beside it something acts that no effect of the catalogue explains")
 
 
 def test_a_finding_is_told_with_valve_stroke_time_and_probability() -> None:
@@ -117,4 +147,4 @@ def test_a_finding_is_told_with_valve_stroke_time_and_probability() -> None:
     assert told["summary"] == words
     assert (told["valve"], told["stroke"], told["probability"]) == ("/tank_1/valve", 31, 0.9)
     assert told["time"] == pytest.approx(1_764_000_000.123456789, abs=1e-6)
-    assert "probability" not in told_finding(found((), {}, is_credible=False), occasion)
+    assert told_finding(found((), {}, kind="none"), occasion).endswith("commissioned valve; probability 90 %")

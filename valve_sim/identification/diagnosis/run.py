@@ -376,12 +376,17 @@ class DiagnosisSession:
         return recommend(candidates, self._plant.experiments) if len(candidates) > 1 else None
 
     def _rivals(self, posterior: Posterior, decision: Decision, result: Fit) -> tuple[Rival, ...]:
-        """What competes with the corrected model, where positions follow from a fit."""
-        if not follows_positions(self._plant) or result is self.declared:
+        """What competes with the corrected model, where positions follow from a fit.
+
+        Beside the declared model, which stands where something unnamed acts, the nearest names compete as well.
+        """
+        if not follows_positions(self._plant) or decision.kind == "none":
             return ()
-        best, found = posterior.shares[decision.names].total, []
-        for names in self._near(decision)[1:]:
-            weight = min(1.0, posterior.shares[names].total / best) if best > 0.0 else 0.0
+        near, is_declared = self._near(decision), decision.kind == "unknown"
+        best, found = posterior.shares[() if is_declared else decision.names].total, []
+        for names in near if is_declared and decision.names else near[1:]:
+            share = posterior.shares[names].total
+            weight = share / best if share < best else 1.0
             other = self._search.tried[names].fit
             found.append(Rival(other, self._held_out.fit(other), weight))
         return tuple(found)

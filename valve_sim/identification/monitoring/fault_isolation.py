@@ -8,7 +8,6 @@ commands' stamps are nuisance parameters whose priors commissioning has given.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -25,16 +24,13 @@ from valve_sim.identification.plants.effect_titles import WRONG
 from valve_sim.identification.plants.protocol import Plant
 from valve_sim.identification.plants.tolerances import hypothesis_of
 from valve_sim.identification.plants.valve import DAMPINGS
-from valve_sim.model import Drive, Parameter
+from valve_sim.model import Drive
 from valve_sim.traces import Signal, Trace
 
 FEWEST: Final = 6
 """Strokes needed to isolate a fault without gas: four to fit, two held out."""
 HELD_OUT: Final = 3
 """Every third stroke is held out."""
-
-MOST_PRIOR_SCALES: Final = 100.0
-"""Multiple of an effect's prior scale beyond which a value is not plausible: 5 N of friction, 30 N of pressure."""
 
 Progress = Callable[[str, float], None]
 
@@ -44,18 +40,18 @@ class FaultFinding:
     """What fault isolation found.
 
     Attributes:
-        verdict: of the diagnosis; its effects may be dampings, which are candidates here. It is "unknown" and names
-            nothing where the estimates of what it named are not credible.
-        is_credible: whether they are.
-        parameters: estimates, of an effect by `<effect>.<parameter>`, of a declared value by `valve.<name>`.
-        commissioned: the values before of named dampings, by name, and of declared values, by `valve.<name>`.
+        verdict: of the diagnosis; its effects may be dampings, which are candidates here.
+        parameters: estimates of what it names, of an effect by `<effect>.<parameter>`, of a declared value by
+            `valve.<name>`; none of "unknown", whose nearest names are not claimed.
+        commissioned: of these, by the same names, the values before where commissioning has estimated them.
+        declared: likewise, where a file has declared them; of an effect that was not there neither has a value.
         strokes: how many were used.
     """
 
     verdict: Verdict
-    is_credible: bool
     parameters: Mapping[str, Interval]
     commissioned: Mapping[str, float]
+    declared: Mapping[str, float]
     strokes: int
 
 
@@ -75,10 +71,27 @@ def isolate_fault(strokes: Sequence[Trace], baseline: Baseline, progress: Progre
     least = {**FINEST, "position" if baseline.has_positions else "current": baseline.noise.sigma}
     session = begin(plants[0], plants[1] if len(plants) > 1 else None, progress, least=least)
     verdict, intervals = session.name()
-    parameters = estimates(verdict.effects, plants[0], intervals)
-    before = {name: baseline.valve.declared()[name] for name in verdict.effects if name in DAMPINGS}
-    before |= {name: plants[0].declared(name.removeprefix("valve.")) for name in parameters if name.startswith(WRONG)}
-    return FaultFinding(verdict, True, parameters, before, len(strokes))
+    named = () if verdict.kind == "unknown" else verdict.effects
+    parameters = estimates(named, plants[0], intervals)
+    there = [name for name in parameters if _was_there(name, baseline)]
+    before = {name: plants[0].declared(name.removeprefix("valve.")) for name in there}
+    known = {name for name in before if _estimated_name(name) in baseline.estimated}
+    return FaultFinding(
+        verdict, parameters, {name: before[name] for name in before if name in known},
+        {name: before[name] for name in before if name not in known}, len(strokes),
+    )  # fmt: skip
+
+
+def _was_there(name: str, baseline: Baseline) -> bool:
+    """Whether the valve had a value of this name before, and not merely lacked an effect."""
+    effect = name.partition(".")[0]
+    return name.startswith(WRONG) or effect in DAMPINGS or effect in baseline.valve.effects
+
+
+def _estimated_name(name: str) -> str:
+    """What commissioning calls a value that a finding names."""
+    first = name.partition(".")[0]
+    return first if first in DAMPINGS else name.removeprefix("valve.")
 
 
 def _plants(strokes: Sequence[Trace], baseline: Baseline) -> list[CommissionedPlant]:
@@ -112,34 +125,6 @@ def estimates(effects: Sequence[str], plant: Plant, intervals: Mapping[str, Inte
         for name in choice.free_names()
         if name in intervals
     }
-
-
-def is_credible(effect: str, plant: Plant, intervals: Mapping[str, Interval]) -> bool:
-    """Whether an effect may be named: at least one parameter differs from neutral, and all values are plausible.
-
-    Args:
-        effect: its name. plant: whose effect it is.
-        intervals: by the names that a fit frees, 95 %.
-    """
-    choice = plant.effects[effect]
-    switches = [switch for switch in choice.parameters if switch.off is not None]
-    found = [(switch, intervals.get(choice.free_name(switch))) for switch in switches]
-    known = [(switch, interval) for switch, interval in found if interval is not None]
-    return all(_is_plausible(switch, interval) for switch, interval in known) and any(
-        not _holds(interval, switch.off) for switch, interval in known if switch.off is not None
-    )
-
-
-def _holds(interval: Interval, neutral: float) -> bool:
-    return not interval.low > neutral and not interval.high < neutral
-
-
-def _is_plausible(parameter: Parameter, interval: Interval) -> bool:
-    """Whether a value and its whole interval lie within `MOST_PRIOR_SCALES` of the neutral value."""
-    if parameter.off is None or not math.isfinite(parameter.off):
-        return True
-    most = MOST_PRIOR_SCALES * parameter.prior_scale
-    return max(abs(bound - parameter.off) for bound in (interval.value, interval.low, interval.high)) <= most
 
 
 def join(strokes: Sequence[Trace], baseline: Baseline) -> Trace:

@@ -217,7 +217,7 @@ class ToleratedValues:
         """The effects, and the hypotheses that a declared value is wrong; they are confused with each other both ways.
 
         Args:
-            effects: that a diagnosis may add.
+            effects: that a diagnosis may add, or find to be of another size.
             refitted: declared values that every fit frees, of which nothing is declared that could be wrong.
         """
         wrong = {

@@ -49,10 +49,9 @@ class ValveModel:
             if entry.named and name not in left_out and name not in valve.effects
         }
         grown = {name: declared_effect(name, valve.effects[name]) for name in valve.effects if CATALOGUE[name].named}
-        self.effects: Mapping[str, EffectChoice] = {
-            **self._tolerated.with_hypotheses(effects, refitted),
-            **{name: choice for name, choice in grown.items() if choice.parameters},
-        }
+        # What is declared already is among them: a wrong reference voltage is a drive gain of another size.
+        effects |= {name: choice for name, choice in grown.items() if choice.parameters}
+        self.effects: Mapping[str, EffectChoice] = self._tolerated.with_hypotheses(effects, refitted)
         self._declared = valve.declared()
         self._gas = GAS_NAMES if valve.gas is not None else {}
 

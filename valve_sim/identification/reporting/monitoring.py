@@ -75,7 +75,9 @@ def finding_json(finding: FaultFinding, occasion: Occasion) -> dict[str, Any]:
         "summary": told_finding(finding, occasion),
         "confusable_with": {name: list(others) for name, others in verdict.confusable_with.items()},
         "parameters": intervals_json(finding.parameters),
+        "was": {**finding.commissioned, **finding.declared},
         "probability": verdict.probability,
+        "unnamed": verdict.unnamed,
         "strokes": finding.strokes,
     }
     return plain_mapping(plain)

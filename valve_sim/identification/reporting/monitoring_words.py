@@ -21,10 +21,8 @@ from valve_sim.identification.monitoring.findings import (
     WaitsForPressure,
 )
 from valve_sim.identification.monitoring.stroke_monitor import StrokeReport
-from valve_sim.identification.plants.advice import GENERIC_ADVICE
 from valve_sim.identification.plants.effect_titles import WRONG, named, title_of
 from valve_sim.identification.plants.valve import DAMPINGS
-from valve_sim.identification.reporting.summary import claim
 from valve_sim.identification.reporting.units import measured, quantity
 from valve_sim.identification.reporting.wording import probability_words
 from valve_sim.model import CATALOGUE, DECLARED
@@ -48,9 +46,6 @@ _UNUSABLE: Final = {
 }
 LOPSIDED: Final = 3.0
 """Standard errors from a value to an end of its 95 % interval, beyond which they do not describe it."""
-_NOT_CREDIBLE: Final = (
-    "the strokes are not those of the commissioned valve, and no effect is known well enough to be named"
-)
 
 
 def occasion_words(occasion: Occasion) -> str:
@@ -62,8 +57,7 @@ def occasion_words(occasion: Occasion) -> str:
 
 def told_finding(finding: FaultFinding, occasion: Occasion) -> str:
     """A finding as it is said on every channel: of which valve, when, what has changed, and with which probability."""
-    probability = f"; probability {probability_words(finding.verdict)}" if finding.is_credible else ""
-    return f"{occasion_words(occasion)}: {finding_words(finding).rstrip('.')}{probability}"
+    return f"{occasion_words(occasion)}: {finding_words(finding)}; probability {probability_words(finding.verdict)}"
 
 
 def stroke_name(report: StrokeReport) -> str:
@@ -110,37 +104,41 @@ def remark_words(remark: Remark) -> str:
 def finding_words(finding: FaultFinding) -> str:
     """What has changed in the valve, such as "Coulomb friction 0.310 ± 0.020 N, none when commissioned"."""
     verdict = finding.verdict
-    if not finding.is_credible:
-        return _NOT_CREDIBLE
     if verdict.kind == "none":
         return "the last strokes are as those of the commissioned valve"
-    if not verdict.effects:
-        return claim(verdict, GENERIC_ADVICE)
-    changes = "; ".join(_change(effect, finding) for effect in verdict.effects)
+    if verdict.kind == "unknown":
+        nearest = f"; the nearest is {named(verdict.effects)}" if verdict.effects else ""
+        return f"something has changed that no effect of the catalogue explains{nearest}"
+    changes = "; ".join(_change(effect, finding) for effect in verdict.effects) or "no change at all"
     others = named(sorted({other for names in verdict.confusable_with.values() for other in names}), "or")
     alternatives = f" ({others} would explain it about as well)" if others else ""
-    certainty = "" if verdict.kind == "effects" else f"{claim(verdict, GENERIC_ADVICE).rstrip('.')}: "
-    return f"{certainty}{changes}{alternatives}"
+    uncertain = "the strokes cannot tell what has changed; the likeliest: " if verdict.kind == "insufficient" else ""
+    beside = "; beside it something acts that no effect of the catalogue explains" if verdict.has_remainder else ""
+    return f"{uncertain}{changes}{alternatives}{beside}"
 
 
 def _change(effect: str, finding: FaultFinding) -> str:
-    """An effect or a declared value with its values, and what it was at commissioning."""
+    """An effect, a damping or another declared value with its values, and what these were before."""
     if effect.startswith(WRONG):
         return _changed_value(effect, finding)
-    own = {name.partition(".")[2]: found for name, found in finding.parameters.items() if name.startswith(f"{effect}.")}
+    own = {name: found for name, found in finding.parameters.items() if name.startswith(f"{effect}.")}
     if effect in DAMPINGS:
-        unit = DECLARED[effect].unit
-        value = ", ".join(measured(found, unit) for found in own.values())
-        return f"{title_of(effect)} {value}, {quantity(finding.commissioned[effect], unit)} when commissioned"
+        (damping,) = own
+        return f"{title_of(effect)} {_value(damping, DECLARED[effect].unit, finding)}"
     if remaining := CATALOGUE[effect].remaining:
-        (share,) = own.values()
-        return f"{remaining} at {_percent(share)} of when commissioned"
-    rules = [CATALOGUE[effect].parameter(name) for name in own]
-    values = [measured(found, rule.unit) for found, rule in zip(own.values(), rules, strict=True)]
+        ((name, share),) = own.items()
+        before = finding.declared.get(name, finding.commissioned.get(name))
+        of_what = "of when commissioned" if before is None else f"of its full size, {_was(name, '', finding)}"
+        return f"{remaining} at {_percent(share)} {of_what}"
+    rules = [CATALOGUE[effect].parameter(name.partition(".")[2]) for name in own]
+    values = [_value(name, rule.unit, finding) for name, rule in zip(own, rules, strict=True)]
     if len(values) == 1:
-        return f"{title_of(effect)} {values[0]}, none when commissioned"
+        return f"{title_of(effect)} {values[0]}"
+    if all(_is_new(name, finding) for name in own):
+        values = [measured(found, rule.unit) for found, rule in zip(own.values(), rules, strict=True)]
+        values[-1] += ", none when commissioned"
     listed = ", ".join(f"{rule.description} {value}" for rule, value in zip(rules, values, strict=True))
-    return f"{title_of(effect)}: {listed}, none when commissioned"
+    return f"{title_of(effect)}: {listed}"
 
 
 def _changed_value(effect: str, finding: FaultFinding) -> str:
@@ -148,9 +146,23 @@ def _changed_value(effect: str, finding: FaultFinding) -> str:
     if effect not in finding.parameters:
         return title_of(effect)
     group, _, name = effect.partition(".")
-    unit = (GAS if group == "gas" else DECLARED)[name].unit
-    value, before = measured(finding.parameters[effect], unit), finding.commissioned[effect]
-    return f"{title_of(name)} {value}, {quantity(before, unit)} when commissioned"
+    return f"{title_of(name)} {_value(effect, (GAS if group == 'gas' else DECLARED)[name].unit, finding)}"
+
+
+def _value(name: str, unit: str, finding: FaultFinding) -> str:
+    """An estimate, and what it was before."""
+    return f"{measured(finding.parameters[name], unit)}, {_was(name, unit, finding)}"
+
+
+def _was(name: str, unit: str, finding: FaultFinding) -> str:
+    """What a value was when the valve was commissioned, or declared to be where commissioning did not estimate it."""
+    if name in finding.commissioned:
+        return f"{quantity(finding.commissioned[name], unit)} when commissioned"
+    return "none when commissioned" if _is_new(name, finding) else f"declared {quantity(finding.declared[name], unit)}"
+
+
+def _is_new(name: str, finding: FaultFinding) -> bool:
+    return name not in finding.commissioned and name not in finding.declared
 
 
 def _percent(share: Interval) -> str:
