@@ -54,8 +54,7 @@ DESCRIPTIONS: Final = {
     "plunger the default is main_damping alone",
     "rate": "[–] replay: 1 as recorded, 2 twice as fast, 0 as fast as possible",
     "loop": "whether the replay begins anew at its end",
-    "apply_to": "running valve node that is given the result, if nothing speaks against it: of identify that its residual "
-    "is not white, of diagnose what held-out strokes say; empty: none",
+    "apply_to": "running valve node that is given the result, if nothing speaks against it; empty: none",
     "apply_always": "whether apply_to is given a result against which something speaks, too",
     "output": "folder of identified.yaml (diagnose: corrected.yaml, record_next.yaml) and before.yaml, as apply_to was",
     "linger": "whether the node stays when all is done, for ~/undo and late subscribers",
