@@ -27,7 +27,7 @@ class Settings(NamedTuple):
         rate: seconds of the bag a second of the clock; 0 for as fast as possible. loop: replay it again and again.
         apply_to: the node that gets the result; empty for none. apply_always: whatever its residual.
         output: folder of the files. linger: stay after the last sample and the result, for ~/undo and late subscribers.
-        mode: of MODES. budget: s of 4000 simulated strokes each, the work that a diagnosis may do.
+        mode: of MODES. budget: s, the work that a diagnosis may do.
     """
 
     bag: str = ""
@@ -55,10 +55,10 @@ DESCRIPTIONS: Final = {
     "rate": "[–] replay: 1 as recorded, 2 twice as fast, 0 as fast as possible",
     "loop": "whether the replay begins anew at its end",
     "apply_to": "running valve node that is given the result, if nothing speaks against it; empty: none",
-    "apply_always": "whether apply_to is given a result against which something speaks, too",
+    "apply_always": "whether apply_to is given a result that something speaks against, too",
     "output": "folder of identified.yaml (diagnose: corrected.yaml, record_next.yaml) and before.yaml, as apply_to was",
     "linger": "whether the node stays when all is done, for ~/undo and late subscribers",
-    "budget": "[s] work that a diagnosis may do, 4000 simulated strokes each; it says what was left untried",
+    "budget": "[s] work that a diagnosis may do, 4000 simulated strokes a second; it says what was left untried",
     "mode": "identify: refit `free`; diagnose: find the effect that the declared valve lacks",
 }
 
