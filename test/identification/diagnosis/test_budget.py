@@ -7,7 +7,6 @@ import math
 
 import pytest
 from plants.recording import Recorder, train_profile
-from valve_sim.identification.selection.table import Hypothesis
 
 from valve_sim.identification.diagnosis.run import diagnose, diagnose_plant
 from valve_sim.identification.estimation.budget import DERIVATIVES, STROKES_A_SECOND, Budget

@@ -7,7 +7,6 @@ import pytest
 from plants.declared import DeclaredPlant
 from plants.recording import Recorder, holdout_profile, record, train_profile
 from plants.tolerances import SHEET_VALVE, declared_tolerances, deviated
-from valve_sim.identification.selection.held_out import HeldOut
 
 from valve_sim.identification.estimation.declared_values import out_of_tolerance
 from valve_sim.identification.estimation.identify import identify

@@ -8,8 +8,6 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from valve_sim.identification.selection.hypotheses import NEAR
-from valve_sim.identification.selection.table import Hypothesis
 
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.plants.protocol import ForceMap, Nuisance

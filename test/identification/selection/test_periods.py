@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 from plants.declared import CAMPAIGN_VALVE
 from plants.recording import Recorder
-from valve_sim.identification.selection.hypotheses import Search
-from valve_sim.identification.selection.table import Hypothesis
 
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit

@@ -7,9 +7,6 @@ from functools import cache
 import pytest
 from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
 from plants.recording import Recorder, record, train_profile
-from valve_sim.identification.selection.hypotheses import Search
-from valve_sim.identification.selection.stepwise import Exploration
-from valve_sim.identification.selection.table import Hypothesis
 
 from benchmarks.campaign.cases import declared_valve
 from benchmarks.campaign.running import as_trace
