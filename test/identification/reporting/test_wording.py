@@ -6,8 +6,6 @@ import math
 from dataclasses import replace
 
 import pytest
-from valve_sim.identification.diagnosis.decision import Claim, decide
-from valve_sim.identification.selection.table import Hypothesis
 
 from identification.recordings import recorded
 from valve_sim.files.parameter_files import default_valve

@@ -219,9 +219,7 @@ def simplest_of(weights: Mapping[Set, float], leading: Class, sizes: Mapping[str
     least = weights[leading.names] / NEARLY
     sizes_of = {names: sum(sizes.get(name, 1) for name in names) for names in near if weights.get(names, 0.0) >= least}
     simplest = min(sizes_of, key=lambda names: (sizes_of[names], -weights[names]))
-    if sizes_of[simplest] == sizes_of[leading.names]:
-        return leading
-    return class_of(weights, simplest)._replace(probability=leading.probability)
+    return leading if sizes_of[simplest] == sizes_of[leading.names] else class_of(weights, simplest)
 
 
 class Decision(NamedTuple):
@@ -244,7 +242,7 @@ def decide(posterior: Posterior, beside: Class | None = None, sizes: Mapping[str
 
     Args:
         posterior: of all that was tried. sizes: of each name, how many parameters it frees; default all alike.
-        beside: names that stand beside something unnamed, where held-out strokes confirm them (`naming_beside`).
+        beside: names that stand beside something unnamed, where held-out strokes confirm them (`DiagnosisSession`).
     """
     unnamed = posterior.unnamed
     if unnamed > EVEN:
@@ -259,6 +257,9 @@ def decide(posterior: Posterior, beside: Class | None = None, sizes: Mapping[str
         return Decision("none", (), {}, weights[()], unnamed)
     if not leading.names:
         return Decision("insufficient", (), {}, weights[()], unnamed)
-    leading = simplest_of(weights, leading, sizes or {})
+    leading = simplest_of({names: weights[names] for names in posterior.fitted}, leading, sizes or {})
+    # Whether the names act does not hang on whether something unnamed does, too.
+    totals = {names: share.total for names, share in posterior.shares.items()}
+    leading = leading._replace(probability=class_of(totals, leading.names).probability)
     kind = "effects" if leading.is_answer and leading.probability >= SURE else "insufficient"
     return Decision(kind, leading.names, leading.others, leading.probability, unnamed)

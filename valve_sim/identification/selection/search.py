@@ -155,6 +155,8 @@ class Search:
         """Probability that something unnamed acts beside a fitted set, were it the only one."""
         plain, unnamed = self.rivals.log_prior(names)
         tried = self.tried[names]
+        if math.isinf(tried.plain):
+            return 0.0
         return 1.0 / (1.0 + math.exp(min(700.0, plain + tried.plain - unnamed - tried.spread.log_evidence)))
 
     def best(self, size: int) -> Set | None:
@@ -375,9 +377,9 @@ class Search:
         if not names and len(done) > 1:
             # Without any effect it shows whether stamps err: where they do not, errors of theirs only cost power.
             self.stamps = done[1].log_evidence > done[0].log_evidence - math.log(1.0 / PROMISING)
-        prior = -math.log(len(done))
         # What lies beyond the range of a name is claimed by another name, and is not its evidence.
-        prior = prior if all(self._may_be_claimed(names, one) for one in done) else -math.inf
+        allowed = [one for one in done if self._may_be_claimed(names, one)]
+        prior, done = (-math.log(len(done)), allowed) if allowed else (-math.inf, done)
         best = max(done, key=lambda one: one.log_evidence)
         plain = float(np.logaddexp.reduce([one.log_evidence + prior for one in done]))
         spreads = [self.discrepancy.spread(one) for one in done]
