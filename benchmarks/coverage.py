@@ -20,7 +20,7 @@ import numpy as np
 from scipy import stats
 
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.estimation.identify import DEFAULT_FREE, identify
+from valve_sim.identification.estimation.identify import identify
 from valve_sim.model import Drive, Valve
 from valve_sim.traces import Trace
 
@@ -89,7 +89,7 @@ def outcomes(seed: int, recorder: Recorder, valve: Valve) -> dict[str, Outcome]:
     """Record one valve and refit it."""
     truth = true_dampings(seed)
     recording = record(DeclaredPlant(parameters={**CAMPAIGN_VALVE, **truth}), train_profile(), recorder, seed)
-    result = identify([as_trace(recording, f"seed {seed}")], valve, DEFAULT_FREE)
+    result = identify([as_trace(recording, f"seed {seed}")], valve)
     found = {}
     for name, true in truth.items():
         interval = result.intervals[name]

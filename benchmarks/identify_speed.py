@@ -29,7 +29,6 @@ from scipy.optimize import least_squares
 
 from benchmarks.coverage import as_trace, true_dampings
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.estimation.identify import DEFAULT_FREE
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
@@ -223,7 +222,7 @@ def compare_fits(trace: Trace) -> float:
     apart = np.abs(simulate_by_scipy(valve.parameters, trace.drive, trace.times) - plant.predict({})[0]).max()
     assert apart < SAME_MODEL, f"the simulations are {apart:.1e} m apart"
     fits: list[Fit] = []
-    ours = _shortest(lambda: fits.append(fit(problem, DEFAULT_FREE, {}, nuisances=plant.nuisances)), 7)
+    ours = _shortest(lambda: fits.append(fit(problem, plant.base, {}, nuisances=plant.nuisances)), 7)
     error = np.sqrt(np.diag(fits[-1].covariance))
     found: list[Array] = []
     theirs = _shortest(lambda: found.append(fit_by_scipy(problem, trace, valve.parameters, error)), 3)

@@ -25,8 +25,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from benchmarks.maglev.records import Array, MagnetRecord
+from valve_sim.identification.plants.advice import Advice
 from valve_sim.identification.plants.protocol import (
-    Advice,
     Channel,
     EffectChoice,
     Experiment,

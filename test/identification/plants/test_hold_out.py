@@ -6,14 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from valve_sim.identification.selection.cross_validation import MOST_FOLDS, folds_of
 
-from valve_sim.identification.plants.hold_out import held_out_strokes, in_order_of_conditions
-from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.model import Drive, Valve
+from valve_sim.identification.plants.hold_out import held_out_strokes
+from valve_sim.model import Drive
 from valve_sim.traces import Trace
 
-from ..selection.linear_plant import SAMPLES, LinearPlant, measured, problem_of
+from ..selection.linear_plant import SAMPLES, LinearPlant, measured
 
 
 class Levels(LinearPlant):
@@ -68,25 +66,3 @@ def recorded(volts: list[float], held_for: float = 0.03) -> Trace:
     drive = Drive.of(times, np.column_stack((volts, np.zeros(len(volts)))).ravel())
     samples = np.arange(0.0, 0.06 * len(volts) + 0.01, 1e-3)
     return Trace("made", drive, samples, np.zeros(len(samples)))
-
-
-def test_of_a_valve_the_voltage_and_how_long_it_is_held_are_the_condition() -> None:
-    first, second = recorded([7.5, 9.0, 14.0, 11.0] * 3), recorded([9.0, 9.0, 9.0], held_for=0.004)
-    plant = ValvePlant([first, second], Valve())
-    assert plant.condition_of(0, 1) == plant.condition_of(0, 5) != plant.condition_of(0, 2)
-    assert plant.condition_of(0, 1) != plant.condition_of(1, 1) == plant.condition_of(1, 0)
-    out = held_out_strokes(plant)
-    assert {plant.condition_of(*stroke) for stroke in out} == {
-        plant.condition_of(*stroke) for stroke in in_order_of_conditions(plant, [(0, n) for n in range(4)] + [(1, 0)])
-    }
-    assert len(out) == 5
-
-
-def test_a_fold_never_has_all_strokes_of_a_condition() -> None:
-    """With as many conditions in turns as there are folds, each fold was one condition."""
-    levels = [float(number % MOST_FOLDS) for number in range(3 * MOST_FOLDS)]
-    plant = Levels(levels)
-    for fold in folds_of(problem_of(plant)):
-        groups = np.unique(plant.channels[0].group[fold])
-        assert len(groups) == 3
-        assert len({levels[group] for group in groups.tolist()}) == 3

@@ -61,13 +61,6 @@ def held_out_strokes(plant: Plant) -> frozenset[Stroke]:
     return frozenset(found)
 
 
-def in_order_of_conditions(plant: Plant, strokes: Iterable[Stroke]) -> list[Stroke]:
-    """Strokes with those of one condition next to each other; as they come of a plant that knows no conditions."""
-    if not isinstance(plant, UnderConditions):
-        return list(strokes)
-    return [stroke for own in _by_condition(plant, strokes) for stroke in own]
-
-
 def _by_condition(plant: UnderConditions, strokes: Iterable[Stroke]) -> list[list[Stroke]]:
     """The strokes of each condition, in their order; conditions in theirs."""
     found: dict[Condition, list[Stroke]] = {}
