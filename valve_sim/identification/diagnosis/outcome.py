@@ -62,7 +62,7 @@ class State:
         holdout: its machine's values on held-out data, the errors of that recording estimated; None without hold-out.
         train_rmse, holdout_rmse: in the response's unit, m for a valve; nan where there is no hold-out.
         train_predicted, holdout_predicted: the standard deviations that the posterior predicts of these.
-        bands: of each judged channel of the training data, (n,) standard deviation of what is predicted.
+        bands: of each channel of the training data, (n,) standard deviation of what is predicted.
         adequacy: of the training residuals; it informs, and decides nothing.
         intervals: of every freed parameter.
     """

@@ -33,7 +33,7 @@ class Predicted(NamedTuple):
     Attributes:
         fit: of the errors of the recording, the machine's values kept.
         rmse: measured less predicted, in the response's unit. deviation: what the posterior predicts of that.
-        bands: of each judged channel, (n,) standard deviation of what is predicted, noise included.
+        bands: of each channel, (n,) standard deviation of what is predicted, noise included.
     """
 
     fit: Fit
@@ -84,22 +84,21 @@ def predicted(result: Fit, there: Fit, size: float = 0.0) -> Predicted:
         SimulationError: the machine cannot be simulated with its own values.
     """
     problem, plant = there.problem, there.problem.plant
-    judged = judged_channels(plant)
     shown = plant.predict(there.values)
-    spread = {index: np.zeros(len(shown[index])) for index in judged}
+    spread = [np.zeros(len(prediction)) for prediction in shown]
     for moved in axes_of(result):
         try:
             changed = plant.predict({**there.values, **moved})
         except SimulationError:
             continue
-        for index in judged:
-            spread[index] += np.square(changed[index] - shown[index])
+        for index, prediction in enumerate(changed):
+            spread[index] += np.square(prediction - shown[index])
     bands = {}
-    squares, count = 0.0, 0.0
-    for index in judged:
-        moves = ~plant.channels[index].quiet
-        noise = problem.noise_of(index).sigma ** 2 * (1.0 + size**2 * moves)
+    for index, channel in enumerate(plant.channels):
+        noise = problem.noise_of(index).sigma ** 2 * (1.0 + size**2 * ~channel.quiet)
         bands[index] = np.sqrt(spread[index] + noise)
+    squares, count = 0.0, 0.0
+    for index in judged_channels(plant):
         weights = problem.weight(index) > 0.0
         squares += float(np.sum(np.square(bands[index])[weights]))
         count += float(np.count_nonzero(weights))

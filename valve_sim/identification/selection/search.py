@@ -243,9 +243,13 @@ class Search:
 
         def fitted(names: Set) -> Tried | None:
             starts = [{**values, **start} for start in effect_starts(self._cost, effects[due[names]], values)]
-            fits = [self._attempt(names, self.tried[best].fit.nuisances, start, Effort()) for start in starts]
-            done = [one for one in fits if one is not None]
-            return self._weighed(names, [min(done, key=lambda one: one.chi2)]) if done else None
+            done = []
+            # Not the nuisances of the best set: its effects may stand for declared values, which are missing there.
+            for nuisances in self._variants():
+                fits = [self._attempt(names, nuisances, start, Effort()) for start in starts]
+                found = [one for one in fits if one is not None]
+                done += [min(found, key=lambda one: one.chi2)] if found else []
+            return self._weighed(names, done) if done else None
 
         for names, found in zip(due, run_parallel(fitted, list(due)), strict=True):
             if found is not None:
@@ -377,9 +381,11 @@ class Search:
         if not names and len(done) > 1:
             # Without any effect it shows whether stamps err: where they do not, errors of theirs only cost power.
             self.stamps = done[1].log_evidence > done[0].log_evidence - math.log(1.0 / PROMISING)
+        # Both are as probable before, whether both were fitted or not: sets are compared.
+        prior = -math.log(2.0) if self.problem.plant.timing_errors else 0.0
         # What lies beyond the range of a name is claimed by another name, and is not its evidence.
         allowed = [one for one in done if self._may_be_claimed(names, one)]
-        prior, done = (-math.log(len(done)), allowed) if allowed else (-math.inf, done)
+        prior, done = (prior, allowed) if allowed else (-math.inf, done)
         best = max(done, key=lambda one: one.log_evidence)
         plain = float(np.logaddexp.reduce([one.log_evidence + prior for one in done]))
         spreads = [self.discrepancy.spread(one) for one in done]
