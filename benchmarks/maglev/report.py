@@ -140,7 +140,7 @@ def ladder(
     for count in range(len(named) + 1):
         sets = (tuple(sorted(effects)) for effects in itertools.combinations(named, count))
         best = max(sets, key=lambda names: search.fit(names).log_evidence)
-        say(titles_of(best) or "the declared model")
+        say(titles_of(best) if best else "the declared model")
         values = search.fit(best).values
         unseen = errors_of(others, values) if others else left_out(records, best, values)
         rungs.append(Rung(best, values, errors_of(records, values), unseen))

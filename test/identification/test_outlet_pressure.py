@@ -213,7 +213,7 @@ def test_what_has_no_gas_says_so() -> None:
     beside = replace(recorded(1), times=TIMES, pilot_position=np.zeros(len(TIMES)))
     assert [channel.kind for channel in ValvePlant([beside], bench).channels] == ["position"]
     with pytest.raises(ParameterError, match="declares no gas"):
-        check_free([ORIFICE], has_gas=False)
+        check_free([ORIFICE], bench)
     check_free([ORIFICE, VOLUME, DEMAND])
 
 

@@ -79,7 +79,7 @@ def test_descriptors_carry_unit_and_range() -> None:
     entries = table(default_valve())
     mass = messages.descriptor(entries["valve.pilot_mass"])
     assert mass.description == "[kg] mass that moves in Phase 1"
-    assert (mass.floating_point_range[0].from_value, mass.floating_point_range[0].to_value) == (0.0, 100.0)
+    assert (mass.floating_point_range[0].from_value, mass.floating_point_range[0].to_value) == (0.0, 5.0)
     bandwidth = messages.descriptor(entries["effects.sensor_bandwidth.cutoff_frequency"])
     assert bandwidth.floating_point_range[0].to_value == math.inf
     assert not messages.descriptor(entries["frame_id"]).floating_point_range

@@ -154,7 +154,7 @@ def test_what_was_given_replaces_defaults_and_integers_become_doubles() -> None:
         ("publish_rat", 100, "command line", "publish_rat: found 100 .* did you mean publish_rate"),
         ("valve.pilot_mas", 1.0, "some.yaml", "valve.pilot_mas: found 1.0 .* did you mean valve.pilot_mass"),
         ("publish_rate", 0, "some.yaml", "publish_rate: found 0, expected a number from 0.1 to 10000 Hz"),
-        ("publish_rate", "fast", "some.yaml", "publish_rate: found 'fast', expected a number Hz"),
+        ("publish_rate", "fast", "some.yaml", "publish_rate: found 'fast', expected a number in Hz"),
         ("frame_id", 3, "some.yaml", "frame_id: found 3, expected text"),
         ("valve.stroke", 1e-4, "some.yaml", "valve.pilot_gap: .* expected 0 < pilot_gap < stroke"),
         ("valve.attraction_polynomial", [1.0], "some.yaml", "attraction_polynomial: found 1 terms"),

@@ -38,7 +38,10 @@ def test_effects_of_gas_are_tried_with_gas_alone() -> None:
     assert {"seat_leak", "pilot_clogging"} <= with_gas.keys()
     assert "pressure_force" not in with_gas
     assert set(bench) - set(with_gas) == {"pressure_force"}
-    assert set(with_gas) - set(bench) == {"seat_leak", "pilot_clogging"}
+    assert {name for name in set(with_gas) - set(bench) if not name.startswith("gas.")} == {
+        "seat_leak",
+        "pilot_clogging",
+    }
     with pytest.raises(ParameterError, match=r"seat_leak\.area: cannot be freed, the valve declares no gas"):
         check_free(["seat_leak.area"], replace(gas_valve(), gas=None))
     check_free(["seat_leak.area"])

@@ -240,10 +240,8 @@ class DiagnosisSession:
         curves = [entry.fit.log_evidence for entry in self._curves]
         best = leader_of({names: share.total for names, share in posterior.shares.items()}, posterior.fitted)
         raised = {best: self._held_out.log_odds_of_unnamed(self._search.tried[best].fit)}
-        of_training = self._search.posterior(curves)
         posterior = self._search.posterior(curves, raised)
-        # Names that explain all fitted strokes, and fail on others, are refuted: none stands beside the unnamed then.
-        beside = self._beside(posterior) if of_training.unnamed > 0.5 else None
+        beside = self._beside(posterior) if posterior.unnamed > 0.5 else None
         sizes = {name: len(choice.parameters) for name, choice in self._plant.effects.items()}
         return posterior, decide(posterior, beside, sizes)
 

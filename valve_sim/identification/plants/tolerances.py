@@ -65,6 +65,8 @@ EXACT_RIVALS: Final = (
 )  # fmt: skip
 """Declared values that may be wrong although nothing says how well they are known. Of the attraction polynomial without
 a covariance `drive_gain` and `rest_attraction` say it."""
+OF_TWO_PLUNGERS: Final = ("pilot_mass", "pilot_gap", "pickup_velocity_ratio")
+"""Declared values that a valve with one plunger does not use."""
 EXACT_RIVALS_OF_GAS: Final = (
     "pilot_orifice_diameter", "main_orifice_diameter", "seat_diameter", "discharge_coefficient", "outlet_volume",
     "demand_orifice_diameter",
@@ -245,12 +247,17 @@ class ToleratedValues:
 
     def _coordinates(self) -> dict[str, tuple[str, ...]]:
         """Declared values that may be wrong, and the names by which each is estimated."""
-        known = [*self._tolerances.declared, *(name for name in EXACT_RIVALS if self._declared[name] != 0.0)]
+        unused = OF_TWO_PLUNGERS if self._declared["pilot_gap"] == 0.0 else ()
+        exact = [name for name in EXACT_RIVALS if self._declared[name] != 0.0]
+        known = [name for name in (*self._tolerances.declared, *exact) if name not in unused]
         found: dict[str, tuple[str, ...]] = {name: (self._coordinate(name),) for name in dict.fromkeys(known)}
         if self._axis_names:
             found["attraction_polynomial"] = self._axis_names
-        exact = [name for name in EXACT_RIVALS_OF_GAS if self._declared.get(of_gas(name), 0.0) != 0.0]
-        return {**found, **{of_gas(name): (of_gas(name),) for name in dict.fromkeys([*self._tolerances.gas, *exact])}}
+        of_gas_alone = [name for name in EXACT_RIVALS_OF_GAS if self._declared.get(of_gas(name), 0.0) != 0.0]
+        return {
+            **found,
+            **{of_gas(name): (of_gas(name),) for name in dict.fromkeys([*self._tolerances.gas, *of_gas_alone])},
+        }
 
     def _released(self, name: str, effects: Mapping[str, EffectChoice]) -> Parameter:
         """A coordinate as a hypothesis frees it: off where it is as declared, and claimed where no effect stands."""
