@@ -223,6 +223,9 @@ class Search:
     def _fit_look_alikes(self, best: Set) -> None:
         """Fit what the catalogue says is often taken for a member of the best set, from where all else is there."""
         effects, values = self.problem.plant.effects, self.tried[best].fit.values
+        # Those of the fit itself lack what a member is the same thing as, which its look-alike is not.
+        has_stamps = any(own in self.problem.plant.timing_errors for own in self.tried[best].fit.nuisances)
+        nuisances = self._variants()[-1 if has_stamps else 0]
         due: dict[Set, str] = {}
         for member in best:
             for other in effects[member].confused_with:
@@ -232,7 +235,7 @@ class Search:
 
         def fitted(names: Set) -> Tried | None:
             starts = [{**values, **start} for start in effect_starts(self._cost, effects[due[names]], values)]
-            fits = [self._attempt(names, self.tried[best].fit.nuisances, start, Effort()) for start in starts]
+            fits = [self._attempt(names, nuisances, start, Effort()) for start in starts]
             done = [one for one in fits if one is not None]
             return self._weighed(names, [min(done, key=lambda one: one.chi2)]) if done else None
 
