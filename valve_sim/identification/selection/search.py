@@ -369,6 +369,8 @@ class Search:
         if not names and len(done) > 1:
             # Without any effect it shows whether stamps err: where they do not, errors of theirs only cost power.
             self.stamps = done[1].log_evidence > done[0].log_evidence - math.log(1.0 / PROMISING)
+            # It is then compared with sets that are fitted without.
+            done = done if self.stamps else done[:1]
         prior = -math.log(len(done))
         # What lies beyond the range of a name is claimed by another name, and is not its evidence.
         prior = prior if all(self._may_be_claimed(names, one) for one in done) else -math.inf
