@@ -258,7 +258,8 @@ def test_a_diagnosis_is_published_too(samples: Path, probe: Probe, tmp_path: Pat
     heard = probe.hear("/diagnostics", DiagnosticArray)
     profile = tmp_path / "record_next.yaml"
     bag = samples / "one_opening.mcap"
-    with identifying(tmp_path, bag=bag, params=EXACT, mode="diagnose", rate=0, linger="true"):
+    # It declares friction that this valve has not: one stroke cannot tell that from a constant force.
+    with identifying(tmp_path, bag=bag, params=config_path("tank_2.yaml"), mode="diagnose", rate=0, linger="true"):
         assert probe.until(lambda: results, 3 * PATIENCE), "no result"
         assert probe.until(lambda: is_said(f"and {profile} for what to record next", heard))
     report = json.loads(results[0].data)
