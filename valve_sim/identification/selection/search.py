@@ -234,9 +234,6 @@ class Search:
     def _fit_look_alikes(self, best: Set) -> None:
         """Fit what the catalogue says is often taken for a member of the best set, from where all else is there."""
         effects, values = self.problem.plant.effects, self.tried[best].fit.values
-        # Those of the fit itself lack what a member is the same thing as, which its look-alike is not.
-        has_stamps = any(own in self.problem.plant.timing_errors for own in self.tried[best].fit.nuisances)
-        nuisances = self._variants()[-1 if has_stamps else 0]
         due: dict[Set, str] = {}
         for member in best:
             for other in effects[member].confused_with:
