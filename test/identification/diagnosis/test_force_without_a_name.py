@@ -44,7 +44,7 @@ def test_it_is_unknown(found: Diagnosis) -> None:
     assert found.verdict.probability > 0.99
     assert found.before.holdout_rmse > 2e-6
     # What has no name is shown, and not put into the model.
-    assert found.after is found.before
+    assert found.after.fit is found.before.fit
 
 
 def test_the_curve_is_the_bump(found: Diagnosis) -> None:

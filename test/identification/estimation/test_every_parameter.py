@@ -13,10 +13,11 @@ from plants.recording import Profile, Recorder, record
 
 from identification.recordings import TRUTH
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.estimation.identify import DEFAULT_FREE, Identification, identify
+from valve_sim.identification.estimation.identify import Identification, identify
 from valve_sim.identification.estimation.intervals import Unbounded
 from valve_sim.identification.estimation.priors import Cauchy, LogNormal
 from valve_sim.identification.plants.protocol import perturbed, to_internal
+from valve_sim.identification.plants.valve import DAMPINGS
 from valve_sim.model import CATALOGUE, DECLARED, Drive
 from valve_sim.traces import Signal, Trace
 
@@ -48,7 +49,7 @@ def recording(noise: str, profile: str = "two strokes", **changed: float) -> Tra
 
 
 def freed(trace: Trace, name: str) -> Identification:
-    return identify([trace], default_valve().exact(), tuple(dict.fromkeys((*DEFAULT_FREE, name))))
+    return identify([trace], default_valve().exact(), tuple(dict.fromkeys((*DAMPINGS, name))))
 
 
 def change(result: Identification, name: str) -> float:
@@ -101,7 +102,7 @@ def test_of_several_bags_one_that_shows_a_parameter_is_enough(place: int) -> Non
     told, at_rest = (recording("noisy", profile, coil_resistance=12.0) for profile in PROFILES)
     traces = [replace(told, source="without a current", coil_current=None), at_rest]
     traces.insert(place, told)
-    free = (*DEFAULT_FREE, "coil_resistance")
+    free = (*DAMPINGS, "coil_resistance")
     together, alone = (identify(given, default_valve().exact(), free).intervals for given in (traces, [told]))
     for name, truth in {**TRUTH, "coil_resistance": 12.0}.items():
         assert abs(together[name].value - truth) < 3.0 * together[name].stderr

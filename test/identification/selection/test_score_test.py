@@ -23,7 +23,7 @@ from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Array, EffectChoice, Nuisance
-from valve_sim.identification.selection.score_test import NOTHING, Outside, additions, log_gains
+from valve_sim.identification.selection.score_test import Outside, log_gains, moves_of
 from valve_sim.model import Parameter, SimulationError
 
 
@@ -129,11 +129,11 @@ def test_what_changes_nothing_is_no_rival(strength: float, counts: bool) -> None
         effects=only(),
     )
     base = base_of(plant)
-    found = additions(base, Outside(base), plant.effects["e"], 1.0)["size"]
+    (move,) = next(moves_of(base, plant.effects["e"], 1.0))
+    power, seen = Outside(base).along(move.change)
     if counts:
-        assert 2.0 * found.gain == pytest.approx(gained(COLUMNS[:, 1:2], plant), rel=0.01)
+        assert seen**2 / power == pytest.approx(gained(COLUMNS[:, 1:2], plant), rel=0.01)
     else:
-        assert found == NOTHING
         assert log_gains(base) == {"e": -math.inf}
     # Nor is what the fit can do by itself.
     same = LinearPlant(measured(), lambda values: values.get("e.size", 0.0) * COLUMNS[:, 0], effects=only())
@@ -171,7 +171,7 @@ def test_a_switch_is_tried_near_off_and_at_its_scale() -> None:
 
     plant = LinearPlant(measured() + COLUMNS[:, 1], shown, effects=only())
     gains = log_gains(base_of(plant))
-    assert {size for size in seen if size} == {0.05 * 2.0, 2.0}
+    assert {abs(size) for size in seen if size} == {0.05 * 2.0, 2.0}
     assert gains["e"] == pytest.approx(0.5 * gained(COLUMNS[:, 1:2], plant), abs=10.0)
     assert gains["e"] > 100.0
 
@@ -187,10 +187,11 @@ def test_a_switch_whose_off_is_not_0_is_moved_from_there_while_others_stay_off()
     ratio = Parameter("ratio", "1", "of it", 0.0, 1.0, 0.4, 1.0)
     plant = LinearPlant(measured() - 0.5 * COLUMNS[:, 1], shown, effects=[EffectChoice("e", (ratio, SWITCH))])
     base = base_of(plant)
-    found = additions(base, Outside(base), plant.effects["e"])
+    move, _ = next(moves_of(base, plant.effects["e"]))
+    power, along = Outside(base).along(move.change)
     log_gains(base)
     assert set(seen) == {(1.0, 0.0), (0.98, 0.0), (1.0, 0.1), (0.6, 0.0), (1.0, 2.0)}
-    assert 2.0 * found["ratio"].gain == pytest.approx(gained(COLUMNS[:, 1:2], plant), rel=1e-3)
+    assert along**2 / power == pytest.approx(gained(COLUMNS[:, 1:2], plant), rel=1e-3)
 
 
 def test_a_range_that_ends_where_a_switch_is_off_counts_on_the_side_of_its_range() -> None:

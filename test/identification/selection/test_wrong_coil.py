@@ -39,11 +39,11 @@ def named(found: Verdict) -> set[str]:
     return {*found.effects, *(other for others in found.confusable_with.values() for other in others)}
 
 
-def test_a_coil_that_is_later_is_a_lag_or_a_wrong_value_and_one_that_is_earlier_is_wrong() -> None:
-    """Nothing tells a lag from a larger time constant; no lag is negative."""
+def test_a_coil_that_is_later_is_a_lag_and_one_that_is_earlier_has_a_wrong_value() -> None:
+    """A larger time constant is a lag, and bears its name; no lag is negative."""
     later, earlier = verdict(8.0), verdict(-8.0)
     assert later.kind == earlier.kind == "effects"
-    assert named(later) == {LAG, WRONG}
+    assert named(later) == {LAG}
     assert named(earlier) == {WRONG}
 
 

@@ -1,10 +1,10 @@
 """How large an effect would have to be to be named: what "nothing is missing" is worth.
 
-An effect of size a, alone beside a fit that lacks nothing, would raise ln p by ½ (a/σ)² in half of the recordings like
-this one, σ its standard error beside all that the fit frees, and its prior would take ln (√(2π) σ π(a)) of that. It is
-named where the posterior gives it `SURE` against nothing:
+An effect of size a, alone beside a fit that lacks nothing, is estimated as a or more in half of the recordings like
+this one, with the standard error σ that it has beside all that the fit frees; π is its prior. It is named where the
+posterior gives it `SURE` against nothing:
 
-    ½ (a/σ)² + ln (√(2π) σ π(a)) + ln P(effect) − ln P(nothing) = ln SURE/(1 − SURE)
+    ln ∫ π(z) exp(−(z − a)²/2σ² + a²/2σ²) dz + ln P(effect) − ln P(nothing) = ln SURE/(1 − SURE)
 
 The limit is the a that solves this (theory, section 10).
 """
@@ -15,7 +15,6 @@ import math
 from collections.abc import Mapping
 from typing import Final
 
-from valve_sim.identification.estimation.priors import Prior
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.plants.protocol import (
     EffectChoice,
@@ -25,7 +24,7 @@ from valve_sim.identification.plants.protocol import (
     to_internal,
 )
 from valve_sim.identification.selection.posterior import SURE, Rivals
-from valve_sim.identification.selection.score_test import Outside, released_spread, standard_errors
+from valve_sim.identification.selection.score_test import Outside, log_bayes_factor, released_spread, standard_errors
 from valve_sim.model import Parameter
 
 Limits = Mapping[str, Mapping[str, float]]
@@ -83,18 +82,14 @@ def _limit(result: Fit, effect: EffectChoice, switch: Parameter, sigma: float, n
     low, high = 0.0, sigma
     most = max(off - lower, upper - off)
     sign = 1.0 if upper - off >= off - lower else -1.0
-    while _margin(prior, off, sign * high, sigma) < needed:
+    while log_bayes_factor(prior, off, sign * high, sigma, sign) < needed:
         high *= 2.0
         if high > most:
             return math.inf
     for _ in range(SEARCHED):
         middle = 0.5 * (low + high)
-        low, high = (low, middle) if _margin(prior, off, sign * middle, sigma) >= needed else (middle, high)
+        is_enough = log_bayes_factor(prior, off, sign * middle, sigma, sign) >= needed
+        low, high = (low, middle) if is_enough else (middle, high)
     if math.isinf(switch.off):
         return from_internal(parameter, off + sign * high)
     return abs(from_internal(parameter, off + sign * high) - switch.off)
-
-
-def _margin(prior: Prior, off: float, by: float, sigma: float) -> float:
-    """What ln p gains by an effect that is moved so far."""
-    return 0.5 * (by / sigma) ** 2 + math.log(math.sqrt(2.0 * math.pi) * sigma) + prior.log_density(off + by)

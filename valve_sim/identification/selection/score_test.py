@@ -14,7 +14,6 @@ from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.special import log_ndtr
 
 from valve_sim.identification.estimation.gram import gram, orthonormal
 from valve_sim.identification.estimation.priors import HALF, Cauchy, Normal, Prior
@@ -162,18 +161,34 @@ def _log_gain(result: Fit, outside: Outside, effect: EffectChoice, moves: list[M
 def _addition(result: Fit, outside: Outside, effect: EffectChoice, move: Move) -> Addition:
     power, seen = outside.along(move.change)
     if power <= MOVES_NOTHING**2:
+        # What shows nothing is as probable as it was, and no rival of anything.
         return NOTHING
     prior = result.problem.prior(effect.free_name(move.switch))
     sigma, steps = abs(move.by) / math.sqrt(power), -seen / power
-    if isinstance(prior, Cauchy) and sigma > prior.scale:
-        # The data say less of it than its prior does: it is as probable as it was, and no rival of anything.
-        return NOTHING
-    is_one_sided = isinstance(prior, Cauchy) and prior.mass == HALF
-    share = float(log_ndtr(steps * math.sqrt(power))) if is_one_sided else 0.0
-    at = max(steps, 0.0) if is_one_sided else steps
-    # Beyond the end of a range the gain is that of the Gaussian's tail, which the share takes back.
-    price = math.log(math.sqrt(2.0 * math.pi) * sigma) + prior.log_density(move.off + at * move.by) + share
-    return Addition(0.5 * steps**2 * power, price, sigma)
+    gain = 0.5 * steps**2 * power
+    return Addition(gain, log_bayes_factor(prior, move.off, steps * move.by, sigma, move.by) - gain, sigma)
+
+
+def log_bayes_factor(prior: Prior, off: float, estimate: float, sigma: float, direction: float) -> float:
+    """Ln of ∫ π(z) L(z) dz over L(off), L a Gaussian likelihood: what ln p gains by an effect.
+
+    Args:
+        prior: π, of the search coordinate z. off: z where the effect does nothing.
+        estimate, sigma: where L is greatest, measured from there, and its standard deviation.
+        direction: towards which side z may go, where it may go to one only.
+    """
+    scale = prior.scale if isinstance(prior, Cauchy) else sigma
+    steps = np.linspace(-WIDE, WIDE, GRID)
+    places = np.concatenate([estimate + sigma * steps, scale * steps])
+    if isinstance(prior, Cauchy) and prior.mass == HALF:
+        places = np.concatenate([[0.0], places[places * direction > 0.0]])
+    at = np.unique(places)
+    logs = np.array([prior.log_density(off + place) for place in at.tolist()])
+    logs -= 0.5 * np.square((at - estimate) / sigma)
+    most = float(np.max(logs))
+    density = np.exp(logs - most)
+    mass = 0.5 * float(np.diff(at) @ (density[1:] + density[:-1]))
+    return most + math.log(max(mass, 1e-300)) + 0.5 * (estimate / sigma) ** 2
 
 
 def _stands_for(own: Nuisance, effect: EffectChoice) -> bool:
@@ -205,8 +220,6 @@ def _released(result: Fit, own: Nuisance, effect: EffectChoice) -> float:
     sigma = 1.0 / math.sqrt(of_data)
     estimate = own.mean + (result.values[own.name] - own.mean) * (1.0 + 1.0 / (of_data * own.sigma**2))
     after = _prior_of_released(result, own, effect)
-    if isinstance(after, Cauchy) and sigma > after.scale:
-        return -math.inf
     # The data may know it a thousand times better than its tolerance or worse: both widths are resolved.
     steps, scale = np.linspace(-WIDE, WIDE, GRID), after.scale if isinstance(after, Cauchy) else own.sigma
     places = np.concatenate([estimate + sigma * steps, own.mean + scale * steps])
