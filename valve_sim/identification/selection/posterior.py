@@ -45,11 +45,13 @@ class Evidence(NamedTuple):
     Attributes:
         plain, unnamed: ln p(data | set) without and with a discrepancy.
         is_fitted: whether it was fitted; else it is a linear estimate, or the bound of what was left untried.
+        is_untried: whether it is such a bound.
     """
 
     plain: float
     unnamed: float
     is_fitted: bool = True
+    is_untried: bool = False
 
 
 class Share(NamedTuple):
@@ -102,12 +104,13 @@ class Posterior:
 
     Attributes:
         shares: of each set. curves: of each smooth curve in place of a discrepancy.
-        fitted: the sets that were fitted: one of these leads.
+        fitted: the sets that were fitted: one of these leads. untried: those that speak for no name.
     """
 
     shares: Mapping[Set, Share]
     curves: tuple[float, ...] = ()
     fitted: frozenset[Set] = field(default_factory=frozenset)
+    untried: frozenset[Set] = field(default_factory=frozenset)
 
     @property
     def unnamed(self) -> float:
@@ -159,7 +162,8 @@ def posterior_of(
         for names, (plain, unnamed) in logs.items()
     }
     fitted = frozenset(names for names, evidence in table.items() if evidence.is_fitted)
-    return Posterior(shares, tuple(math.exp(log - most) / total for log in with_curves), fitted)
+    untried = frozenset(names for names, evidence in table.items() if evidence.is_untried)
+    return Posterior(shares, tuple(math.exp(log - most) / total for log in with_curves), fitted, untried)
 
 
 class Class(NamedTuple):
@@ -258,8 +262,8 @@ def decide(posterior: Posterior, beside: Class | None = None, sizes: Mapping[str
     if not leading.names:
         return Decision("insufficient", (), {}, weights[()], unnamed)
     leading = simplest_of({names: weights[names] for names in posterior.fitted}, leading, sizes or {})
-    # Whether the names act does not hang on whether something unnamed does, too.
-    totals = {names: share.total for names, share in posterior.shares.items()}
+    # Whether the names act does not hang on whether something unnamed does, too; what was not tried says nothing of it.
+    totals = {names: share.total for names, share in posterior.shares.items() if names not in posterior.untried}
     leading = leading._replace(probability=class_of(totals, leading.names).probability)
     kind = "effects" if leading.is_answer and leading.probability >= SURE else "insufficient"
     return Decision(kind, leading.names, leading.others, leading.probability, unnamed)

@@ -14,6 +14,7 @@ What it would still have fitted when the work is used up is left in the table wi
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -136,7 +137,7 @@ class Search:
             # Of what was not tried it is not known that it leaves anything unnamed.
             unnamed = max(one.spread.log_evidence for one in self.tried.values())
             most = max(unnamed + raised, *(one.plain for one in self.tried.values()))
-            bound = Evidence(most, unnamed, is_fitted=False)
+            bound = Evidence(most, unnamed, is_fitted=False, is_untried=True)
             found.update({names: bound for names in self.untried if names not in found})
         return found
 
@@ -179,7 +180,7 @@ class Search:
             if () not in self.tried:
                 self.fit_declared()
             if is_full:
-                self._fit_all([(name,) for name in self.problem.plant.effects], ())
+                self._fit_all([(name,) for name in self._names], ())
             for size in range(LARGEST_SET):
                 base = self.best(size)
                 if base is None or not self._extend(base):
@@ -211,7 +212,7 @@ class Search:
 
     def _extend(self, base: Set) -> bool:
         """Fit a set with each addition that may gain, then swap members of the best; whether to go on from there."""
-        names = [name for name in self.problem.plant.effects if name not in base]
+        names = [name for name in self._names if name not in base]
         explains_all = self._unnamed(base) < EVEN
         if explains_all:
             gains = self._gains(base)
@@ -238,7 +239,7 @@ class Search:
         for member in best:
             for other in effects[member].confused_with:
                 names = _added(_without(best, member), other)
-                if other in effects and other not in best and names not in self.tried:
+                if other in self._names and other not in best and names not in self.tried:
                     due[names] = other
 
         def fitted(names: Set) -> Tried | None:
@@ -275,6 +276,14 @@ class Search:
         for name in gains.keys() - set(promising):
             self.screened[(name,)] = self.tried[()].plain + gains[name] + prior - self.rivals.log_prior((name,))[0]
 
+    @functools.cached_property
+    def _names(self) -> list[str]:
+        """What sets are made of: all but declared values that show nothing in these data, right or wrong."""
+        gains, effects = self._gains(()), self.problem.plant.effects
+        return [
+            name for name, choice in effects.items() if not choice.is_declared or math.isfinite(gains.get(name, 0.0))
+        ]
+
     def _gains(self, base: Set) -> dict[str, float]:
         """Ln of the odds of each addition to a fitted set, by the score test."""
         log_prior = self.rivals.log_prior(base)[0]
@@ -288,7 +297,7 @@ class Search:
     def _swapped(self, best: Set) -> Iterable[Set]:
         for member in best:
             rest = tuple(name for name in best if name != member)
-            for name in self.problem.plant.effects:
+            for name in self._names:
                 if name not in best:
                     yield _added(rest, name)
 
