@@ -32,6 +32,9 @@ ALIKE: Final = 20.0
 """Odds within which a set that differs in one member is a look-alike."""
 NEARLY: Final = 3.0
 """Odds within which the simpler of two look-alikes gives its name to the class."""
+MOST_CLAIMED: Final = 2
+"""Names of a claim: what lacks more at once was never tested, and three names together imitate forms that have none. (A
+bump of force at the pick-up is a constant force, another gap and another impact to within noise.)"""
 LARGEST_CLASS: Final = 4
 """A class of more names is no answer."""
 
@@ -265,5 +268,6 @@ def decide(posterior: Posterior, beside: Class | None = None, sizes: Mapping[str
     # Whether the names act does not hang on whether something unnamed does, too; what was not tried says nothing of it.
     totals = {names: share.total for names, share in posterior.shares.items() if names not in posterior.untried}
     leading = leading._replace(probability=class_of(totals, leading.names).probability)
-    kind = "effects" if leading.is_answer and leading.probability >= SURE else "insufficient"
+    is_claimed = leading.is_answer and len(leading.names) <= MOST_CLAIMED and leading.probability >= SURE
+    kind = "effects" if is_claimed else "insufficient"
     return Decision(kind, leading.names, leading.others, leading.probability, unnamed)
