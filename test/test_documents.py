@@ -159,7 +159,7 @@ def test_the_commands_work_as_printed(name: str, terminal: tuple[Path, dict[str,
     assert_named(report_in(folder / "results"), "coulomb_friction", force=0.15)
     if name == "README.md":
         results = sorted(path.name for path in (folder / "results").glob("*.yaml"))
-        assert results == ["corrected.yaml", "identified.yaml"], told
+        assert results == ["corrected.yaml", "identified.yaml", "record_next.yaml"], told
     if name == "docs/tutorials/first_correction.md":
         page = (ROOT / "docs" / "reference" / "report_json.md").read_text(encoding="utf-8")
         assert_described(report_in(folder / "results"), page)
