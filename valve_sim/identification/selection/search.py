@@ -369,7 +369,9 @@ class Search:
         """The best begun fit of each variant; none where the machine cannot be simulated."""
         found = []
         for nuisances in self._variants():
-            begun = [self._attempt(names, nuisances, start, Effort(most=TRIAL)) for start in self._starts(names)]
+            # All else is compared with the declared model, which is worth a whole fit from each start.
+            effort = Effort(most=TRIAL) if names else Effort()
+            begun = [self._attempt(names, nuisances, start, effort) for start in self._starts(names)]
             fits = [one for one in begun if one is not None]
             if fits:
                 found.append(min(fits, key=lambda one: one.chi2))
