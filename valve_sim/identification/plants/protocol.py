@@ -108,7 +108,6 @@ class ForceMap:
         low, high: the range of the variable, in `unit`; the curve is constant beyond.
         count: name of the value that says how many coefficients there are.
         least: value that no coefficient may fall below.
-        only: index of the only coefficient that is free, or None: all are.
         end: of a curve that repeats itself, name of the value that says where a period that begins at `low` ends. Its
             range is then that of the data, and the period is looked for. Empty: it does not repeat itself.
     """
@@ -121,22 +120,17 @@ class ForceMap:
     unit: str
     count: str
     least: float = -math.inf
-    only: int | None = None
     end: str = ""
 
     @property
     def free(self) -> tuple[str, ...]:
         """Names of the coefficients that a fit frees."""
-        return self.coefficients if self.only is None else (self.coefficients[self.only],)
+        return self.coefficients
 
     @property
     def held(self) -> dict[str, float]:
-        """What a fit holds: the place of the B-splines, and no force of those that are not free."""
-        return {
-            **self.fixed,
-            self.count: float(len(self.coefficients)),
-            **{name: 0.0 for name in self.coefficients if name not in self.free},
-        }
+        """What a fit holds: the place of the B-splines."""
+        return {**self.fixed, self.count: float(len(self.coefficients))}
 
     def with_period(self, period: float) -> ForceMap:
         """The same over one period, of a curve that repeats itself."""

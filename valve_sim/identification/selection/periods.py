@@ -71,9 +71,6 @@ def likely_periods(choice: ForceMap, *bases: Fit) -> list[list[Period]]:
         choice: a force map that repeats itself.
         bases: fits to the same data that differ in nothing that matters to what a wave does: waves are simulated once,
             beside the first.
-
-    Raises:
-        OutOfTimeError: the time is used up.
     """
     span = choice.high - choice.low
     most = MOST_OVER_STROKE if choice.unit == "m" else MOST_CYCLES

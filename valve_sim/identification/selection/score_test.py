@@ -238,9 +238,7 @@ def _prior_of_released(result: Fit, own: Nuisance, effect: EffectChoice) -> Prio
     prior = result.problem.prior(effect.free_names()[0] if own.same_as in effect.free_names() else own.name)
     if not isinstance(prior, Cauchy):
         return prior
-    scale = prior.scale
-    if own.name == "reference_voltage" and own.same_as in effect.free_names():
-        scale *= own.mean
+    scale = prior.scale / abs(own.same_slope) if own.same_as in effect.free_names() else prior.scale
     return Cauchy(own.mean, scale, prior.mass)
 
 
