@@ -3,7 +3,7 @@
 EMPS is an electro-mechanical positioning system, measured for 24.8 s at 1 kHz: A. Janot, M. Gautier, M. Brunot, "Data
 Set and Reference Models of EMPS", Workshop on Nonlinear System Identification Benchmarks, Eindhoven 2019. This page
 reads its file (that is all it knows of EMPS), starts from mass and viscous friction, and lets `diagnose_plant` find
-what is missing. It prints the best models by number of added parameters, the verdict, and what stays unexplained.
+what is missing. It prints the published models beside what the diagnosis names, and what stays unexplained.
 
 Published for this record, by ordinary least squares: mass 95.1 kg, viscous 203.5 N·s/m, Coulomb 20.39 N, offset
 −3.16 N, force residual 4.08 % of the force's norm; 3.11 % with friction by direction.
@@ -37,7 +37,7 @@ PUBLISHED_RESIDUAL = {("coulomb_friction", "constant_force"): 4.08, ("asymmetric
 
 
 class Rung(NamedTuple):
-    """The best model with so many parameters added to the base, fitted to the whole record.
+    """A model that is fitted to the whole record.
 
     Attributes:
         effects: what was added, and added: how many parameters that are.
@@ -62,17 +62,14 @@ def read_emps(path: Path) -> AxisRecord:
 
 
 def ladder(plant: AxisPlant, diagnosis: Diagnosis) -> list[Rung]:
-    """For each number of added parameters the best set of effects that the diagnosis tried, if it beats all smaller."""
-    sizes = {name: len(choice.parameters) for name, choice in plant.effects.items()}
-    rungs, least = [rung(plant, ())], 0.0
-    for added in range(1, 1 + max(sum(sizes[name] for name in c.effects) for c in diagnosis.candidates)):
-        tried = [c for c in diagnosis.candidates if sum(sizes[name] for name in c.effects) == added]
-        best = min(tried, key=lambda candidate: candidate.delta_bic, default=None)
-        if best is not None and best.delta_bic < least:
-            least = best.delta_bic
-            found = {name: interval.value for name, interval in best.intervals.items()}
-            rungs.append(rung(plant, tuple(sorted(best.effects, key=lambda name: name == "constant_force")), found))
-    return rungs
+    """Nothing, Coulomb friction, the published models, and what the diagnosis names or holds likeliest."""
+    leading = tuple(diagnosis.verdict.effects)
+    models = dict.fromkeys([(), ("coulomb_friction",), *PUBLISHED_RESIDUAL, *([leading] if leading else [])])
+    found = {
+        candidate.effects: {name: interval.value for name, interval in candidate.intervals.items()}
+        for candidate in diagnosis.candidates
+    }
+    return [rung(plant, names, found.get(names)) for names in models]
 
 
 def rung(plant: AxisPlant, effects: Sequence[str], start: Mapping[str, float] | None = None) -> Rung:
@@ -158,7 +155,9 @@ def report(path: Path, second: Path | None) -> str:
         f"unexplained: {remainder_line(plant, named.values)}",
     ]
     left = diagnosis.unexplained
-    if left is not None:
+    if left is not None and left.force_rms < 0.1:
+        lines.append("    no smooth curve over position, speed or time catches it")
+    elif left is not None:
         lines.append(f"    best caught by a force over {left.variable}: {left.force_rms:.2f} N rms, {left.where}")
     return "\n".join(lines)
 

@@ -78,6 +78,7 @@ def test_what_is_warm_compiles_nothing_and_what_is_not_says_so(tmp_path: Path) -
     assert len(runs) == 2, "one plain run of the core and one with derivatives, not another for each type of a count"
 
 
+@pytest.mark.long
 def test_gas_is_warm_once_it_is_asked_for() -> None:
     """What a live valve with gas calls is compiled, or loaded, for records with gas."""
     warm_gas()

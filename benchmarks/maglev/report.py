@@ -134,7 +134,7 @@ def refitted(records: Sequence[MagnetRecord], effects: Sequence[str], start: Val
 def ladder(
     records: Sequence[MagnetRecord], others: Sequence[MagnetRecord], diagnosis: Diagnosis, say: Callable[[str], None]
 ) -> list[Rung]:
-    """The declared model, the best of the effects that the diagnosis names, two of them, and so on to all."""
+    """The declared model, the best of the effects that lead in the diagnosis, two of them, and so on to all."""
     search, named = Search(Problem(MagnetPlant(records))), diagnosis.verdict.effects
     rungs = []
     for count in range(len(named) + 1):

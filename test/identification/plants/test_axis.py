@@ -78,11 +78,10 @@ def diagnosis(measured):
 
 
 def test_emps_lacks_friction_by_direction_and_nothing_that_an_axis_cannot_have(diagnosis):
-    # Friction that fades with speed besides (18 N, by 0.12 m/s) lowers the held-out error from 1.67 to 1.58 N. Whether
-    # the search comes upon it is a matter of rounding: of viscous friction and of the damping by direction the record
-    # determines only sums, and a start of the pair depends on how they are shared out.
+    # The flexible axis leaves more than noise beside it, which has no name here.
     named = diagnosis.verdict.effects
-    assert named in (("asymmetric_friction",), ("asymmetric_friction", "stiction"))
+    assert (diagnosis.verdict.kind, named) == ("effects", ("asymmetric_friction",))
+    assert diagnosis.verdict.has_remainder
     errors = {candidate.effects: candidate.holdout_rmse for candidate in diagnosis.candidates}
     assert errors[named] < 1.01 * errors[("asymmetric_friction",)]
     assert {name for candidate in diagnosis.candidates for name in candidate.effects} <= {
@@ -92,13 +91,13 @@ def test_emps_lacks_friction_by_direction_and_nothing_that_an_axis_cannot_have(d
         "constant_force",
         "quadratic_drag",
     }
-    best = min(diagnosis.candidates, key=lambda candidate: candidate.delta_score)
+    best = min(diagnosis.candidates, key=lambda candidate: candidate.delta_bic)
     assert best.holdout_rmse < 0.2 * diagnosis.before.holdout_rmse
 
 
 def test_emps_gains_in_the_published_order_and_by_the_published_amounts(measured, diagnosis):
     rungs = emps.ladder(measured, diagnosis)
-    assert [rung.effects for rung in rungs[:4]] == [
+    assert [rung.effects for rung in rungs] == [
         (),
         ("coulomb_friction",),
         ("coulomb_friction", "constant_force"),

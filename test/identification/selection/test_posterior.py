@@ -138,9 +138,22 @@ def test_inclusion_adds_all_sets_with_a_name() -> None:
     inclusion = found.inclusion()
     assert set(inclusion) == {"a", "b", "c"}
     assert inclusion["b"] == pytest.approx(found.shares["b",].total + found.shares["a", "b"].total)
-    given = found.given(unnamed=True)
-    assert math.fsum(given.values()) == pytest.approx(1.0)
-    assert given["a",] / given["b",] == pytest.approx(found.shares["a",].unnamed / found.shares["b",].unnamed)
+    assert math.fsum(found.beside.values()) == pytest.approx(1.0)
+    ratio = found.shares["a",].unnamed / found.shares["b",].unnamed
+    assert found.beside["a",] / found.beside["b",] == pytest.approx(ratio)
+
+
+def test_held_out_odds_make_no_set_better_than_another_beside_something_unnamed() -> None:
+    before, after = (posterior_of(MANY, table(SOME, 3.0), (), odds) for odds in (None, {("a",): 40.0}))
+    assert after.beside == before.beside
+
+
+def test_a_set_that_another_contains_leads_where_it_is_nearly_as_probable() -> None:
+    sizes = {"a": 4, "b": 1}
+    near = posterior_of(MANY, {**table({"": -400.0}), ("a",): Evidence(0.0, 0.0), ("a", "b"): Evidence(2.5, 2.5)})
+    assert decide(near, sizes=sizes).names == ("a",)
+    far = posterior_of(MANY, {**table({"": -400.0}), ("a",): Evidence(0.0, 0.0), ("a", "b"): Evidence(9.0, 9.0)})
+    assert decide(far, sizes=sizes).names == ("a", "b")
 
 
 def test_what_was_left_untried_lowers_every_probability() -> None:

@@ -41,6 +41,7 @@ from valve_sim.identification.selection.force_maps import (
     on_top,
 )
 from valve_sim.identification.selection.posterior import (
+    EVEN,
     LARGEST_CLASS,
     SURE,
     Class,
@@ -50,6 +51,7 @@ from valve_sim.identification.selection.posterior import (
     class_of,
     decide,
     leader_of,
+    leading_beside,
 )
 from valve_sim.identification.selection.prediction import HeldOut, predicted
 from valve_sim.identification.selection.residual_tests import adequacy
@@ -241,19 +243,18 @@ class DiagnosisSession:
         best = leader_of({names: share.total for names, share in posterior.shares.items()}, posterior.fitted)
         raised = {best: self._held_out.log_odds_of_unnamed(self._search.tried[best].fit)}
         posterior = self._search.posterior(curves, raised)
-        beside = self._beside(posterior) if posterior.unnamed > 0.5 else None
         sizes = {name: len(choice.parameters) for name, choice in self._plant.effects.items()}
+        beside = self._beside(posterior, sizes) if posterior.unnamed > EVEN else None
         return posterior, decide(posterior, beside, sizes)
 
-    def _beside(self, posterior: Posterior) -> Class | None:
+    def _beside(self, posterior: Posterior, sizes: Mapping[str, int]) -> Class | None:
         """A name that stands beside something unnamed: theory, section 9; None where none does.
 
         A force of the catalogue may imitate an unnamed one, and several together nearly always can. So it must be one,
         which leads given a discrepancy, and given a discrepancy or a smooth curve; it must predict held-out strokes
         better, and explain a good part of the error.
         """
-        weights = posterior.given(unnamed=True)
-        leading = class_of(weights, leader_of(weights, posterior.fitted))
+        weights, leading = posterior.beside, leading_beside(posterior, sizes)
         is_one = leading.is_answer and len(leading.names) == 1
         if not is_one or leading.probability < SURE or self._held_out.problem is None:
             return None
@@ -287,7 +288,7 @@ class DiagnosisSession:
         if decision.kind == "unknown":
             return self.declared
         tried = self._search.tried[decision.names]
-        return tried.beside if decision.unnamed > 0.5 else tried.fit
+        return tried.beside if decision.unnamed > EVEN else tried.fit
 
     def _share(self, result: Fit) -> float:
         """How much of the squared error of the declared model beyond noise a fit explains, from 0 to 1."""

@@ -107,10 +107,13 @@ class Posterior:
 
     Attributes:
         shares: of each set. curves: of each smooth curve in place of a discrepancy.
+        beside: of each set, given that a discrepancy acts beside it, by the training data alone: held-out data may say
+            that something unnamed acts, not which set is better than another.
         fitted: the sets that were fitted: one of these leads. untried: those that speak for no name.
     """
 
     shares: Mapping[Set, Share]
+    beside: Mapping[Set, float] = field(default_factory=dict)
     curves: tuple[float, ...] = ()
     fitted: frozenset[Set] = field(default_factory=frozenset)
     untried: frozenset[Set] = field(default_factory=frozenset)
@@ -131,12 +134,6 @@ class Posterior:
             name: math.fsum(share.total for names, share in self.shares.items() if name in names) for name in self.names
         }
 
-    def given(self, *, unnamed: bool) -> dict[Set, float]:
-        """Probabilities of the sets given that something unnamed acts beside them, or that nothing does."""
-        parts = {names: share.unnamed if unnamed else share.plain for names, share in self.shares.items()}
-        total = math.fsum(parts.values())
-        return {names: part / total for names, part in parts.items()} if total > 0.0 else parts
-
 
 def posterior_of(
     rivals: Rivals,
@@ -152,10 +149,12 @@ def posterior_of(
         odds_of_unnamed: of some sets, ln of the factor by which held-out data raise the odds of a discrepancy.
     """
     logs: dict[Set, tuple[float, float]] = {}
+    beside: dict[Set, float] = {}
     for names, evidence in table.items():
         plain, unnamed = rivals.log_prior(names)
         raised = (odds_of_unnamed or {}).get(names, 0.0)
-        logs[names] = plain + evidence.plain, unnamed + evidence.unnamed + raised
+        beside[names] = unnamed + evidence.unnamed
+        logs[names] = plain + evidence.plain, beside[names] + raised
     of_curve = rivals.log_prior(())[1] - math.log(max(1, len(curves)))
     with_curves = [of_curve + evidence for evidence in curves]
     most = max([*(max(pair) for pair in logs.values()), *with_curves])
@@ -164,9 +163,12 @@ def posterior_of(
         names: Share(math.exp(plain - most) / total, math.exp(unnamed - most) / total)
         for names, (plain, unnamed) in logs.items()
     }
+    most_beside = max(beside.values())
+    total_beside = math.fsum(math.exp(log - most_beside) for log in beside.values())
+    given = {names: math.exp(log - most_beside) / total_beside for names, log in beside.items()}
     fitted = frozenset(names for names, evidence in table.items() if evidence.is_fitted)
     untried = frozenset(names for names, evidence in table.items() if evidence.is_untried)
-    return Posterior(shares, tuple(math.exp(log - most) / total for log in with_curves), fitted, untried)
+    return Posterior(shares, given, tuple(math.exp(log - most) / total for log in with_curves), fitted, untried)
 
 
 class Class(NamedTuple):
@@ -213,9 +215,10 @@ def leader_of(weights: Mapping[Set, float], fitted: Iterable[Set]) -> Set:
 
 
 def simplest_of(weights: Mapping[Set, float], leading: Class, sizes: Mapping[str, int]) -> Class:
-    """A class by its simplest name, where that is nearly as probable as the one that leads.
+    """The simplest set that is nearly as probable as the one that leads: one of its class, or one that it contains.
 
     Coulomb friction is stiction without a breakaway: where the data do not show one, the name without it stands first.
+    Friction by direction beside Coulomb friction is friction by direction.
 
     Args:
         weights: probabilities. leading: the class. sizes: of each name, how many parameters it frees.
@@ -223,6 +226,7 @@ def simplest_of(weights: Mapping[Set, float], leading: Class, sizes: Mapping[str
     near = [leading.names]
     for name, others in leading.others.items():
         near += [tuple(sorted({*leading.names, other} - {name})) for other in others]
+    near += [names for names in weights if names and set(names) < set(leading.names)]
     least = weights[leading.names] / NEARLY
     sizes_of = {names: sum(sizes.get(name, 1) for name in names) for names in near if weights.get(names, 0.0) >= least}
     simplest = min(sizes_of, key=lambda names: (sizes_of[names], -weights[names]))
@@ -244,6 +248,16 @@ class Decision(NamedTuple):
     unnamed: float
 
 
+def leading_beside(posterior: Posterior, sizes: Mapping[str, int]) -> Class:
+    """The class that leads given that something unnamed acts beside it; `sizes` as of `simplest_of`."""
+    weights = posterior.beside
+    leading = class_of(weights, leader_of(weights, posterior.fitted))
+    if not leading.names:
+        return leading
+    simplest = simplest_of({names: weights[names] for names in posterior.fitted}, leading, sizes)
+    return simplest._replace(probability=class_of(weights, simplest.names).probability)
+
+
 def decide(posterior: Posterior, beside: Class | None = None, sizes: Mapping[str, int] | None = None) -> Decision:
     """The verdict.
 
@@ -255,8 +269,7 @@ def decide(posterior: Posterior, beside: Class | None = None, sizes: Mapping[str
     if unnamed > EVEN:
         if beside is not None:
             return Decision("effects", beside.names, beside.others, beside.probability, unnamed)
-        weights = posterior.given(unnamed=True)
-        leading = class_of(weights, leader_of(weights, posterior.fitted))
+        leading = leading_beside(posterior, sizes or {})
         return Decision("unknown", leading.names, leading.others, unnamed, unnamed)
     weights = {names: share.plain for names, share in posterior.shares.items()}
     leading = class_of(weights, leader_of(weights, posterior.fitted))
