@@ -17,6 +17,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from benchmarks.campaign import __doc__ as campaign_words
 from benchmarks.campaign.cases import EXACT, FAMILIES, NOISES, WITHIN, draw_case, planned
+from benchmarks.campaign.constants import constants_table
 from benchmarks.campaign.effects import CATALOGUED, EARLIER_LIMITS
 from benchmarks.campaign.figures import (
     confusion_table,
@@ -64,7 +65,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.json is not None and not options.json.parent.is_dir():
         parser.error(f"--json {options.json}: expected a file in a folder that exists")
     if options.pool:
-        _print_tables([outcome for path in options.pool for outcome in _read(path)], has_limits=False)
+        pooled = [outcome for path in options.pool for outcome in _read(path)]
+        _print_tables(pooled, has_limits=False)
+        print(constants_table(pooled))
         return 0
     started = time.perf_counter()
     outcomes, timings, costs = _measure(options, families)

@@ -324,7 +324,8 @@ def family_table(outcomes: Sequence[Outcome]) -> str:
         rows.setdefault(_part(outcome), []).append(outcome)
     columns = ("unique", "class", "missed", "wrong", "error")
     head = f"{'family':<26}{'cases':>6}" + "".join(f"{column:>8}" for column in columns)
-    lines = [f"{head}{'≥ 0.9 wrong':>13}{'and extra':>11}{'CPU s':>8}{'Brier':>8}{'of':>5}{'95 % covers':>13}{'of':>5}"]
+    head += f"{'≥ 0.9 wrong':>13}{'and extra':>11}{'CPU s':>8}{'Brier':>8}{'of':>5}{'95 % covers':>13}{'of':>5}"
+    lines = [f"{head}{'in bands':>10}{'truth':>8}"]
     for name, found in [*rows.items(), *([("all", list(outcomes))] if len(rows) > 1 else [])]:
         counts = Counter(map(standing, found))
         shown = "".join(f"{counts[column] or '·':>8}" for column in columns)
@@ -333,12 +334,22 @@ def family_table(outcomes: Sequence[Outcome]) -> str:
         held = [is_held for one in found for is_held in (one.is_covered or {}).values()]
         seconds = [sum(answer.cpu_seconds for answer in one.answers) for one in found if one.answers]
         extra = sum(one.is_confident and _says("effects")(one) and _has_extra(one) for one in found)
-        shown += f"{sum(map(_is_misnamed, found)) or '·':>13}{extra or '·':>11}"
+        shown += f"{sum(map(is_misnamed, found)) or '·':>13}{extra or '·':>11}"
         shown += f"{_mean(seconds, '.1f'):>8}{_mean(squares, '.3f'):>8}"
-        lines.append(f"{name:<26}{len(found):>6}{shown}{len(claims):>5}{_mean(held, '.1%'):>13}{len(held):>5}")
-    wrong, count = sum(map(_is_misnamed, outcomes)), len(outcomes)
+        lines.append(
+            f"{name:<26}{len(found):>6}{shown}{len(claims):>5}{_mean(held, '.1%'):>13}{len(held):>5}{_bands(found)}"
+        )
+    wrong, count = sum(map(is_misnamed, outcomes)), len(outcomes)
     pooled = f"{wrong} of {count}, {wrong / count:.2%}, upper 95 % limit {upper_limit(wrong, count):.2%}"
     return "\n".join([*lines, f"confidently wrong, all together: {pooled}"])
+
+
+def _bands(outcomes: Sequence[Outcome]) -> str:
+    """Shares of held-out samples, and of true positions, within 95 % of what right models predict."""
+    known = [one.answers[0].in_bands for one in outcomes if one.answers and _is_true(one)]
+    pairs = [pair for pair in known if pair is not None]
+    true = [pair[1] for pair in pairs if pair[1] is not None]
+    return f"{_mean([pair[0] for pair in pairs], '.1%'):>10}{_mean(true, '.1%'):>8}"
 
 
 def _part(outcome: Outcome) -> str:
@@ -355,7 +366,7 @@ def _mean(values: Sequence[float], form: str) -> str:
     return format(statistics.fmean(values), form) if values else "–"
 
 
-def _is_misnamed(outcome: Outcome) -> bool:
+def is_misnamed(outcome: Outcome) -> bool:
     """Whether effects are named confidently, and not those that act; not a failure, which has its own column."""
     return not outcome.error and is_confidently_misnamed(outcome)
 

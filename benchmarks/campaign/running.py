@@ -12,7 +12,7 @@ import traceback
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -26,6 +26,7 @@ from valve_sim.files.parameter_files import save_valve
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
 from valve_sim.identification.plants.tolerances import SAME_AS, principal_axes
 from valve_sim.identification.reporting.summary import recording_advice
+from valve_sim.identification.selection.posterior import Class, Evidence, Grounds, Rivals
 from valve_sim.model import Drive, Valve
 from valve_sim.model.parameters import POLYNOMIAL_NAMES
 from valve_sim.traces import Signal, Trace
@@ -59,7 +60,9 @@ class Answer:
     Errors are in µm RMS, None without a hold-out; so is `predicted_holdout`, what the corrected model says of its own.
     `unnamed` is the probability that something without a name acts. `seconds` are of the wall clock, `cpu_seconds` of
     this process on all its threads, `work` in simulated strokes. `declared` is what the data say of values with a
-    tolerance.
+    tolerance. `grounds` is the table of evidence behind the verdict, as `grounds_of` reads it. `in_bands` are shares of
+    the held-out samples, taken while the valve moves, that lie within 1.96 predicted standard deviations: as measured,
+    and the true positions within the band less the sensor's noise.
     """
 
     kind: str
@@ -76,6 +79,8 @@ class Answer:
     work: float | None = None
     cpu_seconds: float = math.nan
     declared: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    grounds: Mapping[str, Any] = field(default_factory=dict)
+    in_bands: tuple[float, float | None] | None = None
 
     @property
     def classes(self) -> list[set[str]]:
@@ -243,7 +248,7 @@ def examine(case: Case) -> tuple[Outcome, tuple[Diagnosis, ...]]:
         advice = recording_advice(opening.diagnosis)
         return Outcome(case, answers, noise, None, advice), (opening.diagnosis, advised.diagnosis)
     timed = _timed(traces[:-1], traces[-1:], case.declared)
-    answer = _answer(timed)
+    answer = replace(_answer(timed), in_bands=_in_bands(timed.diagnosis, recordings[-1]))
     covered = _coverage(case, answer, timed.diagnosis) if is_right(case, answer) else None
     return Outcome(case, (answer,), noise, covered, recording_advice(timed.diagnosis)), (timed.diagnosis,)
 
@@ -283,7 +288,65 @@ def _answer(timed: _Timed) -> Answer:
             found.name: {"estimate": found.estimate, "stderr": found.stderr, "deviation": found.deviation}
             for found in diagnosis.declared
         },
+        written_grounds(diagnosis.grounds) if diagnosis.grounds is not None else {},
     )
+
+
+def _in_bands(diagnosis: Diagnosis, held_out: Recording) -> tuple[float, float | None] | None:
+    """As of an `Answer`; None where the corrected model predicts no held-out positions."""
+    there = diagnosis.after.holdout
+    if there is None:
+        return None
+    plant = there.problem.plant
+    channel, moves = plant.channels[0], ~plant.channels[0].quiet
+    band, shown = diagnosis.after.holdout_bands[0][moves], plant.predict(there.values)[0][moves]
+    noise = there.problem.noise_of(0).sigma
+    own = np.sqrt(np.maximum(np.square(band) - noise**2, 0.0))
+    # What rounding leaves of a true position is no error of the model.
+    own = np.hypot(own, channel.resolution)
+    truth = held_out.truth.pilot_position[moves] if len(held_out.times) == len(channel.times) else None
+    measured = float(np.mean(np.abs(channel.data[moves] - shown) <= NORMAL_95 * band))
+    return measured, None if truth is None else float(np.mean(np.abs(truth - shown) <= NORMAL_95 * own))
+
+
+def written_grounds(grounds: Grounds) -> dict[str, Any]:
+    """A table of evidence as JSON; impossible sets without a number."""
+    beside = grounds.beside
+    return {
+        "effects": sorted(grounds.rivals.effects),
+        "declared": sorted(grounds.rivals.declared),
+        "table": [
+            [list(names), _finite(one.plain), _finite(one.unnamed), one.is_fitted, one.is_untried]
+            for names, one in grounds.table.items()
+        ],
+        "curves": [*filter(math.isfinite, grounds.curves)],
+        "odds_of_unnamed": [[list(names), min(odds, 1e9)] for names, odds in grounds.odds_of_unnamed.items()],
+        "sizes": dict(grounds.sizes),
+        "beside": None if beside is None else [list(beside.names), dict(beside.others), beside.probability],
+    }
+
+
+def _finite(number: float) -> float | None:
+    return number if math.isfinite(number) else None
+
+
+def grounds_of(answer: Answer) -> Grounds:
+    """The table of evidence of an answer that was written with it."""
+    known = answer.grounds
+    table = {
+        tuple(names): Evidence(
+            -math.inf if plain is None else plain, -math.inf if unnamed is None else unnamed, is_fitted, is_untried
+        )
+        for names, plain, unnamed, is_fitted, is_untried in known["table"]
+    }
+    beside = known["beside"]
+    return Grounds(
+        Rivals(frozenset(known["effects"]), frozenset(known["declared"])), table, tuple(known["curves"]),
+        {tuple(names): odds for names, odds in known["odds_of_unnamed"]}, known["sizes"],
+        None if beside is None else Class(
+            tuple(beside[0]), {name: tuple(others) for name, others in beside[1].items()}, beside[2]
+        ),
+    )  # fmt: skip
 
 
 def _micrometres(error: float) -> float | None:

@@ -14,6 +14,7 @@ from valve_sim.identification.plants.stroke_choice import StrokeChoice
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.selection.detection_limits import Limits
 from valve_sim.identification.selection.force_maps import Unexplained
+from valve_sim.identification.selection.posterior import Grounds
 from valve_sim.identification.selection.residual_tests import Adequacy
 from valve_sim.model import Valve
 
@@ -62,7 +63,8 @@ class State:
         holdout: its machine's values on held-out data, the errors of that recording estimated; None without hold-out.
         train_rmse, holdout_rmse: in the response's unit, m for a valve; nan where there is no hold-out.
         train_predicted, holdout_predicted: the standard deviations that the posterior predicts of these.
-        bands: of each channel of the training data, (n,) standard deviation of what is predicted.
+        bands, holdout_bands: of each channel of the training and of the held-out data, (n,) standard deviation of what
+            is predicted, noise included; none without hold-out.
         adequacy: of the training residuals; it informs, and decides nothing.
         intervals: of every freed parameter.
     """
@@ -74,6 +76,7 @@ class State:
     train_predicted: float
     holdout_predicted: float
     bands: Mapping[int, Array]
+    holdout_bands: Mapping[int, Array]
     adequacy: Adequacy
     intervals: Mapping[str, Interval]
 
@@ -130,6 +133,7 @@ class Diagnosis:
         detection_limits: where nothing is missing, how large each effect would have to be to be named.
         rivals: of a valve that is seen through its current alone, models that leave its positions open.
         choice: which strokes of a long recording were looked at; None for all of them.
+        grounds: the table of evidence from which verdict and probabilities follow.
     """
 
     plant: Plant
@@ -149,6 +153,7 @@ class Diagnosis:
     detection_limits: Limits = field(default_factory=dict)
     rivals: tuple[Rival, ...] = ()
     choice: StrokeChoice | None = None
+    grounds: Grounds | None = None
 
     def __repr__(self) -> str:
         """Diagnosis(effects: coulomb_friction, probability 0.99)."""

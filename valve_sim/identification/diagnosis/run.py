@@ -46,10 +46,10 @@ from valve_sim.identification.selection.posterior import (
     SURE,
     Class,
     Decision,
+    Grounds,
     Posterior,
     Set,
     class_of,
-    decide,
     leader_of,
     leading_beside,
 )
@@ -197,7 +197,7 @@ class DiagnosisSession:
     def name(self) -> VerdictWithIntervals:
         """Search, and decide: what a diagnosis names, and nothing of what a report has beside."""
         self._search.run()
-        _, decision = self._decided()
+        decision = self._decided().decision
         result = self._fit_of(decision)
         exact = covariance_interval if decision.unnamed > PROMISING else _profile
         return VerdictWithIntervals(self._verdict(decision), {name: exact(result, name) for name in result.free})
@@ -209,7 +209,8 @@ class DiagnosisSession:
 
     def _ended(self, *, is_full: bool) -> Diagnosis:
         self._search.run(is_full=is_full)
-        posterior, decision = self._decided()
+        grounds = self._decided()
+        posterior, decision = grounds.posterior, grounds.decision
         self._say("intervals", 0.95)
         base, result = self.declared, self._fit_of(decision)
         verdict = self._verdict(decision)
@@ -229,23 +230,27 @@ class DiagnosisSession:
             tuple(channel.name for channel in self._plant.channels), self._recommendation(verdict, decision),
             self._held_out_gain(base, result),
             tuple(map(words, [*self._search.untried, *self._search.impossible])), budget.spent, budget.strokes, limits,
-            self._rivals(posterior, decision, result),
+            self._rivals(posterior, decision, result), grounds=grounds,
         )  # fmt: skip
 
     # -- what is claimed -----------------------------------------------------------------------------------------------
 
-    def _decided(self) -> tuple[Posterior, Decision]:
-        """The posterior with curves and held-out odds, and the decision."""
+    def _decided(self) -> Grounds:
+        """What the verdict follows from, curves and held-out odds among it."""
         posterior = self._search.posterior()
         if posterior.unnamed > PROMISING:
             self._curves = competing_curves(self.declared, self._say)
-        curves = [entry.fit.log_evidence for entry in self._curves]
         best = leader_of({names: share.total for names, share in posterior.shares.items()}, posterior.fitted)
         raised = {best: self._held_out.log_odds_of_unnamed(self._search.tried[best].fit)}
-        posterior = self._search.posterior(curves, raised)
-        sizes = {name: len(choice.parameters) for name, choice in self._plant.effects.items()}
-        beside = self._beside(posterior, sizes) if posterior.unnamed > EVEN else None
-        return posterior, decide(posterior, beside, sizes)
+        grounds = Grounds(
+            self._search.rivals,
+            self._search.table(raised[best]),
+            tuple(entry.fit.log_evidence for entry in self._curves),
+            raised,
+            {name: len(choice.parameters) for name, choice in self._plant.effects.items()},
+        )
+        posterior = grounds.posterior
+        return replace(grounds, beside=self._beside(posterior, grounds.sizes)) if posterior.unnamed > EVEN else grounds
 
     def _beside(self, posterior: Posterior, sizes: Mapping[str, int]) -> Class | None:
         """A name that stands beside something unnamed: theory, section 9; None where none does.
@@ -316,7 +321,8 @@ class DiagnosisSession:
         }
         return State(
             result, None if there is None else there.fit, here.rmse, math.nan if there is None else there.rmse,
-            here.deviation, math.nan if there is None else there.deviation, here.bands, adequacy(result), intervals,
+            here.deviation, math.nan if there is None else there.deviation, here.bands,
+            {} if there is None else there.bands, adequacy(result), intervals,
         )  # fmt: skip
 
     def _held_out_gain(self, base: Fit, result: Fit) -> float:

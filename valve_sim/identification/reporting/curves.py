@@ -80,9 +80,7 @@ def strokes_of(diagnosis: Diagnosis) -> list[StrokeCurves]:
     before, after = diagnosis.before, diagnosis.after
     found = list(_strokes(before.fit, after.fit, after.bands, is_held_out=False))
     if before.holdout is not None and after.holdout is not None:
-        channels = before.holdout.problem.plant.channels
-        bands = {index: np.full(len(channel.data), after.holdout_predicted) for index, channel in enumerate(channels)}
-        found += _strokes(before.holdout, after.holdout, bands, is_held_out=True)
+        found += _strokes(before.holdout, after.holdout, after.holdout_bands, is_held_out=True)
     return found
 
 

@@ -284,3 +284,29 @@ def decide(posterior: Posterior, beside: Class | None = None, sizes: Mapping[str
     is_claimed = leading.is_answer and len(leading.names) <= MOST_CLAIMED and leading.probability >= SURE
     kind = "effects" if is_claimed else "insufficient"
     return Decision(kind, leading.names, leading.others, leading.probability, unnamed)
+
+
+@dataclass(frozen=True)
+class Grounds:
+    """All that a verdict follows from.
+
+    Attributes:
+        rivals, table, curves, odds_of_unnamed: as of `posterior_of`. beside, sizes: as of `decide`.
+    """
+
+    rivals: Rivals
+    table: Mapping[Set, Evidence]
+    curves: tuple[float, ...]
+    odds_of_unnamed: Mapping[Set, float]
+    sizes: Mapping[str, int]
+    beside: Class | None = None
+
+    @property
+    def posterior(self) -> Posterior:
+        """The posterior of the table."""
+        return posterior_of(self.rivals, self.table, self.curves, self.odds_of_unnamed)
+
+    @property
+    def decision(self) -> Decision:
+        """The verdict."""
+        return decide(self.posterior, self.beside, self.sizes)

@@ -1,17 +1,18 @@
 """Prediction of held-out strokes: the proof of a corrected model, and how far off it may be.
 
 Everything that training estimated is kept; only the errors of the held-out recording are estimated anew. What the
-training data leave open of the machine widens what is predicted:
+training data leave open of the machine, and the held-out data of the errors of their recording, widens what is
+predicted:
 
     Var(y_held) = noise² (1 + τ²) + Σ_k (∂y/∂a_k)²
 
-along the principal axes a_k of the posterior of the machine's values, one standard deviation each.
+along the principal axes a_k of both posteriors, one standard deviation each.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -53,6 +54,18 @@ def axes_of(result: Fit) -> list[dict[str, float]]:
     """The machine's values moved by one standard deviation along each principal axis of their posterior."""
     own = [*range(len(result.free))]
     own += [len(result.free) + at for at, nuisance in enumerate(result.nuisances) if nuisance.is_of_machine]
+    return _axes(result, own, machine_values(result))
+
+
+def recording_axes_of(result: Fit) -> list[dict[str, float]]:
+    """The errors of a recording, moved in the same way, of a fit that holds the machine's values."""
+    errors = [at for at, nuisance in enumerate(result.nuisances) if not nuisance.is_of_machine]
+    values = {result.nuisances[at].name: result.values[result.nuisances[at].name] for at in errors}
+    return _axes(result, [len(result.free) + at for at in errors], values)
+
+
+def _axes(result: Fit, own: Sequence[int], values: Mapping[str, float]) -> list[dict[str, float]]:
+    """Values moved along the principal axes of the posterior of some coordinates, by their indices."""
     if not own:
         return []
     covariance = result.covariance[np.ix_(own, own)]
@@ -60,7 +73,7 @@ def axes_of(result: Fit) -> list[dict[str, float]]:
     scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     safe = np.where(scale > 0.0, scale, 1.0)
     sizes, directions = np.linalg.eigh(covariance / np.outer(safe, safe))
-    plant, values, found = result.problem.plant, machine_values(result), []
+    plant, found = result.problem.plant, []
     for size, direction in zip(sizes.tolist(), directions.T, strict=True):
         moved = dict(values)
         for place, index in enumerate(own):
@@ -86,7 +99,8 @@ def predicted(result: Fit, there: Fit, size: float = 0.0) -> Predicted:
     problem, plant = there.problem, there.problem.plant
     shown = plant.predict(there.values)
     spread = [np.zeros(len(prediction)) for prediction in shown]
-    for moved in axes_of(result):
+    axes = axes_of(result) if there is result else [*axes_of(result), *recording_axes_of(there)]
+    for moved in axes:
         try:
             changed = plant.predict({**there.values, **moved})
         except SimulationError:
