@@ -9,15 +9,16 @@ of all recordings in one fit.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from valve_sim.identification.estimation.descent import LARGEST_DAMPING, Descent, Effort
+from valve_sim.identification.estimation.descent import Descent, Effort
 from valve_sim.identification.estimation.gram import gram, sum_squares
 from valve_sim.identification.estimation.problem import Problem
-from valve_sim.identification.estimation.result import FIRST_DAMPING, Fit, MachineKnowledge
+from valve_sim.identification.estimation.result import Fit, MachineKnowledge
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Array, Nuisance, Plant
 from valve_sim.model import SimulationError
@@ -108,6 +109,58 @@ def share_of(problem: Problem, free: Sequence[str], values: Mapping[str, float],
     )
 
 
+class DescentOverRecordings(Descent):
+    """The search of a machine's values by the sums of its recordings' shares.
+
+    Args:
+        problem: of one of the recordings, for what is declared. free: parameters to free. shares_at: of all recordings.
+    """
+
+    holds_rows = False
+
+    def __init__(self, problem: Problem, free: Sequence[str], shares_at: SharesAt) -> None:
+        super().__init__(problem, tuple(free), machine_nuisances(problem.plant, free), {}, None)
+        self._shares_at, self._small = shares_at, SMALL
+        self._shares: dict[bytes, Sequence[Share]] = {}
+
+    def shares(self, at: Array) -> Sequence[Share]:
+        """Of all recordings there.
+
+        Raises:
+            SimulationError: the machine cannot be simulated there.
+        """
+        key = at.tobytes()
+        if key not in self._shares:
+            # A step is accepted or not: two places are looked at by turns.
+            kept = list(self._shares.items())[-1:]
+            self._shares = {**dict(kept), key: self._shares_at(self.values(at))}
+        return self._shares[key]
+
+    def residuals(self, at: Array) -> Array | None:
+        """(1,) the root of the sum of all χ², or None where the machine cannot be simulated."""
+        try:
+            total = sum(share.chi2 for share in self.shares(at))
+        except SimulationError:
+            return None
+        return np.array([math.sqrt(total)]) if math.isfinite(total) else None
+
+    def jacobian(self, at: Array, residuals: Array) -> Array:
+        """None: shares hold the products of their derivatives."""
+        return np.empty((0, len(at)))
+
+    def normal(self, at: Array, residuals: Array, jacobian: Array, cauchy: float) -> tuple[Array, Array]:
+        """Information matrix and half the gradient of the criterion, priors of the machine included."""
+        return self.summed(at, self.shares(at))
+
+    def summed(self, at: Array, shares: Sequence[Share]) -> tuple[Array, Array]:
+        """These of some of the shares."""
+        information, gradient = np.zeros((len(at), len(at))), np.zeros(len(at))
+        for share in shares:
+            information += share.information
+            gradient += share.gradient
+        return self.with_priors(at, information, gradient)
+
+
 def fit_shared(problem: Problem, free: Sequence[str], shares_at: SharesAt) -> Shared:
     """Fit the machine to all recordings.
 
@@ -118,41 +171,9 @@ def fit_shared(problem: Problem, free: Sequence[str], shares_at: SharesAt) -> Sh
     Raises:
         SimulationError: the declared machine cannot be simulated.
     """
-    search = Descent(problem, tuple(free), machine_nuisances(problem.plant, free), {}, None)
-    at, damping, converged = search.start({}), FIRST_DAMPING, False
-    shares = shares_at(search.values(at))
-    chi2 = _chi2(search, at, shares)
-    for _ in range(MOST_STEPS):
-        information, gradient = _normal(search, at, shares)
-        move, gain = search.step(at, information, gradient, damping)
-        if gain < SMALL:
-            converged = True
-            break
-        there = np.clip(at + move, search.lower, search.upper)
-        try:
-            new = shares_at(search.values(there))
-        except SimulationError:
-            new = []
-        if new and _chi2(search, there, new) < chi2:
-            at, shares, chi2 = there, new, _chi2(search, there, new)
-            damping = max(1e-9, 0.1 * damping)
-        else:
-            damping *= 10.0
-            if damping > LARGEST_DAMPING:
-                # Rounding, or own nuisances that are known no better, hide what is left to gain.
-                converged = gain < 1.0
-                break
-    return Shared(search.values(at), shares, chi2, converged)
-
-
-def _chi2(search: Descent, at: Array, shares: Sequence[Share]) -> float:
-    return sum(share.chi2 for share in shares) + float(np.sum(search.pulls(at)[0]))
-
-
-def _normal(search: Descent, at: Array, shares: Sequence[Share]) -> tuple[Array, Array]:
-    of_priors, slopes = _prior_alone(search, at)
-    information = np.sum([share.information for share in shares], axis=0) + of_priors
-    return information, np.sum([share.gradient for share in shares], axis=0) + slopes
+    search = DescentOverRecordings(problem, free, shares_at)
+    end = search.descend(search.start({}), math.inf, Effort(most=MOST_STEPS))
+    return Shared(search.values(end.at), search.shares(end.at), end.cost, end.converged)
 
 
 def as_fit(problem: Problem, free: Sequence[str], found: Shared) -> Fit:
@@ -162,17 +183,12 @@ def as_fit(problem: Problem, free: Sequence[str], found: Shared) -> Fit:
         problem: of the first recording. free: parameters that were freed. found: the fit to all.
     """
     machine = machine_nuisances(problem.plant, free)
-    search = Descent(problem, tuple(free), machine, {}, None)
+    search = DescentOverRecordings(problem, free, lambda values: found.shares)
     at = search.start(found.values)
-    information, gradient = _normal(search, at, found.shares[1:]) if found.shares[1:] else _prior_alone(search, at)
+    information, gradient = search.summed(at, found.shares[1:])
     names = (*free, *(nuisance.name for nuisance in machine))
     size = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
     centre = at - size * np.linalg.lstsq(information * np.outer(size, size), size * gradient, rcond=1e-12)[0]
     nuisances = (*machine, *own_nuisances(problem.plant))
     start = {**found.values, **found.shares[0].own}
     return fit(problem, free, start, nuisances=nuisances, prior=MachineKnowledge(names, centre, information))
-
-
-def _prior_alone(search: Descent, at: Array) -> tuple[Array, Array]:
-    _, half_slopes, curvatures = search.pulls(at)
-    return np.diag(curvatures), half_slopes
