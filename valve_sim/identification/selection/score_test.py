@@ -15,6 +15,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from valve_sim.identification.estimation.descent import STANDING, along
 from valve_sim.identification.estimation.gram import gram, orthonormal
 from valve_sim.identification.estimation.priors import HALF, Cauchy, Normal, Prior
 from valve_sim.identification.estimation.result import Fit
@@ -81,20 +82,33 @@ def log_gains(result: Fit) -> dict[str, float]:
 
 
 def standard_errors(result: Fit, outside: Outside, effect: EffectChoice) -> dict[str, float]:
-    """Of each switch of an effect alone, in its search coordinate; infinite of what shows nothing.
+    """Of each switch of an effect alone, while it is small, in its search coordinate; infinite of what shows nothing.
 
-    That of the sign that shows less, its shape as first expected; of a contact that only rebounds above a speed, of a
-    large move.
+    Its shape is as first expected. Of the signs that it may have, and of a small move and the tangent where the plant
+    knows it, that counts which shows less: a move along which the residuals bend shows more than the effect does.
     """
     found: dict[str, float] = {}
-    for size in reversed(SIZES):
-        of_size: dict[str, float] = {}
-        for moves in itertools.islice(moves_of(result, effect, size), 2 if _has_two_signs(effect) else 1):
-            for move in moves:
-                sigma = _addition(result, outside, effect, move).sigma
-                of_size[move.switch.name] = max(of_size.get(move.switch.name, 0.0), sigma)
-        found.update({name: sigma for name, sigma in of_size.items() if math.isfinite(sigma)})
+    for moves in itertools.islice(moves_of(result, effect), 2 if _has_two_signs(effect) else 1):
+        for move in moves:
+            changes = [move, *_tangent(result, effect, move)]
+            sigmas = [_addition(result, outside, effect, one).sigma for one in changes]
+            sigma = max(filter(math.isfinite, sigmas), default=math.inf)
+            found[move.switch.name] = max(found.get(move.switch.name, 0.0), sigma)
     return found
+
+
+def _tangent(base: Fit, effect: EffectChoice, move: Move) -> list[Move]:
+    """A move as the derivative at off has it; none where the plant does not know that."""
+    name = effect.free_name(move.switch)
+    direction = along(name, base.problem.plant.parameter(name), move.off)
+    if direction is STANDING:
+        return []
+    values = {**base.values, **switched_on(effect, move.switch, 0.0)}
+    try:
+        columns, known = base.problem.rows.sensitivities(values, [direction])
+    except SimulationError:
+        return []
+    return [move._replace(change=columns[:, 0] * move.by)] if known[0] else []
 
 
 def _has_two_signs(effect: EffectChoice) -> bool:
