@@ -5,7 +5,8 @@
     for sizes 1 to 4:
         B = the most probable set of that size, something unnamed beside it included
         if nothing unnamed acts beside B, and no addition gains by the score test: stop
-        fit B with each addition, and the look-alikes of the best; stop where that is no more probable than B
+        fit B with each addition, B again from where the best of these ended, and the look-alikes of the best; stop
+        where none is more probable than B
         where nothing unnamed acts beside the best: swap each of its members
 
 Work is counted in simulated strokes, never by a clock, so that a busy machine finds what a quiet one does.
@@ -54,7 +55,7 @@ REFITTED: Final = 10.0
 SCATTER: Final = (1.0, 3.0, 10.0)
 """Standard errors by which the starts of a polish are scattered."""
 WORTH_KEEPING: Final = 0.1
-"""Difference of χ² that makes a fit a better one."""
+"""Difference of χ², or of ln p, that makes a fit a better one."""
 BATCH: Final = 4
 """Sets that are fitted side by side; between batches it is asked whether work is left."""
 LINEAR: Final = 0.4
@@ -225,6 +226,7 @@ class Search:
         if best is None:
             return False
         self._polish(best)
+        self._refit_contained(base, best)
         self._fit_look_alikes(best)
         if (explains_all or base) and self._log_weight(best) < self._log_weight(base):
             return False
@@ -255,6 +257,17 @@ class Search:
         for names, found in zip(due, run_parallel(fitted, list(due)), strict=True):
             if found is not None:
                 self.tried[names] = found
+
+    def _refit_contained(self, base: Set, best: Set) -> None:
+        """Fit a set again from where a larger one ended: with more free, a fit leaves some local minima."""
+        if not set(base) <= set(best):
+            return
+        start = self.tried[best].fit.values
+        fits = [self._attempt(base, nuisances, start, Effort()) for nuisances in self._variants()]
+        done = [one for one in fits if one is not None]
+        found = self._weighed(base, done) if done else self.tried[base]
+        if found.plain > self.tried[base].plain + WORTH_KEEPING:
+            self.tried[base] = found
 
     def _polish(self, names: Set) -> None:
         """Fit the best set again from other shapes and from around where it ended: contacts make local minima."""
