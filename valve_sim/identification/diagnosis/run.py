@@ -33,7 +33,6 @@ from valve_sim.identification.plants.stroke_choice import choose_strokes
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.selection.detection_limits import detection_limits
 from valve_sim.identification.selection.force_maps import (
-    NonparametricFit,
     Unexplained,
     competing_curves,
     describe,
@@ -187,7 +186,6 @@ class DiagnosisSession:
         self._search, self._held_out, self._say = search, held_out, say
         self._plant = search.problem.plant
         self._strokes = len(strokes_of_plant(self._plant))
-        self._curves: list[NonparametricFit] = []
 
     @property
     def declared(self) -> Fit:
@@ -238,14 +236,13 @@ class DiagnosisSession:
     def _decided(self) -> Grounds:
         """What the verdict follows from, curves and held-out odds among it."""
         posterior = self._search.posterior()
-        if posterior.unnamed > PROMISING:
-            self._curves = competing_curves(self.declared, self._say)
+        curves = self._search.curves if posterior.unnamed > PROMISING else []
         best = leader_of({names: share.total for names, share in posterior.shares.items()}, posterior.fitted)
         raised = {best: self._held_out.log_odds_of_unnamed(self._search.tried[best].fit)}
         grounds = Grounds(
             self._search.rivals,
             self._search.table(raised[best]),
-            tuple(entry.fit.log_evidence for entry in self._curves),
+            tuple(entry.fit.log_evidence for entry in curves),
             raised,
             {name: len(choice.parameters) for name, choice in self._plant.effects.items()},
         )
@@ -280,7 +277,7 @@ class DiagnosisSession:
             names: log_priors[names] + tried.spread.log_evidence for names, tried in self._search.tried.items()
         }
         for names in {*near, (), leading.names}:
-            known = self._curves if not names else competing_curves(self._search.tried[names].fit, self._say)
+            known = self._search.curves if not names else competing_curves(self._search.tried[names].fit, self._say)
             logs = [entry.fit.log_evidence - math.log(len(known)) for entry in known]
             total[names] = float(np.logaddexp.reduce([total[names], *(log_priors[names] + log for log in logs)]))
         most = max(total.values())
@@ -352,7 +349,7 @@ class DiagnosisSession:
         if not verdict.has_remainder:
             return None, ()
         base = self.declared
-        maps = fit_maps(base, self._curves, self._say)
+        maps = fit_maps(base, self._search.curves, self._say)
         described = tuple(describe(entry.choice, entry.fit, base) for entry in maps)
         if not maps:
             return None, ()

@@ -5,6 +5,7 @@
     for sizes 1 to 4:
         B = the most probable set of that size, something unnamed beside it included
         if nothing unnamed acts beside B, and no addition gains by the score test: stop
+        if something unnamed acts beside two names or more, and a smooth curve explains more than they do: stop
         fit B with each addition, B again from where the best of these ended, and the look-alikes of the best; stop
         where none is more probable than B
         where nothing unnamed acts beside the best: swap each of its members
@@ -33,6 +34,7 @@ from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.effect_titles import titles_of
 from valve_sim.identification.plants.protocol import EffectChoice, Nuisance
 from valve_sim.identification.selection.discrepancy import Cell, Discrepancy, Spread, lengths_of
+from valve_sim.identification.selection.force_maps import NonparametricFit, competing_curves
 from valve_sim.identification.selection.posterior import EVEN, Evidence, Posterior, Rivals, Set, posterior_of
 from valve_sim.identification.selection.score_test import log_gains
 from valve_sim.identification.selection.starts import (
@@ -184,11 +186,26 @@ class Search:
                 self._fit_all([(name,) for name in self._names], ())
             for size in range(LARGEST_SET):
                 base = self.best(size)
-                if base is None or not self._extend(base):
+                if base is None or self._is_led_by_curve(base) or not self._extend(base):
                     break
             self._refit_near()
         except OutOfWorkError:
             pass
+
+    def _is_led_by_curve(self, base: Set) -> bool:
+        """Whether a smooth curve explains more than a set of two names or more, beside which something unnamed acts.
+
+        Further names would only imitate it.
+        """
+        if len(base) < 2 or self._unnamed(base) < EVEN:
+            return False
+        curves = [entry.fit.log_evidence for entry in self.curves]
+        return max(curves, default=-math.inf) > self.tried[base].spread.log_evidence + NEAR
+
+    @functools.cached_property
+    def curves(self) -> list[NonparametricFit]:
+        """Smooth curves beside the declared model."""
+        return competing_curves(self.tried[()].fit, self._say)
 
     def fit_declared(self) -> None:
         """Fit the declared model, with and without errors of the stamps; whatever work is left.
