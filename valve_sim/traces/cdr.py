@@ -237,19 +237,6 @@ class Decoder:
         return Decoded(tuple(grown.batch() for grown in self._grown.values()), self._malformed, self._trimmed)
 
 
-def decode_messages(payloads: Sequence[bytes], message_type: str, definitions: Definitions | None = None) -> Decoded:
-    """Read all messages of one topic, layout by layout.
-
-    Args:
-        payloads: The serialized messages.
-        message_type: Their type.
-        definitions: Of that type and those in it; None: those of `typestore`.
-    """
-    decoder = Decoder(message_type, definitions)
-    decoder.take_messages(payloads)
-    return decoder.decoded()
-
-
 class _Rows(NamedTuple):
     """Messages of one layout: `places` (n,) in their block, `matrix` (n, length) their raw bytes."""
 

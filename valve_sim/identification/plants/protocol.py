@@ -303,18 +303,6 @@ class Plant(Protocol):
         """
 
 
-def released_tolerances(plant: Plant) -> dict[str, float]:
-    """Declared values to their tolerances, of those that not every fit frees: a fit that does takes them for wrong.
-
-    A parameter of an effect that is the same thing as a declared value stands for it, with the tolerance in its own
-    unit.
-    """
-    toleranced = [own for own in plant.nuisances if own.is_of_machine and own.name not in plant.base]
-    return {own.name: own.sigma for own in toleranced} | {
-        own.same_as: abs(own.same_slope) * own.sigma for own in toleranced if own.same_as
-    }
-
-
 @runtime_checkable
 class Differentiable(Protocol):
     """A plant that knows derivatives of its predictions without difference quotients: an optional member."""

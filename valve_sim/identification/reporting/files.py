@@ -5,7 +5,6 @@ Of a valve also corrected.yaml, and record_next.yaml where there is something to
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -61,9 +60,3 @@ def write_diagnosis(
         plot_diagnosis(diagnosis, picture)
         written.append(picture)
     return tuple(written)
-
-
-def load_drawing() -> None:
-    """Load what draws a picture, half of what it costs: before a budget begins that must hold it."""
-    importlib.import_module("valve_sim.identification.reporting.figures")
-    importlib.import_module("matplotlib.backends.backend_agg")

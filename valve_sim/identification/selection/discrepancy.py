@@ -152,11 +152,6 @@ class Discrepancy:
         found[self._order] += spread
         return found
 
-    def log_determinant(self, cell: Cell) -> float:
-        """Ln |V|."""
-        spectra = [stroke.spectra[cell.length][0] for stroke in self._strokes]
-        return float(sum(np.sum(np.log1p(cell.size**2 * sizes)) for sizes in spectra))
-
     def spread(self, result: Fit) -> Spread:
         """The evidence of a fitted model with a discrepancy, linearised about the fit.
 
