@@ -6,8 +6,8 @@ Parameters: namespaces, voltage (V), patience (s for the valves to be there), ti
 open and between cycles), cycles.
 Exit code 0: every valve opened and closed. 1: one did not, was not there, or a signal came; one line says which.
 
-Whatever happens, the last command to every valve is 0 V. Commands are repeated ten times a second, so that the valves'
-own command_timeout closes them even if this process is killed.
+Nothing is commanded before every valve is there, and whatever happens, the last command to every valve is 0 V. Commands
+are repeated ten times a second, so that the valves' own command_timeout closes them even if this process is killed.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Settings(NamedTuple):
 
     namespaces: list[str] = ["tank_1", "tank_2", "tank_3"]  # noqa: RUF012 -- a ROS parameter is a list
     voltage: float = 9.0
-    patience: float = 120.0
+    patience: float = 300.0
     timeout: float = 2.0
     hold: float = 0.2
     cycles: int = 1
@@ -98,7 +98,6 @@ class Sequencer:
         values = [node.declare_parameter(name, default).value for name, default in Settings()._asdict().items()]
         self._settings = Settings(*values)
         self._valves = [RemoteValve(node, f"/{name.strip('/')}/valve") for name in self._settings.namespaces]
-        node.create_timer(REPEAT_SECONDS, self._repeat)
 
     def run(self) -> None:
         """All cycles.
@@ -107,6 +106,7 @@ class Sequencer:
             SequenceError: a valve is not there, does not open, does not stay open or does not close, or a signal came.
         """
         self._wait_for(self._valves, lambda valve: valve.is_there, self._settings.patience, "not there")
+        self._node.create_timer(REPEAT_SECONDS, self._repeat)
         for cycle in range(self._settings.cycles):
             for valve in self._valves:
                 valve.command(self._settings.voltage)

@@ -18,7 +18,7 @@ pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imp
 
 import rclpy  # noqa: E402
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
-from std_msgs.msg import Bool  # noqa: E402
+from std_msgs.msg import Bool, Float64  # noqa: E402
 
 SEQUENCER = Path(__file__).parents[2] / "docs" / "examples" / "sequencer.py"
 TANKS = ("tank_1", "tank_2", "tank_3")
@@ -147,6 +147,16 @@ def test_a_valve_that_is_missing_is_named_before_any_is_opened(station: list[Tan
     blamed = refusal(tmp_path, "patience", "not there", "/tank_1/valve", namespaces="[tank_1, tank_4]")
     assert blamed == "/tank_4/valve"
     assert [tank.openings() for tank in station] == before
+
+
+def test_nothing_is_commanded_before_every_valve_is_there_but_0_v_in_the_end(
+    station: list[Tank], tmp_path: Path
+) -> None:
+    commands = station[0].probe.hear("coil_voltage", Float64)
+    code, _ = run(tmp_path, patience=3.0, namespaces="[tank_1, tank_4]")
+    assert code == 1
+    assert station[0].is_without_voltage()
+    assert [message.data for message in commands] in ([], [0.0])
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

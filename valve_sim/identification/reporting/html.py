@@ -254,7 +254,7 @@ def _comparison(diagnosis: Diagnosis, scale: float, unit: str) -> list[tuple[str
     rows = [
         of_both("rms error, fitted strokes", lambda state: _number(scale * state.train_rmse, unit)),
         of_both("rms error, held-out strokes", lambda state: _number(scale * state.holdout_rmse, unit)),
-        of_both("the same, as predicted", lambda state: _predicted(state, scale, unit)),
+        of_both("rms error that the model predicts", lambda state: _predicted(state, scale, unit)),
         of_both("residual is white", _whiteness),
         of_both("χ² per sample", lambda state: f"{state.fit.chi2 / state.fit.problem.effective_samples:.4g}"),
     ]
