@@ -8,6 +8,8 @@ from typing import Any
 
 import pytest
 
+from valve_sim.identification.diagnosis.outcome import Verdict
+from valve_sim.identification.monitoring.fault_isolation import FaultFinding
 from valve_sim.identification.monitoring.findings import Occasion
 from valve_sim.nodes import monitor_tasks
 from valve_sim.nodes.monitor_tasks import FaultIsolation, Found
@@ -18,9 +20,10 @@ PATIENCE = 120.0
 
 
 class Search:
-    """Stands for `isolate_fault`: begins, waits to be let go, reports progress, and finds what it was given."""
+    """Stands for `isolate_fault`: begins, waits to be let go, reports progress, and finds one name for all strokes."""
 
     def __init__(self) -> None:
+        self.name = "coulomb_friction"
         self.begun, self.let_go = threading.Semaphore(0), threading.Semaphore(0)
         self.running = self.most_running = 0
 
@@ -31,7 +34,8 @@ class Search:
         assert self.let_go.acquire(timeout=PATIENCE)
         self.running -= 1
         progress("searched", 1.0)
-        return f"found in {strokes}"
+        verdict = Verdict("effects", (self.name,), {self.name: ()}, 0.99, 0.0, 1.0, 6)
+        return FaultFinding(verdict, {}, {}, {}, strokes[0])
 
 
 @pytest.fixture
@@ -52,21 +56,39 @@ def end(isolation: FaultIsolation) -> None:
 
 def test_of_requests_during_a_search_only_the_latest_is_kept_and_each_finding_has_its_stroke(search: Search) -> None:
     told: list[Found] = []
-    isolation = FaultIsolation(told.append)
+    isolation = FaultIsolation(lambda found, is_new: told.append(found))
     begin(isolation, 1)
     assert search.begun.acquire(timeout=PATIENCE)
     for number in range(2, 100):
         begin(isolation, number)
     search.let_go.release(2)
     end(isolation)
-    assert [(found.finding, found.occasion.stroke) for found in told] == [("found in [1]", 1), ("found in [99]", 99)]
+    assert [(found.finding.strokes, found.occasion.stroke) for found in told] == [(1, 1), (99, 99)]
     assert isolation.found == told[-1]
     assert search.most_running == 1
 
 
+def test_a_finding_is_new_where_it_names_something_else_or_the_valve_was_commissioned_anew(search: Search) -> None:
+    told: list[bool] = []
+    isolation = FaultIsolation(lambda found, is_new: told.append(is_new))
+
+    def found(name: str) -> None:
+        search.name = name
+        begin(isolation, 1)
+        search.let_go.release()
+        end(isolation)
+
+    found("coulomb_friction")
+    found("coulomb_friction")
+    found("stiction")
+    isolation.forget()
+    found("stiction")
+    assert told == [True, False, True, True]
+
+
 def test_a_valve_that_is_commissioned_anew_is_not_told_what_the_search_before_has_found(search: Search) -> None:
     told: list[Found] = []
-    isolation = FaultIsolation(told.append)
+    isolation = FaultIsolation(lambda found, is_new: told.append(found))
     begin(isolation, 1)
     assert search.begun.acquire(timeout=PATIENCE)
     isolation.forget()
@@ -80,7 +102,7 @@ def test_a_valve_that_is_commissioned_anew_is_not_told_what_the_search_before_ha
 
 
 def test_a_search_that_reports_nothing_is_not_waited_for(search: Search) -> None:
-    isolation = FaultIsolation(lambda found: pytest.fail("told"))
+    isolation = FaultIsolation(lambda found, is_new: pytest.fail("told"))
     begin(isolation, 1)
     assert search.begun.acquire(timeout=PATIENCE)
     assert not isolation.stop(0.01)

@@ -377,10 +377,11 @@ class MonitorShell:
     def _isolate(self, strokes: list[Trace], baseline: Baseline, last: StrokeRecord) -> None:
         self._isolation.begin(strokes, baseline, Occasion(self._valve, last.number, last.stamp))
 
-    def _tell(self, found: Found) -> None:
-        """Say a finding on the topic and in the log, as /diagnostics has it."""
+    def _tell(self, found: Found, is_new: bool) -> None:
+        """Say a finding on the topic and in the log, as /diagnostics has it; what was said is not logged again."""
         self._finding.publish(String(data=json.dumps(finding_json(*found), ensure_ascii=False)))
-        self._node.get_logger().warning(told_finding(*found))
+        if is_new:
+            self._node.get_logger().warning(told_finding(*found))
 
     def _fail(self, error: Exception) -> None:
         if self._node.context.ok():

@@ -101,6 +101,11 @@ class Found(NamedTuple):
     finding: FaultFinding
     occasion: Occasion
 
+    @property
+    def claim(self) -> tuple[str, frozenset[str]]:
+        """What is claimed: the kind of the verdict, and its names."""
+        return self.finding.verdict.kind, frozenset(self.finding.verdict.effects)
+
 
 class _Work(NamedTuple):
     """What is to be isolated."""
@@ -117,13 +122,13 @@ class FaultIsolation:
     node that is to end does not wait for it.
 
     Args:
-        tell: called with each finding, in the thread.
+        tell: called in the thread with each finding, and with whether it names something else than the one before.
 
     Attributes:
         found: the last finding. doing: what is being tried; empty while nothing is. failure: why there was no result.
     """
 
-    def __init__(self, tell: Callable[[Found], None]) -> None:
+    def __init__(self, tell: Callable[[Found, bool], None]) -> None:
         self.found: Found | None = None
         self.doing = ""
         self.failure = ""
@@ -174,9 +179,10 @@ class FaultIsolation:
         with self._lock:
             if not self._is_wanted.is_set():
                 return
-            self.found, self.failure = found or self.found, failure
+            before = self.found
+            self.found, self.failure = found or before, failure
         if found is not None:
-            self._tell(found)
+            self._tell(found, before is None or found.claim != before.claim)
 
     def _take(self) -> _Work | None:
         with self._lock:
