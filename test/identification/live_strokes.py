@@ -60,26 +60,50 @@ class LiveValve:
         open_seconds: float = OPEN_SECONDS,
         **parameters: float,
     ) -> LiveStroke:
-        """The next stroke, by a valve with these effects."""
-        random = self._random
-        volts = np.array([self.levels[self.strokes % len(self.levels)], 0.0])
-        true_times = np.array([LEAD, LEAD + open_seconds])
-        duration = LEAD + OPEN_SECONDS + CLOSED_SECONDS
-        first = np.ceil(self._time * self.rate) / self.rate - self._time
-        times = np.arange(first, duration - 1e-9, 1.0 / self.rate)
+        """The next stroke, by a valve with these effects, which is at rest and cold before it."""
+        return self.row(1, effects, open_seconds, **parameters)[0]
+
+    def row(
+        self,
+        count: int,
+        effects: Mapping[str, Mapping[str, float]] | None = None,
+        open_seconds: float = OPEN_SECONDS,
+        **parameters: float,
+    ) -> list[LiveStroke]:
+        """The next strokes, of a valve at rest before the first: what one leaves, such as heat, the next one has."""
+        duration, begin = LEAD + OPEN_SECONDS + CLOSED_SECONDS, self._time
+        commands, starts, volts, times = np.array([LEAD, LEAD + open_seconds]), [], [], []
+        for index in range(count):
+            starts.append(self._time)
+            volts.append(np.array([self.levels[(self.strokes + index) % len(self.levels)], 0.0]))
+            first = np.ceil(self._time * self.rate) / self.rate - self._time
+            times.append(np.arange(first, duration - 1e-9, 1.0 / self.rate))
+            self._time += duration
         plant = DeclaredPlant(effects or {}, {**CAMPAIGN_VALVE, **self.parameters, **parameters}, step=STEP)
-        shown = plant.simulate(true_times, volts, times)
-        white = random.standard_normal(len(times))
+        shown = plant.simulate(
+            np.concatenate([start - begin + commands for start in starts]),
+            np.concatenate(volts),
+            np.concatenate([start - begin + own for start, own in zip(starts, times, strict=True)]),
+        )
+        edges = np.cumsum([len(own) for own in times])[:-1]
+        positions, currents = np.split(shown.pilot_position, edges), np.split(shown.coil_current, edges)
+        self.strokes += count
+        return [
+            self._stamped(start + commands, own_volts, start + own, position, current)
+            for start, own_volts, own, position, current in zip(starts, volts, times, positions, currents, strict=True)
+        ]
+
+    def _stamped(
+        self, commands: FloatArray, volts: FloatArray, times: FloatArray, position: FloatArray, current: FloatArray
+    ) -> LiveStroke:
+        """A stroke with noise, and errors of its stamps."""
+        white = self._random.standard_normal(len(times))
         noise = np.empty_like(white)
         noise[0] = white[0]
         for index in range(1, len(white)):
             noise[index] = self.colour * noise[index - 1] + np.sqrt(1.0 - self.colour**2) * white[index]
-        stamps = self._time + true_times + self.jitter * random.standard_normal(2)
-        position = shown.pilot_position + self.noise * noise
-        made = LiveStroke(stamps, volts, self._time + times + self.offset, position, shown.coil_current)
-        self._time += duration
-        self.strokes += 1
-        return made
+        stamps = commands + self.jitter * self._random.standard_normal(2)
+        return LiveStroke(stamps, volts, times + self.offset, position + self.noise * noise, current)
 
     def rest(self, seconds: float) -> LiveStroke:
         """So long without a command, closed."""

@@ -91,6 +91,20 @@ def test_a_lasting_delay_is_no_scatter_and_one_that_comes_and_goes_is() -> None:
     assert 0.4e-3 < coming.sigma < 3e-3
 
 
+def test_a_lasting_delay_is_no_scatter_at_any_of_several_voltages() -> None:
+    levels = (9.0, 12.0, 7.5, 14.0)
+    random = np.random.default_rng(2)
+    scatter = CommandScatter(QUIET, [timed(float(random.normal(0.0, QUIET)), volts=volts)[0] for volts in 5 * levels])
+    sigmas = [scatter.add(timed(12 * QUIET, volts=volts)[0]) for volts in levels]
+    # The first one may have been chance; the second one is as late, although its voltage has not been seen since.
+    assert sigmas[0] > 2.0 * QUIET
+    assert sigmas[1:] == [QUIET] * 3
+    # Delays that come and go are scatter at several voltages, too.
+    shifts = zip([0.0, 2e-3] * 4, 2 * levels, strict=True)
+    coming = [scatter.add(timed(shift, volts=volts)[0]) for shift, volts in shifts]
+    assert min(coming[1:]) > 4.0 * QUIET
+
+
 def test_samples_that_come_in_unevenly_widen_at_once() -> None:
     scatter = CommandScatter(QUIET, timed(*[0.0] * 20, arrival=1e-3))
     assert scatter.add(timed(0.0, arrival=1e-3)[0]) == QUIET

@@ -188,6 +188,17 @@ def test_what_is_declared_and_is_another_now_is_named_with_what_was_declared(
     assert words[1] in said
 
 
+def test_a_bounce_between_few_samples_is_no_noise() -> None:
+    monitor, valve = Monitor(EXACT_VALVE, refit=False), LiveValve(22, HEALTHY, rate=500.0, jitter=0.0)
+    strokes(monitor, valve, 25)
+    for made in valve.row(8, {"stop_bounce": {"restitution_stop": 0.6, "restitution_seat": 0.0}}):
+        list(feed(monitor, made))
+    # Rests are too short at this rate to show the sensor's noise, and a valve that bounces does not rest at all.
+    finding = isolate_fault(monitor.stroke_monitor.evidence(), monitor.stroke_monitor.with_present_scatter())
+    assert "stop_bounce" in finding.verdict.effects
+    assert finding.parameters["stop_bounce.restitution_stop"].value == pytest.approx(0.6, abs=0.01)
+
+
 def test_a_changed_damping_is_said_to_be_one() -> None:
     monitor, valve = Monitor(EXACT_VALVE, refit=False), LiveValve(6, HEALTHY, jitter=0.0)
     strokes(monitor, valve, 25)

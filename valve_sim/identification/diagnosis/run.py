@@ -130,12 +130,14 @@ def begin(
     budget: Budget | None = None,
     *,
     least: Mapping[str, float] | None = None,
+    known: Mapping[str, Noise] | None = None,
 ) -> DiagnosisSession:
     """The first part of `diagnose_plant`: the declared model, refitted.
 
     Args:
         plant, holdout, progress, budget: as there.
         least: standard deviations by kind of channel, which count where the data show less noise.
+        known: noise by kind of channel, which counts where the machine is never still for long enough to show it.
 
     Raises:
         PlantError: a plant does not keep to what a `Plant` promises.
@@ -145,17 +147,23 @@ def begin(
     with named_interrupts(plant):
         for one in (plant,) if holdout is None else (plant, holdout):
             check_plant(one)
-        return _begun(plant, holdout, progress, budget, least or {})
+        return _begun(plant, holdout, progress, budget, least or {}, known or {})
 
 
 def _begun(
-    plant: Plant, holdout: Plant | None, progress: Progress | None, budget: Budget, least: Mapping[str, float]
+    plant: Plant,
+    holdout: Plant | None,
+    progress: Progress | None,
+    budget: Budget,
+    least: Mapping[str, float],
+    known: Mapping[str, Noise],
 ) -> DiagnosisSession:
     """The declared model, refitted, of a plant that keeps to its protocol."""
     train_mask, holdout_mask = _split(plant) if holdout is None else (None, None)
-    problem = _with_least(Problem(plant, train_mask, budget=budget), least)
+    problem = Problem(plant, train_mask, budget=budget)
     never_still = [kind for kind, noise in problem.noises.items() if noise.samples == 0]
-    if never_still:
+    problem = _with_least(problem.with_noises({kind: known[kind] for kind in never_still if kind in known}), least)
+    if any(kind not in known for kind in never_still):
         problem = problem.with_noise_left_by(_largest_fit(problem).values)
     held_out = None
     if holdout is not None:

@@ -102,16 +102,18 @@ class CommandScatter:
     def add(self, stroke: StrokeTiming) -> float:
         """Add a stroke; the standard deviation of its commands' times, s, that stroke included.
 
-        What this stroke alone shows may be a change of the valve or chance: only the next one will tell.
+        What this stroke alone shows may be a change of the valve or chance: only the next one will tell. Where the last
+        one was as late, whatever its voltage, it is a change.
         """
         last, step = self._step(stroke)
         if math.isfinite(step):
             self._steps.append((last, step))
+        alone = min(step, _change(stroke, self._strokes[-1])) if self._strokes else step
         self._strokes.append(stroke)
         if math.isfinite(stroke.arrival_spread):
             self._arrivals.append(stroke.arrival_spread)
         self.established = self._with_mean(max(self._jitter * self._arrival_ratio(), self._of_steps()))
-        self.sigma = max(self.established, self._with_mean(step / EXTREME_SIGMAS if math.isfinite(step) else 0.0))
+        self.sigma = max(self.established, self._with_mean(alone / EXTREME_SIGMAS if math.isfinite(alone) else 0.0))
         return self.sigma
 
     def _with_mean(self, spread: float) -> float:
@@ -123,12 +125,10 @@ class CommandScatter:
         return max(spread, math.sqrt(sum(shift**2 for shift in shifts) / max(1, len(shifts))))
 
     def _step(self, stroke: StrokeTiming) -> tuple[float, float]:
-        """Its voltage, and the change of its delays since the last stroke at that voltage, s: the larger, over √2."""
+        """Its voltage, and the change of its delays since the last stroke at that voltage."""
         for last in reversed(self._strokes):
             if abs(last.volts - stroke.volts) <= SAME_VOLTAGE * abs(stroke.volts):
-                apart = [abs(now - then) for now, then in zip(stroke.shifts, last.shifts, strict=True)]
-                step = max((step for step in apart if math.isfinite(step)), default=math.nan)
-                return round(stroke.volts, 1), step / math.sqrt(2.0)
+                return round(stroke.volts, 1), _change(stroke, last)
         return stroke.volts, math.nan
 
     def _of_steps(self) -> float:
@@ -146,6 +146,12 @@ class CommandScatter:
         """The jitter of samples relative to commissioning; that of commands is assumed to change by the same ratio."""
         ratio = self._widest_arrival() / self.arrivals if self.arrivals > 0.0 else math.nan
         return ratio if math.isfinite(ratio) else 1.0
+
+
+def _change(stroke: StrokeTiming, last: StrokeTiming) -> float:
+    """The change of the delays from one stroke to another, s: the larger, over √2; nan where neither has both."""
+    apart = [abs(now - then) for now, then in zip(stroke.shifts, last.shifts, strict=True)]
+    return max((step for step in apart if math.isfinite(step)), default=math.nan) / math.sqrt(2.0)
 
 
 def scatter_levels(jitter: float, opening_seconds: float) -> tuple[float, ...]:
