@@ -480,7 +480,9 @@ def try_recording(number: int) -> Outcome:
 # -- a plant that never returns ----------------------------------------------------------------------------------------
 
 NEVER: Final = """
-import sys, time
+import signal, time
+# A job that a shell runs in the background ignores it, and so would this one.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 from benchmarks.broken_plants import Heater
 from valve_sim.identification.diagnosis.run import diagnose_plant
 
