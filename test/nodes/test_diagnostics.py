@@ -42,14 +42,6 @@ def test_timing(timing: Timing, waiting_for: str, level: Level, message: str) ->
     assert status.values["lost steps"] == str(timing.lost)
 
 
-def test_samples_that_were_lost_while_it_waited_were_not_lost_for_lack_of_time() -> None:
-    timing = GOOD._replace(rate=8.0, lost=58354, lost_now=58354)
-    status = timing_status(timing, 1000.0, "", has_waited=True)
-    assert (status.level, status.message) == (Level.OK, "keeps pace")
-    assert status.values["lost steps"] == "58354"
-    assert status.values["rate reached (Hz)"] == "none"
-
-
 @pytest.mark.parametrize("late", [GOOD._replace(overruns=9280, overruns_now=300), GOOD._replace(lateness=0.0204)])
 def test_late_samples_are_a_warning_that_says_how_late(late: Timing) -> None:
     status = timing_status(late, 1000.0, "")

@@ -90,17 +90,8 @@ class ValveFacts(NamedTuple):
     duplicates: int = 0
 
 
-def timing_status(timing: Timing, rate_wanted: float, waiting_for: str, *, has_waited: bool = False) -> Status:
-    """Whether the node keeps pace with its clock.
-
-    Args:
-        timing: since the last look.
-        rate_wanted: Hz.
-        waiting_for: what it cannot step without, or empty.
-        has_waited: whether that was missing at the last look; what was lost then was not lost for lack of time.
-    """
-    if has_waited:
-        timing = timing._replace(rate=math.nan, lost_now=0)
+def timing_status(timing: Timing, rate_wanted: float, waiting_for: str) -> Status:
+    """Whether the node keeps pace with its clock; `waiting_for`: what it cannot step without, or empty."""
     values = {
         "rate wanted (Hz)": f"{rate_wanted:g}",
         "rate reached (Hz)": _number(timing.rate, ".1f"),

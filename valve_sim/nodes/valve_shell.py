@@ -9,6 +9,7 @@ Until a `ModelLoader` thread has the model ready, it publishes that the valve re
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Sequence
 from typing import Final
 
@@ -339,8 +340,10 @@ class ValveShell:
             waiting_for = "/clock (use_sim_time is true)"
         live = self._live
         kept = self._worker.timing.look(now)
-        timing = timing_status(kept, self._settings.publish_rate, waiting_for, has_waited=self._was_waiting)
+        if self._was_waiting:
+            kept = kept._replace(rate=math.nan)  # of a second during part of which it did not step
         self._was_waiting = bool(waiting_for)
+        timing = timing_status(kept, self._settings.publish_rate, waiting_for)
         if self._is_ready and timing.level is Level.WARN:
             line = self._too_busy.line(self._steady.now().nanoseconds / NANOSECONDS, timing.message)
             if line:
