@@ -154,11 +154,6 @@ def report(path: Path, second: Path | None) -> str:
         f"{diagnosis.before.holdout_rmse:.2f} before, {held.train_rmse:.2f} / {held.holdout_rmse:.2f} after",
         f"unexplained: {remainder_line(plant, named.values)}",
     ]
-    left = diagnosis.unexplained
-    if left is not None and left.force_rms < 0.1:
-        lines.append("    no smooth curve over position, speed or time catches it")
-    elif left is not None:
-        lines.append(f"    best caught by a force over {left.variable}: {left.force_rms:.2f} N rms, {left.where}")
     return "\n".join(lines)
 
 

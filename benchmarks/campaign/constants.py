@@ -36,7 +36,7 @@ CONSTANTS: Final = (
 
 
 def answered(answer: Answer, changed: Mapping[str, float]) -> Answer:
-    """What an answer would have been by other constants; what stands beside something unnamed is as it was found."""
+    """What an answer would have been by other constants."""
     with mock.patch.multiple(posterior, **changed):
         decision = grounds_of(answer).decision
     return replace(

@@ -26,7 +26,7 @@ from valve_sim.files.parameter_files import save_valve
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
 from valve_sim.identification.plants.tolerances import SAME_AS, principal_axes
 from valve_sim.identification.reporting.summary import recording_advice
-from valve_sim.identification.selection.posterior import Class, Evidence, Grounds, Rivals
+from valve_sim.identification.selection.posterior import Evidence, Grounds, Rivals
 from valve_sim.model import Drive, Valve
 from valve_sim.model.parameters import POLYNOMIAL_NAMES
 from valve_sim.traces import Signal, Trace
@@ -311,7 +311,6 @@ def _in_bands(diagnosis: Diagnosis, held_out: Recording) -> tuple[float, float |
 
 def written_grounds(grounds: Grounds) -> dict[str, Any]:
     """A table of evidence as JSON; impossible sets without a number."""
-    beside = grounds.beside
     return {
         "effects": sorted(grounds.rivals.effects),
         "declared": sorted(grounds.rivals.declared),
@@ -322,7 +321,6 @@ def written_grounds(grounds: Grounds) -> dict[str, Any]:
         "curves": [*filter(math.isfinite, grounds.curves)],
         "odds_of_unnamed": [[list(names), min(odds, 1e9)] for names, odds in grounds.odds_of_unnamed.items()],
         "sizes": dict(grounds.sizes),
-        "beside": None if beside is None else [list(beside.names), dict(beside.others), beside.probability],
     }
 
 
@@ -339,13 +337,9 @@ def grounds_of(answer: Answer) -> Grounds:
         )
         for names, plain, unnamed, is_fitted, is_untried in known["table"]
     }
-    beside = known["beside"]
     return Grounds(
         Rivals(frozenset(known["effects"]), frozenset(known["declared"])), table, tuple(known["curves"]),
         {tuple(names): odds for names, odds in known["odds_of_unnamed"]}, known["sizes"],
-        None if beside is None else Class(
-            tuple(beside[0]), {name: tuple(others) for name, others in beside[1].items()}, beside[2]
-        ),
     )  # fmt: skip
 
 

@@ -78,10 +78,9 @@ def diagnosis(measured):
 
 
 def test_emps_lacks_friction_by_direction_and_nothing_that_an_axis_cannot_have(diagnosis):
-    # The flexible axis leaves more than noise beside it, which has no name here.
+    # The flexible axis leaves more than noise beside it, which has no name here, so that it leads and is not claimed.
     named = diagnosis.verdict.effects
-    assert (diagnosis.verdict.kind, named) == ("effects", ("asymmetric_friction",))
-    assert diagnosis.verdict.has_remainder
+    assert (diagnosis.verdict.kind, named) == ("unknown", ("asymmetric_friction",))
     errors = {candidate.effects: candidate.holdout_rmse for candidate in diagnosis.candidates}
     assert errors[named] < 1.01 * errors[("asymmetric_friction",)]
     assert {name for candidate in diagnosis.candidates for name in candidate.effects} <= {
@@ -116,8 +115,9 @@ def test_emps_has_the_published_parameters(measured):
 
 
 def test_what_stays_of_emps_is_reported_with_its_place(measured, diagnosis):
+    # Of the declared model friction is left, a damping that is largest where the axis is slowest.
     assert diagnosis.unexplained is not None
-    assert diagnosis.unexplained.force_rms < 2.0
+    assert diagnosis.unexplained.variable == "v"
     values = emps.rung(measured, ("asymmetric_friction",)).values
     assert "accelerates or turns" in emps.remainder_line(measured, values)
 

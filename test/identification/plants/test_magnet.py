@@ -316,7 +316,7 @@ def found():
 
 
 def test_of_the_real_magnet_motional_emf_and_saturation_lead_beside_something_unnamed(found):
-    # What they leave is twice the noise, and beside something unnamed at most one name is claimed.
+    # What they leave is twice the noise, and beside something unnamed no name is claimed.
     verdict = found.diagnosis.verdict
     assert verdict.kind == "unknown"
     assert set(verdict.effects) == {"motional_emf", "magnetic_saturation"}

@@ -131,8 +131,6 @@ def test_what_is_not_certain_is_not_said_as_if_it_were() -> None:
         "commissioned (stiction would explain it about as well)"
     )
     assert finding_words(found((), {}, kind="insufficient")).endswith("the likeliest: no change at all")
-    beside = found(("coulomb_friction",), force, unnamed=0.97)
-    assert finding_words(beside).endswith("; beside it something acts that no effect of the catalogue explains")
 
 
 def test_a_finding_is_told_with_valve_stroke_time_and_probability() -> None:

@@ -116,13 +116,6 @@ def test_a_summary_and_its_advice_have_no_names_of_code(diagnosis: Diagnosis, ki
         assert title_of(name).lower() in summary.lower() or (kind == "insufficient" and strokes == 1)
 
 
-def test_an_effect_beside_something_unnamed_is_said_to_be_beside_it(diagnosis: Diagnosis) -> None:
-    verdict = Verdict("effects", ("coulomb_friction",), {}, 0.93, 0.998, 0.62, 8)
-    summary = summarise(replace(diagnosis, verdict=verdict))
-    assert "lacks Coulomb friction; that explains 62 % of the squared error" in summary
-    assert "Beside it something acts that no effect of the catalogue explains." in summary
-
-
 @pytest.mark.parametrize(("probability", "words"), [(1.0, "> 99 %"), (0.5, "50 %"), (0.0, "< 1 %")])
 def test_nothing_is_said_to_be_certain(probability: float, words: str) -> None:
     assert percent(probability) == words

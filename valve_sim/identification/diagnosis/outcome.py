@@ -43,14 +43,9 @@ class Verdict:
     strokes: int
 
     @property
-    def has_remainder(self) -> bool:
-        """Whether something without a name is likelier to act than not."""
-        return self.unnamed > 0.5
-
-    @property
     def is_open(self) -> bool:
         """Whether a further recording could tell more."""
-        has_rivals = self.has_remainder or any(self.confusable_with.values())
+        has_rivals = any(self.confusable_with.values())
         return self.kind in ("unknown", "insufficient") or (self.kind == "effects" and has_rivals)
 
 

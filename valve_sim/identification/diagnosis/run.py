@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from valve_sim.identification.diagnosis.experiment_design import Recommendation, recommend
 from valve_sim.identification.diagnosis.outcome import Candidate, Diagnosis, Rival, State, Verdict
-from valve_sim.identification.diagnosis.trust import PREDICTS_BETTER
 from valve_sim.identification.estimation.budget import Budget
 from valve_sim.identification.estimation.followed_positions import follows_positions
 from valve_sim.identification.estimation.intervals import Interval, covariance_interval, profile_interval
@@ -34,23 +33,16 @@ from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.selection.detection_limits import detection_limits
 from valve_sim.identification.selection.force_maps import (
     Unexplained,
-    competing_curves,
     describe,
     fit_maps,
-    on_top,
 )
 from valve_sim.identification.selection.posterior import (
-    EVEN,
     LARGEST_CLASS,
-    SURE,
-    Class,
     Decision,
     Grounds,
     Posterior,
     Set,
-    class_of,
     leader_of,
-    leading_beside,
 )
 from valve_sim.identification.selection.prediction import HeldOut, predicted
 from valve_sim.identification.selection.residual_tests import adequacy
@@ -66,8 +58,6 @@ SAMPLES_EACH: Final = 10
 """Samples for each parameter, below which a model with all effects would explain noise, too."""
 LISTED: Final = 30
 """Most candidates in the report."""
-EXPLAINS: Final = 0.3
-"""Share of what the declared model leaves beyond noise that such a name must explain."""
 
 
 def diagnose(
@@ -221,18 +211,18 @@ class DiagnosisSession:
         base, result = self.declared, self._fit_of(decision)
         verdict = self._verdict(decision)
         before = self._state(base, profile=False)
-        names = () if result is base else decision.names
-        size = self._search.tried[names].spread.size if verdict.has_remainder else 0.0
+        size = self._search.tried[()].spread.size if verdict.kind == "unknown" else 0.0
         after = (
             before
             if result is base and size == 0.0
             else self._state(result, profile=verdict.kind == "effects", size=size)
         )
-        unexplained, maps = self._unexplained(verdict, result)
+        maps = self._unexplained() if verdict.kind == "unknown" else ()
         limits = detection_limits(base, self._search.rivals) if verdict.kind == "none" else {}
         budget = self._search.problem.budget
         return Diagnosis(
-            self._plant, before, after, verdict, self._candidates(posterior), posterior.inclusion(), unexplained, maps,
+            self._plant, before, after, verdict, self._candidates(posterior), posterior.inclusion(),
+            maps[0] if maps else None, maps,
             tuple(channel.name for channel in self._plant.channels), self._recommendation(verdict, decision),
             self._held_out_gain(base, result),
             tuple(map(words, [*self._search.untried, *self._search.impossible])), budget.spent, budget.strokes, limits,
@@ -247,58 +237,17 @@ class DiagnosisSession:
         curves = self._search.curves if posterior.unnamed > PROMISING else []
         best = leader_of({names: share.total for names, share in posterior.shares.items()}, posterior.fitted)
         raised = {best: self._held_out.log_odds_of_unnamed(self._search.tried[best].fit)}
-        grounds = Grounds(
+        return Grounds(
             self._search.rivals,
             self._search.table(raised[best]),
             tuple(entry.fit.log_evidence for entry in curves),
             raised,
             {name: len(choice.parameters) for name, choice in self._plant.effects.items()},
         )
-        posterior = grounds.posterior
-        return replace(grounds, beside=self._beside(posterior, grounds.sizes)) if posterior.unnamed > EVEN else grounds
-
-    def _beside(self, posterior: Posterior, sizes: Mapping[str, int]) -> Class | None:
-        """A name that stands beside something unnamed: theory, section 9; None where none does.
-
-        A force of the catalogue may imitate an unnamed one, and several together nearly always can. So it must be one,
-        which leads given a discrepancy, and given a discrepancy or a smooth curve; it must predict held-out strokes
-        better, and explain a good part of the error.
-        """
-        weights, leading = posterior.beside, leading_beside(posterior, sizes)
-        is_one = leading.is_answer and len(leading.names) == 1
-        if not is_one or leading.probability < SURE or self._held_out.problem is None:
-            return None
-        base, best = self._search.tried[()].beside, self._search.tried[leading.names].beside
-        before, after = self._held_out.log_density(base), self._held_out.log_density(best)
-        if before is None or after is None or after - before < PREDICTS_BETTER:
-            return None
-        if self._share(best) < EXPLAINS or not self._leads_beside_curves(leading, weights):
-            return None
-        return leading
-
-    def _leads_beside_curves(self, leading: Class, weights: Mapping[Set, float]) -> bool:
-        """Whether the class has most of the posterior where a smooth curve may act in place of a discrepancy."""
-        log_priors = {names: self._search.rivals.log_prior(names)[1] for names in weights}
-        near = [names for names in self._search.tried if len(names) == 1 or names in ((), leading.names)]
-        near = sorted(near, key=lambda names: -weights.get(names, 0.0))[: 2 * LARGEST_CLASS]
-        total: dict[Set, float] = {
-            names: log_priors[names] + tried.spread.log_evidence for names, tried in self._search.tried.items()
-        }
-        for names in {*near, (), leading.names}:
-            known = self._search.curves if not names else competing_curves(self._search.tried[names].fit, self._say)
-            logs = [entry.fit.log_evidence - math.log(len(known)) for entry in known]
-            total[names] = float(np.logaddexp.reduce([total[names], *(log_priors[names] + log for log in logs)]))
-        most = max(total.values())
-        shares = {names: math.exp(log - most) for names, log in total.items()}
-        whole = math.fsum(shares.values())
-        return class_of({n: share / whole for n, share in shares.items()}, leading.names).probability >= SURE
 
     def _fit_of(self, decision: Decision) -> Fit:
         """The corrected model: what is named, or the refitted declared model where nothing is."""
-        if decision.kind == "unknown":
-            return self.declared
-        tried = self._search.tried[decision.names]
-        return tried.beside if decision.unnamed > EVEN else tried.fit
+        return self.declared if decision.kind == "unknown" else self._search.tried[decision.names].fit
 
     def _share(self, result: Fit) -> float:
         """How much of the squared error of the declared model beyond noise a fit explains, from 0 to 1."""
@@ -352,21 +301,11 @@ class DiagnosisSession:
             )  # fmt: skip
         return tuple(found)
 
-    def _unexplained(self, verdict: Verdict, result: Fit) -> tuple[Unexplained | None, tuple[Unexplained, ...]]:
-        """What is left without a name, as a force over the variable that explains most of it."""
-        if not verdict.has_remainder:
-            return None, ()
+    def _unexplained(self) -> tuple[Unexplained, ...]:
+        """What the declared model leaves without a name, as forces, the one that explains most of it first."""
         base = self.declared
         maps = fit_maps(base, self._search.curves, self._say)
-        described = tuple(describe(entry.choice, entry.fit, base) for entry in maps)
-        if not maps:
-            return None, ()
-        if result is base:
-            return described[0], described
-        try:
-            return describe(maps[0].choice, on_top(maps[0].choice, result), result), described
-        except SimulationError:
-            return described[0], described
+        return tuple(describe(entry.choice, entry.fit, base) for entry in maps)
 
     def _near(self, decision: Decision) -> list[Set]:
         """What is named, and what would do in its place."""

@@ -113,8 +113,7 @@ def finding_words(finding: FaultFinding) -> str:
     others = named(sorted({other for names in verdict.confusable_with.values() for other in names}), "or")
     alternatives = f" ({others} would explain it about as well)" if others else ""
     uncertain = "the strokes cannot tell what has changed; the likeliest: " if verdict.kind == "insufficient" else ""
-    beside = "; beside it something acts that no effect of the catalogue explains" if verdict.has_remainder else ""
-    return f"{uncertain}{changes}{alternatives}{beside}"
+    return f"{uncertain}{changes}{alternatives}"
 
 
 def _change(effect: str, finding: FaultFinding) -> str:

@@ -51,8 +51,10 @@ def claim(verdict: Verdict, advice: Advice, declared: Collection[str] = ()) -> s
         advice: of the plant, which says why a single stroke is not enough.
         declared: effects that the declared model has already.
     """
-    if verdict.has_remainder:
-        return _claim_beside_a_remainder(verdict, declared)
+    if verdict.kind == "unknown":
+        share = f"explains {percent(verdict.share)} of the squared error beyond noise"
+        closest = f" The nearest is {named(verdict.effects)}, which {share}." if verdict.effects else ""
+        return f"Something acts that no effect of the catalogue explains.{closest}"
     if verdict.kind == "none":
         return "The declared model with refitted damping explains the data down to the noise."
     others = sorted({other for names in verdict.confusable_with.values() for other in names})
@@ -68,15 +70,3 @@ def claim(verdict: Verdict, advice: Advice, declared: Collection[str] = ()) -> s
         )
     alternatives = f"; {alike} would explain the data about as well" if alike else ""
     return f"The model {what_is_missing(verdict.effects, declared)}{alternatives}."
-
-
-def _claim_beside_a_remainder(verdict: Verdict, declared: Collection[str]) -> str:
-    """What is claimed where something is left that no effect explains."""
-    share = f"explains {percent(verdict.share)} of the squared error beyond noise"
-    if verdict.kind == "effects":
-        return (
-            f"The model {what_is_missing(verdict.effects, declared)}; that {share}. Beside it something acts that no "
-            "effect of the catalogue explains."
-        )
-    closest = f" The nearest is {named(verdict.effects)}, which {share}." if verdict.effects else ""
-    return f"Something acts that no effect of the catalogue explains.{closest}"

@@ -108,8 +108,7 @@ def headline(diagnosis: Diagnosis) -> str:
     amounts = [_largest(meaning) for meaning in meanings(diagnosis)]
     much = f": {amounts[0]}" if len(amounts) == 1 and amounts[0] else ""
     alternatives = f" {capitalised(alike)} would explain the data about as well." if alike else ""
-    rest = " Something without a name is left beside it." if diagnosis.unexplained is not None else ""
-    return f"{claim}{much}.{alternatives}{rest}"
+    return f"{claim}{much}.{alternatives}"
 
 
 def holdout_words(diagnosis: Diagnosis) -> str:

@@ -152,11 +152,6 @@ def _periodic(choice: ForceMap, base: Fit, periods: Sequence[Period]) -> list[No
     return sorted(found, key=lambda entry: -entry.fit.log_evidence)[:1]
 
 
-def on_top(choice: ForceMap, base: Fit) -> Fit:
-    """A force map with all else fixed, so that it shows the residual and trades nothing with friction or mass."""
-    return fit(base.problem, choice.free, {}, fixed={**base.values, **choice.held}, prior=_smooth(choice))
-
-
 def describe(choice: ForceMap, result: Fit, base: Fit) -> Unexplained:
     """A fitted force map in words: how large, and where it acts."""
     at, force = _curve(choice, result)

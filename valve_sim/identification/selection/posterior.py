@@ -258,17 +258,14 @@ def leading_beside(posterior: Posterior, sizes: Mapping[str, int]) -> Class:
     return simplest._replace(probability=class_of(weights, simplest.names).probability)
 
 
-def decide(posterior: Posterior, beside: Class | None = None, sizes: Mapping[str, int] | None = None) -> Decision:
+def decide(posterior: Posterior, sizes: Mapping[str, int] | None = None) -> Decision:
     """The verdict.
 
     Args:
         posterior: of all that was tried. sizes: of each name, how many parameters it frees; default all alike.
-        beside: names that stand beside something unnamed, where held-out strokes confirm them (`DiagnosisSession`).
     """
     unnamed = posterior.unnamed
     if unnamed > EVEN:
-        if beside is not None:
-            return Decision("effects", beside.names, beside.others, beside.probability, unnamed)
         leading = leading_beside(posterior, sizes or {})
         return Decision("unknown", leading.names, leading.others, unnamed, unnamed)
     weights = {names: share.plain for names, share in posterior.shares.items()}
@@ -291,7 +288,7 @@ class Grounds:
     """All that a verdict follows from.
 
     Attributes:
-        rivals, table, curves, odds_of_unnamed: as of `posterior_of`. beside, sizes: as of `decide`.
+        rivals, table, curves, odds_of_unnamed: as of `posterior_of`. sizes: as of `decide`.
     """
 
     rivals: Rivals
@@ -299,7 +296,6 @@ class Grounds:
     curves: tuple[float, ...]
     odds_of_unnamed: Mapping[Set, float]
     sizes: Mapping[str, int]
-    beside: Class | None = None
 
     @property
     def posterior(self) -> Posterior:
@@ -309,4 +305,4 @@ class Grounds:
     @property
     def decision(self) -> Decision:
         """The verdict."""
-        return decide(self.posterior, self.beside, self.sizes)
+        return decide(self.posterior, self.sizes)
