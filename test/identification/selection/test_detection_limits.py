@@ -86,6 +86,22 @@ def test_what_cannot_be_named_within_its_range_has_no_limit() -> None:
     assert detection_limits(base, Rivals(frozenset(problem.plant.effects), frozenset()))["first"]["size"] == math.inf
 
 
+@pytest.mark.parametrize(("most", "has_limit"), [(math.inf, True), (1e-4, False)])
+def test_an_effect_without_an_end_that_begins_late_has_a_limit_if_it_ever_shows_enough(
+    most: float, has_limit: bool
+) -> None:
+    endless = Parameter("size", "m", "added", 0.0, math.inf, 0.3, 0.0)
+    begins = 0.1
+
+    def shown(values: Mapping[str, float]) -> Array:
+        return np.asarray(min(max(0.0, values.get("late.size", 0.0) - begins), most) * COLUMNS[:, 1])
+
+    problem = problem_of(LinearPlant(measured(1), shown, effects=[EffectChoice("late", (endless,))]))
+    base = fit(problem, ("level",), {})
+    limit = detection_limits(base, Rivals(frozenset(["late"]), frozenset()))["late"]["size"]
+    assert (begins < limit < 2.0) if has_limit else limit == math.inf
+
+
 def test_more_rivals_raise_the_limit_as_the_prior_falls() -> None:
     problem = problem_of(plant_of(KINDS["two-sided"], 0.0, 1))
     base = fit(problem, ("level",), {}, nuisances=[DRIFT])

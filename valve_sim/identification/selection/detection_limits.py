@@ -46,6 +46,8 @@ SEARCHED: Final = 200
 """Bisections at most."""
 STEEPER: Final = 2.0
 """Times what a small effect shows for its size, beyond which a larger one is not judged by it."""
+LARGEST: Final = 100.0
+"""Prior scales up to which larger effects are simulated: nobody expects one beyond, and a range may have no end."""
 LARGER: Final = 1.25
 """Factor from one simulated size to the next."""
 
@@ -104,7 +106,7 @@ class _Limit:
 
     def size(self, needed: float) -> float:
         """By how far its value is off where it does nothing, for so much of ln p; inf where nothing is enough."""
-        found = math.inf if math.isinf(self._sigma) else self._linear(needed)
+        found = self._linear(needed) if 0.0 < self._sigma < math.inf else math.inf
         if self._is_steeper(found):
             found = self._simulated(needed)
         if found > self._most or math.isinf(found):
@@ -130,7 +132,7 @@ class _Limit:
     def _simulated(self, needed: float) -> float:
         """The limit in the search coordinate, of what shows nothing while it is small."""
         size = SMALL_MOVE * internal_scale(self._parameter)
-        while size <= self._most:
+        while size <= min(self._most, LARGEST * internal_scale(self._parameter)):
             shown = self._shown(size)
             if shown > 0.0 and self._is_enough(size, size / shown, needed):
                 return size
@@ -139,10 +141,12 @@ class _Limit:
 
     def _is_steeper(self, found: float) -> bool:
         """Whether a limit is beyond a small move, and shows more for its size than that does."""
-        small = SMALL_MOVE * internal_scale(self._parameter)
+        scale = internal_scale(self._parameter)
+        small = SMALL_MOVE * scale
         if found <= small or self._name in _released(self._result):
             return False
-        there = min(found, self._most)
+        # Of what has no limit by a small move, one that is as large as effects are expected to be.
+        there = min(scale if math.isinf(found) else found, self._most)
         return float(norm(self._change(there))) / there > STEEPER * float(norm(self._change(small))) / small
 
     def _shown(self, size: float) -> float:
