@@ -18,7 +18,6 @@ from valve_sim.identification.selection.force_maps import (
     competing_curves,
     describe,
     fit_maps,
-    on_top,
     where,
 )
 from valve_sim.identification.selection.periods import Period
@@ -170,15 +169,6 @@ def test_periods_are_fitted_three_at_once_until_one_explains_all(
     fits = Fits(monkeypatch, {"x, periodic": -30.0}, TURNS, white=white, further=6)
     assert fits.fitted() == [("x, periodic", -30.0)]
     assert len(fits.calls) == fitted
-
-
-def test_a_map_on_top_shows_the_residual_with_all_else_held(monkeypatch: pytest.MonkeyPatch) -> None:
-    fits = Fits(monkeypatch, {"v": -50.0}, OVER_V)
-    on_top(OVER_V, fits.base)
-    (call,) = fits.calls
-    assert call["free"] == OVER_V.free
-    assert call["fixed"] == {**fits.base.values, **OVER_V.held}
-    assert (call["nuisances"], call["start"], call["prior"].least) == ((), {}, 0.0)
 
 
 # -- words and figures -------------------------------------------------------------------------------------------------
