@@ -1,16 +1,18 @@
 """What the campaign draws: cases that a family and a seed determine, with declared files that the package reads."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from plants.common import FloatArray
+from plants.laboratory import IMPERFECTIONS, LABORATORIES, true_sizes
 from plants.recording import Recorder
 from plants.tolerances import SHEET_VALVE
 
-from benchmarks.campaign.cases import AT_LIMITS, EXACT_VALUES, draw_case
+from benchmarks.campaign.cases import AT_LIMITS, EXACT_VALUES, RECORDED, SIZES, draw_case, planned
 from benchmarks.campaign.effects import CATALOGUED
-from benchmarks.campaign.figures import family_table, standing, upper_limit
+from benchmarks.campaign.figures import family_table, imperfection_table, standing, upper_limit
 from benchmarks.campaign.limits import DETECTABLE, Knowledge, detection_limit, yardstick
 from benchmarks.campaign.running import Answer, Outcome, is_unnamed, true_effects, true_names
 
@@ -111,11 +113,78 @@ def test_an_effect_beside_an_unnamed_one_is_all_that_is_to_be_named() -> None:
     assert is_unnamed(case)
 
 
+def test_every_imperfection_of_every_size_takes_its_turn_with_either_noise() -> None:
+    cases = [draw_case("imperfect", seed) for seed in range(2 * RECORDED["imperfect"].per_round)]
+    wanted = {(f"{name}:{size}", noise) for name in IMPERFECTIONS for size in SIZES for noise in ("white", "quiet")}
+    assert {(case.laboratory, case.noise) for case in cases} == wanted
+    assert not any(case.truth for case in cases)
+    for noise in ("white", "quiet"):
+        assert {case.with_current for case in cases[:42] if case.noise == noise} == {False, True}
+    assert [name for name, _ in planned(range(1), tuple(RECORDED), is_slice=False)].count("laboratory") == 5
+
+
+def test_an_imperfect_recording_is_of_the_valve_that_the_file_declares_within_tolerances() -> None:
+    case = draw_case("imperfect", 3)
+    assert case.laboratory == "ringing:small"
+    assert case == draw_case("imperfect", 3)
+    assert not case.declared.tolerances.is_exact
+    train, holdout = case.recordings()
+    assert train.command_times[0] - train.true_command_times[0] == pytest.approx(case.clock_offsets[0])
+    assert train.truth.pilot_position.max() == pytest.approx(case.true_scalars["stroke"])
+    assert holdout.times[-1] < 0.5 * train.times[-1] + 0.1
+    laboratory = case.laboratory_of(1)
+    assert laboratory.position_noise == (0.2e-6 if case.noise == "quiet" else 1e-6)
+    assert {name for name, size in true_sizes(laboratory).items() if size} == {"ringing"}
+
+
+@pytest.mark.parametrize("seed", range(len(LABORATORIES)))
+def test_a_laboratory_records_both_bags_with_draws_of_its_own(seed: int) -> None:
+    case = draw_case("laboratory", seed)
+    assert case.laboratory == list(LABORATORIES)[seed]
+    assert case.truth == {}
+    first, second = case.laboratory_of(0), case.laboratory_of(1)
+    assert replace(first, clock_offset=second.clock_offset) == second != first
+    assert first.position_noise == LABORATORIES[case.laboratory].position_noise
+    noises = [one.pilot_position - one.truth.pilot_position for one in case.recordings()]
+    assert not np.array_equal(noises[0][:100], noises[1][:100])
+
+
+@pytest.mark.parametrize("seed", [3, 34])
+def test_an_effect_stands_out_beside_an_imperfection(seed: int) -> None:
+    case = draw_case("beside", seed)
+    [(name, limits)] = case.amplitudes.items()
+    assert name == list(CATALOGUED)[seed % len(CATALOGUED)]
+    assert 9.9 <= limits <= 40.0
+    assert case.laboratory.partition(":")[2] in ("middle", "large")
+
+
+def test_an_effect_meets_another_imperfection_in_every_round() -> None:
+    own_laboratory = RECORDED["beside"].laboratory
+    assert own_laboratory is not None
+    met = {own_laboratory(3 + len(CATALOGUED) * turn) for turn in range(2 * len(IMPERFECTIONS))}
+    assert len(met) == 2 * len(IMPERFECTIONS)
+
+
+def test_the_table_of_imperfections_counts_all_sizes_together() -> None:
+    outcomes = [
+        outcome_of("imperfect", "none", (), 0.9),
+        replace(outcome_of("imperfect", "effects", ("stiction",), 0.95), is_covered=None),
+        Outcome(draw_case("imperfect", 1), error="it failed"),
+    ]
+    drift, hum, whole = (row.split() for row in imperfection_table(outcomes).splitlines()[1:])
+    assert drift == ["imperfect", "drift", "2", "1", "·", "·", "·", "·", "1", "·", "1", "100%", "2", "1.0"]
+    assert hum == ["imperfect", "hum", "1", "·", "·", "·", "·", "·", "·", "1", "·", "–", "0", "–"]
+    assert whole[:3] == ["imperfect,", "all", "3"]
+    old = outcomes[0].to_json()
+    del old["case"]["laboratory"]
+    assert Outcome.from_json(old).case.laboratory == ""
+
+
 def outcome_of(family: str, kind: str, effects: tuple[str, ...], probability: float, alike: str = "") -> Outcome:
     """A made-up answer to the first case of a family."""
     others = {effects[0]: (alike,)} if alike else {}
     answer = Answer(kind, effects, others, probability, 2.0, 2.0, 1.0, None, 1.0, 0.1, 1.0, 5.0, 1.0)
-    return Outcome(draw_case(family, 0), (answer,), 1.0, {"pilot_damping": True})
+    return Outcome(draw_case(family, 0), (answer,), 1.0, {"pilot_damping": True, "main_damping": True})
 
 
 @pytest.mark.parametrize(

@@ -12,17 +12,19 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final, TextIO
 
+from plants.laboratory import true_sizes
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from benchmarks.campaign import __doc__ as campaign_words
-from benchmarks.campaign.cases import EXACT, FAMILIES, NOISES, WITHIN, draw_case, planned
+from benchmarks.campaign.cases import EXACT, FAMILIES, NOISES, RECORDED, WITHIN, draw_case, planned
 from benchmarks.campaign.constants import constants_table
 from benchmarks.campaign.effects import CATALOGUED, EARLIER_LIMITS
 from benchmarks.campaign.figures import (
     confusion_table,
     family_table,
     figures,
+    imperfection_table,
     least_demands,
     reliability_table,
     tolerance_figures,
@@ -42,7 +44,7 @@ COMPARED: Final = [("none_within", 0), ("none_within", 1), *(("single_within", s
 """Cases that are diagnosed with and without tolerances, one at a time."""
 MEASURED_APART: Final = ("time", "cost")
 DRAWN_BY_LIMITS: Final = {"single", "pair", "mismatched", "opening", "at_limits", "unnamed_beside"}
-DRAWN_WITHIN: Final = {"single_within", "folder", "mismatched_within", "reluctance", "at_limits_within"}
+DRAWN_WITHIN: Final = {"single_within", "folder", "mismatched_within", "reluctance", "at_limits_within", "beside"}
 """Families whose amplitudes are in detection limits: of exact values, and of those with tolerances."""
 SHOWN_CANDIDATES: Final = 8
 
@@ -98,7 +100,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     known = ", ".join((*FAMILIES, *MEASURED_APART))
     parser.add_argument(
-        "--only", help=f"families, with commas: {known}\n(default: those with tolerances, or all others)"
+        "--only",
+        help=f"families, with commas: {known}\n"
+        f"(default: those with tolerances, or all others; never {', '.join(RECORDED)})",
     )
     parser.add_argument(
         "--tolerances", action="store_true", help="declared values off within their tolerances, and the figures of that"
@@ -178,6 +182,8 @@ def _print_tables(outcomes: Sequence[Outcome], *, has_limits: bool) -> None:
         print(confusion_table(outcomes), end="\n\n")
         print(family_table(outcomes), end="\n\n")
         print(reliability_table(outcomes), end="\n\n")
+    if any(outcome.case.laboratory for outcome in outcomes):
+        print(imperfection_table(outcomes), end="\n\n")
 
 
 def _limits_table() -> str:
@@ -218,6 +224,9 @@ def _run_again(parser: argparse.ArgumentParser, name: str) -> int:
     print(
         f"recorded   {case.noise}, {'with' if case.with_current else 'without'} current, clocks {case.clock_offsets} s"
     )
+    if case.laboratory:
+        sizes = {name: size for name, size in true_sizes(case.laboratory_of(0)).items() if size}
+        print(f"laboratory {case.laboratory}, errors that have a size {sizes or 'none'} (SI units)")
     outcome, diagnoses = examine(case)
     for diagnosis in diagnoses:
         print(f"\n{_diagnosis_text(diagnosis)}")

@@ -6,13 +6,14 @@ import math
 import tempfile
 import zlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 from plants.common import Plant
 from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
+from plants.laboratory import IMPERFECTIONS, LABORATORIES, Laboratory, measure
 from plants.mismatched import BENCH_VALVE, EFFECTS, MismatchedPlant
 from plants.recording import Recorder, Recording, record, single_opening, train_bags, train_profile
 from plants.recording import holdout_profile as other_profile
@@ -32,12 +33,20 @@ NOISES: Final[Mapping[str, Recorder]] = {
     "jitter": Recorder(command_jitter=50e-6),
 }
 """1 µm white; AR(1) of 0.7; steps of 5 µm; 50 µs on every command's stamp."""
+LABORATORY_NOISES: Final[Mapping[str, float]] = {"white": 1e-6, "quiet": 0.2e-6}
+"""m, standard deviation of the white noise beside one imperfection: as everywhere, and as a good sensor has it."""
+OWN_NOISE: Final = "own"
+"""The noise of a whole laboratory, which says itself what it is."""
+SIZES: Final = ("small", "middle", "large")
+"""Of an imperfection, as `IMPERFECTIONS` lists them."""
 CLOCK_OFFSET: Final = 30e-6
 """s, standard deviation; drawn for each bag."""
 DAMPING_FACTOR: Final = (0.7, 1.5)
 """True over declared damping of plant (a), drawn evenly in the logarithm for each of both."""
 LIMITS: Final = (5.0, 40.0)
 """Amplitudes in detection limits, drawn evenly in the logarithm; cut at what is physically sensible."""
+BESIDE_LIMITS: Final = (10.0, 40.0)
+"""The same beside an imperfection of the recording: strong enough to be named where nothing is in the way."""
 MISMATCHED_LIMITS: Final = (20.0, 100.0)
 """The same on plant (b), whose own mismatch must not drown the effect."""
 NARROWEST: Final = 1.5
@@ -83,7 +92,9 @@ class Case:
             RMS for uncatalogued effects; of `exact_wrong` the share by which a value is off, or an effect has grown.
         dampings: true ones, N·s/m; empty where the plant has its own.
         deviations: of the true values from the declared ones, in tolerances; none where the declared file is exact.
-        noise: one of `NOISES`. clock_offsets: s, of the bags in the order in which they are recorded.
+        noise: one of `NOISES`, with a laboratory of `LABORATORY_NOISES` or its own. clock_offsets: s, of the bags in
+            the order in which they are recorded.
+        laboratory: that records it: an imperfection with its size, as "drift:large", or a whole one's name; or empty.
     """
 
     family: str
@@ -96,6 +107,7 @@ class Case:
     clock_offsets: tuple[float, ...]
     record_seeds: tuple[int, ...]
     deviations: Numbers = field(default_factory=dict)
+    laboratory: str = ""
 
     @property
     def name(self) -> str:
@@ -192,12 +204,27 @@ class Case:
             with_current=self.with_current,
         )
 
+    def laboratory_of(self, bag: int) -> Laboratory:
+        """The laboratory as it records a bag, by its place, with that bag's clock."""
+        if self.laboratory in LABORATORIES:
+            laboratory = LABORATORIES[self.laboratory]
+        else:
+            name, _, size = self.laboratory.partition(":")
+            laboratory = replace(IMPERFECTIONS[name][SIZES.index(size)], position_noise=LABORATORY_NOISES[self.noise])
+        offset = laboratory.clock_offset + self.clock_offsets[bag]
+        return replace(laboratory, clock_offset=offset, with_current=self.with_current)
+
     def recordings(self) -> tuple[Recording, ...]:
         """To train on, and last what to hold out; for an opening, the opening and what it is advised to record next."""
         profiles = {
             "opening": (single_opening(), train_profile()),
             "folder": (*train_bags(FOLDER), other_profile()),
         }.get(self.family, (train_profile(), other_profile()))
+        if self.laboratory:
+            return tuple(
+                measure(self.true_values, self.effects, profile, self.laboratory_of(bag), self.record_seeds[bag])
+                for bag, profile in enumerate(profiles)
+            )
         return tuple(
             record(self.plant, profile, self.recorder(bag), self.record_seeds[bag])
             for bag, profile in enumerate(profiles)
@@ -221,6 +248,7 @@ class Family:
         draw: truth and amplitudes of a seed. kinds: over so many seeds every effect takes its turn.
         per_round: cases for each of the campaign's seeds. in_slice: cases of the slice for CI, the quicker ones.
         has_tolerances: whether the declared file is off within tolerances, which it tells.
+        laboratory: the laboratory of a seed and its noise; None where a plain recorder does.
     """
 
     draw: Callable[[int, np.random.Generator, Recorder], tuple[Effects, Numbers]]
@@ -228,6 +256,7 @@ class Family:
     per_round: int
     in_slice: tuple[int, ...]
     has_tolerances: bool = False
+    laboratory: Callable[[int], tuple[str, str]] | None = None
 
 
 def draw_case(family: str, seed: int) -> Case:
@@ -241,6 +270,13 @@ def draw_case(family: str, seed: int) -> Case:
         name: float(np.asarray(CAMPAIGN_VALVE[name])) * log_uniform(random, *DAMPING_FACTOR)
         for name in ("pilot_damping", "main_damping")
     }
+    own_laboratory = FAMILIES[family].laboratory
+    laboratory, recorder = "", NOISES[noise]
+    if own_laboratory is not None:
+        laboratory, noise = own_laboratory(seed)
+        recorder = NOISES["white"]
+        # The place of the imperfection must not say whether there is a current.
+        with_current = (kind // 2 + turn // 2) % 2 == 1
     bags = FOLDER + 1 if family == "folder" else 2
     offsets = CLOCK_OFFSET * random.standard_normal(bags)
     if family == "folder" and seed % 2 == 1:
@@ -250,7 +286,7 @@ def draw_case(family: str, seed: int) -> Case:
     if family == "reluctance":
         # The pull is measured at rest.
         deviations = {name: deviations[name] for name in (*SHARES, *LENGTHS)}
-    truth, amplitudes = FAMILIES[family].draw(seed, random, NOISES[noise])
+    truth, amplitudes = FAMILIES[family].draw(seed, random, recorder)
     # No position shows the coil's resistance.
     with_current = with_current or f"{WRONG}coil_resistance" in truth
     if family == "wrong_value":
@@ -267,7 +303,27 @@ def draw_case(family: str, seed: int) -> Case:
         tuple(offsets.tolist()),
         tuple(seeds.tolist()),
         deviations,
+        laboratory,
     )
+
+
+def _one_imperfection(seed: int) -> tuple[str, str]:
+    """Every imperfection in turn, by its size, and then all of them in the other noise."""
+    place, kind = divmod(seed, len(IMPERFECTIONS))
+    turn, size = divmod(place, len(SIZES))
+    noise = list(LABORATORY_NOISES)[(kind + size + turn) % len(LABORATORY_NOISES)]
+    return f"{list(IMPERFECTIONS)[kind]}:{SIZES[size]}", noise
+
+
+def _whole_laboratory(seed: int) -> tuple[str, str]:
+    return list(LABORATORIES)[seed % len(LABORATORIES)], OWN_NOISE
+
+
+def _clear_imperfection(seed: int) -> tuple[str, str]:
+    """Every imperfection of middle or large size in turn; each round of effects begins one place further on."""
+    place = (seed + seed // len(CATALOGUED)) % (2 * len(IMPERFECTIONS))
+    size, kind = divmod(place, len(IMPERFECTIONS))
+    return f"{list(IMPERFECTIONS)[kind]}:{SIZES[1 + size]}", "white"
 
 
 def _catalogued(
@@ -397,6 +453,11 @@ def _reluctance(seed: int, random: np.random.Generator, recorder: Recorder) -> t
     )
 
 
+def _beside(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[Effects, Numbers]:
+    name = list(CATALOGUED)[seed % len(CATALOGUED)]
+    return _catalogued(name, random, recorder, BESIDE_LIMITS, Knowledge.WITHIN)
+
+
 FORMED_OTHERWISE: Final = ("mismatched", "mismatched_within", "reluctance")
 """Families whose plant is not of the declared form."""
 EXACT: Final[Mapping[str, Family]] = {
@@ -420,8 +481,16 @@ WITHIN: Final[Mapping[str, Family]] = {
     "reluctance": Family(_reluctance, len(RELUCTANCE_EFFECTS), 3, (), has_tolerances=True),
     "at_limits_within": Family(_at_limits_within, len(CATALOGUED), len(CATALOGUED), (), has_tolerances=True),
 }
-FAMILIES: Final[Mapping[str, Family]] = {**EXACT, **WITHIN}
-"""In the order in which they are run and reported; those of `WITHIN` with tolerances."""
+RECORDED: Final[Mapping[str, Family]] = {
+    "imperfect": Family(_none, 42, 42, (), has_tolerances=True, laboratory=_one_imperfection),
+    "laboratory": Family(_none, 5, 5, (), has_tolerances=True, laboratory=_whole_laboratory),
+    "beside": Family(
+        _beside, len(CATALOGUED), len(CATALOGUED), (), has_tolerances=True, laboratory=_clear_imperfection
+    ),
+}
+"""Of valves within their tolerances, recorded with errors; run where they are asked for by `--only`."""
+FAMILIES: Final[Mapping[str, Family]] = {**EXACT, **WITHIN, **RECORDED}
+"""In the order in which they are run and reported; those of `WITHIN` and `RECORDED` with tolerances."""
 
 
 def planned(rounds: range, families: tuple[str, ...], *, is_slice: bool) -> list[tuple[str, int]]:

@@ -312,6 +312,35 @@ def standing(outcome: Outcome) -> str:
     return "unique" if _is_true(outcome) and not true_names(outcome.case) else "missed"
 
 
+def imperfection_table(outcomes: Sequence[Outcome]) -> str:
+    """What became of recordings with errors: a row for each imperfection of all sizes, and for each laboratory.
+
+    "right" names what is true and nothing else; where nothing is missing, that is "none". Dampings are counted where
+    the verdict was right: how many of their 95 % intervals hold the truth.
+    """
+    rows: dict[str, list[Outcome]] = {}
+    for outcome in outcomes:
+        case = outcome.case
+        if case.laboratory:
+            rows.setdefault(f"{case.family} {case.laboratory.partition(':')[0]}", []).append(outcome)
+            rows.setdefault(f"{case.family}, all", []).append(outcome)
+    labels = {
+        "none": "none",
+        "unique": "right",
+        **{label: label for label in LABELS if label not in ("none", "unique")},
+    }
+    head = f"{'imperfection':<30}{'cases':>6}" + "".join(f"{word:>13}" for word in labels.values())
+    lines = [f"{head}{'≥ 0.9 wrong':>13}{'dampings':>10}{'of':>5}{'CPU s':>8}"]
+    for name, found in sorted(rows.items(), key=lambda row: row[0].endswith(", all")):
+        counts = Counter(outcome.label for outcome in found)
+        held = [(one.is_covered or {})[damping] for one in found for damping in one.case.dampings if one.is_covered]
+        seconds = [sum(answer.cpu_seconds for answer in one.answers) for one in found if one.answers]
+        shown = "".join(f"{counts[label] or '·':>13}" for label in labels)
+        shown += f"{sum(map(is_misnamed, found)) or '·':>13}{_mean(held, '.0%'):>10}{len(held):>5}"
+        lines.append(f"{name:<30}{len(found):>6}{shown}{_mean(seconds, '.1f'):>8}")
+    return "\n".join(lines)
+
+
 def upper_limit(count: int, of: int) -> float:
     """The share that is exceeded by 5 % of all true shares of so many (Clopper and Pearson 1934), one-sided."""
     return 1.0 if count >= of else float(beta.ppf(0.95, count + 1, of - count))
