@@ -25,7 +25,7 @@ QUIETEST: Final = 0.1
 MOVES: Final = 2.5
 """Noise by first differences over that by second ones, beyond which it is motion; of noise whose neighbours have a
 correlation of 0.9 it is 1.2."""
-LEAST: Final = 1e-9
+LEAST: Final = 1e-10
 """m; less noise is rounding, or how a simulation creeps."""
 ON_GRID: Final = 0.9
 """Share of the readings that lie on the grid of a coarse sensor; spikes need not."""

@@ -245,6 +245,8 @@ def _spread_in_motion(channels: Sequence[Channel], step: float) -> float:
     bends = []
     for channel in channels:
         moves = np.abs(channel.data[2:] - channel.data[:-2]) > 2.0 * step
+        if channel.left_out is not None:
+            moves &= ~(channel.left_out[2:] | channel.left_out[1:-1] | channel.left_out[:-2])
         bends.append(np.diff(channel.data, 2)[moves])
     bend = np.concatenate(bends)
     if len(bend) < 30:
