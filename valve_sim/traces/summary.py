@@ -103,7 +103,7 @@ def describe(trace: Trace) -> TraceSummary:
         commands=len(trace.drive.times),
         voltages=tuple(np.unique(trace.drive.volts).tolist()),
         position_range=_position_range(trace),
-        noise=sample_noise(trace.judged_signal.values),
+        noise=sample_noise(trace.kept_position if trace.has_positions else trace.judged_signal.values),
         strokes=find_stroke_parts(trace),
         findings=trace.findings,
         judged=trace.judged,
