@@ -215,6 +215,45 @@ def test_info_as_json(strokes: Path):
     assert first["reaches_stop"] == pytest.approx(9.9e-3, abs=3e-5)
 
 
+@pytest.fixture(scope="module")
+def spoilt(strokes: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same with three spikes, a code, a reading that is held for nine samples, and a range that ends too early."""
+    trace = read_trace(strokes)
+    position = np.minimum(trace.pilot_position, 1.2e-3)
+    position[[40, 110, 1500]] += 60e-6
+    position[1300] = 32.767e-3
+    position[1250:1259] = position[1250]
+    bag = tmp_path_factory.mktemp("spoilt") / "spoilt.mcap"
+    write_bag(bag, replace(trace, pilot_position=position))
+    return bag
+
+
+def test_info_counts_readings_that_are_no_measurements(strokes: Path, spoilt: Path):
+    clipped = np.count_nonzero(read_trace(spoilt).pilot_position == 1.2e-3)
+    assert clipped > 500
+    (line,) = (line for line in run_well("info", spoilt).stdout.splitlines() if "left out" in line)
+    assert line == f"  left out: 3 spikes, 8 repeated readings, 1 code, {clipped} clipped readings"
+    (valve,) = json.loads(run_well("info", spoilt, "--json").stdout)["valves"]
+    assert valve["left_out"] == {"codes": 1, "repeated": 8, "spikes": 3, "clipped": clipped}
+    assert valve["position_range"][1] == pytest.approx(1.2e-3, abs=1e-6)
+    assert valve["noise"] == pytest.approx(1e-6, rel=0.05)
+    assert valve["findings"] == []
+    assert "left out" not in run_well("info", strokes).stdout
+    (valve,) = json.loads(run_well("info", strokes, "--json").stdout)["valves"]
+    assert valve["left_out"] == {"codes": 0, "repeated": 0, "spikes": 0, "clipped": 0}
+
+
+def test_identify_says_what_it_leaves_out_and_finds_the_same(strokes: Path, spoilt: Path, tmp_path: Path):
+    results = [run_well("identify", bag, "--output", tmp_path / bag.stem) for bag in (strokes, spoilt)]
+    said = "(pilot_plunger): left out of all that follows: 3 spikes, 8 repeated readings, 1 code, "
+    assert [said in result.stderr for result in results] == [False, True]
+    sound, found = (
+        json.loads((tmp_path / bag.stem / "identify.json").read_text())["parameters"] for bag in (strokes, spoilt)
+    )
+    for name, own in sound.items():
+        assert abs(found[name]["value"] - own["value"]) < 3 * found[name]["stderr"]
+
+
 # --- identify, diagnose, validate ---
 
 

@@ -61,6 +61,8 @@ def _judged_words(summary: TraceSummary) -> str:
 
 
 def _print_summary(summary: TraceSummary, arrivals: Sequence[StrokeEvents]) -> None:
+    from valve_sim.traces.left_out import words_of
+
     clock = f"{summary.clock} stamps" if summary.clock in ("header", "bag") else f"its {summary.clock}"
     click.echo(shown(summary.source) + f": {summary.duration:.6g} s, timed by {clock}")
     for signal, rate in summary.signals.items():
@@ -70,6 +72,8 @@ def _print_summary(summary: TraceSummary, arrivals: Sequence[StrokeEvents]) -> N
     click.echo(f"  {'commands':<18}{summary.commands:>9} at {', '.join(f'{volts:g}' for volts in summary.voltages)} V")
     click.echo(shown(f"  {'input':<18}{summary.input}"))
     click.echo(f"  {_judged_words(summary)}; sample interval within {1e6 * summary.jitter:.3f} µs of its median (99 %)")
+    if words := words_of(summary.left_out):
+        click.echo(f"  left out: {words}")
     for gap in summary.gaps[:10]:
         click.echo(f"  gap at {gap.start:.6f} s: {1e3 * gap.length:.3f} ms without samples")
     if len(summary.gaps) > 10:

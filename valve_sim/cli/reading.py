@@ -49,14 +49,14 @@ def chosen_map() -> RecordingMap | None:
 
 def read_recordings(bags: Sequence[Path], name: str | None, valve: Valve) -> list[Trace]:
     """Read recordings. What was dropped or repaired is reported on stderr; numbers in another unit are refused."""
-    from valve_sim.traces import another_valve, read_trace, refuse_doubtful_units
+    from valve_sim.traces import another_valve, left_out_finding, read_trace, refuse_doubtful_units
 
     traces, recording_map = [], chosen_map()
     for bag in bags:
         # No fit or check asks for the main plunger, and of a long recording it is large.
         trace = replace(read_trace(bag, name, recording_map), main_position=None)
         refuse_doubtful_units(trace, valve.parameters)
-        for finding in (*trace.findings, *another_valve(trace, valve.parameters)):
+        for finding in (*trace.findings, *left_out_finding(trace), *another_valve(trace, valve.parameters)):
             click.echo(shown(f"valve-sim: {bag}: {finding}"), err=True)
         traces.append(trace)
     return traces

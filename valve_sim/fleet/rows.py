@@ -17,7 +17,7 @@ from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.summary import summarise
 from valve_sim.identification.selection.residual_tests import adequacy
 from valve_sim.model import Valve
-from valve_sim.traces import Trace, stroke_starts
+from valve_sim.traces import Trace, left_out_finding, stroke_starts
 
 
 def refitted(trace: Trace, declared: Valve, budget: Budget) -> tuple[DiagnosisSession, Fit]:
@@ -88,7 +88,7 @@ def _of_the_trace(trace: Trace) -> Row:
         "duration": float(trace.sample_times[-1] - trace.sample_times[0]),
         "strokes": len(stroke_starts(trace.drive)),
         "samples": len(trace.sample_times),
-        "findings": list(trace.findings),
+        "findings": [*trace.findings, *left_out_finding(trace)],
     }
 
 

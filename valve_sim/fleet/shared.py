@@ -103,7 +103,7 @@ def _answer(task: Task, recordings: Recordings) -> Answer:
 
 def _errors(problem: Problem, values: Mapping[str, float], own: Mapping[str, float]) -> Errors:
     plant, now = problem.plant, {**values, **own}
-    samples = sum(len(plant.channels[index].data) for index in judged_channels(plant))
+    samples = sum(plant.channels[index].count for index in judged_channels(plant))
     judged = judged_rmse(plant, own), judged_rmse(plant, now)
     return Errors(samples, *judged, *(rmse_of_kind(plant, found, "current") for found in (own, now)))
 

@@ -22,7 +22,7 @@ from valve_sim.model.errors import ValveError
 from valve_sim.nodes.diagnostics import Level, Status
 from valve_sim.nodes.identification_parameters import Settings
 from valve_sim.nodes.stoppable import StoppableThread
-from valve_sim.traces import Trace, another_valve, read_trace, refuse_doubtful_units
+from valve_sim.traces import Trace, another_valve, left_out_finding, read_trace, refuse_doubtful_units
 
 IDENTIFIED_FILE: Final = "identified.yaml"
 CORRECTED_FILE: Final = "corrected.yaml"
@@ -85,7 +85,8 @@ def read_recording(settings: Settings, declared: Valve) -> Trace:
     recording_map = load_map(Path(settings.map).expanduser()) if settings.map else None
     trace = read_trace(Path(settings.bag).expanduser(), settings.valve_name or None, recording_map)
     refuse_doubtful_units(trace, declared.parameters)
-    return replace(trace, findings=(*trace.findings, *another_valve(trace, declared.parameters)))
+    further = (*left_out_finding(trace), *another_valve(trace, declared.parameters))
+    return replace(trace, findings=(*trace.findings, *further))
 
 
 def freed(settings: Settings, declared: Valve) -> tuple[str, ...]:

@@ -2,11 +2,12 @@
 
 from valve_sim.traces.errors import TraceError
 from valve_sim.traces.events import SensorEvent, StrokeEvents, events_from_sensors
+from valve_sim.traces.left_out import LeftOut, find_left_out
 from valve_sim.traces.reading import list_valves, read_trace
 from valve_sim.traces.strokes import StrokePart, command_strokes, find_stroke_parts, stroke_numbers, stroke_starts
 from valve_sim.traces.summary import Gap, Rate, TraceSummary, describe
 from valve_sim.traces.trace import DriveErrors, Signal, Trace
-from valve_sim.traces.trouble import another_valve, doubtful_units, refuse_doubtful_units
+from valve_sim.traces.trouble import another_valve, doubtful_units, left_out_finding, refuse_doubtful_units
 from valve_sim.traces.writing import CSV_COLUMNS, BagRecorder, commanded_voltage, write_bag, write_bags, write_csv
 
 __all__ = [
@@ -14,6 +15,7 @@ __all__ = [
     "BagRecorder",
     "DriveErrors",
     "Gap",
+    "LeftOut",
     "Rate",
     "SensorEvent",
     "Signal",
@@ -28,7 +30,9 @@ __all__ = [
     "describe",
     "doubtful_units",
     "events_from_sensors",
+    "find_left_out",
     "find_stroke_parts",
+    "left_out_finding",
     "list_valves",
     "read_trace",
     "refuse_doubtful_units",

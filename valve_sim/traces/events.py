@@ -90,7 +90,7 @@ def events_from_sensors(trace: Trace, pilot_gap: float) -> tuple[StrokeEvents, .
             StrokeEvents(stroke, tuple(event for event in seen if pilot_gap > 0.0 or event.kind not in AT_THE_GAP))
             for stroke, seen in by_current
         )
-    levels = _rest_levels(trace.pilot_position, pilot_gap)
+    levels = _rest_levels(trace.kept_position, pilot_gap)
     found = []
     for stroke in strokes:
         seen = tuple(_by_position(trace, stroke, levels))
@@ -110,7 +110,7 @@ class _Levels(NamedTuple):
 
 def _by_position(trace: Trace, stroke: StrokePart, levels: _Levels) -> Iterator[SensorEvent]:
     window = slice(*np.searchsorted(trace.times, [stroke.start, stroke.stop]))
-    times, position = trace.times[window], trace.pilot_position[window]
+    times, position = trace.times[window], trace.usable_position[window]
     seat, gap, stop, noise = levels
     first, second = gap - seat, stop - gap
     if first == 0.0:  # one plunger

@@ -147,12 +147,12 @@ def find_stroke_parts(trace: Trace) -> tuple[StrokePart, ...]:
     end = np.nextafter(max(float(trace.sample_times[-1]), float(times[-1])), np.inf)
     stops = [*times[1:], end]
     before = [0.0, *volts[:-1]]
-    threshold = motion_threshold(trace.pilot_position)
-    closed, opened = _extent(trace.pilot_position) if trace.has_positions else (0.0, 0.0)
+    threshold = motion_threshold(trace.kept_position)
+    closed, opened = _extent(trace.usable_position) if trace.has_positions else (0.0, 0.0)
     numbers = stroke_numbers(trace.drive, np.array(times)).tolist()
     parts = []
     for start, stop, old, new, number in zip(times, stops, before, volts, numbers, strict=True):
-        window = trace.pilot_position[np.searchsorted(trace.times, start) : np.searchsorted(trace.times, stop)]
+        window = trace.usable_position[np.searchsorted(trace.times, start) : np.searchsorted(trace.times, stop)]
         moved = not trace.has_positions or (len(window) > 0 and largest_travel(window) > threshold)
         share = (window - closed) / max(opened - closed, threshold) if len(window) else np.zeros(1)
         kind = (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -67,6 +67,7 @@ class TraceSummary:
         input: What drives a model, in words: a measured voltage and where it is recorded, its levels, or the commands.
         strokes: What the commands did: the parts of its strokes.
         findings: What reading the trace found.
+        left_out: How many positions are no measurements, by reason: see `LeftOut`; none without positions.
     """
 
     source: str
@@ -84,6 +85,7 @@ class TraceSummary:
     findings: tuple[str, ...]
     judged: str = "position"
     input: str = ""
+    left_out: dict[str, int] = field(default_factory=dict)
 
 
 def describe(trace: Trace) -> TraceSummary:
@@ -101,10 +103,11 @@ def describe(trace: Trace) -> TraceSummary:
         commands=len(trace.drive.times),
         voltages=tuple(np.unique(trace.drive.volts).tolist()),
         position_range=_position_range(trace),
-        noise=sample_noise(trace.judged_signal.values),
+        noise=sample_noise(trace.kept_position if trace.has_positions else trace.judged_signal.values),
         strokes=find_stroke_parts(trace),
         findings=trace.findings,
         judged=trace.judged,
+        left_out=trace.left_out.counts if trace.has_positions else {},
         input=_input(trace),
     )
 
@@ -123,7 +126,7 @@ def _jitter(times: NDArray[np.float64]) -> float:
 
 
 def _position_range(trace: Trace) -> tuple[float, float] | None:
-    position = trace.pilot_position
+    position = trace.usable_position
     return (float(position.min()), float(position.max())) if trace.has_positions else None
 
 

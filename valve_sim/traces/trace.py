@@ -6,6 +6,7 @@ from dataclasses import KW_ONLY, dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
+from valve_sim.traces.left_out import LeftOut, bridged, find_left_out, usual_travel
 from valve_sim.traces.measured_input import MeasuredInput, measured_input
 
 if TYPE_CHECKING:
@@ -54,7 +55,7 @@ class Trace:
         source: The file and the valve, for messages.
         drive: Commanded voltage (V), held between commands, 0 V before the first.
         times: Times of position samples, strictly ascending, s, shape (n,); none where no position was recorded.
-        pilot_position: Pilot plunger, m, shape (n,).
+        pilot_position: Pilot plunger, m, shape (n,), as it was recorded; see `usable_position`.
         drive_errors: How well the commands are known; None where they were recorded as they were sent.
         zero_error: Standard deviation of what the position sensor shows of a closed valve, m; 0 where that is 0.
         main_position: Main plunger, m, shape (n,); None where it was not recorded.
@@ -124,13 +125,35 @@ class Trace:
             return "position"
         return "outlet_pressure" if self.coil_current is None else "current"
 
+    @cached_property
+    def left_out(self) -> LeftOut:
+        """Which positions are no measurements, and take part in no fit."""
+        return find_left_out(self.times, self.pilot_position, usual_travel(self.times, self.pilot_position))
+
+    @cached_property
+    def usable_position(self) -> NDArray[np.float64]:
+        """Pilot plunger, m, shape (n,); what is left out lies on lines between the readings beside it."""
+        return bridged(self.times, self.pilot_position, self.left_out.any)
+
+    @cached_property
+    def kept_position(self) -> NDArray[np.float64]:
+        """Pilot plunger, m, of the samples that are not left out: of them noise and steps are seen."""
+        left_out = self.left_out.any
+        return self.pilot_position[~left_out] if left_out.any() else self.pilot_position
+
     @property
     def judged_signal(self) -> Signal:
-        """That signal."""
-        signal = self.outlet_pressure if self.coil_current is None else self.coil_current
-        return Signal(self.times, self.pilot_position) if self.has_positions or signal is None else signal
+        """That signal; of a position as `usable_position` has it."""
+        signal = self._other_signal
+        return Signal(self.times, self.usable_position) if self.has_positions or signal is None else signal
 
     @property
     def sample_times(self) -> NDArray[np.float64]:
         """Its times, s."""
-        return self.judged_signal.times
+        signal = self._other_signal
+        return self.times if self.has_positions or signal is None else signal.times
+
+    @property
+    def _other_signal(self) -> Signal | None:
+        """By what the valve is judged without positions."""
+        return self.outlet_pressure if self.coil_current is None else self.coil_current

@@ -10,6 +10,7 @@ from valve_sim.model.core_types import Phase
 from valve_sim.model.drives import Drive
 from valve_sim.traces.clocks import find_gaps
 from valve_sim.traces.errors import TraceError
+from valve_sim.traces.left_out import words_of
 from valve_sim.traces.long_columns import largest_size
 from valve_sim.traces.strokes import (
     FULL_TRAVEL,
@@ -69,11 +70,11 @@ def trouble_in(trace: Trace, positions: str, voltage: str) -> list[str]:
     beside = [f"{voltage}: no command falls into the time of the samples"] if is_beside else []
     if not trace.has_positions:
         return findings + beside
-    reach = largest_size(trace.pilot_position)
+    reach = largest_size(trace.kept_position)
     if reach > LARGEST_POSITION:
         findings.append(f"{positions}: {PILOT} reaches {reach:.6g} m: positions must be in metres")
-    travel = largest_travel(trace.pilot_position)
-    if travel <= motion_threshold(trace.pilot_position):
+    travel = largest_travel(trace.usable_position)
+    if travel <= motion_threshold(trace.kept_position):
         findings.append(f"{positions}: no motion: {PILOT} stays within {travel * 1e6:.3g} µm")
         beside = []
     return findings + beside
@@ -104,6 +105,16 @@ def refuse_doubtful_units(trace: Trace, parameters: ValveParameters) -> None:
         raise TraceError(f"{trace.source}: {line}")
 
 
+def left_out_finding(trace: Trace) -> tuple[str, ...]:
+    """Say how many positions are no measurements and take part in no fit, by reason.
+
+    Returns:
+        One line, or none.
+    """
+    words = words_of(trace.left_out.counts)
+    return (f"{_where(trace, 'position')}: left out of all that follows: {words}",) if words else ()
+
+
 def another_valve(trace: Trace, parameters: ValveParameters) -> tuple[str, ...]:
     """Say where the plunger goes where that of the declared valve cannot: it is another valve, or not as declared.
 
@@ -120,7 +131,7 @@ def another_valve(trace: Trace, parameters: ValveParameters) -> tuple[str, ...]:
     """
     if not trace.has_positions or doubtful_units(trace, parameters):
         return ()
-    stroke, travel = parameters.stroke, largest_travel(trace.pilot_position)
+    stroke, travel = parameters.stroke, largest_travel(trace.usable_position)
     is_beyond = FULL_TRAVEL * travel > stroke
     pushed = 0.0 if is_beyond or travel > FULL_TRAVEL * stroke else _pushed_on(trace, parameters)
     if not (is_beyond or pushed > 0.0):
@@ -136,13 +147,13 @@ def another_valve(trace: Trace, parameters: ValveParameters) -> tuple[str, ...]:
 
 def _pushed_on(trace: Trace, parameters: ValveParameters) -> float:
     """The largest force, N, by which the declared valve would go on from where the plunger rested; 0 for none."""
-    closed, largest = float(trace.pilot_position.min()), 0.0
+    closed, largest = float(trace.usable_position.min()), 0.0
     for part in find_stroke_parts(trace):
         since = part.stop - RESTED * (part.stop - part.start)
-        at_end = trace.pilot_position[slice(*np.searchsorted(trace.times, [since, part.stop]))]
+        at_end = trace.usable_position[slice(*np.searchsorted(trace.times, [since, part.stop]))]
         if part.kind != "opening" or not part.moved or len(at_end) < 2:
             continue
-        if largest_travel(at_end) <= motion_threshold(trace.pilot_position):
+        if largest_travel(at_end) <= motion_threshold(trace.kept_position):
             lift = float(np.median(at_end)) - closed
             largest = max(largest, _least_force(parameters, lift, part.volts))
     return largest
@@ -165,7 +176,7 @@ def _least_force(parameters: ValveParameters, lift: float, volts: float) -> floa
 
 
 def _position(trace: Trace, parameters: ValveParameters) -> str:
-    stroke, travel = parameters.stroke, largest_travel(trace.pilot_position)
+    stroke, travel = parameters.stroke, largest_travel(trace.usable_position)
     where = _where(trace, "position")
     if travel > MOST_STROKES * stroke:
         unit, factor = _unit_of(travel / stroke, {"mm": 1e3, "um": 1e6, "nm": 1e9})
@@ -176,14 +187,14 @@ def _position(trace: Trace, parameters: ValveParameters) -> str:
         )
     for factor, words in TOO_SMALL.items():
         alike = 1.0 / ALIKE < factor * travel / stroke < ALIKE
-        if alike and travel > motion_threshold(trace.pilot_position) - SMALLEST_MOTION:
+        if alike and travel > motion_threshold(trace.kept_position) - SMALLEST_MOTION:
             return (
                 f"{where}: {PILOT} travels {travel:.4g} m, expected about {stroke:.4g} m (valve.stroke): about "
                 f"{factor:g} times too small, as if {words}; correct unit: or scale: with --map"
             )
-    usual = float(np.median(trace.pilot_position))
+    usual = float(np.median(trace.kept_position))
     if abs(usual) > MOST_STROKES * stroke:
-        rest = float(np.median(trace.pilot_position[: max(1, len(trace.pilot_position) // 100)]))
+        rest = float(np.median(trace.usable_position[: max(1, len(trace.usable_position) // 100)]))
         return (
             f"{where}: {PILOT} lies at {usual:.4g} m, expected 0 m where the valve is closed and {stroke:.4g} m where "
             f"it is open (valve.stroke); take the sensor's zero out with --map and offset: (here {-rest:.6g} m)"
@@ -195,8 +206,8 @@ def _time(trace: Trace, parameters: ValveParameters) -> str:
     """Of tables only: stamps of messages have one unit."""
     if trace.clock in ("header", "bag"):
         return ""
-    closed, travel = float(trace.pilot_position.min()), largest_travel(trace.pilot_position)
-    share = (trace.pilot_position - closed) / travel if travel > 0.0 else np.zeros(len(trace.times))
+    closed, travel = float(trace.usable_position.min()), largest_travel(trace.usable_position)
+    share = (trace.usable_position - closed) / travel if travel > 0.0 else np.zeros(len(trace.times))
     # Below the gap, a pilot may wait until the pressure lets it lift the main plunger.
     level = np.full(len(share), 0)
     level[share < parameters.pilot_gap / parameters.stroke + 0.1] = -1
@@ -226,7 +237,7 @@ def _voltage(trace: Trace, parameters: ValveParameters) -> str:
     is_too_low = highest < reference / MOST_VOLTS
     # What opens with the reference voltage opens with more: that needs no simulation, which would load compiled code.
     is_in_doubt = not is_too_low and trace.has_positions and ALIKE * highest < reference
-    if is_in_doubt and largest_travel(trace.pilot_position) > 0.5 * parameters.stroke:
+    if is_in_doubt and largest_travel(trace.usable_position) > 0.5 * parameters.stroke:
         # Behind a divider of ten, say. A valve that cannot open as declared does not tell.
         is_too_low = not _opens(parameters, ALIKE * highest) and _opens(parameters, reference)
     if highest > 0.0 and is_too_low and _has_moved(trace):
@@ -272,7 +283,7 @@ def _has_moved(trace: Trace) -> bool:
     """Whether it has; without positions, every valve is taken to have."""
     if not trace.has_positions:
         return True
-    return largest_travel(trace.pilot_position) > motion_threshold(trace.pilot_position)
+    return largest_travel(trace.usable_position) > motion_threshold(trace.kept_position)
 
 
 def _unit_of(ratio: float, factors: Mapping[str, float]) -> tuple[str, float]:

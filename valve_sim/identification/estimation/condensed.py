@@ -222,6 +222,7 @@ def _laid_out(channel: Channel, reference: Array, weight: Array, noise: Noise, e
     squares = np.square(np.broadcast_to(weight, len(channel.data)))
     total = np.add.reduceat(squares, starts)
     takes_part = total > 0.0
+    counts = np.add.reduceat((squares > 0.0).astype(np.float64), starts)[takes_part]
     readings = (channel.data, channel.data - reference)
     by_itself, beside = (_summed(noise.whiten(seen), squares, starts) for seen in readings)
     is_beside = (stops - starts > 1) & (beside[1] < by_itself[1] + LARGER)
@@ -239,7 +240,7 @@ def _laid_out(channel: Channel, reference: Array, weight: Array, noise: Noise, e
     steady = noise.sigma * (1.0 - math.fsum(noise.coefficients)) / noise.innovation
     return _Layout(
         kept, np.searchsorted(kept, middle), lags, root * gain, root * mean,
-        (stops - starts).astype(np.float64), channel.times[middle], ~is_block & ~channel.quiet[middle],
+        counts, channel.times[middle], ~is_block & ~channel.quiet[middle],
         channel.group[middle], root * steady, math.fsum(constant),
     )  # fmt: skip
 

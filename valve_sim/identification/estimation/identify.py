@@ -15,7 +15,7 @@ from valve_sim.identification.estimation.intervals import Interval, profile_inte
 from valve_sim.identification.estimation.problem import LONG, Problem
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
-from valve_sim.identification.plants.protocol import Channel, InPieces, Nuisance, Plant, judged_channels
+from valve_sim.identification.plants.protocol import Array, Channel, InPieces, Nuisance, Plant, judged_channels
 from valve_sim.identification.plants.root_mean_square import root_mean_square
 from valve_sim.identification.plants.stroke_choice import choose_strokes
 from valve_sim.identification.plants.valve import ValvePlant, dampings_of
@@ -195,7 +195,7 @@ def _best_of_starts(
 
 
 def judged_rmse(plant: Plant, values: Mapping[str, float]) -> float:
-    """Root mean square of measured less predicted over all samples of the channels by which a model is judged."""
+    """Root mean square of measured less predicted over the measurements of the channels by which a model is judged."""
     return _rmse(plant, values, judged_channels(plant))
 
 
@@ -208,15 +208,21 @@ def rmse_of_kind(plant: Plant, values: Mapping[str, float], kind: str) -> float:
 def _rmse(plant: Plant, values: Mapping[str, float], channels: Sequence[int]) -> float:
     samples = sum(len(plant.channels[index].data) for index in channels)
     pieces = plant.pieces(values, ()) if isinstance(plant, InPieces) and samples > LONG else None
-    if pieces is not None:
-        squares = (
-            float(np.sum(np.square(plant.channels[piece.channel].data[piece.samples] - piece.shown)))
-            for piece in pieces
-            if piece.channel in channels
-        )
-        return math.sqrt(math.fsum(squares) / samples)
-    shown = plant.predict(values)
-    return root_mean_square(np.concatenate([plant.channels[index].data - shown[index] for index in channels]))
+    if pieces is None:
+        shown = plant.predict(values)
+        return root_mean_square(np.concatenate([_left(plant.channels[index], shown[index]) for index in channels]))
+    left = (
+        _left(plant.channels[piece.channel], piece.shown, piece.samples)
+        for piece in pieces
+        if piece.channel in channels
+    )
+    squares = math.fsum(float(np.sum(np.square(of_piece))) for of_piece in left)
+    return math.sqrt(squares / max(1, sum(plant.channels[index].count for index in channels)))
+
+
+def _left(channel: Channel, shown: Array, samples: slice = slice(None)) -> Array:
+    """Measured less shown of some of a channel's samples, but for those that are left out."""
+    return channel.kept(channel.data[samples] - shown, samples)
 
 
 def _started(plant: Plant, name: str, factor: float) -> float:

@@ -23,6 +23,8 @@ SHORTEST_WINDOW: Final = 100
 """Samples: a shorter quiet window says too little about the noise's colour."""
 SHORT_WINDOW: Final = 25
 """Samples: the least where no quiet window is longer; then only the size of the noise is estimated, not its colour."""
+BRIDGED: Final = 5
+"""Samples left out in a row, such as a spike, between which and their neighbours a line hides little of the noise."""
 BLOCK: Final = 64
 """Samples in a block whose mean shows noise slower than the autoregression."""
 ENOUGH_AT_REST: Final = 500
@@ -100,7 +102,7 @@ def estimate_noise(channels: Sequence[Channel]) -> Noise:
     shows_colour = bool(windows)
     if not shows_colour:
         windows = [window for channel in channels for window in quiet_windows(channel, SHORT_WINDOW)]
-    step = quantisation_step(*(channel.data for channel in channels))
+    step = quantisation_step(*(channel.kept(channel.data) for channel in channels))
     windows = _at_the_quieter_rest(windows)
     if not windows:
         # Never still: the second difference of a smooth motion is nearly all noise.
@@ -145,8 +147,17 @@ def noise_of_residuals(pieces: Sequence[Array], guess: Noise) -> Noise:
 
 
 def quiet_windows(channel: Channel, shortest: int = SHORTEST_WINDOW) -> list[Array]:
-    """The stretches of a channel in which the machine is still, each of at least `shortest` samples."""
-    return [channel.data[start:stop] for start, stop in stretches(channel.quiet) if stop - start >= shortest]
+    """The stretches of a channel in which the machine is still, each of at least `shortest` samples.
+
+    A few that are left out in a row are bridged, so that spikes do not cut windows to pieces; more end a window.
+    """
+    quiet = channel.quiet
+    if channel.left_out is not None:
+        quiet = quiet.copy()
+        for start, stop in stretches(channel.left_out):
+            if stop - start > BRIDGED:
+                quiet[start:stop] = False
+    return [channel.data[start:stop] for start, stop in stretches(quiet) if stop - start >= shortest]
 
 
 def stretches(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
@@ -234,6 +245,8 @@ def _spread_in_motion(channels: Sequence[Channel], step: float) -> float:
     bends = []
     for channel in channels:
         moves = np.abs(channel.data[2:] - channel.data[:-2]) > 2.0 * step
+        if channel.left_out is not None:
+            moves &= ~(channel.left_out[2:] | channel.left_out[1:-1] | channel.left_out[:-2])
         bends.append(np.diff(channel.data, 2)[moves])
     bend = np.concatenate(bends)
     if len(bend) < 30:

@@ -15,6 +15,7 @@ from valve_sim.identification.estimation.budget import Budget
 from valve_sim.identification.estimation.column_groups import ColumnGroup, group_columns, reach_of
 from valve_sim.identification.estimation.condensed import Condensed, RowPlaces, places_of, whitened_sensitivities
 from valve_sim.identification.estimation.noise import (
+    LARGEST_ORDER,
     Noise,
     estimate_noise,
     noise_of_residuals,
@@ -278,9 +279,22 @@ class Problem:
                 still = np.arange(*_stays(channel.data, start, stop, noise.step))
                 missed = still[is_elsewhere[still]]
                 weight[missed] = np.minimum(weight[missed], 1.0 / math.sqrt(len(still)))
+        if channel.left_out is not None:
+            # Whitening would carry what is between two readings into those after it, and a line between them is no
+            # motion: at 2 kHz it is off by 60 µm. The noise of what is never still is known later: of any order.
+            order = len(noise.coefficients) if noise.samples else LARGEST_ORDER
+            weight = np.where(_reached(channel.left_out, order), 0.0, weight)
         if takes_part is not None:
             weight = np.where(takes_part(index, channel.group), weight, 0.0)
         return weight
+
+
+def _reached(left_out: NDArray[np.bool_], order: int) -> NDArray[np.bool_]:
+    """(n,) samples that are left out, and those whose whitened residuals rest on one."""
+    found = left_out.copy()
+    for lag in range(1, order + 1):
+        found[lag:] |= left_out[:-lag]
+    return found
 
 
 def _effective(weight: Array) -> float:

@@ -252,8 +252,8 @@ def _noise_at_rest(plant: ValvePlant, result: Fit) -> Noise:
                 as_it_began(valve, trace), trace.drive, channel.times - offset, start_time=start_before(trace, offset)
             ).pilot_velocity
         )
-        is_still = np.convolve(speed > STILL, [1, 1, 1], mode="same") == 0
-        squares += float(np.sum(np.square((channel.data - shown)[is_still])))
+        is_still = channel.kept(np.convolve(speed > STILL, [1, 1, 1], mode="same") == 0)
+        squares += float(np.sum(np.square(channel.kept(channel.data - shown)[is_still])))
         count += int(np.count_nonzero(is_still))
     sigma = math.sqrt(squares / max(1, count))
     return Noise(sigma, sigma, (), 0.0, count)
@@ -328,7 +328,8 @@ class _Stroke:
     def rms(self, result: Fit) -> float:
         """Root mean square of measured less predicted position, m, or current, A."""
         (shown,) = self._plant.predict(result.values)
-        return root_mean_square(self._plant.channels[0].data - shown)
+        channel = self._plant.channels[0]
+        return root_mean_square(channel.kept(channel.data - shown))
 
     def _direction(self, result: Fit, name: str, values: Mapping[str, float]) -> Iterator[tuple[str, Array]]:
         try:

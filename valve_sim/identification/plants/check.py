@@ -180,6 +180,11 @@ def _problem_of_channel(channel: Channel) -> str:
         if not isinstance(found, np.ndarray) or found.shape != (count,) or not np.issubdtype(found.dtype, kind):
             shown = f"shape {found.shape}, dtype {found.dtype}" if isinstance(found, np.ndarray) else repr(found)[:40]
             return f"{column}: found {shown}, expected ({count},) of {kind.__name__}, as long as data"
+    left_out = channel.left_out
+    if left_out is not None and (
+        not isinstance(left_out, np.ndarray) or left_out.shape != (count,) or left_out.dtype != np.bool_
+    ):
+        return f"left_out: found {left_out!r:.40}, expected ({count},) of bool, as long as data, or None"
     problem = problem_of_order(channel.times, rises=False)
     return f"times: {problem}" if problem else ""
 

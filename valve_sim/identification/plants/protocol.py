@@ -156,7 +156,7 @@ class Channel:
     Attributes:
         name: for people, e.g. "train.mcap: pilot_position".
         kind: of sensor, e.g. "position", "current" or "force": signals of one kind share their noise.
-        times: (n,) s. data: (n,) in `unit`.
+        times: (n,) s. data: (n,) in `unit`; what is left out is to lie between the readings beside it.
         quiet: (n,) True where the machine is known to be still, so that what is seen is the sensor's noise.
         group: (n,) the stroke (or window) that each sample belongs to, from 0 on; hold-out takes whole groups.
         unit: SI.
@@ -165,6 +165,7 @@ class Channel:
         drifts: whether the signal drifts while the machine is still, as a current does while its coil heats.
         resolution: by how much data and prediction differ for numerical reasons alone: rounded stamps, rounded values,
             the tolerance of an integrator. No noise is taken to be smaller.
+        left_out: (n,) True where a reading is no measurement and takes part in nothing; None where all are.
     """
 
     name: str
@@ -178,6 +179,16 @@ class Channel:
     recording: int = 0
     drifts: bool = False
     resolution: float = 0.0
+    left_out: NDArray[np.bool_] | None = None
+
+    @property
+    def count(self) -> int:
+        """How many measurements there are."""
+        return len(self.data) - (0 if self.left_out is None else int(np.count_nonzero(self.left_out)))
+
+    def kept(self, values: Array, samples: slice = slice(None)) -> Array:
+        """Of one value for each of these samples, (m,), those of measurements."""
+        return values if self.left_out is None else values[~self.left_out[samples]]
 
     @property
     def readable(self) -> tuple[float, str]:

@@ -155,7 +155,7 @@ class ValvePlant:
             return []
         declared = self.valve.parameters
         fastest = max(fastest_motion(trace) for trace in self.traces)
-        furthest = max(float(np.max(trace.pilot_position, initial=0.0)) for trace in self.traces)
+        furthest = max(float(np.max(trace.usable_position, initial=0.0)) for trace in self.traces)
         if not all(trace.has_positions for trace in self.traces):
             furthest = declared.stroke
         spans = {
@@ -299,7 +299,7 @@ def _thinned(channel: Channel, kept: NDArray[np.intp]) -> Channel:
     """Some samples of a channel."""
     return replace(
         channel, times=channel.times[kept], data=channel.data[kept], quiet=channel.quiet[kept],
-        group=channel.group[kept],
+        group=channel.group[kept], left_out=None if channel.left_out is None else channel.left_out[kept],
     )  # fmt: skip
 
 
@@ -308,7 +308,7 @@ def _thinned_trace(trace: Trace, numbers: Iterator[NDArray[np.intp]]) -> Trace:
     few = trace
     if trace.has_positions:
         own = next(numbers)
-        few = replace(few, times=trace.times[own], pilot_position=trace.pilot_position[own])
+        few = replace(few, times=trace.times[own], pilot_position=trace.usable_position[own])
     if trace.coil_current is not None:
         own = next(numbers)
         few = replace(few, coil_current=Signal(trace.coil_current.times[own], trace.coil_current.values[own]))

@@ -53,19 +53,26 @@ NO_SIGNAL: Final = Signal(NO_TIMES, NO_TIMES)
 """Where none are asked for, or recorded."""
 
 
-def still_mask(drive: Drive, readings: Signal, within: float = STILL) -> NDArray[np.bool_]:
+def still_mask(
+    drive: Drive, readings: Signal, within: float = STILL, left_out: NDArray[np.bool_] | None = None
+) -> NDArray[np.bool_]:
     """(n,) where what is read is known to be still: the ends of the intervals between commands.
 
     The quiet end of an interval begins where readings stay within so many standard deviations of their second
     differences (2.4 times the noise, if that is white) of the interval's last ones.
+
+    Args:
+        drive: the commands. readings: with what is left out on lines between its neighbours, or still too.
+        within: so many standard deviations. left_out: (n,) readings that say nothing of the noise; None: none.
     """
     times, data = readings
     quiet = np.zeros(len(data), dtype=bool)
     edges = np.searchsorted(times, np.concatenate([[-np.inf], drive.times, [np.inf]]))
-    resting = (data[max(0, b - (b - a) // 4) : b] for a, b in itertools.pairwise(edges))
+    ends = (slice(max(0, b - (b - a) // 4), b) for a, b in itertools.pairwise(edges))
+    resting = (data[end] if left_out is None else data[end][~left_out[end]] for end in ends)
     spread = [1.4826 * float(np.median(np.abs(np.diff(piece, 2)))) for piece in resting if len(piece) > 12]
     sigma = float(np.median(spread)) if spread else 0.0
-    width = within * max(sigma, 1e-9) + _coarse_step(data)
+    width = within * max(sigma, 1e-9) + _coarse_step(data if left_out is None else data[~left_out])
     for index, (start, stop) in enumerate(itertools.pairwise(edges)):
         if stop - start < 20:
             continue
@@ -85,7 +92,7 @@ def _position_resolution(trace: Trace) -> float:
     Stamps of samples and of commands are whole nanoseconds, and a plunger moves on meanwhile; a step of the integrator
     is accurate to its tolerance, of a full stroke; a float has 16 digits.
     """
-    reach = largest_size(trace.pilot_position)
+    reach = largest_size(trace.usable_position)
     return math.hypot(STAMPS * fastest_motion(trace), FIT_TOLERANCE * reach, float(np.finfo(np.float64).eps) * reach)
 
 
@@ -94,7 +101,7 @@ def fastest_motion(trace: Trace) -> float:
     if not trace.has_positions:
         return FASTEST_UNSEEN
     stride = max(1, len(trace.times) // 2000)
-    speed = np.abs(np.diff(trace.pilot_position[::stride]) / np.diff(trace.times[::stride]))
+    speed = np.abs(np.diff(trace.usable_position[::stride]) / np.diff(trace.times[::stride]))
     return max(float(np.quantile(speed, 0.995)), 0.05)
 
 
@@ -150,11 +157,13 @@ def channels_of(index: int, trace: Trace) -> list[Channel]:
     """
     found = []
     if trace.has_positions:
-        still = still_mask(trace.drive, trace.judged_signal)
+        left_out = trace.left_out.any if trace.left_out.any.any() else None
+        still = still_mask(trace.drive, trace.judged_signal, left_out=left_out)
         found.append(
             Channel(
-                f"{trace.source}: pilot_position", "position", trace.times, trace.pilot_position, still,
+                f"{trace.source}: pilot_position", "position", trace.times, trace.usable_position, still,
                 stroke_numbers(trace.drive, trace.times), recording=index, resolution=_position_resolution(trace),
+                left_out=left_out,
             )
         )  # fmt: skip
     if trace.coil_current is not None:

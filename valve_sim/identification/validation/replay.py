@@ -54,7 +54,7 @@ class Errors(NamedTuple):
     """Measured less predicted position of the pilot plunger, m, current of the coil, A, or outlet pressure, Pa.
 
     Attributes:
-        samples: how many there are.
+        samples: how many there are that are not left out.
         rmse: over all of them.
         moving_rmse: over those in which the model moves, 1 ms around included; nan where it does not move.
         maximum: the largest absolute error.
@@ -222,7 +222,8 @@ def replay_trace(trace: Trace, valve: Valve, tolerance: float | None = None) -> 
     if trace.has_positions:
         shown += zero_with(0, nuisances)
     allowed = Allowed(variance, finest) if tolerance is None else tolerance
-    errors_of = partial(_errors, measured.values, shown, _moving(times, motion.is_moving), allowed)
+    left_out = trace.left_out.any if trace.has_positions else None
+    errors_of = partial(_errors, measured.values, shown, _moving(times, motion.is_moving), allowed, left_out=left_out)
     return Replay(
         trace,
         valve,
@@ -314,21 +315,28 @@ def _moving(times: Array, is_moving: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _errors(
-    measured: Array, shown: Array, moving: NDArray[np.bool_], allowed: Allowed | float, chosen: slice
+    measured: Array,
+    shown: Array,
+    moving: NDArray[np.bool_],
+    allowed: Allowed | float,
+    chosen: slice,
+    left_out: NDArray[np.bool_] | None = None,
 ) -> Errors:
-    """Over the chosen samples, a block of them at a time."""
+    """Over the chosen samples that are not left out, a block of them at a time."""
     own = range(*chosen.indices(len(measured)))
-    squares, of_motion, samples, largest = [], [], 0, 0.0
+    squares, of_motion, count, samples, largest = [], [], 0, 0, 0.0
     for part in blocks(len(own)):
         block = slice(own.start + part.start, own.start + part.stop)
-        left = measured[block] - shown[block]
+        left, moves = measured[block] - shown[block], moving[block]
+        if left_out is not None:
+            left, moves = left[~left_out[block]], moves[~left_out[block]]
         squares.append(float(np.sum(np.square(left))))
-        of_motion.append(float(np.sum(np.square(left[moving[block]]))))
-        samples += int(np.count_nonzero(moving[block]))
-        largest = max(largest, float(np.max(np.abs(left))))
+        of_motion.append(float(np.sum(np.square(left[moves]))))
+        count, samples = count + len(left), samples + int(np.count_nonzero(moves))
+        largest = max(largest, float(np.max(np.abs(left), initial=0.0)))
     tolerance = allowed.of(chosen, moving) if isinstance(allowed, Allowed) else allowed
-    rmse, moving_rmse = _root(math.fsum(squares), len(own)), _root(math.fsum(of_motion), samples)
-    return Errors(len(own), rmse, moving_rmse, largest, tolerance)
+    rmse, moving_rmse = _root(math.fsum(squares), count), _root(math.fsum(of_motion), samples)
+    return Errors(count, rmse, moving_rmse, largest, tolerance)
 
 
 def _root(squares: float, samples: int) -> float:
@@ -342,7 +350,7 @@ def _stroke_checks(
     modelled: tuple[Sequence[Event], float],
     errors_of: Callable[[slice], Errors],
 ) -> Iterator[StrokeCheck]:
-    """Every stroke that has samples; of samples and events each stroke looks at its own alone.
+    """Every stroke that has samples which are not left out; of samples and events each stroke looks at its own alone.
 
     Args:
         trace: what was measured. seen: its strokes, and arrivals in them.
@@ -356,7 +364,9 @@ def _stroke_checks(
         if first < last:
             own = events[slice(*np.searchsorted(when, [stroke.start, stroke.stop]))]
             arrivals = (_arrival(event, stroke, own, offset) for event in found)
-            yield StrokeCheck(stroke.name, errors_of(slice(first, last)), tuple(arrivals))
+            errors = errors_of(slice(first, last))
+            if errors.samples:
+                yield StrokeCheck(stroke.name, errors, tuple(arrivals))
 
 
 def _arrival(event: SensorEvent, stroke: StrokePart, events: Sequence[Event], offset: float) -> Arrival:
