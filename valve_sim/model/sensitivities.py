@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -20,29 +20,32 @@ from valve_sim.model.simulation import Array, Control, Samples, delay_and_end, r
 from valve_sim.model.supplied import SuppliedCourse, Supply, course_of, run_changes
 from valve_sim.model.variational_steps import CONTACTS, LANES, NODES, SLOPES, TILE_RECORD
 
-_PLACES: Final = {name: place for place, name in enumerate(PARAMETERS)}
+PLACES: Final = {name: place for place, name in enumerate(PARAMETERS)}
+"""Of the numbers of a valve's record among those that derivatives can be taken to."""
 _FIRST: Final = len(PARAMETERS)
 """Index of the first number of a term."""
 NUMBERS: Final = FIRST_CONDITION
 """How many numbers of a valve's record have derivatives; with gas there are `GAS_FIELDS` after them."""
 _OF_TERMS: Final = NUMBERS - _FIRST
-_DELAY: Final = _PLACES["sensor_delay"]
-_CONTACT_PLACES: Final = {_PLACES[name]: name for name in CONTACTS}
+_DELAY: Final = PLACES["sensor_delay"]
+_CONTACT_PLACES: Final = {PLACES[name]: name for name in CONTACTS}
 _BY_FORCE: Final = np.arange(NUMBERS + len(GAS_FIELDS)) < NUMBERS
-_BY_FORCE[[*_CONTACT_PLACES, _PLACES["coil_resistance"], _DELAY]] = False
+_BY_FORCE[[*_CONTACT_PLACES, PLACES["coil_resistance"], _DELAY]] = False
 _GAS_PLACES: Final = {NUMBERS + GAS_FIELDS.index(name): index for index, name in enumerate(GAS_NUMBERS)}
 PRESSURES_AT: Final = tuple(
     NUMBERS + GAS_FIELDS.index(name) for name in ("outlet_pressure", "inlet_pressure", "demand_pressure")
 )
 """Indices among the numbers of the outlet's pressure at the start, the tank's, and that behind the demand's orifice."""
 _GAS_FIRST: Final = list(GAS_VALVE_RECORD.names or ()).index(GAS_FIELDS[0])
-_OF_EFFECTS: Final = [_PLACES[name] for name in OF_EFFECTS]
-_SHAPES: Final = [_PLACES[name] for name in SHAPES]
+_OF_EFFECTS: Final = [PLACES[name] for name in OF_EFFECTS]
+_SHAPES: Final = [PLACES[name] for name in SHAPES]
 _FOREIGN: Final = ("temperature_rate", "flux_linkage", "release_voltage")
 _SWITCHES: Final = (
     *_FOREIGN, "coil_time_constant", "eddy_time_constant", "residual_current", "restitution_stop", "restitution_seat",
     "motional_share", "sensor_time_constant",
 )  # fmt: skip
+_OF_PARAMETERS: Final = ("row_count", "row_number", "row", *CONTACTS)
+"""Fields of a tile that say how its parameters move the valve's numbers."""
 _NO_EVENTS: Final = np.empty(0, EVENT_RECORD)
 assert VALVE_RECORD.names is not None
 assert (VALVE_RECORD.names[:_FIRST], VALVE_RECORD.names[-1]) == (PARAMETERS, "term_parameters")
@@ -79,14 +82,14 @@ def has_sensitivities(record: Any, numbers: Array) -> NDArray[np.bool_]:
     """
     if any(record[name][0] != 0.0 for name in _FOREIGN):
         return np.zeros(len(numbers), dtype=bool)
-    off = [_PLACES[name] for name in _SWITCHES if record[name][0] == 0.0]
+    off = [PLACES[name] for name in _SWITCHES if record[name][0] == 0.0]
     return np.asarray(np.isfinite(numbers).all(axis=1) & ~numbers[:, off].any(axis=1))
 
 
 def rated_slopes(record: Any, numbers: Array) -> Array:
     """The derivatives of `rated_current` along (k, n) directions of the record's numbers."""
     voltage, resistance = record["reference_voltage"][0], record["coil_resistance"][0]
-    by_voltage, by_resistance = numbers[:, _PLACES["reference_voltage"]], numbers[:, _PLACES["coil_resistance"]]
+    by_voltage, by_resistance = numbers[:, PLACES["reference_voltage"]], numbers[:, PLACES["coil_resistance"]]
     return np.asarray((by_voltage - by_resistance * voltage / resistance) / resistance)
 
 
@@ -143,6 +146,14 @@ class Variations:
         self._slopes["asks_shapes"] = tangents.numbers[:, _SHAPES].any()
         if record is not None and is_of_gas(record):
             _add_gas(self._tiles, tangents.numbers, record, state)
+
+    def turn(self, numbers: Array) -> None:
+        """Go on where parameters move the record by (k, n) others, as where the valve's own numbers change."""
+        moved = np.flatnonzero(self._tangents.numbers.any(axis=0) | numbers.any(axis=0))
+        self._tangents = replace(self._tangents, numbers=numbers)
+        there = _tiles(self._tangents, moved)
+        for name in _OF_PARAMETERS:
+            self._tiles[name] = there[name]
 
     def run(
         self,

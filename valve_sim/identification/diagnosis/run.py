@@ -23,8 +23,10 @@ from valve_sim.identification.estimation.followed_positions import follows_posit
 from valve_sim.identification.estimation.intervals import Interval, covariance_interval, profile_interval
 from valve_sim.identification.estimation.noise import Noise
 from valve_sim.identification.estimation.problem import Mask, Problem
+from valve_sim.identification.estimation.recorded_errors import with_uncertain_sizes
 from valve_sim.identification.estimation.result import Fit, rmse
 from valve_sim.identification.estimation.solver import fit
+from valve_sim.identification.estimation.state_of_recording import with_learned_errors
 from valve_sim.identification.plants.check import check_plant, named_interrupts
 from valve_sim.identification.plants.hold_out import held_out_strokes
 from valve_sim.identification.plants.protocol import Plant, strokes_of_plant
@@ -37,6 +39,7 @@ from valve_sim.identification.selection.force_maps import (
     fit_maps,
 )
 from valve_sim.identification.selection.posterior import (
+    EVEN,
     LARGEST_CLASS,
     Decision,
     Grounds,
@@ -46,7 +49,7 @@ from valve_sim.identification.selection.posterior import (
 )
 from valve_sim.identification.selection.prediction import HeldOut, predicted
 from valve_sim.identification.selection.residual_tests import adequacy
-from valve_sim.identification.selection.search import PROMISING, Progress, Search, words
+from valve_sim.identification.selection.search import PROMISING, Progress, Search, fit_of_declared, words
 from valve_sim.identification.selection.starts import start_near_off
 from valve_sim.model import SimulationError, Valve
 from valve_sim.traces import Trace
@@ -56,6 +59,10 @@ __all__ = ["Candidate", "Diagnosis", "DiagnosisSession", "State", "Verdict", "be
 
 SAMPLES_EACH: Final = 10
 """Samples for each parameter, below which a model with all effects would explain noise, too."""
+MOST_SEARCHES: Final = 2
+"""With errors of the recordings that were learned beside the best of the search before."""
+WORTH_A_SEARCH: Final = 5.0
+"""Gain in ln p by other errors of the recordings, from which the search begins again with these."""
 LISTED: Final = 30
 """Most candidates in the report."""
 
@@ -161,7 +168,8 @@ def _begun(
         held_out = _with_least(held_out, least)
     elif holdout_mask is not None:
         held_out = problem.restricted(holdout_mask)
-    search = Search(problem.condensed(), progress)
+    learned, _ = with_learned_errors(problem.condensed(), fit_of_declared)
+    search = Search(learned, progress)
     search.fit_declared()
     return DiagnosisSession(search, HeldOut(held_out), progress or (lambda what, fraction: None))
 
@@ -190,9 +198,37 @@ class DiagnosisSession:
         """The refitted declared model."""
         return self._search.tried[()].fit
 
+    def _run(self, *, is_full: bool = False) -> None:
+        """Search; and again with the errors of the recordings as they are beside the best, where they are others.
+
+        Beside a declared model that lacks something, numbers that vary from stroke to stroke imitate what it lacks:
+        then the first search is without them.
+        """
+        search = self._search
+        errors = search.problem.errors
+        if errors is not None and search.unnamed_beside(()) > EVEN:
+            search = search.begun_anew(search.problem.with_errors(errors.with_varying(0.0)))
+        search.run(is_full=is_full)
+        for _ in range(MOST_SEARCHES):
+            shares = search.posterior()
+            best = leader_of({names: share.total for names, share in shares.shares.items()}, shares.fitted)
+            known = search.tried[best]
+            if search.problem.errors is None or (not best and search is self._search):
+                break
+            try:
+                found = search.relearned(best)
+                if found.log_evidence < known.plain + WORTH_A_SEARCH:
+                    break
+                again = search.begun_anew(found.problem)
+            except SimulationError:
+                break
+            search = again
+            search.run(is_full=is_full)
+        self._search = search
+
     def name(self) -> VerdictWithIntervals:
         """Search, and decide: what a diagnosis names, and nothing of what a report has beside."""
-        self._search.run()
+        self._run()
         decision = self._decided().decision
         result = self._fit_of(decision)
         exact = covariance_interval if decision.unnamed > PROMISING else _profile
@@ -204,11 +240,12 @@ class DiagnosisSession:
             return self._ended(is_full=is_full)
 
     def _ended(self, *, is_full: bool) -> Diagnosis:
-        self._search.run(is_full=is_full)
+        self._run(is_full=is_full)
         grounds = self._decided()
         posterior, decision = grounds.posterior, grounds.decision
         self._say("intervals", 0.95)
-        base, result = self.declared, self._fit_of(decision)
+        base, result = self.declared, self._search.settled(self._fit_of(decision))
+        base = result if decision.kind == "none" else self._search.settled(base)
         verdict = self._verdict(decision)
         before = self._state(base, profile=False)
         size = self._search.tried[()].spread.size if verdict.kind == "unknown" else 0.0
@@ -265,6 +302,7 @@ class DiagnosisSession:
 
     def _state(self, result: Fit, *, profile: bool, size: float = 0.0) -> State:
         """A fit with its errors, test and intervals."""
+        result = with_uncertain_sizes(result)
         here = predicted(result, result, size)
         there = self._held_out.predicted(result, size)
         intervals = {

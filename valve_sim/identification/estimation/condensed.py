@@ -32,6 +32,7 @@ from valve_sim.identification.plants.protocol import (
     Nuisance,
     Plant,
     strokes_of_plant,
+    varying_of,
 )
 from valve_sim.identification.plants.thinning import Thinnable
 from valve_sim.model import SimulationError
@@ -63,6 +64,7 @@ class _Layout(NamedTuple):
         moves: (r,) whether it is one sample that is not known to be still. groups: (r,) the stroke that it belongs to.
         steady: (r,) what an offset by one standard deviation of the noise makes of it.
         constant: what all blocks add to the criterion, whatever is simulated.
+        starts: (r',) where rows begin, those that do not take part among them. squares: (n,) of the samples' weights.
     """
 
     kept: NDArray[np.intp]
@@ -76,6 +78,8 @@ class _Layout(NamedTuple):
     groups: NDArray[np.integer]
     steady: Array
     constant: float
+    starts: NDArray[np.intp]
+    squares: Array
 
 
 class RowPlaces(NamedTuple):
@@ -121,10 +125,13 @@ class Condensed:
     """
 
     def __init__(self, plant: Thinnable, weights: Sequence[Array], noises: Sequence[Noise], budget: Budget) -> None:
-        edges = np.unique([end for own in (*plant.nuisances, *plant.timing_errors) for end in own.during])
+        edges = np.unique(
+            [end for own in (*plant.nuisances, *plant.timing_errors, *varying_of(plant)) for end in own.during]
+        )
         edges = edges[np.isfinite(edges)]
         channels = zip(plant.channels, _reference(plant), weights, noises, strict=True)
         self._layouts = [_laid_out(*channel, edges) for channel in channels]
+        self._noises = list(noises)
         self._coefficients = [np.array(noise.coefficients, dtype=np.float64) for noise in noises]
         self._plant = plant.thinned([layout.kept for layout in self._layouts])
         self._recordings = tuple(plant.channels)
@@ -167,6 +174,24 @@ class Condensed:
         """
         self._budget.count(self._strokes, len(directions))
         return whitened_sensitivities(self._plant, values, directions, lambda columns: -self._combined(columns))
+
+    def whitened_columns(self, columns: Mapping[int, Array]) -> dict[int, tuple[slice, Array]]:
+        """The slice of rows of some channels, and (r, q) whitened, weighted columns of (n, q) of all their samples.
+
+        Of a block that is the weighted mean, as of its readings: what rings and hums within it is not one sample's.
+        """
+        found, start = {}, 0
+        for index, (layout, noise) in enumerate(zip(self._layouts, self._noises, strict=True)):
+            stop = start + len(layout.at)
+            if index in columns:
+                own = np.empty(columns[index].shape)
+                noise.whiten_into(own, columns[index], layout.squares)
+                total = np.add.reduceat(layout.squares, layout.starts)
+                used = total > 0.0
+                sums = np.add.reduceat(own, layout.starts, axis=0)[used]
+                found[index] = slice(start, stop), sums / np.sqrt(total[used])[:, None]
+            start = stop
+        return found
 
     def _combined(self, columns: Sequence[Array]) -> Array:
         """(r, k) of all channels, whitened and weighted, from (m, k) each of the samples that are simulated."""
@@ -220,7 +245,7 @@ def _laid_out(channel: Channel, reference: Array, weight: Array, noise: Noise, e
     order = len(noise.coefficients)
     starts, stops = _blocks(channel, noise, edges)
     squares = np.square(np.broadcast_to(weight, len(channel.data)))
-    total = np.add.reduceat(squares, starts)
+    total, every = np.add.reduceat(squares, starts), starts
     takes_part = total > 0.0
     counts = np.add.reduceat((squares > 0.0).astype(np.float64), starts)[takes_part]
     readings = (channel.data, channel.data - reference)
@@ -241,7 +266,7 @@ def _laid_out(channel: Channel, reference: Array, weight: Array, noise: Noise, e
     return _Layout(
         kept, np.searchsorted(kept, middle), lags, root * gain, root * mean,
         counts, channel.times[middle], ~is_block & ~channel.quiet[middle],
-        channel.group[middle], root * steady, math.fsum(constant),
+        channel.group[middle], root * steady, math.fsum(constant), every, squares,
     )  # fmt: skip
 
 

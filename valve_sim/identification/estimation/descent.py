@@ -354,8 +354,8 @@ class Descent:
 
     def normal(self, at: Array, residuals: Array, jacobian: Array, cauchy: float) -> tuple[Array, Array]:
         """Information matrix and half the gradient of the criterion, priors included but for that of a curve."""
-        if self.problem.whitening is not None:
-            both = self.problem.whitening(np.column_stack([jacobian, residuals]))
+        if self.problem.whitens:
+            both = self.problem.whitened(np.column_stack([jacobian, residuals]))
             jacobian, residuals = both[:, :-1], both[:, -1]
         if math.isfinite(cauchy):
             weighted = jacobian / (1.0 + np.square(residuals / cauchy))[:, None]
@@ -393,8 +393,8 @@ class Descent:
         return information, gradient
 
     def _cost(self, at: Array, residuals: Array, cauchy: float) -> float:
-        if self.problem.whitening is not None:
-            residuals = self.problem.whitening(residuals[:, None])[:, 0]
+        if self.problem.whitens:
+            residuals = self.problem.whitened(residuals[:, None])[:, 0]
         prior = float(np.sum(self.pulls(at)[0]))
         if self._known is not None:
             prior += float((at - self._centre) @ self._known @ (at - self._centre))

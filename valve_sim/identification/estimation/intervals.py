@@ -77,7 +77,8 @@ def profile_interval(result: Fit, name: str, *, points: int = 12) -> tuple[Inter
     spread = math.sqrt(max(0.0, float(result.covariance[index, index])))
     natural = internal_scale(parameter)
     spread = min(spread, 10.0 * max(natural, abs(at))) if spread > 0 else natural
-    level = CHI2_RISE_95
+    # χ² is that of known sizes of the recordings' errors.
+    level = CHI2_RISE_95 * result.widening(name)
     walk = _Walk(result, name, at, spread, level, points, _slopes_along(result, index))
     low, high = _profile_side(walk, -1.0, lower), _profile_side(walk, 1.0, upper)
     ends = sorted(from_internal(parameter, side.end) for side in (low, high))

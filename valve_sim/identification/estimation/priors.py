@@ -18,7 +18,10 @@ import math
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
+import numpy as np
+
 from valve_sim.identification.plants.protocol import (
+    Array,
     Nuisance,
     Plant,
     internal_bounds,
@@ -62,6 +65,10 @@ class Normal:
         """Natural logarithm of the density."""
         return -0.5 * ((at - self.mean) / self.sigma) ** 2 - math.log(ROOT_TWO_PI * self.sigma)
 
+    def log_densities(self, at: Array) -> Array:
+        """(n,) natural logarithms of the density at (n,) places."""
+        return -0.5 * np.square((at - self.mean) / self.sigma) - math.log(ROOT_TWO_PI * self.sigma)
+
 
 @dataclass(frozen=True)
 class Cauchy:
@@ -85,6 +92,10 @@ class Cauchy:
     def log_density(self, at: float) -> float:
         """Natural logarithm of the density."""
         return -math.log(math.pi * self.scale * self.mass) - math.log1p(((at - self.centre) / self.scale) ** 2)
+
+    def log_densities(self, at: Array) -> Array:
+        """(n,) natural logarithms of the density at (n,) places."""
+        return -math.log(math.pi * self.scale * self.mass) - np.log1p(np.square((at - self.centre) / self.scale))
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ from valve_sim.identification.estimation.noise import (
     stretches,
 )
 from valve_sim.identification.estimation.priors import Prior, prior_of
+from valve_sim.identification.estimation.structured_noise import ErrorRows, StructuredNoise
 from valve_sim.identification.estimation.sums import Sums, Weighted, summed
 from valve_sim.identification.plants.check import checked_prediction
 from valve_sim.identification.plants.protocol import (
@@ -60,7 +61,8 @@ class Problem:
 
     Attributes:
         constant: what is to be added to the sum of squares of its residuals. counts: samples that each stands for.
-        whitening: of the rows that fits compare, beside that of the noise; None: nothing is whitened further.
+        errors: of the recordings, with their sizes; None: there are none that have columns.
+        whitening: of the rows that fits compare, beside that of noise and errors; None: nothing is whitened further.
     """
 
     constant: Final = 0.0
@@ -75,6 +77,7 @@ class Problem:
     ) -> None:
         self.plant = plant
         self._condenses = False
+        self.errors: StructuredNoise | None = None
         self.whitening: Whitening | None = None
         self._reaches: dict[Nuisance, NDArray[np.bool_]] = {}
         self._groups: dict[tuple[Nuisance, ...], list[ColumnGroup]] = {}
@@ -90,7 +93,52 @@ class Problem:
 
     def restricted(self, takes_part: Mask) -> Problem:
         """The same data and noise with other samples taking part."""
-        return Problem(self.plant, takes_part, self.noises, self.budget)
+        same = Problem(self.plant, takes_part, self.noises, self.budget)
+        same.errors = self.errors
+        return same
+
+    def with_errors(self, errors: StructuredNoise | None) -> Problem:
+        """The same with these errors of its recordings; without any where it is too long for their columns."""
+        same = self._like_this()
+        same.errors = None if self.is_long else errors
+        return same
+
+    def _like_this(self) -> Problem:
+        same = copy.copy(self)
+        same.__dict__.pop("error_rows", None)
+        return same
+
+    @property
+    def nuisances(self) -> tuple[Nuisance, ...]:
+        """What every fit estimates along: the plant's, and errors of its recordings that act on the machine."""
+        return (*self.plant.nuisances, *(() if self.errors is None else self.errors.nuisances))
+
+    @functools.cached_property
+    def error_rows(self) -> ErrorRows | None:
+        """The errors of the recordings on the rows that fits compare; None where there are none."""
+        if self.errors is None:
+            return None
+        columns = {channel: own.samples for channel, own in self.errors.columns.items()}
+        return ErrorRows(self.errors, self.rows.whitened_columns(columns))
+
+    def without_errors(self, rows: Array) -> Array:
+        """(r, k) columns whitened for the errors of the recordings: what these explain counts less."""
+        return rows if self.error_rows is None else self.error_rows.whiten(rows)
+
+    @property
+    def whitens(self) -> bool:
+        """Whether rows are whitened beyond the noise of each sample."""
+        return self.errors is not None or self.whitening is not None
+
+    def whitened(self, rows: Array) -> Array:
+        """(r, k) columns of rows as a fit compares them, whitened for all that is known beside the model."""
+        found = self.without_errors(rows)
+        return found if self.whitening is None else self.whitening(found)
+
+    @property
+    def log_constant(self) -> float:
+        """What the sizes of the recordings' errors add to ln p of any model."""
+        return 0.0 if self.error_rows is None else self.error_rows.log_constant
 
     def with_noise_left_by(self, values: Mapping[str, float]) -> Problem:
         """The same with the noise of what is never still taken from what these values leave of it."""
@@ -105,7 +153,7 @@ class Problem:
 
     def with_noises(self, noises: Mapping[str, Noise]) -> Problem:
         """The same data and samples with other noise."""
-        same = copy.copy(self)
+        same = self._like_this()
         same.noises = {kind: noises.get(kind, noise) for kind, noise in self.noises.items()}
         same.__dict__.pop("_few", None)
         return same
@@ -119,7 +167,7 @@ class Problem:
         return self._with_rows(condenses=False)
 
     def _with_rows(self, *, condenses: bool) -> Problem:
-        same = copy.copy(self)
+        same = self._like_this()
         same.__dict__.pop("_few", None)
         same._condenses = condenses
         return same
@@ -228,6 +276,18 @@ class Problem:
         self.budget.count(self._simulated, len(directions))
         weights = [-weight for weight in self._weights]
         return whitened_sensitivities(self.plant, values, directions, lambda columns: self._white(columns, weights))
+
+    def whitened_columns(self, columns: Mapping[int, Array]) -> dict[int, tuple[slice, Array]]:
+        """The slice of rows of some channels, and (r, q) whitened, weighted columns of (n, q) each."""
+        found, start = {}, 0
+        for index, weight in enumerate(self._weights):
+            stop = start + len(weight)
+            if index in columns:
+                own = np.empty(columns[index].shape)
+                self.noise_of(index).whiten_into(own, columns[index], weight)
+                found[index] = slice(start, stop), own
+            start = stop
+        return found
 
     def _white(self, columns: Sequence[Array], weights: Sequence[Array]) -> Array:
         """(n, k) whitened, weighted columns of all channels, (n of the channel, k) each, in a row."""

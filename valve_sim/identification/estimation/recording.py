@@ -7,10 +7,12 @@ from typing import Final
 
 import numpy as np
 
+from valve_sim.identification.estimation.errors.error import Mode
 from valve_sim.identification.estimation.findings import leaves_more_than_noise
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
+from valve_sim.identification.estimation.state_of_recording import with_learned_errors
 from valve_sim.identification.plants.protocol import Nuisance
 from valve_sim.model import SimulationError
 
@@ -22,22 +24,34 @@ REDRAWN: Final = 3
 """How often they are drawn, at most."""
 
 
-def fit_recording(problem: Problem, machine: Mapping[str, float]) -> Fit:
+def fit_recording(
+    problem: Problem, machine: Mapping[str, float], modes: Mapping[int, tuple[Mode, ...]] | None = None
+) -> Fit:
     """What a machine of known values shows of a recording, once the errors of the recording are estimated.
 
     Errors of the commands' stamps are among them where the evidence is for it: most recorders stamp commands well, and
     a few stamp them when they happen to receive them. A plunger that turns beside a contact touches it or does not, by
     some microseconds of a stamp: where more than noise is left, the fit begins again from other stamps.
 
+    Errors of its sensors are as large as the problem has them; where it has none, they are learned beside the machine.
+
     Args:
         problem: the recording. machine: values of the machine by name; what is missing is as declared.
+        modes: of the sensors' mounts, by channel, where they are known.
 
     Raises:
         SimulationError: the machine cannot be simulated.
     """
+    if problem.errors is not None:
+        return _fitted(problem, machine, None)
+    return with_learned_errors(problem, lambda one, begun: _fitted(one, machine, begun), modes=modes)[1]
+
+
+def _fitted(problem: Problem, machine: Mapping[str, float], begun: Fit | None) -> Fit:
+    """The best fit of clocks and stamps for given errors of the sensors, begun where another has ended, if any."""
     plant = problem.plant
-    clocks = tuple(own for own in plant.nuisances if not own.is_of_machine)
-    plain = fit(problem, (), {}, nuisances=clocks, fixed=machine)
+    clocks = tuple(own for own in problem.nuisances if not own.is_of_machine)
+    plain = fit(problem, (), {} if begun is None else begun.values, nuisances=clocks, fixed=machine)
     if not plant.timing_errors:
         return plain
     nuisances = (*clocks, *plant.timing_errors)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
@@ -15,6 +15,7 @@ from valve_sim.identification.estimation.gram import gram
 from valve_sim.identification.estimation.priors import Prior
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.smoothing import Smoothness
+from valve_sim.identification.estimation.structured_noise import shown_by
 from valve_sim.identification.plants.protocol import (
     Array,
     Nuisance,
@@ -106,6 +107,7 @@ class Fit:
         room: (k + m, 2) how far the range goes on below and above.
         smooth: the curve among what was freed, with its prior, which `chi2` and `information` include.
         damping: λ of theory, eq. (29), of the next step. reach: χ² that it can be expected to come to, at the least.
+        further: (k + m, k + m) what the uncertainty of the recordings' errors adds to the covariance; None: nothing.
     """
 
     problem: Problem
@@ -124,6 +126,7 @@ class Fit:
     smooth: Smoothness | None = None
     damping: float = FIRST_DAMPING
     reach: float = -math.inf
+    further: Array | None = field(default=None, repr=False)
 
     @property
     def residuals(self) -> Array:
@@ -131,9 +134,52 @@ class Fit:
         return self.left.array()
 
     @property
+    def unexplained(self) -> Array:
+        """(n,) of the residuals what the errors of the recordings leave."""
+        left, errors = self.residuals, self.problem.errors
+        if errors is None:
+            return left
+        shown = shown_by(errors, self.recording)
+        rows = self.problem.with_every_row().whitened_columns({at: own[:, None] for at, own in shown.items()})
+        found = left.copy()
+        for where, own in rows.values():
+            found[where] -= own[:, 0]
+        return found
+
+    @property
     def jacobian(self) -> Array:
         """(n, k + m) d(residuals)/d(internal coordinate), nuisances last."""
         return self.derivatives.array()
+
+    @functools.cached_property
+    def recording(self) -> Mapping[int, Array]:
+        """(q,) coefficients of the errors of the recordings as this fit sees them, by channel."""
+        errors = self.problem.error_rows
+        return {} if errors is None else errors.estimates(self.left.few())
+
+    def shown(self) -> list[Array]:
+        """What each channel shows by this fit: the plant's prediction, and the errors of the recordings."""
+        shown = self.problem.plant.predict(self.values)
+        return [seen + own for seen, own in zip(shown, self.errors_of(self.left.few()), strict=True)]
+
+    def errors_of(self, residuals: Array) -> list[Array]:
+        """(n,) of each channel: what the sensors' errors add to it, given (r,) residuals of the fitted rows."""
+        found = [np.zeros(len(channel.data)) for channel in self.problem.plant.channels]
+        rows, errors = self.problem.error_rows, self.problem.errors
+        if rows is not None and errors is not None:
+            for channel, own in shown_by(errors, rows.estimates(residuals)).items():
+                found[channel] = own
+        return found
+
+    def variance_of_errors(self) -> list[Array]:
+        """(n,) of each channel: the variance of what the recordings' errors add to it."""
+        found = [np.zeros(len(channel.data)) for channel in self.problem.plant.channels]
+        rows, errors = self.problem.error_rows, self.problem.errors
+        if rows is not None and errors is not None:
+            for channel, covariance in rows.covariances.items():
+                columns = errors.columns[channel].samples
+                found[channel] = np.einsum("ij,ij->i", columns @ covariance, columns)
+        return found
 
     @functools.cached_property
     def covariance(self) -> Array:
@@ -149,7 +195,15 @@ class Fit:
         inverse = (directions / np.maximum(sizes, SMALLEST_SHARE)) @ directions.T
         covariance = np.diag(np.where(alive, 0.0, np.inf))
         covariance[np.ix_(alive, alive)] = inverse * np.outer(scale, scale)
-        return covariance
+        return covariance if self.further is None else covariance + self.further
+
+    def widening(self, name: str) -> float:
+        """By how much the variance of a freed parameter is larger for the uncertainty of the recordings' errors."""
+        index = self.free.index(name)
+        variance = float(self.covariance[index, index])
+        if self.further is None or not math.isfinite(variance):
+            return 1.0
+        return variance / max(variance - float(self.further[index, index]), 1e-300)
 
     @property
     def machine(self) -> MachineKnowledge:
@@ -178,6 +232,7 @@ class Fit:
         densities = sum(own.log_density(float(at)) for own, at in zip(self.priors, self.coordinates, strict=True))
         misfit = self.chi2 - costs - self._penalty
         found = -0.5 * misfit + densities + log_volume(self.information, self.slopes, self.room)
+        found += self.problem.log_constant
         return found if self.smooth is None else found + self.smooth.log_density(self.coordinates[self.curve])
 
     @property
@@ -196,7 +251,8 @@ class Fit:
         of_data = self.information.copy()
         of_data[np.ix_(where, where)] -= self.smooth.precision
         pulls = [own.pull(float(at)).half_slope for own, at in zip(self.priors, self.coordinates, strict=True)]
-        gradient = gram(self.jacobian, self.residuals) + np.array(pulls)
+        rows = self.problem.whitened(np.column_stack([self.derivatives.few(), self.left.few()]))
+        gradient = gram(rows[:, :-1], rows[:, -1]) + np.array(pulls)
         return self.smooth.covariance(of_data, gradient, self.coordinates, where)
 
     @property
@@ -265,7 +321,7 @@ def effective_rmse(result: Fit) -> float:
 def _root_mean_square(result: Fit, share: Callable[[Array], Array]) -> float:
     plant, problem = result.problem.plant, result.problem
     squares, total = 0.0, 0.0
-    predictions = plant.predict(result.values)
+    predictions = result.shown()
     for index in judged_channels(plant):
         shares = share(problem.weight(index))
         squares += float(shares @ np.square(plant.channels[index].data - predictions[index]))

@@ -40,6 +40,8 @@ class Nuisance(NamedTuple):
         is_of_machine: whether it is a value of the machine, the same in each of its recordings.
         same_as: a parameter of an effect that is the same thing; where that is freed, this one is not needed.
         same_slope: by how much that parameter changes for each unit of this one, about the mean of the prior.
+        error: the error of the recording that it is a part of, by its name in report.json, whose size is learned.
+        group: nuisances of one group share a size; `sigma` is then the scale of the prior of that.
     """
 
     name: str
@@ -54,6 +56,8 @@ class Nuisance(NamedTuple):
     is_of_machine: bool = False
     same_as: str = ""
     same_slope: float = 1.0
+    error: str = ""
+    group: str = ""
 
     @property
     def bounds(self) -> tuple[float, float]:
@@ -346,6 +350,56 @@ class InPieces(Protocol):
         Raises:
             SimulationError: the machine cannot be simulated with these values; also while iterating.
         """
+
+
+class Contacts(NamedTuple):
+    """Impacts that shake a sensor.
+
+    Attributes:
+        times: (k,) s, by the stamps of the samples. impulses: (k,) momentum that is lost, over that of all that moves
+            at 0.3 m/s. places: (k,) numbers of the places where parts meet.
+    """
+
+    times: Array
+    impulses: Array
+    places: NDArray[np.int64]
+
+
+class Sensor(NamedTuple):
+    """What the errors of a sensor depend on.
+
+    Attributes:
+        span: range of what it shows, in the channel's unit. knots: (c,) s, of the commands.
+        contacts: impacts that shake it.
+    """
+
+    span: float
+    knots: Array
+    contacts: Contacts
+
+
+@runtime_checkable
+class HasSensors(Protocol):
+    """A plant that says which channels are of sensors that drift, hum, bend and ring: an optional member."""
+
+    @property
+    def varying(self) -> Sequence[Nuisance]:
+        """Errors of the recordings that act on the machine, in groups whose sizes are learned."""
+
+    def sensors(self, values: Mapping[str, float]) -> Mapping[int, Sensor]:
+        """The sensors, by the index of their channel.
+
+        Args:
+            values: as of `predict`: they say when parts meet.
+
+        Raises:
+            SimulationError: the machine cannot be simulated with these values.
+        """
+
+
+def varying_of(plant: Plant) -> Sequence[Nuisance]:
+    """Errors of its recordings that act on the machine; of most plants there are none."""
+    return plant.varying if isinstance(plant, HasSensors) else ()
 
 
 @runtime_checkable

@@ -12,12 +12,15 @@ from typing import Final
 
 import numpy as np
 
+from valve_sim.identification.plants.interval_factors import SUPPLY, VARIATION, sag_with
 from valve_sim.identification.plants.protocol import Nuisance
-from valve_sim.model import Drive
+from valve_sim.model import Drive, Valve
 from valve_sim.traces import Trace, command_strokes
 
 CLOCK_SIGMA: Final = 50e-6
 """s: the prior of a bag's clock offset and of each command's stamp."""
+RATE_SIGMA: Final = 100e-6
+"""The prior of the difference of two clocks' rates: twice what quartzes differ by."""
 VOLTAGE_DIFFERENCE: Final = 1e-3
 """V: step of a voltage in a difference quotient."""
 
@@ -26,7 +29,7 @@ Channels = tuple[int, ...]
 
 def clock_offset(index: int, channels: Channels) -> Nuisance:
     """Samples are stamped late by it."""
-    return Nuisance(f"clock_offset[{index}]", CLOCK_SIGMA, "s", channels)
+    return Nuisance(f"clock_offset[{index}]", CLOCK_SIGMA, "s", channels, error="clock_offset")
 
 
 def stamp_errors(trace: Trace, index: int, channels: Channels) -> list[Nuisance]:
@@ -34,7 +37,7 @@ def stamp_errors(trace: Trace, index: int, channels: Channels) -> list[Nuisance]
     if trace.drive_errors is not None:
         return []
     return [
-        Nuisance(f"command_error[{index},{command}]", CLOCK_SIGMA, "s", channels, during)
+        Nuisance(f"command_error[{index},{command}]", CLOCK_SIGMA, "s", channels, during, error="command_stamps")
         for command, during in enumerate(command_strokes(trace.drive))
         if _is_sampled(trace, float(trace.drive.times[command]), during[1])
     ]
@@ -77,18 +80,26 @@ def reading_errors(trace: Trace, index: int, channels: Channels) -> list[Nuisanc
     return found
 
 
-def drive_with(trace: Trace, index: int, values: Mapping[str, float], release_voltage: float = 0.0) -> Drive:
+def clock_rate(index: int, channels: Channels) -> Nuisance:
+    """By how much faster the clock of the commands runs than that of the samples."""
+    return Nuisance(f"clock_rate[{index}]", RATE_SIGMA, "–", channels, step=1e-7, error="clock_rate")
+
+
+def drive_with(trace: Trace, index: int, values: Mapping[str, float], valve: Valve) -> Drive:
     """The voltage as it took effect, by the values of the nuisances.
 
     Args:
         trace: the recording. index: of it. values: of nuisances, by name.
-        release_voltage: V, of the valve; above 0 a measured voltage is not used while the command is 0.
+        valve: as declared; of one that freewheels a measured voltage is not used while the command is 0.
     """
     commands = _commands_with(trace, index, values)
+    sag = sag_with(valve, index, values)
+    if sag:
+        commands = Drive(commands.times, commands.volts / (1.0 + sag))
     measured = trace.measured_input
     if measured is None:
         return commands
-    return measured.drive(commands, lateness_with(index, values), freewheels=release_voltage > 0.0)
+    return measured.drive(commands, lateness_with(index, values), freewheels=valve.parameters.release_voltage > 0.0)
 
 
 def _commands_with(trace: Trace, index: int, values: Mapping[str, float]) -> Drive:
@@ -99,6 +110,9 @@ def _commands_with(trace: Trace, index: int, values: Mapping[str, float]) -> Dri
     if trace.drive_errors is not None:
         _, first, which = np.unique(volts, return_index=True, return_inverse=True)
         volts = volts + np.array([values.get(f"voltage_error[{index},{command}]", 0.0) for command in first])[which]
+    rate = values.get(f"clock_rate[{index}]", 0.0)
+    if rate:
+        late = late - rate * (drive.times - trace.sample_times[0])
     if not np.any(late):
         return Drive(drive.times, volts)
     return Drive(np.maximum.accumulate(drive.times + late), volts)
@@ -114,7 +128,9 @@ def lateness_with(index: int, values: Mapping[str, float]) -> float:
     return values.get(f"clock_offset[{index}]", 0.0)
 
 
-_NAMES: Final = ("clock_offset[", "command_error[", "voltage_error[", "position_zero[")
+_NAMES: Final = (
+    "clock_offset[", "clock_rate[", "command_error[", "voltage_error[", "position_zero[", f"{VARIATION}[", f"{SUPPLY}["
+)  # fmt: skip
 
 
 def is_of_recording(name: str) -> bool:

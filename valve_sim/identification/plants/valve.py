@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from valve_sim.identification.plants.advice import Advice
 from valve_sim.identification.plants.force_map_choice import force_map_over
 from valve_sim.identification.plants.hold_out import Condition
+from valve_sim.identification.plants.interval_factors import IntervalFactors, supply_errors, variations
 from valve_sim.identification.plants.protocol import (
     Array,
     Channel,
@@ -25,9 +26,11 @@ from valve_sim.identification.plants.protocol import (
     Nuisance,
     Piece,
     Sensitivities,
+    Sensor,
 )
 from valve_sim.identification.plants.recording_errors import (
     clock_offset,
+    clock_rate,
     drive_with,
     lateness_with,
     reading_errors,
@@ -36,9 +39,12 @@ from valve_sim.identification.plants.recording_errors import (
 )
 from valve_sim.identification.plants.stroke_choice import Kind, stroke_kinds
 from valve_sim.identification.plants.valve_model import ValveModel
+from valve_sim.identification.plants.valve_pieces import Intervals, run_in_pieces, whole_run
 from valve_sim.identification.plants.valve_sensitivities import pieces, sensitivities
 from valve_sim.identification.plants.valve_sensors import (
+    amperes,
     channels_of,
+    contacts,
     fastest_motion,
     followed,
     predicted,
@@ -121,7 +127,7 @@ class ValvePlant:
         After them the declared values that have a tolerance: of the valve, and so the same in each trace.
         """
         traces = [(trace, index, self._channels_of(index)) for index, trace in enumerate(self.traces)]
-        offsets = [clock_offset(index, channels) for _, index, channels in traces]
+        offsets = [own(index, channels) for _, index, channels in traces for own in (clock_offset, clock_rate)]
         readings = (nuisance for of_trace in traces for nuisance in reading_errors(*of_trace))
         return (*offsets, *readings, *self._model.nuisances)
 
@@ -244,9 +250,9 @@ class ValvePlant:
         Raises:
             SimulationError: the simulation could not be carried to its end.
         """
-        record, release = self._model.record(values), self.valve.parameters.release_voltage
+        record = self._model.record(values)
         return {
-            index: followed(record, trace, drive_with(trace, index, values, release), lateness_with(index, values))
+            index: followed(record, trace, drive_with(trace, index, values, self.valve), lateness_with(index, values))
             for index, trace in enumerate(self.traces)
             if not trace.has_positions
         }
@@ -257,7 +263,7 @@ class ValvePlant:
         Raises:
             SimulationError: the simulation could not be carried to its end.
         """
-        return sensitivities(self._model, self.traces, values, directions)
+        return sensitivities(self._model, self.traces, values, directions, self._factors)
 
     def pieces(self, values: Mapping[str, float], directions: Sequence[Direction]) -> Iterator[Piece] | None:
         """The same two, piece by piece; None where derivatives are not known, or where a gas flows.
@@ -279,6 +285,43 @@ class ValvePlant:
         same.traces = tuple(_thinned_trace(trace, numbers) for trace in self.traces)
         return same
 
+    @functools.cached_property
+    def varying(self) -> Sequence[Nuisance]:
+        """Numbers that differ from stroke to stroke, and the resistance of the source; none of a valve with gas."""
+        if self.valve.gas is not None:
+            return ()
+        return tuple(
+            nuisance
+            for index, trace in enumerate(self.traces)
+            for found in (
+                variations(self.valve, trace, index, self._channels_of(index)),
+                supply_errors(trace, index, self._channels_of(index)),
+            )
+            for nuisance in found
+        )
+
+    @functools.cached_property
+    def _factors(self) -> list[IntervalFactors]:
+        return [IntervalFactors(self.valve, trace, index) for index, trace in enumerate(self.traces)]
+
+    def sensors(self, values: Mapping[str, float]) -> dict[int, Sensor]:
+        """The position sensor of each trace; none of a valve with gas.
+
+        Raises:
+            SimulationError: the simulation could not be carried to its end.
+        """
+        if self.valve.gas is not None:
+            return {}
+        record, found = self._model.record(values), {}
+        for index, trace in enumerate(self.traces):
+            if not trace.has_positions:
+                continue
+            drive, late = drive_with(trace, index, values, self.valve), lateness_with(index, values)
+            own = next(iter(self._channels_of(index)))
+            meet = contacts(record, trace, drive, late)
+            found[own] = Sensor(self.valve.parameters.stroke, trace.drive.times, meet)
+        return found
+
     def predict(self, values: Mapping[str, float]) -> list[Array]:
         """What each channel would show, in its unit.
 
@@ -288,8 +331,13 @@ class ValvePlant:
         record = self._model.record(values)
         shown: list[Array] = []
         for index, trace in enumerate(self.traces):
-            drive = drive_with(trace, index, values, self.valve.parameters.release_voltage)
-            position, *others = predicted(record, trace, drive, lateness_with(index, values))
+            drive, late = drive_with(trace, index, values, self.valve), lateness_with(index, values)
+            factors = self._factors[index].of(values)
+            if factors is None:
+                position, *others = predicted(record, trace, drive, late)
+            else:
+                run = whole_run(run_in_pieces(record, trace, drive, late, intervals=Intervals(factors)))
+                position, others = run.positions, amperes(record, trace, run.currents)
             positions = [position + zero_with(index, values)] if trace.has_positions else []
             shown.extend([*positions, *others])
         return shown

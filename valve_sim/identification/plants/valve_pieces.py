@@ -12,6 +12,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from valve_sim.identification.plants.interval_factors import FIELD_PLACES, FIELDS
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.identification.plants.valve_sensors import FIT_TOLERANCE, NO_EVENTS, NO_TIMES, state_before
 from valve_sim.model import Drive
@@ -39,6 +40,35 @@ class RunPiece(NamedTuple):
     of_currents: Array
 
 
+class WholeRun(NamedTuple):
+    """The pieces of a run, put together.
+
+    Attributes:
+        positions: (n,) m. currents: (m,), normalised.
+        of_positions, of_currents: (n, k) and (m, k) derivatives; none where none were asked.
+    """
+
+    positions: Array
+    currents: Array
+    of_positions: Array
+    of_currents: Array
+
+
+def whole_run(pieces: Iterator[RunPiece]) -> WholeRun:
+    """Put pieces together.
+
+    Raises:
+        SimulationError: the simulation could not be carried to its end.
+    """
+    found = list(pieces)
+    return WholeRun(
+        np.concatenate([piece.samples.rows[:, 0] for piece in found]),
+        np.concatenate([piece.samples.currents for piece in found]),
+        np.concatenate([piece.of_positions for piece in found]),
+        np.concatenate([piece.of_currents for piece in found]),
+    )
+
+
 class Cut(NamedTuple):
     """Where a piece lies among commands and samples, and when it ends, s, by the model's clock."""
 
@@ -48,21 +78,72 @@ class Cut(NamedTuple):
     end: float
 
 
+class Intervals(NamedTuple):
+    """What differs of a valve by interval between commands.
+
+    Attributes:
+        factors: (c + 1, f) of `FIELDS`, before the first command and after each.
+        slopes: (k, c + 1, f) derivatives of these along k directions; None where no derivatives are asked for.
+        numbers: (k, n) derivatives of the record's numbers along the directions, or None.
+    """
+
+    factors: Array
+    slopes: Array | None = None
+    numbers: Array | None = None
+
+    @property
+    def changes(self) -> set[int]:
+        """After which commands something is not as before."""
+        found = np.any(self.factors[1:] != self.factors[:-1], axis=1)
+        if self.slopes is not None:
+            found |= np.any(self.slopes[:, 1:] != self.slopes[:, :-1], axis=(0, 2))
+        return set(np.flatnonzero(found).tolist())
+
+    def record(self, record: Any, interval: int) -> Any:
+        """The valve in an interval."""
+        there = record.copy()
+        for name, factor in zip(FIELDS, self.factors[interval].tolist(), strict=True):
+            there[name] *= factor
+        return there
+
+    def moved(self, record: Any, interval: int) -> Array:
+        """(k, n) derivatives of that valve's numbers."""
+        assert self.numbers is not None
+        assert self.slopes is not None
+        own = np.array([record[name].item() for name in FIELDS])
+        found = self.numbers.copy()
+        found[:, FIELD_PLACES] *= self.factors[interval]
+        found[:, FIELD_PLACES] += own * self.slopes[:, interval]
+        return found
+
+
 def run_in_pieces(
-    record: Any, trace: Trace, drive: Drive, offset: float, variations: Variations | None = None
+    record: Any,
+    trace: Trace,
+    drive: Drive,
+    offset: float,
+    variations: Variations | None = None,
+    intervals: Intervals | None = None,
 ) -> Iterator[RunPiece]:
     """Run a recorded drive.
 
     Args:
         record: (1,) VALVE_RECORD. trace: whose sample times count. drive: when the voltage changes, s.
         offset: s by which samples are stamped late. variations: derivatives carried along.
+        intervals: what differs of the valve from interval to interval.
 
     Raises:
         SimulationError: the simulation could not be carried to its end.
     """
     current_times = trace.coil_current.times if trace.coil_current is not None else NO_TIMES
     state = state_before(record, trace, drive, trace.sample_times[:1] - offset)
-    for cut in cuts(trace.times, current_times, drive, (offset, record["sensor_delay"].item())):
+    ends = None if intervals is None else intervals.changes
+    declared = record
+    for cut in cuts(trace.times, current_times, drive, (offset, record["sensor_delay"].item()), ends):
+        if intervals is not None:
+            record = intervals.record(declared, cut.commands.start)
+            if variations is not None:
+                variations.turn(intervals.moved(declared, cut.commands.start))
         times, late = trace.times[cut.positions] - offset, current_times[cut.currents] - offset
         samples = Samples(times, np.empty((len(times), 1)), late, np.empty(len(late)))
         course = (drive.times[cut.commands], drive.volts[cut.commands], cut.end)
@@ -74,15 +155,25 @@ def run_in_pieces(
         yield RunPiece(cut.positions, cut.currents, samples, *found)
 
 
-def cuts(times: Array, current_times: Array, drive: Drive, late: tuple[float, float]) -> Iterator[Cut]:
-    """Pieces of at least `SAMPLES` samples; `late`: s, by which samples are stamped, and positions shown."""
+def cuts(
+    times: Array, current_times: Array, drive: Drive, late: tuple[float, float], ends: set[int] | None = None
+) -> Iterator[Cut]:
+    """Pieces of at least `SAMPLES` samples, or up to some commands.
+
+    Args:
+        times, current_times: s, of the samples. drive: the commands.
+        late: s, by which samples are stamped, and positions shown. ends: numbers of commands with which pieces end.
+    """
     offset, delay = late
     last = [float(found[-1]) - offset for found in (times, current_times) if len(found)]
     seen = np.searchsorted(times, drive.times + (offset + delay), side="right").tolist()
     seen_currents = np.searchsorted(current_times, drive.times + offset, side="right").tolist()
     command = position = current = 0
     for place, when in enumerate(drive.times.tolist()):
-        if seen[place] - position + seen_currents[place] - current < SAMPLES or when >= max(last):
+        is_short = (
+            seen[place] - position + seen_currents[place] - current < SAMPLES if ends is None else place not in ends
+        )
+        if is_short or when >= max(last):
             continue
         ahead = _shown_by(when, times, (offset, delay), seen[place])
         ahead_current = _shown_by(when, current_times, (offset, 0.0), seen_currents[place])

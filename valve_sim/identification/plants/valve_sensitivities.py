@@ -13,10 +13,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from valve_sim.identification.plants.interval_factors import IntervalFactors
 from valve_sim.identification.plants.protocol import Array, Direction, Piece, Sensitivities
 from valve_sim.identification.plants.recording_errors import drive_with, is_of_recording, lateness_with, zero_with
 from valve_sim.identification.plants.valve_model import ValveModel
-from valve_sim.identification.plants.valve_pieces import run_in_pieces
+from valve_sim.identification.plants.valve_pieces import Intervals, run_in_pieces, whole_run
 from valve_sim.identification.plants.valve_sensors import (
     amperes,
     prepared,
@@ -24,7 +25,7 @@ from valve_sim.identification.plants.valve_sensors import (
     supply_of,
     tolerance_of,
 )
-from valve_sim.model import Drive
+from valve_sim.model import Drive, Valve
 from valve_sim.model.gas.record import is_of_gas
 from valve_sim.model.sensitivities import (
     PRESSURES_AT,
@@ -48,13 +49,18 @@ class _Recording(NamedTuple):
 
 
 def sensitivities(
-    model: ValveModel, traces: Sequence[Trace], values: Mapping[str, float], directions: Sequence[Direction]
+    model: ValveModel,
+    traces: Sequence[Trace],
+    values: Mapping[str, float],
+    directions: Sequence[Direction],
+    differing: Sequence[IntervalFactors],
 ) -> Sensitivities:
     """Derivatives of the channels of all traces.
 
     Args:
         model: the valve. traces: its recordings.
         values: as of a plant's `predict`. directions: along which to differentiate.
+        differing: what differs of the valve by interval between the commands of each trace.
 
     Raises:
         SimulationError: the simulation could not be carried to its end.
@@ -66,9 +72,22 @@ def sensitivities(
     columns: list[Array] = []
     if not known.any():
         return Sensitivities([], known)
-    release = model.valve.parameters.release_voltage
     for index, trace in enumerate(traces):
-        at, tangents, zeros = _moving_recording((trace, index), (values, moved), directions, (slopes, release))
+        at, tangents, zeros = _moving_recording((trace, index), (values, moved), directions, (slopes, model.valve))
+        factors = differing[index].of(values)
+        if factors is not None:
+            by = np.zeros((len(directions), *factors.shape))
+            for row, (there, own) in enumerate(zip(moved, directions, strict=True)):
+                changed = differing[index].of(there) if any(map(is_of_recording, own.slopes)) else None
+                if changed is not None:
+                    by[row] = (changed - factors) / own.step
+            intervals = Intervals(factors, by, tangents.numbers)
+            run = whole_run(run_in_pieces(record, trace, at.drive, at.lateness, Variations(tangents), intervals))
+            if trace.has_positions:
+                columns.append(run.of_positions + zeros)
+            if trace.coil_current is not None:
+                columns.append(_rated(record, run.currents, run.of_currents, rated_slopes(record, slopes)))
+            continue
         tangents = _without_measured(tangents, trace) if is_of_gas(record) else tangents
         order: Any = slice(None)
         if trace.outlet_pressure is None:
@@ -127,7 +146,7 @@ def pieces(
         return None  # its pressures are recorded, too, and one of them may drive it
     if directions and not has_sensitivities(record, slopes).all():
         return None
-    return _pieces(record, traces, (values, moved), directions, (slopes, model.valve.parameters.release_voltage))
+    return _pieces(record, traces, (values, moved), directions, (slopes, model.valve))
 
 
 def _pieces(
@@ -135,11 +154,11 @@ def _pieces(
     traces: Sequence[Trace],
     places: tuple[Mapping[str, float], Sequence[Mapping[str, float]]],
     directions: Sequence[Direction],
-    slopes_and_release: tuple[Array, float],
+    slopes_and_valve: tuple[Array, Valve],
 ) -> Iterator[Piece]:
-    channel, rated = 0, rated_slopes(record, slopes_and_release[0])
+    channel, rated = 0, rated_slopes(record, slopes_and_valve[0])
     for index, trace in enumerate(traces):
-        at, tangents, zeros = _moving_recording((trace, index), places, directions, slopes_and_release)
+        at, tangents, zeros = _moving_recording((trace, index), places, directions, slopes_and_valve)
         variations = Variations(tangents) if directions else None
         for piece in run_in_pieces(record, trace, at.drive, at.lateness, variations):
             if trace.has_positions:
@@ -155,18 +174,18 @@ def _moving_recording(
     recording: tuple[Trace, int],
     places: tuple[Mapping[str, float], Sequence[Mapping[str, float]]],
     directions: Sequence[Direction],
-    slopes_and_release: tuple[Array, float],
+    slopes_and_valve: tuple[Array, Valve],
 ) -> tuple[_Recording, Tangents, Array]:
     """What a recording adds to a run, and how that and the run's input move along directions; (k,) the sensor's zero.
 
     Args:
         recording: trace and index. places: the values, and these moved along each direction.
-        slopes_and_release: of the record's numbers along the directions; the release voltage, V.
+        slopes_and_valve: of the record's numbers along the directions; the valve as declared.
     """
-    (trace, index), (values, moved), (slopes, release) = recording, places, slopes_and_release
-    at = _recording(trace, index, values, release)
+    (trace, index), (values, moved), (slopes, valve) = recording, places, slopes_and_valve
+    at = _recording(trace, index, values, valve)
     theirs = [
-        _recording(trace, index, there, release) if any(map(is_of_recording, direction.slopes)) else None
+        _recording(trace, index, there, valve) if any(map(is_of_recording, direction.slopes)) else None
         for direction, there in zip(directions, moved, strict=True)
     ]
     return (at, *_tangents(slopes, at, theirs, directions))
@@ -219,6 +238,6 @@ def _moved(values: Mapping[str, float], direction: Direction) -> dict[str, float
     return there
 
 
-def _recording(trace: Trace, index: int, values: Mapping[str, float], release_voltage: float) -> _Recording:
-    drive = drive_with(trace, index, values, release_voltage)
+def _recording(trace: Trace, index: int, values: Mapping[str, float], valve: Valve) -> _Recording:
+    drive = drive_with(trace, index, values, valve)
     return _Recording(drive, lateness_with(index, values), zero_with(index, values))

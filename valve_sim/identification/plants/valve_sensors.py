@@ -10,9 +10,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.identification.plants.protocol import Array, Channel, Role
+from valve_sim.identification.plants.protocol import Array, Channel, Contacts, Role
 from valve_sim.model import Drive, ParameterError, Response, SimulationError, Valve, simulate
-from valve_sim.model.core_types import EVENT_RECORD
+from valve_sim.model.core_types import EVENT_RECORD, EventKind
 from valve_sim.model.gas.parameters import GAS
 from valve_sim.model.gas.record import is_of_gas
 from valve_sim.model.gas.step import PRESSURE_COLUMN
@@ -46,6 +46,13 @@ STILL: Final = 6.0
 """Standard deviations within which a still sensor stays."""
 EQUAL: Final = 2.0
 """The same of a pressure, which comes to rest slowly: what is left of its rise must not be taken for noise."""
+
+USUAL_SPEED: Final = 0.3
+"""m/s, of an impact at the stop."""
+EVENTS_EACH: Final = 64
+"""Events of a run for which there is room, for each of its commands."""
+FAINTEST: Final = 0.02
+"""Momentum of a contact, over that of all that moves at `USUAL_SPEED`, that no sensor's mount feels."""
 
 NO_EVENTS: Final = np.empty(0, EVENT_RECORD)
 NO_TIMES: Final = np.empty(0)
@@ -333,6 +340,33 @@ def _predicted_with_pressure(
     count, shown = len(trace.times), np.empty_like(samples.rows)
     shown[order] = samples.rows
     return [shown[:count, 0], *amperes(record, trace, samples.currents), shown[count:, PRESSURE_COLUMN]]
+
+
+def contacts(record: Any, trace: Trace, drive: Drive, offset: float) -> Contacts:
+    """When plungers meet the body, and with which momentum; arguments as of `predicted`.
+
+    Raises:
+        SimulationError: the simulation could not be carried to its end.
+    """
+    _, samples = prepared(record, trace, drive, offset)
+    events = np.zeros(EVENTS_EACH * (len(drive.times) + 1), EVENT_RECORD)
+    state = state_before(record, trace, drive, trace.sample_times - offset)
+    count = run_record(record, state, drive, samples, events, Control(tolerance_of(record)))
+    pilot, moving = float(record[0]["pilot_mass"]), float(record[0]["moving_mass"])
+    masses = np.zeros(len(EventKind))
+    masses[[EventKind.REACHED_STOP, EventKind.BOUNCED_AT_STOP]] = moving
+    masses[[EventKind.SEATED, EventKind.BOUNCED_AT_SEAT]] = pilot or moving
+    masses[EventKind.MAIN_SEATED], masses[EventKind.HELD_AT_GAP] = moving - pilot, pilot
+    bounce = np.zeros(len(EventKind))
+    bounce[EventKind.BOUNCED_AT_STOP] = record[0]["restitution_stop"]
+    bounce[EventKind.BOUNCED_AT_SEAT] = record[0]["restitution_seat"]
+    own = events[:count]
+    momenta = masses[own["kind"]] * np.abs(own["v"]) * (1.0 + bounce[own["kind"]]) / (moving * USUAL_SPEED)
+    places = np.zeros(len(EventKind), dtype=np.int64)
+    places[[EventKind.REACHED_STOP, EventKind.BOUNCED_AT_STOP]] = 1
+    places[[EventKind.MAIN_SEATED, EventKind.HELD_AT_GAP]] = 2
+    felt = momenta > FAINTEST
+    return Contacts(own["time"][felt] + offset, momenta[felt], places[own["kind"]][felt])
 
 
 def followed(record: Any, trace: Trace, drive: Drive, offset: float) -> Array:

@@ -14,6 +14,7 @@ from valve_sim.identification.reporting.declared_values import declared_json
 from valve_sim.identification.reporting.followed_positions import strokes_followed, strokes_json
 from valve_sim.identification.reporting.force_curves import Motion, force_curve, motion_of
 from valve_sim.identification.reporting.interval_json import interval_json, intervals_json
+from valve_sim.identification.reporting.recording_state import recording_json
 from valve_sim.identification.reporting.summary import recording_advice, summarise
 from valve_sim.identification.reporting.wording import headline, meanings
 from valve_sim.identification.selection.force_maps import Unexplained
@@ -47,6 +48,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "meaning": {meaning.name: meaning.to_json() for meaning in meanings(diagnosis)},
         "after": {**_state_json(diagnosis.after, scale, unit), "effects": _effects_json(diagnosis.after)},
         "inclusion": dict(diagnosis.inclusion),
+        "recording": recording_json(diagnosis.recording),
         **declared_json(diagnosis.declared),
         "candidates": [
             {

@@ -29,6 +29,7 @@ from valve_sim.identification.reporting.findings import remark_on
 from valve_sim.identification.reporting.followed_positions import stroke_plot, stroke_words, strokes_followed
 from valve_sim.identification.reporting.force_curves import ForceCurve, force_curve, motion_of
 from valve_sim.identification.reporting.recording_profile import duration_of, profile_to_record
+from valve_sim.identification.reporting.recording_state import recording_rows
 from valve_sim.identification.reporting.summary import recording_advice, summarise
 from valve_sim.identification.reporting.units import limits, measured, quantity, signed, three_digits
 from valve_sim.identification.reporting.wording import (
@@ -199,6 +200,7 @@ def _content(diagnosis: Diagnosis) -> dict[str, Any]:
         "intervals": _interval_rows(diagnosis),
         "has_parameters": isinstance(diagnosis.plant, ValvePlant),
         "declared": declared_section(diagnosis.declared),
+        "recording": recording_rows(diagnosis.recording, diagnosis.before.fit.problem.noise.sigma),
         "record_next": recording_advice(diagnosis),
         "gain": _gain_rows(diagnosis),
         "untried": diagnosis.untried,

@@ -27,9 +27,8 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from valve_sim.identification.estimation.condensed import RowPlaces
-from valve_sim.identification.estimation.evidence import log_volume
 from valve_sim.identification.estimation.gram import gram
-from valve_sim.identification.estimation.result import Fit
+from valve_sim.identification.estimation.linearised import Linearised
 from valve_sim.identification.plants.protocol import Array, Plant
 
 BLOCK: Final = 8
@@ -38,6 +37,8 @@ MOST_BLOCKS: Final = 250
 """In a stroke; of longer ones each block has more samples. Eigenvectors of so many take 20 ms."""
 SIZES: Final = tuple(0.1 * 2.0**power for power in range(10))
 """τ: 0.1 to 51.2 standard deviations of a sample's noise."""
+NEARLY: Final = 3.0
+"""Difference in ln p by which a model with a discrepancy may be less probable than without, and be looked at twice."""
 SHARED: Final = 0.5
 """Share of the covariance that is common to all channels."""
 LENGTHS: Final = (0.03, 0.1, 0.4)
@@ -152,88 +153,38 @@ class Discrepancy:
         found[self._order] += spread
         return found
 
-    def spread(self, result: Fit) -> Spread:
-        """The evidence of a fitted model with a discrepancy, linearised about the fit.
+    def spread(self, model: Linearised) -> Spread:
+        """The evidence of a linearised model with a discrepancy, with the most probable errors of the recording beside.
 
-        Args:
-            result: a fit without, or with V of some cell: it says about which values the model is linearised.
+        These are chosen without a discrepancy first; where that is not much less probable, again beside it.
         """
-        return self.log_evidences(result)[1]
+        sizes = model.best_sizes
+        found = self._over_cells(model, sizes)
+        if not len(sizes) or not self.blocks or found.log_evidence < model.log_evidence(sizes) - NEARLY:
+            return found
+        whole = model.with_columns()
+        rotated, eigenvalues = self._rotated(self.sums(whole), found.cell.length)
+        shrunk = rotated * (1.0 - 1.0 / (1.0 + found.cell.size**2 * eigenvalues))[:, None]
+        beside = model.sizes_by(gram(whole, whole) - rotated.T @ shrunk, sizes)
+        return max(found, self._over_cells(model, beside), key=lambda one: one.log_evidence)
 
-    def log_evidences(self, result: Fit, further: Array | None = None) -> tuple[float, Spread]:
-        """The evidence of a linearised model without a discrepancy, and with one.
-
-        Args:
-            result: about which the model is linearised.
-            further: (r, q) changes of its residuals along what may move besides, each with the prior N(0, 1).
-        """
-        jacobian, count = result.derivatives.few(), 0 if further is None else further.shape[1]
-        columns = [jacobian, *([] if further is None else [further]), result.left.few()[:, None]]
-        whole = np.hstack(columns)
+    def _over_cells(self, model: Linearised, errors: Array) -> Spread:
+        """The evidence with a discrepancy, for errors of the recording of these sizes."""
+        whole = model.rows(errors)
         of_rows, sums = gram(whole, whole), self.sums(whole)
-        pulls = [own.pull(float(at)) for own, at in zip(result.priors, result.coordinates, strict=True)]
-        priors = np.diag([*(own.curvature for own in pulls), *([1.0] * count)])
-        slopes = np.array([*(own.half_slope for own in pulls), *([0.0] * count)])
-        room = np.vstack([result.room, np.full((count, 2), math.inf)])
-        known = sum(own.log_density(float(at)) for own, at in zip(result.priors, result.coordinates, strict=True))
-        known -= 0.5 * count * math.log(2.0 * math.pi) + 0.5 * result.problem.rows.constant
-        if result.smooth is not None:
-            where = np.array(result.curve, dtype=np.intp)
-            at = result.coordinates[where]
-            priors[np.ix_(where, where)] += result.smooth.precision
-            slopes[where] += result.smooth.precision @ at
-            known += result.smooth.log_density(at)
-        logs = np.empty((len(SIZES), len(self._lengths)))
+        logs, evidence = np.empty((len(SIZES), len(self._lengths))), model.evidence_of(errors)
         for length in range(len(self._lengths)):
             rotated, sizes = self._rotated(sums, length)
             for number, size in enumerate(SIZES):
                 shrunk = rotated * (1.0 - 1.0 / (1.0 + size**2 * sizes))[:, None]
                 volume = float(np.sum(np.log1p(size**2 * sizes)))
-                found = _log_evidence(of_rows - rotated.T @ shrunk, priors, slopes, room)
-                logs[number, length] = found + known - 0.5 * volume
+                logs[number, length] = evidence(of_rows - rotated.T @ shrunk) - 0.5 * volume
         posterior = logs + _LOG_PRIOR_OF_SIZE[:, None] - math.log(len(self._lengths))
         total = float(logsumexp(posterior))
         row, column = np.unravel_index(int(np.argmax(posterior)), posterior.shape)
         shares = np.exp(posterior - total).sum(axis=1)
-        spread = Spread(total, Cell(SIZES[int(row)], int(column)), float(shares @ np.array(SIZES)))
-        return _log_evidence(of_rows, priors, slopes, room) + known, spread
-
-
-def _log_evidence(of_both: Array, priors: Array, slopes: Array, room: Array) -> float:
-    """−½ of the least criterion of a linearised model, with its volume, but for what is constant.
-
-    Args:
-        of_both: (k + 1, k + 1) Gram matrix of derivatives and residuals. priors: (k, k) curvatures.
-        slopes: (k,) half of the slopes of the priors. room: (k, 2) to the ends of the ranges.
-    """
-    information, pull = of_both[:-1, :-1] + priors, of_both[:-1, -1] + slopes
-    if not len(pull):
-        return -0.5 * float(of_both[-1, -1])
-    move = bounded_step(information, pull, room)
-    gain = -float(2.0 * pull @ move + move @ information @ move)
-    left = np.column_stack([room[:, 0] + move, room[:, 1] - move])
-    return -0.5 * (float(of_both[-1, -1]) - gain) + log_volume(information, pull + information @ move, left)
-
-
-def bounded_step(information: Array, pull: Array, room: Array) -> Array:
-    """(k,) d of the least 2 gᵀ d + dᵀ A d within −room[:, 0] ≤ d ≤ room[:, 1]; ends are held one after another."""
-    count = len(pull)
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
-    normal = information * np.outer(scale, scale) + 1e-12 * np.eye(count)
-    target, low, high = scale * pull, -room[:, 0] / scale, room[:, 1] / scale
-    move, held = np.zeros(count), np.zeros(count, dtype=bool)
-    for _ in range(count + 1):
-        free = ~held
-        if not free.any():
-            break
-        rest = target[free] + normal[np.ix_(free, held)] @ move[held]
-        move[free] = -np.linalg.solve(normal[np.ix_(free, free)], rest)
-        beyond = free & ((move < low) | (move > high))
-        if not beyond.any():
-            break
-        move[beyond] = np.clip(move[beyond], low[beyond], high[beyond])
-        held |= beyond
-    return np.asarray(move * scale)
+        cell, size = Cell(SIZES[int(row)], int(column)), float(shares @ np.array(SIZES))
+        return Spread(total + model.log_constant(errors), cell, size)
 
 
 def lengths_of(plant: Plant, places: RowPlaces) -> tuple[float, ...]:

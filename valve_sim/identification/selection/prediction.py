@@ -17,10 +17,12 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from valve_sim.identification.estimation.gram import gram
+from valve_sim.identification.estimation.linearised import Linearised, bounded_step
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.recording import fit_recording
 from valve_sim.identification.estimation.result import Fit, rmse
-from valve_sim.identification.plants.protocol import Array, from_internal, judged_channels
+from valve_sim.identification.plants.protocol import Array, from_internal, judged_channels, varying_of
 from valve_sim.identification.selection.discrepancy import Discrepancy, lengths_of
 from valve_sim.model import SimulationError
 
@@ -46,7 +48,7 @@ class Predicted(NamedTuple):
 def machine_values(result: Fit) -> dict[str, float]:
     """The values of a fit that are the machine's, not its recordings'."""
     plant = result.problem.plant
-    errors = {own.name for own in (*plant.nuisances, *plant.timing_errors) if not own.is_of_machine}
+    errors = {own.name for own in (*plant.nuisances, *varying_of(plant), *plant.timing_errors) if not own.is_of_machine}
     return {name: value for name, value in result.values.items() if name not in errors}
 
 
@@ -54,21 +56,26 @@ def axes_of(result: Fit) -> list[dict[str, float]]:
     """The machine's values moved by one standard deviation along each principal axis of their posterior."""
     own = [*range(len(result.free))]
     own += [len(result.free) + at for at, nuisance in enumerate(result.nuisances) if nuisance.is_of_machine]
-    return _axes(result, own, machine_values(result))
+    return _axes(result, own, machine_values(result), result.covariance[np.ix_(own, own)])
 
 
 def recording_axes_of(result: Fit) -> list[dict[str, float]]:
-    """The errors of a recording, moved in the same way, of a fit that holds the machine's values."""
+    """The errors of a recording, moved in the same way, all that is the machine's held."""
     errors = [at for at, nuisance in enumerate(result.nuisances) if not nuisance.is_of_machine]
     values = {result.nuisances[at].name: result.values[result.nuisances[at].name] for at in errors}
-    return _axes(result, [len(result.free) + at for at in errors], values)
-
-
-def _axes(result: Fit, own: Sequence[int], values: Mapping[str, float]) -> list[dict[str, float]]:
-    """Values moved along the principal axes of the posterior of some coordinates, by their indices."""
+    own = [len(result.free) + at for at in errors]
     if not own:
         return []
-    covariance = result.covariance[np.ix_(own, own)]
+    information = result.information[np.ix_(own, own)]
+    scale = 1.0 / np.sqrt(np.diag(information))
+    inverse = np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale)
+    return _axes(result, own, values, inverse)
+
+
+def _axes(result: Fit, own: Sequence[int], values: Mapping[str, float], covariance: Array) -> list[dict[str, float]]:
+    """Values moved along the principal axes of the covariance of some coordinates, by their indices."""
+    if not own:
+        return []
     covariance = np.where(np.isfinite(covariance), covariance, 0.0)
     scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     safe = np.where(scale > 0.0, scale, 1.0)
@@ -86,6 +93,30 @@ def _axes(result: Fit, own: Sequence[int], values: Mapping[str, float]) -> list[
     return found
 
 
+class _Following:
+    """How the errors of a recording follow where values of the machine are others.
+
+    Args:
+        there: a fit of them.
+    """
+
+    def __init__(self, there: Fit) -> None:
+        self._fit, count = there, len(there.free)
+        self._own = [count + at for at, nuisance in enumerate(there.nuisances) if not nuisance.is_of_machine]
+        self._whitened = there.problem.without_errors(there.derivatives.few()[:, self._own])
+        self._information = there.information[np.ix_(self._own, self._own)]
+
+    def values(self, change: Array) -> dict[str, float]:
+        """The errors, by name, where (r,) residuals change so."""
+        if not self._own:
+            return {}
+        left = self._fit.problem.without_errors(change[:, None])[:, 0]
+        room = self._fit.room[self._own]
+        steps = bounded_step(self._information, gram(self._whitened, left), room).tolist()
+        nuisances = [self._fit.nuisances[at - len(self._fit.free)].name for at in self._own]
+        return {name: self._fit.values[name] + step for name, step in zip(nuisances, steps, strict=True)}
+
+
 def predicted(result: Fit, there: Fit, size: float = 0.0) -> Predicted:
     """What a fit predicts of data, which may be its own.
 
@@ -98,15 +129,20 @@ def predicted(result: Fit, there: Fit, size: float = 0.0) -> Predicted:
     """
     problem, plant = there.problem, there.problem.plant
     shown = plant.predict(there.values)
-    spread = [np.zeros(len(prediction)) for prediction in shown]
-    axes = axes_of(result) if there is result else [*axes_of(result), *recording_axes_of(there)]
-    for moved in axes:
+    spread = there.variance_of_errors()
+    rows, left, follow = problem.rows, there.left.few(), _Following(there)
+    of_machine = [(moved, True) for moved in axes_of(result)]
+    for moved, is_followed in [*of_machine, *((moved, False) for moved in recording_axes_of(there))]:
         try:
-            changed = plant.predict({**there.values, **moved})
+            values = {**there.values, **moved}
+            if is_followed:
+                values |= follow.values(rows.residuals(values) - left)
+            changed, change = plant.predict(values), rows.residuals(values) - left
         except SimulationError:
             continue
-        for index, prediction in enumerate(changed):
-            spread[index] += np.square(prediction - shown[index])
+        # What the sensors' errors follow is predicted as well as before.
+        for index, (prediction, own) in enumerate(zip(changed, there.errors_of(change), strict=True)):
+            spread[index] += np.square(prediction - shown[index] + own)
     bands = {}
     for index, channel in enumerate(plant.channels):
         noise = problem.noise_of(index).sigma ** 2 * (1.0 + size**2 * ~channel.quiet)
@@ -137,9 +173,15 @@ class HeldOut:
             return None
         if result not in self._fits:
             try:
-                self._fits[result] = fit_recording(self.problem, machine_values(result))
+                known = result.problem.errors
+                # The sensor is on the mount that it was on.
+                modes = {} if known is None else {own: known.modes.get(own, ()) for own in known.columns}
+                found = fit_recording(self.problem, machine_values(result), modes)
             except SimulationError:
                 self._fits[result] = None
+            else:
+                # The first that is asked for is the best one: errors that it shows are the recording's for all others.
+                self.problem, self._fits[result] = found.problem, found
         return self._fits[result]
 
     def predicted(self, result: Fit, size: float = 0.0) -> Predicted | None:
@@ -174,14 +216,15 @@ class HeldOut:
             except SimulationError:
                 continue
         within = np.column_stack(columns) if columns else None
-        plain, spread = self.discrepancy.log_evidences(there, within)
-        failures = [spread.log_evidence]
+        model = Linearised(there, within)
+        plain = model.log_evidence(model.best_sizes)
+        failures = [self.discrepancy.spread(model).log_evidence]
         if within is not None:
-            elsewhere = self.discrepancy.log_evidences(there, ELSEWHERE * within)
-            failures += [elsewhere[0], elsewhere[1].log_evidence]
+            elsewhere = Linearised(there, ELSEWHERE * within)
+            failures += [elsewhere.log_evidence(elsewhere.best_sizes), self.discrepancy.spread(elsewhere).log_evidence]
         return max(0.0, float(np.logaddexp.reduce(failures)) - math.log(len(failures)) - plain)
 
     def log_density(self, result: Fit) -> float | None:
         """Ln p of held-out data beside a discrepancy, the machine kept; None where nothing is held out."""
         there = self.fit(result)
-        return None if there is None else self.discrepancy.spread(there).log_evidence
+        return None if there is None else self.discrepancy.spread(Linearised(there)).log_evidence

@@ -41,7 +41,7 @@ class Adequacy:
 
 def adequacy(result: Fit) -> Adequacy:
     """Test a fit's residuals: their size, and that of their means over short blocks."""
-    return whiteness(result.problem, result.residuals, round(result.effective_parameters))
+    return whiteness(result.problem, result.unexplained, round(result.effective_parameters))
 
 
 def whiteness(problem: Problem, residuals: Array, free: int) -> Adequacy:

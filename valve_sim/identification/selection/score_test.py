@@ -197,12 +197,19 @@ def log_bayes_factor(prior: Prior, off: float, estimate: float, sigma: float, di
     if isinstance(prior, Cauchy) and prior.mass == HALF:
         places = np.concatenate([[0.0], places[places * direction > 0.0]])
     at = np.unique(places)
-    logs = np.array([prior.log_density(off + place) for place in at.tolist()])
+    logs = _log_densities(prior, off + at)
     logs -= 0.5 * np.square((at - estimate) / sigma)
     most = float(np.max(logs))
     density = np.exp(logs - most)
     mass = 0.5 * float(np.diff(at) @ (density[1:] + density[:-1]))
     return most + math.log(max(mass, 1e-300)) + 0.5 * (estimate / sigma) ** 2
+
+
+def _log_densities(prior: Prior, at: Array) -> Array:
+    """(n,) ln of a prior's density; those of amplitudes and of declared values are worked out at once."""
+    if isinstance(prior, Cauchy | Normal):
+        return prior.log_densities(at)
+    return np.array([prior.log_density(place) for place in at.tolist()])
 
 
 def _stands_for(own: Nuisance, effect: EffectChoice) -> bool:
@@ -241,7 +248,7 @@ def _released(result: Fit, own: Nuisance, effect: EffectChoice) -> float:
     if high <= low:
         return -math.inf
     at = np.unique(np.clip(places, low, high))
-    density = np.exp([after.log_density(float(place)) - 0.5 * ((float(place) - estimate) / sigma) ** 2 for place in at])
+    density = np.exp(_log_densities(after, at) - 0.5 * np.square((at - estimate) / sigma))
     before = Normal(own.mean, math.hypot(sigma, own.sigma)).log_density(estimate)
     mass = 0.5 * float(np.diff(at) @ (density[1:] + density[:-1]))
     return math.log(max(mass, 1e-300)) - before - math.log(math.sqrt(2.0 * math.pi) * sigma)
@@ -275,11 +282,13 @@ class Outside:
     def __init__(self, base: Fit) -> None:
         pulls = [own.pull(float(at)) for own, at in zip(base.priors, base.coordinates, strict=True)]
         roots = np.sqrt([own.curvature for own in pulls])
-        jacobian = base.derivatives.few()
+        self._problem = base.problem
+        jacobian = base.problem.without_errors(base.derivatives.few())
         columns = np.vstack([jacobian, np.diag(roots)])
         size = np.sqrt(np.sum(np.square(columns), axis=0))
         pulled = np.array([own.half_slope for own in pulls]) / np.where(roots > 0.0, roots, 1.0)
-        self._residuals = np.concatenate([base.left.few(), pulled])
+        left = base.problem.without_errors(base.left.few()[:, None])[:, 0]
+        self._residuals = np.concatenate([left, pulled])
         self._samples = len(jacobian)
         self._fitted = orthonormal(columns[:, size > 0.0] / size[size > 0.0])
 
@@ -295,5 +304,6 @@ class Outside:
         return float(np.sum(np.square(gram(np.asarray(kept), self._residuals))))
 
     def _left(self, directions: Array) -> Array:
+        directions = self._problem.without_errors(directions)
         padded = np.vstack([directions, np.zeros((len(self._fitted) - self._samples, directions.shape[1]))])
         return np.asarray(padded - self._fitted @ (self._fitted.T @ padded))

@@ -27,10 +27,12 @@ import numpy as np
 
 from valve_sim.identification.estimation.budget import OutOfWorkError
 from valve_sim.identification.estimation.descent import TRIAL, Effort
+from valve_sim.identification.estimation.linearised import Linearised
 from valve_sim.identification.estimation.parallel import run_parallel
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
+from valve_sim.identification.estimation.state_of_recording import with_learned_errors
 from valve_sim.identification.plants.effect_titles import titles_of
 from valve_sim.identification.plants.protocol import EffectChoice, Nuisance
 from valve_sim.identification.selection.discrepancy import Cell, Discrepancy, Spread, lengths_of
@@ -60,6 +62,8 @@ WORTH_KEEPING: Final = 0.1
 """Difference of χ², or of ln p, that makes a fit a better one."""
 BATCH: Final = 4
 """Sets that are fitted side by side; between batches it is asked whether work is left."""
+SETTLED: Final = 0.1
+"""Largest change of the logarithm of a size, at which a fit has the sizes that suit it."""
 LINEAR: Final = 0.4
 """τ up to which a discrepancy changes fits so little that one linear step is exact to 0.3 in ln p."""
 
@@ -155,7 +159,7 @@ class Search:
         tried = self.tried[names] if names in self.tried else self.begun[names]
         return float(np.logaddexp(plain + tried.plain, unnamed + tried.spread.log_evidence))
 
-    def _unnamed(self, names: Set) -> float:
+    def unnamed_beside(self, names: Set) -> float:
         """Probability that something unnamed acts beside a fitted set, were it the only one."""
         plain, unnamed = self.rivals.log_prior(names)
         tried = self.tried[names]
@@ -197,7 +201,7 @@ class Search:
 
         Further names would only imitate it.
         """
-        if len(base) < 2 or self._unnamed(base) < EVEN:
+        if len(base) < 2 or self.unnamed_beside(base) < EVEN:
             return False
         curves = [entry.fit.log_evidence for entry in self.curves]
         return max(curves, default=-math.inf) > self.tried[base].spread.log_evidence + NEAR
@@ -228,10 +232,53 @@ class Search:
             self._polish(names)
         return self.tried[names].fit
 
+    def relearned(self, names: Set) -> Fit:
+        """A fitted set with errors of the recordings as large as they are beside it, those of the machine among them.
+
+        Raises:
+            SimulationError: it cannot be simulated with these.
+        """
+        known = self.tried[names].fit
+        stamps = tuple(own for own in known.nuisances if own in self.problem.plant.timing_errors)
+
+        def fitted(problem: Problem, begun: Fit | None) -> Fit:
+            start = known if begun is None else begun
+            nuisances = (*problem.nuisances, *stamps)
+            return fit(problem, known.free, start.values, nuisances=nuisances, effort=Effort(is_near=True))
+
+        return with_learned_errors(self.problem, fitted, known)[1]
+
+    def settled(self, result: Fit) -> Fit:
+        """A fit of this search with errors of the recordings of the most probable sizes beside it."""
+        errors = result.problem.errors
+        if errors is None:
+            return result
+        model = Linearised(result)
+        if np.max(np.abs(np.log(model.best_sizes / model.sizes)), initial=0.0) < SETTLED:
+            return result
+        problem = result.problem.with_errors(errors.resized(model.best_sizes))
+        plain = [own for own in result.nuisances if not own.group]
+        nuisances = (*plain, *(own for own in problem.nuisances if own.group))
+        try:
+            found = fit(problem, result.free, result.values, nuisances=nuisances, effort=Effort(is_near=True))
+        except SimulationError:
+            return result
+        return max(result, found, key=lambda one: one.log_evidence)
+
+    def begun_anew(self, problem: Problem) -> Search:
+        """A search of the same with other errors of the recordings, of which the declared model has been fitted.
+
+        Raises:
+            SimulationError: that cannot be simulated.
+        """
+        found = Search(problem, self._say)
+        found.fit_declared()
+        return found
+
     def _extend(self, base: Set) -> bool:
         """Fit a set with each addition that may gain, then swap members of the best; whether to go on from there."""
         names = [name for name in self._names if name not in base]
-        explains_all = self._unnamed(base) < EVEN
+        explains_all = self.unnamed_beside(base) < EVEN
         if explains_all:
             gains = self._gains(base)
             promising = [name for name in names if gains.get(name, -math.inf) > math.log(PROMISING)]
@@ -247,7 +294,7 @@ class Search:
         self._fit_look_alikes(best)
         if (explains_all or base) and self._log_weight(best) < self._log_weight(base):
             return False
-        if len(best) > 1 and self._unnamed(best) < EVEN:
+        if len(best) > 1 and self.unnamed_beside(best) < EVEN:
             self._fit_all(list(self._swapped(best)), best)
         return True
 
@@ -386,7 +433,7 @@ class Search:
     def _variants(self) -> list[tuple[Nuisance, ...]]:
         """Nuisances without, and with, errors of the commands' stamps where these gain."""
         plant = self.problem.plant
-        plain = tuple(plant.nuisances)
+        plain = self.problem.nuisances
         return [plain, (*plain, *plant.timing_errors)] if self.stamps else [plain]
 
     def _tried(self, names: Set) -> Tried:
@@ -427,9 +474,10 @@ class Search:
         # What lies beyond the range of a name is claimed by another name, and is not its evidence.
         allowed = [one for one in done if self._may_be_claimed(names, one)]
         prior, done = (prior, allowed) if allowed else (-math.inf, done)
-        best = max(done, key=lambda one: one.log_evidence)
-        plain = float(np.logaddexp.reduce([one.log_evidence + prior for one in done]))
-        spreads = [self.discrepancy.spread(one) for one in done]
+        models = [Linearised(one) for one in done]
+        plains = [model.log_evidence(model.best_sizes) for model in models]
+        best, plain = done[int(np.argmax(plains))], float(np.logaddexp.reduce(plains)) + prior
+        spreads = [self.discrepancy.spread(model) for model in models]
         total = float(np.logaddexp.reduce([one.log_evidence + prior for one in spreads]))
         leading = int(np.argmax([one.log_evidence for one in spreads]))
         return Tried(best, plain, done[leading], spreads[leading]._replace(log_evidence=total))
@@ -459,7 +507,7 @@ class Search:
                 )  # fmt: skip
             except SimulationError:
                 break
-            spread = self.discrepancy.spread(found)
+            spread = self.discrepancy.spread(Linearised(found))
             tried = Tried(tried.fit, tried.plain, found, spread)
             if spread.cell == cell:
                 break
@@ -510,6 +558,22 @@ class Search:
         """What a set frees."""
         plant = self.problem.plant
         return (*plant.base, *itertools.chain(*(plant.effects[name].free_names() for name in names)))
+
+
+def fit_of_declared(problem: Problem, begun: Fit | None) -> Fit:
+    """The declared model, refitted with errors of the commands' stamps where the evidence is for them.
+
+    Args:
+        problem: data and noise. begun: a fit of it that ended nearby, if any.
+    """
+    plant = problem.plant
+    start, effort = ({}, Effort()) if begun is None else (begun.values, Effort(is_near=True))
+    best = fit(problem, plant.base, start, nuisances=problem.nuisances, effort=effort)
+    if not plant.timing_errors:
+        return best
+    every = (*problem.nuisances, *plant.timing_errors)
+    stamped = fit(problem, plant.base, best.values if begun is None else start, nuisances=every, effort=effort)
+    return max(best, stamped, key=lambda one: one.log_evidence)
 
 
 def words(names: Set) -> str:

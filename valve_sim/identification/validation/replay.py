@@ -207,7 +207,7 @@ def replay_trace(trace: Trace, valve: Valve, tolerance: float | None = None) -> 
     problem = Problem(ValvePlant([_judged(trace)], replace(valve, tolerances=EXACT)))
     nuisances = fit_recording(problem, {}).values
     offset = nuisances["clock_offset[0]"]
-    drive = drive_with(trace, 0, nuisances, valve.parameters.release_voltage)
+    drive = drive_with(trace, 0, nuisances, valve)
     times = trace.sample_times
     start = min(float(drive.times.min(initial=math.inf)), float(times[0])) - CLOCK_SIGMA
     kind, _, finest = _JUDGED[trace.judged]

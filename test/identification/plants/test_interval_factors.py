@@ -1,0 +1,90 @@
+"""What differs by interval between commands: runs in pieces, their derivatives, and what a source's resistance does."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from plants.declared import DeclaredPlant
+from plants.laboratory import Laboratory, measure
+from plants.recording import Recorder, record, train_profile
+from plants.tolerances import SHEET_VALVE
+
+from benchmarks.campaign.cases import declared_valve
+from benchmarks.campaign.running import as_trace
+from valve_sim.identification.plants.protocol import Array, Direction
+from valve_sim.identification.plants.valve import ValvePlant
+
+VALUES = {"main_damping": 4.0, "spring_preload": 2.5, "coil_time_constant": 1e-3, "clock_offset[0]": 0.0}
+
+
+@pytest.fixture(scope="module")
+def plant() -> ValvePlant:
+    recording = record(DeclaredPlant({}, SHEET_VALVE), train_profile(), Recorder(with_current=True), 3)
+    return ValvePlant([as_trace(recording, "x")], declared_valve(SHEET_VALVE))
+
+
+def test_a_run_whose_strokes_do_not_differ_is_the_plain_run(plant: ValvePlant) -> None:
+    plain = plant.predict({})
+    for one, other in zip(plain, plant.predict({own.name: 0.0 for own in plant.varying}), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_a_stroke_that_differs_changes_no_other(plant: ValvePlant) -> None:
+    plain = plant.predict({})[0]
+    changed = plant.predict({"stroke_variation[0,3,main_damping]": 0.2})[0]
+    strokes = plant.channels[0].group
+    assert np.max(np.abs(changed - plain)[strokes == 3]) > 1e-6
+    assert not np.any((changed - plain)[strokes != 3])
+
+
+@pytest.mark.parametrize(
+    ("name", "step"),
+    [
+        ("stroke_variation[0,3,main_damping]", 1e-6),
+        ("stroke_variation[0,2,spring_preload]", 1e-6),
+        ("stroke_variation[0,5,seat_load]", 1e-6),
+        ("supply[0]", 1e-6),
+        ("clock_rate[0]", 1e-8),
+        ("main_damping", 1e-6),
+        ("coil_time_constant", 1e-9),
+        ("clock_offset[0]", 1e-9),
+    ],
+)
+def test_derivatives_are_those_of_the_prediction(plant: ValvePlant, name: str, step: float) -> None:
+    at = {own.name: 0.0 for own in plant.varying}
+    at |= {**VALUES, "clock_rate[0]": 1e-4, "stroke_variation[0,3,main_damping]": 0.2, "supply[0]": 0.4}
+    found = plant.sensitivities(at, [Direction({name: 1.0}, step)])
+    assert found.known.all()
+    there = [plant.predict({**at, name: at[name] + sign * step}) for sign in (1.0, -1.0)]
+    for column, ahead, behind in zip(found.columns, *there, strict=True):
+        quotient = (ahead - behind) / (2.0 * step)
+        np.testing.assert_allclose(column[:, 0], quotient, atol=2e-5 * max(float(np.max(np.abs(quotient))), 1e-9))
+
+
+def _error(plant: ValvePlant, values: dict[str, float]) -> Array:
+    return plant.channels[0].data - plant.predict(values)[0]
+
+
+def test_a_source_with_a_resistance_is_what_its_circuit_does() -> None:
+    laboratory = Laboratory(position_noise=1e-9, supply_resistance=0.5)
+    recording = measure(SHEET_VALVE, {}, train_profile(), laboratory, 1)
+    plant = ValvePlant([as_trace(recording, "x")], declared_valve(SHEET_VALVE))
+    dampings = {name: float(np.asarray(SHEET_VALVE[name])) for name in ("pilot_damping", "main_damping")}
+    without, beside = _error(plant, dampings), _error(plant, {**dampings, "supply[0]": 0.5})
+    assert np.max(np.abs(beside)) < 0.01 * np.max(np.abs(without))
+
+
+def test_a_clock_that_runs_fast_makes_commands_later_and_later() -> None:
+    recording = measure(SHEET_VALVE, {}, train_profile(), Laboratory(position_noise=1e-9, clock_rate=200e-6), 1)
+    plant = ValvePlant([as_trace(recording, "x")], declared_valve(SHEET_VALVE))
+    dampings = {name: float(np.asarray(SHEET_VALVE[name])) for name in ("pilot_damping", "main_damping")}
+    without, beside = _error(plant, dampings), _error(plant, {**dampings, "clock_rate[0]": 200e-6})
+    assert np.max(np.abs(beside)) < 0.01 * np.max(np.abs(without))
+
+
+def test_a_recording_of_one_stroke_has_no_mean_to_vary_about() -> None:
+    from plants.recording import single_opening
+
+    recording = record(DeclaredPlant({}, SHEET_VALVE), single_opening(), Recorder(), 3)
+    plant = ValvePlant([as_trace(recording, "x")], declared_valve(SHEET_VALVE))
+    assert [own.error for own in plant.varying] == ["supply"]

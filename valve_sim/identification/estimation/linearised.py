@@ -1,0 +1,269 @@
+"""A fitted model, linearised: its evidence with errors of any sizes in the recording, and the best sizes.
+
+All that is needed of the rows is one Gram matrix of [J, B, e]: derivatives J along what was fitted and what may move
+besides, columns B of the recording's errors, residuals e. With w = (d, b), priors P of precision (s⁻² for b) and
+M = AᵀA + P (theory, "The errors of a recording"),
+
+    ln p(data | E, s) = −½ (e·e − gᵀ M⁻¹ g) + ½ Σ ln P − ½ ln |M| + ln p(s)
+    ∂/∂ ln s          = Σ w²/s² + Σ (M⁻¹)ᵢᵢ/s² − n + ∂ ln p(s)/∂ ln s
+
+which is maximised over ln s by L-BFGS.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+from scipy.optimize import minimize
+
+from valve_sim.identification.estimation.evidence import log_volume
+from valve_sim.identification.estimation.gram import gram
+from valve_sim.identification.estimation.priors import Normal
+from valve_sim.identification.estimation.result import Fit
+from valve_sim.identification.estimation.structured_noise import ErrorRows, Group
+from valve_sim.identification.plants.protocol import Array
+
+MOST_UPDATES: Final = 60
+"""Steps of L-BFGS."""
+TINY: Final = 1e-12
+"""Added to the diagonal of a scaled matrix: far below what rounding leaves of a direction that nothing determines."""
+
+
+class Linearised:
+    """A fit and its surroundings.
+
+    Args:
+        result: about which it is linearised.
+        further: (r, q) changes of its residuals along what may move besides, each with the prior N(0, 1).
+
+    Attributes:
+        sizes: (g,) of the recording's errors as the fit has them; empty where there are none.
+    """
+
+    def __init__(self, result: Fit, further: Array | None = None) -> None:
+        errors = result.problem.error_rows
+        jacobian, left = result.derivatives.few(), result.left.few()
+        moved = np.empty((len(left), 0)) if further is None else further
+        self._result, self._errors, self._moved = result, errors, moved.shape[1]
+        self._constant = -0.5 * self._moved * math.log(2.0 * math.pi) - 0.5 * result.problem.rows.constant
+        nothing = np.empty((len(left), 0)), np.empty(0, dtype=np.intp)
+        columns, owners = nothing if errors is None else errors.dense(len(left))
+        self.sizes = np.empty(0) if errors is None else errors.noise.sizes
+        self._rows = (jacobian, moved, columns, left[:, None])
+        self._room = np.vstack([result.room, np.full((self._moved, 2), math.inf)])
+        # Of a fit's coordinates and of the columns of errors after them: the group that the size of each is of.
+        numbers = {} if errors is None else errors.noise.numbers
+        self._varying = np.array(
+            [-1] * len(result.free) + [numbers.get((own.group, own.error), -1) for own in result.nuisances]
+        )
+        self._owners = np.concatenate([self._varying, np.full(self._moved, -1), owners]).astype(np.intp)
+
+    def rows(self, sizes: Array) -> Array:
+        """(r, k + 1) derivatives and residuals, whitened for errors of these sizes."""
+        jacobian, moved, _, left = self._rows
+        whole = np.hstack([jacobian, moved, left])
+        return whole if self._errors is None else self._sized(sizes).whiten(whole)
+
+    def with_columns(self) -> Array:
+        """(r, k + q + 1) derivatives, columns of errors and residuals, not whitened for these."""
+        return np.hstack(self._rows)
+
+    def log_constant(self, sizes: Array) -> float:
+        """What errors of these sizes add to ln p beside what `rows` say."""
+        return 0.0 if self._errors is None else self._sized(sizes).log_constant
+
+    def _sized(self, sizes: Array) -> ErrorRows:
+        """The errors of these sizes; the last ones are kept, since they are asked for one after another."""
+        assert self._errors is not None
+        if self._last is None or not np.array_equal(self._last.noise.sizes, sizes):
+            self._last = self._errors.resized(sizes)
+        return self._last
+
+    _last: ErrorRows | None = None
+
+    @functools.cached_property
+    def _gram(self) -> Array:
+        whole = self.with_columns()
+        return gram(whole, whole)
+
+    @functools.cached_property
+    def best_sizes(self) -> Array:
+        """(g,) the most probable sizes, beside what was fitted."""
+        return self.sizes_by(self._gram, self.sizes)
+
+    def log_evidence(self, sizes: Array) -> float:
+        """Ln p(data | model) with errors of these sizes, on the scale of `Fit.log_evidence`."""
+        rows = self.rows(sizes)
+        return self.evidence_of(sizes)(gram(rows, rows)) + self.log_constant(sizes)
+
+    def evidence_of(self, sizes: Array) -> Callable[[Array], float]:
+        """What works that out from the (k + 1, k + 1) Gram matrix of `rows`, but for the constant of the sizes."""
+        result, count = self._result, self._moved
+        priors = [
+            own if number < 0 else Normal(0.0, float(sizes[number]))
+            for own, number in zip(result.priors, self._varying.tolist(), strict=True)
+        ]
+        at = result.coordinates.tolist()
+        pulls = [own.pull(place) for own, place in zip(priors, at, strict=True)]
+        curvatures = np.diag([*(own.curvature for own in pulls), *([1.0] * count)])
+        slopes = np.array([*(own.half_slope for own in pulls), *([0.0] * count)])
+        known = math.fsum(own.log_density(place) for own, place in zip(priors, at, strict=True)) + self._constant
+        if result.smooth is not None:
+            where = np.array(result.curve, dtype=np.intp)
+            curvatures[np.ix_(where, where)] += result.smooth.precision
+            slopes[where] += result.smooth.precision @ result.coordinates[where]
+            known += result.smooth.log_density(result.coordinates[where])
+        return lambda of_both: _log_evidence(of_both, curvatures, slopes, self._room) + known
+
+    def sizes_by(self, of_all: Array, start: Array) -> Array:
+        """(g,) the most probable sizes by the Gram matrix of `with_columns`, which may be that of other noise."""
+        return self.by_sizes(of_all).most_probable(start) if self._errors is not None else start
+
+    def by_sizes(self, of_all: Array | None = None) -> BySizes:
+        """All that is estimated as a function of the sizes, by the Gram matrix of `with_columns` or another one."""
+        assert self._errors is not None
+        of_all = self._gram if of_all is None else of_all
+        result, count = self._result, len(self._result.coordinates)
+        information, pull = of_all[:-1, :-1].copy(), of_all[:-1, -1].copy()
+        # What has a size is counted from its prior's mean, and all else from where the fit is.
+        at = np.zeros(len(self._owners))
+        at[:count] = np.where(self._varying >= 0, result.coordinates, 0.0)
+        pull -= information @ at
+        is_fixed = self._owners < 0
+        pulls = [own.pull(float(place)) for own, place in zip(result.priors, result.coordinates, strict=True)]
+        curvature, slope = np.ones(len(is_fixed)), np.zeros(len(is_fixed))
+        curvature[:count], slope[:count] = [own.curvature for own in pulls], [own.half_slope for own in pulls]
+        information[is_fixed, is_fixed] += curvature[is_fixed]
+        pull[is_fixed] += slope[is_fixed]
+        if result.smooth is not None:
+            where = np.array(result.curve, dtype=np.intp)
+            information[np.ix_(where, where)] += result.smooth.precision
+            pull[where] += result.smooth.precision @ result.coordinates[where]
+        return BySizes(self._errors.noise.groups, self._owners, information, pull)
+
+
+class BySizes:
+    """A linearised model as a function of the sizes of the recording's errors.
+
+    Args:
+        groups: of coefficients. owners: (m,) the number of the group of each coordinate; −1 of what has no size.
+        information: (m, m) of the data, with the priors of what has no size. pull: (m,) half the gradient, likewise.
+
+    Attributes:
+        is_learned: (g,) whether the size of a group is learned, and is that of any coordinate.
+    """
+
+    def __init__(self, groups: Sequence[Group], owners: NDArray[np.intp], information: Array, pull: Array) -> None:
+        self._groups, self._information, self._pull = groups, information, pull
+        self._places = np.flatnonzero(owners >= 0)
+        self._owners = owners[self._places]
+        self._counts = np.bincount(self._owners, minlength=len(groups)).astype(np.float64)
+        self._usual = 1.0 / np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
+        self.is_learned = np.array([not own.error.is_known for own in groups]) & (self._counts > 0.0)
+
+    def _solved(self, sizes: Array) -> tuple[Any, Array, Array]:
+        """Factors of M in units of `scale`, the step to the optimum in these units, and `scale`."""
+        # In units of the sizes the priors are ones, and nothing is divided by what is next to nothing.
+        scale = self._usual.copy()
+        scale[self._places] = sizes[self._owners]
+        whole = self._information * np.outer(scale, scale)
+        whole[self._places, self._places] += 1.0
+        whole.flat[:: len(whole) + 1] += TINY
+        factor = cho_factor(whole, lower=True, check_finite=False)
+        return factor, -cho_solve(factor, scale * self._pull, check_finite=False), scale
+
+    def cost(self, sizes: Array) -> float:
+        """−ln p(data | sizes) p(sizes), but for what sizes do not change."""
+        factor, moves, scale = self._solved(sizes)
+        return self._cost(factor, float((scale * self._pull) @ moves), sizes)
+
+    def _cost(self, factor: Any, gain: float, sizes: Array) -> float:
+        pairs = zip(self._groups, sizes.tolist(), strict=True)
+        prior = math.fsum(own.error.log_prior(size, own.scale) for own, size in pairs)
+        return 0.5 * gain + float(np.sum(np.log(np.diag(factor[0])))) - prior
+
+    def _cost_and_slope(self, sizes: Array) -> tuple[float, Array]:
+        """The cost, and its derivative to the logarithm of each size."""
+        factor, moves, scale = self._solved(sizes)
+        asked = np.eye(len(scale))[:, self._places]
+        spread = cho_solve(factor, asked, check_finite=False)[self._places, np.arange(len(self._places))]
+        known = np.bincount(self._owners, np.square(moves[self._places]) + spread, minlength=len(sizes))
+        pairs = zip(self._groups, sizes.tolist(), strict=True)
+        slopes = np.array([own.error.log_slope(size, own.scale) for own, size in pairs])
+        return self._cost(factor, float((scale * self._pull) @ moves), sizes), self._counts - known - slopes
+
+    def most_probable(self, start: Array) -> Array:
+        """(g,) sizes of the least cost, from a start."""
+        learned = self.is_learned
+        if not learned.any():
+            return start
+
+        def by_logs(logs: Array) -> tuple[float, Array]:
+            sizes = start.copy()
+            sizes[learned] = np.exp(logs)
+            cost, slope = self._cost_and_slope(sizes)
+            return cost, slope[learned]
+
+        limits = np.log([own.bounds for own in self._groups])[learned]
+        first = np.clip(np.log(start[learned]), *limits.T)
+        options: Any = {"maxiter": MOST_UPDATES}
+        found = minimize(by_logs, first, jac=True, method="L-BFGS-B", bounds=limits.tolist(), options=options)
+        sizes = start.copy()
+        sizes[learned] = np.exp(found.x)
+        return sizes
+
+    def coefficients(self, sizes: Array, number: int) -> tuple[Array, Array]:
+        """(q,) coefficients of a group, and (q, q) their covariance, beside all else that is estimated."""
+        factor, moves, scale = self._solved(sizes)
+        own = self._places[self._owners == number]
+        covariance = cho_solve(factor, np.eye(len(scale))[:, own], check_finite=False)[own]
+        return moves[own] * scale[own], covariance * np.outer(scale[own], scale[own])
+
+    def estimates(self, sizes: Array, count: int) -> tuple[Array, Array]:
+        """(count,) steps of the first coordinates to the optimum, and (count, count) their covariance."""
+        factor, moves, scale = self._solved(sizes)
+        covariance = cho_solve(factor, np.eye(len(scale))[:, :count], check_finite=False)[:count]
+        return moves[:count] * scale[:count], covariance * np.outer(scale[:count], scale[:count])
+
+
+def _log_evidence(of_both: Array, priors: Array, slopes: Array, room: Array) -> float:
+    """−½ of the least criterion of a linearised model, with its volume, but for what is constant.
+
+    Args:
+        of_both: (k + 1, k + 1) Gram matrix of derivatives and residuals. priors: (k, k) curvatures.
+        slopes: (k,) half of the slopes of the priors. room: (k, 2) to the ends of the ranges.
+    """
+    information, pull = of_both[:-1, :-1] + priors, of_both[:-1, -1] + slopes
+    if not len(pull):
+        return -0.5 * float(of_both[-1, -1])
+    move = bounded_step(information, pull, room)
+    gain = -float(2.0 * pull @ move + move @ information @ move)
+    left = np.column_stack([room[:, 0] + move, room[:, 1] - move])
+    return -0.5 * (float(of_both[-1, -1]) - gain) + log_volume(information, pull + information @ move, left)
+
+
+def bounded_step(information: Array, pull: Array, room: Array) -> Array:
+    """(k,) d of the least 2 gᵀ d + dᵀ A d within −room[:, 0] ≤ d ≤ room[:, 1]; ends are held one after another."""
+    count = len(pull)
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
+    normal = information * np.outer(scale, scale) + 1e-12 * np.eye(count)
+    target, low, high = scale * pull, -room[:, 0] / scale, room[:, 1] / scale
+    move, held = np.zeros(count), np.zeros(count, dtype=bool)
+    for _ in range(count + 1):
+        free = ~held
+        if not free.any():
+            break
+        rest = target[free] + normal[np.ix_(free, held)] @ move[held]
+        move[free] = -np.linalg.solve(normal[np.ix_(free, free)], rest)
+        beyond = free & ((move < low) | (move > high))
+        if not beyond.any():
+            break
+        move[beyond] = np.clip(move[beyond], low[beyond], high[beyond])
+        held |= beyond
+    return np.asarray(move * scale)

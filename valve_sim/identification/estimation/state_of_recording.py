@@ -1,0 +1,147 @@
+"""How large the errors of a recording are: sizes and modes learned beside a model, before others are compared with it.
+
+    hold each size at 0.3 of its prior's scale; fit
+    repeat: look for modes of the sensor's mount in what is left; sizes of the most probable evidence; fit again
+    until ln p gains less than 1
+
+Each hypothesis of a search then has the most probable sizes of its own (`linearised`); these are where it starts.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from valve_sim.identification.estimation.errors.error import Mode, Seen
+from valve_sim.identification.estimation.errors.ringing import columns, grid, refined
+from valve_sim.identification.estimation.linearised import Linearised
+from valve_sim.identification.estimation.problem import Problem
+from valve_sim.identification.estimation.result import Fit
+from valve_sim.identification.estimation.structured_noise import HELD, structured_noise
+from valve_sim.identification.plants.protocol import HasSensors, Sensor
+
+MOST_ROUNDS: Final = 4
+"""Of fits and sizes."""
+SETTLED: Final = 1.0
+"""Gain of ln p in a round, below which sizes have settled."""
+MOST_MODES: Final = 2
+"""Of one mount."""
+WORTH: Final = 8.0
+"""Gain of ln p from which a mode is one."""
+RINGS: Final = 20e-3
+"""s after a contact, in which ringing is looked for."""
+PLAINLY: Final = 4.0
+"""Standard deviations of a sum of squares beyond which more than noise is left after contacts."""
+
+Fitted = Callable[[Problem, Fit | None], Fit]
+"""The best fit to a problem, begun where another has ended, if any."""
+
+
+def with_learned_errors(
+    problem: Problem,
+    fitted: Fitted,
+    near: Fit | None = None,
+    modes: Mapping[int, tuple[Mode, ...]] | None = None,
+) -> tuple[Problem, Fit]:
+    """A problem with the errors of its recordings as large as they are beside a model, and the model's fit.
+
+    Args:
+        problem: data and noise. fitted: fits the model.
+        near: a fit of it with other errors, near which those are that are looked for; None: nothing is known of them.
+        modes: of the sensors' mounts, by channel, where they are known.
+
+    Raises:
+        SimulationError: the machine cannot be simulated.
+    """
+    if near is None:
+        errors = None if problem.is_long else structured_noise(problem.plant, {}, modes or {})
+    else:
+        errors = None if problem.errors is None else problem.errors.with_varying(HELD)
+    if errors is None:
+        return problem, fitted(problem, near)
+    problem = problem.with_errors(errors)
+    best = fitted(problem, near)
+    for _ in range(MOST_ROUNDS):
+        resized = relearned(best)
+        again = fitted(resized, best)
+        gain = again.log_evidence - best.log_evidence
+        if gain > 0.0:
+            problem, best = resized, again
+        if gain < SETTLED:
+            break
+    return problem, best
+
+
+def relearned(best: Fit) -> Problem:
+    """The problem of a fit with the sizes and modes of its recordings' errors that are most probable beside it."""
+    problem, plant = best.problem, best.problem.plant
+    assert problem.errors is not None
+    assert isinstance(plant, HasSensors)
+    errors = structured_noise(plant, best.values, problem.errors.modes, problem.errors)
+    assert errors is not None
+    there = replace(best, problem=problem.with_errors(errors))
+    model = Linearised(there)
+    most, sizes = model.log_evidence(model.best_sizes), model.best_sizes
+    for channel, sensor in plant.sensors(best.values).items():
+        known = errors.modes.get(channel, ())
+        if len(known) == MOST_MODES or not rings(there, channel, sensor):
+            continue
+        mode = likely_mode(replace(there, problem=problem.with_errors(errors.resized(sizes))), channel, sensor)
+        if mode is None:
+            continue
+        further = structured_noise(plant, best.values, {**errors.modes, channel: (*known, mode)}, errors.resized(sizes))
+        assert further is not None
+        beside = Linearised(replace(best, problem=problem.with_errors(further)))
+        found = beside.log_evidence(beside.best_sizes)
+        if found > most + WORTH:
+            errors, most, sizes = further, found, beside.best_sizes
+    return problem.with_errors(errors.resized(sizes))
+
+
+def rings(result: Fit, channel: int, sensor: Sensor) -> bool:
+    """Whether more than noise is left of a channel soon after parts have met."""
+    places = result.problem.rows.places
+    times = sensor.contacts.times
+    if not len(times):
+        return False
+    since = places.time - times[np.clip(np.searchsorted(times, places.time) - 1, 0, None)]
+    own = (places.channel == channel) & (since >= 0.0) & (since < RINGS) & (places.steady > 0.0)
+    left = result.problem.without_errors(result.left.few()[:, None])[own, 0]
+    count = len(left)
+    return count > 0 and float(left @ left) > count + PLAINLY * math.sqrt(2.0 * count)
+
+
+def likely_mode(result: Fit, channel: int, sensor: Sensor) -> Mode | None:
+    """The mode that explains most of what is left of a channel, all else that was fitted at its best; None of noise."""
+    problem, plant = result.problem, result.problem.plant
+    own = plant.channels[channel]
+    shown = np.zeros(len(own.times))
+    rows = problem.without_errors(np.column_stack([result.derivatives.few(), result.left.few()]))
+    jacobian, left = rows[:, :-1], rows[:, -1]
+    roots = np.sqrt([one.pull(float(at)).curvature for one, at in zip(result.priors, result.coordinates, strict=True)])
+    information = jacobian.T @ jacobian + np.diag(np.square(roots))
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
+    inverse = np.linalg.inv(information * np.outer(scale, scale) + 1e-12 * np.eye(len(scale))) * np.outer(scale, scale)
+
+    def gain(mode: Mode) -> float:
+        seen = Seen(own.times, shown, sensor.span, sensor.knots, sensor.contacts, (mode,))
+        waves = columns(seen)
+        where, found = problem.rows.whitened_columns({channel: waves})[channel]
+        moved = np.zeros((len(left), waves.shape[1]))
+        moved[where] = found
+        moved = problem.without_errors(moved)
+        cross = jacobian.T @ moved
+        of_waves = moved.T @ moved - cross.T @ inverse @ cross
+        pull = moved.T @ left - cross.T @ (inverse @ (jacobian.T @ left))
+        size = np.sqrt(np.maximum(np.diag(of_waves), np.finfo(float).tiny))
+        return float(pull / size @ np.linalg.lstsq(of_waves / np.outer(size, size), pull / size, rcond=1e-8)[0])
+
+    candidates = grid(float(np.median(np.diff(own.times))))
+    if not candidates:
+        return None
+    best = max(candidates, key=gain)
+    return refined(best, lambda mode: -gain(mode)) if gain(best) > WORTH else None

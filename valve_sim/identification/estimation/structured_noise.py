@@ -1,0 +1,250 @@
+"""The errors of a recording as noise of known forms: columns B, and sizes s of their coefficients.
+
+What a sensor shows is the truth, noise, and B b with b ~ N(0, S), S the squares of the sizes s of each error. Over all
+values of b the whitened residuals have the covariance
+
+    V = 1 + B S Bᵀ = 1 + U diag(λ) Uᵀ,    V^(−1/2) = 1 − U diag(1 − 1/√(1 + λ)) Uᵀ,    |V| = Π (1 + λ)
+
+so that a fit whose rows are whitened by V^(−1/2) has estimated all of b along, with its prior, and frees no
+parameter for it. (Gaussian processes of pulsar timing are treated so: van Haasteren and Vallisneri, Phys. Rev. D 90,
+2014, 104012.) The coefficients are b̂ = (Bᵀ B + S⁻¹)⁻¹ Bᵀ e where they are asked for: to be shown, or taken out.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valve_sim.identification.estimation.errors import ERRORS
+from valve_sim.identification.estimation.errors.error import LARGEST, SMALLEST, Mode, RecordingError, Seen
+from valve_sim.identification.estimation.gram import gram
+from valve_sim.identification.plants.protocol import Array, HasSensors, Nuisance, Plant
+
+HELD: Final = 0.3
+"""Of the scale of its prior, the size of an error before the data are asked."""
+GONE: Final = 1e-2
+"""Of the scale of its prior: nuisances of a smaller size are left out of fits."""
+ROUNDING: Final = 1e-10
+"""Of the largest, below which an eigenvalue is rounding."""
+
+
+class Group(NamedTuple):
+    """Coefficients of an error that share a size.
+
+    Attributes:
+        key: the channel by its index, or the group's name of nuisances. error: which.
+        scale: of the prior of the size, in the unit of the coefficients.
+    """
+
+    key: int | str
+    error: RecordingError
+    scale: float
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Between which the size is looked for."""
+        return (self.scale, self.scale) if self.error.is_known else (SMALLEST * self.scale, LARGEST * self.scale)
+
+    def is_gone(self, size: float) -> bool:
+        """Whether an error of a size is as good as none."""
+        return not self.error.is_known and size < GONE * self.scale
+
+
+class ChannelColumns(NamedTuple):
+    """The columns of a channel.
+
+    Attributes:
+        samples: (n, q), of coefficients in the channel's unit. owners: (q,) number of the group of each.
+    """
+
+    samples: Array
+    owners: NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class StructuredNoise:
+    """The errors of all recordings of a plant.
+
+    Attributes:
+        groups: of coefficients. sizes: (g,) of each, in the unit of its channel.
+        columns: by the index of the channel. modes: of the mount of the sensor of each channel.
+        varying: nuisances of the plant whose sizes are learned; their prior's standard deviation is its scale.
+    """
+
+    groups: tuple[Group, ...]
+    sizes: Array
+    columns: Mapping[int, ChannelColumns]
+    modes: Mapping[int, tuple[Mode, ...]]
+    varying: tuple[Nuisance, ...] = ()
+
+    @property
+    def numbers(self) -> dict[tuple[int | str, str], int]:
+        """By key and name of the error, the number of each group."""
+        return {(own.key, own.error.name): number for number, own in enumerate(self.groups)}
+
+    @property
+    def nuisances(self) -> tuple[Nuisance, ...]:
+        """Those of the plant that are there, with the sizes that they have."""
+        found, numbers = [], self.numbers
+        for own in self.varying:
+            number = numbers[own.group, own.error]
+            size = float(self.sizes[number])
+            if not self.groups[number].is_gone(size):
+                found.append(own._replace(sigma=size))
+        return tuple(found)
+
+    def resized(self, sizes: Array) -> StructuredNoise:
+        """The same with other sizes."""
+        return replace(self, sizes=sizes)
+
+    def with_varying(self, share: float) -> StructuredNoise:
+        """The same with errors that act on the machine of this size, as a share of their priors' scales; 0 for none."""
+        sizes = [
+            max(share, SMALLEST) * own.scale if isinstance(own.key, str) else size
+            for own, size in zip(self.groups, self.sizes.tolist(), strict=True)
+        ]
+        return self.resized(np.array(sizes))
+
+    @property
+    def log_prior(self) -> float:
+        """Ln of the prior density of the sizes."""
+        return sum(
+            own.error.log_prior(size, own.scale) for own, size in zip(self.groups, self.sizes.tolist(), strict=True)
+        )
+
+
+def structured_noise(
+    plant: Plant,
+    values: Mapping[str, float],
+    modes: Mapping[int, tuple[Mode, ...]],
+    before: StructuredNoise | None = None,
+) -> StructuredNoise | None:
+    """The errors of a plant's sensors; None where it has no sensors that err.
+
+    Args:
+        plant: the machine and its data. values: by which it is simulated, for columns of what is shown.
+        modes: of the mounts of sensors, by channel. before: whose sizes are kept.
+
+    Raises:
+        SimulationError: the machine cannot be simulated with these values.
+    """
+    if not isinstance(plant, HasSensors):
+        return None
+    sensors = plant.sensors(values)
+    if not sensors and not plant.varying:
+        return None
+    shown = plant.predict(values)
+    groups: list[Group] = []
+    columns: dict[int, ChannelColumns] = {}
+    for index, sensor in sensors.items():
+        channel = plant.channels[index]
+        seen = Seen(channel.times, shown[index], sensor.span, sensor.knots, sensor.contacts, modes.get(index, ()))
+        parts, owners = [], []
+        for error in ERRORS:
+            own = np.empty((0, 0)) if error.columns is None else error.columns(seen)
+            if own.shape[1]:
+                owners += [len(groups)] * own.shape[1]
+                parts.append(own)
+                groups.append(Group(index, error, error.share * sensor.span))
+        columns[index] = ChannelColumns(np.hstack(parts), np.array(owners, dtype=np.intp))
+    errors = {error.name: error for error in ERRORS}
+    for nuisance in plant.varying:
+        group = Group(nuisance.group, errors[nuisance.error], nuisance.sigma)
+        if group not in groups:
+            groups.append(group)
+    known = {} if before is None else dict(zip(before.numbers, before.sizes.tolist(), strict=True))
+    sizes = [
+        known.get((own.key, own.error.name), own.scale if own.error.is_known else HELD * own.scale) for own in groups
+    ]
+    return StructuredNoise(tuple(groups), np.array(sizes), columns, dict(modes), tuple(plant.varying))
+
+
+class _Block(NamedTuple):
+    """What whitens the rows of one channel: (r, q) U, and (q,) 1 − 1/√(1 + λ)."""
+
+    rows: slice
+    axes: Array
+    shrink: Array
+
+
+class ErrorRows:
+    """The errors on the rows of a fit.
+
+    Args:
+        noise: the errors, with their sizes.
+        columns: by channel the slice of its rows, and (r, q) its whitened, weighted columns.
+
+    Attributes:
+        log_constant: −½ ln |V| with ln of the prior of the sizes.
+    """
+
+    def __init__(self, noise: StructuredNoise, columns: Mapping[int, tuple[slice, Array]]) -> None:
+        self.noise, self._columns = noise, columns
+        self._blocks: list[_Block] = []
+        volume = 0.0
+        for channel, (rows, own) in columns.items():
+            sized = own * noise.sizes[noise.columns[channel].owners]
+            eigenvalues, directions = np.linalg.eigh(gram(sized, sized))
+            kept = eigenvalues > ROUNDING * max(float(eigenvalues[-1]), 1.0)
+            found = eigenvalues[kept]
+            volume += float(np.sum(np.log1p(found)))
+            axes = sized @ (directions[:, kept] / np.sqrt(found))
+            self._blocks.append(_Block(rows, axes, 1.0 - 1.0 / np.sqrt(1.0 + found)))
+        self.log_constant = noise.log_prior - 0.5 * volume
+
+    def resized(self, sizes: Array) -> ErrorRows:
+        """The same with other sizes."""
+        return ErrorRows(self.noise.resized(sizes), self._columns)
+
+    def whiten(self, rows: Array) -> Array:
+        """V^(−1/2) of (r, k) columns."""
+        found = rows.copy()
+        for block in self._blocks:
+            own = rows[block.rows]
+            found[block.rows] -= block.axes @ (block.shrink[:, None] * gram(block.axes, own))
+        return found
+
+    def dense(self, count: int) -> tuple[Array, NDArray[np.intp]]:
+        """(r, q) columns on so many rows, and (q,) the group of each."""
+        owners = np.concatenate(
+            [np.empty(0, dtype=np.intp), *(self.noise.columns[channel].owners for channel in self._columns)]
+        )
+        found, start = np.zeros((count, len(owners))), 0
+        for rows, own in self._columns.values():
+            found[rows, start : start + own.shape[1]] = own
+            start += own.shape[1]
+        return found, owners
+
+    @functools.cached_property
+    def covariances(self) -> dict[int, Array]:
+        """(q, q) of the coefficients of each channel, in the channel's unit, where all else is known."""
+        found = {}
+        for channel, (_, own) in self._columns.items():
+            sizes = self.noise.sizes[self.noise.columns[channel].owners]
+            sized = own * sizes
+            found[channel] = np.linalg.inv(gram(sized, sized) + np.eye(len(sizes))) * np.outer(sizes, sizes)
+        return found
+
+    def estimates(self, residuals: Array) -> dict[int, Array]:
+        """(q,) coefficients of each channel, in the channel's unit, given (r,) residuals."""
+        return {
+            channel: covariance @ gram(self._columns[channel][1], residuals[self._columns[channel][0]])
+            for channel, covariance in self.covariances.items()
+        }
+
+
+def shown_by(
+    noise: StructuredNoise, estimates: Mapping[int, Array], names: Sequence[str] | None = None
+) -> dict[int, Array]:
+    """(n,) what the errors add to each channel; those of some names, or all."""
+    found = {}
+    for channel, coefficients in estimates.items():
+        samples, owners = noise.columns[channel]
+        taken = np.array([names is None or noise.groups[owner].error.name in names for owner in owners.tolist()])
+        found[channel] = samples[:, taken] @ coefficients[taken]
+    return found

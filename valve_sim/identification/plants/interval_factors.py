@@ -1,0 +1,129 @@
+"""What differs from stroke to stroke, or while the driver is on: a valve's numbers by interval between commands.
+
+Friction, seat load and preload of a real valve are not quite those of the stroke before. Each varies by a factor
+1 + δ of its own in every stroke, with δ ~ N(0, s²) and a size s that is learned: estimates of the parameters are then
+of the mean stroke. A source with a resistance in series with the coil makes the coil's time constant shorter, by
+1/(1 + q), q = R_source/R_coil, but only while the driver is on.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from valve_sim.identification.plants.protocol import Array, Nuisance
+from valve_sim.model import Valve
+from valve_sim.model.sensitivities import PLACES
+from valve_sim.traces import Trace
+from valve_sim.traces.strokes import command_strokes, stroke_starts
+
+VARIATION: Final = "stroke_variation"
+SUPPLY: Final = "supply"
+
+
+class Varying(NamedTuple):
+    """A number of the valve that differs from stroke to stroke.
+
+    Attributes:
+        group: numbers of one group share a size. scale: of the half-normal prior of that size, relative.
+    """
+
+    group: str
+    scale: float
+
+
+VARYING: Final[Mapping[str, Varying]] = {
+    "pilot_damping": Varying("damping", 0.05),
+    "main_damping": Varying("damping", 0.05),
+    "seat_load": Varying("seat_load", 0.05),
+    "spring_preload": Varying("spring_preload", 0.02),
+}
+"""Lubrication changes by some per cent from stroke to stroke, and seats and springs settle by less."""
+TIME_CONSTANT: Final = "coil_time_constant"
+FIELDS: Final = (*VARYING, TIME_CONSTANT)
+"""Numbers of a valve that have a factor in each interval."""
+LARGEST: Final = 0.9
+"""Of δ: a stroke's number keeps its sign."""
+SUPPLY_SCALE: Final = 0.1
+"""Ω, of the prior of a source's resistance: that of its cables and contacts."""
+SMALL_SHARE: Final = 1e-4
+"""Step of δ in a difference quotient."""
+
+
+def variations(valve: Valve, trace: Trace, index: int, channels: tuple[int, ...]) -> list[Nuisance]:
+    """For each stroke and each number that varies, by how much it differs in it; none of a recording of one stroke."""
+    starts = stroke_starts(trace.drive)
+    if len(starts) < 2:
+        return []
+    edges = sorted({edge for during in command_strokes(trace.drive) for edge in during})
+    declared, found = valve.declared(), []
+    for stroke, during in enumerate(itertools.pairwise(edges)):
+        if not np.any((trace.sample_times >= during[0]) & (trace.sample_times < during[1])):
+            continue
+        for name, own in VARYING.items():
+            if declared[name] > 0.0 and not (valve.parameters.has_one_plunger and name == "pilot_damping"):
+                found.append(
+                    Nuisance(
+                        f"{VARIATION}[{index},{stroke},{name}]", own.scale, "–", channels, during, SMALL_SHARE,
+                        lower=-LARGEST, upper=LARGEST, error=VARIATION, group=f"{own.group}[{index}]",
+                    )
+                )  # fmt: skip
+    return found
+
+
+def supply_errors(trace: Trace, index: int, channels: tuple[int, ...]) -> list[Nuisance]:
+    """The resistance of the source, where the voltage at the coil was not measured."""
+    if trace.measured_input is not None or trace.coil_voltage is not None:
+        return []
+    name = f"{SUPPLY}[{index}]"
+    return [
+        Nuisance(name, SUPPLY_SCALE, "Ω", channels, step=1e-4, lower=0.0, upper=10.0, error=SUPPLY, group=name)
+    ]  # fmt: skip
+
+
+def sag_with(valve: Valve, index: int, values: Mapping[str, float]) -> float:
+    """q: the source's resistance over the coil's."""
+    return values.get(f"{SUPPLY}[{index}]", 0.0) / valve.parameters.coil_resistance
+
+
+class IntervalFactors:
+    """What differs of a valve by interval between the commands of a recording.
+
+    Args:
+        valve: as declared. trace: the recording. index: of it.
+    """
+
+    def __init__(self, valve: Valve, trace: Trace, index: int) -> None:
+        drive = trace.drive
+        strokes = np.searchsorted(stroke_starts(drive), np.arange(len(drive.times)), side="right") - 1
+        self._strokes = np.concatenate([[-1], strokes])
+        self._is_on = np.concatenate([[False], drive.volts != 0.0])
+        self._supply, self._resistance = f"{SUPPLY}[{index}]", valve.parameters.coil_resistance
+        self._places = {
+            f"{VARIATION}[{index},{stroke},{name}]": (self._strokes == stroke, FIELDS.index(name))
+            for stroke in range(int(self._strokes.max(initial=-1)) + 1)
+            for name in VARYING
+        }
+
+    def of(self, values: Mapping[str, float]) -> Array | None:
+        """(c + 1, f) factors of `FIELDS` before the first command and after each; None where nothing differs.
+
+        Args:
+            values: of nuisances, by name.
+        """
+        own = [(place, values[name]) for name, place in self._places.items() if name in values]
+        if not own and self._supply not in values:
+            return None
+        found = np.ones((len(self._strokes), len(FIELDS)))
+        for (during, field), deviation in own:
+            found[during, field] = 1.0 + deviation
+        sag = values.get(self._supply, 0.0) / self._resistance
+        found[self._is_on, FIELDS.index(TIME_CONSTANT)] = 1.0 / (1.0 + sag)
+        return found
+
+
+FIELD_PLACES: Final = np.array([PLACES[name] for name in FIELDS])
+"""Of `FIELDS` among the numbers of a record."""
