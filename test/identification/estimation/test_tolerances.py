@@ -61,7 +61,7 @@ def test_what_a_wrong_polynomial_is_by_itself_is_its_closest_look_alike(training
 
 def test_a_valve_without_tolerances_has_the_nuisances_that_it_had(training):
     exact = ValvePlant([training], declared_valve(exact=True))
-    assert [nuisance.name for nuisance in exact.nuisances] == ["clock_offset[0]"]
+    assert [nuisance.name for nuisance in exact.nuisances] == ["clock_offset[0]", "clock_rate[0]"]
     # What is declared as exact may be wrong all the same.
     assert exact.effects["valve.spring_preload"].is_declared_value
 

@@ -35,7 +35,7 @@ def weights(data: Array, quiet: Array, declared: Array) -> Array:
 
 def fit(of: Problem, shown: Array) -> Fit:
     """One that predicts this."""
-    return cast("Fit", SimpleNamespace(problem=of, values={"shown": shown}))
+    return cast("Fit", SimpleNamespace(problem=of, values={"shown": shown}, shown=lambda: [shown]))
 
 
 def test_a_valve_that_stays_where_the_declared_one_moves_counts_once() -> None:

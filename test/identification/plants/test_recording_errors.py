@@ -73,9 +73,16 @@ def test_commands_of_one_reading_share_its_error_and_others_have_their_own() -> 
     plant = ValvePlant([trace], default_valve().exact())
     names = [nuisance.name for nuisance in plant.nuisances]
     dates = [f"command_error[0,{command}]" for command in range(1, 6)]
-    assert names == ["clock_offset[0]", "position_zero[0]", *dates, "voltage_error[0,1]", "voltage_error[0,5]"]
+    assert names == [
+        "clock_offset[0]",
+        "clock_rate[0]",
+        "position_zero[0]",
+        *dates,
+        "voltage_error[0,1]",
+        "voltage_error[0,5]",
+    ]
     assert plant.timing_errors == ()
-    moved = drive_with(trace, 0, {"voltage_error[0,1]": 0.1, "command_error[0,5]": 2e-5})
+    moved = drive_with(trace, 0, {"voltage_error[0,1]": 0.1, "command_error[0,5]": 2e-5}, plant.valve)
     np.testing.assert_allclose(moved.volts, [0.0, 9.1, 0.0, 9.1, 0.0, 12.0])
     np.testing.assert_allclose(moved.times - times, [0.0, 0.0, 0.0, 0.0, 0.0, 2e-5], atol=1e-12)
     (still,), (shifted,) = plant.predict({}), plant.predict({"position_zero[0]": 3e-6})

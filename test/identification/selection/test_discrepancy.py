@@ -10,6 +10,7 @@ import pytest
 
 from identification.selection.linear_plant import LinearPlant
 from valve_sim.identification.estimation.condensed import RowPlaces
+from valve_sim.identification.estimation.linearised import Linearised, bounded_step
 from valve_sim.identification.estimation.noise import Noise
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
@@ -21,7 +22,6 @@ from valve_sim.identification.selection.discrepancy import (
     SIZES,
     Cell,
     Discrepancy,
-    bounded_step,
     lengths_of,
 )
 from valve_sim.identification.selection.discrepancy import LENGTHS as SHARES
@@ -125,7 +125,8 @@ def test_the_evidence_is_that_of_the_whole_covariance(slow: float, *, is_wider: 
     further = 0.7 * COLUMNS[:, 2:3] if is_wider else None
     plain, cells = in_closed_form(result, further)
     found = Discrepancy(result.problem.places, LENGTHS)
-    without, spread = found.log_evidences(result, further)
+    model = Linearised(result, further)
+    without, spread = model.log_evidence(model.sizes), found.spread(model)
     assert without == pytest.approx(plain, abs=1e-6)
     prior = np.array([2.0 / math.pi / (1.0 + size**2) * size * math.log(2.0) for size in SIZES])
     weighted = cells + np.log(prior)[:, None] - math.log(len(LENGTHS))
@@ -134,7 +135,7 @@ def test_the_evidence_is_that_of_the_whole_covariance(slow: float, *, is_wider: 
     assert spread.cell == Cell(SIZES[int(best[0])], int(best[1]))
     if further is None:
         assert without == pytest.approx(result.log_evidence, abs=1e-4)
-        assert found.spread(result).log_evidence == pytest.approx(spread.log_evidence, abs=1e-9)
+        assert found.spread(Linearised(result)).log_evidence == pytest.approx(spread.log_evidence, abs=1e-9)
 
 
 def test_about_a_fit_that_has_the_discrepancy_in_its_whitening_it_is_the_same() -> None:
@@ -142,10 +143,10 @@ def test_about_a_fit_that_has_the_discrepancy_in_its_whitening_it_is_the_same() 
     own = problem(slow=0.7)
     plain = fit(own, (), {}, nuisances=[WIDE, NARROW])
     found = Discrepancy(own.places, LENGTHS)
-    expected = found.spread(plain)
+    expected = found.spread(Linearised(plain))
     beside = fit(own.with_whitening(lambda rows: found.whiten(rows, expected.cell)), (), {}, nuisances=[WIDE, NARROW])
     assert abs(beside.values["narrow"] - plain.values["narrow"]) > 1e-3
-    assert found.spread(beside).log_evidence == pytest.approx(expected.log_evidence, abs=1e-6)
+    assert found.spread(Linearised(beside)).log_evidence == pytest.approx(expected.log_evidence, abs=1e-6)
     # Its criterion is that of the whitened residuals.
     dense = covariance(own.places, expected.cell)
     left = beside.residuals
@@ -157,7 +158,8 @@ def test_noise_alone_speaks_against_a_discrepancy_and_a_slow_error_for_it() -> N
     odds = []
     for slow in (0.0, 0.7):
         result = fit(problem(slow=slow), (), {}, nuisances=[WIDE, NARROW])
-        without, spread = Discrepancy(result.problem.places, LENGTHS).log_evidences(result)
+        model = Linearised(result)
+        without, spread = model.log_evidence(model.sizes), Discrepancy(result.problem.places, LENGTHS).spread(model)
         odds.append(spread.log_evidence - without)
     assert odds[0] < -1.0
     assert odds[1] > 10.0
@@ -200,7 +202,7 @@ def test_the_size_that_is_found_is_that_which_acts() -> None:
             )
         ]
         result = fit(own, (), {}, nuisances=[WIDE, NARROW])
-        sizes.append(Discrepancy(own.places, LENGTHS).spread(result).size)
+        sizes.append(Discrepancy(own.places, LENGTHS).spread(Linearised(result)).size)
     assert np.exp(np.mean(np.log(sizes))) == pytest.approx(truth.size, rel=0.2)
 
 

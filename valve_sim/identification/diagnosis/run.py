@@ -244,8 +244,11 @@ class DiagnosisSession:
         grounds = self._decided()
         posterior, decision = grounds.posterior, grounds.decision
         self._say("intervals", 0.95)
-        base, result = self.declared, self._search.settled(self._fit_of(decision))
-        base = result if decision.kind == "none" else self._search.settled(base)
+        result = self._settled(decision)
+        # Before and after are compared with the same errors of the recordings: else these would hide what was missing.
+        errors = result.problem.errors
+        is_declared = self._fit_of(decision) is self.declared
+        base = result if is_declared else self._search.settled(self.declared, None if errors is None else errors.sizes)
         verdict = self._verdict(decision)
         before = self._state(base, profile=False)
         size = self._search.tried[()].spread.size if verdict.kind == "unknown" else 0.0
@@ -285,6 +288,11 @@ class DiagnosisSession:
     def _fit_of(self, decision: Decision) -> Fit:
         """The corrected model: what is named, or the refitted declared model where nothing is."""
         return self.declared if decision.kind == "unknown" else self._search.tried[decision.names].fit
+
+    def _settled(self, decision: Decision) -> Fit:
+        """The corrected model, with errors of the recordings that suit it: beside something unnamed, beside that."""
+        beside = self._search.tried[()].spread.errors if decision.kind == "unknown" else None
+        return self._search.settled(self._fit_of(decision), beside)
 
     def _share(self, result: Fit) -> float:
         """How much of the squared error of the declared model beyond noise a fit explains, from 0 to 1."""

@@ -7,12 +7,12 @@ from typing import Final
 
 import numpy as np
 
-from valve_sim.identification.estimation.errors.error import Mode
 from valve_sim.identification.estimation.findings import leaves_more_than_noise
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.estimation.state_of_recording import with_learned_errors
+from valve_sim.identification.estimation.structured_noise import StructuredNoise
 from valve_sim.identification.plants.protocol import Nuisance
 from valve_sim.model import SimulationError
 
@@ -24,9 +24,7 @@ REDRAWN: Final = 3
 """How often they are drawn, at most."""
 
 
-def fit_recording(
-    problem: Problem, machine: Mapping[str, float], modes: Mapping[int, tuple[Mode, ...]] | None = None
-) -> Fit:
+def fit_recording(problem: Problem, machine: Mapping[str, float], known: StructuredNoise | None = None) -> Fit:
     """What a machine of known values shows of a recording, once the errors of the recording are estimated.
 
     Errors of the commands' stamps are among them where the evidence is for it: most recorders stamp commands well, and
@@ -37,14 +35,14 @@ def fit_recording(
 
     Args:
         problem: the recording. machine: values of the machine by name; what is missing is as declared.
-        modes: of the sensors' mounts, by channel, where they are known.
+        known: errors of other recordings of the same machine by the same sensors.
 
     Raises:
         SimulationError: the machine cannot be simulated.
     """
     if problem.errors is not None:
         return _fitted(problem, machine, None)
-    return with_learned_errors(problem, lambda one, begun: _fitted(one, machine, begun), modes=modes)[1]
+    return with_learned_errors(problem, lambda one, begun: _fitted(one, machine, begun), known=known)[1]
 
 
 def _fitted(problem: Problem, machine: Mapping[str, float], begun: Fit | None) -> Fit:

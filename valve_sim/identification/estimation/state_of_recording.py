@@ -10,7 +10,7 @@ Each hypothesis of a search then has the most probable sizes of its own (`linear
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
 
@@ -21,7 +21,7 @@ from valve_sim.identification.estimation.errors.ringing import columns, grid, re
 from valve_sim.identification.estimation.linearised import Linearised
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
-from valve_sim.identification.estimation.structured_noise import HELD, structured_noise
+from valve_sim.identification.estimation.structured_noise import HELD, StructuredNoise, structured_noise
 from valve_sim.identification.plants.protocol import HasSensors, Sensor
 
 MOST_ROUNDS: Final = 4
@@ -45,28 +45,28 @@ def with_learned_errors(
     problem: Problem,
     fitted: Fitted,
     near: Fit | None = None,
-    modes: Mapping[int, tuple[Mode, ...]] | None = None,
+    known: StructuredNoise | None = None,
 ) -> tuple[Problem, Fit]:
     """A problem with the errors of its recordings as large as they are beside a model, and the model's fit.
 
     Args:
         problem: data and noise. fitted: fits the model.
         near: a fit of it with other errors, near which those are that are looked for; None: nothing is known of them.
-        modes: of the sensors' mounts, by channel, where they are known.
+        known: errors of other recordings of the same machine by the same sensors.
 
     Raises:
         SimulationError: the machine cannot be simulated.
     """
     if near is None:
-        errors = None if problem.is_long else structured_noise(problem.plant, {}, modes or {})
+        errors = None if problem.is_long else structured_noise(problem.plant, {}, {} if known is None else known.modes)
     else:
         errors = None if problem.errors is None else problem.errors.with_varying(HELD)
     if errors is None:
         return problem, fitted(problem, near)
-    problem = problem.with_errors(errors)
+    problem = problem.with_errors(errors.as_known(known))
     best = fitted(problem, near)
     for _ in range(MOST_ROUNDS):
-        resized = relearned(best)
+        resized = relearned(best, known)
         again = fitted(resized, best)
         gain = again.log_evidence - best.log_evidence
         if gain > 0.0:
@@ -76,8 +76,12 @@ def with_learned_errors(
     return problem, best
 
 
-def relearned(best: Fit) -> Problem:
-    """The problem of a fit with the sizes and modes of its recordings' errors that are most probable beside it."""
+def relearned(best: Fit, known: StructuredNoise | None = None) -> Problem:
+    """The problem of a fit with the sizes and modes of its recordings' errors that are most probable beside it.
+
+    Args:
+        best: the fit. known: as of `with_learned_errors`.
+    """
     problem, plant = best.problem, best.problem.plant
     assert problem.errors is not None
     assert isinstance(plant, HasSensors)
@@ -87,19 +91,19 @@ def relearned(best: Fit) -> Problem:
     model = Linearised(there)
     most, sizes = model.log_evidence(model.best_sizes), model.best_sizes
     for channel, sensor in plant.sensors(best.values).items():
-        known = errors.modes.get(channel, ())
-        if len(known) == MOST_MODES or not rings(there, channel, sensor):
+        modes = errors.modes.get(channel, ())
+        if len(modes) == MOST_MODES or not rings(there, channel, sensor):
             continue
         mode = likely_mode(replace(there, problem=problem.with_errors(errors.resized(sizes))), channel, sensor)
         if mode is None:
             continue
-        further = structured_noise(plant, best.values, {**errors.modes, channel: (*known, mode)}, errors.resized(sizes))
+        further = structured_noise(plant, best.values, {**errors.modes, channel: (*modes, mode)}, errors.resized(sizes))
         assert further is not None
         beside = Linearised(replace(best, problem=problem.with_errors(further)))
         found = beside.log_evidence(beside.best_sizes)
         if found > most + WORTH:
             errors, most, sizes = further, found, beside.best_sizes
-    return problem.with_errors(errors.resized(sizes))
+    return problem.with_errors(errors.resized(sizes).as_known(known))
 
 
 def rings(result: Fit, channel: int, sensor: Sensor) -> bool:

@@ -46,6 +46,11 @@ class Group(NamedTuple):
     scale: float
 
     @property
+    def kind(self) -> str:
+        """What it is in any recording: of nuisances the name without the recording's number."""
+        return self.key.partition("[")[0] if isinstance(self.key, str) else ""
+
+    @property
     def bounds(self) -> tuple[float, float]:
         """Between which the size is looked for."""
         return (self.scale, self.scale) if self.error.is_known else (SMALLEST * self.scale, LARGEST * self.scale)
@@ -101,6 +106,21 @@ class StructuredNoise:
     def resized(self, sizes: Array) -> StructuredNoise:
         """The same with other sizes."""
         return replace(self, sizes=sizes)
+
+    def as_known(self, known: StructuredNoise | None) -> StructuredNoise:
+        """The same, where errors of the machine and of its sensors' curves are as large as other recordings have them.
+
+        Args:
+            known: errors of other recordings; None: nothing is known.
+        """
+        if known is None:
+            return self
+        sizes = {(own.kind, own.error.name): size for own, size in zip(known.groups, known.sizes.tolist(), strict=True)}
+        kept = [
+            sizes.get((own.kind, own.error.name), size) if own.error.stays else size
+            for own, size in zip(self.groups, self.sizes.tolist(), strict=True)
+        ]
+        return self.resized(np.array(kept))
 
     def with_varying(self, share: float) -> StructuredNoise:
         """The same with errors that act on the machine of this size, as a share of their priors' scales; 0 for none."""

@@ -86,7 +86,7 @@ def strokes_of(diagnosis: Diagnosis) -> list[StrokeCurves]:
 
 def _strokes(before: Fit, after: Fit, bands: Mapping[int, Array], *, is_held_out: bool) -> Iterator[StrokeCurves]:
     problem = before.problem
-    shown_before, shown_after = (problem.plant.predict(fitted.values) for fitted in (before, after))
+    shown_before, shown_after = (fitted.shown() for fitted in (before, after))
     judged = judged_channels(problem.plant)
     fitted = [index for index in range(len(problem.plant.channels)) if np.any(problem.weight(index) > 0.0)]
     for index in [*judged, *(index for index in fitted if index not in judged)]:

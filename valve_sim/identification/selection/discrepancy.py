@@ -60,12 +60,13 @@ class Spread(NamedTuple):
 
     Attributes:
         log_evidence: ln p(data | E, δ), on the scale of `Fit.log_evidence`. cell: the most probable τ and ℓ.
-        size: τ, its posterior mean.
+        size: τ, its posterior mean. errors: (g,) the sizes of the recordings' errors beside it.
     """
 
     log_evidence: float
     cell: Cell
     size: float
+    errors: Array
 
 
 class _Stroke(NamedTuple):
@@ -184,7 +185,7 @@ class Discrepancy:
         row, column = np.unravel_index(int(np.argmax(posterior)), posterior.shape)
         shares = np.exp(posterior - total).sum(axis=1)
         cell, size = Cell(SIZES[int(row)], int(column)), float(shares @ np.array(SIZES))
-        return Spread(total + model.log_constant(errors), cell, size)
+        return Spread(total + model.log_constant(errors), cell, size, errors)
 
 
 def lengths_of(plant: Plant, places: RowPlaces) -> tuple[float, ...]:

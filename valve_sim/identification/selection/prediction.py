@@ -173,10 +173,7 @@ class HeldOut:
             return None
         if result not in self._fits:
             try:
-                known = result.problem.errors
-                # The sensor is on the mount that it was on.
-                modes = {} if known is None else {own: known.modes.get(own, ()) for own in known.columns}
-                found = fit_recording(self.problem, machine_values(result), modes)
+                found = fit_recording(self.problem, machine_values(result), result.problem.errors)
             except SimulationError:
                 self._fits[result] = None
             else:

@@ -34,7 +34,7 @@ from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.estimation.state_of_recording import with_learned_errors
 from valve_sim.identification.plants.effect_titles import titles_of
-from valve_sim.identification.plants.protocol import EffectChoice, Nuisance
+from valve_sim.identification.plants.protocol import Array, EffectChoice, Nuisance
 from valve_sim.identification.selection.discrepancy import Cell, Discrepancy, Spread, lengths_of
 from valve_sim.identification.selection.force_maps import NonparametricFit, competing_curves
 from valve_sim.identification.selection.posterior import EVEN, Evidence, Posterior, Rivals, Set, posterior_of
@@ -248,22 +248,25 @@ class Search:
 
         return with_learned_errors(self.problem, fitted, known)[1]
 
-    def settled(self, result: Fit) -> Fit:
-        """A fit of this search with errors of the recordings of the most probable sizes beside it."""
+    def settled(self, result: Fit, sizes: Array | None = None) -> Fit:
+        """A fit of this search, made again with the errors of the recordings that suit it.
+
+        Args:
+            result: the fit. sizes: (g,) of the errors; default the most probable beside it.
+        """
         errors = result.problem.errors
         if errors is None:
             return result
-        model = Linearised(result)
-        if np.max(np.abs(np.log(model.best_sizes / model.sizes)), initial=0.0) < SETTLED:
+        sizes = Linearised(result).best_sizes if sizes is None else sizes
+        if np.max(np.abs(np.log(sizes / errors.sizes)), initial=0.0) < SETTLED:
             return result
-        problem = result.problem.with_errors(errors.resized(model.best_sizes))
+        problem = result.problem.with_errors(errors.resized(sizes))
         plain = [own for own in result.nuisances if not own.group]
         nuisances = (*plain, *(own for own in problem.nuisances if own.group))
         try:
-            found = fit(problem, result.free, result.values, nuisances=nuisances, effort=Effort(is_near=True))
+            return fit(problem, result.free, result.values, nuisances=nuisances, effort=Effort(is_near=True))
         except SimulationError:
             return result
-        return max(result, found, key=lambda one: one.log_evidence)
 
     def begun_anew(self, problem: Problem) -> Search:
         """A search of the same with other errors of the recordings, of which the declared model has been fitted.

@@ -55,6 +55,7 @@ class RecordingError:
         share: scale of the prior of its size, as a share of the channel's range.
         is_known: whether its size is that scale, as a data sheet says it, and not learned.
         is_normal: whether the prior of the size is half of a normal density, not of a Cauchy density.
+        stays: whether another recording of the same valve and sensor has an error of the same size.
         amount: of (q,) coefficients what is reported of them; None: the size that they share.
     """
 
@@ -65,6 +66,7 @@ class RecordingError:
     share: float = 0.0
     is_known: bool = False
     is_normal: bool = False
+    stays: bool = False
     amount: Callable[[Array], float] | None = None
 
     def log_prior(self, size: float, scale: float) -> float:

@@ -23,4 +23,4 @@ SCALE: Final = RecordingError(
     "calibrate the sensor against a gauge block", columns=columns, amount=amount,
     share=0.002, is_known=True,
 )  # fmt: skip
-"""Prior: N(0, 0.2 %), the usual line of a data sheet (MODEL.md 11: `tolerances.sensor.gain`)."""
+"""Prior: N(0, 0.2 %), the usual line of a data sheet."""

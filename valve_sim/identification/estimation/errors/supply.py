@@ -9,5 +9,5 @@ from valve_sim.identification.estimation.errors.error import RecordingError
 SUPPLY: Final = RecordingError(
     "supply", "resistance of the source",
     "use a stiffer supply and thicker cables, or record the voltage at the coil",
-    amount=lambda coefficients: float(coefficients[0]),
+    stays=True, amount=lambda coefficients: float(coefficients[0]),
 )  # fmt: skip
