@@ -153,14 +153,26 @@ def test_a_sensor_that_rests_lawfully_is_held_in_motion_only(sensor: str) -> Non
     assert np.flatnonzero(found_in(recording, spoilt).any).tolist() == list(range(first + 1, first + 8))
 
 
-def test_a_signal_that_drops_to_zero_while_the_valve_is_open_is_left_out() -> None:
-    recording = measured()
+@pytest.mark.parametrize("sensor", SENSORS)
+def test_a_signal_that_drops_to_zero_while_the_valve_is_open_is_left_out(sensor: str) -> None:
+    recording = measured(sensor)
     spoilt, where = recording.pilot_position.copy(), np.zeros(len(recording.times), dtype=bool)
     for first, length in ((500, 1), (520, 4), (560, 200)):
         spoilt[first : first + length], where[first : first + length] = 0.0, True
     found = found_in(recording, spoilt)
     np.testing.assert_array_equal(found.any, where)
-    assert found.counts["repeated"] == 204
+    assert found.counts["repeated"] >= 200
+
+
+@pytest.mark.parametrize("sensor", ["coarse", "coarse, no noise", "no noise"])
+def test_a_rest_that_is_held_while_the_plunger_leaves_it_is_left_out_whole(sensor: str) -> None:
+    """Of a sensor that shows no noise nobody knows from when on it is held."""
+    recording = measured(sensor)
+    spoilt, first, stop = recording.pilot_position.copy(), 1440, 1520  # until 0.3 mm of the second opening
+    spoilt[first:stop] = spoilt[first]
+    found = found_in(recording, spoilt)
+    assert found.repeated[first + 1 : stop].all()
+    assert not found.any[stop:].any()
 
 
 @pytest.mark.parametrize("times", [2, 3, 4, 7])
@@ -170,15 +182,39 @@ def test_a_sensor_that_is_slower_than_its_recorder_repeats_lawfully(times: int) 
     assert not found_in(recording, held).any.any()
 
 
-@pytest.mark.parametrize("sensor", ["white", "fine steps"])
+@pytest.mark.parametrize("sensor", ["white", "fine steps", "coloured"])
 @pytest.mark.parametrize("rate", [1e3, 20e3])
-def test_clipped_readings_are_found(sensor: str, rate: float) -> None:
+@pytest.mark.parametrize(("low", "high"), [(-1.0, 1.15e-3), (40e-6, 1.0)])
+def test_clipped_readings_are_found(sensor: str, rate: float, low: float, high: float) -> None:
     recording = measured(sensor, rate)
-    for clipped in (np.minimum(recording.pilot_position, 1.15e-3), np.maximum(recording.pilot_position, 40e-6)):
-        ends = [clipped.max() if clipped.max() == 1.15e-3 else clipped.min()]
-        found = found_in(recording, clipped)
-        np.testing.assert_array_equal(found.clipped, clipped == ends[0])
-        assert found.counts["clipped"] == np.count_nonzero(found.any) > 100
+    clipped = np.clip(recording.pilot_position, low, high)
+    found = found_in(recording, clipped)
+    at_end = (clipped == low) | (clipped == high)
+    assert found.clipped[at_end].all()
+    assert found.counts["clipped"] == np.count_nonzero(found.any)
+    # Of the motion, what passes within some standard deviations of the end.
+    beside = found.clipped & ~at_end
+    assert np.minimum(np.abs(clipped - low), np.abs(clipped - high))[beside].max(initial=0.0) < 20e-6
+    assert np.count_nonzero(beside) < 0.005 * len(clipped)
+
+
+@pytest.mark.parametrize("sensor", ["white", "fine steps", "coloured"])
+@pytest.mark.parametrize("end", [-3e-6, -1e-6, 0.0, 1e-6])
+def test_a_rest_that_noise_carries_beyond_the_range_is_left_out_whole(sensor: str, end: float) -> None:
+    """What noise leaves within the range would put the stop too low."""
+    recording = measured(sensor)
+    clipped = np.minimum(recording.pilot_position, STROKE + end)
+    found = found_in(recording, clipped)
+    rests = recording.truth.pilot_position == STROKE
+    assert np.count_nonzero(found.clipped & rests) > 0.95 * np.count_nonzero(rests)
+    assert recording.truth.pilot_position[found.any].min() > STROKE - 20e-6
+
+
+@pytest.mark.parametrize("sensor", SENSORS)
+def test_a_range_that_ends_beyond_the_noise_clips_nothing(sensor: str) -> None:
+    recording = measured(sensor)
+    clipped = np.clip(recording.pilot_position, -5e-6, STROKE + 5e-6)
+    assert not found_in(recording, clipped).any.any()
 
 
 def test_a_reading_has_one_reason() -> None:
@@ -237,9 +273,7 @@ def test_memory_is_that_of_a_few_columns() -> None:
     assert peak < 40 * count
 
 
-numbers = st.one_of(
-    st.floats(-1e-3, 1e-3), st.sampled_from([0.0, 1e-3, CODE, 1e-9]), st.floats(allow_nan=False, allow_infinity=False)
-)
+numbers = st.one_of(st.floats(-1e-3, 1e-3), st.sampled_from([0.0, 1e-3, CODE, 1e-9]), st.floats(-1e200, 1e200))
 
 
 @settings(max_examples=150, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))

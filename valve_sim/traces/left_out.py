@@ -40,15 +40,26 @@ FEWEST_REPEATED: Final = 3
 SAME_LEVEL: Final = 10.0
 """Standard deviations within which readings are of one level: most of them are no repeats, if noise is seen there."""
 HABIT: Final = 0.2
-"""Share of readings that repeat the one before in rows that noise excludes, above which the sensor works so."""
+"""Share of readings that repeat, or of moves that follow repeats, above which the sensor works so."""
 ALIKE: Final = (0.5, 2.0)
 """Speeds before, over and after repeats in motion, over that just before them: a stop is not left at once."""
+RETURNS: Final = 0.5
+"""Share of a jump, by which a dropout may end elsewhere than it began: the plunger may move meanwhile."""
 RANGE_END: Final = 2e-6
 """m from an end of the range, within which clipped readings are one value, or three steps of a coarse sensor."""
 ONE_VALUE: Final = 0.98
 """Share of the readings there, or beyond, that are this value, where they are clipped."""
+PART_OF_THEM: Final = 0.05
+"""The same where a plunger rests so near to the end of the range that noise carries it there from time to time."""
 FEWEST_CLIPPED: Final = 20
-"""Readings at one value, from which that can be said."""
+"""Readings at one value, from which the former can be said, and times that it is come to, from which the latter can."""
+PASSED: Final = 0.05
+"""Readings beyond the end of the range over those at it, which spikes may have made; noise would make more."""
+FINE: Final = 0.5
+"""Standard deviations of the noise that a step is at most, where noise is known to pass each value."""
+BIASED: Final = 16.0
+"""Resting noise from an end of the range, within which noise is cut off: four standard deviations of what has a
+correlation of 0.9, of which resting noise is a quarter."""
 WORDS: Final = {
     "spikes": ("spike", "spikes"),
     "repeated": ("repeated reading", "repeated readings"),
@@ -66,7 +77,7 @@ class LeftOut:
         codes: (n,) farther than 1.6 strokes from where the plunger usually is, as of a sensor that has lost its signal.
         repeated: (n,) equal to the reading before, in a row of at least three, where noise or motion excludes that.
         spikes: (n,) at most five in a row, more than six standard deviations off a curve on which their neighbours lie.
-        clipped: (n,) at one end of the range, where nearly all are one value and elsewhere the noise is larger.
+        clipped: (n,) at one end of the range, where many are one value and the noise is larger elsewhere, or beside it.
     """
 
     codes: Mask
@@ -106,7 +117,7 @@ def find_left_out(times: Array, positions: Array, stroke: float) -> LeftOut:
         stroke: From closed to open, m; `usual_travel` where it is not declared. 0: not known, so there are no codes.
 
     Returns:
-        The readings by reason. Spikes are looked for among those that are left.
+        The readings by reason. Spikes are looked for among those that are no codes and no repeats.
     """
     count = len(positions)
     none = np.broadcast_to(np.False_, count)
@@ -119,12 +130,14 @@ def find_left_out(times: Array, positions: Array, stroke: float) -> LeftOut:
         step = _step_within(positions, codes, rows)
         clipped = _clipped(positions, codes, rows, step)
         repeated = _repeated(times, positions, codes | clipped, rows, step)
-        spikes, others = np.zeros(count, dtype=bool), codes | clipped | repeated
+        # Clipped readings are neighbours of spikes: they are where the plunger is, or next to it.
+        spikes, others = np.zeros(count, dtype=bool), codes | repeated
         if others.any():
             kept = np.flatnonzero(~others)
-            spikes[kept[find_spikes(times[kept], positions[kept], step)]] = True
+            spikes[kept[find_spikes(times[kept], positions[kept], step, clipped[kept])]] = True
         else:
-            spikes[find_spikes(times, positions, step)] = True
+            spikes[find_spikes(times, positions, step, clipped)] = True
+        spikes &= ~clipped
     # What says nothing takes no memory, of which a long recording needs much.
     return LeftOut(*(mask if mask.any() else none for mask in (codes, repeated, spikes, clipped)))
 
@@ -221,21 +234,33 @@ def _step_within(positions: Array, codes: Mask, rows: _Rows) -> float:
 
 
 def _clipped(positions: Array, codes: Mask, rows: _Rows, step: float) -> Mask:
-    """(n,) readings at an end of the range, where the noise away from it is larger than what is seen there."""
+    """(n,) readings at an end of the range, where the noise away from it is larger than what is seen there.
+
+    What is so near to the end that noise would carry a part of it beyond goes with them: the rest of it is biased.
+    """
     found = np.zeros(len(positions), dtype=bool)
     values = positions[rows.start][~codes[rows.start]]
     if not len(values):
         return found
-    width = max(RANGE_END, 3.0 * step)
     for end, sign in ((float(values.max()), 1.0), (float(values.min()), -1.0)):
-        is_near = ~codes & (sign * (positions - end) > -width)
+        is_near = ~codes & (sign * (positions - end) > -max(RANGE_END, 3.0 * step))
         is_end = positions == end
-        at_end = np.count_nonzero(is_end)
-        if at_end < max(FEWEST_CLIPPED, ONE_VALUE * np.count_nonzero(is_near)):
+        at_end, near = np.count_nonzero(is_end), np.count_nonzero(is_near)
+        if at_end < max(FEWEST_CLIPPED, PART_OF_THEM * near):
             continue
-        if not resting_noise(positions[~is_near & ~codes], step).is_hidden:
-            found |= is_end
+        noise = resting_noise(positions[~is_near & ~codes], step)
+        is_whole = at_end >= ONE_VALUE * near and not noise.is_hidden
+        if is_whole or (step <= FINE * noise.sigma and noise.sigma > 0.0 and _is_partly_clipped(positions, end, sign)):
+            found |= ~codes & (sign * (positions - end) > -BIASED * noise.sigma)
     return found
+
+
+def _is_partly_clipped(positions: Array, end: float, sign: float) -> bool:
+    """Whether a value of many readings is often come to, and next to never passed, as noise would pass it."""
+    is_end = positions == end
+    visits = np.count_nonzero(is_end[1:] & ~is_end[:-1])
+    beyond = np.count_nonzero(sign * (positions - end) > 0.0)
+    return bool(visits >= FEWEST_CLIPPED and beyond <= PASSED * np.count_nonzero(is_end))
 
 
 def _repeated(times: Array, positions: Array, others: Mask, rows: _Rows, step: float) -> Mask:
@@ -248,19 +273,29 @@ def _repeated(times: Array, positions: Array, others: Mask, rows: _Rows, step: f
     if not len(start):
         return np.zeros(len(positions), dtype=bool)
     noise = resting_noise(positions[~others], step)
-    is_fault = _are_passed_in_motion(times, positions, start, length, noise)
-    moved = places_in(len(positions) - 1, lambda own: _changes(positions, own) > noise.seen)
-    # Where more readings in motion are repeated than are not, a sensor is slower than its recorder.
-    is_fault &= np.sum(length[is_fault] - 1) <= len(moved)
+    moves = len(places_in(len(positions) - 1, lambda own: _changes(positions, own) > noise.seen))
+    is_fault = _but_no_habit(_are_passed_in_motion(times, positions, start, length, noise), moves)
+    is_left = _are_left_at_once(times, positions, start, length, noise)
+    is_dropout = _are_dropouts(positions, start, length, is_left)
+    is_fault |= is_dropout
+    if noise.is_hidden:
+        # A rest that was held while the plunger left it: from when on, a sensor without noise does not tell.
+        wrong = others | _covered(len(positions), start[is_dropout], length[is_dropout])
+        is_fault |= _but_no_habit(is_left & ~_are_before(wrong, start + length), moves)
     is_long = length >= noise.longest_row(len(positions))
     if not noise.is_hidden and np.sum(length[is_long] - 1) <= HABIT * len(positions):
         is_free = ~others & ~_covered(len(positions), rows.start, rows.length)
         is_excluded = _are_beside_noise(positions[start], length, positions[is_free], noise)
-        is_excluded |= _are_left_at_once(times, positions, start, length, noise)
+        is_excluded |= is_left
         is_fault |= is_excluded & is_long
     start, length = start[is_fault], length[is_fault]
     kept = (~_are_entered_at_once(times, positions, start, noise)).astype(np.intp)
     return _covered(len(positions), start + kept, length - kept)
+
+
+def _but_no_habit(is_fault: Mask, moves: int) -> Mask:
+    """(r,) rows that are faults; none where many moves follow one, as of a sensor slower than its recorder."""
+    return is_fault & (np.count_nonzero(is_fault) <= HABIT * moves)
 
 
 def _changes(positions: Array, own: slice) -> Array:
@@ -302,6 +337,29 @@ def _are_left_at_once(times: Array, positions: Array, start: Places, length: Pla
         place = np.minimum(last + later, count - 1)
         found &= np.abs(positions[place] - positions[last]) > noise.seen + reach(interval)
     return np.asarray(found)
+
+
+def _are_dropouts(positions: Array, start: Places, length: Places, is_left: Mask) -> Mask:
+    """(r,) to which of the rows that are left at once the position jumped from where it jumps back to.
+
+    Between two of them a rest looks so, too: of neighbours the shortest are taken for dropouts.
+    """
+    last = np.minimum(start + length, len(positions) - 1)
+    into, out = positions[start] - positions[np.maximum(start - 1, 0)], positions[last] - positions[start]
+    may_be = is_left & (np.abs(into + out) < RETURNS * np.minimum(np.abs(into), np.abs(out)))
+    rows = np.flatnonzero(may_be)
+    found = np.zeros(len(start) + 2, dtype=bool)
+    follows = np.concatenate([[False], start[1:] == start[:-1] + length[:-1], [False]])
+    for row in rows[np.argsort(length[rows], kind="stable")].tolist():
+        beside = (follows[row] and found[row]) or (follows[row + 1] and found[row + 2])
+        found[row + 1] = not beside
+    return found[1:-1]
+
+
+def _are_before(wrong: Mask, stop: Places) -> Mask:
+    """(r,) whether any of the readings after rows that stop there, which may be a spike, is wrong."""
+    up_to = np.concatenate([[0], np.cumsum(wrong)])
+    return np.asarray(up_to[np.minimum(stop + LONGEST + 1, len(wrong))] > up_to[stop])
 
 
 def _are_entered_at_once(times: Array, positions: Array, start: Places, noise: RestingNoise) -> Mask:

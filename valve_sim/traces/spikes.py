@@ -93,20 +93,21 @@ class _Parabolas(NamedTuple):
     neighbours: Places
 
 
-def find_spikes(times: Array, positions: Array, step: float) -> Places:
+def find_spikes(times: Array, positions: Array, step: float, clipped: Mask) -> Places:
     """Return the indices of spikes, ascending.
 
     Args:
         times: Ascending, s, shape (n,).
         positions: m, shape (n,).
         step: By which they are rounded, m; 0 for none.
+        clipped: (n,) Those whose noise is cut off.
     """
     nothing = np.empty(0, dtype=np.intp)
     suspect = _suspects(positions, step) if len(positions) >= FEWEST else np.zeros(0, dtype=bool)
     at = np.flatnonzero(suspect)
     if not len(at):
         return nothing
-    usual = _usual(times, positions, np.flatnonzero(~suspect), step)
+    usual = _usual(times, positions, np.flatnonzero(~suspect), step, clipped)
     if usual is None:
         return nothing
     ends = np.flatnonzero(np.diff(at) > APART)
@@ -164,15 +165,18 @@ def _median_of_five(a: Array, b: Array, c: Array, d: Array, e: Array) -> Array:
     return np.asarray(np.maximum(low, np.minimum(high, e)))
 
 
-def _usual(times: Array, positions: Array, places: Places, step: float) -> _Usual | None:
+def _usual(times: Array, positions: Array, places: Places, step: float, clipped: Mask) -> _Usual | None:
     """How far readings and neighbours usually are from parabolas at rest; None where nothing is seen of it."""
     seen = places[2 * SIDE : -2 * SIDE]
+    is_cut_off = clipped.any()
+    if is_cut_off:
+        seen = seen[~clipped[seen]]
     if not len(seen):
         return None
     seen = seen[:: max(1, len(seen) // LOOKED_AT)]
     ordinary = _parabolas(times, positions, places, (seen, seen), (SIDE, SIDE))
     least = max(SMALLEST, COARSE * step)
-    at_rest = STILLEST * resting_noise(positions, step).sigma
+    at_rest = STILLEST * resting_noise(positions[~clipped] if is_cut_off else positions, step).sigma
     calm = CALM * max(least, min(at_rest, float(np.quantile(ordinary.scatter, 0.25))))
     own = np.abs(ordinary.off[ordinary.scatter <= calm, MARGIN])
     return _Usual(places, max(least, MAD_TO_SIGMA * float(np.median(own))), calm) if len(own) else None
@@ -238,7 +242,7 @@ def _are_bent(times: Array, positions: Array, seen: _Parabolas, rows: Places, us
     for column in range(places.shape[1]):
         after = np.maximum(at - (times[places[:, column]][:, None] - centre) / scale, 0.0)
         left, _ = _left_by(np.concatenate([_powers(at), _powers(after)[..., 1:]], axis=-1), values, counts)
-        is_calm = np.sum(np.square(left), axis=1) <= usual.calm**2 * freedom
+        is_calm = np.sum(np.square(left), axis=1) <= np.square(usual.calm) * freedom
         found |= is_calm & (np.abs(left).max(axis=1) <= BENT * usual.sigma)
     return found
 
