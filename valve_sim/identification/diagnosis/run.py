@@ -27,6 +27,7 @@ from valve_sim.identification.estimation.recorded_errors import with_uncertain_s
 from valve_sim.identification.estimation.result import Fit, rmse
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.estimation.state_of_recording import with_learned_errors
+from valve_sim.identification.estimation.structured_noise import structured_noise
 from valve_sim.identification.plants.check import check_plant, named_interrupts
 from valve_sim.identification.plants.hold_out import held_out_strokes
 from valve_sim.identification.plants.protocol import Plant, strokes_of_plant
@@ -201,13 +202,15 @@ class DiagnosisSession:
     def _run(self, *, is_full: bool = False) -> None:
         """Search; and again with the errors of the recordings as they are beside the best, where they are others.
 
-        Beside a declared model that lacks something, numbers that vary from stroke to stroke imitate what it lacks:
-        then the first search is without them.
+        Beside a declared model that lacks something, large errors of the recording imitate what it lacks: then the first
+        search is with sizes as they are before the data are asked, and without numbers that vary from stroke to stroke.
         """
         search = self._search
         errors = search.problem.errors
         if errors is not None and search.unnamed_beside(()) > EVEN:
-            search = search.begun_anew(search.problem.with_errors(errors.with_varying(0.0)))
+            few = structured_noise(self._plant, self.declared.values, {})
+            assert few is not None
+            search = search.begun_anew(search.problem.with_errors(few.with_varying(0.0)))
         search.run(is_full=is_full)
         for _ in range(MOST_SEARCHES):
             shares = search.posterior()
