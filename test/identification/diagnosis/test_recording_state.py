@@ -1,0 +1,84 @@
+"""Recordings as laboratories make them: nothing is named that is the laboratory's, and its errors come out."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from plants.laboratory import Laboratory, measure, true_sizes
+from plants.recording import holdout_profile, train_profile
+from plants.tolerances import SHEET_VALVE, declared_tolerances
+
+from benchmarks.campaign.cases import declared_valve
+from benchmarks.campaign.running import as_trace
+from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
+from valve_sim.identification.reporting.diagnosis_json import to_json
+from valve_sim.identification.reporting.html import write_report
+from valve_sim.identification.reporting.text import diagnosis_text
+
+LABORATORIES = {
+    "hum and a soft supply": (Laboratory(hum=1e-6, supply_resistance=0.5), ("hum", "supply")),
+    "drift and a mount that rings": (
+        Laboratory(drift=4e-6, ringing=3e-6, ringing_frequency=800.0),
+        ("drift", "ringing"),
+    ),
+    "strokes that vary": (Laboratory(stroke_variation=0.15), ("stroke_variation",)),
+}
+"""What is wrong in each, and the errors that are to come out."""
+
+
+@pytest.fixture(scope="module", params=LABORATORIES)
+def laboratory(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+@pytest.fixture(scope="module")
+def found(laboratory: str) -> Diagnosis:
+    recordings = [
+        measure(SHEET_VALVE, {}, profile, LABORATORIES[laboratory][0], seed)
+        for seed, profile in ((5, train_profile()), (6, holdout_profile()))
+    ]
+    traces = [
+        as_trace(recording, f"{name}.mcap") for name, recording in zip(("train", "other"), recordings, strict=True)
+    ]
+    return diagnose(traces[:1], traces[1:], declared_valve(SHEET_VALVE, declared_tolerances(SHEET_VALVE)))
+
+
+def test_nothing_is_missing(found: Diagnosis) -> None:
+    assert (found.verdict.kind, found.verdict.effects) == ("none", ())
+
+
+def test_held_out_strokes_are_predicted_to_the_noise(found: Diagnosis) -> None:
+    noise = found.before.fit.problem.noise.sigma
+    assert found.after.holdout_rmse < 1.2 * noise
+
+
+def test_each_error_comes_out_with_its_size(laboratory: str, found: Diagnosis) -> None:
+    made, names = LABORATORIES[laboratory]
+    there = {entry.error: entry for entry in reversed(found.recording["train.mcap"])}
+    for name in names:
+        assert there[name].probability > 0.9
+        # Of eight strokes, or of sixteen ramps, a standard deviation is known to a quarter.
+        assert true_sizes(made)[name] / 1.8 < there[name].size < 1.8 * true_sizes(made)[name]
+        assert there[name].low < there[name].size < there[name].high
+
+
+def test_reports_say_the_state_of_the_recording(laboratory: str, found: Diagnosis, tmp_path: Path) -> None:
+    entries = json.loads(json.dumps(to_json(found), allow_nan=False))["recording"]
+    assert set(entries) == {"train.mcap", "other.mcap"}
+    names = [entry["error"] for entry in entries["train.mcap"]]
+    assert {"clock_offset", "clock_rate", "drift", "hum", "scale", "bend", "supply", "stroke_variation"} <= set(names)
+    for entry in entries["train.mcap"]:
+        assert entry["unit"] in ("um", "us", "ppm", "%", "ohm")
+        assert 0.0 <= entry["probability"] <= 1.0
+        assert entry["what_to_do"]
+        assert len(entry["ci95"]) == 2
+    words = diagnosis_text(found)
+    assert "State of the recording train.mcap" in words
+    write_report(found, tmp_path / "report.html")
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "State of the recording" in page
+    assert "<polyline" in page
+    for name in LABORATORIES[laboratory][1]:
+        assert f'<code class="code">{name}</code>' in page
