@@ -66,7 +66,10 @@ def draw(recordings: dict[str, Recording], path: Path) -> None:
 
     figure = Figure(figsize=(10.0, 9.0), layout="constrained")
     clean = measure(SHEET_VALVE, {}, train_profile(), Laboratory(position_noise=0.0), 0)
-    for axes, (words, recording) in zip(figure.subplots(4, 3).ravel(), recordings.items(), strict=False):
+    panels = figure.subplots(4, 3).ravel().tolist()
+    for axes in panels[len(recordings) :]:
+        axes.set_visible(False)
+    for axes, (words, recording) in zip(panels, recordings.items(), strict=False):
         shown = np.interp(recording.times, clean.times, clean.pilot_position)
         own = (recording.times > 0.005) & (recording.times < 0.075)
         axes.plot(1e3 * recording.times[own], 1e6 * (recording.pilot_position - shown)[own], linewidth=0.6)

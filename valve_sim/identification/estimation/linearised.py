@@ -191,7 +191,7 @@ class BySizes:
         scale[self._places] = sizes[self._owners]
         whole = self._information * np.outer(scale, scale)
         whole[self._places, self._places] += 1.0
-        root = 1.0 / np.sqrt(np.diag(whole))
+        root = 1.0 / np.sqrt(np.maximum(np.diag(whole), np.finfo(float).tiny))
         factor = _factored(whole * np.outer(root, root))
         target = scale * root * self._pull
         moves = -cho_solve(factor, target, check_finite=False)
