@@ -250,7 +250,9 @@ class DiagnosisSession:
         # Before and after are compared with the same errors of the recordings: else these would hide what was missing.
         errors = result.problem.errors
         is_declared = self._fit_of(decision) is self.declared
-        base = result if is_declared else self._search.settled(self.declared, None if errors is None else errors.sizes)
+        sizes = None if errors is None else errors.sizes
+        result = with_uncertain_sizes(result)
+        base = result if is_declared else with_uncertain_sizes(self._search.settled(self.declared, sizes))
         verdict = self._verdict(decision)
         before = self._state(base, profile=False)
         size = self._search.tried[()].spread.size if verdict.kind == "unknown" else 0.0
@@ -312,7 +314,6 @@ class DiagnosisSession:
 
     def _state(self, result: Fit, *, profile: bool, size: float = 0.0) -> State:
         """A fit with its errors, test and intervals."""
-        result = with_uncertain_sizes(result)
         here = predicted(result, result, size)
         there = self._held_out.predicted(result, size)
         intervals = {
