@@ -231,12 +231,16 @@ class Case:
         )
 
 
+EXACT_SENSOR: Final = {"sensor": {"gain": 0.0, "linearity": 0.0}}
+"""Tolerances of a file that declares everything to be exact."""
+
+
 def declared_valve(
     entries: Entries, tolerances: Mapping[str, float | list[float]] | None = None, effects: Effects | None = None
 ) -> Valve:
-    """The package's valve of a plant's entries, exact or with tolerances, and of declared effects."""
+    """The package's valve of a plant's entries and of declared effects, with tolerances; or exact, its sensor too."""
     values = {name: list(value) if isinstance(value, tuple) else value for name, value in entries.items()}
-    beside = {"tolerances": tolerances, "effects": effects}
+    beside = {"tolerances": EXACT_SENSOR if tolerances is None else tolerances, "effects": effects}
     return Valve.from_mapping({"valve": values} | {key: own for key, own in beside.items() if own}, "the campaign")
 
 

@@ -132,16 +132,10 @@ def _costs(costs: Sequence[Cost]) -> list[Figure]:
     return [Figure(6, "CPU time with tolerances over without", ratio, len(costs), high=2.0, unit="", detail=shown)]
 
 
-KNOWN_WRONG: Final = ("pair:2", "weak:2")
-"""Cases of the slice that are named wrongly since errors of the recording are part of every hypothesis: one name of a
-pair is lost, and a weak form without a name is called residual magnetism. They are wrong, and said to be."""
-
-
 def least_demands(outcomes: Sequence[Outcome]) -> list[Figure]:
-    """What a slice of a few cases must show, beside those that are known to be wrong."""
-    others = [outcome for outcome in outcomes if outcome.case.name not in KNOWN_WRONG]
+    """What a slice of a few cases must show."""
     return [
-        _share(1, "any family: confidently wrong name", others, is_confidently_misnamed, high=0.0),
+        _share(1, "any family: confidently wrong name", outcomes, is_confidently_misnamed, high=0.0),
         _share(2, "nothing missing: none", _of(outcomes, "none"), _says("none"), low=1.0),
         _share(1, "any family: failed with an exception", outcomes, lambda outcome: bool(outcome.error), high=0.0),
     ]

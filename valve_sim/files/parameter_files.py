@@ -229,10 +229,10 @@ def _add_tolerance(tolerances: dict[str, Any], key: str, value: object, source: 
     if not name:
         raise ParameterError(f"{source}: {key}: found {shortened(value)}, expected names of declared values below it")
     group, dot, rest = name.partition(".")
-    if group == "gas":
+    if group in ("gas", "sensor"):
         if not dot:
-            raise ParameterError(f"{source}: {key}: found {shortened(value)}, expected tolerances.gas.<name>")
-        tolerances.setdefault("gas", {})[rest] = value
+            raise ParameterError(f"{source}: {key}: found {shortened(value)}, expected tolerances.{group}.<name>")
+        tolerances.setdefault(group, {})[rest] = value
         return
     if group != "effects":
         tolerances[name] = value

@@ -128,7 +128,7 @@ def _find_sections(found: object, prefix: str, path: str) -> Iterator[Section]:
 
 def _flat(found: object, prefix: str, path: str) -> Iterator[tuple[str, object]]:
     """Dotted names and values. An empty mapping has none, unless it is in the place of an effect's parameters."""
-    if found is None and prefix in ("", *ROOT_KEYS, "tolerances.effects", "tolerances.gas"):
+    if found is None and prefix in ("", *ROOT_KEYS, "tolerances.effects", "tolerances.gas", "tolerances.sensor"):
         return
     if not isinstance(found, Mapping):
         if not prefix:

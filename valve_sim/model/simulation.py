@@ -144,8 +144,8 @@ class Valve:
         return replace(self, parameters=parameters)
 
     def exact(self) -> Valve:
-        """The same valve with its values taken as exact: without tolerances."""
-        return replace(self, tolerances=EXACT)
+        """This valve with its values taken as exact: without tolerances, but for the sensor's."""
+        return replace(self, tolerances=Tolerances(sensor=self.tolerances.sensor))
 
     def can_open(self) -> bool:
         """Whether the reference voltage, held without end, would lift the pilot plunger off its seat."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -33,7 +33,7 @@ COVARIANCE_NAME: Final = "attraction_covariance"
 """Key of the polynomial's covariance, as 16 numbers row by row."""
 COVARIANCE_FORM: Final = "16 numbers, the 4 by 4 covariance of a0 … a3 row by row, N/m^i times N/m^j"
 
-_GROUPS: Final = ("effects", "gas")
+_GROUPS: Final = ("effects", "gas", "sensor")
 """Keys below which there are names of their own."""
 _TERMS: Final = len(POLYNOMIAL_NAMES)
 _LARGEST_COVARIANCE: Final = 1e32
@@ -41,9 +41,33 @@ _ROUNDING: Final = 1e-6
 """Error that a correlation may have, because the numbers of a file are rounded."""
 
 
+class SensorTolerances(NamedTuple):
+    """How true the sensor of the position is, by its data sheet; not a value of the valve, and never exact by silence.
+
+    Attributes:
+        gain: one standard deviation of what is shown over what is there. linearity: scale of the largest deviation from
+            a straight line, as a share of the stroke. 0: exact.
+    """
+
+    gain: float = 0.002
+    linearity: float = 0.001
+
+
+USUAL_SENSOR: Final = SensorTolerances()
+"""Of a sensor of which nothing is said: the usual lines of data sheets."""
+SENSOR: Final = {
+    rule.name: rule
+    for rule in (
+        Parameter("gain", "1", "gain of the position's sensor, one standard deviation; 0: exact", 0.0, 0.1),
+        Parameter("linearity", "1", "linearity of the position's sensor, as a share of the stroke; 0: exact", 0.0, 0.1),
+    )
+}
+"""Name, unit and range of what is said of the sensor."""
+
+
 @dataclass(frozen=True)
 class Tolerances:
-    """One standard deviation of declared values, in SI units. What is not listed is exact.
+    """One standard deviation of declared values, in SI units. What is not listed is exact, but for the sensor.
 
     Attributes:
         declared: name of a declared scalar to its standard deviation, above 0. That of `moving_mass` is of the
@@ -51,16 +75,18 @@ class Tolerances:
         attraction_covariance: (4, 4), N/m^i times N/m^j, of a0 … a3; symmetric, positive semidefinite.
         effects: effect name to {parameter: standard deviation}, of effects that the valve has on.
         gas: name of a number of the group `gas` to its standard deviation, above 0.
+        sensor: how true the sensor of the position is.
     """
 
     declared: Mapping[str, float] = field(default_factory=dict)
     attraction_covariance: Matrix | None = None
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     gas: Mapping[str, float] = field(default_factory=dict)
+    sensor: SensorTolerances = USUAL_SENSOR
 
     @property
     def is_exact(self) -> bool:
-        """Whether nothing has a tolerance."""
+        """Whether no declared value has a tolerance."""
         return not (self.declared or self.attraction_covariance is not None or self.effects or self.gas)
 
     @classmethod
@@ -76,8 +102,8 @@ class Tolerances:
 
         Args:
             values: scalar names to standard deviations, `attraction_covariance` to its 16 numbers row by row,
-                `effects` to {effect: {parameter: standard deviation}}, and `gas` to {name: standard deviation}; all
-                optional.
+                `effects` to {effect: {parameter: standard deviation}}, `gas` to {name: standard deviation}, and
+                `sensor` to {gain, linearity}; all optional.
             source: the file or node, for messages.
             effects: those that the valve has on. has_gas: whether the valve has gas.
 
@@ -90,16 +116,19 @@ class Tolerances:
             if name not in (COVARIANCE_NAME, *_GROUPS):
                 scalars[name] = _scalar_rule(name, value, source).check(value, _where(name, source))
         covariance = values.get(COVARIANCE_NAME)
-        of_effects, of_gas = (values.get(group) or {} for group in _GROUPS)
+        of_effects, of_gas, of_sensor = (values.get(group) or {} for group in _GROUPS)
         if not isinstance(of_effects, Mapping):
             raise ParameterError(f"{_where('effects', source)}: found {of_effects!r}, expected effects and parameters")
         if not isinstance(of_gas, Mapping):
             raise ParameterError(f"{_where('gas', source)}: found {of_gas!r}, expected names of gas and tolerances")
+        if not isinstance(of_sensor, Mapping):
+            raise ParameterError(f"{_where('sensor', source)}: found {of_sensor!r}, expected {{{', '.join(SENSOR)}}}")
         return cls(
             {name: scalars[name] for name in TOLERATED if scalars.get(name)},
             None if covariance is None else _check_covariance(covariance, _where(COVARIANCE_NAME, source)),
             _check_effects(of_effects, effects, source),
             _check_gas(of_gas, source, has_gas=has_gas),
+            _check_sensor(of_sensor, source),
         )
 
     def check_against(self, parameters: ValveParameters, source: str) -> None:
@@ -134,6 +163,8 @@ class Tolerances:
             mapping["effects"] = {name: dict(values) for name, values in self.effects.items()}
         if self.gas:
             mapping["gas"] = dict(self.gas)
+        if self.sensor != USUAL_SENSOR:
+            mapping["sensor"] = self.sensor._asdict()
         return mapping
 
 
@@ -234,6 +265,18 @@ def _check_gas(values: Mapping[str, Any], source: str, *, has_gas: bool) -> dict
             )
         found[name] = tolerance
     return {name: found[name] for name in GAS if found.get(name)}
+
+
+def _check_sensor(values: Mapping[str, Any], source: str) -> SensorTolerances:
+    found = {}
+    for name, value in values.items():
+        where = _where(f"sensor.{name}", source)
+        if name not in SENSOR:
+            raise ParameterError(
+                f"{where}: found {value!r} under an unknown name; did you mean {closest(name, list(SENSOR))}?"
+            )
+        found[name] = SENSOR[name].check(value, where)
+    return SensorTolerances(**found)
 
 
 def _check_covariance(value: object, where: str) -> Matrix | None:

@@ -15,7 +15,7 @@ from valve_sim.files.parameter_sections import Section
 from valve_sim.model import CATALOGUE, DECLARED, Parameter, ParameterError, Tolerances, Valve, ValveParameters
 from valve_sim.model.gas import FLUIDS, GAS, GasParameters
 from valve_sim.model.parameters import closest
-from valve_sim.model.tolerances import COVARIANCE_FORM, COVARIANCE_NAME, TOLERATED, tolerance_rule
+from valve_sim.model.tolerances import COVARIANCE_FORM, COVARIANCE_NAME, SENSOR, TOLERATED, tolerance_rule
 
 Value = float | str | list[float]
 
@@ -24,6 +24,7 @@ VALVE_KEYS: Final = ("valve.", "effects.", "tolerances.", "gas.")
 
 _POLYNOMIAL: Final = "valve.attraction_polynomial"
 _TOLERANCES: Final = "tolerances."
+_SENSOR: Final = f"{_TOLERANCES}sensor."
 _EXACT_COVARIANCE: Final = 16 * (0.0,)
 _SETTINGS: Final = (
     (
@@ -148,16 +149,17 @@ def defaults(entries: Mapping[str, NodeParameter], given: Collection[str]) -> di
     """The default value of every parameter.
 
     The shipped tolerances are of the shipped valve: where anything of a valve is given, the others are exact, as in a
-    parameter file.
+    parameter file. The sensor is no part of the valve.
 
     Args:
         entries: the table. given: names.
     """
     keeps_tolerances = not any(name.startswith(VALVE_KEYS) for name in given)
-    return {
-        name: entry.default if keeps_tolerances or not name.startswith(_TOLERANCES) else _exact(entry.default)
-        for name, entry in entries.items()
-    }
+
+    def is_kept(name: str) -> bool:
+        return keeps_tolerances or not name.startswith(_TOLERANCES) or name.startswith(_SENSOR)
+
+    return {name: entry.default if is_kept(name) else _exact(entry.default) for name, entry in entries.items()}
 
 
 def unknown_name(where: str, value: object, program: str, known: Sequence[str]) -> ParameterError:
@@ -311,6 +313,7 @@ def _tolerance_entries(tolerances: Tolerances) -> list[NodeParameter]:
         for parameter in effect.parameters if effect.named else ():
             rules[f"effects.{effect.name}.{parameter.name}"] = tolerance_rule(parameter), known.get(parameter.name, 0.0)
     rules |= {f"gas.{name}": (tolerance_rule(rule), tolerances.gas.get(name, 0.0)) for name, rule in GAS.items()}
+    rules |= {f"sensor.{name}": (rule, getattr(tolerances.sensor, name)) for name, rule in SENSOR.items()}
     entries = [
         NodeParameter(f"{_TOLERANCES}{name}", value, _describe(rule), rule) for name, (rule, value) in rules.items()
     ]

@@ -75,7 +75,7 @@ def test_the_declared_model_is_fitted_whatever_the_work() -> None:
     trace = measured(FRICTION, train_profile(), Recorder(), 1)
     found = diagnose([trace], [], DECLARED, budget=Budget(1.0))
     assert (found.verdict.kind, found.verdict.effects) == ("insufficient", ())
-    assert len(found.untried) >= 10  # those that promise anything
+    assert len(found.untried) > 20
 
 
 def test_progress_is_a_line_for_each_wait() -> None:

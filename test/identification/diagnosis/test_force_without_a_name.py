@@ -42,8 +42,7 @@ def found() -> Diagnosis:
 def test_it_is_unknown(found: Diagnosis) -> None:
     assert (found.verdict.kind, found.verdict.effects) == ("unknown", ())
     assert found.verdict.probability > 0.99
-    # Numbers that vary from stroke to stroke follow most of it, and not all.
-    assert found.before.holdout_rmse > 1.1e-6
+    assert found.before.holdout_rmse > 2e-6
     # What has no name is shown, and not put into the model.
     assert found.after.fit is found.before.fit
 

@@ -113,7 +113,7 @@ def test_a_bend_is_straight_at_both_ends_of_the_range() -> None:
 def test_drift_is_a_constant_and_ramps_that_stay() -> None:
     assert DRIFT.columns is not None
     columns = DRIFT.columns(seen())
-    assert columns.shape == (len(TIMES), 1 + 5)
+    assert columns.shape == (len(TIMES), 1 + 2 * 5)  # four commands make five intervals
     np.testing.assert_allclose(columns[:, 0], 1.0)
     assert np.all(np.diff(columns[:, 1:], axis=0) >= -1e-12)
     np.testing.assert_allclose(columns[0, 1:], 0.0)

@@ -21,6 +21,7 @@ from valve_sim.identification.diagnosis.outcome import Candidate, Diagnosis, Riv
 from valve_sim.identification.estimation.budget import Budget
 from valve_sim.identification.estimation.followed_positions import follows_positions
 from valve_sim.identification.estimation.intervals import Interval, covariance_interval, profile_interval
+from valve_sim.identification.estimation.linearised import Linearised
 from valve_sim.identification.estimation.noise import Noise
 from valve_sim.identification.estimation.problem import Mask, Problem
 from valve_sim.identification.estimation.recorded_errors import with_uncertain_sizes
@@ -208,10 +209,11 @@ class DiagnosisSession:
         search = self._search
         errors = search.problem.errors
         if errors is not None and search.unnamed_beside(()) > EVEN:
-            few = structured_noise(self._plant, self.declared.values, {})
+            few = structured_noise(self._plant, self.declared.values, {}, errors.unlearned())
             assert few is not None
             search = search.begun_anew(search.problem.with_errors(few.with_varying(0.0)))
         search.run(is_full=is_full)
+        first = search
         for _ in range(MOST_SEARCHES):
             shares = search.posterior()
             best = leader_of({names: share.total for names, share in shares.shares.items()}, shares.fitted)
@@ -219,14 +221,17 @@ class DiagnosisSession:
                 break
             try:
                 found = search.relearned(best)
-                if found.log_evidence < search.tried[best].plain + WORTH_A_SEARCH:
+                if search.gain(best, found) < WORTH_A_SEARCH:
                     break
                 again = search.begun_anew(found.problem)
             except SimulationError:
                 break
+            again.run(is_full=is_full)
+            if again.most < search.most:
+                break
             search = again
-            search.run(is_full=is_full)
-        self._search = search
+        # Large errors beside something unnamed imitate that.
+        self._search = search if search.posterior().unnamed < EVEN else first
 
     def name(self) -> VerdictWithIntervals:
         """Search, and decide: what a diagnosis names, and nothing of what a report has beside."""
@@ -280,11 +285,13 @@ class DiagnosisSession:
         posterior = self._search.posterior()
         curves = self._search.curves if posterior.unnamed > PROMISING else []
         best = leader_of({names: share.total for names, share in posterior.shares.items()}, posterior.fitted)
-        raised = {best: self._held_out.log_odds_of_unnamed(self._search.tried[best].fit)}
+        found = self._search.tried[best].fit
+        self._held_out.learn_errors(found)
+        raised = {best: self._held_out.log_odds_of_unnamed(found)}
         return Grounds(
             self._search.rivals,
             self._search.table(raised[best]),
-            tuple(entry.fit.log_evidence for entry in curves),
+            tuple(Linearised(entry.fit).integrated for entry in curves),
             raised,
             {name: len(choice.parameters) for name, choice in self._plant.effects.items()},
         )

@@ -104,8 +104,9 @@ def estimated_valve(result: Fit, plant: ValvePlant) -> Valve:
         sigmas["moving_mass"] = _of_the_difference(names, covariance)
     declared = {name: sigmas[name] for name in TOLERATED if _is_tolerance(sigmas.get(name, 0.0), DECLARED[name])}
     tolerances = Tolerances(
-        declared, _of_the_polynomial(names, covariance), _of_effects(sigmas, valve), _of_gas(sigmas)
-    )
+        declared, _of_the_polynomial(names, covariance), _of_effects(sigmas, valve), _of_gas(sigmas),
+        plant.valve.tolerances.sensor,
+    )  # fmt: skip
     return replace(valve, tolerances=tolerances)
 
 

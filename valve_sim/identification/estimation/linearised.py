@@ -32,6 +32,12 @@ from valve_sim.identification.plants.protocol import Array
 
 MOST_UPDATES: Final = 60
 """Steps of L-BFGS."""
+POINTS: Final = 12
+"""Of the integral over a size: over its whole range, and about the most probable one, even in the logarithm."""
+LOWER: Final = 10.0
+"""By how much in ln p a size may be more probable than the best that was found, before it counts no more."""
+NEARBY: Final = 1.0
+"""Of the logarithm of a size: half the width of the latter."""
 TINY: Final = 1e-12
 """Added to the diagonal of a scaled matrix: far below what rounding leaves of a direction that nothing determines."""
 
@@ -97,6 +103,29 @@ class Linearised:
     def best_sizes(self) -> Array:
         """(g,) the most probable sizes, beside what was fitted."""
         return self.sizes_by(self._gram, self.sizes)
+
+    @property
+    def no_sizes(self) -> Array:
+        """(g,) the smallest sizes that errors may have."""
+        if self._errors is None:
+            return self.sizes
+        smallest = [own.bounds[0] for own in self._errors.noise.groups]
+        return np.where(self.by_sizes().is_learned, smallest, self.sizes)
+
+    def sizes_at_rest(self) -> Array:
+        """(g,) the most probable sizes by the rows alone in which the machine is known to be still."""
+        whole = self.with_columns()[~self._result.problem.rows.places.moves]
+        return self.sizes_by(gram(whole, whole), self.sizes)
+
+    @functools.cached_property
+    def log_integral(self) -> float:
+        """Ln of what the integral over all sizes is of the evidence with the best."""
+        return 0.0 if self._errors is None else self.by_sizes().log_integral(self.best_sizes)
+
+    @property
+    def integrated(self) -> float:
+        """Ln p(data | model), integrated over the sizes of the recording's errors: what hypotheses are compared by."""
+        return self.log_evidence(self.best_sizes) + self.log_integral
 
     def log_evidence(self, sizes: Array) -> float:
         """Ln p(data | model) with errors of these sizes, on the scale of `Fit.log_evidence`."""
@@ -182,7 +211,7 @@ class BySizes:
         self._owners = owners[self._places]
         self._counts = np.bincount(self._owners, minlength=len(groups)).astype(np.float64)
         self._usual = 1.0 / np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
-        self.is_learned = np.array([not own.error.is_known for own in groups]) & (self._counts > 0.0)
+        self.is_learned = np.array([own.is_learned for own in groups]) & (self._counts > 0.0)
 
     def _solved(self, sizes: Array) -> _Solved:
         """M in units in which its diagonal is 1, and the step to the optimum."""
@@ -231,9 +260,16 @@ class BySizes:
             return cost, slope[learned]
 
         limits = np.log([own.bounds for own in self._groups])[learned]
-        first = np.clip(np.log(start[learned]), *limits.T)
+        usual = np.log([own.held for own in self._groups])[learned]
         options: Any = {"maxiter": MOST_UPDATES}
-        found = minimize(by_logs, first, jac=True, method="L-BFGS-B", bounds=limits.tolist(), options=options)
+        # Errors that share what is left have more than one optimum.
+        found = min(
+            (
+                minimize(by_logs, first, jac=True, method="L-BFGS-B", bounds=limits.tolist(), options=options)
+                for first in (np.clip(np.log(start[learned]), *limits.T), usual)
+            ),
+            key=lambda one: float(one.fun),
+        )
         sizes = start.copy()
         sizes[learned] = np.exp(found.x)
         return sizes
@@ -244,6 +280,24 @@ class BySizes:
         own = self._places[self._owners == number]
         covariance = cho_solve(factor, np.eye(len(scale))[:, own], check_finite=False)[own]
         return moves[own] * scale[own], covariance * np.outer(scale[own], scale[own])
+
+    def log_integral(self, sizes: Array) -> float:
+        """Ln of the product, over groups, of ∫ p(s) L(s | others) ds over p(s) L(s) at the best sizes."""
+        most, total = self.cost(sizes), 0.0
+        for number in np.flatnonzero(self.is_learned).tolist():
+            scale = self._groups[number].scale
+            low, high = self._groups[number].bounds
+            logs = np.linspace(math.log(low), math.log(high), POINTS)
+            nearby = math.log(sizes[number]) + np.linspace(-NEARBY, NEARBY, POINTS)
+            logs = np.unique(np.clip(np.concatenate([logs, nearby]), logs[0], logs[-1]))
+            at = np.tile(sizes, (len(logs), 1))
+            at[:, number] = np.exp(logs)
+            rises = np.array([self.cost(one) for one in at]) - most
+            density = np.exp(-np.maximum(rises, -LOWER)) * at[:, number] / scale
+            # The grid begins at next to nothing, of which the rest down to nothing is as probable.
+            below = float(density[0])
+            total += math.log(below + float(np.trapezoid(density, logs)))
+        return total
 
     def estimates(self, sizes: Array, count: int) -> tuple[Array, Array]:
         """(count,) steps of the first coordinates to the optimum, and (count, count) their covariance."""

@@ -109,9 +109,9 @@ def estimate_noise(channels: Sequence[Channel]) -> Noise:
         bends = np.concatenate([np.diff(channel.data, 2) for channel in channels])
         sigma = max(1.4826 * float(np.median(np.abs(bends))) / math.sqrt(6.0), step / math.sqrt(12.0), _floor(channels))
         return Noise(sigma, sigma, (), step, 0)
-    # A current drifts while the coil heats, and a position where its sensor warms up or hums; neither is noise.
-    least = 1 if channels[0].drifts else 0
-    centred = [_without_drift(window, least) for window in windows]
+    # Where a model has the drift of a signal, that is no noise; elsewhere it is.
+    drifts = channels[0].drifts
+    centred = [_without_drift(window) if drifts else window - window.mean() for window in windows]
     samples = sum(len(window) for window in centred)
     spread = math.sqrt(sum(float(window @ window) for window in centred) / max(1, samples - len(centred)))
     floor = max(step / math.sqrt(12.0), _floor(channels))
@@ -185,8 +185,8 @@ def _at_the_quieter_rest(windows: list[Array]) -> list[Array]:
     return quieter if _spread(louder) > PLAINLY_NOISIER * _spread(quieter) else windows
 
 
-def _without_drift(window: Array, least: int) -> Array:
-    """A window less a curve of this degree at the least or, where it plainly bends more, of up to the third.
+def _without_drift(window: Array) -> Array:
+    """A window less a straight line or, where that plainly leaves a tail of what settles, a curve of third degree.
 
     Over three time constants a cubic follows an exponential to half a percent of its height.
     """
@@ -196,7 +196,7 @@ def _without_drift(window: Array, least: int) -> Array:
     left = window - basis @ sizes
     variance = float(left @ left) / max(1, len(window) - len(sizes))
     plain = np.flatnonzero(np.square(sizes) > PLAIN_DRIFT**2 * variance)
-    degree = max(least, int(plain[-1]) if len(plain) else 0)
+    degree = max(1, int(plain[-1]) if len(plain) else 0)
     return np.asarray(window - basis[:, : degree + 1] @ sizes[: degree + 1])
 
 

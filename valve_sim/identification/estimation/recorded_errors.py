@@ -122,7 +122,7 @@ def _of_sizes(result: Fit) -> Iterator[RecordedError]:
     by_sizes, sizes = model.by_sizes(), model.sizes
     for number, group in enumerate(noise.groups):
         recording, unit = _of(group, result)
-        if group.error.is_known or by_sizes.is_learned[number]:
+        if not group.is_learned or by_sizes.is_learned[number]:
             found = _found(by_sizes, sizes, number, group)
         else:
             found = _Found(0.0, 0.0, 0.0, GONE * group.scale, 0.0)
@@ -212,21 +212,15 @@ def _entry(recording: int, name: str, found: _Found, unit: str, detail: str = ""
 
 def _posterior(by_sizes: BySizes, sizes: Array, number: int, group: Group) -> tuple[Array, Array, float]:
     """(n,) sizes, (n,) their probabilities, and the probability that there is an error at all."""
-    low, high = math.log(SMALLEST * group.scale), math.log(LARGEST * group.scale)
-    places = np.linspace(low, high, POINTS)
-    costs = np.array([by_sizes.cost(_with(sizes, number, size)) for size in np.exp(places).tolist()])
-    # Finer about the best.
-    best = int(np.argmin(costs))
-    step = places[1] - places[0]
-    fine = np.linspace(places[best] - 1.5 * step, places[best] + 1.5 * step, POINTS)
-    places = np.concatenate([places[np.abs(places - places[best]) > 1.5 * step], fine])
-    places = np.unique(np.clip(places, low, high))
+    coarse = np.linspace(math.log(SMALLEST * group.scale), math.log(LARGEST * group.scale), POINTS)
+    step = coarse[1] - coarse[0]
+    # Finer about the most probable one.
+    fine = np.linspace(-1.5 * step, 1.5 * step, POINTS) + math.log(sizes[number])
+    places = np.unique(np.clip(np.concatenate([coarse, fine]), coarse[0], coarse[-1]))
     at = np.exp(places)
     costs = np.array([by_sizes.cost(_with(sizes, number, size)) for size in at.tolist()])
     least = float(costs.min())
-    density = np.exp(least - costs) * at
-    widths = np.gradient(places)
-    mass = density * widths
+    mass = np.exp(least - costs) * at / group.scale * np.gradient(places)
     # A size of the smallest is none: what the data say of none is what they say there, without the prior's density.
     none = math.exp(least - float(costs[0]) - group.error.log_prior(float(at[0]), group.scale))
     total = float(np.sum(mass))

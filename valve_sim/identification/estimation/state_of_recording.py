@@ -10,7 +10,7 @@ Each hypothesis of a search then has the most probable sizes of its own (`linear
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Final
 
@@ -52,7 +52,7 @@ def with_learned_errors(
     Args:
         problem: data and noise. fitted: fits the model.
         near: a fit of it with other errors, near which those are that are looked for; None: nothing is known of them.
-        known: errors of other recordings of the same machine by the same sensors.
+        known: errors of other recordings of the same machine by the same sensors, whose mounts ring in no other ways.
 
     Raises:
         SimulationError: the machine cannot be simulated.
@@ -65,6 +65,10 @@ def with_learned_errors(
         return problem, fitted(problem, near)
     problem = problem.with_errors(errors.as_known(known))
     best = fitted(problem, near)
+    if near is None:
+        # Beside a fit with errors of usual sizes what is shown at rest is what it is beside any other.
+        problem = problem.with_errors(errors.as_known(known).with_read(Linearised(best).sizes_at_rest()))
+        best = fitted(problem, best)
     for _ in range(MOST_ROUNDS):
         resized = relearned(best, known)
         again = fitted(resized, best)
@@ -85,25 +89,36 @@ def relearned(best: Fit, known: StructuredNoise | None = None) -> Problem:
     problem, plant = best.problem, best.problem.plant
     assert problem.errors is not None
     assert isinstance(plant, HasSensors)
-    errors = structured_noise(plant, best.values, problem.errors.modes, problem.errors)
-    assert errors is not None
-    there = replace(best, problem=problem.with_errors(errors))
-    model = Linearised(there)
-    most, sizes = model.log_evidence(model.best_sizes), model.best_sizes
+
+    def beside(modes: Mapping[int, tuple[Mode, ...]], before: StructuredNoise) -> tuple[float, StructuredNoise]:
+        errors = structured_noise(plant, best.values, modes, before)
+        assert errors is not None
+        model = Linearised(replace(best, problem=problem.with_errors(errors)))
+        return model.integrated, errors.resized(model.best_sizes)
+
+    most, errors = beside(problem.errors.modes, problem.errors)
     for channel, sensor in plant.sensors(best.values).items():
-        modes = errors.modes.get(channel, ())
-        if len(modes) == MOST_MODES or not rings(there, channel, sensor):
+        # What was found beside another fit is some hertz off, and then there is one more as far as it may be.
+        for place, mode in enumerate(errors.modes.get(channel, ())):
+            others = _without(errors.modes[channel], place)
+            _, without = beside({**errors.modes, channel: others}, errors)
+            closer = refined_mode(replace(best, problem=problem.with_errors(without)), channel, sensor, mode)
+            found, further = beside({**errors.modes, channel: (*others, closer)}, errors)
+            if found > most:
+                most, errors = found, further
+        modes, there = errors.modes.get(channel, ()), replace(best, problem=problem.with_errors(errors))
+        if known is not None or len(modes) == MOST_MODES or not rings(there, channel, sensor):
             continue
-        mode = likely_mode(replace(there, problem=problem.with_errors(errors.resized(sizes))), channel, sensor)
-        if mode is None:
-            continue
-        further = structured_noise(plant, best.values, {**errors.modes, channel: (*modes, mode)}, errors.resized(sizes))
-        assert further is not None
-        beside = Linearised(replace(best, problem=problem.with_errors(further)))
-        found = beside.log_evidence(beside.best_sizes)
-        if found > most + WORTH:
-            errors, most, sizes = further, found, beside.best_sizes
-    return problem.with_errors(errors.resized(sizes).as_known(known))
+        another = likely_mode(there, channel, sensor)
+        if another is not None:
+            found, further = beside({**errors.modes, channel: (*modes, another)}, errors)
+            if found > most + WORTH:
+                most, errors = found, further
+    return problem.with_errors(errors.as_known(known))
+
+
+def _without(modes: tuple[Mode, ...], place: int) -> tuple[Mode, ...]:
+    return (*modes[:place], *modes[place + 1 :])
 
 
 def rings(result: Fit, channel: int, sensor: Sensor) -> bool:
@@ -121,6 +136,26 @@ def rings(result: Fit, channel: int, sensor: Sensor) -> bool:
 
 def likely_mode(result: Fit, channel: int, sensor: Sensor) -> Mode | None:
     """The mode that explains most of what is left of a channel, all else that was fitted at its best; None of noise."""
+    gain, candidates = _gain_of_modes(result, channel, sensor), grid(_interval(result, channel))
+    if not candidates:
+        return None
+    best = max(candidates, key=gain)
+    return refined(best, lambda mode: -gain(mode), _interval(result, channel)) if gain(best) > WORTH else None
+
+
+def refined_mode(result: Fit, channel: int, sensor: Sensor, mode: Mode) -> Mode:
+    """The mode near another one that explains most of what is left of a channel."""
+    gain = _gain_of_modes(result, channel, sensor)
+    return refined(mode, lambda one: -gain(one), _interval(result, channel))
+
+
+def _interval(result: Fit, channel: int) -> float:
+    """Of the samples, s."""
+    return float(np.median(np.diff(result.problem.plant.channels[channel].times)))
+
+
+def _gain_of_modes(result: Fit, channel: int, sensor: Sensor) -> Callable[[Mode], float]:
+    """What χ² falls by with a mode, all else that was fitted at its best."""
     problem, plant = result.problem, result.problem.plant
     own = plant.channels[channel]
     shown = np.zeros(len(own.times))
@@ -144,8 +179,4 @@ def likely_mode(result: Fit, channel: int, sensor: Sensor) -> Mode | None:
         size = np.sqrt(np.maximum(np.diag(of_waves), np.finfo(float).tiny))
         return float(pull / size @ np.linalg.lstsq(of_waves / np.outer(size, size), pull / size, rcond=1e-8)[0])
 
-    candidates = grid(float(np.median(np.diff(own.times))))
-    if not candidates:
-        return None
-    best = max(candidates, key=gain)
-    return refined(best, lambda mode: -gain(mode)) if gain(best) > WORTH else None
+    return gain

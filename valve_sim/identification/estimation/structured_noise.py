@@ -39,16 +39,28 @@ class Group(NamedTuple):
     Attributes:
         key: the channel by its index, or the group's name of nuisances. error: which.
         scale: of the prior of the size, in the unit of the coefficients.
+        is_read: whether the size has been read at rest, and is not learned any more.
     """
 
     key: int | str
     error: RecordingError
     scale: float
+    is_read: bool = False
+
+    @property
+    def is_learned(self) -> bool:
+        """Whether the size is learned beside a model."""
+        return not (self.error.is_known or self.is_read)
 
     @property
     def kind(self) -> str:
         """What it is in any recording: of nuisances the name without the recording's number."""
         return self.key.partition("[")[0] if isinstance(self.key, str) else ""
+
+    @property
+    def held(self) -> float:
+        """The size before the data are asked."""
+        return self.scale if self.error.is_known else HELD * self.scale
 
     @property
     def bounds(self) -> tuple[float, float]:
@@ -122,6 +134,17 @@ class StructuredNoise:
         ]
         return self.resized(np.array(kept))
 
+    def with_read(self, sizes: Array) -> StructuredNoise:
+        """The same with the sizes of errors that are read at rest, (g,), which are not learned any more."""
+        is_read = [own.error.at_rest for own in self.groups]
+        groups = tuple(own._replace(is_read=read) for own, read in zip(self.groups, is_read, strict=True))
+        return replace(self, groups=groups, sizes=np.where(is_read, sizes, self.sizes))
+
+    def unlearned(self) -> StructuredNoise:
+        """The same with sizes as they are before the data are asked, but for those that have been read at rest."""
+        pairs = zip(self.groups, self.sizes.tolist(), strict=True)
+        return self.resized(np.array([size if own.is_read else own.held for own, size in pairs]))
+
     def with_varying(self, share: float) -> StructuredNoise:
         """The same with errors that act on the machine of this size, as a share of their priors' scales; 0 for none."""
         sizes = [
@@ -166,11 +189,12 @@ def structured_noise(
         seen = Seen(channel.times, shown[index], sensor.span, sensor.knots, sensor.contacts, modes.get(index, ()))
         parts, owners = [], []
         for error in ERRORS:
-            own = np.empty((0, 0)) if error.columns is None else error.columns(seen)
+            share = sensor.shares.get(error.name, error.share)
+            own = np.empty((0, 0)) if error.columns is None or share == 0.0 else error.columns(seen)
             if own.shape[1]:
                 owners += [len(groups)] * own.shape[1]
                 parts.append(own)
-                groups.append(Group(index, error, error.share * sensor.span))
+                groups.append(Group(index, error, share * sensor.span))
         columns[index] = ChannelColumns(np.hstack(parts), np.array(owners, dtype=np.intp))
     errors = {error.name: error for error in ERRORS}
     for nuisance in plant.varying:
@@ -178,9 +202,9 @@ def structured_noise(
         if group not in groups:
             groups.append(group)
     known = {} if before is None else dict(zip(before.numbers, before.sizes.tolist(), strict=True))
-    sizes = [
-        known.get((own.key, own.error.name), own.scale if own.error.is_known else HELD * own.scale) for own in groups
-    ]
+    read = set() if before is None else {(own.key, own.error.name) for own in before.groups if own.is_read}
+    groups = [own._replace(is_read=(own.key, own.error.name) in read) for own in groups]
+    sizes = [known.get((own.key, own.error.name), own.held) for own in groups]
     return StructuredNoise(tuple(groups), np.array(sizes), columns, dict(modes), tuple(plant.varying))
 
 

@@ -54,9 +54,13 @@ SMALL_SHARE: Final = 1e-4
 
 
 def variations(valve: Valve, trace: Trace, index: int, channels: tuple[int, ...]) -> list[Nuisance]:
-    """For each stroke and each number that varies, by how much it differs in it; none of a recording of one stroke."""
+    """For each stroke and each number that varies, by how much it differs in it.
+
+    There are none of a recording of one stroke, and none where the motion is not seen, or is of a measured voltage,
+    whose steps are not the commands'.
+    """
     starts = stroke_starts(trace.drive)
-    if len(starts) < 2:
+    if len(starts) < 2 or trace.measured_input is not None or not trace.has_positions:
         return []
     edges = sorted({edge for during in command_strokes(trace.drive) for edge in during})
     declared, found = valve.declared(), []
@@ -75,8 +79,8 @@ def variations(valve: Valve, trace: Trace, index: int, channels: tuple[int, ...]
 
 
 def supply_errors(trace: Trace, index: int, channels: tuple[int, ...]) -> list[Nuisance]:
-    """The resistance of the source, where the voltage at the coil was not measured."""
-    if trace.measured_input is not None or trace.coil_voltage is not None:
+    """The resistance of the source, where the motion is seen and the voltage at the coil was not measured."""
+    if trace.coil_voltage is not None or not trace.has_positions:
         return []
     name = f"{SUPPLY}[{index}]"
     return [

@@ -166,7 +166,8 @@ class Channel:
         unit: SI.
         role: what the channel shows.
         recording: which recording it is of; groups of one number in one recording are one stroke.
-        drifts: whether the signal drifts while the machine is still, as a current does while its coil heats.
+        drifts: whether the signal drifts while the machine is still, and the plant or its sensor's errors tell how: a
+            current while its coil heats, a position while its sensor warms up.
         resolution: by how much data and prediction differ for numerical reasons alone: rounded stamps, rounded values,
             the tolerance of an integrator. No noise is taken to be smaller.
         left_out: (n,) True where a reading is no measurement and takes part in nothing; None where all are.
@@ -371,11 +372,14 @@ class Sensor(NamedTuple):
     Attributes:
         span: range of what it shows, in the channel's unit. knots: (c,) s, of the commands.
         contacts: impacts that shake it.
+        shares: by the name of an error the scale of its prior, as a share of the range, where its data sheet says
+            another than the usual one; 0: there is none.
     """
 
     span: float
     knots: Array
     contacts: Contacts
+    shares: Mapping[str, float] = {}
 
 
 @runtime_checkable

@@ -312,14 +312,15 @@ class ValvePlant:
         """
         if self.valve.gas is not None:
             return {}
-        record, found = self._model.record(values), {}
+        record, found, own_sheet = self._model.record(values), {}, self.valve.tolerances.sensor
+        shares = {"scale": own_sheet.gain, "bend": own_sheet.linearity}
         for index, trace in enumerate(self.traces):
             if not trace.has_positions:
                 continue
             drive, late = drive_with(trace, index, values, self.valve), lateness_with(index, values)
             own = next(iter(self._channels_of(index)))
             meet = contacts(record, trace, drive, late)
-            found[own] = Sensor(self.valve.parameters.stroke, trace.drive.times, meet)
+            found[own] = Sensor(self.valve.parameters.stroke, trace.drive.times, meet, shares)
         return found
 
     def predict(self, values: Mapping[str, float]) -> list[Array]:

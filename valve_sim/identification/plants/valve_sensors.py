@@ -169,8 +169,8 @@ def channels_of(index: int, trace: Trace) -> list[Channel]:
         found.append(
             Channel(
                 f"{trace.source}: pilot_position", "position", trace.times, trace.usable_position, still,
-                stroke_numbers(trace.drive, trace.times), recording=index, resolution=_position_resolution(trace),
-                left_out=left_out,
+                stroke_numbers(trace.drive, trace.times), recording=index, drifts=True,
+                resolution=_position_resolution(trace), left_out=left_out,
             )
         )  # fmt: skip
     if trace.coil_current is not None:

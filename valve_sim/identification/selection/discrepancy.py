@@ -157,20 +157,27 @@ class Discrepancy:
     def spread(self, model: Linearised) -> Spread:
         """The evidence of a linearised model with a discrepancy, with the most probable errors of the recording beside.
 
-        These are chosen without a discrepancy first; where that is not much less probable, again beside it.
+        Beside a discrepancy they may be far from what they are without: either explains what the other does. So they
+        are chosen again at the most probable cell, from those without a discrepancy and from none at all.
         """
-        sizes = model.best_sizes
-        found = self._over_cells(model, sizes)
-        if not len(sizes) or not self.blocks or found.log_evidence < model.log_evidence(sizes) - NEARLY:
-            return found
+        if not len(model.sizes) or not self.blocks:
+            return self._over_cells(model, model.sizes, 0.0)
+        starts = (
+            self._over_cells(model, model.best_sizes, model.log_integral),
+            self._over_cells(model, model.no_sizes, 0.0),
+        )
         whole = model.with_columns()
-        rotated, eigenvalues = self._rotated(self.sums(whole), found.cell.length)
-        shrunk = rotated * (1.0 - 1.0 / (1.0 + found.cell.size**2 * eigenvalues))[:, None]
-        beside = model.sizes_by(gram(whole, whole) - rotated.T @ shrunk, sizes)
-        return max(found, self._over_cells(model, beside), key=lambda one: one.log_evidence)
+        of_all, sums, found = gram(whole, whole), self.sums(whole), [starts[0]]
+        for start in starts:
+            rotated, eigenvalues = self._rotated(sums, start.cell.length)
+            shrunk = rotated * (1.0 - 1.0 / (1.0 + start.cell.size**2 * eigenvalues))[:, None]
+            by_sizes = model.by_sizes(of_all - rotated.T @ shrunk)
+            sizes = by_sizes.most_probable(start.errors)
+            found.append(self._over_cells(model, sizes, by_sizes.log_integral(sizes)))
+        return max(found, key=lambda one: one.log_evidence)
 
-    def _over_cells(self, model: Linearised, errors: Array) -> Spread:
-        """The evidence with a discrepancy, for errors of the recording of these sizes."""
+    def _over_cells(self, model: Linearised, errors: Array, log_integral: float) -> Spread:
+        """The evidence with a discrepancy, for errors of the recording of these sizes, and the integral over others."""
         whole = model.rows(errors)
         of_rows, sums = gram(whole, whole), self.sums(whole)
         logs, evidence = np.empty((len(SIZES), len(self._lengths))), model.evidence_of(errors)
@@ -185,7 +192,7 @@ class Discrepancy:
         row, column = np.unravel_index(int(np.argmax(posterior)), posterior.shape)
         shares = np.exp(posterior - total).sum(axis=1)
         cell, size = Cell(SIZES[int(row)], int(column)), float(shares @ np.array(SIZES))
-        return Spread(total + model.log_constant(errors), cell, size, errors)
+        return Spread(total + model.log_constant(errors) + log_integral, cell, size, errors)
 
 
 def lengths_of(plant: Plant, places: RowPlaces) -> tuple[float, ...]:

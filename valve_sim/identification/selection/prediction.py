@@ -173,13 +173,19 @@ class HeldOut:
             return None
         if result not in self._fits:
             try:
-                found = fit_recording(self.problem, machine_values(result), result.problem.errors)
+                self._fits[result] = fit_recording(self.problem, machine_values(result), result.problem.errors)
             except SimulationError:
                 self._fits[result] = None
-            else:
-                # The first that is asked for is the best one: errors that it shows are the recording's for all others.
-                self.problem, self._fits[result] = found.problem, found
         return self._fits[result]
+
+    def learn_errors(self, result: Fit) -> None:
+        """Take errors of the held-out recordings to be as large as they are beside a fit, whatever is fitted after it.
+
+        Until then they are learned beside each fit.
+        """
+        there = self.fit(result)
+        if there is not None:
+            self.problem = there.problem
 
     def predicted(self, result: Fit, size: float = 0.0) -> Predicted | None:
         """What it predicts of them."""
@@ -214,11 +220,11 @@ class HeldOut:
                 continue
         within = np.column_stack(columns) if columns else None
         model = Linearised(there, within)
-        plain = model.log_evidence(model.best_sizes)
+        plain = model.integrated
         failures = [self.discrepancy.spread(model).log_evidence]
         if within is not None:
             elsewhere = Linearised(there, ELSEWHERE * within)
-            failures += [elsewhere.log_evidence(elsewhere.best_sizes), self.discrepancy.spread(elsewhere).log_evidence]
+            failures += [elsewhere.integrated, self.discrepancy.spread(elsewhere).log_evidence]
         return max(0.0, float(np.logaddexp.reduce(failures)) - math.log(len(failures)) - plain)
 
     def log_density(self, result: Fit) -> float | None:

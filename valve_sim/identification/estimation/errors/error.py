@@ -55,6 +55,8 @@ class RecordingError:
         share: scale of the prior of its size, as a share of the channel's range.
         is_known: whether its size is that scale, as a data sheet says it, and not learned.
         is_normal: whether the prior of the size is half of a normal density, not of a Cauchy density.
+        at_rest: whether its size is read while the machine is still, where nothing else moves what is shown: in motion
+            it would follow what a model lacks.
         stays: whether another recording of the same valve and sensor has an error of the same size.
         amount: of (q,) coefficients what is reported of them; None: the size that they share.
     """
@@ -66,16 +68,17 @@ class RecordingError:
     share: float = 0.0
     is_known: bool = False
     is_normal: bool = False
+    at_rest: bool = False
     stays: bool = False
     amount: Callable[[Array], float] | None = None
 
     def log_prior(self, size: float, scale: float) -> float:
-        """Ln of the prior density of a size, both in one unit."""
+        """Ln of the prior density of a size over its scale, which has no unit: models with other errors compare."""
         if self.is_known:
             return 0.0
         if self.is_normal:
-            return 0.5 * math.log(2.0 / math.pi) - math.log(scale) - 0.5 * (size / scale) ** 2
-        return math.log(2.0 / (math.pi * scale)) - math.log1p((size / scale) ** 2)
+            return 0.5 * math.log(2.0 / math.pi) - 0.5 * (size / scale) ** 2
+        return math.log(2.0 / math.pi) - math.log1p((size / scale) ** 2)
 
     def log_slope(self, size: float, scale: float) -> float:
         """The derivative of `log_prior` to the logarithm of the size."""

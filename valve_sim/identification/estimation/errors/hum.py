@@ -33,6 +33,6 @@ def amount(coefficients: Array) -> float:
 HUM: Final = RecordingError(
     "hum", "hum of the mains",
     "ground the sensor at one point and keep its cable away from the mains", columns=columns, amount=amount,
-    share=4e-4,
+    share=4e-4, at_rest=True,
 )  # fmt: skip
 """Prior: 0.5 µm of 1.23 mm."""

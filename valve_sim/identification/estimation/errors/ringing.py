@@ -26,6 +26,8 @@ FREQUENCIES: Final = 40
 """Of the grid, evenly spaced in the logarithm."""
 DECAYS: Final = (0.6e-3, 1.5e-3, 4e-3)
 """s, of the grid."""
+SHORTEST_DECAY, LONGEST_DECAY = 0.3e-3, 8e-3
+"""s, half of the grid's shortest and twice its longest: what dies away faster is a contact, and slower a hum."""
 FASTEST: Final = 0.4
 """Of the sampling rate, up to which a mode is looked for."""
 LONGEST: Final = 6.0
@@ -89,14 +91,19 @@ def grid(interval: float) -> list[Mode]:
     return [Mode(frequency, decay) for frequency in frequencies for decay in DECAYS]
 
 
-def refined(mode: Mode, cost: Callable[[Mode], float]) -> Mode:
-    """The mode of the least cost near one of the grid, by a simplex in the logarithms of frequency and decay."""
+def refined(mode: Mode, cost: Callable[[Mode], float], interval: float) -> Mode:
+    """The mode of the least cost near one of the grid, by a simplex in the logarithms of frequency and decay.
+
+    Args:
+        mode: of the grid. cost: of a mode. interval: of the samples, s.
+    """
     start: Any = np.log([mode.frequency, mode.decay])
     simplex = start + np.array([[0.0, 0.0], [0.03, 0.0], [0.0, 0.5]])
-    options: Any = {"initial_simplex": simplex, "maxfev": 60, "xatol": 1e-4, "fatol": 1e-2}
+    limits = np.log([(LOWEST, min(HIGHEST, FASTEST / interval)), (SHORTEST_DECAY, LONGEST_DECAY)])
+    options: Any = {"initial_simplex": np.clip(simplex, *limits.T), "maxfev": 60, "xatol": 1e-4, "fatol": 1e-2}
 
     def cost_at(logs: Array) -> float:
         return cost(Mode(*np.exp(logs).tolist()))
 
-    found = minimize(cost_at, start, method="Nelder-Mead", options=options)
+    found = minimize(cost_at, start, method="Nelder-Mead", bounds=limits.tolist(), options=options)
     return Mode(*np.exp(found.x).tolist())
