@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, seed, settings
 from hypothesis import strategies as st
 
 from valve_sim.model import CATALOGUE, DECLARED, EXACT, Drive, ParameterError, Tolerances, Valve, simulate
-from valve_sim.model.tolerances import TOLERATED
+from valve_sim.model.tolerances import TOLERATED, SensorTolerances
 
 DIAGONAL = (0.01, 1e4, 1e10, 1e16)
 FRICTION = {"coulomb_friction": {"force": 0.3}, "stiction": {"force": 0.2, "breakaway": 0.1, "stribeck_velocity": 0.02}}
@@ -66,6 +66,35 @@ def test_every_valve_survives_its_own_mapping(
         found = np.array(valve.tolerances.attraction_covariance).ravel()
         np.testing.assert_allclose(found, covariance, rtol=1e-12)
     assert valve.tolerances.is_exact == (not declared and not (covariance and any(covariance)) and force is None)
+
+
+def test_a_sensor_is_as_true_as_usual_where_nothing_is_said_of_it() -> None:
+    assert Valve().tolerances.sensor == SensorTolerances(gain=0.002, linearity=0.001)
+    silent = Valve.from_mapping({"tolerances": {"stroke": 4e-6}}, "a.yaml")
+    assert silent.tolerances.sensor == Valve().tolerances.sensor
+    assert "sensor" not in silent.to_mapping()["tolerances"]
+
+
+@pytest.mark.parametrize("said", [{"gain": 0.0}, {"linearity": 0.0005}, {"gain": 0.01, "linearity": 0.0}])
+def test_what_is_said_of_the_sensor_is_kept(said: dict[str, float]) -> None:
+    valve = Valve.from_mapping({"tolerances": {"sensor": said}}, "a.yaml")
+    assert valve.tolerances.sensor == SensorTolerances(**said)
+    assert valve.tolerances.is_exact  # of the valve itself nothing is said
+    assert Valve.from_mapping(valve.to_mapping(), "a.yaml") == valve
+    assert valve.exact().tolerances.sensor == valve.tolerances.sensor
+
+
+@pytest.mark.parametrize(
+    ("said", "says"),
+    [
+        ({"gian": 0.1}, r"a\.yaml: tolerances\.sensor\.gian: found 0\.1 under an unknown name; did you mean gain"),
+        ({"gain": -0.1}, r"a\.yaml: tolerances\.sensor\.gain: found -0\.1, expected a number from 0 to 0\.1"),
+        (0.1, r"a\.yaml: tolerances\.sensor: found 0\.1, expected \{gain, linearity\}"),
+    ],
+)
+def test_what_a_sensor_cannot_be_is_refused(said: object, says: str) -> None:
+    with pytest.raises(ParameterError, match=says):
+        Valve.from_mapping({"tolerances": {"sensor": said}}, "a.yaml")
 
 
 def test_zero_means_exact_and_leaves_no_trace() -> None:

@@ -19,6 +19,8 @@ from ..recordings import Short
 from .test_run import DECLARED, measured
 
 FRICTION = {"coulomb_friction": {"force": 0.05}}
+STRONG_FRICTION = {"coulomb_friction": {"force": 0.5}}
+"""No error of the recording takes up any of it."""
 FEW = ["coulomb_friction", "squeeze_film", "stiction", "quadratic_drag", "drive_gain", "coil_lag"]
 
 
@@ -72,7 +74,7 @@ def test_with_work_enough_nothing_is_left_and_the_outcome_is_the_same() -> None:
 
 def test_the_declared_model_is_fitted_whatever_the_work() -> None:
     """With nothing left for any effect, the verdict says so and claims none."""
-    trace = measured(FRICTION, train_profile(), Recorder(), 1)
+    trace = measured(STRONG_FRICTION, train_profile(), Recorder(), 1)
     found = diagnose([trace], [], DECLARED, budget=Budget(1.0))
     assert (found.verdict.kind, found.verdict.effects) == ("insufficient", ())
     assert len(found.untried) > 20

@@ -113,9 +113,12 @@ class Linearised:
         return np.where(self.by_sizes().is_learned, smallest, self.sizes)
 
     def sizes_at_rest(self) -> Array:
-        """(g,) the most probable sizes by the rows alone in which the machine is known to be still."""
+        """(g,) the most probable sizes by the rows alone in which the machine is known to be still.
+
+        Those that were read at rest before, beside another fit, are read again.
+        """
         whole = self.with_columns()[~self._result.problem.rows.places.moves]
-        return self.sizes_by(gram(whole, whole), self.sizes)
+        return self.by_sizes(gram(whole, whole), is_read=False).most_probable(self.sizes)
 
     @functools.cached_property
     def log_integral(self) -> float:
@@ -155,8 +158,12 @@ class Linearised:
         """(g,) the most probable sizes by the Gram matrix of `with_columns`, which may be that of other noise."""
         return self.by_sizes(of_all).most_probable(start) if self._errors is not None else start
 
-    def by_sizes(self, of_all: Array | None = None) -> BySizes:
-        """All that is estimated as a function of the sizes, by the Gram matrix of `with_columns` or another one."""
+    def by_sizes(self, of_all: Array | None = None, *, is_read: bool = True) -> BySizes:
+        """All that is estimated as a function of the sizes.
+
+        Args:
+            of_all: the Gram matrix of `with_columns`; None: its own. is_read: whether sizes read at rest are kept.
+        """
         assert self._errors is not None
         of_all = self._gram if of_all is None else of_all
         result, count = self._result, len(self._result.coordinates)
@@ -175,7 +182,8 @@ class Linearised:
             where = np.array(result.curve, dtype=np.intp)
             information[np.ix_(where, where)] += result.smooth.precision
             pull[where] += result.smooth.precision @ result.coordinates[where]
-        return BySizes(self._errors.noise.groups, self._owners, information, pull)
+        groups = [own if is_read else own._replace(is_read=False) for own in self._errors.noise.groups]
+        return BySizes(groups, self._owners, information, pull)
 
 
 class _Solved(NamedTuple):

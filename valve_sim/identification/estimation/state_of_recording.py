@@ -65,10 +65,9 @@ def with_learned_errors(
         return problem, fitted(problem, near)
     problem = problem.with_errors(errors.as_known(known))
     best = fitted(problem, near)
-    if near is None:
-        # Beside a fit with errors of usual sizes what is shown at rest is what it is beside any other.
-        problem = problem.with_errors(errors.as_known(known).with_read(Linearised(best).sizes_at_rest()))
-        best = fitted(problem, best)
+    assert problem.errors is not None
+    problem = problem.with_errors(problem.errors.with_read(Linearised(best).sizes_at_rest()))
+    best = fitted(problem, best)
     for _ in range(MOST_ROUNDS):
         resized = relearned(best, known)
         again = fitted(resized, best)
