@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import itertools
 import json
 import os
 import re
@@ -196,10 +197,13 @@ def test_the_page_of_the_current_alone_works_as_printed(terminal: tuple[Path, di
 def assert_described(report: dict[str, Any], page: str) -> None:
     """The page of report.json names the keys that a report has, in their order."""
     tables = [re.findall(r"^\| `(\w+)` \|", part, re.MULTILINE) for part in page.split("\n## ")]
-    top, state, verdict, _ = tables
+    top, state, verdict, _, recording = tables
     assert sorted(top) == sorted(report)
     assert sorted(state) == sorted(report["after"])
     assert sorted(verdict) == sorted(report["verdict"])
+    for entry in itertools.chain.from_iterable(report["recording"].values()):
+        assert {key for key in entry if f"`{key}`" not in page.rsplit("\n## ", maxsplit=1)[-1]} == set()
+    assert recording[0] == "error"
     for candidate in report["candidates"]:
         assert "| `candidates` | " + ", ".join(f"`{key}`" for key in candidate) + " |" in page
 

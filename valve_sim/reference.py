@@ -127,7 +127,8 @@ def _node_parameters() -> Iterator[str]:
         "SI units. Names under `valve.` and `tolerances.` are also keys of a parameter file, and so are those of "
         "[effects](effects.md). A parameter of an effect has a tolerance as well: "
         "`tolerances.effects.<effect>.<parameter>`, 0 while the effect is off. Where anything of a valve is given, a "
-        "tolerance that is not is 0: exact, but those of the sensor. [How well your numbers are known](../how_to/tolerances.md)."
+        "tolerance that is not is 0: exact, but those of the sensor. "
+        "[How well your numbers are known](../how_to/tolerances.md)."
     )
     of_effects = ("effects.", "tolerances.effects.")
     entries = [entry for entry in table(default_valve()).values() if not entry.name.startswith(of_effects)]

@@ -14,7 +14,6 @@ import numpy as np
 from valve_sim.identification.estimation.errors.error import RecordingError, Seen
 from valve_sim.identification.plants.protocol import Array
 
-
 RAMPS: Final = 2
 """Between two commands."""
 
