@@ -114,8 +114,8 @@ class Valve:
             mapping["effects"] = {name: CATALOGUE[name].packed(values) for name, values in self.effects.items()}
         if self.gas is not None:
             mapping["gas"] = self.gas._asdict()
-        if not self.tolerances.is_exact:
-            mapping["tolerances"] = self.tolerances.to_mapping()
+        if tolerances := self.tolerances.to_mapping():
+            mapping["tolerances"] = tolerances
         return mapping
 
     def declared(self) -> dict[str, float]:
