@@ -37,8 +37,6 @@ MOST_BLOCKS: Final = 250
 """In a stroke; of longer ones each block has more samples. Eigenvectors of so many take 20 ms."""
 SIZES: Final = tuple(0.1 * 2.0**power for power in range(10))
 """τ: 0.1 to 51.2 standard deviations of a sample's noise."""
-NEARLY: Final = 3.0
-"""Difference in ln p by which a model with a discrepancy may be less probable than without, and be looked at twice."""
 SHARED: Final = 0.5
 """Share of the covariance that is common to all channels."""
 LENGTHS: Final = (0.03, 0.1, 0.4)
