@@ -168,3 +168,26 @@ def test_every_error_says_what_to_do_and_has_a_prior_with_its_slope(error: objec
         sizes = np.geomspace(1e-6, 1e6, 200_001)
         density = np.exp([own.log_prior(size, 1.0) for size in sizes.tolist()])
         assert np.trapezoid(density, sizes) == pytest.approx(1.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("truth", [0.0, 0.8])
+def test_the_integral_over_a_size_is_that_of_a_fine_grid(truth: float) -> None:
+    random = np.random.default_rng(6)
+    columns, free = random.standard_normal((400, 5)), random.standard_normal(400)
+    left = columns @ (truth * random.standard_normal(5)) + random.standard_normal(400)
+    whole = np.column_stack([free, columns])
+    information = whole.T @ whole + np.diag([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    owners = np.array([-1, 0, 0, 0, 0, 0], dtype=np.intp)
+    model = BySizes((Group(0, DRIFT, 1.0),), owners, information, whole.T @ left)
+    best = model.most_probable(np.array([0.3]))
+    sizes = np.geomspace(1e-6, 1e3, 20_000)
+    likelihood = np.exp([model.cost(best) - model.cost(np.array([size])) for size in sizes.tolist()])
+    assert model.log_integral(best) == pytest.approx(math.log(np.trapezoid(likelihood, sizes)), abs=0.1)
+
+
+def test_what_is_read_at_rest_is_not_learned_beside_a_model() -> None:
+    noise = StructuredNoise((Group(0, DRIFT, 1.0), Group(0, BEND, 1.0)), np.array([0.3, 0.3]), {}, {})
+    read = noise.with_read(np.array([2.0, 5.0]))
+    assert [group.is_learned for group in read.groups] == [False, True]
+    np.testing.assert_array_equal(read.sizes, [2.0, 0.3])
+    np.testing.assert_array_equal(read.resized(np.array([2.0, 7.0])).unlearned().sizes, [2.0, 0.3])

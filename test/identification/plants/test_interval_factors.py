@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from plants.declared import DeclaredPlant
@@ -13,6 +15,7 @@ from benchmarks.campaign.cases import declared_valve
 from benchmarks.campaign.running import as_trace
 from valve_sim.identification.plants.protocol import Array, Direction
 from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.traces import Signal
 
 VALUES = {"main_damping": 4.0, "spring_preload": 2.5, "coil_time_constant": 1e-3, "clock_offset[0]": 0.0}
 
@@ -80,6 +83,15 @@ def test_a_clock_that_runs_fast_makes_commands_later_and_later() -> None:
     dampings = {name: float(np.asarray(SHEET_VALVE[name])) for name in ("pilot_damping", "main_damping")}
     without, beside = _error(plant, dampings), _error(plant, {**dampings, "clock_rate[0]": 200e-6})
     assert np.max(np.abs(beside)) < 0.01 * np.max(np.abs(without))
+
+
+def test_where_the_voltage_is_measured_nothing_differs_by_the_commands_intervals() -> None:
+    trace = as_trace(record(DeclaredPlant({}, SHEET_VALVE), train_profile(), Recorder(), 3), "x")
+    volts = trace.drive.volts[np.searchsorted(trace.drive.times, trace.times, side="right") - 1]
+    volts[trace.times < trace.drive.times[0]] = 0.0
+    measured = replace(trace, coil_voltage=Signal(trace.times, volts))
+    assert ValvePlant([trace], declared_valve(SHEET_VALVE)).varying
+    assert not ValvePlant([measured], declared_valve(SHEET_VALVE)).varying
 
 
 def test_a_recording_of_one_stroke_has_no_mean_to_vary_about() -> None:
