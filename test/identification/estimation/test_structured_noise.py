@@ -191,3 +191,22 @@ def test_what_is_read_at_rest_is_not_learned_beside_a_model() -> None:
     assert [group.is_learned for group in read.groups] == [False, True]
     np.testing.assert_array_equal(read.sizes, [2.0, 0.3])
     np.testing.assert_array_equal(read.resized(np.array([2.0, 7.0])).unlearned().sizes, [2.0, 0.3])
+
+
+def test_what_nothing_determines_leaves_all_else_finite() -> None:
+    random = np.random.default_rng(7)
+    columns, free, left = random.standard_normal((60, 5)), random.standard_normal(60), random.standard_normal(60)
+    whole = np.column_stack([free, np.zeros(60), columns])
+    owners = np.array([-1, -1, 0, 0, 0, 0, 0], dtype=np.intp)
+    model = BySizes((Group(0, DRIFT, 1.0),), owners, whole.T @ whole, whole.T @ left)
+    known = BySizes((Group(0, DRIFT, 1.0),), owners[1:], *_without_second(whole, left))
+    sizes = model.most_probable(np.array([0.3]))
+    moves, covariance = model.estimates(sizes, 2)
+    assert np.isfinite(covariance).all()
+    np.testing.assert_allclose(moves[0], known.estimates(sizes, 1)[0][0], rtol=1e-6)
+    np.testing.assert_allclose(covariance[0, 0], known.estimates(sizes, 1)[1][0, 0], rtol=1e-6)
+
+
+def _without_second(whole: Array, left: Array) -> tuple[Array, Array]:
+    rest = np.delete(whole, 1, axis=1)
+    return rest.T @ rest, rest.T @ left

@@ -221,9 +221,10 @@ class DiagnosisSession:
                 break
             try:
                 found = search.relearned(best)
-                if search.gain(best, found) < WORTH_A_SEARCH:
+                gain = search.gain(best, found)
+                if gain < WORTH_A_SEARCH:
                     break
-                again = search.begun_anew(found.problem)
+                again = search.begun_anew(found.problem, math.inf if is_full else gain)
             except SimulationError:
                 break
             again.run(is_full=is_full)

@@ -202,6 +202,12 @@ class _Solved(NamedTuple):
     gain: float
 
 
+def _units(information: Array) -> Array:
+    """(m,) of coordinates, in which the diagonal of an information matrix is 1; 1 of what nothing determines."""
+    sizes = np.sqrt(np.diag(information))
+    return np.asarray(np.where(sizes > 0.0, 1.0 / np.where(sizes > 0.0, sizes, 1.0), 1.0))
+
+
 class BySizes:
     """A linearised model as a function of the sizes of the recording's errors.
 
@@ -218,7 +224,7 @@ class BySizes:
         self._places = np.flatnonzero(owners >= 0)
         self._owners = owners[self._places]
         self._counts = np.bincount(self._owners, minlength=len(groups)).astype(np.float64)
-        self._usual = 1.0 / np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
+        self._usual = _units(information)
         self.is_learned = np.array([own.is_learned for own in groups]) & (self._counts > 0.0)
 
     def _solved(self, sizes: Array) -> _Solved:
@@ -228,7 +234,7 @@ class BySizes:
         scale[self._places] = sizes[self._owners]
         whole = self._information * np.outer(scale, scale)
         whole[self._places, self._places] += 1.0
-        root = 1.0 / np.sqrt(np.maximum(np.diag(whole), np.finfo(float).tiny))
+        root = _units(whole)
         factor = _factored(whole * np.outer(root, root))
         target = scale * root * self._pull
         moves = -cho_solve(factor, target, check_finite=False)

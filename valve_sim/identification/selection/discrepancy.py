@@ -37,6 +37,8 @@ MOST_BLOCKS: Final = 250
 """In a stroke; of longer ones each block has more samples. Eigenvectors of so many take 20 ms."""
 SIZES: Final = tuple(0.1 * 2.0**power for power in range(10))
 """τ: 0.1 to 51.2 standard deviations of a sample's noise."""
+NEARLY: Final = 3.0
+"""Difference in ln p by which a model with a discrepancy may be less probable than without, and be looked at twice."""
 SHARED: Final = 0.5
 """Share of the covariance that is common to all channels."""
 LENGTHS: Final = (0.03, 0.1, 0.4)
@@ -156,7 +158,8 @@ class Discrepancy:
         """The evidence of a linearised model with a discrepancy, with the most probable errors of the recording beside.
 
         Beside a discrepancy they may be far from what they are without: either explains what the other does. So they
-        are chosen again at the most probable cell, from those without a discrepancy and from none at all.
+        are chosen again at the most probable cell, from those without a discrepancy and from none at all, where neither
+        is much less probable than the model without.
         """
         if not len(model.sizes) or not self.blocks:
             return self._over_cells(model, model.sizes, 0.0)
@@ -164,9 +167,11 @@ class Discrepancy:
             self._over_cells(model, model.best_sizes, model.log_integral),
             self._over_cells(model, model.no_sizes, 0.0),
         )
+        if max(start.log_evidence for start in starts) < model.integrated - NEARLY:
+            return starts[0]
         whole = model.with_columns()
         of_all, sums, found = gram(whole, whole), self.sums(whole), [starts[0]]
-        for start in starts:
+        for start in starts[:1] if starts[0].cell == starts[1].cell else starts:
             rotated, eigenvalues = self._rotated(sums, start.cell.length)
             shrunk = rotated * (1.0 - 1.0 / (1.0 + start.cell.size**2 * eigenvalues))[:, None]
             by_sizes = model.by_sizes(of_all - rotated.T @ shrunk)

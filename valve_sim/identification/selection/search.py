@@ -126,6 +126,7 @@ class Search:
             name for name, choice in effects.items() if choice.is_declared and not tolerated & set(choice.free_names())
         )
         self.rivals = Rivals(frozenset(effects) - wrong, wrong)
+        self._behind: frozenset[Set] = frozenset()
         self._costs: dict[frozenset[tuple[str, float]], float] = {}
 
     # -- what is known -------------------------------------------------------------------------------------------------
@@ -282,14 +283,21 @@ class Search:
         except SimulationError:
             return result
 
-    def begun_anew(self, problem: Problem) -> Search:
+    def begun_anew(self, problem: Problem, gain: float = math.inf) -> Search:
         """A search of the same with other errors of the recordings, of which the declared model has been fitted.
+
+        Args:
+            problem: with these errors.
+            gain: in ln p of the best set by them. Sets that are so much farther behind than others are given up stay
+                behind, and are not fitted again.
 
         Raises:
             SimulationError: that cannot be simulated.
         """
         found = Search(problem, self._say)
         found.fit_declared()
+        least, known = self.most - NEAR - gain, {*self.tried, *self.begun}
+        found._behind = frozenset(names for names in known if self._log_weight(names) < least)
         return found
 
     def _extend(self, base: Set) -> bool:
@@ -427,7 +435,7 @@ class Search:
         Raises:
             OutOfWorkError: the work is used up; what was due is in `untried`.
         """
-        known = {*self.tried, *self.begun, *self.impossible}
+        known = {*self.tried, *self.begun, *self.impossible, *self._behind}
         due = [names for names in dict.fromkeys(sets) if names not in known]
         fits: dict[Set, list[Fit]] = {}
         for batch in _batches(due):
