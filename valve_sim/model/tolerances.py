@@ -250,15 +250,23 @@ def _check_effects(
     }
 
 
+def _known(name: str, rules: Mapping[str, Parameter], value: object, where: str) -> Parameter:
+    """The rule of a name in a group.
+
+    Raises:
+        ParameterError: there is none, with the name that was meant.
+    """
+    if name not in rules:
+        likely = closest(name, list(rules))
+        raise ParameterError(f"{where}: found {value!r} under an unknown name; did you mean {likely}?")
+    return rules[name]
+
+
 def _check_gas(values: Mapping[str, Any], source: str, *, has_gas: bool) -> dict[str, float]:
     found = {}
     for name, value in values.items():
         where = _where(f"gas.{name}", source)
-        if name not in GAS:
-            raise ParameterError(
-                f"{where}: found {value!r} under an unknown name; did you mean {closest(name, list(GAS))}?"
-            )
-        tolerance = tolerance_rule(GAS[name]).check(value, where)
+        tolerance = tolerance_rule(_known(name, GAS, value, where)).check(value, where)
         if tolerance and not has_gas:
             raise ParameterError(
                 f"{where}: found {value!r}, but no gas is declared; declare the group gas, or take the line out"
@@ -271,11 +279,7 @@ def _check_sensor(values: Mapping[str, Any], source: str) -> SensorTolerances:
     found = {}
     for name, value in values.items():
         where = _where(f"sensor.{name}", source)
-        if name not in SENSOR:
-            raise ParameterError(
-                f"{where}: found {value!r} under an unknown name; did you mean {closest(name, list(SENSOR))}?"
-            )
-        found[name] = SENSOR[name].check(value, where)
+        found[name] = _known(name, SENSOR, value, where).check(value, where)
     return SensorTolerances(**found)
 
 

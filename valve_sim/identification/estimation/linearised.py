@@ -102,7 +102,7 @@ class Linearised:
     @functools.cached_property
     def best_sizes(self) -> Array:
         """(g,) the most probable sizes, beside what was fitted."""
-        return self.sizes_by(self._gram, self.sizes)
+        return self.sizes if self._errors is None else self.by_sizes().most_probable(self.sizes)
 
     @property
     def no_sizes(self) -> Array:
@@ -153,10 +153,6 @@ class Linearised:
             slopes[where] += result.smooth.precision @ result.coordinates[where]
             known += result.smooth.log_density(result.coordinates[where])
         return lambda of_both: _log_evidence(of_both, curvatures, slopes, self._room) + known
-
-    def sizes_by(self, of_all: Array, start: Array) -> Array:
-        """(g,) the most probable sizes by the Gram matrix of `with_columns`, which may be that of other noise."""
-        return self.by_sizes(of_all).most_probable(start) if self._errors is not None else start
 
     def by_sizes(self, of_all: Array | None = None, *, is_read: bool = True) -> BySizes:
         """All that is estimated as a function of the sizes.
