@@ -7,7 +7,7 @@ import threading
 
 import pytest
 
-from valve_sim.identification.estimation.parallel import run_parallel, threads_limited_to
+from valve_sim.identification.estimation.parallel import Memo, run_parallel, threads_limited_to
 
 
 @pytest.fixture(autouse=True)
@@ -57,3 +57,36 @@ def test_a_limit_holds_for_the_work_that_it_is_for() -> None:
         assert len(set(run_parallel(lambda item: threading.get_ident(), range(4)))) == 1
     both = threading.Barrier(2)
     run_parallel(lambda item: both.wait(60.0), range(2))  # ends only where two are at work
+
+
+def test_a_result_that_several_threads_ask_for_is_computed_once() -> None:
+    asked, go_on = threading.Event(), threading.Event()
+    computed = []
+
+    def work(key: int) -> int:
+        computed.append(key)
+        asked.set()
+        go_on.wait()
+        return key * key
+
+    memo = Memo(work)
+    results = []
+    threads = [threading.Thread(target=lambda: results.append(memo(3))) for _ in range(4)]
+    threads[0].start()
+    asked.wait()
+    for thread in threads[1:]:
+        thread.start()
+    go_on.set()
+    for thread in threads:
+        thread.join()
+    assert (results, computed) == ([9, 9, 9, 9], [3])
+
+
+def test_what_fails_fails_for_each_who_asks() -> None:
+    def work(key: int) -> int:
+        raise ValueError(f"no {key}")
+
+    memo = Memo(work)
+    for _ in range(2):
+        with pytest.raises(ValueError, match="no 5"):
+            memo(5)

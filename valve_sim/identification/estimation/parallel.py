@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager
-from typing import Final, TypeVar
+from typing import Final, Generic, TypeVar
 
 MOST_THREADS: Final = 4
 """Between two simulations a fit holds the interpreter lock, so that more threads would wait for each other."""
@@ -28,6 +28,39 @@ def threads_limited_to(most: int) -> Iterator[None]:
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+Key = TypeVar("Key", bound=Hashable)
+
+
+class Memo(Generic[Key, Result]):
+    """Results that are computed once for each key, whichever of several threads asks first; the others wait.
+
+    A plain dictionary would let two threads compute the same result, so that counted work would depend on their number.
+
+    Args:
+        work: the result of a key.
+
+    Raises:
+        Exception: when called, what the work raises, each time that this key is asked for.
+    """
+
+    def __init__(self, work: Callable[[Key], Result]) -> None:
+        self._work = work
+        self._lock = threading.Lock()
+        self._futures: dict[Key, Future[Result]] = {}
+
+    def __call__(self, key: Key) -> Result:
+        """The result of a key."""
+        with self._lock:
+            future = self._futures.get(key)
+            is_first = future is None
+            if future is None:
+                future = self._futures[key] = Future()
+        if is_first:
+            try:
+                future.set_result(self._work(key))
+            except BaseException as error:
+                future.set_exception(error)
+        return future.result()
 
 
 def run_parallel(

@@ -28,7 +28,7 @@ import numpy as np
 from valve_sim.identification.estimation.budget import OutOfWorkError
 from valve_sim.identification.estimation.descent import TRIAL, Effort
 from valve_sim.identification.estimation.linearised import Linearised
-from valve_sim.identification.estimation.parallel import run_parallel
+from valve_sim.identification.estimation.parallel import Memo, run_parallel
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
@@ -127,7 +127,7 @@ class Search:
         )
         self.rivals = Rivals(frozenset(effects) - wrong, wrong)
         self._behind: frozenset[Set] = frozenset()
-        self._costs: dict[frozenset[tuple[str, float]], float] = {}
+        self._cost_of: Memo[tuple[tuple[str, float], ...], float] = Memo(lambda key: robust_cost(problem, dict(key)))
 
     # -- what is known -------------------------------------------------------------------------------------------------
 
@@ -582,10 +582,7 @@ class Search:
 
     def _cost(self, values: Mapping[str, float]) -> float:
         """By which starts are ranked."""
-        key = frozenset(values.items())
-        if key not in self._costs:
-            self._costs[key] = robust_cost(self.problem, values)
-        return self._costs[key]
+        return self._cost_of(tuple(sorted(values.items())))
 
     def _attempt(
         self, names: Set, nuisances: Sequence[Nuisance], start: Mapping[str, float] | Fit, effort: Effort
