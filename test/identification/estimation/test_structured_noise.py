@@ -10,10 +10,11 @@ from scipy.stats import multivariate_normal
 
 from valve_sim.identification.estimation.errors import ERRORS, Seen
 from valve_sim.identification.estimation.errors.bend import BEND
-from valve_sim.identification.estimation.errors.drift import DRIFT
+from valve_sim.identification.estimation.errors.drift import DRIFT, RAMPS
 from valve_sim.identification.estimation.errors.error import Mode
 from valve_sim.identification.estimation.errors.hum import HUM
 from valve_sim.identification.estimation.errors.ringing import RINGING, RINGING_SCATTER
+from valve_sim.identification.estimation.errors.stroke_variation import STROKE_VARIATION
 from valve_sim.identification.estimation.linearised import BySizes
 from valve_sim.identification.estimation.structured_noise import ChannelColumns, ErrorRows, Group, StructuredNoise
 from valve_sim.identification.plants.protocol import Array, Contacts
@@ -113,7 +114,7 @@ def test_a_bend_is_straight_at_both_ends_of_the_range() -> None:
 def test_drift_is_a_constant_and_ramps_that_stay() -> None:
     assert DRIFT.columns is not None
     columns = DRIFT.columns(seen())
-    assert columns.shape == (len(TIMES), 1 + 2 * 5)  # four commands make five intervals
+    assert columns.shape == (len(TIMES), 1 + RAMPS * 5)  # four commands make five intervals
     np.testing.assert_allclose(columns[:, 0], 1.0)
     assert np.all(np.diff(columns[:, 1:], axis=0) >= -1e-12)
     np.testing.assert_allclose(columns[0, 1:], 0.0)
@@ -210,3 +211,11 @@ def test_what_nothing_determines_leaves_all_else_finite() -> None:
 def _without_second(whole: Array, left: Array) -> tuple[Array, Array]:
     rest = np.delete(whole, 1, axis=1)
     return rest.T @ rest, rest.T @ left
+
+
+def test_the_integral_over_a_size_is_finite_however_sharply_the_size_is_known() -> None:
+    # An error that would have to be 300 times its scale: next to the best size all others are impossible.
+    column, owners = np.ones((1, 1)), np.array([0], dtype=np.intp)
+    information, pull = 1e4 * column.T @ column, 1e4 * column.T @ np.array([1e5])
+    model = BySizes((Group("damping[0]", STROKE_VARIATION, 1.0),), owners, information, pull)
+    assert math.isfinite(model.log_integral(model.most_probable(np.array([1.0]))))

@@ -28,7 +28,6 @@ from valve_sim.identification.estimation.recorded_errors import with_uncertain_s
 from valve_sim.identification.estimation.result import Fit, rmse
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.estimation.state_of_recording import with_learned_errors
-from valve_sim.identification.estimation.structured_noise import structured_noise
 from valve_sim.identification.plants.check import check_plant, named_interrupts
 from valve_sim.identification.plants.hold_out import held_out_strokes
 from valve_sim.identification.plants.protocol import Plant, strokes_of_plant
@@ -41,7 +40,6 @@ from valve_sim.identification.selection.force_maps import (
     fit_maps,
 )
 from valve_sim.identification.selection.posterior import (
-    EVEN,
     LARGEST_CLASS,
     Decision,
     Grounds,
@@ -61,10 +59,6 @@ __all__ = ["Candidate", "Diagnosis", "DiagnosisSession", "State", "Verdict", "be
 
 SAMPLES_EACH: Final = 10
 """Samples for each parameter, below which a model with all effects would explain noise, too."""
-MOST_SEARCHES: Final = 2
-"""With errors of the recordings that were learned beside the best of the search before."""
-WORTH_A_SEARCH: Final = 5.0
-"""Gain in ln p by other errors of the recordings, from which the search begins again with these."""
 LISTED: Final = 30
 """Most candidates in the report."""
 
@@ -200,43 +194,9 @@ class DiagnosisSession:
         """The refitted declared model."""
         return self._search.tried[()].fit
 
-    def _run(self, *, is_full: bool = False) -> None:
-        """Search; and again with the errors of the recordings as they are beside the best, where they are others.
-
-        Beside a declared model that lacks something, large errors of the recording imitate what it lacks: then the
-        first search has sizes as they are before the data are asked, and no numbers that vary from stroke to stroke.
-        """
-        search = self._search
-        errors = search.problem.errors
-        if errors is not None and search.unnamed_beside(()) > EVEN:
-            few = structured_noise(self._plant, self.declared.values, {}, errors.unlearned())
-            assert few is not None
-            search = search.begun_anew(search.problem.with_errors(few.with_varying(0.0)))
-        search.run(is_full=is_full)
-        first = search
-        for _ in range(MOST_SEARCHES):
-            shares = search.posterior()
-            best = leader_of({names: share.total for names, share in shares.shares.items()}, shares.fitted)
-            if search.problem.errors is None or (not best and search is self._search):
-                break
-            try:
-                found = search.relearned(best)
-                gain = search.gain(best, found)
-                if gain < WORTH_A_SEARCH:
-                    break
-                again = search.begun_anew(found.problem, math.inf if is_full else gain)
-            except SimulationError:
-                break
-            again.run(is_full=is_full)
-            if again.most < search.most:
-                break
-            search = again
-        # Large errors beside something unnamed imitate that.
-        self._search = search if search.posterior().unnamed < EVEN else first
-
     def name(self) -> VerdictWithIntervals:
         """Search, and decide: what a diagnosis names, and nothing of what a report has beside."""
-        self._run()
+        self._search.run()
         decision = self._decided().decision
         result = self._fit_of(decision)
         exact = covariance_interval if decision.unnamed > PROMISING else _profile
@@ -248,7 +208,7 @@ class DiagnosisSession:
             return self._ended(is_full=is_full)
 
     def _ended(self, *, is_full: bool) -> Diagnosis:
-        self._run(is_full=is_full)
+        self._search.run(is_full=is_full)
         grounds = self._decided()
         posterior, decision = grounds.posterior, grounds.decision
         self._say("intervals", 0.95)

@@ -15,12 +15,15 @@ import math
 from typing import Final
 
 import numpy as np
+from scipy.linalg.lapack import dpotrf, dpotri
 from scipy.special import log_ndtr
 
 from valve_sim.identification.plants.protocol import Array
 
 SMALLEST: Final = 1e-13
 """Eigenvalue of the information, scaled to a unit diagonal, below which it is rounding."""
+PIVOT: Final = 1e-5
+"""Pivot of Cholesky's factor of such a matrix, the square of which is still far above rounding."""
 EVEN: Final = 1e-6
 """Information, in inverse squares of a range, that changes nothing within it."""
 TINY: Final = 1e-200
@@ -43,14 +46,28 @@ def log_volume(information: Array, slopes: Array, room: Array) -> float:
     ranges = room.sum(axis=1)
     information = information + np.diag(np.where(np.isfinite(ranges), EVEN / np.square(np.maximum(ranges, TINY)), 0.0))
     scale = 1.0 / np.sqrt(np.maximum(np.diag(information), TINY))
-    sizes, directions = np.linalg.eigh(information * np.outer(scale, scale))
-    sizes = np.maximum(sizes, SMALLEST)
-    volume = 0.5 * count * math.log(2.0 * math.pi) - 0.5 * float(np.sum(np.log(sizes))) + float(np.sum(np.log(scale)))
-    sigmas = np.sqrt(np.einsum("ij,j,ij->i", directions, 1.0 / sizes, directions)) * scale
+    log_determinant, variances = _inverted(information * np.outer(scale, scale))
+    volume = 0.5 * count * math.log(2.0 * math.pi) - 0.5 * log_determinant + float(np.sum(np.log(scale)))
+    sigmas = np.sqrt(variances) * scale
     return volume + sum(
         _log_share(sigma, slope, below, above)
         for sigma, slope, (below, above) in zip(sigmas.tolist(), slopes.tolist(), room.tolist(), strict=True)
     )
+
+
+def _inverted(normal: Array) -> tuple[float, Array]:
+    """Ln of the determinant of a positive (k, k) matrix of unit diagonal, and the (k,) diagonal of its inverse.
+
+    By Cholesky's factor, which takes a tenth of the time; by eigenvalues where rounding shows in it.
+    """
+    factor, failed = dpotrf(normal, lower=1)
+    pivots = np.diag(factor)
+    if not failed and float(pivots.min()) > PIVOT:
+        inverse, _ = dpotri(factor, lower=1)
+        return 2.0 * float(np.sum(np.log(pivots))), np.diag(inverse).copy()
+    sizes, directions = np.linalg.eigh(normal)
+    sizes = np.maximum(sizes, SMALLEST)
+    return float(np.sum(np.log(sizes))), np.einsum("ij,j,ij->i", directions, 1.0 / sizes, directions)
 
 
 def _log_share(sigma: float, slope: float, below: float, above: float) -> float:

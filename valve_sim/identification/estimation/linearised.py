@@ -21,6 +21,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg.lapack import dpotri
 from scipy.optimize import minimize
 
 from valve_sim.identification.estimation.evidence import log_volume
@@ -32,8 +33,11 @@ from valve_sim.identification.plants.protocol import Array
 
 MOST_UPDATES: Final = 60
 """Steps of L-BFGS."""
-POINTS: Final = 12
-"""Of the integral over a size: over its whole range, and about the most probable one, even in the logarithm."""
+POINTS: Final = 13
+"""Of the integral over a size: over its whole range, and about the most probable one, even in the logarithm.
+
+Their number is odd: the most probable size is one of them, however sharply it is known.
+"""
 LOWER: Final = 10.0
 """By how much in ln p a size may be more probable than the best that was found, before it counts no more."""
 NEARBY: Final = 1.0
@@ -249,8 +253,8 @@ class BySizes:
     def _cost_and_slope(self, sizes: Array) -> tuple[float, Array]:
         """The cost, and its derivative to the logarithm of each size."""
         solved, places = self._solved(sizes), self._places
-        asked = np.eye(len(solved.scale))[:, places]
-        spread = cho_solve(solved.factor, asked, check_finite=False)[places, np.arange(len(places))]
+        inverse, _ = dpotri(solved.factor[0], lower=1)
+        spread = np.diag(inverse)[places]
         squares = (np.square(solved.moves[places]) + spread) * np.square(solved.root[places])
         known = np.bincount(self._owners, squares, minlength=len(sizes))
         pairs = zip(self._groups, sizes.tolist(), strict=True)

@@ -21,7 +21,7 @@ from valve_sim.identification.estimation.errors.ringing import columns, grid, re
 from valve_sim.identification.estimation.linearised import Linearised
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
-from valve_sim.identification.estimation.structured_noise import HELD, StructuredNoise, structured_noise
+from valve_sim.identification.estimation.structured_noise import StructuredNoise, structured_noise
 from valve_sim.identification.plants.protocol import HasSensors, Sensor
 
 MOST_ROUNDS: Final = 4
@@ -60,7 +60,7 @@ def with_learned_errors(
     if near is None:
         errors = None if problem.is_long else structured_noise(problem.plant, {}, {} if known is None else known.modes)
     else:
-        errors = None if problem.errors is None else problem.errors.with_varying(HELD)
+        errors = None if problem.errors is None else problem.errors.with_varying()
     if errors is None:
         return problem, fitted(problem, near)
     problem = problem.with_errors(errors.as_known(known))

@@ -53,6 +53,11 @@ class Group(NamedTuple):
         return not (self.error.is_known or self.is_read)
 
     @property
+    def is_of_machine(self) -> bool:
+        """Whether the error acts on the machine, and not on what a sensor shows."""
+        return isinstance(self.key, str)
+
+    @property
     def kind(self) -> str:
         """What it is in any recording: of nuisances the name without the recording's number."""
         return self.key.partition("[")[0] if isinstance(self.key, str) else ""
@@ -69,7 +74,7 @@ class Group(NamedTuple):
 
     def is_gone(self, size: float) -> bool:
         """Whether an error of a size is as good as none."""
-        return not self.error.is_known and size < GONE * self.scale
+        return size < GONE * self.scale
 
 
 class ChannelColumns(NamedTuple):
@@ -145,13 +150,15 @@ class StructuredNoise:
         pairs = zip(self.groups, self.sizes.tolist(), strict=True)
         return self.resized(np.array([size if own.is_read else own.held for own, size in pairs]))
 
-    def with_varying(self, share: float) -> StructuredNoise:
-        """The same with errors that act on the machine of this size, as a share of their priors' scales; 0 for none."""
-        sizes = [
-            max(share, SMALLEST) * own.scale if isinstance(own.key, str) else size
-            for own, size in zip(self.groups, self.sizes.tolist(), strict=True)
-        ]
-        return self.resized(np.array(sizes))
+    def without_varying(self) -> StructuredNoise:
+        """Without errors that act on the machine."""
+        pairs = zip(self.groups, self.sizes.tolist(), strict=True)
+        return self.resized(np.array([SMALLEST * own.scale if own.is_of_machine else size for own, size in pairs]))
+
+    def with_varying(self) -> StructuredNoise:
+        """With errors that act on the machine as they are before the data are asked."""
+        pairs = zip(self.groups, self.sizes.tolist(), strict=True)
+        return self.resized(np.array([own.held if own.is_of_machine else size for own, size in pairs]))
 
     @property
     def log_prior(self) -> float:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from valve_sim.identification.plants.advice import Advice
 from valve_sim.identification.plants.force_map_choice import force_map_over
 from valve_sim.identification.plants.hold_out import Condition
-from valve_sim.identification.plants.interval_factors import IntervalFactors, supply_errors, variations
+from valve_sim.identification.plants.interval_factors import IntervalFactors, supply_errors, trends, variations
 from valve_sim.identification.plants.protocol import (
     Array,
     Channel,
@@ -287,7 +287,7 @@ class ValvePlant:
 
     @functools.cached_property
     def varying(self) -> Sequence[Nuisance]:
-        """Numbers that differ from stroke to stroke, and the resistance of the source; none of a valve with gas."""
+        """What varies from stroke to stroke, trends, and the resistance of the source; none of a valve with gas."""
         if self.valve.gas is not None:
             return ()
         return tuple(
@@ -295,6 +295,7 @@ class ValvePlant:
             for index, trace in enumerate(self.traces)
             for found in (
                 variations(self.valve, trace, index, self._channels_of(index)),
+                trends(self.valve, trace, index, self._channels_of(index)),
                 supply_errors(trace, index, self._channels_of(index)),
             )
             for nuisance in found

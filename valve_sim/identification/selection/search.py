@@ -1,6 +1,7 @@
 """Which sets of effects are fitted, in which order: theory, section 8.
 
     fit {} with and without errors of the commands' stamps
+    where {} leaves something unnamed: forget what was learned beside it of the recordings' errors, fit it again
     fit singles from several starts, with errors of the stamps where these gain
     for sizes 1 to 4:
         B = the most probable set of that size, something unnamed beside it included
@@ -9,6 +10,8 @@
         fit B with each addition, B again from where the best of these ended, and the look-alikes of the best; stop
         where none is more probable than B
         where nothing unnamed acts beside the best: swap each of its members
+        learn the recordings' errors beside the best; where this explains more and leaves nothing unnamed: fit again
+        with these what may come near, and what now promises something
 
 Work is counted in simulated strokes, never by a clock, so that a busy machine finds what a quiet one does.
 What it would still have fitted when the work is used up is left in the table with the best evidence found.
@@ -33,6 +36,7 @@ from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.estimation.state_of_recording import with_learned_errors
+from valve_sim.identification.estimation.structured_noise import StructuredNoise, structured_noise
 from valve_sim.identification.plants.effect_titles import titles_of
 from valve_sim.identification.plants.protocol import Array, EffectChoice, Nuisance
 from valve_sim.identification.selection.discrepancy import Cell, Discrepancy, Spread, lengths_of
@@ -60,6 +64,8 @@ REFITTED: Final = 10.0
 """Difference in ln p from the best, within which sets are fitted again beside a discrepancy."""
 SCATTER: Final = (1.0, 3.0, 10.0)
 """Standard errors by which the starts of a polish are scattered."""
+WORTH_LEARNING: Final = 5.0
+"""Gain in ln p by other errors of the recordings, from which sets are fitted again with these."""
 WORTH_KEEPING: Final = 0.1
 """Difference of χ², or of ln p, that makes a fit a better one."""
 BATCH: Final = 4
@@ -126,8 +132,7 @@ class Search:
             name for name, choice in effects.items() if choice.is_declared and not tolerated & set(choice.free_names())
         )
         self.rivals = Rivals(frozenset(effects) - wrong, wrong)
-        self._behind: frozenset[Set] = frozenset()
-        self._cost_of: Memo[tuple[tuple[str, float], ...], float] = Memo(lambda key: robust_cost(problem, dict(key)))
+        self._cost_of = _costs_of(problem)
 
     # -- what is known -------------------------------------------------------------------------------------------------
 
@@ -165,19 +170,13 @@ class Search:
         plain, unnamed = self.rivals.log_prior(names)
         return float(np.logaddexp(plain + tried.plain, unnamed + tried.spread.log_evidence))
 
-    def gain(self, names: Set, found: Fit) -> float:
-        """By how much another fit of a fitted set raises ln of its prior times evidence, whatever acts beside it."""
-        return self._log_weight_of(names, self._weighed(names, [found])) - self._log_weight(names)
-
-    @property
-    def most(self) -> float:
-        """Ln of prior times evidence of the most probable set."""
-        return max(map(self._log_weight, self.tried))
-
     def unnamed_beside(self, names: Set) -> float:
         """Probability that something unnamed acts beside a fitted set, were it the only one."""
+        return self._unnamed_beside(names, self.tried[names])
+
+    def _unnamed_beside(self, names: Set, tried: Tried) -> float:
+        """That probability by one of its fits."""
         plain, unnamed = self.rivals.log_prior(names)
-        tried = self.tried[names]
         if math.isinf(tried.plain):
             return 0.0
         return 1.0 / (1.0 + math.exp(min(700.0, plain + tried.plain - unnamed - tried.spread.log_evidence)))
@@ -201,11 +200,18 @@ class Search:
         try:
             if () not in self.tried:
                 self.fit_declared()
+            if self.problem.errors is not None and self.unnamed_beside(()) > EVEN:
+                self._forget_errors(self.problem.errors)
             if is_full:
                 self._fit_all([(name,) for name in self._names], ())
             for size in range(LARGEST_SET):
                 base = self.best(size)
-                if base is None or self._is_led_by_curve(base) or not self._extend(base):
+                if base is None or self._is_led_by_curve(base):
+                    break
+                goes_on = self._extend(base)
+                if self._learn_errors(everything=is_full):
+                    goes_on = self._extend(base)
+                if not goes_on:
                     break
             self._refit_near()
         except OutOfWorkError:
@@ -247,7 +253,52 @@ class Search:
             self._polish(names)
         return self.tried[names].fit
 
-    def relearned(self, names: Set) -> Fit:
+    def _forget_errors(self, learned: StructuredNoise) -> None:
+        """Take the recordings' errors to be as large as they are before the data are asked, and fit {} with these.
+
+        Beside a declared model that lacks something, learned errors imitate what it lacks, most of all numbers of the
+        machine that vary from stroke to stroke; so there are none of these.
+        """
+        plant, values = self.problem.plant, self.tried[()].fit.values
+        few = structured_noise(plant, values, {}, learned.unlearned())
+        assert few is not None
+        self._go_on_with(self.problem.with_errors(few.without_varying()))
+        self.fit_declared()
+
+    def _learn_errors(self, *, everything: bool) -> bool:
+        """Learn the recordings' errors beside the most probable set, and fit again with these what may come near.
+
+        Args:
+            everything: whether everything is fitted again.
+
+        Returns:
+            Whether they explain more and leave nothing unnamed: beside something unnamed large errors imitate that.
+        """
+        best = max(self.tried, key=self._log_weight)
+        if self.problem.errors is None or not best:
+            return False
+        try:
+            result = self._with_learned_errors(best)
+        except SimulationError:
+            return False
+        found = self._weighed(best, [result])
+        gain = self._log_weight_of(best, found) - self._log_weight(best)
+        if gain < WORTH_LEARNING or self._unnamed_beside(best, found) > EVEN:
+            return False
+        # Others may gain as much.
+        least = -math.inf if everything else self._log_weight(best) - NEAR - gain
+        near = [names for names in (*self.tried, *self.begun) if self._log_weight(names) > least]
+        self._go_on_with(result.problem)
+        self.tried[best] = found
+        # It says whether stamps err, which is asked for all others.
+        self.tried[()] = self._fitted_again(())
+        due = [names for names in near if names not in ((), best)]
+        self.tried.update(zip(due, run_parallel(self._fitted_again, due), strict=True))
+        for names in due:
+            self.begun.pop(names, None)
+        return True
+
+    def _with_learned_errors(self, names: Set) -> Fit:
         """A fitted set with errors of the recordings as large as they are beside it, those of the machine among them.
 
         Raises:
@@ -262,6 +313,25 @@ class Search:
             return fit(problem, known.free, start.values, nuisances=nuisances, effort=Effort(is_near=True))
 
         return with_learned_errors(self.problem, fitted, known)[1]
+
+    def _go_on_with(self, problem: Problem) -> None:
+        """Fit what comes with other errors of the recordings."""
+        self.problem, self._cost_of = problem, _costs_of(problem)
+        self.__dict__.pop("curves", None)
+
+    def _fitted_again(self, names: Set) -> Tried:
+        """A set fitted with the errors of the recordings that others have now, from where it ended and from its starts.
+
+        From its starts only the declared model is: all else is compared with it.
+        """
+        known = self.tried[names] if names in self.tried else self.begun[names]
+        starts = [known.fit.values, *(self._starts(names) if not names else [])]
+        done = []
+        for nuisances in self._variants():
+            fits = [self._attempt(names, nuisances, start, Effort()) for start in starts]
+            found = [one for one in fits if one is not None]
+            done += [min(found, key=lambda one: one.chi2)] if found else []
+        return self._weighed(names, done) if done else known
 
     def settled(self, result: Fit, sizes: Array | None = None) -> Fit:
         """A fit of this search, made again with the errors of the recordings that suit it.
@@ -283,23 +353,6 @@ class Search:
         except SimulationError:
             return result
 
-    def begun_anew(self, problem: Problem, gain: float = math.inf) -> Search:
-        """A search of the same with other errors of the recordings, of which the declared model has been fitted.
-
-        Args:
-            problem: with these errors.
-            gain: in ln p of the best set by them. Sets that are so much farther behind than others are given up stay
-                behind, and are not fitted again.
-
-        Raises:
-            SimulationError: that cannot be simulated.
-        """
-        found = Search(problem, self._say)
-        found.fit_declared()
-        least, known = self.most - NEAR - gain, {*self.tried, *self.begun}
-        found._behind = frozenset(names for names in known if self._log_weight(names) < least)
-        return found
-
     def _extend(self, base: Set) -> bool:
         """Fit a set with each addition that may gain, then swap members of the best; whether to go on from there."""
         names = [name for name in self._names if name not in base]
@@ -308,7 +361,8 @@ class Search:
             gains = self._gains(base)
             promising = [name for name in names if gains.get(name, -math.inf) > math.log(PROMISING)]
             if not base:
-                promising += [name for name in names if name not in promising and name in self._rivals_of_errors]
+                rivals = self._rivals_of_errors()
+                promising += [name for name in names if name not in promising and name in rivals]
                 self._screen(gains, promising)
             names = promising
         self._fit_all([_added(base, name) for name in names], base if explains_all else None)
@@ -373,7 +427,6 @@ class Search:
         if fits:
             self.tried[names] = self._weighed(names, [min(fits, key=lambda one: one.chi2)])
 
-    @functools.cached_property
     def _rivals_of_errors(self) -> list[str]:
         """Names that would explain as much as the errors of the recordings do that act on the machine.
 
@@ -384,7 +437,7 @@ class Search:
         if errors is None or not errors.nuisances:
             return []
         try:
-            without = fit_of_declared(self.problem.with_errors(errors.with_varying(0.0)), declared.fit)
+            without = fit_of_declared(self.problem.with_errors(errors.without_varying()), declared.fit)
         except SimulationError:
             return []
         explained = declared.plain - Linearised(without).integrated
@@ -435,7 +488,7 @@ class Search:
         Raises:
             OutOfWorkError: the work is used up; what was due is in `untried`.
         """
-        known = {*self.tried, *self.begun, *self.impossible, *self._behind}
+        known = {*self.tried, *self.begun, *self.impossible}
         due = [names for names in dict.fromkeys(sets) if names not in known]
         fits: dict[Set, list[Fit]] = {}
         for batch in _batches(due):
@@ -619,6 +672,11 @@ def fit_of_declared(problem: Problem, begun: Fit | None) -> Fit:
     every = (*problem.nuisances, *plant.timing_errors)
     stamped = fit(problem, plant.base, best.values if begun is None else start, nuisances=every, effort=effort)
     return max(best, stamped, key=lambda one: one.log_evidence)
+
+
+def _costs_of(problem: Problem) -> Memo[tuple[tuple[str, float], ...], float]:
+    """By which starts are ranked, of names and values in order."""
+    return Memo(lambda key: robust_cost(problem, dict(key)))
 
 
 def words(names: Set) -> str:

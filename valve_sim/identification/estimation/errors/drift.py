@@ -7,6 +7,7 @@ straight line, which shows where a sensor of low noise drifts by micrometres.
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 import numpy as np
@@ -14,7 +15,7 @@ import numpy as np
 from valve_sim.identification.estimation.errors.error import RecordingError, Seen
 from valve_sim.identification.plants.protocol import Array
 
-RAMPS: Final = 2
+RAMPS: Final = 4
 """Between two commands."""
 
 
@@ -31,9 +32,20 @@ def columns(seen: Seen) -> Array:
     return np.column_stack([np.ones(len(seen.times)), ramps])
 
 
+def change_by_stroke(coefficients: Array) -> float:
+    """Root mean square of the zero's change over a stroke, of (1 + ramps,) coefficients.
+
+    Not the size that they share: a zero that changes smoothly has ramps that follow each other, and goes farther in a
+    stroke than a walk of as large steps.
+    """
+    steps = coefficients[1:] / math.sqrt(2.0 * RAMPS)
+    strokes = np.add.reduceat(steps, np.arange(0, len(steps), 2 * RAMPS))
+    return float(np.sqrt(np.mean(np.square(strokes))))
+
+
 DRIFT: Final = RecordingError(
     "drift", "drift of the zero",
     "let the sensor warm up, shield it from draughts, and record short", columns=columns,
-    share=8e-4, at_rest=True,
+    share=8e-4, at_rest=True, amount=change_by_stroke,
 )  # fmt: skip
 """Prior: 1 µm a stroke, of 1.23 mm, as a laser sensor's 0.01 to 0.03 % of its range for each kelvin."""
