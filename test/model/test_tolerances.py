@@ -90,6 +90,7 @@ def test_what_is_said_of_the_sensor_is_kept(said: dict[str, float]) -> None:
         ({"gian": 0.1}, r"a\.yaml: tolerances\.sensor\.gian: found 0\.1 under an unknown name; did you mean gain"),
         ({"gain": -0.1}, r"a\.yaml: tolerances\.sensor\.gain: found -0\.1, expected a number from 0 to 0\.1"),
         (0.1, r"a\.yaml: tolerances\.sensor: found 0\.1, expected \{gain, linearity\}"),
+        (0, r"a\.yaml: tolerances\.sensor: found 0, expected \{gain, linearity\}"),
     ],
 )
 def test_what_a_sensor_cannot_be_is_refused(said: object, says: str) -> None:

@@ -116,7 +116,7 @@ class Tolerances:
             if name not in (COVARIANCE_NAME, *_GROUPS):
                 scalars[name] = _scalar_rule(name, value, source).check(value, _where(name, source))
         covariance = values.get(COVARIANCE_NAME)
-        of_effects, of_gas, of_sensor = (values.get(group) or {} for group in _GROUPS)
+        of_effects, of_gas, of_sensor = ({} if values.get(group) is None else values[group] for group in _GROUPS)
         if not isinstance(of_effects, Mapping):
             raise ParameterError(f"{_where('effects', source)}: found {of_effects!r}, expected effects and parameters")
         if not isinstance(of_gas, Mapping):
