@@ -44,7 +44,15 @@ COMPARED: Final = [("none_within", 0), ("none_within", 1), *(("single_within", s
 """Cases that are diagnosed with and without tolerances, one at a time."""
 MEASURED_APART: Final = ("time", "cost")
 DRAWN_BY_LIMITS: Final = {"single", "pair", "mismatched", "opening", "at_limits", "unnamed_beside"}
-DRAWN_WITHIN: Final = {"single_within", "folder", "mismatched_within", "reluctance", "at_limits_within", "beside"}
+DRAWN_WITHIN: Final = {
+    "single_within",
+    "folder",
+    "mismatched_within",
+    "reluctance",
+    "at_limits_within",
+    "beside",
+    "low_rate",
+}
 """Families whose amplitudes are in detection limits: of exact values, and of those with tolerances."""
 SHOWN_CANDIDATES: Final = 8
 

@@ -13,9 +13,9 @@ from typing import Final
 import numpy as np
 from plants.common import Plant
 from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
-from plants.laboratory import IMPERFECTIONS, LABORATORIES, Laboratory, measure
+from plants.laboratory import IMPERFECTIONS, LABORATORIES, LOW_RATES, Laboratory, measure
 from plants.mismatched import BENCH_VALVE, EFFECTS, MismatchedPlant
-from plants.recording import Recorder, Recording, record, single_opening, train_bags, train_profile
+from plants.recording import Recorder, Recording, record, single_opening, three_strokes, train_bags, train_profile
 from plants.recording import holdout_profile as other_profile
 from plants.reluctance import DATA_SHEET, ReluctancePlant, built
 from plants.reluctance import EFFECTS as RELUCTANCE_EFFECTS
@@ -35,6 +35,8 @@ NOISES: Final[Mapping[str, Recorder]] = {
 """1 µm white; AR(1) of 0.7; steps of 5 µm; 50 µs on every command's stamp."""
 LABORATORY_NOISES: Final[Mapping[str, float]] = {"white": 1e-6, "quiet": 0.2e-6}
 """m, standard deviation of the white noise beside one imperfection: as everywhere, and as a good sensor has it."""
+WHOLE: Final = {**LABORATORIES, **LOW_RATES}
+"""Laboratories with their own noise, by name."""
 OWN_NOISE: Final = "own"
 """The noise of a whole laboratory, which says itself what it is."""
 SIZES: Final = ("small", "middle", "large")
@@ -206,8 +208,8 @@ class Case:
 
     def laboratory_of(self, bag: int) -> Laboratory:
         """The laboratory as it records a bag, by its place, with that bag's clock."""
-        if self.laboratory in LABORATORIES:
-            laboratory = LABORATORIES[self.laboratory]
+        if self.laboratory in WHOLE:
+            laboratory = WHOLE[self.laboratory]
         else:
             name, _, size = self.laboratory.partition(":")
             laboratory = replace(IMPERFECTIONS[name][SIZES.index(size)], position_noise=LABORATORY_NOISES[self.noise])
@@ -219,6 +221,7 @@ class Case:
         profiles = {
             "opening": (single_opening(), train_profile()),
             "folder": (*train_bags(FOLDER), other_profile()),
+            "low_rate": (three_strokes(), three_strokes()),
         }.get(self.family, (train_profile(), other_profile()))
         if self.laboratory:
             return tuple(
@@ -321,6 +324,10 @@ def _one_imperfection(seed: int) -> tuple[str, str]:
 
 def _whole_laboratory(seed: int) -> tuple[str, str]:
     return list(LABORATORIES)[seed % len(LABORATORIES)], OWN_NOISE
+
+
+def _low_rate(seed: int) -> tuple[str, str]:
+    return list(LOW_RATES)[seed // 2 % len(LOW_RATES)], OWN_NOISE
 
 
 def _clear_imperfection(seed: int) -> tuple[str, str]:
@@ -462,6 +469,11 @@ def _beside(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple
     return _catalogued(name, random, recorder, BESIDE_LIMITS, Knowledge.WITHIN)
 
 
+def _every_other(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[Effects, Numbers]:
+    """Nothing, and in every other seed one effect."""
+    return _beside(seed // 2, random, recorder) if seed % 2 else _none(seed, random, recorder)
+
+
 FORMED_OTHERWISE: Final = ("mismatched", "mismatched_within", "reluctance")
 """Families whose plant is not of the declared form."""
 EXACT: Final[Mapping[str, Family]] = {
@@ -491,6 +503,7 @@ RECORDED: Final[Mapping[str, Family]] = {
     "beside": Family(
         _beside, len(CATALOGUED), len(CATALOGUED), (), has_tolerances=True, laboratory=_clear_imperfection
     ),
+    "low_rate": Family(_every_other, 2 * len(CATALOGUED), 12, (), has_tolerances=True, laboratory=_low_rate),
 }
 """Of valves within their tolerances, recorded with errors; run where they are asked for by `--only`."""
 FAMILIES: Final[Mapping[str, Family]] = {**EXACT, **WITHIN, **RECORDED}

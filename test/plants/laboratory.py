@@ -175,6 +175,13 @@ IMPERFECTIONS: dict[str, tuple[Laboratory, Laboratory, Laboratory]] = {
 }
 """One imperfection each, small, middle and large, beside 1 µm of white noise."""
 
+LOW_RATES: dict[str, Laboratory] = {
+    "1 kHz": Laboratory(sample_rate=1e3),
+    "2 kHz": Laboratory(sample_rate=2e3),
+    "2 kHz, coarse": Laboratory(sample_rate=2e3, quantisation=3e-6, supply_resistance=0.3, stroke_variation=0.15),
+}
+"""Slow sensors, as data loggers have them."""
+
 LABORATORIES: dict[str, Laboratory] = {
     "good bench": Laboratory(position_noise=0.2e-6, drift=0.5e-6, hum=0.2e-6),
     "ringing mount": Laboratory(

@@ -80,6 +80,11 @@ def single_opening() -> Profile:
     return _profile([(0.010, 9.0)], 0.040)
 
 
+def three_strokes() -> Profile:
+    """Two full strokes and one that lifts the valve partly, all at 12 V."""
+    return _profile([(0.010, 12.0), (0.038, 0.0), (0.070, 12.0), (0.0735, 0.0), (0.110, 12.0), (0.138, 0.0)], 0.17)
+
+
 @dataclass(frozen=True)
 class Recorder:
     """What measuring does to the truth; the default is 1 µm of white noise and perfect clocks.
