@@ -13,7 +13,7 @@ from typing import Final
 from scipy.stats import beta
 
 from benchmarks.campaign.cases import SEEN, STRONG
-from benchmarks.campaign.running import DECLARED, Cost, Outcome, Timing, is_unnamed, true_names
+from benchmarks.campaign.running import DECLARED, RECORDED, Cost, Outcome, Timing, is_unnamed, true_names
 
 LABELS: Final = ("unique", "class", "unknown", "insufficient", "none", "wrong", "error")
 """Columns of the confusion table."""
@@ -254,7 +254,9 @@ def _covered(outcomes: Sequence[Outcome], number: int, low: float) -> list[Figur
     for outcome in outcomes:
         for name, is_covered in (outcome.is_covered or {}).items():
             effect, dot, _ = name.partition(".")
-            kind = "declared values" if name.startswith(DECLARED) else "effects' parameters" if dot else "c1 and c2"
+            kind = "effects' parameters" if dot else "c1 and c2"
+            for beginning, words in ((DECLARED, "declared values"), (RECORDED, "errors of the recording")):
+                kind = words if name.startswith(beginning) else kind
             found.setdefault(kind, []).append(is_covered)
             if kind != "c1 and c2":
                 by_name.setdefault(effect, []).append(is_covered)
@@ -360,7 +362,8 @@ def family_table(outcomes: Sequence[Outcome]) -> str:
         shown = "".join(f"{counts[column] or '·':>8}" for column in columns)
         claims = [one for one in found if _says("effects")(one) or _says("none")(one)]
         squares = [(one.answers[0].probability - _is_true(one)) ** 2 for one in claims]
-        held = [is_held for one in found for is_held in (one.is_covered or {}).values()]
+        covered = [own for one in found for own in (one.is_covered or {}).items()]
+        held = [is_held for value, is_held in covered if not value.startswith(RECORDED)]
         seconds = [sum(answer.cpu_seconds for answer in one.answers) for one in found if one.answers]
         extra = sum(one.is_confident and _says("effects")(one) and _has_extra(one) for one in found)
         shown += f"{sum(map(is_misnamed, found)) or '·':>13}{extra or '·':>11}"

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from plants.laboratory import drift_over_strokes, true_sizes
 from plants.recording import Recording, write_bag
 
 from benchmarks.campaign.cases import FORMED_OTHERWISE, Case, draw_case
@@ -35,6 +36,8 @@ LARGEST_CLASS: Final = 4
 """A class of more names is no answer."""
 DECLARED: Final = "declared "
 """Begins the name of an interval of a declared value with a tolerance."""
+RECORDED: Final = "recorded "
+"""Begins the name of an interval of the size of an error of the recording."""
 NORMAL_95: Final = 1.96
 """Standard errors on either side of an estimate in 95 % of cases."""
 CONFIDENT: Final = 0.9
@@ -249,7 +252,9 @@ def examine(case: Case) -> tuple[Outcome, tuple[Diagnosis, ...]]:
         return Outcome(case, answers, noise, None, advice), (opening.diagnosis, advised.diagnosis)
     timed = _timed(traces[:-1], traces[-1:], case.declared)
     answer = replace(_answer(timed), in_bands=_in_bands(timed.diagnosis, recordings[-1]))
-    covered = _coverage(case, answer, timed.diagnosis) if is_right(case, answer) else None
+    covered = None
+    if is_right(case, answer):
+        covered = _coverage(case, answer, timed.diagnosis) | _sizes_held(case, recordings[0], timed.diagnosis)
     return Outcome(case, (answer,), noise, covered, recording_advice(timed.diagnosis)), (timed.diagnosis,)
 
 
@@ -377,6 +382,20 @@ def _coverage(case: Case, answer: Answer, diagnosis: Diagnosis) -> dict[str, boo
         elif name in intervals and name not in case.dampings:
             found[f"{DECLARED}{name}"] = intervals[name].low <= value <= intervals[name].high
     return found
+
+
+def _sizes_held(case: Case, recording: Recording, diagnosis: Diagnosis) -> dict[str, bool]:
+    """Whether the 95 % interval of each error of the training recording holds its true size; where it has any."""
+    if not case.laboratory:
+        return {}
+    laboratory = case.laboratory_of(0)
+    true = true_sizes(laboratory)
+    if laboratory.drift:
+        true["drift"] = drift_over_strokes(laboratory, recording, case.record_seeds[0])
+    # What varies in the dampings' own group is what the laboratory says; loads vary by a third of it.
+    entries = [entry for entry in diagnosis.recording["bag 1"] if entry.detail not in ("seat load", "spring preload")]
+    found = {entry.error: entry.low <= true[entry.error] <= entry.high for entry in entries if true.get(entry.error)}
+    return {f"{RECORDED}{name}": is_held for name, is_held in found.items()}
 
 
 def true_effects(case: Case) -> dict[str, float]:

@@ -243,6 +243,14 @@ def true_sizes(laboratory: Laboratory) -> dict[str, float]:
     }
 
 
+def drift_over_strokes(laboratory: Laboratory, recording: Recording, seed: int) -> float:
+    """Root mean square by which the zero of the pilot's sensor has changed from release to release, m."""
+    drift = _drift(recording.times.size, laboratory, _random(seed, _Source.DRIFT, PILOT))
+    releases = recording.command_times[recording.volts == 0.0]
+    places = np.interp([recording.times[0], *releases], recording.times, drift)
+    return float(np.sqrt(np.mean(np.square(np.diff(places)))))
+
+
 def measure(valve: Entries, effects: Effects, profile: Profile, laboratory: Laboratory, seed: int) -> Recording:
     """Drive a valve of these entries and effects through the profile in a laboratory; a seed determines all of it.
 
