@@ -11,7 +11,7 @@ each has a pair of its own beside. Frequencies and decays are not linear: `modes
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, Final
 
 import numpy as np
@@ -34,33 +34,34 @@ LONGEST: Final = 6.0
 """Decays after which a mode has died away."""
 
 
-def _ring(seen: Seen, mode: Mode) -> tuple[Array, Array]:
-    """(n, k) sine and cosine of a mode after each of k contacts, times its momentum."""
-    since = seen.times[:, None] - seen.contacts.times
-    is_after = (since >= 0.0) & (since < LONGEST * mode.decay)
-    within = since[is_after]
-    size = np.exp(-within / mode.decay) * np.broadcast_to(seen.contacts.impulses, since.shape)[is_after]
-    angle = 2.0 * math.pi * mode.frequency * within
-    waves = np.zeros((2, *since.shape))
-    waves[:, is_after] = size * np.sin(angle), size * np.cos(angle)
-    return waves[0], waves[1]
+def _rings(seen: Seen, mode: Mode) -> Iterator[tuple[slice, Array]]:
+    """For each contact the samples in which a mode rings after it, and (2, m) its sine and cosine there."""
+    begins = np.searchsorted(seen.times, seen.contacts.times)
+    ends = np.searchsorted(seen.times, seen.contacts.times + LONGEST * mode.decay)
+    contacts = zip(begins.tolist(), ends.tolist(), seen.contacts.times, seen.contacts.impulses, strict=True)
+    for begin, end, time, impulse in contacts:
+        since = seen.times[begin:end] - time
+        angle = 2.0 * math.pi * mode.frequency * since
+        yield slice(begin, end), impulse * np.exp(-since / mode.decay) * np.stack([np.sin(angle), np.cos(angle)])
 
 
 def columns(seen: Seen) -> Array:
     """(n, q) for each mode and each place where plungers meet a sine and a cosine."""
-    found = [
-        wave[:, seen.contacts.places == place].sum(axis=1)
-        for mode in seen.modes
-        for place in np.unique(seen.contacts.places)
-        for wave in _ring(seen, mode)
-    ]
-    return np.column_stack(found) if found else np.empty((len(seen.times), 0))
+    places, which = np.unique(seen.contacts.places, return_inverse=True)
+    found = np.zeros((len(seen.times), len(seen.modes), len(places), 2))
+    for number, mode in enumerate(seen.modes):
+        for place, (during, waves) in zip(which.tolist(), _rings(seen, mode), strict=True):
+            found[during, number, place] += waves.T
+    return found.reshape(len(seen.times), -1)
 
 
 def own_columns(seen: Seen) -> Array:
     """(n, q) for each mode and each contact a sine and a cosine."""
-    found = [wave for mode in seen.modes for wave in _ring(seen, mode)]
-    return np.hstack(found) if found else np.empty((len(seen.times), 0))
+    found = np.zeros((len(seen.times), len(seen.modes), len(seen.contacts.times), 2))
+    for number, mode in enumerate(seen.modes):
+        for contact, (during, waves) in enumerate(_rings(seen, mode)):
+            found[during, number, contact] = waves.T
+    return found.reshape(len(seen.times), -1)
 
 
 def amount(coefficients: Array) -> float:
