@@ -251,7 +251,7 @@ def examine(case: Case) -> tuple[Outcome, tuple[Diagnosis, ...]]:
         advice = recording_advice(opening.diagnosis)
         return Outcome(case, answers, noise, None, advice), (opening.diagnosis, advised.diagnosis)
     timed = _timed(traces[:-1], traces[-1:], case.declared)
-    answer = replace(_answer(timed), in_bands=_in_bands(timed.diagnosis, recordings[-1]))
+    answer = replace(_answer(timed), in_bands=_in_bands(case, timed.diagnosis, recordings[-1]))
     covered = None
     if is_right(case, answer):
         covered = _coverage(case, answer, timed.diagnosis) | _sizes_held(case, recordings[0], timed.diagnosis)
@@ -297,21 +297,27 @@ def _answer(timed: _Timed) -> Answer:
     )
 
 
-def _in_bands(diagnosis: Diagnosis, held_out: Recording) -> tuple[float, float | None] | None:
-    """As of an `Answer`; None where the corrected model predicts no held-out positions."""
+def _in_bands(case: Case, diagnosis: Diagnosis, held_out: Recording) -> tuple[float, float | None] | None:
+    """As of an `Answer`; None where the corrected model predicts no held-out positions.
+
+    The band is that of what the sensor shows, its errors among it; of true positions only where it has none.
+    """
     there = diagnosis.after.holdout
     if there is None:
         return None
     plant = there.problem.plant
-    channel, moves = plant.channels[0], ~plant.channels[0].quiet
+    channel = plant.channels[0]
+    moves = ~channel.quiet & (there.problem.weight(0) > 0.0)
     band, shown = diagnosis.after.holdout_bands[0][moves], plant.predict(there.values)[0][moves]
     noise = there.problem.noise_of(0).sigma
     own = np.sqrt(np.maximum(np.square(band) - noise**2, 0.0))
     # What rounding leaves of a true position is no error of the model.
     own = np.hypot(own, channel.resolution)
     truth = held_out.truth.pilot_position[moves] if len(held_out.times) == len(channel.times) else None
-    measured = float(np.mean(np.abs(channel.data[moves] - shown) <= NORMAL_95 * band))
-    return measured, None if truth is None else float(np.mean(np.abs(truth - shown) <= NORMAL_95 * own))
+    measured = float(np.mean(np.abs(channel.data - there.shown()[0])[moves] <= NORMAL_95 * band))
+    if truth is None or case.laboratory:
+        return measured, None
+    return measured, float(np.mean(np.abs(truth - shown) <= NORMAL_95 * own))
 
 
 def written_grounds(grounds: Grounds) -> dict[str, Any]:
