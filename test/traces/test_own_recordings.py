@@ -170,6 +170,13 @@ def test_lvdt_in_millimetres(tmp_path: Path, made: Recording) -> None:
     assert trace.findings == ()
 
 
+def test_a_map_says_of_how_many_readings_a_position_is_the_mean(tmp_path: Path, made: Recording) -> None:
+    path, recording = page_map("lvdt.yaml", tmp_path), lvdt(tmp_path, made)
+    assert read_trace(recording, None, load_map(path)).averaging == 1
+    path.write_text(path.read_text() + "sensor: {averaging: 8}\n")
+    assert read_trace(recording, None, load_map(path)).averaging == 8
+
+
 def test_oscilloscope_table(tmp_path: Path, made: Recording) -> None:
     trace = read_trace(scope(tmp_path, made), None, load_map(page_map("scope.yaml", tmp_path)))
     # A step is dated to half a sample, a level to the median of its noise.
@@ -232,6 +239,14 @@ def test_a_cut_recording_keeps_its_foreign_messages(tmp_path: Path, made: Record
 LAB = "command: {topic: /lab/supply}\nposition: {topic: /lab/lvdt, unit: mm, sign: -1, offset: 12.5}\n"
 TABLE = "time: Time\nvoltage: {column: CH1, scale: 10}\nposition: {column: CH2, unit: mm}\n"
 WRONG_MAPS = {
+    "a sensor that is a number": (LAB + "sensor: 8\n", r"sensor: found 8, expected \{averaging: 10\}"),
+    "a mean of none": (LAB + "sensor: {averaging: 0}\n", r"sensor\.averaging: found 0, expected a whole number"),
+    "half a reading": (LAB + "sensor: {averaging: 2.5}\n", r"sensor\.averaging: found 2\.5, expected a whole number"),
+    "an unknown key of a sensor": (
+        LAB + "sensor: {avraging: 2}\n",
+        r"sensor\.avraging: unknown key; did you mean aver",
+    ),
+    "a bandwidth": (LAB + "sensor: {bandwidth: 2000}\n", r"sensor\.bandwidth: found 2000; declare it in the parameter"),
     "a misspelt quantity": (LAB.replace("position", "positon"), r"positon: unknown key; did you mean position\?"),
     "a misspelt key": (LAB.replace("unit", "units"), r"position: units: unknown key; did you mean unit\?"),
     "an unknown unit": (LAB.replace("unit: mm", "unit: millimetres"), "found 'millimetres', expected one of m, cm, mm"),

@@ -13,7 +13,7 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -96,6 +96,8 @@ FORCE_QUANTITIES: Final[Mapping[str, Quantity]] = {
     "force": Quantity("force", "with which the coil attracts the plunger"),
 }
 """Quantities of a static table, from load cell and stage."""
+MOST_AVERAGED: Final = 1000
+"""Readings: a sensor that averages more shows no stroke."""
 CLOCKS: Final = ("header", "bag")
 DEFAULT_VALVE: Final = "/valve"
 _TEXTS: Final = ("topic", "field", "joint", "column", "type", "unit", "clock")
@@ -161,11 +163,14 @@ class RecordingMap:
         path: the file that it was read from, for messages.
         valves: valve's name ("/tank_1/valve") to quantity (of `QUANTITIES`) to where it is.
         time: of a table; None for bags.
+        averaging: by valve's name, of how many readings, the last one included, each recorded position is the mean;
+            of those that are not there, of one.
     """
 
     path: str
     valves: Mapping[str, Mapping[str, Source]]
     time: TimeAxis | None = None
+    averaging: Mapping[str, int] = field(default_factory=dict)
 
     def choose(self, valve: str | None) -> tuple[str, Mapping[str, Source]]:
         """The valve of this name, or the only one: its name and what is recorded of it.
@@ -201,22 +206,27 @@ def map_from(found: object, path: str) -> RecordingMap:
             f"{path}: found {_short(found)}; expected keys such as position: {{topic: ..., unit: mm}}; "
             "valve-sim map RECORDING writes a first one"
         )
-    _check_keys(found, [*QUANTITIES, "clock", "time", "valve", "valves"], path, "")
+    _check_keys(found, [*QUANTITIES, "sensor", "clock", "time", "valve", "valves"], path, "")
     clock = _clock(found.get("clock", ""), f"{path}: clock")
     time = _time_axis(found["time"], f"{path}: time") if "time" in found else None
     if "valves" in found:
-        alone = [key for key in found if key in QUANTITIES or key == "valve"]
+        alone = [key for key in found if key in QUANTITIES or key in ("valve", "sensor")]
         if alone:
             raise MapError(f"{path}: {alone[0]}: found beside valves:; expected it below one of them")
         valves = _named_valves(found["valves"], clock, path)
+        averaging = {
+            "/" + str(name).strip("/"): _averaging(own, f"{path}: valves.{name}.")
+            for name, own in found["valves"].items()
+        }
     else:
         name = found.get("valve", DEFAULT_VALVE)
         if not isinstance(name, str) or not name.strip("/"):
             raise MapError(f"{path}: valve: found {_short(name)}, expected a name such as {DEFAULT_VALVE}")
         entries = {key: value for key, value in found.items() if key in QUANTITIES}
         valves = {"/" + name.strip("/"): _sources(entries, clock, path, "")}
+        averaging = {"/" + name.strip("/"): _averaging(found, f"{path}: ")}
     _check_kind(valves, time, path)
-    return RecordingMap(path, valves, time)
+    return RecordingMap(path, valves, time, averaging)
 
 
 def load_force_map(path: Path | str) -> Mapping[str, Source]:
@@ -250,9 +260,30 @@ def _named_valves(found: object, clock: str, path: str) -> dict[str, Mapping[str
     for name, entries in found.items():
         if not isinstance(entries, Mapping):
             raise MapError(f"{path}: valves.{name}: found {_short(entries)}, expected keys such as position:")
-        _check_keys(entries, list(QUANTITIES), path, f"valves.{name}.")
-        valves["/" + str(name).strip("/")] = _sources(entries, clock, path, f"valves.{name}.")
+        _check_keys(entries, [*QUANTITIES, "sensor"], path, f"valves.{name}.")
+        own = {key: value for key, value in entries.items() if key in QUANTITIES}
+        valves["/" + str(name).strip("/")] = _sources(own, clock, path, f"valves.{name}.")
     return valves
+
+
+def _averaging(entries: Mapping[Any, Any], where: str) -> int:
+    """Of how many readings each position is the mean, as the entry of a valve says."""
+    found = entries.get("sensor", {})
+    if not isinstance(found, Mapping):
+        raise MapError(f"{where}sensor: found {_short(found)}, expected {{averaging: 10}}")
+    if "bandwidth" in found:
+        raise MapError(
+            f"{where}sensor.bandwidth: found {_short(found['bandwidth'])}; declare it in the parameter file, as "
+            "effects: {sensor_bandwidth: {cutoff_frequency: ...}}"
+        )
+    _check_keys(found, ["averaging"], where.rstrip(": "), "sensor.")
+    count = found.get("averaging", 1)
+    if isinstance(count, bool) or not isinstance(count, int) or not 1 <= count <= MOST_AVERAGED:
+        raise MapError(
+            f"{where}sensor.averaging: found {_short(count)}, expected a whole number of readings from 1 to "
+            f"{MOST_AVERAGED}"
+        )
+    return count
 
 
 def _sources(entries: Mapping[Any, Any], clock: str, path: str, prefix: str) -> Mapping[str, Source]:

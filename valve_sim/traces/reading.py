@@ -80,7 +80,10 @@ def read_trace(path: str | PathLike[str], valve: str | None = None, recording_ma
     """
     path = Path(path)
     trace = _read(path, valve, recording_map)
-    return trace if recording_map is None else replace(trace, zero_error=ZERO_ERROR)
+    if recording_map is None:
+        return trace
+    averaging = recording_map.averaging.get(recording_map.choose(valve)[0], 1)
+    return replace(trace, zero_error=ZERO_ERROR, averaging=averaging)
 
 
 def _read(path: Path, valve: str | None, recording_map: RecordingMap | None) -> Trace:

@@ -57,6 +57,7 @@ class Trace:
         times: Times of position samples, strictly ascending, s, shape (n,); none where no position was recorded.
         pilot_position: Pilot plunger, m, shape (n,), as it was recorded; see `usable_position`.
         drive_errors: How well the commands are known; None where they were recorded as they were sent.
+        averaging: Of how many readings, the last one included, each recorded position is the mean.
         zero_error: Standard deviation of what the position sensor shows of a closed valve, m; 0 where that is 0.
         main_position: Main plunger, m, shape (n,); None where it was not recorded.
         coil_current: Measured current, A.
@@ -80,6 +81,7 @@ class Trace:
     main_position: NDArray[np.float64] | None = None
     _: KW_ONLY
     drive_errors: DriveErrors | None = None
+    averaging: int = 1
     zero_error: float = 0.0
     coil_current: Signal | None = None
     coil_voltage: Signal | None = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -101,3 +102,15 @@ def test_a_damping_that_grows_is_said_to_grow_and_by_how_much() -> None:
     assert trend.size == pytest.approx(growth * (starts[-1] - starts[0]) / mean, rel=0.1)
     assert trend.probability > 0.99
     assert f"main damping grows by {100.0 * trend.size:.3g}"[:26] in diagnosis_text(found)
+
+
+def test_a_declared_average_of_readings_is_no_effect_of_the_valve() -> None:
+    recordings = [
+        measure(SHEET_VALVE, {}, profile, Laboratory(averaging=8), seed)
+        for seed, profile in ((5, train_profile()), (6, holdout_profile()))
+    ]
+    train, other = (replace(as_trace(recording, "x"), averaging=8) for recording in recordings)
+    found = diagnose([train], [other], declared_valve(SHEET_VALVE, declared_tolerances(SHEET_VALVE)))
+    assert (found.verdict.kind, found.verdict.effects) == ("none", ())
+    for name in ("pilot_damping", "main_damping"):
+        assert found.after.intervals[name].low < SHEET_VALVE[name] < found.after.intervals[name].high

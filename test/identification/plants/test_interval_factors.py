@@ -74,6 +74,19 @@ def test_a_trend_is_a_factor_that_grows_evenly_from_the_first_stroke_to_the_last
     np.testing.assert_allclose(shown, plant.predict(factors)[0], atol=1e-12)
 
 
+@pytest.mark.parametrize("values", [{}, {"stroke_variation[0,3,main_damping]": 0.2}], ids=["plain", "in pieces"])
+def test_a_sensor_that_averages_shows_means_and_their_derivatives(plant: ValvePlant, values: dict[str, float]) -> None:
+    mean = ValvePlant([replace(plant.traces[0], averaging=8)], plant.valve)
+    seen, shown = plant.predict(values)[0], mean.predict(values)[0]
+    for last in (7, 1000, len(seen) - 1):
+        assert shown[last] == pytest.approx(np.mean(seen[last - 7 : last + 1]), abs=1e-12)
+    direction = Direction({"main_damping": 1.0}, 1e-6)
+    of_seen, of_shown = (own.sensitivities(values, [direction]).columns[0][:, 0] for own in (plant, mean))
+    assert of_shown[1000] == pytest.approx(np.mean(of_seen[993:1001]), abs=1e-9)
+    # Nothing else is averaged.
+    np.testing.assert_array_equal(plant.predict(values)[1], mean.predict(values)[1])
+
+
 def _error(plant: ValvePlant, values: dict[str, float]) -> Array:
     return plant.channels[0].data - plant.predict(values)[0]
 

@@ -43,6 +43,7 @@ from valve_sim.identification.plants.valve_pieces import Intervals, run_in_piece
 from valve_sim.identification.plants.valve_sensitivities import pieces, sensitivities
 from valve_sim.identification.plants.valve_sensors import (
     amperes,
+    averaged,
     channels_of,
     contacts,
     fastest_motion,
@@ -266,17 +267,22 @@ class ValvePlant:
         return sensitivities(self._model, self.traces, values, directions, self._factors)
 
     def pieces(self, values: Mapping[str, float], directions: Sequence[Direction]) -> Iterator[Piece] | None:
-        """The same two, piece by piece; None where derivatives are not known, or where a gas flows.
+        """The same two, piece by piece; None where derivatives are not known, a gas flows, or a sensor averages.
 
         Raises:
             SimulationError: the simulation could not be carried to its end.
         """
-        return pieces(self._model, self.traces, values, directions)
+        return None if self._averages else pieces(self._model, self.traces, values, directions)
+
+    @property
+    def _averages(self) -> bool:
+        """Whether a sensor averages: what it shows is not of one moment."""
+        return any(trace.averaging > 1 for trace in self.traces)
 
     @property
     def can_be_thinned(self) -> bool:
-        """Whether a sample is the same whichever others are shown: not of a valve with gas."""
-        return self.valve.gas is None
+        """Whether a sample is the same whichever others are shown: not of a valve with gas, or of a mean of several."""
+        return self.valve.gas is None and not self._averages
 
     def thinned(self, kept: Sequence[NDArray[np.intp]]) -> ValvePlant:
         """The same with some samples of each channel, of which the first is one."""
@@ -340,7 +346,7 @@ class ValvePlant:
             else:
                 run = whole_run(run_in_pieces(record, trace, drive, late, intervals=Intervals(factors)))
                 position, others = run.positions, amperes(record, trace, run.currents)
-            positions = [position + zero_with(index, values)] if trace.has_positions else []
+            positions = [averaged(trace, position) + zero_with(index, values)] if trace.has_positions else []
             shown.extend([*positions, *others])
         return shown
 

@@ -20,6 +20,7 @@ from valve_sim.identification.plants.valve_model import ValveModel
 from valve_sim.identification.plants.valve_pieces import Intervals, run_in_pieces, whole_run
 from valve_sim.identification.plants.valve_sensors import (
     amperes,
+    averaged,
     prepared,
     prepared_with_pressure,
     supply_of,
@@ -84,7 +85,7 @@ def sensitivities(
             intervals = Intervals(factors, by, tangents.numbers)
             run = whole_run(run_in_pieces(record, trace, at.drive, at.lateness, Variations(tangents), intervals))
             if trace.has_positions:
-                columns.append(run.of_positions + zeros)
+                columns.append(averaged(trace, run.of_positions) + zeros)
             if trace.coil_current is not None:
                 columns.append(_rated(record, run.currents, run.of_currents, rated_slopes(record, slopes)))
             continue
@@ -100,6 +101,7 @@ def sensitivities(
         count = len(trace.times)
         if trace.has_positions:
             positions = _in_order(positions, order)[:count]
+            positions = averaged(trace, positions)
             columns.append(positions + zeros if zeros.any() else positions)
         if trace.coil_current is not None:
             columns.append(_rated(record, samples.currents, currents, rated_slopes(record, slopes)))

@@ -299,6 +299,17 @@ def response_to(valve: Valve, trace: Trace, drive: Drive, times: Array, start: f
     return simulate_supplied(valve, drive, supply, times, start)
 
 
+def averaged(trace: Trace, positions: Array) -> Array:
+    """(n,) or (n, k) what a sensor shows that averages its last readings, of what it sees at each of them."""
+    count = min(trace.averaging, len(positions))
+    if count <= 1:
+        return positions
+    # Before the recording the sensor has seen what it saw first.
+    before = np.repeat(positions[:1], count, axis=0)
+    sums = np.cumsum(np.concatenate([before, positions]), axis=0)
+    return np.asarray((sums[count:] - sums[:-count]) / count)
+
+
 def amperes(record: Any, trace: Trace, currents: Array) -> list[Array]:
     """Currents as a trace has them, from normalised ones; none where it has none.
 
