@@ -19,6 +19,7 @@ import numpy as np
 from valve_sim.identification.estimation.errors.error import Mode, Seen
 from valve_sim.identification.estimation.errors.ringing import columns, grid, refined
 from valve_sim.identification.estimation.linearised import Linearised
+from valve_sim.identification.estimation.noise import SHORT_WINDOW, quiet_windows
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.structured_noise import HELD, StructuredNoise, structured_noise
@@ -46,6 +47,7 @@ def with_learned_errors(
     fitted: Fitted,
     near: Fit | None = None,
     known: StructuredNoise | None = None,
+    held: Mapping[str, float] | None = None,
 ) -> tuple[Problem, Fit]:
     """A problem with the errors of its recordings as large as they are beside a model, and the model's fit.
 
@@ -53,6 +55,7 @@ def with_learned_errors(
         problem: data and noise. fitted: fits the model.
         near: a fit of it with other errors, near which those are that are looked for; None: nothing is known of them.
         known: errors of other recordings of the same machine by the same sensors, whose mounts ring in no other ways.
+        held: sizes that are not learned, by the names of `StructuredNoise.known_sizes`.
 
     Raises:
         SimulationError: the machine cannot be simulated.
@@ -63,11 +66,13 @@ def with_learned_errors(
         errors = None if problem.errors is None else problem.errors.with_varying(HELD)
     if errors is None:
         return problem, fitted(problem, near)
-    problem = problem.with_errors(errors.as_known(known))
+    problem = problem.with_errors(errors.as_known(known).held_at(held or {}))
     best = fitted(problem, near)
     assert problem.errors is not None
-    problem = problem.with_errors(problem.errors.with_read(Linearised(best).sizes_at_rest()))
-    best = fitted(problem, best)
+    # Short strokes of a slow sensor show no rest: there all is learned beside the model.
+    if any(quiet_windows(channel, SHORT_WINDOW) for channel in problem.plant.channels):
+        problem = problem.with_errors(problem.errors.with_read(Linearised(best).sizes_at_rest()))
+        best = fitted(problem, best)
     for _ in range(MOST_ROUNDS):
         resized = relearned(best, known)
         again = fitted(resized, best)

@@ -134,10 +134,21 @@ class StructuredNoise:
         ]
         return self.resized(np.array(kept))
 
+    @property
+    def known_sizes(self) -> dict[str, float]:
+        """The size of each error, by its name and, of what varies of the machine, by what that is."""
+        return {_known_name(own): size for own, size in zip(self.groups, self.sizes.tolist(), strict=True)}
+
+    def held_at(self, known: Mapping[str, float]) -> StructuredNoise:
+        """The same with sizes that are known, by the names of `known_sizes`, and are not learned any more."""
+        groups = tuple(own._replace(is_read=own.is_read or _known_name(own) in known) for own in self.groups)
+        pairs = zip(self.groups, self.sizes.tolist(), strict=True)
+        return replace(self, groups=groups, sizes=np.array([known.get(_known_name(own), size) for own, size in pairs]))
+
     def with_read(self, sizes: Array) -> StructuredNoise:
         """The same with the sizes of errors that are read at rest, (g,), which are not learned any more."""
+        groups = tuple(own._replace(is_read=own.is_read or own.error.at_rest) for own in self.groups)
         is_read = [own.error.at_rest for own in self.groups]
-        groups = tuple(own._replace(is_read=read) for own, read in zip(self.groups, is_read, strict=True))
         return replace(self, groups=groups, sizes=np.where(is_read, sizes, self.sizes))
 
     def unlearned(self) -> StructuredNoise:
@@ -146,9 +157,12 @@ class StructuredNoise:
         return self.resized(np.array([size if own.is_read else own.held for own, size in pairs]))
 
     def with_varying(self, share: float) -> StructuredNoise:
-        """The same with errors that act on the machine of this size, as a share of their priors' scales; 0 for none."""
+        """The same with errors that act on the machine of this size, as a share of their priors' scales; 0 for none.
+
+        Those whose size is known stay.
+        """
         sizes = [
-            max(share, SMALLEST) * own.scale if isinstance(own.key, str) else size
+            max(share, SMALLEST) * own.scale if isinstance(own.key, str) and not own.is_read else size
             for own, size in zip(self.groups, self.sizes.tolist(), strict=True)
         ]
         return self.resized(np.array(sizes))
@@ -159,6 +173,10 @@ class StructuredNoise:
         return sum(
             own.error.log_prior(size, own.scale) for own, size in zip(self.groups, self.sizes.tolist(), strict=True)
         )
+
+
+def _known_name(group: Group) -> str:
+    return f"{group.error.name} {group.kind}".rstrip()
 
 
 def structured_noise(
@@ -192,9 +210,11 @@ def structured_noise(
             share = sensor.shares.get(error.name, error.share)
             own = np.empty((0, 0)) if error.columns is None or share == 0.0 else error.columns(seen)
             if own.shape[1]:
-                owners += [len(groups)] * own.shape[1]
+                group = Group(index if sensor.alike is None else sensor.alike, error, share * sensor.span)
+                if group not in groups:
+                    groups.append(group)
+                owners += [groups.index(group)] * own.shape[1]
                 parts.append(own)
-                groups.append(Group(index, error, share * sensor.span))
         columns[index] = ChannelColumns(np.hstack(parts), np.array(owners, dtype=np.intp))
     errors = {error.name: error for error in ERRORS}
     for nuisance in plant.varying:

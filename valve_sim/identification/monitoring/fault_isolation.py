@@ -21,6 +21,7 @@ from valve_sim.identification.monitoring.lift_times import starts_by_lift
 from valve_sim.identification.monitoring.scores import FINEST, Baseline
 from valve_sim.identification.plants.commissioned import CommissionedPlant
 from valve_sim.identification.plants.effect_titles import WRONG
+from valve_sim.identification.plants.interval_factors import VARIATION
 from valve_sim.identification.plants.protocol import Plant
 from valve_sim.identification.plants.tolerances import hypothesis_of
 from valve_sim.identification.plants.valve import DAMPINGS
@@ -72,7 +73,9 @@ def isolate_fault(strokes: Sequence[Trace], baseline: Baseline, progress: Progre
     kind = "position" if baseline.has_positions else "current"
     least = {**FINEST, kind: baseline.noise.sigma}
     holdout = plants[1] if len(plants) > 1 else None
-    session = begin(plants[0], holdout, progress, least=least, known={kind: baseline.noise})
+    # How much strokes vary is known from those of commissioning; a fault that grows would be taken for more of that.
+    varies = {name: size for name, size in baseline.error_sizes.items() if name.startswith(VARIATION)}
+    session = begin(plants[0], holdout, progress, least=least, known={kind: baseline.noise}, held=varies)
     verdict, intervals = session.name()
     named = () if verdict.kind == "unknown" else verdict.effects
     parameters = estimates(named, plants[0], intervals)
