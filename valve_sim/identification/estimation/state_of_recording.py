@@ -19,7 +19,6 @@ import numpy as np
 from valve_sim.identification.estimation.errors.error import Mode, Seen
 from valve_sim.identification.estimation.errors.ringing import columns, grid, refined
 from valve_sim.identification.estimation.linearised import Linearised
-from valve_sim.identification.estimation.noise import SHORT_WINDOW, quiet_windows
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.structured_noise import HELD, StructuredNoise, structured_noise
@@ -48,6 +47,8 @@ def with_learned_errors(
     near: Fit | None = None,
     known: StructuredNoise | None = None,
     held: Mapping[str, float] | None = None,
+    *,
+    reads_at_rest: bool = True,
 ) -> tuple[Problem, Fit]:
     """A problem with the errors of its recordings as large as they are beside a model, and the model's fit.
 
@@ -56,6 +57,8 @@ def with_learned_errors(
         near: a fit of it with other errors, near which those are that are looked for; None: nothing is known of them.
         known: errors of other recordings of the same machine by the same sensors, whose mounts ring in no other ways.
         held: sizes that are not learned, by the names of `StructuredNoise.known_sizes`.
+        reads_at_rest: whether drift and hum are read while the machine is still; else in motion as well, where they
+            would follow what the model lacks.
 
     Raises:
         SimulationError: the machine cannot be simulated.
@@ -69,8 +72,7 @@ def with_learned_errors(
     problem = problem.with_errors(errors.as_known(known).held_at(held or {}))
     best = fitted(problem, near)
     assert problem.errors is not None
-    # Short strokes of a slow sensor show no rest: there all is learned beside the model.
-    if any(quiet_windows(channel, SHORT_WINDOW) for channel in problem.plant.channels):
+    if reads_at_rest:
         problem = problem.with_errors(problem.errors.with_read(Linearised(best).sizes_at_rest()))
         best = fitted(problem, best)
     for _ in range(MOST_ROUNDS):

@@ -40,17 +40,19 @@ class Group(NamedTuple):
         key: the channel by its index, or the group's name of nuisances. error: which.
         scale: of the prior of the size, in the unit of the coefficients.
         is_read: whether the size has been read at rest, and is not learned any more.
+        is_held: whether the size is known from elsewhere.
     """
 
     key: int | str
     error: RecordingError
     scale: float
     is_read: bool = False
+    is_held: bool = False
 
     @property
     def is_learned(self) -> bool:
         """Whether the size is learned beside a model."""
-        return not (self.error.is_known or self.is_read)
+        return not (self.error.is_known or self.is_read or self.is_held)
 
     @property
     def kind(self) -> str:
@@ -141,20 +143,20 @@ class StructuredNoise:
 
     def held_at(self, known: Mapping[str, float]) -> StructuredNoise:
         """The same with sizes that are known, by the names of `known_sizes`, and are not learned any more."""
-        groups = tuple(own._replace(is_read=own.is_read or _known_name(own) in known) for own in self.groups)
+        groups = tuple(own._replace(is_held=_known_name(own) in known) for own in self.groups)
         pairs = zip(self.groups, self.sizes.tolist(), strict=True)
         return replace(self, groups=groups, sizes=np.array([known.get(_known_name(own), size) for own, size in pairs]))
 
     def with_read(self, sizes: Array) -> StructuredNoise:
         """The same with the sizes of errors that are read at rest, (g,), which are not learned any more."""
-        groups = tuple(own._replace(is_read=own.is_read or own.error.at_rest) for own in self.groups)
-        is_read = [own.error.at_rest for own in self.groups]
+        is_read = [own.error.at_rest and not own.is_held for own in self.groups]
+        groups = tuple(own._replace(is_read=read) for own, read in zip(self.groups, is_read, strict=True))
         return replace(self, groups=groups, sizes=np.where(is_read, sizes, self.sizes))
 
     def unlearned(self) -> StructuredNoise:
-        """The same with sizes as they are before the data are asked, but for those that have been read at rest."""
+        """The same with sizes as they are before the data are asked, but for those that have been read or are held."""
         pairs = zip(self.groups, self.sizes.tolist(), strict=True)
-        return self.resized(np.array([size if own.is_read else own.held for own, size in pairs]))
+        return self.resized(np.array([size if own.is_read or own.is_held else own.held for own, size in pairs]))
 
     def with_varying(self, share: float) -> StructuredNoise:
         """The same with errors that act on the machine of this size, as a share of their priors' scales; 0 for none.
@@ -162,7 +164,7 @@ class StructuredNoise:
         Those whose size is known stay.
         """
         sizes = [
-            max(share, SMALLEST) * own.scale if isinstance(own.key, str) and not own.is_read else size
+            max(share, SMALLEST) * own.scale if isinstance(own.key, str) and not own.is_held else size
             for own, size in zip(self.groups, self.sizes.tolist(), strict=True)
         ]
         return self.resized(np.array(sizes))
@@ -222,8 +224,8 @@ def structured_noise(
         if group not in groups:
             groups.append(group)
     known = {} if before is None else dict(zip(before.numbers, before.sizes.tolist(), strict=True))
-    read = set() if before is None else {(own.key, own.error.name) for own in before.groups if own.is_read}
-    groups = [own._replace(is_read=(own.key, own.error.name) in read) for own in groups]
+    same = {} if before is None else {(own.key, own.error.name): own for own in before.groups}
+    groups = [same.get((own.key, own.error.name), own)._replace(scale=own.scale) for own in groups]
     sizes = [known.get((own.key, own.error.name), own.held) for own in groups]
     return StructuredNoise(tuple(groups), np.array(sizes), columns, dict(modes), tuple(plant.varying))
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from valve_sim.identification.diagnosis.run import Verdict, begin
 from valve_sim.identification.estimation.intervals import Interval
+from valve_sim.identification.estimation.problem import shows_rest
 from valve_sim.identification.monitoring.joined_signals import joined, with_joined_ends
 from valve_sim.identification.monitoring.lift_times import starts_by_lift
 from valve_sim.identification.monitoring.scores import FINEST, Baseline
@@ -73,9 +74,8 @@ def isolate_fault(strokes: Sequence[Trace], baseline: Baseline, progress: Progre
     kind = "position" if baseline.has_positions else "current"
     least = {**FINEST, kind: baseline.noise.sigma}
     holdout = plants[1] if len(plants) > 1 else None
-    # How much strokes vary is known from those of commissioning; a fault that grows would be taken for more of that.
-    varies = {name: size for name, size in baseline.error_sizes.items() if name.startswith(VARIATION)}
-    session = begin(plants[0], holdout, progress, least=least, known={kind: baseline.noise}, held=varies)
+    held = _known_sizes(plants[0], baseline)
+    session = begin(plants[0], holdout, progress, least=least, known={kind: baseline.noise}, held=held)
     verdict, intervals = session.name()
     named = () if verdict.kind == "unknown" else verdict.effects
     parameters = estimates(named, plants[0], intervals)
@@ -86,6 +86,16 @@ def isolate_fault(strokes: Sequence[Trace], baseline: Baseline, progress: Progre
         verdict, parameters, {name: before[name] for name in before if name in known},
         {name: before[name] for name in before if name not in known}, len(strokes),
     )  # fmt: skip
+
+
+def _known_sizes(plant: CommissionedPlant, baseline: Baseline) -> Mapping[str, float]:
+    """Sizes of errors that are those of commissioning: a fault would be taken for more of them.
+
+    That is how much strokes vary. Drift and hum are read anew while the valve rests, if it does so for long enough.
+    """
+    if not shows_rest(plant):
+        return baseline.error_sizes
+    return {name: size for name, size in baseline.error_sizes.items() if name.startswith(VARIATION)}
 
 
 def _was_there(name: str, baseline: Baseline) -> bool:

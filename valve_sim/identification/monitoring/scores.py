@@ -27,7 +27,8 @@ from valve_sim.identification.estimation.descent import Effort
 from valve_sim.identification.estimation.gram import gram
 from valve_sim.identification.estimation.intervals import Interval, covariance_interval
 from valve_sim.identification.estimation.noise import Noise
-from valve_sim.identification.estimation.problem import Problem
+from valve_sim.identification.estimation.problem import Problem, shows_rest
+from valve_sim.identification.estimation.recorded_errors import expected_sizes
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.estimation.state_of_recording import with_learned_errors
@@ -242,15 +243,20 @@ def commission(traces: Sequence[Trace], valve: Valve, noise: float) -> Baseline:
         commission_current(traces, commissioned) if kind == "position" else None,
         estimated,
         kind == "position",
-        {} if problem.errors is None else problem.errors.known_sizes,
+        {} if problem.errors is None else problem.errors.resized(expected_sizes(result)).known_sizes,
     )
 
 
 def _with_stroke_errors(problem: Problem, start: Mapping[str, float], prior: float) -> tuple[Problem, Fit]:
-    """The problem with what differs from stroke to stroke as large as the strokes show it, and the fit beside that."""
-    return with_learned_errors(
-        problem.condensed(), lambda one, begun: _commissioning_fit(one, start if begun is None else begun.values, prior)
-    )
+    """The problem with what differs from stroke to stroke as large as the strokes show it, and the fit beside that.
+
+    Short strokes of a slow sensor show no rest. The model is right here, so that drift and hum are read in motion, too.
+    """
+
+    def fitted(problem: Problem, begun: Fit | None) -> Fit:
+        return _commissioning_fit(problem, start if begun is None else begun.values, prior)
+
+    return with_learned_errors(problem.condensed(), fitted, reads_at_rest=shows_rest(problem.plant))
 
 
 def _commissioning_fit(problem: Problem, start: Mapping[str, float], prior: float) -> Fit:
