@@ -21,6 +21,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg.lapack import dtrtri
 from scipy.optimize import minimize
 
 from valve_sim.identification.estimation.evidence import log_volume
@@ -253,8 +254,9 @@ class BySizes:
     def _cost_and_slope(self, sizes: Array) -> tuple[float, Array]:
         """The cost, and its derivative to the logarithm of each size."""
         solved, places = self._solved(sizes), self._places
-        asked = np.eye(len(solved.scale))[:, places]
-        spread = cho_solve(solved.factor, asked, check_finite=False)[places, np.arange(len(places))]
+        # The diagonal of M⁻¹ = L⁻ᵀ L⁻¹.
+        root = np.tril(dtrtri(solved.factor[0], lower=1)[0])
+        spread = np.einsum("ki,ki->i", root, root)[places]
         squares = (np.square(solved.moves[places]) + spread) * np.square(solved.root[places])
         known = np.bincount(self._owners, squares, minlength=len(sizes))
         pairs = zip(self._groups, sizes.tolist(), strict=True)
