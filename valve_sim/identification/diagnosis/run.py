@@ -23,7 +23,7 @@ from valve_sim.identification.estimation.followed_positions import follows_posit
 from valve_sim.identification.estimation.intervals import Interval, covariance_interval, profile_interval
 from valve_sim.identification.estimation.linearised import Linearised
 from valve_sim.identification.estimation.noise import Noise
-from valve_sim.identification.estimation.problem import Mask, Problem
+from valve_sim.identification.estimation.problem import Mask, Problem, shows_rest
 from valve_sim.identification.estimation.recorded_errors import with_uncertain_sizes
 from valve_sim.identification.estimation.result import Fit, rmse
 from valve_sim.identification.estimation.solver import fit
@@ -172,7 +172,8 @@ def _begun(
         held_out = _with_least(held_out, least)
     elif holdout_mask is not None:
         held_out = problem.restricted(holdout_mask)
-    learned, _ = with_learned_errors(problem.condensed(), fit_of_declared, held=held)
+    reads_at_rest = not held or shows_rest(plant)
+    learned, _ = with_learned_errors(problem.condensed(), fit_of_declared, held=held, reads_at_rest=reads_at_rest)
     search = Search(learned, progress)
     search.fit_declared()
     return DiagnosisSession(search, HeldOut(held_out), progress or (lambda what, fraction: None))

@@ -124,17 +124,21 @@ class StructuredNoise:
     def as_known(self, known: StructuredNoise | None) -> StructuredNoise:
         """The same, where errors of the machine and of its sensors' curves are as large as other recordings have them.
 
+        What is held there is held here.
+
         Args:
             known: errors of other recordings; None: nothing is known.
         """
         if known is None:
             return self
+        held = {_known_name(own) for own in known.groups if own.is_held}
+        same = self.held_at({name: size for name, size in known.known_sizes.items() if name in held})
         sizes = {(own.kind, own.error.name): size for own, size in zip(known.groups, known.sizes.tolist(), strict=True)}
         kept = [
             sizes.get((own.kind, own.error.name), size) if own.error.stays else size
-            for own, size in zip(self.groups, self.sizes.tolist(), strict=True)
+            for own, size in zip(same.groups, same.sizes.tolist(), strict=True)
         ]
-        return self.resized(np.array(kept))
+        return same.resized(np.array(kept))
 
     @property
     def known_sizes(self) -> dict[str, float]:
@@ -143,7 +147,7 @@ class StructuredNoise:
 
     def held_at(self, known: Mapping[str, float]) -> StructuredNoise:
         """The same with sizes that are known, by the names of `known_sizes`, and are not learned any more."""
-        groups = tuple(own._replace(is_held=_known_name(own) in known) for own in self.groups)
+        groups = tuple(own._replace(is_held=own.is_held or _known_name(own) in known) for own in self.groups)
         pairs = zip(self.groups, self.sizes.tolist(), strict=True)
         return replace(self, groups=groups, sizes=np.array([known.get(_known_name(own), size) for own, size in pairs]))
 

@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 
 from valve_sim.identification.diagnosis.run import Verdict, begin
+from valve_sim.identification.estimation.errors.hum import HUM
 from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.identification.estimation.problem import shows_rest
 from valve_sim.identification.monitoring.joined_signals import joined, with_joined_ends
@@ -91,10 +92,11 @@ def isolate_fault(strokes: Sequence[Trace], baseline: Baseline, progress: Progre
 def _known_sizes(plant: CommissionedPlant, baseline: Baseline) -> Mapping[str, float]:
     """Sizes of errors that are those of commissioning: a fault would be taken for more of them.
 
-    That is how much strokes vary. Drift and hum are read anew while the valve rests, if it does so for long enough.
+    That is how much strokes vary. Drift is read anew while the valve rests, if it does so for long enough. Hum is learned
+    anew: over several strokes its phase is one, and it tells more than in each by itself.
     """
     if not shows_rest(plant):
-        return baseline.error_sizes
+        return {name: size for name, size in baseline.error_sizes.items() if name != HUM.name}
     return {name: size for name, size in baseline.error_sizes.items() if name.startswith(VARIATION)}
 
 
