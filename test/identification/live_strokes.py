@@ -9,11 +9,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from plants.common import FloatArray
 from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
+from plants.laboratory import REPEATABLE, SHARE_OF_LOADS
 
 LEVELS = (9.0, 12.0, 7.5, 14.0, 10.3, 8.4, 13.0, 11.2)
 """V, one stroke each, over and over."""
 LEAD, OPEN_SECONDS, CLOSED_SECONDS = 0.02, 0.03, 0.03
 """s: of rest before a stroke, with voltage, and after it."""
+STROKE_SECONDS = LEAD + OPEN_SECONDS + CLOSED_SECONDS
+MAINS = 50.0
+"""Hz."""
 STEP = 1e-5
 """s: of the plant. Its fourth order leaves the positions within a picometre of those by 2 µs."""
 BATCH = 0.01
@@ -38,6 +42,9 @@ class LiveValve:
         seed: of noise and jitter. parameters: that differ from the shipped valve's.
         rate: samples a second. noise: m, standard deviation. colour: of first order.
         jitter: s, of each command's stamp. offset: s by which all samples are stamped late.
+        variation: relative standard deviation of each damping from stroke to stroke, each drawn for itself; seat load
+            and preload vary by a third of it. drift: m, standard deviation of what the sensor's zero, a random walk,
+            moves by from stroke to stroke. hum: m, amplitude of the mains of 50 Hz.
     """
 
     seed: int
@@ -47,12 +54,18 @@ class LiveValve:
     colour: float = 0.0
     jitter: float = 50e-6
     offset: float = 0.0
+    variation: float = 0.0
+    drift: float = 0.0
+    hum: float = 0.0
     levels: tuple[float, ...] = LEVELS
     strokes: int = 0
 
     def __post_init__(self) -> None:
         self._random = np.random.default_rng(self.seed)
-        self._time = 0.0
+        # What a laboratory adds has generators of its own: all else is the same with and without it.
+        self._of_strokes, self._of_zero = (np.random.default_rng([self.seed, own]) for own in (1, 2))
+        self._phase = float(self._of_zero.uniform(0.0, 2.0 * np.pi))
+        self._time, self._zero = 0.0, 0.0
 
     def stroke(
         self,
@@ -61,7 +74,17 @@ class LiveValve:
         **parameters: float,
     ) -> LiveStroke:
         """The next stroke, by a valve with these effects, which is at rest and cold before it."""
-        return self.row(1, effects, open_seconds, **parameters)[0]
+        return self.row(1, effects, open_seconds, **self._varied(parameters))[0]
+
+    def _varied(self, parameters: Mapping[str, float]) -> dict[str, float]:
+        """Parameters of the next stroke."""
+        if not self.variation:
+            return dict(parameters)
+        mean = {**CAMPAIGN_VALVE, **self.parameters, **parameters}
+        draws = zip(REPEATABLE, self._of_strokes.standard_normal(len(REPEATABLE)).tolist(), strict=True)
+        shares = {name: (1.0 if name.endswith("_damping") else SHARE_OF_LOADS) * draw for name, draw in draws}
+        varied = {name: float(np.asarray(mean[name])) * (1.0 + self.variation * own) for name, own in shares.items()}
+        return {**parameters, **varied}
 
     def row(
         self,
@@ -103,7 +126,15 @@ class LiveValve:
         for index in range(1, len(white)):
             noise[index] = self.colour * noise[index - 1] + np.sqrt(1.0 - self.colour**2) * white[index]
         stamps = commands + self.jitter * self._random.standard_normal(2)
-        return LiveStroke(stamps, volts, times + self.offset, position + self.noise * noise, current)
+        shown = position + self.noise * noise + self._added(times)
+        return LiveStroke(stamps, volts, times + self.offset, shown, current)
+
+    def _added(self, times: FloatArray) -> FloatArray:
+        """(n,) m, what drift and hum add to samples of a stroke."""
+        each = self.drift * np.sqrt(STROKE_SECONDS * self.rate) / (STROKE_SECONDS * self.rate)
+        walk = self._zero + each * np.cumsum(self._of_zero.standard_normal(len(times)))
+        self._zero = float(walk[-1])
+        return np.asarray(walk + self.hum * np.sin(2.0 * np.pi * MAINS * times + self._phase))
 
     def rest(self, seconds: float) -> LiveStroke:
         """So long without a command, closed."""

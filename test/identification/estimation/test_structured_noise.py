@@ -74,6 +74,30 @@ def by_sizes(columns: Array, owners: Array, left: Array, free: Array) -> BySizes
     return BySizes(groups, np.concatenate([[-1], owners]).astype(np.intp), information, whole.T @ left)
 
 
+@pytest.mark.parametrize("number", [0, 1])
+def test_costs_at_sizes_of_one_error_are_those_of_all_sizes(number: int) -> None:
+    random = np.random.default_rng(4)
+    columns, owners = random.standard_normal((60, 5)), np.array([0, 0, 1, 1, 1])
+    model = by_sizes(columns, owners, random.standard_normal(60), random.standard_normal(60))
+    sizes, at = np.array([0.3, 2.0]), np.geomspace(1e-3, 1e3, 7)
+    each = []
+    for size in at.tolist():
+        changed = sizes.copy()
+        changed[number] = size
+        each.append(model.cost(changed))
+    np.testing.assert_allclose(model.costs_of(sizes, number, at), each, rtol=1e-8, atol=1e-8)
+
+
+def test_a_size_that_is_held_is_neither_read_nor_reset() -> None:
+    groups = (Group(0, DRIFT, 1.0), Group(0, HUM, 1.0), Group("damping[2]", STROKE_VARIATION, 0.05))
+    noise = StructuredNoise(groups, np.array([1.0, 2.0, 0.1]), {}, {})
+    assert noise.known_sizes == {"drift": 1.0, "hum": 2.0, "stroke_variation damping": 0.1}
+    held = noise.held_at({"drift": 5.0, "stroke_variation damping": 0.2})
+    assert [own.is_learned for own in held.groups] == [False, True, False]
+    again = held.with_read(np.array([7.0, 8.0, 9.0])).without_varying().unlearned()
+    assert again.known_sizes == {"drift": 5.0, "hum": 8.0, "stroke_variation damping": 0.2}
+
+
 def test_the_cost_of_sizes_is_the_marginal_likelihood_with_their_prior() -> None:
     random = np.random.default_rng(3)
     columns, owners = random.standard_normal((60, 5)), np.array([0, 0, 1, 1, 1])

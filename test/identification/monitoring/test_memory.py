@@ -55,6 +55,7 @@ def test_a_monitor_that_is_started_again_says_the_same(monitor: Monitor, tmp_pat
     assert again.baseline.valve == kept.baseline.valve
     np.testing.assert_array_equal(again.baseline.covariance, kept.baseline.covariance)
     assert again.score_baselines == kept.score_baselines
+    assert again.baseline.error_sizes == kept.baseline.error_sizes
     assert (again.baseline.noise, again.baseline.current) == (kept.baseline.noise, kept.baseline.current)
     first, second = (
         Monitor(EXACT_VALVE, SETTINGS, refit=False),

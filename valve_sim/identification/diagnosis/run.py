@@ -23,7 +23,7 @@ from valve_sim.identification.estimation.followed_positions import follows_posit
 from valve_sim.identification.estimation.intervals import Interval, covariance_interval, profile_interval
 from valve_sim.identification.estimation.linearised import Linearised
 from valve_sim.identification.estimation.noise import Noise
-from valve_sim.identification.estimation.problem import Mask, Problem
+from valve_sim.identification.estimation.problem import Mask, Problem, shows_rest
 from valve_sim.identification.estimation.recorded_errors import with_uncertain_sizes
 from valve_sim.identification.estimation.result import Fit, rmse
 from valve_sim.identification.estimation.solver import fit
@@ -124,6 +124,7 @@ def begin(
     *,
     least: Mapping[str, float] | None = None,
     known: Mapping[str, Noise] | None = None,
+    held: Mapping[str, float] | None = None,
 ) -> DiagnosisSession:
     """The first part of `diagnose_plant`: the declared model, refitted.
 
@@ -131,6 +132,7 @@ def begin(
         plant, holdout, progress, budget: as there.
         least: standard deviations by kind of channel, which count where the data show less noise.
         known: noise by kind of channel, which counts where the machine is never still for long enough to show it.
+        held: sizes of errors of the recordings that are known, as of `with_learned_errors`.
 
     Raises:
         PlantError: a plant does not keep to what a `Plant` promises.
@@ -140,7 +142,7 @@ def begin(
     with named_interrupts(plant):
         for one in (plant,) if holdout is None else (plant, holdout):
             check_plant(one)
-        return _begun(plant, holdout, progress, budget, least or {}, known or {})
+        return _begun(plant, holdout, progress, budget, (least or {}, known or {}, held or {}))
 
 
 def _begun(
@@ -148,10 +150,10 @@ def _begun(
     holdout: Plant | None,
     progress: Progress | None,
     budget: Budget,
-    least: Mapping[str, float],
-    known: Mapping[str, Noise],
+    given: tuple[Mapping[str, float], Mapping[str, Noise], Mapping[str, float]],
 ) -> DiagnosisSession:
     """The declared model, refitted, of a plant that keeps to its protocol."""
+    least, known, held = given
     train_mask, holdout_mask = _split(plant) if holdout is None else (None, None)
     problem = Problem(plant, train_mask, budget=budget)
     never_still = [kind for kind, noise in problem.noises.items() if noise.samples == 0]
@@ -164,7 +166,8 @@ def _begun(
         held_out = _with_least(held_out, least)
     elif holdout_mask is not None:
         held_out = problem.restricted(holdout_mask)
-    learned, _ = with_learned_errors(problem.condensed(), fit_of_declared)
+    reads_at_rest = not held or shows_rest(plant)
+    learned, _ = with_learned_errors(problem.condensed(), fit_of_declared, held=held, reads_at_rest=reads_at_rest)
     search = Search(learned, progress)
     search.fit_declared()
     return DiagnosisSession(search, HeldOut(held_out), progress or (lambda what, fraction: None))

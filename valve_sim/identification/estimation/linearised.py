@@ -121,8 +121,12 @@ class Linearised:
 
         Those that were read at rest before, beside another fit, are read again.
         """
+        return self.at_rest().most_probable(self.sizes)
+
+    def at_rest(self) -> BySizes:
+        """As `by_sizes`, by the rows alone in which the machine is known to be still."""
         whole = self.with_columns()[~self._result.problem.rows.places.moves]
-        return self.by_sizes(gram(whole, whole), is_read=False).most_probable(self.sizes)
+        return self.by_sizes(gram(whole, whole), is_read=False)
 
     @functools.cached_property
     def log_integral(self) -> float:
@@ -295,6 +299,38 @@ class BySizes:
         covariance = cho_solve(factor, np.eye(len(scale))[:, own], check_finite=False)[own]
         return moves[own] * scale[own], covariance * np.outer(scale[own], scale[own])
 
+    def costs_of(self, sizes: Array, number: int, at: Array) -> Array:
+        """(n,) costs of a group at (n,) sizes, all others kept.
+
+        All else is taken out of the information of the group's coefficients once. In the eigenvectors of what is left,
+        each size is a sum.
+        """
+        own = self._places[self._owners == number]
+        rest = np.setdiff1d(np.arange(len(self._usual)), own)
+        others = self._owners != number
+        scale = self._usual.copy()
+        scale[self._places] = sizes[self._owners]
+        whole, pull = self._information * np.outer(scale, scale), scale * self._pull
+        whole[self._places[others], self._places[others]] += 1.0
+        root = _units(whole[np.ix_(rest, rest)])
+        factor = _factored(whole[np.ix_(rest, rest)] * np.outer(root, root))
+        between = root[:, None] * np.column_stack([whole[np.ix_(rest, own)], pull[rest]])
+        solved = cho_solve(factor, between, check_finite=False)
+        left = whole[np.ix_(own, own)] - gram(between[:, :-1], solved[:, :-1])
+        values, vectors = np.linalg.eigh(0.5 * (left + left.T))
+        squares = np.square(vectors.T @ (pull[own] - gram(between[:, :-1], solved[:, -1])))
+        values = np.maximum(values, 0.0)
+        known = float(np.sum(np.log(np.diag(factor[0])))) - float(np.sum(np.log(root)))
+        known -= 0.5 * float(between[:, -1] @ solved[:, -1])
+        precisions = np.square(sizes[number] / at)[:, None]
+        found = 0.5 * np.sum(np.log1p(values / precisions) - squares / (values + precisions), axis=1)
+        pairs = zip(self._groups, sizes.tolist(), strict=True)
+        priors = [group.error.log_prior(size, group.scale) for group, size in pairs]
+        priors[number] = 0.0
+        group = self._groups[number]
+        of_sizes = np.array([group.error.log_prior(size, group.scale) for size in at.tolist()])
+        return np.asarray(found + known - math.fsum(priors) - of_sizes)
+
     def log_integral(self, sizes: Array) -> float:
         """Ln of the product, over groups, of ∫ p(s) L(s | others) ds over p(s) L(s) at the best sizes."""
         most, total = self.cost(sizes), 0.0
@@ -304,10 +340,9 @@ class BySizes:
             logs = np.linspace(math.log(low), math.log(high), POINTS)
             nearby = math.log(sizes[number]) + np.linspace(-NEARBY, NEARBY, POINTS)
             logs = np.unique(np.clip(np.concatenate([logs, nearby]), logs[0], logs[-1]))
-            at = np.tile(sizes, (len(logs), 1))
-            at[:, number] = np.exp(logs)
-            rises = np.array([self.cost(one) for one in at]) - most
-            density = np.exp(-np.maximum(rises, -LOWER)) * at[:, number] / scale
+            at = np.exp(logs)
+            rises = self.costs_of(sizes, number, at) - most
+            density = np.exp(-np.maximum(rises, -LOWER)) * at / scale
             # The grid begins at next to nothing, of which the rest down to nothing is as probable.
             below = float(density[0])
             total += math.log(below + float(np.trapezoid(density, logs)))

@@ -16,9 +16,11 @@ from valve_sim.identification.estimation.column_groups import ColumnGroup, group
 from valve_sim.identification.estimation.condensed import Condensed, RowPlaces, places_of, whitened_sensitivities
 from valve_sim.identification.estimation.noise import (
     LARGEST_ORDER,
+    SHORT_WINDOW,
     Noise,
     estimate_noise,
     noise_of_residuals,
+    quiet_windows,
     readings_near,
     still_runs,
     stretches,
@@ -347,6 +349,11 @@ class Problem:
         if takes_part is not None:
             weight = np.where(takes_part(index, channel.group), weight, 0.0)
         return weight
+
+
+def shows_rest(plant: Plant) -> bool:
+    """Whether a plant's channels are ever known to be still for long enough to show a sensor's noise."""
+    return any(quiet_windows(channel, SHORT_WINDOW) for channel in plant.channels)
 
 
 def _reached(left_out: NDArray[np.bool_], order: int) -> NDArray[np.bool_]:

@@ -27,6 +27,8 @@ SPREAD: Final = 12
 """Places on it at which estimates are worked out: those of the largest probability."""
 PICTURED: Final = 200
 """Points of a picture."""
+EVEN: Final = 0.5
+"""Probability from which an error is expected of further data."""
 TENTH: Final = 0.1
 """Of a standard error: the step of a difference quotient."""
 FORGOTTEN: Final = 1e-3
@@ -218,13 +220,34 @@ def _posterior(by_sizes: BySizes, sizes: Array, number: int, group: Group) -> tu
     fine = np.linspace(-1.5 * step, 1.5 * step, POINTS) + math.log(sizes[number])
     places = np.unique(np.clip(np.concatenate([coarse, fine]), coarse[0], coarse[-1]))
     at = np.exp(places)
-    costs = np.array([by_sizes.cost(_with(sizes, number, size)) for size in at.tolist()])
+    costs = by_sizes.costs_of(sizes, number, at)
     least = float(costs.min())
     mass = np.exp(least - costs) * at / group.scale * np.gradient(places)
     # A size of the smallest is none: what the data say of none is what they say there, without the prior's density.
     none = math.exp(least - float(costs[0]) - group.error.log_prior(float(at[0]), group.scale))
     total = float(np.sum(mass))
     return at, mass / total, total / (total + none)
+
+
+def expected_sizes(result: Fit) -> Array:
+    """(g,) sizes that errors of further data of the same machine and sensors are expected to have.
+
+    The root of the mean square over the posterior: as large is a further coefficient expected to be. An error that is
+    less probable than that there is none is taken to be none, or it would cost sensitivity wherever it is not. The
+    posterior is by the rows by which the size was learned, or read at rest.
+    """
+    noise = result.problem.errors
+    if noise is None:
+        return np.empty(0)
+    model = Linearised(result)
+    beside, at_rest, found = model.by_sizes(), model.at_rest(), model.sizes.copy()
+    for number, group in enumerate(noise.groups):
+        by_sizes = at_rest if group.is_read else beside
+        if by_sizes.is_learned[number]:
+            at, weights, probability = _posterior(by_sizes, model.sizes, number, group)
+            is_there = probability > EVEN
+            found[number] = math.sqrt(float(weights @ np.square(at))) if is_there else SMALLEST * group.scale
+    return found
 
 
 def _with(sizes: Array, number: int, size: float) -> Array:

@@ -46,6 +46,9 @@ def with_learned_errors(
     fitted: Fitted,
     near: Fit | None = None,
     known: StructuredNoise | None = None,
+    held: Mapping[str, float] | None = None,
+    *,
+    reads_at_rest: bool = True,
 ) -> tuple[Problem, Fit]:
     """A problem with the errors of its recordings as large as they are beside a model, and the model's fit.
 
@@ -53,6 +56,9 @@ def with_learned_errors(
         problem: data and noise. fitted: fits the model.
         near: a fit of it with other errors, near which those are that are looked for; None: nothing is known of them.
         known: errors of other recordings of the same machine by the same sensors, whose mounts ring in no other ways.
+        held: sizes that are not learned, by the names of `StructuredNoise.known_sizes`.
+        reads_at_rest: whether drift and hum are read while the machine is still, as those of other recordings were;
+            else in motion as well, where they would follow what the model lacks.
 
     Raises:
         SimulationError: the machine cannot be simulated.
@@ -63,11 +69,12 @@ def with_learned_errors(
         errors = None if problem.errors is None else problem.errors.with_varying()
     if errors is None:
         return problem, fitted(problem, near)
-    problem = problem.with_errors(errors.as_known(known))
+    problem = problem.with_errors(errors.as_known(known).held_at(held or {}))
     best = fitted(problem, near)
     assert problem.errors is not None
-    problem = problem.with_errors(problem.errors.with_read(Linearised(best).sizes_at_rest()))
-    best = fitted(problem, best)
+    if reads_at_rest and (known is None or any(own.is_read for own in known.groups)):
+        problem = problem.with_errors(problem.errors.with_read(Linearised(best).sizes_at_rest()))
+        best = fitted(problem, best)
     for _ in range(MOST_ROUNDS):
         resized = relearned(best, known)
         again = fitted(resized, best)

@@ -13,7 +13,7 @@ parameter for it. (Gaussian processes of pulsar timing are treated so: van Haast
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
@@ -40,17 +40,19 @@ class Group(NamedTuple):
         key: the channel by its index, or the group's name of nuisances. error: which.
         scale: of the prior of the size, in the unit of the coefficients.
         is_read: whether the size has been read at rest, and is not learned any more.
+        is_held: whether the size is known from elsewhere.
     """
 
     key: int | str
     error: RecordingError
     scale: float
     is_read: bool = False
+    is_held: bool = False
 
     @property
     def is_learned(self) -> bool:
         """Whether the size is learned beside a model."""
-        return not (self.error.is_known or self.is_read)
+        return not (self.error.is_known or self.is_read or self.is_held)
 
     @property
     def is_of_machine(self) -> bool:
@@ -127,38 +129,56 @@ class StructuredNoise:
     def as_known(self, known: StructuredNoise | None) -> StructuredNoise:
         """The same, where errors of the machine and of its sensors' curves are as large as other recordings have them.
 
+        What is held there is held here.
+
         Args:
             known: errors of other recordings; None: nothing is known.
         """
         if known is None:
             return self
+        held = {_known_name(own) for own in known.groups if own.is_held}
+        same = self.held_at({name: size for name, size in known.known_sizes.items() if name in held})
         sizes = {(own.kind, own.error.name): size for own, size in zip(known.groups, known.sizes.tolist(), strict=True)}
         kept = [
             sizes.get((own.kind, own.error.name), size) if own.error.stays else size
-            for own, size in zip(self.groups, self.sizes.tolist(), strict=True)
+            for own, size in zip(same.groups, same.sizes.tolist(), strict=True)
         ]
-        return self.resized(np.array(kept))
+        return same.resized(np.array(kept))
+
+    @property
+    def known_sizes(self) -> dict[str, float]:
+        """The size of each error, by its name and, of what varies of the machine, by what that is."""
+        return {_known_name(own): size for own, size in zip(self.groups, self.sizes.tolist(), strict=True)}
+
+    def held_at(self, known: Mapping[str, float]) -> StructuredNoise:
+        """The same with sizes that are known, by the names of `known_sizes`, and are not learned any more."""
+        groups = tuple(own._replace(is_held=own.is_held or _known_name(own) in known) for own in self.groups)
+        pairs = zip(self.groups, self.sizes.tolist(), strict=True)
+        return replace(self, groups=groups, sizes=np.array([known.get(_known_name(own), size) for own, size in pairs]))
 
     def with_read(self, sizes: Array) -> StructuredNoise:
         """The same with the sizes of errors that are read at rest, (g,), which are not learned any more."""
-        is_read = [own.error.at_rest for own in self.groups]
+        is_read = [own.error.at_rest and not own.is_held for own in self.groups]
         groups = tuple(own._replace(is_read=read) for own, read in zip(self.groups, is_read, strict=True))
         return replace(self, groups=groups, sizes=np.where(is_read, sizes, self.sizes))
 
     def unlearned(self) -> StructuredNoise:
-        """The same with sizes as they are before the data are asked, but for those that have been read at rest."""
+        """The same with sizes as they are before the data are asked, but for those that have been read or are held."""
         pairs = zip(self.groups, self.sizes.tolist(), strict=True)
-        return self.resized(np.array([size if own.is_read else own.held for own, size in pairs]))
+        return self.resized(np.array([size if own.is_read or own.is_held else own.held for own, size in pairs]))
 
     def without_varying(self) -> StructuredNoise:
-        """Without errors that act on the machine."""
-        pairs = zip(self.groups, self.sizes.tolist(), strict=True)
-        return self.resized(np.array([SMALLEST * own.scale if own.is_of_machine else size for own, size in pairs]))
+        """Without errors that act on the machine, but for those that are held."""
+        return self._with_varying(lambda own: SMALLEST * own.scale)
 
     def with_varying(self) -> StructuredNoise:
-        """With errors that act on the machine as they are before the data are asked."""
+        """With errors that act on the machine as they are before the data are asked, but for those that are held."""
+        return self._with_varying(lambda own: own.held)
+
+    def _with_varying(self, size_of: Callable[[Group], float]) -> StructuredNoise:
         pairs = zip(self.groups, self.sizes.tolist(), strict=True)
-        return self.resized(np.array([own.held if own.is_of_machine else size for own, size in pairs]))
+        changed = [size_of(own) if own.is_of_machine and not own.is_held else size for own, size in pairs]
+        return self.resized(np.array(changed))
 
     @property
     def log_prior(self) -> float:
@@ -166,6 +186,10 @@ class StructuredNoise:
         return sum(
             own.error.log_prior(size, own.scale) for own, size in zip(self.groups, self.sizes.tolist(), strict=True)
         )
+
+
+def _known_name(group: Group) -> str:
+    return f"{group.error.name} {group.kind}".rstrip()
 
 
 def structured_noise(
@@ -199,9 +223,11 @@ def structured_noise(
             share = sensor.shares.get(error.name, error.share)
             own = np.empty((0, 0)) if error.columns is None or share == 0.0 else error.columns(seen)
             if own.shape[1]:
-                owners += [len(groups)] * own.shape[1]
+                group = Group(index if sensor.alike is None else sensor.alike, error, share * sensor.span)
+                if group not in groups:
+                    groups.append(group)
+                owners += [groups.index(group)] * own.shape[1]
                 parts.append(own)
-                groups.append(Group(index, error, share * sensor.span))
         columns[index] = ChannelColumns(np.hstack(parts), np.array(owners, dtype=np.intp))
     errors = {error.name: error for error in ERRORS}
     for nuisance in plant.varying:
@@ -209,8 +235,8 @@ def structured_noise(
         if group not in groups:
             groups.append(group)
     known = {} if before is None else dict(zip(before.numbers, before.sizes.tolist(), strict=True))
-    read = set() if before is None else {(own.key, own.error.name) for own in before.groups if own.is_read}
-    groups = [own._replace(is_read=(own.key, own.error.name) in read) for own in groups]
+    same = {} if before is None else {(own.key, own.error.name): own for own in before.groups}
+    groups = [same.get((own.key, own.error.name), own)._replace(scale=own.scale) for own in groups]
     sizes = [known.get((own.key, own.error.name), own.held) for own in groups]
     return StructuredNoise(tuple(groups), np.array(sizes), columns, dict(modes), tuple(plant.varying))
 

@@ -15,12 +15,15 @@ from typing import Final
 import numpy as np
 
 from valve_sim.identification.diagnosis.run import Verdict, begin
+from valve_sim.identification.estimation.errors.hum import HUM
 from valve_sim.identification.estimation.intervals import Interval
+from valve_sim.identification.estimation.problem import shows_rest
 from valve_sim.identification.monitoring.joined_signals import joined, with_joined_ends
 from valve_sim.identification.monitoring.lift_times import starts_by_lift
 from valve_sim.identification.monitoring.scores import FINEST, Baseline
 from valve_sim.identification.plants.commissioned import CommissionedPlant
 from valve_sim.identification.plants.effect_titles import WRONG
+from valve_sim.identification.plants.interval_factors import VARIATION
 from valve_sim.identification.plants.protocol import Plant
 from valve_sim.identification.plants.tolerances import hypothesis_of
 from valve_sim.identification.plants.valve import DAMPINGS
@@ -72,7 +75,8 @@ def isolate_fault(strokes: Sequence[Trace], baseline: Baseline, progress: Progre
     kind = "position" if baseline.has_positions else "current"
     least = {**FINEST, kind: baseline.noise.sigma}
     holdout = plants[1] if len(plants) > 1 else None
-    session = begin(plants[0], holdout, progress, least=least, known={kind: baseline.noise})
+    held = _known_sizes(plants[0], baseline)
+    session = begin(plants[0], holdout, progress, least=least, known={kind: baseline.noise}, held=held)
     verdict, intervals = session.name()
     named = () if verdict.kind == "unknown" else verdict.effects
     parameters = estimates(named, plants[0], intervals)
@@ -83,6 +87,17 @@ def isolate_fault(strokes: Sequence[Trace], baseline: Baseline, progress: Progre
         verdict, parameters, {name: before[name] for name in before if name in known},
         {name: before[name] for name in before if name not in known}, len(strokes),
     )  # fmt: skip
+
+
+def _known_sizes(plant: CommissionedPlant, baseline: Baseline) -> Mapping[str, float]:
+    """Sizes of errors that are those of commissioning: a fault would be taken for more of them.
+
+    That is how much strokes vary. Drift is read anew while the valve rests, if it does so for long enough. Hum is
+    learned anew: over several strokes its phase is one, and it tells more than in each by itself.
+    """
+    if not shows_rest(plant):
+        return {name: size for name, size in baseline.error_sizes.items() if name != HUM.name}
+    return {name: size for name, size in baseline.error_sizes.items() if name.startswith(VARIATION)}
 
 
 def _was_there(name: str, baseline: Baseline) -> bool:

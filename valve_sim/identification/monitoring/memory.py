@@ -23,7 +23,7 @@ from valve_sim.identification.plants.valve import dampings_of
 from valve_sim.identification.plants.valve_model import ValveModel
 from valve_sim.model import EXACT, ParameterError, Valve
 
-SCHEMA: Final = "valve_sim/commissioning/2"
+SCHEMA: Final = "valve_sim/commissioning/3"
 MEND: Final = "name another file, or, while the valve is healthy, delete this one to commission anew"
 
 
@@ -123,6 +123,7 @@ def _to_plain(commissioning: Commissioning) -> dict[str, Any]:
         "jitter": baseline.jitter,
         "noise": noise.__dict__,
         "has_positions": baseline.has_positions,
+        "error_sizes": dict(baseline.error_sizes),
         "current": None if baseline.current is None else baseline.current._asdict(),
         "strokes": [
             [stroke.volts, [finite_or_none(shift) for shift in stroke.shifts], finite_or_none(stroke.arrival_spread)]
@@ -147,7 +148,8 @@ def _from_plain(plain: Mapping[str, Any], declared: Valve) -> Commissioning:
         np.array(plain["damping_covariance"]),
         None if current is None else CommissionedCurrent(**current),
         tuple(values),
-        plain.get("has_positions", True),
+        plain["has_positions"],
+        plain["error_sizes"],
     )
     strokes = tuple(
         StrokeTiming(volts, tuple(_or_nan(shift) for shift in shifts), _or_nan(arrival))

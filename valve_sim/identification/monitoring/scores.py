@@ -1,14 +1,16 @@
 """Scores of one stroke against the baseline: is its residual larger than the noise, and in which direction?
 
-A stroke's residual is whitened, and an error of each command's stamp is estimated too, as a nuisance parameter with
-the prior N(0, jitter). The residual is projected on the change that each effect of the catalogue would make. With
-e the whitened residual, a the whitened change, N what errors of the stamps change and P their prior variance,
+A stroke's residual is whitened for the sensor's noise, drift and hum. What differs from stroke to stroke is estimated
+too, as nuisance parameters with priors as large as commissioning has found it: an error of each command's stamp, the
+sensor's zero, and how far the stroke's dampings, seat load and preload are from their means. The residual is projected
+on the change that each effect of the catalogue would make. With e the whitened residual, a the whitened change, N what
+these change and P their prior variance,
 
     score = aᵀ W e / √(aᵀ W a),        W = (I + N P Nᵀ)⁻¹,
 
-is standard normal under noise, jitter and the commissioned valve, and the most powerful statistic for that effect (the
-matched filter; Kay, Fundamentals of Statistical Signal Processing II, 1998, section 4.4): theory, eq. (62). A last
-score is the size of the residual in any direction, for faults that the catalogue lacks: eq. (63).
+is standard normal under noise, errors of the recording and the commissioned valve, and the most powerful statistic for
+that effect (the matched filter; Kay, Fundamentals of Statistical Signal Processing II, 1998, section 4.4): theory, eq.
+(62). A last score is the size of the residual in any direction, for faults that the catalogue lacks: eq. (63).
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -25,12 +27,16 @@ from valve_sim.identification.estimation.descent import Effort
 from valve_sim.identification.estimation.gram import gram
 from valve_sim.identification.estimation.intervals import Interval, covariance_interval
 from valve_sim.identification.estimation.noise import Noise
-from valve_sim.identification.estimation.problem import Problem
+from valve_sim.identification.estimation.problem import Problem, shows_rest
+from valve_sim.identification.estimation.recorded_errors import expected_sizes
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
+from valve_sim.identification.estimation.state_of_recording import with_learned_errors
+from valve_sim.identification.estimation.structured_noise import structured_noise
 from valve_sim.identification.monitoring.command_timing import UNINFORMATIVE
 from valve_sim.identification.monitoring.stroke_delays import rough_shifts, start_before
 from valve_sim.identification.plants.commissioned import Commissioned, CommissionedCurrent, commission_current
+from valve_sim.identification.plants.interval_factors import VARIATION
 from valve_sim.identification.plants.protocol import Array, Nuisance, perturbed
 from valve_sim.identification.plants.recording_errors import CLOCK_SIGMA
 from valve_sim.identification.plants.root_mean_square import root_mean_square
@@ -62,6 +68,9 @@ MEDIAN_OF_NORMAL: Final = 0.6745
 """Median absolute value of a standard normal number."""
 EXTREME_SIGMAS: Final = 3.0
 """Standard deviations that the largest of some forty normal numbers rarely exceeds."""
+ZERO: Final = 0.1
+"""Of the stroke: standard deviation of a sensor's zero, which each stroke shows by itself. It wanders for as long as a
+monitor runs; where it is farther off than this, a valve at rest is taken not to have closed."""
 FURTHEST: Final = 15.0
 """Standard deviations of a stamp's error to which its starting value is clipped."""
 
@@ -79,6 +88,8 @@ class Baseline:
         current: how the measured current relates to the model's; None where there is none that can be used.
         estimated: (k,) names of what was: the dampings, then declared values that have a tolerance.
         has_positions: whether it was commissioned on positions; else on the current alone.
+        error_sizes: of what the recording adds to a stroke and of what varies of the valve from stroke to stroke, by
+            the names of `StructuredNoise.known_sizes`.
     """
 
     valve: Valve
@@ -90,6 +101,7 @@ class Baseline:
     current: CommissionedCurrent | None = None
     estimated: tuple[str, ...] = DAMPINGS
     has_positions: bool = True
+    error_sizes: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def commissioned(self) -> Commissioned:
@@ -149,22 +161,23 @@ def score_at_levels(trace: Trace, baseline: Baseline, levels: Sequence[float]) -
 
 def _scored(stroke: _Stroke, result: Fit, directions: Iterable[tuple[str, Array]]) -> Scored:
     """The scores of a stroke whose stamps' errors were estimated, along what effects change."""
-    shifts = np.array([result.values[nuisance.name] for nuisance in result.nuisances])
-    jacobian, prior = result.jacobian, np.array([1.0 / nuisance.sigma**2 for nuisance in result.nuisances])
+    rows = stroke.problem.without_errors(np.column_stack([result.jacobian, result.residuals]))
+    jacobian, residuals = rows[:, :-1], rows[:, -1]
+    prior = np.array([1.0 / nuisance.sigma**2 for nuisance in result.nuisances])
     # One more step in the linear model that the scores use: they must not depend on where the fit stopped.
     scale = np.sqrt(np.sum(np.square(jacobian), axis=0) + prior)
     inverse = np.linalg.inv((gram(jacobian, jacobian) + np.diag(prior)) / np.outer(scale, scale)) / np.outer(
         scale, scale
     )
-    left = result.residuals - jacobian @ (inverse @ (gram(jacobian, result.residuals) + prior * shifts))
+    left = residuals - jacobian @ (inverse @ (gram(jacobian, residuals) + prior * result.coordinates))
     scores = {SIZE: _size(stroke.problem, left)}
-    for name, change in itertools.chain(directions, stroke.delay_directions(result)):
+    for name, change in itertools.chain(directions, stroke.delay_directions(jacobian)):
         seen = change @ jacobian
         power = float(change @ change - seen @ inverse @ seen)
         if power > LEAST_SENSITIVITY**2:
             # The fit's residual is measured less predicted, and so is the change of it that an effect makes.
             scores[name] = -float(change @ left) / math.sqrt(power)
-    return Scored(scores, shifts, stroke.rms(result))
+    return Scored(scores, stroke.shifts(result), stroke.rms(result))
 
 
 def refitted(trace: Trace, baseline: Baseline, jitter: float | None = None) -> dict[str, Interval]:
@@ -191,24 +204,23 @@ def commission(traces: Sequence[Trace], valve: Valve, noise: float) -> Baseline:
     Raises:
         SimulationError: the declared valve cannot be simulated.
     """
-    plant = ValvePlant([_judged(trace) for trace in traces], valve)
+    plant = ValvePlant([_judged(trace, valve) for trace in traces], valve, is_watched=True)
     kind = plant.channels[0].kind
     given = None
     if noise > 0.0 and kind == "position":
         given = {kind: Noise(noise, noise, (), 0.0, len(traces[0].times))}
     measured = _at_least_finest(Problem(plant, noises=given).noises[kind], kind)
-    problem = Problem(plant, noises={kind: measured})
     rough = {
         f"command_error[{index},{command}]": lateness
         for index, trace in enumerate(traces)
         for command, lateness in enumerate(rough_shifts(trace, valve, 0.0))
     }
     prior = max(CLOCK_SIGMA, float(np.max(np.abs(list(rough.values())))) / FURTHEST)
-    result = _commissioning_fit(problem, rough, prior)
+    problem, result = _with_stroke_errors(Problem(plant, noises={kind: measured}), rough, prior)
     if given is None and measured.samples == 0:
         # Its rests were too short to show the noise by themselves; what the fit leaves of them does.
-        problem = Problem(plant, noises={kind: _at_least_finest(_noise_at_rest(plant, result), kind)})
-        result = _commissioning_fit(problem, result.values, prior)
+        learned = Problem(plant, noises={kind: _at_least_finest(_noise_at_rest(plant, result), kind)})
+        problem, result = _with_stroke_errors(learned, result.values, prior)
     late = [
         result.values[f"clock_offset[{index}]"] + result.values.get(f"command_error[{index},{command}]", 0.0)
         for index, trace in enumerate(traces)
@@ -231,21 +243,34 @@ def commission(traces: Sequence[Trace], valve: Valve, noise: float) -> Baseline:
         commission_current(traces, commissioned) if kind == "position" else None,
         estimated,
         kind == "position",
+        {} if problem.errors is None else problem.errors.resized(expected_sizes(result)).known_sizes,
     )
+
+
+def _with_stroke_errors(problem: Problem, start: Mapping[str, float], prior: float) -> tuple[Problem, Fit]:
+    """The problem with what differs from stroke to stroke as large as the strokes show it, and the fit beside that.
+
+    Short strokes of a slow sensor show no rest. The model is right here, so that drift and hum are read in motion, too.
+    """
+
+    def fitted(problem: Problem, begun: Fit | None) -> Fit:
+        return _commissioning_fit(problem, start if begun is None else begun.values, prior)
+
+    return with_learned_errors(problem.condensed(), fitted, reads_at_rest=shows_rest(problem.plant))
 
 
 def _commissioning_fit(problem: Problem, start: Mapping[str, float], prior: float) -> Fit:
     """With a prior of the stamps' errors, s, wide enough for the largest; each is well determined by its stroke."""
     plant = problem.plant
     errors = [error._replace(sigma=prior) for error in plant.timing_errors]
-    return fit(problem, plant.base, start, nuisances=(*plant.nuisances, *errors))
+    return fit(problem, plant.base, start, nuisances=(*problem.nuisances, *errors))
 
 
 def _noise_at_rest(plant: ValvePlant, result: Fit) -> Noise:
     """White noise, from the residuals where the model rests and does not start within a sample."""
     valve = plant.with_values(result.values)
     squares, count = 0.0, 0
-    for index, (channel, shown) in enumerate(zip(plant.channels, plant.predict(result.values), strict=True)):
+    for index, (channel, shown) in enumerate(zip(plant.channels, result.shown(), strict=True)):
         trace, offset = plant.traces[index], result.values[f"clock_offset[{index}]"]
         speed = np.abs(
             simulate(
@@ -275,29 +300,33 @@ def _at_least_finest(noise: Noise, kind: str) -> Noise:
 
 
 class _Stroke:
-    """The fit of one stroke: the clock's offset fixed, the stamps' errors free."""
+    """The fit of one stroke: clocks fixed, free what differs from stroke to stroke."""
 
     def __init__(self, trace: Trace, baseline: Baseline, jitter: float | None) -> None:
         self._trace = trace
         self._baseline = baseline
         self._jitter = baseline.jitter if jitter is None else jitter
-        self._plant = ValvePlant([_judged(trace)], baseline.valve)
-        self.problem = Problem(self._plant, noises={self._plant.channels[0].kind: baseline.noise})
-        self._fixed = {"clock_offset[0]": baseline.lateness}
+        self._plant = ValvePlant([_judged(trace, baseline.valve)], baseline.valve, is_watched=True)
+        self._fixed = {"clock_offset[0]": baseline.lateness, "clock_rate[0]": 0.0}
+        problem = Problem(self._plant, noises={self._plant.channels[0].kind: baseline.noise})
+        errors = structured_noise(self._plant, self._fixed, {}) if baseline.error_sizes else None
+        self.problem = problem.with_errors(None if errors is None else errors.held_at(baseline.error_sizes))
+        self._nuisances = (*self._shifts(), *self.problem.nuisances)
 
     def fit(self, free: Sequence[str]) -> Fit:
-        """Estimate the stamps' errors and the parameters in `free`."""
+        """Estimate what differs from stroke to stroke, and the parameters in `free`: their own in this stroke."""
+        nuisances = [own for own in self._nuisances if not (free and own.error == VARIATION)]
         rough = rough_shifts(self._trace, self._baseline.valve, self._baseline.lateness)
         furthest = FURTHEST * self._jitter
         start = {
             f"command_error[0,{index}]": float(np.clip(shift, -furthest, furthest)) for index, shift in enumerate(rough)
         }
-        result = fit(self.problem, free, start, nuisances=self._shifts(), fixed=self._fixed)
+        result = fit(self.problem, free, start, nuisances=nuisances, fixed=self._fixed)
         if result.chi2 < POOR_FIT * self.problem.effective_samples:
             return result
         # A fault of the stroke, or a bad starting point: contacts make shallow local minima.
         again = [
-            fit(self.problem, free, other, nuisances=self._shifts(), fixed=self._fixed, effort=Effort(ANNEALING))
+            fit(self.problem, free, other, nuisances=nuisances, fixed=self._fixed, effort=Effort(ANNEALING))
             for other in (start, {})
         ]
         return min((result, *again), key=lambda found: found.chi2)
@@ -316,18 +345,21 @@ class _Stroke:
                         result, effect.name if single else f"{effect.name}.{switch.name}", values
                     )
 
-    def delay_directions(self, result: Fit) -> Iterator[tuple[str, Array]]:
-        """The same of errors of the first and the last stamp, where these are scored."""
+    def delay_directions(self, jacobian: Array) -> Iterator[tuple[str, Array]]:
+        """The same of errors of the first and the last stamp, where these are scored; jacobian: whitened."""
         if self._jitter >= UNINFORMATIVE:
             return
-        for nuisance, column in zip(result.nuisances, result.jacobian.T, strict=True):
-            which = 0 if nuisance is result.nuisances[0] else 1
-            if nuisance in (result.nuisances[0], result.nuisances[-1]):
-                yield DELAYS[which], column * nuisance.sigma
+        last = len(self._shifts()) - 1
+        for place in sorted({0, last}):
+            yield DELAYS[min(place, 1)], jacobian[:, place] * self._jitter
+
+    def shifts(self, result: Fit) -> Array:
+        """(commands,) s, errors of the stamps."""
+        return np.array([result.values[nuisance.name] for nuisance in self._shifts()])
 
     def rms(self, result: Fit) -> float:
-        """Root mean square of measured less predicted position, m, or current, A."""
-        (shown,) = self._plant.predict(result.values)
+        """Root mean square of measured less shown position, m, or current, A; the recording's errors are shown, too."""
+        (shown,) = result.shown()
         channel = self._plant.channels[0]
         return root_mean_square(channel.kept(channel.data - shown))
 
@@ -336,7 +368,7 @@ class _Stroke:
             changed = self.problem.residuals({**result.values, **values})
         except SimulationError:
             return
-        yield name, changed - result.residuals
+        yield name, self.problem.without_errors((changed - result.residuals)[:, None])[:, 0]
 
     def _shifts(self) -> list[Nuisance]:
         errors = list(self._plant.timing_errors)
@@ -362,6 +394,11 @@ def _size(problem: Problem, left: Array) -> float:
     return float(np.cbrt(ratio) - 1.0 + narrow) / math.sqrt(narrow)
 
 
-def _judged(trace: Trace) -> Trace:
-    """Beside positions without the current, which only fault isolation uses: it may be timed by its reception."""
-    return replace(trace, coil_current=None) if trace.has_positions else trace
+def _judged(trace: Trace, valve: Valve) -> Trace:
+    """A stroke as it is compared: by its positions without the current, which only fault isolation uses.
+
+    The current may be timed by its reception. The zero of the positions is the stroke's own.
+    """
+    if not trace.has_positions:
+        return trace
+    return replace(trace, coil_current=None, zero_error=ZERO * valve.parameters.stroke)

@@ -1,13 +1,13 @@
 """Each stroke compared with the baseline: an alarm at a stated false-alarm rate. No clock, no ROS.
 
-The first strokes commission the valve: its dampings, the clocks' offset, the scatter of the commands' stamps and the
-sensor's noise are fitted to them all together, and fixed from then on. `scores` says how a stroke is compared
-with that, `cusum` when deviations raise an alarm. Scores are standard normal by theory where the commissioning
-strokes do not contradict it; where they do, because the declared form is not the valve's, they are counted from the
-mean and spread of those strokes (as Student's t): what is watched is then whether the valve changes, and
-`StrokeMonitor` says so. Where commands' times scatter more than at commissioning, strokes are scored with that
-scatter, and beyond a tenth of the opening time delays are not scored. An effect with a memory beyond one
-stroke, such as coil heating, begins anew with each stroke here.
+The first strokes commission the valve: its dampings, the clocks' offset, the scatter of the commands' stamps, the
+sensor's noise and what differs from stroke to stroke are fitted to them all together, and fixed from then on. `scores`
+says how a stroke is compared with that, `cusum` when deviations raise an alarm. Scores are standard normal by theory
+where the commissioning strokes do not contradict it; where they do, because the declared form is not the valve's, they
+are counted from the mean and spread of those strokes (as Student's t): what is watched is then whether the valve
+changes, and `StrokeMonitor` says so. Where commands' times scatter more than at commissioning, strokes are scored with
+that scatter, and beyond a tenth of the opening time delays are not scored. An effect with a memory beyond one stroke,
+such as coil heating, begins anew with each stroke here.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ class StrokeReport(NamedTuple):
 
 
 class StrokeMonitor:
-    """Strokes in, reports out. Some milliseconds per stroke; a second at the end of commissioning.
+    """Strokes in, reports out. Some milliseconds per stroke; some seconds at the end of commissioning.
 
     Args:
         valve: the declared valve.

@@ -25,6 +25,7 @@ from valve_sim.identification.plants.protocol import (
     ForceMap,
     Nuisance,
     Sensitivities,
+    Sensor,
 )
 from valve_sim.identification.plants.recording_errors import CLOCK_SIGMA
 from valve_sim.identification.plants.tolerances import of_gas
@@ -142,7 +143,8 @@ class CommissionedPlant:
         starts: Mapping[str, Mapping[str, float]] | None = None,
     ) -> None:
         # A leak has changed the pressure behind the valve before its first stroke, so it is estimated along.
-        self._plant = ValvePlant([replace(trace, outlet_start=None)], as_it_began(commissioned.valve, trace))
+        valve = as_it_began(commissioned.valve, trace)
+        self._plant = ValvePlant([replace(trace, outlet_start=None)], valve, is_watched=True)
         self._scatter = max(scatter, FINEST_SCATTER)
         self._estimated = commissioned.estimated
         self._spread = _root(commissioned.covariance) / CLOCK_SIGMA
@@ -202,6 +204,19 @@ class CommissionedPlant:
     def timing_errors(self) -> Sequence[Nuisance]:
         """None beside those that are always estimated."""
         return ()
+
+    @property
+    def varying(self) -> Sequence[Nuisance]:
+        """As of any valve that is watched."""
+        return self._plant.varying
+
+    def sensors(self, values: Mapping[str, float]) -> Mapping[int, Sensor]:
+        """As of any valve that is watched.
+
+        Raises:
+            SimulationError: the simulation could not be carried to its end.
+        """
+        return self._plant.sensors(self._plain(values))
 
     @property
     def effects(self) -> Mapping[str, EffectChoice]:

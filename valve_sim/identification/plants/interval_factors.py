@@ -64,15 +64,22 @@ SMALL_SHARE: Final = 1e-4
 """Step of δ in a difference quotient."""
 
 
-def variations(valve: Valve, trace: Trace, index: int, channels: tuple[int, ...]) -> list[Nuisance]:
+def variations(
+    valve: Valve, trace: Trace, index: int, channels: tuple[int, ...], part_of: int | None = None
+) -> list[Nuisance]:
     """For each stroke and each number that varies, by how much it differs in it.
 
-    There are none of a recording of one stroke, and none where the motion is not seen, or is of a measured voltage,
-    whose steps are not the commands'.
+    There are none of a recording of one stroke that is no part of another, and none where the motion is not seen, or is
+    of a measured voltage, whose steps are not the commands'.
+
+    Args:
+        valve: as declared. trace: the recording. index, channels: of it.
+        part_of: the recording that it was cut out of, whose strokes vary by as much; None: it is whole.
     """
     starts = stroke_starts(trace.drive)
-    if len(starts) < 2 or trace.measured_input is not None or not trace.has_positions:
+    if (len(starts) < 2 and part_of is None) or trace.measured_input is not None or not trace.has_positions:
         return []
+    recording = index if part_of is None else part_of
     edges = sorted({edge for during in command_strokes(trace.drive) for edge in during})
     found = []
     for stroke, during in enumerate(itertools.pairwise(edges)):
@@ -83,7 +90,7 @@ def variations(valve: Valve, trace: Trace, index: int, channels: tuple[int, ...]
                 found.append(
                     Nuisance(
                         f"{VARIATION}[{index},{stroke},{name}]", own.scale, "–", channels, during, SMALL_SHARE,
-                        lower=-LARGEST, upper=LARGEST, error=VARIATION, group=f"{own.group}[{index}]",
+                        lower=-LARGEST, upper=LARGEST, error=VARIATION, group=f"{own.group}[{recording}]",
                     )
                 )  # fmt: skip
     return found

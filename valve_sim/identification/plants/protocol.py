@@ -374,12 +374,14 @@ class Sensor(NamedTuple):
         contacts: impacts that shake it.
         shares: by the name of an error the scale of its prior, as a share of the range, where its data sheet says
             another than the usual one; 0: there is none.
+        alike: the channel whose errors are as large, where recordings are strokes of one; None: its own.
     """
 
     span: float
     knots: Array
     contacts: Contacts
     shares: Mapping[str, float] = {}
+    alike: int | None = None
 
 
 @runtime_checkable

@@ -42,6 +42,7 @@ from valve_sim.identification.plants.valve_model import ValveModel
 from valve_sim.identification.plants.valve_pieces import Intervals, run_in_pieces, whole_run
 from valve_sim.identification.plants.valve_sensitivities import pieces, sensitivities
 from valve_sim.identification.plants.valve_sensors import (
+    NO_CONTACTS,
     amperes,
     averaged,
     channels_of,
@@ -92,9 +93,13 @@ class ValvePlant:
     Args:
         traces: the measured data; each has its own clock offset.
         valve: the declared valve; effects that it has on already stay on as they are, unless freed.
+        is_watched: whether the traces are strokes of a valve that is watched, or rows of them. Errors of the recordings
+            are then what differs from stroke to stroke, by sizes that are the same in all traces: drift and hum of the
+            sensor, and what varies of the valve. The sensor's curve, its mount and the source are as they always were.
     """
 
-    def __init__(self, traces: Sequence[Trace], valve: Valve) -> None:
+    def __init__(self, traces: Sequence[Trace], valve: Valve, *, is_watched: bool = False) -> None:
+        self._is_watched = is_watched
         jumps = valve.parameters.coil_time_constant == 0.0 or "motional_emf" in valve.effects
         known = [trace if valve.gas is not None else without_pressure(trace) for trace in traces]
         self.traces = tuple(with_usable_current(trace, jumps=jumps) for trace in known)
@@ -296,13 +301,14 @@ class ValvePlant:
         """What varies from stroke to stroke, trends, and the resistance of the source; none of a valve with gas."""
         if self.valve.gas is not None:
             return ()
+        part_of = 0 if self._is_watched else None
         return tuple(
             nuisance
             for index, trace in enumerate(self.traces)
             for found in (
-                variations(self.valve, trace, index, self._channels_of(index)),
-                trends(self.valve, trace, index, self._channels_of(index)),
-                supply_errors(trace, index, self._channels_of(index)),
+                variations(self.valve, trace, index, self._channels_of(index), part_of),
+                () if self._is_watched else trends(self.valve, trace, index, self._channels_of(index)),
+                () if self._is_watched else supply_errors(trace, index, self._channels_of(index)),
             )
             for nuisance in found
         )
@@ -319,15 +325,21 @@ class ValvePlant:
         """
         if self.valve.gas is not None:
             return {}
-        record, found, own_sheet = self._model.record(values), {}, self.valve.tolerances.sensor
+        found: dict[int, Sensor] = {}
+        record, own_sheet = self._model.record(values), self.valve.tolerances.sensor
         shares = {"scale": own_sheet.gain, "bend": own_sheet.linearity}
+        if self._is_watched:
+            shares = dict.fromkeys(shares, 0.0)
         for index, trace in enumerate(self.traces):
             if not trace.has_positions:
                 continue
             drive, late = drive_with(trace, index, values, self.valve), lateness_with(index, values)
             own = next(iter(self._channels_of(index)))
-            meet = contacts(record, trace, drive, late)
-            found[own] = Sensor(self.valve.parameters.stroke, trace.drive.times, meet, shares)
+            meet = NO_CONTACTS if self._is_watched else contacts(record, trace, drive, late)
+            alike = next(iter(found), own) if self._is_watched else None
+            # A stroke is two intervals, whenever its recording begins.
+            knots = trace.drive.times[1:2] if self._is_watched else trace.drive.times
+            found[own] = Sensor(self.valve.parameters.stroke, knots, meet, shares, alike)
         return found
 
     def predict(self, values: Mapping[str, float]) -> list[Array]:
