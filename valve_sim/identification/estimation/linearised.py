@@ -220,7 +220,8 @@ class BySizes:
         information: (m, m) of the data, with the priors of what has no size. pull: (m,) half the gradient, likewise.
 
     Attributes:
-        is_learned: (g,) whether the size of a group is learned, and is that of any coordinate.
+        is_estimated: (g,) whether a group has any coordinate: what is as good as none has been left out of the fit.
+        is_learned: (g,) whether the size of such a group is learned.
     """
 
     def __init__(self, groups: Sequence[Group], owners: NDArray[np.intp], information: Array, pull: Array) -> None:
@@ -229,7 +230,8 @@ class BySizes:
         self._owners = owners[self._places]
         self._counts = np.bincount(self._owners, minlength=len(groups)).astype(np.float64)
         self._usual = _units(information)
-        self.is_learned = np.array([own.is_learned for own in groups]) & (self._counts > 0.0)
+        self.is_estimated = self._counts > 0.0
+        self.is_learned = np.array([own.is_learned for own in groups]) & self.is_estimated
 
     def _solved(self, sizes: Array) -> _Solved:
         """M in units in which its diagonal is 1, and the step to the optimum."""

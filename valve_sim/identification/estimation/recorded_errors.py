@@ -124,7 +124,7 @@ def _of_sizes(result: Fit) -> Iterator[RecordedError]:
     by_sizes, sizes = model.by_sizes(), model.sizes
     for number, group in enumerate(noise.groups):
         recording, unit = _of(group, result)
-        if not group.is_learned or by_sizes.is_learned[number]:
+        if by_sizes.is_estimated[number]:
             found = _found(by_sizes, sizes, number, group)
         else:
             found = _Found(0.0, 0.0, 0.0, GONE * group.scale, 0.0)
