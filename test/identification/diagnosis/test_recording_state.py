@@ -85,25 +85,6 @@ def test_reports_say_the_state_of_the_recording(laboratory: str, found: Diagnosi
         assert f'<code class="code">{name}</code>' in page
 
 
-def test_a_damping_that_grows_is_said_to_grow_and_by_how_much() -> None:
-    growth, effects = 4.0, {"damping_drift": {"rate": 4.0}}
-    recording = measure(SHEET_VALVE, effects, train_profile(), Laboratory(), 5)
-    declared = declared_valve(SHEET_VALVE, declared_tolerances(SHEET_VALVE))
-    found = diagnose([as_trace(recording, "train.mcap")], [], declared)
-    assert (found.verdict.kind, found.verdict.effects) == ("none", ())
-    [trend] = [
-        entry
-        for entry in found.recording["train.mcap"]
-        if (entry.error, entry.detail) == ("stroke_trend", "main damping")
-    ]
-    starts = recording.command_times[recording.volts > 0.0]
-    mean = found.after.fit.values["main_damping"]
-    # While a stroke lasts the damping grows, too: opening and closing have other means.
-    assert trend.size == pytest.approx(growth * (starts[-1] - starts[0]) / mean, rel=0.1)
-    assert trend.probability > 0.99
-    assert f"main damping grows by {100.0 * trend.size:.3g}"[:26] in diagnosis_text(found)
-
-
 def test_a_declared_average_of_readings_is_no_effect_of_the_valve() -> None:
     recordings = [
         measure(SHEET_VALVE, {}, profile, Laboratory(averaging=8), seed)

@@ -66,7 +66,6 @@ def test_strokes_of_a_watched_valve_differ_by_one_size_and_from_no_other_source(
         ("stroke_variation[0,3,main_damping]", 1e-6),
         ("stroke_variation[0,2,spring_preload]", 1e-6),
         ("stroke_variation[0,5,seat_load]", 1e-6),
-        ("stroke_trend[0,main_damping]", 1e-6),
         ("supply[0]", 1e-6),
         ("clock_rate[0]", 1e-8),
         ("main_damping", 1e-6),
@@ -77,21 +76,12 @@ def test_strokes_of_a_watched_valve_differ_by_one_size_and_from_no_other_source(
 def test_derivatives_are_those_of_the_prediction(plant: ValvePlant, name: str, step: float) -> None:
     at = {own.name: 0.0 for own in plant.varying}
     at |= {**VALUES, "clock_rate[0]": 1e-4, "stroke_variation[0,3,main_damping]": 0.2, "supply[0]": 0.4}
-    at |= {"stroke_trend[0,main_damping]": 0.3}
     found = plant.sensitivities(at, [Direction({name: 1.0}, step)])
     assert found.known.all()
     there = [plant.predict({**at, name: at[name] + sign * step}) for sign in (1.0, -1.0)]
     for column, ahead, behind in zip(found.columns, *there, strict=True):
         quotient = (ahead - behind) / (2.0 * step)
         np.testing.assert_allclose(column[:, 0], quotient, atol=2e-5 * max(float(np.max(np.abs(quotient))), 1e-9))
-
-
-def test_a_trend_is_a_factor_that_grows_evenly_from_the_first_stroke_to_the_last(plant: ValvePlant) -> None:
-    shown = plant.predict({"stroke_trend[0,main_damping]": 0.4})[0]
-    strokes = np.unique(plant.channels[0].group)
-    ramp = np.linspace(-0.5, 0.5, len(strokes))
-    factors = {f"stroke_variation[0,{stroke},main_damping]": 0.4 * r for stroke, r in zip(strokes, ramp, strict=True)}
-    np.testing.assert_allclose(shown, plant.predict(factors)[0], atol=1e-12)
 
 
 @pytest.mark.parametrize("values", [{}, {"stroke_variation[0,3,main_damping]": 0.2}], ids=["plain", "in pieces"])

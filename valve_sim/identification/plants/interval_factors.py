@@ -2,8 +2,7 @@
 
 Friction, seat load and preload of a real valve are not quite those of the stroke before. Each varies by a factor
 1 + δ of its own in every stroke, with δ ~ N(0, s²) and a size s that is learned: estimates of the parameters are then
-of the mean stroke. A damping may also change steadily over the recording, as grease warms up or wears: its trend is a
-further factor 1 + ρ r, where r goes from −½ in the first stroke to ½ in the last one. A source with a resistance in
+of the mean stroke. A source with a resistance in
 series with the coil makes the coil's time constant shorter, by 1/(1 + q), q = R_source/R_coil, but only while the
 driver is on.
 """
@@ -23,7 +22,6 @@ from valve_sim.traces import Trace
 from valve_sim.traces.strokes import command_strokes, stroke_starts
 
 VARIATION: Final = "stroke_variation"
-TREND: Final = "stroke_trend"
 SUPPLY: Final = "supply"
 
 
@@ -50,14 +48,6 @@ FIELDS: Final = (*VARYING, TIME_CONSTANT)
 """Numbers of a valve that have a factor in each interval."""
 LARGEST: Final = 0.9
 """Of δ: a stroke's number keeps its sign."""
-TRENDING: Final = ("pilot_damping", "main_damping")
-"""Numbers that may have a trend."""
-TREND_SIGMA: Final = 0.2
-"""Of the prior of ρ: by as much a grease's viscosity changes where it warms up by 5 to 10 K."""
-FEWEST_FOR_A_TREND: Final = 4
-"""Strokes: of fewer a trend is as good as variation."""
-STEEPEST: Final = 1.8
-"""Of ρ: the number keeps its sign in the first and in the last stroke."""
 SUPPLY_SCALE: Final = 0.1
 """Ω, of the prior of a source's resistance: that of its cables and contacts."""
 SMALL_SHARE: Final = 1e-4
@@ -100,20 +90,6 @@ def _is_used(valve: Valve, name: str) -> bool:
     return valve.declared()[name] > 0.0 and not (valve.parameters.has_one_plunger and name == "pilot_damping")
 
 
-def trends(valve: Valve, trace: Trace, index: int, channels: tuple[int, ...]) -> list[Nuisance]:
-    """For each damping, by how much it changes from the first stroke to the last, where strokes vary at all."""
-    if len(stroke_starts(trace.drive)) < FEWEST_FOR_A_TREND or not variations(valve, trace, index, channels):
-        return []
-    return [
-        Nuisance(
-            f"{TREND}[{index},{name}]", TREND_SIGMA, "–", channels, step=SMALL_SHARE, lower=-STEEPEST, upper=STEEPEST,
-            error=TREND, group=f"{name}[{index}]",
-        )
-        for name in TRENDING
-        if _is_used(valve, name)
-    ]  # fmt: skip
-
-
 def supply_errors(trace: Trace, index: int, channels: tuple[int, ...]) -> list[Nuisance]:
     """The resistance of the source, where the motion is seen and the voltage at the coil was not measured."""
     if trace.coil_voltage is not None or not trace.has_positions:
@@ -147,9 +123,6 @@ class IntervalFactors:
             for stroke in range(int(self._strokes.max(initial=-1)) + 1)
             for name in VARYING
         }
-        ramp = self._strokes / max(1, int(self._strokes.max(initial=-1))) - 0.5
-        self._ramp = np.where(self._strokes >= 0, ramp, 0.0)
-        self._trends = {f"{TREND}[{index},{name}]": FIELDS.index(name) for name in TRENDING}
 
     def of(self, values: Mapping[str, float]) -> Array | None:
         """(c + 1, f) factors of `FIELDS` before the first command and after each; None where nothing differs.
@@ -158,14 +131,11 @@ class IntervalFactors:
             values: of nuisances, by name.
         """
         own = [(place, values[name]) for name, place in self._places.items() if name in values]
-        trends = [(field, values[name]) for name, field in self._trends.items() if name in values]
-        if not own and not trends and self._supply not in values:
+        if not own and self._supply not in values:
             return None
         found = np.ones((len(self._strokes), len(FIELDS)))
         for (during, field), deviation in own:
             found[during, field] = 1.0 + deviation
-        for field, trend in trends:
-            found[:, field] *= 1.0 + trend * self._ramp
         sag = values.get(self._supply, 0.0) / self._resistance
         found[self._is_on, FIELDS.index(TIME_CONSTANT)] = 1.0 / (1.0 + sag)
         return found

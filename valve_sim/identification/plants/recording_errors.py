@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from valve_sim.identification.plants.interval_factors import SUPPLY, TREND, VARIATION, sag_with
+from valve_sim.identification.plants.interval_factors import SUPPLY, VARIATION, sag_with
 from valve_sim.identification.plants.protocol import Nuisance
 from valve_sim.model import Drive, Valve
 from valve_sim.traces import Trace, command_strokes
@@ -129,8 +129,7 @@ def lateness_with(index: int, values: Mapping[str, float]) -> float:
 
 
 _NAMES: Final = (
-    "clock_offset[", "clock_rate[", "command_error[", "voltage_error[", "position_zero[", f"{VARIATION}[", f"{TREND}[",
-    f"{SUPPLY}[",
+    "clock_offset[", "clock_rate[", "command_error[", "voltage_error[", "position_zero[", f"{VARIATION}[", f"{SUPPLY}["
 )  # fmt: skip
 
 

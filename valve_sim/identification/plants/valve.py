@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from valve_sim.identification.plants.advice import Advice
 from valve_sim.identification.plants.force_map_choice import force_map_over
 from valve_sim.identification.plants.hold_out import Condition
-from valve_sim.identification.plants.interval_factors import IntervalFactors, supply_errors, trends, variations
+from valve_sim.identification.plants.interval_factors import IntervalFactors, supply_errors, variations
 from valve_sim.identification.plants.protocol import (
     Array,
     Channel,
@@ -298,7 +298,7 @@ class ValvePlant:
 
     @functools.cached_property
     def varying(self) -> Sequence[Nuisance]:
-        """What varies from stroke to stroke, trends, and the resistance of the source; none of a valve with gas."""
+        """What varies from stroke to stroke, and the resistance of the source; none of a valve with gas."""
         if self.valve.gas is not None:
             return ()
         part_of = 0 if self._is_watched else None
@@ -307,7 +307,6 @@ class ValvePlant:
             for index, trace in enumerate(self.traces)
             for found in (
                 variations(self.valve, trace, index, self._channels_of(index), part_of),
-                () if self._is_watched else trends(self.valve, trace, index, self._channels_of(index)),
                 () if self._is_watched else supply_errors(trace, index, self._channels_of(index)),
             )
             for nuisance in found

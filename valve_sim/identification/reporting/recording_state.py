@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -20,8 +19,6 @@ UNITS: Final[Mapping[str, tuple[float, str, str]]] = {
     "A": (1e3, "mA", "ma"),
 }
 """SI unit to factor, name for people and name in JSON of the unit in which errors are reported."""
-TREND: Final = "stroke_trend"
-"""The error that is said in a sentence of its own."""
 RATES: Final = ("clock_rate",)
 """Errors without a unit that are reported in ppm; all others are in per cent."""
 LIKELY: Final = 0.9
@@ -67,15 +64,6 @@ def title_words(entry: RecordedError) -> str:
     return f"{entry.title} ({entry.detail})" if entry.detail else entry.title
 
 
-def said(entry: RecordedError) -> str:
-    """An error with its size, in words."""
-    if entry.error != TREND:
-        return f"{title_words(entry)}: {size_words(entry)}"
-    amount = size_words(replace(entry, size=abs(entry.size)))
-    does = "grows" if entry.size > 0.0 else "falls"
-    return f"{entry.detail} {does} by {amount} from the first stroke to the last"
-
-
 def is_likely(entry: RecordedError) -> bool:
     """Whether an error is said to be there."""
     return entry.probability >= LIKELY
@@ -112,7 +100,7 @@ def recording_lines(errors: Mapping[str, Sequence[RecordedError]]) -> list[str]:
         there = [entry for entry in entries if is_likely(entry)]
         if there:
             found.append(f"State of the recording {source}:")
-            found += [f"  {said(entry)}" for entry in there]
+            found += [f"  {title_words(entry)}: {size_words(entry)}" for entry in there]
             advice = dict.fromkeys(entry.what_to_do for entry in there if entry.error not in SMALL_TALK)
             found += [f"  To do better: {words}." for words in advice]
     return found

@@ -14,13 +14,12 @@ from valve_sim.identification.estimation.errors.error import RecordingError, See
 from valve_sim.identification.estimation.errors.hum import HUM
 from valve_sim.identification.estimation.errors.ringing import RINGING, RINGING_SCATTER
 from valve_sim.identification.estimation.errors.scale import SCALE
-from valve_sim.identification.estimation.errors.stroke_trend import STROKE_TREND
 from valve_sim.identification.estimation.errors.stroke_variation import STROKE_VARIATION
 from valve_sim.identification.estimation.errors.supply import SUPPLY
 
 ERRORS: Final = (
     CLOCK_OFFSET, CLOCK_RATE, COMMAND_STAMPS, DRIFT, HUM, SCALE, BEND, RINGING, RINGING_SCATTER, SUPPLY,
-    STROKE_VARIATION, STROKE_TREND,
+    STROKE_VARIATION,
 )  # fmt: skip
 """Every error of a recording, in the order in which reports list them."""
 
