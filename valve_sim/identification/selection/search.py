@@ -315,8 +315,9 @@ class Search:
         return with_learned_errors(self.problem, fitted, known)[1]
 
     def _go_on_with(self, problem: Problem) -> None:
-        """Fit what comes with other errors of the recordings."""
+        """Fit what comes with other errors of the recordings, beside which it is asked again whether stamps err."""
         self.problem, self._cost_of = problem, _costs_of(problem)
+        self.stamps = bool(problem.plant.timing_errors)
         self.__dict__.pop("curves", None)
 
     def _fitted_again(self, names: Set) -> Tried:
@@ -325,12 +326,7 @@ class Search:
         From its starts only the declared model is: all else is compared with it.
         """
         known = self.tried[names] if names in self.tried else self.begun[names]
-        starts = [known.fit.values, *(self._starts(names) if not names else [])]
-        done = []
-        for nuisances in self._variants():
-            fits = [self._attempt(names, nuisances, start, Effort()) for start in starts]
-            found = [one for one in fits if one is not None]
-            done += [min(found, key=lambda one: one.chi2)] if found else []
+        done = self._best_of(names, [known.fit.values, *(self._starts(names) if not names else [])], Effort())
         return self._weighed(names, done) if done else known
 
     def settled(self, result: Fit, sizes: Array | None = None) -> Fit:
@@ -390,12 +386,8 @@ class Search:
 
         def fitted(names: Set) -> Tried | None:
             starts = [{**values, **start} for start in effect_starts(self._cost, effects[due[names]], values)]
-            done = []
             # Not the nuisances of the best set: its effects may stand for declared values, which are missing there.
-            for nuisances in self._variants():
-                fits = [self._attempt(names, nuisances, start, Effort()) for start in starts]
-                found = [one for one in fits if one is not None]
-                done += [min(found, key=lambda one: one.chi2)] if found else []
+            done = self._best_of(names, starts, Effort())
             return self._weighed(names, done) if done else None
 
         for names, found in zip(due, run_parallel(fitted, list(due)), strict=True):
@@ -406,9 +398,7 @@ class Search:
         """Fit a set again from where a larger one ended: with more free, a fit leaves some local minima."""
         if not set(base) <= set(best):
             return
-        start = self.tried[best].fit.values
-        fits = [self._attempt(base, nuisances, start, Effort()) for nuisances in self._variants()]
-        done = [one for one in fits if one is not None]
+        done = self._best_of(base, [self.tried[best].fit.values], Effort())
         found = self._weighed(base, done) if done else self.tried[base]
         if found.plain > self.tried[base].plain + WORTH_KEEPING:
             self.tried[base] = found
@@ -545,12 +535,15 @@ class Search:
 
     def _begun(self, names: Set) -> list[Fit]:
         """The best begun fit of each variant; none where the machine cannot be simulated."""
+        # All else is compared with the declared model, which is worth a whole fit from each start.
+        return self._best_of(names, self._starts(names), Effort(most=TRIAL) if names else Effort())
+
+    def _best_of(self, names: Set, starts: Sequence[Mapping[str, float]], effort: Effort) -> list[Fit]:
+        """The best fit of each variant from several starts; none where the machine cannot be simulated."""
         found = []
         for nuisances in self._variants():
-            # All else is compared with the declared model, which is worth a whole fit from each start.
-            effort = Effort(most=TRIAL) if names else Effort()
-            begun = [self._attempt(names, nuisances, start, effort) for start in self._starts(names)]
-            fits = [one for one in begun if one is not None]
+            tried = [self._attempt(names, nuisances, start, effort) for start in starts]
+            fits = [one for one in tried if one is not None]
             if fits:
                 found.append(min(fits, key=lambda one: one.chi2))
         return found
