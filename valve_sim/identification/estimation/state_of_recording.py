@@ -57,8 +57,8 @@ def with_learned_errors(
         near: a fit of it with other errors, near which those are that are looked for; None: nothing is known of them.
         known: errors of other recordings of the same machine by the same sensors, whose mounts ring in no other ways.
         held: sizes that are not learned, by the names of `StructuredNoise.known_sizes`.
-        reads_at_rest: whether drift and hum are read while the machine is still, as those of other recordings were;
-            else in motion as well, where they would follow what the model lacks.
+        reads_at_rest: whether drift and hum are read while the machine is still, else in motion as well, where they would
+            follow what the model lacks; beside other errors, or those of other recordings, as those were.
 
     Raises:
         SimulationError: the machine cannot be simulated.
@@ -72,7 +72,8 @@ def with_learned_errors(
     problem = problem.with_errors(errors.as_known(known).held_at(held or {}))
     best = fitted(problem, near)
     assert problem.errors is not None
-    if reads_at_rest and (known is None or any(own.is_read for own in known.groups)):
+    before = problem.errors if near is not None and known is None else known
+    if reads_at_rest if before is None else any(own.is_read for own in before.groups):
         problem = problem.with_errors(problem.errors.with_read(Linearised(best).sizes_at_rest()))
         best = fitted(problem, best)
     for _ in range(MOST_ROUNDS):
