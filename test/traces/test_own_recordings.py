@@ -240,6 +240,10 @@ LAB = "command: {topic: /lab/supply}\nposition: {topic: /lab/lvdt, unit: mm, sig
 TABLE = "time: Time\nvoltage: {column: CH1, scale: 10}\nposition: {column: CH2, unit: mm}\n"
 WRONG_MAPS = {
     "a sensor that is a number": (LAB + "sensor: 8\n", r"sensor: found 8, expected \{averaging: 10\}"),
+    "a sensor of no position": (
+        LAB.replace("position", "current").replace("unit: mm", "unit: mA") + "sensor: {averaging: 8}\n",
+        r"sensor: is that of the position, of which the map names none",
+    ),
     "a mean of none": (LAB + "sensor: {averaging: 0}\n", r"sensor\.averaging: found 0, expected a whole number"),
     "half a reading": (LAB + "sensor: {averaging: 2.5}\n", r"sensor\.averaging: found 2\.5, expected a whole number"),
     "an unknown key of a sensor": (

@@ -183,7 +183,7 @@ class RecordingMap:
             if len(self.valves) > 1:
                 raise MapError(f"{self.path}: describes several valves ({listed}); choose one with --valve")
             return next(iter(self.valves.items()))
-        name = "/" + valve.strip("/")
+        name = _absolute(valve)
         if name not in self.valves:
             raise MapError(f"{self.path}: describes no valve {name}; it has {listed}; choose one with --valve")
         return name, self.valves[name]
@@ -214,17 +214,14 @@ def map_from(found: object, path: str) -> RecordingMap:
         if alone:
             raise MapError(f"{path}: {alone[0]}: found beside valves:; expected it below one of them")
         valves = _named_valves(found["valves"], clock, path)
-        averaging = {
-            "/" + str(name).strip("/"): _averaging(own, f"{path}: valves.{name}.")
-            for name, own in found["valves"].items()
-        }
+        averaging = {_absolute(name): _averaging(own, path, f"valves.{name}.") for name, own in found["valves"].items()}
     else:
         name = found.get("valve", DEFAULT_VALVE)
         if not isinstance(name, str) or not name.strip("/"):
             raise MapError(f"{path}: valve: found {_short(name)}, expected a name such as {DEFAULT_VALVE}")
         entries = {key: value for key, value in found.items() if key in QUANTITIES}
-        valves = {"/" + name.strip("/"): _sources(entries, clock, path, "")}
-        averaging = {"/" + name.strip("/"): _averaging(found, f"{path}: ")}
+        valves = {_absolute(name): _sources(entries, clock, path, "")}
+        averaging = {_absolute(name): _averaging(found, path, "")}
     _check_kind(valves, time, path)
     return RecordingMap(path, valves, time, averaging)
 
@@ -262,21 +259,30 @@ def _named_valves(found: object, clock: str, path: str) -> dict[str, Mapping[str
             raise MapError(f"{path}: valves.{name}: found {_short(entries)}, expected keys such as position:")
         _check_keys(entries, [*QUANTITIES, "sensor"], path, f"valves.{name}.")
         own = {key: value for key, value in entries.items() if key in QUANTITIES}
-        valves["/" + str(name).strip("/")] = _sources(own, clock, path, f"valves.{name}.")
+        valves[_absolute(name)] = _sources(own, clock, path, f"valves.{name}.")
     return valves
 
 
-def _averaging(entries: Mapping[Any, Any], where: str) -> int:
+def _absolute(name: object) -> str:
+    """A valve's name, as its topics begin."""
+    return "/" + str(name).strip("/")
+
+
+def _averaging(entries: Mapping[Any, Any], path: str, prefix: str) -> int:
     """Of how many readings each position is the mean, as the entry of a valve says."""
-    found = entries.get("sensor", {})
+    found, where = entries.get("sensor", {}), f"{path}: {prefix}"
     if not isinstance(found, Mapping):
         raise MapError(f"{where}sensor: found {_short(found)}, expected {{averaging: 10}}")
+    if "sensor" in entries and "position" not in entries:
+        raise MapError(
+            f"{where}sensor: is that of the position, of which the map names none; add position: or take it out"
+        )
     if "bandwidth" in found:
         raise MapError(
             f"{where}sensor.bandwidth: found {_short(found['bandwidth'])}; declare it in the parameter file, as "
             "effects: {sensor_bandwidth: {cutoff_frequency: ...}}"
         )
-    _check_keys(found, ["averaging"], where.rstrip(": "), "sensor.")
+    _check_keys(found, ["averaging"], path, f"{prefix}sensor.")
     count = found.get("averaging", 1)
     if isinstance(count, bool) or not isinstance(count, int) or not 1 <= count <= MOST_AVERAGED:
         raise MapError(
