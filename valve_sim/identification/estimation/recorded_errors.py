@@ -128,7 +128,7 @@ def _of_sizes(result: Fit) -> Iterator[RecordedError]:
             found = _found(by_sizes, sizes, number, group)
         else:
             found = _Found(0.0, 0.0, 0.0, GONE * group.scale, 0.0)
-        if group.error.is_known and not group.is_of_machine:
+        if group.error.is_known:
             span = group.scale / group.error.share
             found, unit = found.over(span), "–"
         yield _pictured(_entry(recording, group.error.name, found, unit, _detail(group, noise)), result, group)
@@ -175,7 +175,7 @@ def _pictured(entry: RecordedError, result: Fit, group: Group) -> RecordedError:
     noise = result.problem.errors
     assert noise is not None
     if isinstance(group.key, str):
-        own = [one for one in result.nuisances if (one.group, one.error) == (group.key, group.error.name)]
+        own = [one for one in result.nuisances if one.group == group.key]
         if len(own) < 2:
             return entry
         values = np.array([result.values[one.name] for one in own])
@@ -246,7 +246,7 @@ def expected_sizes(result: Fit) -> Array:
         if by_sizes.is_learned[number]:
             at, weights, probability = _posterior(by_sizes, model.sizes, number, group)
             is_there = probability > EVEN
-            found[number] = math.sqrt(float(weights @ np.square(at))) if is_there else SMALLEST * group.scale
+            found[number] = math.sqrt(float(weights @ np.square(at))) if is_there else group.bounds[0]
     return found
 
 

@@ -169,7 +169,7 @@ class StructuredNoise:
 
     def without_varying(self) -> StructuredNoise:
         """Without errors that act on the machine, but for those that are held."""
-        return self._with_varying(lambda own: SMALLEST * own.scale)
+        return self._with_varying(lambda own: own.bounds[0])
 
     def with_varying(self) -> StructuredNoise:
         """With errors that act on the machine as they are before the data are asked, but for those that are held."""
