@@ -57,8 +57,8 @@ def with_learned_errors(
         near: a fit of it with other errors, near which those are that are looked for; None: nothing is known of them.
         known: errors of other recordings of the same machine by the same sensors, whose mounts ring in no other ways.
         held: sizes that are not learned, by the names of `StructuredNoise.known_sizes`.
-        reads_at_rest: whether drift and hum are read while the machine is still, else in motion as well, where they would
-            follow what the model lacks; beside other errors, or those of other recordings, as those were.
+        reads_at_rest: whether drift and hum are read while the machine is still, else in motion as well, where they
+            would follow what the model lacks. With `near` or `known` they are read as those were.
 
     Raises:
         SimulationError: the machine cannot be simulated.
