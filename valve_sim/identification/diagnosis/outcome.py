@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from valve_sim.identification.diagnosis.experiment_design import Recommendation
 from valve_sim.identification.estimation.declared_values import DeclaredValue, declared_values, estimated_valve
 from valve_sim.identification.estimation.intervals import Interval
-from valve_sim.identification.estimation.recorded_errors import RecordedError, recorded_errors
+from valve_sim.identification.estimation.recorded_errors import RecordedError, by_recording
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.plants.protocol import Array, Plant
 from valve_sim.identification.plants.stroke_choice import StrokeChoice
@@ -171,15 +171,10 @@ class Diagnosis:
     @functools.cached_property
     def recording(self) -> dict[str, tuple[RecordedError, ...]]:
         """The errors of each recording as the corrected model has them, by the recording's source."""
-        found: dict[str, list[RecordedError]] = {}
         held_out = self.after.holdout
         # Strokes that are held out within a recording have its errors.
         others = [] if held_out is None or held_out.problem.plant is self.plant else [held_out]
-        for result in (self.after.fit, *others):
-            sources = {own.recording: own.name.rpartition(": ")[0] for own in result.problem.plant.channels}
-            for entry in recorded_errors(result):
-                found.setdefault(sources[entry.recording], []).append(entry)
-        return {source: tuple(entries) for source, entries in found.items()}
+        return by_recording([self.after.fit, *others])
 
     @property
     def declared(self) -> tuple[DeclaredValue, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,8 +14,10 @@ from valve_sim.identification.estimation.declared_values import DeclaredValue, d
 from valve_sim.identification.estimation.findings import Finding, findings, leaves_more_than_noise
 from valve_sim.identification.estimation.intervals import Interval, profile_interval
 from valve_sim.identification.estimation.problem import LONG, Problem
+from valve_sim.identification.estimation.recorded_errors import RecordedError, by_recording, with_uncertain_sizes
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
+from valve_sim.identification.estimation.state_of_recording import with_learned_errors
 from valve_sim.identification.plants.protocol import Array, Channel, InPieces, Nuisance, Plant, judged_channels
 from valve_sim.identification.plants.root_mean_square import root_mean_square
 from valve_sim.identification.plants.stroke_choice import choose_strokes
@@ -67,6 +70,11 @@ class Identification:
         found = (f"{name} = {own.value:.6g} ± {own.stderr:.2g}" for name, own in self.intervals.items())
         return f"Identification({', '.join(found)})"
 
+    @functools.cached_property
+    def recording(self) -> dict[str, tuple[RecordedError, ...]]:
+        """The errors of each recording, by its source."""
+        return by_recording([self.fit])
+
     @property
     def judged(self) -> Channel:
         """One of the channels by which the errors are meant."""
@@ -102,8 +110,14 @@ def identify(
     starts = starts_of(traces, valve, free)
     plant = ValvePlant(traces, valve)
     say("noise", 0.0)
-    problem = Problem(plant)
-    best = best_fit(problem, free, starts, lambda fraction: say("fit", 0.5 * fraction))
+
+    def fitted(problem: Problem, begun: Fit | None) -> Fit:
+        if begun is not None:
+            return best_fit(problem, free, [begun.values], lambda fraction: None)
+        return best_fit(problem, free, starts, lambda fraction: say("fit", 0.3 * fraction))
+
+    _, best = with_learned_errors(Problem(plant).condensed(), fitted)
+    best = with_uncertain_sizes(best)
     intervals: dict[str, Interval] = {}
     profiles: dict[str, list[tuple[float, float]]] = {}
     for index, name in enumerate(free):
@@ -111,9 +125,11 @@ def identify(
         intervals[name], profiles[name] = profile_interval(best, name)
     say("done", 1.0)
     offsets = {nuisance.name: best.values[nuisance.name] for nuisance in best.nuisances if not nuisance.is_of_machine}
+    # What the sensors' errors add is the same as declared and refitted.
+    added = () if best.problem.errors is None else best.errors_of(best.left.few())
     return Identification(
-        best, intervals, profiles, findings(best, intervals), judged_rmse(plant, offsets),
-        judged_rmse(plant, best.values), estimated_valve(best, plant), tuple(trace.source for trace in traces),
+        best, intervals, profiles, findings(best, intervals), judged_rmse(plant, offsets, added),
+        judged_rmse(plant, best.values, added), estimated_valve(best, plant), tuple(trace.source for trace in traces),
         declared_values(best), *(
             rmse_of_kind(plant, values, kind) for kind in ("current", "pressure") for values in (offsets, best.values)
         ),
@@ -165,10 +181,10 @@ def best_fit(
     evidence is for them: some recorders stamp a command when they happen to receive it, up to a millisecond late.
     """
     plant = problem.plant
-    plain = _best_of_starts(problem, free, plant.nuisances, starts, progress)
+    plain = _best_of_starts(problem, free, problem.nuisances, starts, progress)
     if not plant.timing_errors or not leaves_more_than_noise(plain):
         return plain
-    nuisances = (*plant.nuisances, *plant.timing_errors)
+    nuisances = (*problem.nuisances, *plant.timing_errors)
     timed = _best_of_starts(problem, free, nuisances, starts, lambda fraction: progress(1.0))
     return max(plain, timed, key=lambda found: found.log_evidence)
 
@@ -194,9 +210,14 @@ def _best_of_starts(
     return fit(problem, free, {**best.values, **without_influence}, nuisances=nuisances)
 
 
-def judged_rmse(plant: Plant, values: Mapping[str, float]) -> float:
-    """Root mean square of measured less predicted over the measurements of the channels by which a model is judged."""
-    return _rmse(plant, values, judged_channels(plant))
+def judged_rmse(plant: Plant, values: Mapping[str, float], added: Sequence[Array] = ()) -> float:
+    """Root mean square of measured less predicted over the measurements of the channels by which a model is judged.
+
+    Args:
+        plant: the machine and its data. values: by which it is simulated.
+        added: (n,) by channel what the errors of its sensors add to what they show; empty: nothing.
+    """
+    return _rmse(plant, values, judged_channels(plant), added)
 
 
 def rmse_of_kind(plant: Plant, values: Mapping[str, float], kind: str) -> float:
@@ -205,11 +226,13 @@ def rmse_of_kind(plant: Plant, values: Mapping[str, float], kind: str) -> float:
     return _rmse(plant, values, channels) if channels else math.nan
 
 
-def _rmse(plant: Plant, values: Mapping[str, float], channels: Sequence[int]) -> float:
+def _rmse(plant: Plant, values: Mapping[str, float], channels: Sequence[int], added: Sequence[Array] = ()) -> float:
     samples = sum(len(plant.channels[index].data) for index in channels)
     pieces = plant.pieces(values, ()) if isinstance(plant, InPieces) and samples > LONG else None
     if pieces is None:
         shown = plant.predict(values)
+        if added:
+            shown = [own + error for own, error in zip(shown, added, strict=True)]
         return root_mean_square(np.concatenate([_left(plant.channels[index], shown[index]) for index in channels]))
     left = (
         _left(plant.channels[piece.channel], piece.shown, piece.samples)

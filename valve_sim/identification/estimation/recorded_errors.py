@@ -8,7 +8,7 @@ covariance is larger by the mean excess and by the spread of the estimates (theo
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Final, NamedTuple
 
@@ -83,6 +83,16 @@ def recorded_errors(result: Fit) -> tuple[RecordedError, ...]:
     found = [*_of_clocks(result), *_of_stamps(result), *_of_sizes(result)]
     order = [error.name for error in ERRORS]
     return tuple(sorted(found, key=lambda own: (own.recording, order.index(own.error))))
+
+
+def by_recording(results: Iterable[Fit]) -> dict[str, tuple[RecordedError, ...]]:
+    """The errors of the recordings of some fits, by the recording's source."""
+    found: dict[str, list[RecordedError]] = {}
+    for result in results:
+        sources = {own.recording: own.name.rpartition(": ")[0] for own in result.problem.plant.channels}
+        for entry in recorded_errors(result):
+            found.setdefault(sources[entry.recording], []).append(entry)
+    return {source: tuple(entries) for source, entries in found.items()}
 
 
 def _of_clocks(result: Fit) -> Iterator[RecordedError]:

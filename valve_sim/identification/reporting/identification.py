@@ -11,6 +11,7 @@ from valve_sim.identification.plants.protocol import KEY_OF_UNIT
 from valve_sim.identification.reporting.declared_values import declared_json, declared_lines
 from valve_sim.identification.reporting.findings import remark_on, remarks
 from valve_sim.identification.reporting.interval_json import intervals_json
+from valve_sim.identification.reporting.recording_state import recording_json, recording_lines
 from valve_sim.identification.reporting.units import limits, measured, quantity, three_digits
 
 
@@ -35,6 +36,7 @@ def identification_json(result: Identification) -> dict[str, Any]:
         },
         "parameters": intervals_json(result.intervals),
         **declared_json(result.declared),
+        "recording": recording_json(result.recording),
         "clock_offsets_us": [
             1e6 * result.fit.values[nuisance.name]
             for nuisance in result.fit.problem.plant.nuisances
@@ -74,7 +76,7 @@ def identification_text(result: Identification) -> str:
     if result.judged.kind != "pressure" and not math.isnan(result.pressure_after):
         before, after = 1e-3 * result.pressure_before, 1e-3 * result.pressure_after
         lines.append(_change("residual of the outlet's pressure", before, after, "kPa"))
-    return "\n".join([*lines, *remarks(result.findings)])
+    return "\n".join([*lines, *recording_lines(result.recording), *remarks(result.findings)])
 
 
 def _change(name: str, before: float, after: float, unit: str) -> str:
