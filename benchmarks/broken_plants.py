@@ -25,8 +25,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from valve_sim.identification.diagnosis.identify import identify
 from valve_sim.identification.diagnosis.run import diagnose, diagnose_plant
-from valve_sim.identification.estimation.identify import identify
 from valve_sim.identification.plants.protocol import Channel, EffectChoice, ForceMap, Nuisance
 from valve_sim.identification.validation.replay import validate
 from valve_sim.model import Drive, Parameter, Valve, ValveError, simulate

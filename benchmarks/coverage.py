@@ -20,7 +20,7 @@ import numpy as np
 from scipy import stats
 
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.estimation.identify import identify
+from valve_sim.identification.diagnosis.identify import identify
 from valve_sim.model import Drive, Valve
 from valve_sim.traces import Trace
 

@@ -58,7 +58,7 @@ WANTED = {
 }
 IN_A_NEW_PROCESS = """
 import json, sys, time
-from valve_sim.identification.estimation.identify import identify
+from valve_sim.identification.diagnosis.identify import identify
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.traces import read_trace
 trace = read_trace(sys.argv[1])

@@ -24,9 +24,9 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from benchmarks.coverage import accepted_coverage, as_trace, true_dampings
+from valve_sim.identification.diagnosis.identify import identify
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
 from valve_sim.identification.estimation.declared_values import out_of_tolerance
-from valve_sim.identification.estimation.identify import identify
 from valve_sim.model import Valve
 from valve_sim.traces import Trace
 

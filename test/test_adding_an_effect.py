@@ -21,7 +21,7 @@ from dataclasses import replace
 import numpy as np
 import valve_sim
 from valve_sim.files.parameter_files import default_valve, load_valve, save_valve
-from valve_sim.identification.estimation.identify import check_free
+from valve_sim.identification.diagnosis.identify import check_free
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import CATALOGUE, Drive, published_times, simulate
 from valve_sim.reference import pages

@@ -14,7 +14,7 @@ from plants.single_plunger import SinglePlungerPlant
 from valve_sim.cli import main
 from valve_sim.files.parameter_files import load_valve
 from valve_sim.files.resources import config_path
-from valve_sim.identification.estimation.identify import check_free, identify
+from valve_sim.identification.diagnosis.identify import check_free, identify
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import Drive, ParameterError, Phase, Valve
 from valve_sim.nodes.live_valve import LiveValve, self_test

@@ -16,7 +16,7 @@ from valve_sim.files.json_text import json_text
 from valve_sim.files.ledger import plan_files
 
 if TYPE_CHECKING:
-    from valve_sim.identification.estimation.identify import Identification
+    from valve_sim.identification.diagnosis.identify import Identification
     from valve_sim.model import Valve
 
 
@@ -60,7 +60,7 @@ def identify(
     """
     from valve_sim.files.parameter_files import save_valve
     from valve_sim.files.whole_files import refuse_unwritable, write_whole
-    from valve_sim.identification.estimation.identify import identify as refit
+    from valve_sim.identification.diagnosis.identify import identify as refit
     from valve_sim.identification.plants.valve import dampings_of
     from valve_sim.identification.reporting.identification import identification_json, identification_text
 

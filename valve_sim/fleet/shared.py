@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 
 from valve_sim.files.recording_map import RecordingMap
 from valve_sim.fleet.cluster import run_batches
+from valve_sim.identification.diagnosis.identify import Identification, check_free, judged_rmse, rmse_of_kind
 from valve_sim.identification.estimation.declared_values import declared_values, estimated_valve
-from valve_sim.identification.estimation.identify import Identification, check_free, judged_rmse, rmse_of_kind
 from valve_sim.identification.estimation.intervals import covariance_interval
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.shared_fit import Share, Shared, as_fit, fit_shared, share_of

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from valve_sim.identification.estimation.identify import check_free
+from valve_sim.identification.diagnosis.identify import check_free
 from valve_sim.identification.plants.valve import DAMPINGS
 from valve_sim.model import ParameterError
 from valve_sim.nodes.parameters import VALVE_KEYS, unknown_name

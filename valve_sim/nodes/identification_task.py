@@ -10,9 +10,9 @@ from typing import Any, Final, NamedTuple
 
 from valve_sim.files.parameter_files import save_valve
 from valve_sim.files.recording_map import load_map
+from valve_sim.identification.diagnosis.identify import Identification, identify
 from valve_sim.identification.estimation.declared_values import out_of_tolerance
 from valve_sim.identification.estimation.findings import leaves_more_than_noise
-from valve_sim.identification.estimation.identify import Identification, identify
 from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.identification.plants.valve import DAMPINGS, dampings_of
 from valve_sim.identification.reporting.identification import identification_json

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from model.gas.cases import gas_valve
 
+from valve_sim.identification.diagnosis.identify import check_free, identify
 from valve_sim.identification.estimation.declared_values import out_of_tolerance
-from valve_sim.identification.estimation.identify import check_free, identify
 from valve_sim.identification.plants.effect_titles import named_value, title_of, what_is_missing
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.plants.valve_model import ValveModel

@@ -11,7 +11,7 @@ from plants.recording import Profile, Recorder, record
 
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.files.recording_map import load_map
-from valve_sim.identification.estimation.identify import identify
+from valve_sim.identification.diagnosis.identify import identify
 from valve_sim.identification.plants.recording_errors import drive_with
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import Drive
@@ -53,14 +53,17 @@ def bench(folder: Path, seed: int, quantity: str, *, noise: float, step: float, 
 def test_95_percent_intervals_hold_the_truth_as_often_as_they_say(
     quantity: str, noise: float, step: float, current: bool, tmp_path: Path
 ) -> None:
-    errors, held = [], []
+    errors, held, stderrs = [], [], []
     for seed in range(1000, 1000 + RECORDINGS):
         trace = bench(tmp_path, seed, quantity, noise=noise, step=step, current=current)
         intervals = identify([trace], default_valve().exact()).intervals
         errors.append([intervals[name].value - truth for name, truth in TRUTH.items()])
+        stderrs.append([intervals[name].stderr for name in TRUTH])
         held.append([intervals[name].low <= truth <= intervals[name].high for name, truth in TRUTH.items()])
     share, off_by = np.mean(held, axis=0), np.array(errors)
-    assert (share >= 0.9).all() and share.mean() < 1.0, share
+    assert (share >= 0.9).all(), share
+    # What errors these recordings might have, and have not, widens the intervals: to less than twice.
+    assert (np.sqrt(np.mean((off_by / stderrs) ** 2, axis=0)) > 0.5).all()
     bias = off_by.mean(axis=0) / (off_by.std(axis=0, ddof=1) / np.sqrt(RECORDINGS))
     assert (np.abs(bias) < 2.0).all(), bias
 

@@ -8,12 +8,13 @@ import pytest
 
 from valve_sim.identification.estimation.findings import (
     Correlated,
+    ExplainedByErrors,
     Finding,
+    LacksSomething,
     LooselyDetermined,
     NotConverged,
     NotIdentifiable,
     OnBound,
-    ResidualNotWhite,
     StampErrors,
 )
 from valve_sim.identification.estimation.intervals import Interval, Unbounded
@@ -37,7 +38,8 @@ SENTENCES: list[tuple[Finding | StaticFinding, list[str]]] = [
     (LooselyDetermined("pilot_damping", 0.5, 1.5, "N·s/m"), ["is determined only loosely", "0.5 to 1.5 N·s/m"]),
     (Correlated("seat_load", "pilot_damping", 0.99512), ["seat_load and pilot_damping", "correlation 0.9951"]),
     (StampErrors(51.2e-6), ["up to 51.2 µs"]),
-    (ResidualNotWhite(), ["residual is not white", "`diagnose`"]),
+    (LacksSomething(0.987), ["lacks something", "99 %", "`diagnose`"]),
+    (ExplainedByErrors(), ["beside these errors of the recording", "`diagnose`"]),
     (NotConverged(), ["did not converge"]),
     (BeginsLate(2e-4), ["begins at 200 µm"]),
     (EndsEarly(1e-3, 1.23e-3), ["ends at 1000 µm of 1230 µm"]),

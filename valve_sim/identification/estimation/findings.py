@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final, TypeAlias
 
 from valve_sim.identification.estimation.intervals import Interval, Unbounded
+from valve_sim.identification.estimation.recorded_errors import OF_CLOCKS, RecordedError
 from valve_sim.identification.estimation.result import Fit
 
-CORRELATED: Final = 0.99
-"""Correlation above which two parameters can hardly be told apart."""
+CORRELATED: Final = 0.95
+"""Correlation above which two parameters can hardly be told apart: either is known three times worse than it would be
+with the other one known."""
 WEAK: Final = 0.25
 """A parameter is loosely determined if its 95 % interval is wider than this share of its value and declared value."""
 TOO_MUCH: Final = 5.0
@@ -61,8 +63,15 @@ class StampErrors:
 
 
 @dataclass(frozen=True)
-class ResidualNotWhite:
-    """The residual is larger than the noise: the model lacks something."""
+class LacksSomething:
+    """Something that the model lacks acts, with this probability."""
+
+    probability: float
+
+
+@dataclass(frozen=True)
+class ExplainedByErrors:
+    """The model leaves no more than noise beside errors of the recordings, which may be what the model lacks."""
 
 
 @dataclass(frozen=True)
@@ -71,18 +80,29 @@ class NotConverged:
 
 
 Finding: TypeAlias = (
-    NotIdentifiable | OnBound | LooselyDetermined | Correlated | StampErrors | ResidualNotWhite | NotConverged
+    NotIdentifiable
+    | OnBound
+    | LooselyDetermined
+    | Correlated
+    | StampErrors
+    | LacksSomething
+    | ExplainedByErrors
+    | NotConverged
 )
 
 
-def findings(result: Fit, intervals: Mapping[str, Interval]) -> tuple[Finding, ...]:
+def findings(
+    result: Fit, intervals: Mapping[str, Interval], errors: Iterable[RecordedError] = (), lacking: float = 0.0
+) -> tuple[Finding, ...]:
     """All findings on a fit: by freed parameter first, then on the whole of it.
 
     Args:
         result: the fit.
         intervals: of its freed parameters, by name.
+        errors: of the recordings, as the fit has them.
+        lacking: probability that the model lacks something, where that is said; else 0.
     """
-    return (*_on_parameters(result, intervals), *_on_the_whole(result))
+    return (*_on_parameters(result, intervals), *_on_the_whole(result, errors, lacking))
 
 
 def leaves_more_than_noise(result: Fit) -> bool:
@@ -113,12 +133,14 @@ def _on_parameters(result: Fit, intervals: Mapping[str, Interval]) -> Iterator[F
             yield Correlated(name, other, strongest)
 
 
-def _on_the_whole(result: Fit) -> Iterator[Finding]:
-    errors = {nuisance.name for nuisance in result.problem.plant.timing_errors}
-    timing = [abs(result.values[nuisance.name]) for nuisance in result.nuisances if nuisance.name in errors]
+def _on_the_whole(result: Fit, errors: Iterable[RecordedError], lacking: float) -> Iterator[Finding]:
+    stamps = {nuisance.name for nuisance in result.problem.plant.timing_errors}
+    timing = [abs(result.values[nuisance.name]) for nuisance in result.nuisances if nuisance.name in stamps]
     if timing:
         yield StampErrors(max(timing))
-    if leaves_more_than_noise(result):
-        yield ResidualNotWhite()
+    if lacking:
+        yield LacksSomething(lacking)
+    elif any(own.is_likely and own.error not in OF_CLOCKS for own in errors):
+        yield ExplainedByErrors()
     if not result.converged:
         yield NotConverged()

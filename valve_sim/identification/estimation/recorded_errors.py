@@ -27,6 +27,10 @@ SPREAD: Final = 12
 """Places on it at which estimates are worked out: those of the largest probability."""
 PICTURED: Final = 200
 """Points of a picture."""
+LIKELY: Final = 0.9
+"""Probability from which an error is said to be there."""
+OF_CLOCKS: Final = ("clock_offset", "clock_rate", "command_stamps")
+"""Errors that every recording has, and that findings on a fit say by themselves."""
 EVEN: Final = 0.5
 """Probability from which an error is expected of further data."""
 TENTH: Final = 0.1
@@ -62,6 +66,11 @@ class RecordedError:
     at: Array = field(default_factory=lambda: np.empty(0), compare=False, repr=False)
     shown: Array = field(default_factory=lambda: np.empty(0), compare=False, repr=False)
     over: str = ""
+
+    @property
+    def is_likely(self) -> bool:
+        """Whether it is said to be there."""
+        return self.probability >= LIKELY
 
 
 class _Found(NamedTuple):

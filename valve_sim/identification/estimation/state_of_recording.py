@@ -87,6 +87,21 @@ def with_learned_errors(
     return problem, best
 
 
+def with_forgotten_errors(problem: Problem, values: Mapping[str, float]) -> Problem:
+    """A problem with errors of its recordings as large as they are before the data are asked.
+
+    Beside a model that lacks something, learned errors imitate what it lacks, most of all numbers of the machine that
+    vary from stroke to stroke; so there are none of these.
+
+    Args:
+        problem: with learned errors. values: by which its machine is simulated.
+    """
+    assert problem.errors is not None
+    few = structured_noise(problem.plant, values, {}, problem.errors.unlearned())
+    assert few is not None
+    return problem.with_errors(few.without_varying())
+
+
 def relearned(best: Fit, known: StructuredNoise | None = None) -> Problem:
     """The problem of a fit with the sizes and modes of its recordings' errors that are most probable beside it.
 

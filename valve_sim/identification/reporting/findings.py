@@ -8,12 +8,13 @@ from typing import Final
 
 from valve_sim.identification.estimation.findings import (
     Correlated,
+    ExplainedByErrors,
     Finding,
+    LacksSomething,
     LooselyDetermined,
     NotConverged,
     NotIdentifiable,
     OnBound,
-    ResidualNotWhite,
     StampErrors,
 )
 from valve_sim.identification.estimation.intervals import Interval, Unbounded
@@ -24,6 +25,7 @@ from valve_sim.identification.estimation.static_force import (
     StartOfMotion,
     StaticFinding,
 )
+from valve_sim.identification.reporting.wording import percent
 
 _UNBOUNDED: Final = {
     Unbounded.FLAT_PROFILE: "the profile is flat: these data do not determine it",
@@ -36,8 +38,10 @@ _DISAGREEING: Final = (
     "others refitted, or ends at a bound. Here they disagree: go by the interval"
 )
 _SEPARATING: Final = "strokes at other voltages, or a release, would separate them."
-_NOT_WHITE: Final = (
-    "the residual is not white, so the model lacks something and the intervals are too narrow; `diagnose` may name it."
+_LACKING: Final = "so the intervals are too narrow; `diagnose` may name it."
+_BY_ERRORS: Final = (
+    "beside these errors of the recording the model leaves no more than noise, and without them more. It may lack "
+    "something instead: `diagnose` compares both."
 )
 _AT_THE_SEAT: Final = "measure at x = 0, where the motion starts."
 
@@ -77,8 +81,10 @@ def _sentence(finding: Finding | StaticFinding) -> str:
         case StampErrors(largest):
             size = f"{1e6 * largest:.3g} µs"
             words = f"the commands' stamps are off by up to {size}, beside the clock offset; each was estimated."
-        case ResidualNotWhite():
-            words = _NOT_WHITE
+        case LacksSomething(probability):
+            words = f"the model lacks something (probability {percent(probability)}), {_LACKING}"
+        case ExplainedByErrors():
+            words = _BY_ERRORS
         case NotConverged():
             words = "the fit did not converge; treat the values with care."
         case StartOfMotion():

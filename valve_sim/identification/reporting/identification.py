@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from valve_sim.files.json_text import plain_mapping
-from valve_sim.identification.estimation.identify import Identification
+from valve_sim.identification.diagnosis.identify import Identification
 from valve_sim.identification.plants.protocol import KEY_OF_UNIT
 from valve_sim.identification.reporting.declared_values import declared_json, declared_lines
 from valve_sim.identification.reporting.findings import remark_on, remarks

@@ -21,8 +21,6 @@ UNITS: Final[Mapping[str, tuple[float, str, str]]] = {
 """SI unit to factor, name for people and name in JSON of the unit in which errors are reported."""
 RATES: Final = ("clock_rate",)
 """Errors without a unit that are reported in ppm; all others are in per cent."""
-LIKELY: Final = 0.9
-"""Probability from which an error is said to be there."""
 WIDTH, HEIGHT = 120.0, 28.0
 """Of a picture, in pixels."""
 
@@ -64,11 +62,6 @@ def title_words(entry: RecordedError) -> str:
     return f"{entry.title} ({entry.detail})" if entry.detail else entry.title
 
 
-def is_likely(entry: RecordedError) -> bool:
-    """Whether an error is said to be there."""
-    return entry.probability >= LIKELY
-
-
 def recording_rows(errors: Mapping[str, Sequence[RecordedError]], noise: float) -> list[dict[str, Any]]:
     """Rows of the report's table, recording by recording.
 
@@ -83,10 +76,10 @@ def recording_rows(errors: Mapping[str, Sequence[RecordedError]], noise: float) 
             "size": size_words(entry),
             "noise": f"{entry.size / noise:.2g}" if entry.unit in ("m", "A") and noise > 0.0 else "–",
             "probability": f"{entry.probability:.2f}",
-            "is_likely": is_likely(entry),
+            "is_likely": entry.is_likely,
             "picture": picture(entry.at, entry.shown),
             "over": entry.over,
-            "what_to_do": entry.what_to_do if is_likely(entry) else "",
+            "what_to_do": entry.what_to_do if entry.is_likely else "",
         }
         for source, entries in errors.items()
         for entry in entries
@@ -97,7 +90,7 @@ def recording_lines(errors: Mapping[str, Sequence[RecordedError]]) -> list[str]:
     """Lines for a terminal: errors that are there, and what to do about them."""
     found = []
     for source, entries in errors.items():
-        there = [entry for entry in entries if is_likely(entry)]
+        there = [entry for entry in entries if entry.is_likely]
         if there:
             found.append(f"State of the recording {source}:")
             found += [f"  {title_words(entry)}: {size_words(entry)}" for entry in there]

@@ -89,6 +89,13 @@ class Rivals:
         beside = -math.log(MOST_BESIDE + 1.0) - _choices(every, len(names))
         return math.log(FORM_IS_RIGHT) + right, math.log(0.5 * (1.0 - FORM_IS_RIGHT)) + beside
 
+    def unnamed_beside(self, names: Set, evidence: Evidence) -> float:
+        """Probability that something unnamed acts beside a set, were it the only one that is possible."""
+        plain, unnamed = self.log_prior(names)
+        if math.isinf(evidence.plain):
+            return 0.0
+        return 1.0 / (1.0 + math.exp(min(700.0, plain + evidence.plain - unnamed - evidence.unnamed)))
+
 
 def _poisson(count: int, among: int) -> float:
     """Ln of the probability of one set of so many, where how many there are is a Poisson number."""

@@ -35,8 +35,7 @@ from valve_sim.identification.estimation.parallel import Memo, run_parallel
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
-from valve_sim.identification.estimation.state_of_recording import with_learned_errors
-from valve_sim.identification.estimation.structured_noise import StructuredNoise, structured_noise
+from valve_sim.identification.estimation.state_of_recording import with_forgotten_errors, with_learned_errors
 from valve_sim.identification.plants.effect_titles import titles_of
 from valve_sim.identification.plants.protocol import Array, EffectChoice, Nuisance
 from valve_sim.identification.selection.discrepancy import Cell, Discrepancy, Spread, lengths_of
@@ -172,14 +171,7 @@ class Search:
 
     def unnamed_beside(self, names: Set) -> float:
         """Probability that something unnamed acts beside a fitted set, were it the only one."""
-        return self._unnamed_beside(names, self.tried[names])
-
-    def _unnamed_beside(self, names: Set, tried: Tried) -> float:
-        """That probability by one of its fits."""
-        plain, unnamed = self.rivals.log_prior(names)
-        if math.isinf(tried.plain):
-            return 0.0
-        return 1.0 / (1.0 + math.exp(min(700.0, plain + tried.plain - unnamed - tried.spread.log_evidence)))
+        return self.rivals.unnamed_beside(names, self.tried[names].evidence)
 
     def best(self, size: int) -> Set | None:
         """The most probable fitted set of a size."""
@@ -201,7 +193,7 @@ class Search:
             if () not in self.tried:
                 self.fit_declared()
             if self.problem.errors is not None and self.unnamed_beside(()) > EVEN:
-                self._forget_errors(self.problem.errors)
+                self._forget_errors()
             if is_full:
                 self._fit_all([(name,) for name in self._names], ())
             for size in range(LARGEST_SET):
@@ -253,16 +245,9 @@ class Search:
             self._polish(names)
         return self.tried[names].fit
 
-    def _forget_errors(self, learned: StructuredNoise) -> None:
-        """Take the recordings' errors to be as large as they are before the data are asked, and fit {} with these.
-
-        Beside a declared model that lacks something, learned errors imitate what it lacks, most of all numbers of the
-        machine that vary from stroke to stroke; so there are none of these.
-        """
-        plant, values = self.problem.plant, self.tried[()].fit.values
-        few = structured_noise(plant, values, {}, learned.unlearned())
-        assert few is not None
-        self._go_on_with(self.problem.with_errors(few.without_varying()))
+    def _forget_errors(self) -> None:
+        """Go on with errors of the recordings that were not learned beside {}, which lacks something."""
+        self._go_on_with(with_forgotten_errors(self.problem, self.tried[()].fit.values))
         self.fit_declared()
 
     def _learn_errors(self, *, everything: bool) -> bool:
@@ -283,7 +268,7 @@ class Search:
             return False
         found = self._weighed(best, [result])
         gain = self._log_weight_of(best, found) - self._log_weight(best)
-        if gain < WORTH_LEARNING or self._unnamed_beside(best, found) > EVEN:
+        if gain < WORTH_LEARNING or self.rivals.unnamed_beside(best, found.evidence) > EVEN:
             return False
         # Others may gain as much.
         least = -math.inf if everything else self._log_weight(best) - NEAR - gain

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import functools
+import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,16 +13,19 @@ import numpy as np
 from valve_sim.identification.estimation.declared_values import DeclaredValue, declared_values, estimated_valve
 from valve_sim.identification.estimation.findings import Finding, findings, leaves_more_than_noise
 from valve_sim.identification.estimation.intervals import Interval, profile_interval
+from valve_sim.identification.estimation.linearised import Linearised
 from valve_sim.identification.estimation.problem import LONG, Problem
 from valve_sim.identification.estimation.recorded_errors import RecordedError, by_recording, with_uncertain_sizes
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
-from valve_sim.identification.estimation.state_of_recording import with_learned_errors
+from valve_sim.identification.estimation.state_of_recording import with_forgotten_errors, with_learned_errors
 from valve_sim.identification.plants.protocol import Array, Channel, InPieces, Nuisance, Plant, judged_channels
 from valve_sim.identification.plants.root_mean_square import root_mean_square
 from valve_sim.identification.plants.stroke_choice import choose_strokes
 from valve_sim.identification.plants.valve import ValvePlant, dampings_of
 from valve_sim.identification.plants.valve_model import GAS_NAMES
+from valve_sim.identification.selection.discrepancy import Discrepancy, lengths_of
+from valve_sim.identification.selection.posterior import EVEN, Evidence, Rivals
 from valve_sim.model import CATALOGUE, DECLARED, ParameterError, Valve
 from valve_sim.model.parameters import UNUSED_BY_ONE_PLUNGER, closest, unused_words
 from valve_sim.model.simulation import OF_TWO_PLUNGERS
@@ -49,6 +52,8 @@ class Identification:
         pressure_before, pressure_after: Pa, of the outlet's pressure; likewise.
         valve: the identified valve.
         declared: values that are known within a tolerance, as declared and as the data see them.
+        recording: the errors of each recording, by its source; none where the model lacks something, which they would
+            imitate.
     """
 
     fit: Fit
@@ -64,16 +69,12 @@ class Identification:
     current_after: float = math.nan
     pressure_before: float = math.nan
     pressure_after: float = math.nan
+    recording: Mapping[str, tuple[RecordedError, ...]] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         """Identification(pilot_damping = 1.4 ± 0.02, main_damping = 3.2 ± 0.03)."""
         found = (f"{name} = {own.value:.6g} ± {own.stderr:.2g}" for name, own in self.intervals.items())
         return f"Identification({', '.join(found)})"
-
-    @functools.cached_property
-    def recording(self) -> dict[str, tuple[RecordedError, ...]]:
-        """The errors of each recording, by its source."""
-        return by_recording([self.fit])
 
     @property
     def judged(self) -> Channel:
@@ -116,8 +117,14 @@ def identify(
             return best_fit(problem, free, [begun.values], lambda fraction: None)
         return best_fit(problem, free, starts, lambda fraction: say("fit", 0.3 * fraction))
 
-    _, best = with_learned_errors(Problem(plant).condensed(), fitted)
+    problem, best = with_learned_errors(Problem(plant).condensed(), fitted)
+    unnamed = unnamed_beside(best)
+    if unnamed > EVEN and problem.errors is not None:
+        # Beside what it lacks, learned errors would imitate that.
+        best = fitted(with_forgotten_errors(problem, best.values), None)
     best = with_uncertain_sizes(best)
+    lacking = unnamed if unnamed > EVEN else 0.0
+    recording = {} if lacking else by_recording([best])
     intervals: dict[str, Interval] = {}
     profiles: dict[str, list[tuple[float, float]]] = {}
     for index, name in enumerate(free):
@@ -127,12 +134,12 @@ def identify(
     offsets = {nuisance.name: best.values[nuisance.name] for nuisance in best.nuisances if not nuisance.is_of_machine}
     # What the sensors' errors add is the same as declared and refitted.
     added = () if best.problem.errors is None else best.errors_of(best.left.few())
+    found = findings(best, intervals, itertools.chain(*recording.values()), lacking)
     return Identification(
-        best, intervals, profiles, findings(best, intervals), judged_rmse(plant, offsets, added),
-        judged_rmse(plant, best.values, added), estimated_valve(best, plant), tuple(trace.source for trace in traces),
-        declared_values(best), *(
-            rmse_of_kind(plant, values, kind) for kind in ("current", "pressure") for values in (offsets, best.values)
-        ),
+        best, intervals, profiles, found, judged_rmse(plant, offsets, added), judged_rmse(plant, best.values, added),
+        estimated_valve(best, plant), tuple(trace.source for trace in traces), declared_values(best),
+        rmse_of_kind(plant, offsets, "current"), rmse_of_kind(plant, best.values, "current"),
+        rmse_of_kind(plant, offsets, "pressure"), rmse_of_kind(plant, best.values, "pressure"), recording,
     )  # fmt: skip
 
 
@@ -187,6 +194,19 @@ def best_fit(
     nuisances = (*problem.nuisances, *plant.timing_errors)
     timed = _best_of_starts(problem, free, nuisances, starts, lambda fraction: progress(1.0))
     return max(plain, timed, key=lambda found: found.log_evidence)
+
+
+def unnamed_beside(result: Fit) -> float:
+    """Probability that something that the model lacks acts, were nothing known of what that may be.
+
+    Of a long recording, whose rows are not at hand, 1 where more than noise is left, else 0.
+    """
+    problem = result.problem
+    if problem.is_long:
+        return float(leaves_more_than_noise(result))
+    model, places = Linearised(result), problem.rows.places
+    spread = Discrepancy(places, lengths_of(problem.plant, places)).spread(model)
+    return Rivals(frozenset(), frozenset()).unnamed_beside((), Evidence(model.integrated, spread.log_evidence))
 
 
 def _best_of_starts(

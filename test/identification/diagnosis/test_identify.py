@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,16 +13,17 @@ from plants.recording import Recorder
 from benchmarks.coverage import measure
 from identification.recordings import TRUTH, one_opening, recorded, shortened
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.estimation import identify as identifying
+from valve_sim.identification.diagnosis import identify as identifying
+from valve_sim.identification.diagnosis.identify import check_free, identify
 from valve_sim.identification.estimation.findings import (
     Correlated,
+    ExplainedByErrors,
+    LacksSomething,
     LooselyDetermined,
     NotIdentifiable,
     OnBound,
-    ResidualNotWhite,
     StampErrors,
 )
-from valve_sim.identification.estimation.identify import check_free, identify
 from valve_sim.identification.estimation.intervals import Unbounded
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
@@ -79,10 +81,11 @@ def test_a_damping_of_a_phase_that_never_comes_is_not_identifiable() -> None:
 
 def test_two_parameters_that_do_the_same_are_named_together() -> None:
     """Of a lag and a time constant the data tell the sum alone; so their priors are all that tells them apart."""
-    result = identify([one_opening()], EXACT_VALVE, ("coil_time_constant", "coil_lag.time_constant"))
+    valve = EXACT_VALVE.with_values(**TRUTH)
+    result = identify([one_opening()], valve, ("coil_time_constant", "coil_lag.time_constant"))
     (pair,) = (finding for finding in result.findings if isinstance(finding, Correlated))
     assert {pair.name, pair.other} == {"coil_time_constant", "coil_lag.time_constant"}
-    assert pair.correlation > 0.99
+    assert pair.correlation > 0.95
 
 
 def test_a_parameter_on_its_bound_is_said_to_be_there() -> None:
@@ -125,9 +128,9 @@ def test_a_long_recording_is_fitted_once_from_where_the_best_start_leads_some_of
     monkeypatch.setattr(stroke_choice, "ENOUGH", len(trace.times) // 3)
     monkeypatch.setattr(stroke_choice, "FEWEST", 1)
     found = identify([trace], far)
-    assert len(sizes) == 4
+    # Each further fit to all of it begins where the one before it ended: its errors are learned.
     assert max(sizes[:3]) < 0.6 * sizes[3]
-    assert sizes[3] == len(trace.times)
+    assert set(sizes[3:]) == {len(trace.times)}
     for name in TRUTH:
         assert abs(found.fit.values[name] - short.fit.values[name]) < 0.02 * short.fit.stderr(name)
 
@@ -194,9 +197,27 @@ def test_stamps_of_commands_that_scatter_are_estimated_along() -> None:
     assert 20e-6 < stamps.largest < 200e-6
 
 
-def test_a_remainder_that_is_more_than_noise_is_said() -> None:
-    result = identify([recorded(effects={"coulomb_friction": {"force": 0.2}})], EXACT_VALVE)
-    assert ResidualNotWhite() in result.findings
+@pytest.mark.parametrize("force", [0.02, 0.05, 0.2])
+def test_what_a_model_lacks_is_said_or_that_errors_of_the_recording_may_be_that(force: float) -> None:
+    result = identify([recorded(effects={"coulomb_friction": {"force": force}})], EXACT_VALVE)
+    (said,) = (own for own in result.findings if isinstance(own, (LacksSomething, ExplainedByErrors)))
+    assert "`diagnose`" in identification_text(result)
+    # What the model lacks is not told as the state of a recording.
+    assert isinstance(said, ExplainedByErrors) == bool(result.recording)
+
+
+def test_errors_of_a_recording_are_estimated_along() -> None:
+    """A sensor that shows 0.5 % too much reads as nothing else; the dampings hold beside it."""
+    trace = recorded(Recorder(quantisation=0.1e-6))
+    result = identify([replace(trace, pilot_position=1.005 * trace.pilot_position)], EXACT_VALVE)
+    (scale,) = (own for own in result.recording[trace.source] if own.error == "scale")
+    assert abs(scale.size - 0.005) < 3.0 * scale.stderr
+    assert scale.stderr < 0.001
+    for name, truth in TRUTH.items():
+        assert result.intervals[name].low < truth < result.intervals[name].high
+    assert "gain of the sensor" in identification_text(result)
+    (entry,) = (own for own in identification_json(result)["recording"][trace.source] if own["error"] == "scale")
+    assert entry["size"] == pytest.approx(100.0 * scale.size)
 
 
 @pytest.mark.parametrize("name", [effect.name for effect in CATALOGUE.values() if effect.named])
@@ -212,8 +233,8 @@ def test_any_parameter_of_an_effect_can_be_freed_alone(name: str) -> None:
 
 
 def test_a_bandwidth_freed_on_positions_without_a_filter_is_out_of_reach() -> None:
-    interval = identify([recorded()], EXACT_VALVE, ["sensor_bandwidth.cutoff_frequency"]).intervals[
-        "sensor_bandwidth.cutoff_frequency"
-    ]
-    assert interval.low > 1e4
+    trace, name = recorded(), "sensor_bandwidth.cutoff_frequency"
+    interval = identify([trace], EXACT_VALVE.with_values(**TRUTH), [name]).intervals[name]
+    # The delay of such a filter is at most half of what is between two samples.
+    assert 1.0 / (2.0 * np.pi * interval.low) < 0.5 * np.median(np.diff(trace.times))
     assert interval.high == np.inf
