@@ -215,6 +215,16 @@ def test_info_as_json(strokes: Path):
     assert first["reaches_stop"] == pytest.approx(9.9e-3, abs=3e-5)
 
 
+def test_info_tells_the_state_of_a_recording(strokes: Path):
+    output = run_well("info", strokes, "--state").output
+    assert f"State of {strokes}" in output
+    assert "drift of the zero" in output
+    assert "Coulomb friction" in output
+    (valve,) = json.loads(run_well("info", strokes, "--state", "--json").stdout)["valves"]
+    assert {"drift", "hum"} <= {entry["error"] for entry in valve["state"]["recording"]}
+    assert valve["state"]["detection_limits"]["coulomb_friction"]["force"] > 0.0
+
+
 @pytest.fixture(scope="module")
 def spoilt(strokes: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The same with three spikes, a code, a reading that is held for nine samples, and a range that ends too early."""

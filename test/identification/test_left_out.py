@@ -168,7 +168,7 @@ def test_windows_are_bridged_over_spikes_and_end_at_dropouts() -> None:
     channel = Channel(
         "test", "position", np.arange(1000) / 2e4, values, np.ones(1000, bool), np.zeros(1000, int), left_out=left_out
     )
-    assert [len(window) for window in quiet_windows(channel)] == [500, 494]
+    assert [len(window.values) for window in quiet_windows(channel)] == [500, 494]
 
 
 def test_some_samples_of_a_plant_are_left_out_as_they_were() -> None:

@@ -5,18 +5,19 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from valve_sim.cli.command_line import Command
 from valve_sim.cli.options import FILE, json_option, map_option, params_option, valve_option
-from valve_sim.cli.printing import print_json, shown
-from valve_sim.cli.reading import chosen_map, declared_parameters
+from valve_sim.cli.printing import print_json, progress_bar, shown
+from valve_sim.cli.reading import chosen_map, declared_parameters, declared_valve
 from valve_sim.files.json_text import plain
 
 if TYPE_CHECKING:
-    from valve_sim.traces import StrokeEvents, TraceSummary
+    from valve_sim.identification.diagnosis.recording_state import RecordingState
+    from valve_sim.traces import StrokeEvents, Trace, TraceSummary
 
 
 @click.command(cls=Command)
@@ -24,15 +25,20 @@ if TYPE_CHECKING:
 @valve_option
 @map_option
 @params_option
+@click.option(
+    "--state", "with_state", is_flag=True,
+    help="Its errors beside the declared valve: drift, hum, ringing ..., what to do, and what can be named in it.",
+)  # fmt: skip
 @json_option
-def info(*, bag: Path, name: str | None, params: Path | None, as_json: bool) -> None:
+def info(*, bag: Path, name: str | None, params: Path | None, with_state: bool, as_json: bool) -> None:
     """Show what a recording contains.
 
     Valves, signals and their rates, strokes, gaps, clock problems, and what was dropped or repaired on reading.
     Arrivals in each stroke are found from the sensors alone. Of the parameters, pilot_gap says where to look for them;
-    the others say whether the recording can be of that valve.
+    the others say whether the recording can be of that valve. No model is used, but with --state.
 
       valve-sim info strokes.mcap
+      valve-sim info strokes.mcap --params my_valve.yaml --state
       valve-sim info station_bag --valve /tank_1/valve --json | jq '.valves[0].strokes'
     """
     from valve_sim.traces import another_valve, describe, doubtful_units, events_from_sensors, list_valves, read_trace
@@ -43,12 +49,37 @@ def info(*, bag: Path, name: str | None, params: Path | None, as_json: bool) -> 
         trace = read_trace(bag, valve, recording_map)
         doubts = (*doubtful_units(trace, parameters), *another_valve(trace, parameters))
         trace = dataclasses.replace(trace, findings=(*trace.findings, *doubts))
-        valves.append((describe(trace), events_from_sensors(trace, parameters.pilot_gap)))
+        state = _state(trace, params) if with_state else None
+        valves.append((describe(trace), events_from_sensors(trace, parameters.pilot_gap), state))
     if as_json:
-        print_json({"valves": [{**plain(summary), "arrivals": plain(arrivals)} for summary, arrivals in valves]})
+        print_json({"valves": [_as_json(*valve) for valve in valves]})
         return
-    for summary, arrivals in valves:
+    for summary, arrivals, state in valves:
         _print_summary(summary, arrivals)
+        if state is not None:
+            _print_state(state)
+
+
+def _state(trace: Trace, params: Path | None) -> RecordingState:
+    from valve_sim.identification.diagnosis.recording_state import state_of_recording
+
+    valve = declared_valve(params)
+    with progress_bar() as progress:
+        return state_of_recording(trace, valve, progress)
+
+
+def _as_json(summary: TraceSummary, arrivals: Sequence[StrokeEvents], state: RecordingState | None) -> dict[str, Any]:
+    from valve_sim.identification.reporting.recording_state import state_json
+
+    found = {**plain(summary), "arrivals": plain(arrivals)}
+    return found if state is None else {**found, "state": state_json(state)}
+
+
+def _print_state(state: RecordingState) -> None:
+    from valve_sim.identification.reporting.recording_state import state_lines
+
+    for line in state_lines(state):
+        click.echo(shown(line))
 
 
 def _judged_words(summary: TraceSummary) -> str:

@@ -13,10 +13,14 @@ from plants.tolerances import SHEET_VALVE, declared_tolerances
 
 from benchmarks.campaign.cases import declared_valve
 from benchmarks.campaign.running import as_trace
+from valve_sim.files.json_text import plain
+from valve_sim.identification.diagnosis.recording_state import state_of_recording
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
 from valve_sim.identification.reporting.diagnosis_json import to_json
 from valve_sim.identification.reporting.html import write_report
+from valve_sim.identification.reporting.recording_state import state_json, state_lines
 from valve_sim.identification.reporting.text import diagnosis_text
+from valve_sim.traces import Trace
 
 LABORATORIES = {
     "hum and a soft supply": (Laboratory(hum=1e-6, supply_resistance=0.5), ("hum", "supply")),
@@ -34,16 +38,19 @@ def laboratory(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 
 
+DECLARED = declared_valve(SHEET_VALVE, declared_tolerances(SHEET_VALVE))
+
+
+def measured(laboratory: Laboratory, name: str, **effects: dict[str, float]) -> Trace:
+    """Eight strokes, or four others, of a valve that is as declared but for these effects."""
+    seed, profile = {"train": (5, train_profile()), "other": (6, holdout_profile())}[name]
+    return as_trace(measure(SHEET_VALVE, effects, profile, laboratory, seed), f"{name}.mcap")
+
+
 @pytest.fixture(scope="module")
 def found(laboratory: str) -> Diagnosis:
-    recordings = [
-        measure(SHEET_VALVE, {}, profile, LABORATORIES[laboratory][0], seed)
-        for seed, profile in ((5, train_profile()), (6, holdout_profile()))
-    ]
-    traces = [
-        as_trace(recording, f"{name}.mcap") for name, recording in zip(("train", "other"), recordings, strict=True)
-    ]
-    return diagnose(traces[:1], traces[1:], declared_valve(SHEET_VALVE, declared_tolerances(SHEET_VALVE)))
+    made = LABORATORIES[laboratory][0]
+    return diagnose([measured(made, "train")], [measured(made, "other")], DECLARED)
 
 
 def test_nothing_is_missing(found: Diagnosis) -> None:
@@ -95,3 +102,27 @@ def test_a_declared_average_of_readings_is_no_effect_of_the_valve() -> None:
     assert (found.verdict.kind, found.verdict.effects) == ("none", ())
     for name in ("pilot_damping", "main_damping"):
         assert found.after.intervals[name].low < SHEET_VALVE[name] < found.after.intervals[name].high
+
+
+def test_a_state_says_what_errors_hide_and_what_to_do() -> None:
+    state = state_of_recording(measured(Laboratory(hum=3e-6, stroke_variation=0.15), "train"), DECLARED)
+    there = {entry.error for entry in state.errors if entry.is_likely}
+    assert {"hum", "stroke_variation"} <= there
+    assert state.limits["coulomb_friction"]["force"] > 1.1 * state.without_errors["coulomb_friction"]["force"]
+    hidden = state.hidden["stroke_variation"]
+    assert hidden.without < hidden.limit
+    words = "\n".join(state_lines(state))
+    assert "hum of the mains" in words
+    assert "ground the sensor at one point" in words
+    assert "record more strokes" in words
+    assert f"{hidden.without:.3g}"[:3] in words
+    entries = json.loads(json.dumps(plain(state_json(state)), allow_nan=False))
+    assert {"drift", "hum", "stroke_variation"} <= {entry["error"] for entry in entries["recording"]}
+
+
+def test_no_state_is_told_beside_a_model_that_lacks_something() -> None:
+    trace = measured(Laboratory(), "train", coulomb_friction={"force": 0.3})
+    state = state_of_recording(trace, DECLARED)
+    assert not state.errors
+    first, *_ = state_lines(state)
+    assert "cannot be told from what the declared model lacks" in first

@@ -18,6 +18,7 @@ from valve_sim.identification.estimation.noise import (
     quiet_windows,
     still_runs,
 )
+from valve_sim.identification.plants.protocol import Channel
 from valve_sim.identification.plants.valve import ValvePlant
 
 
@@ -70,6 +71,38 @@ def test_noise_slower_than_the_autoregression_makes_the_innovation_larger() -> N
     # Of means over blocks, which the slow part makes scatter, not of samples.
     assert drifting.innovation > math.sqrt(2.0) * 1e-6
     assert drifting.sigma == pytest.approx(1e-6 * math.hypot(1.0, 0.5), rel=0.1)
+
+
+def rests(values: np.ndarray) -> list[Channel]:
+    """Eight windows of 25 ms at 20 kHz, one stroke of 50 ms after the other."""
+    return [
+        replace(still(own, "position"), times=at, drifts=True)
+        for own, at in zip(np.split(values, 8), np.split(RESTS, 8), strict=True)
+    ]
+
+
+RESTS = np.concatenate([0.05 * stroke + np.arange(500) / 20e3 for stroke in range(8)])
+"""s."""
+
+
+@pytest.mark.parametrize("colour", [0.0, 0.7, 0.95])
+def test_hum_that_is_estimated_along_is_no_noise(colour: float) -> None:
+    values = coloured(1e-6, colour, len(RESTS))
+    hum = 3e-6 * np.sin(2.0 * np.pi * 50.0 * RESTS + 0.4) + 1e-6 * np.sin(2.0 * np.pi * 150.0 * RESTS)
+    alone, beside = (estimate_noise(rests(own), may_hum=True) for own in (values, values + hum))
+    assert beside.sigma == pytest.approx(alone.sigma, rel=0.05)
+    assert beside.innovation == pytest.approx(alone.innovation, rel=0.05)
+    # Where no fit estimates it, it is noise.
+    assert estimate_noise(rests(values + hum)).sigma > 1.05 * beside.sigma
+
+
+@pytest.mark.parametrize("colour", [0.0, 0.7, 0.95])
+def test_where_nothing_hums_next_to_nothing_is_taken_off(colour: float) -> None:
+    for seed in range(20):
+        values = coloured(1e-6, colour, len(RESTS), seed)
+        asked, alone = estimate_noise(rests(values), may_hum=True), estimate_noise(rests(values))
+        assert asked.sigma == pytest.approx(alone.sigma, rel=0.05)
+        assert asked.innovation == pytest.approx(alone.innovation, rel=0.05)
 
 
 def test_the_tail_of_a_current_that_settles_is_no_noise() -> None:

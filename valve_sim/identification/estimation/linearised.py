@@ -295,15 +295,13 @@ class BySizes:
         return sizes
 
     def coefficients(self, sizes: Array, number: int) -> tuple[Array, Array]:
-        """(q,) coefficients of a group of columns, and (q, q) their covariance, beside all else that is estimated.
-
-        Residuals are what was measured less what is predicted: what an error adds to what was measured, a step of the
-        prediction takes away.
-        """
+        """(q,) coefficients of a group, and (q, q) their covariance, beside all else that is estimated."""
         factor, moves, scale, *_ = self._solved(sizes)
         own = self._places[self._owners == number]
         covariance = cho_solve(factor, np.eye(len(scale))[:, own], check_finite=False)[own]
-        return -moves[own] * scale[own], covariance * np.outer(scale[own], scale[own])
+        # A residual is measured less predicted: columns are of what is measured, derivatives of what is left.
+        sign = 1.0 if self._groups[number].is_of_machine else -1.0
+        return sign * moves[own] * scale[own], covariance * np.outer(scale[own], scale[own])
 
     def costs_of(self, sizes: Array, number: int, at: Array) -> Array:
         """(n,) costs of a group at (n,) sizes, all others kept.

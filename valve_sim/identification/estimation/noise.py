@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
+from valve_sim.identification.estimation.errors import hum
 from valve_sim.identification.plants.protocol import Channel
 from valve_sim.model.compiling import compiled
 from valve_sim.traces.long_columns import places_in, repeated_levels
@@ -37,6 +38,8 @@ LARGEST_DEGREE: Final = 3
 """Of the drift of what settles."""
 PLAIN_DRIFT: Final = 5.0
 """Standard errors of a drift's curve, beyond which it is one: less may be slow noise."""
+HUM_PASSES: Final = 2
+"""Times that hum is looked for."""
 COARSE: Final = 2.0
 """A quantisation step above this many standard deviations hides the noise: readings at rest then repeat."""
 
@@ -92,11 +95,19 @@ def _whiten(found, columns, coefficients, scale):  # type: ignore[no-untyped-def
             found[row, column] *= scale[row]
 
 
-def estimate_noise(channels: Sequence[Channel]) -> Noise:
+class Window(NamedTuple):
+    """A stretch of a channel in which the machine is still: (n,) times, s, and readings."""
+
+    times: Array
+    values: Array
+
+
+def estimate_noise(channels: Sequence[Channel], *, may_hum: bool = False) -> Noise:
     """The noise of channels that share a sensor.
 
     Args:
         channels: of one kind; at least one with samples.
+        may_hum: whether hum of the mains is estimated along with their model: what plainly shows of it is no noise.
     """
     windows = [window for channel in channels for window in quiet_windows(channel)]
     shows_colour = bool(windows)
@@ -109,21 +120,72 @@ def estimate_noise(channels: Sequence[Channel]) -> Noise:
         bends = np.concatenate([np.diff(channel.data, 2) for channel in channels])
         sigma = max(1.4826 * float(np.median(np.abs(bends))) / math.sqrt(6.0), step / math.sqrt(12.0), _floor(channels))
         return Noise(sigma, sigma, (), step, 0)
-    # Where a model has the drift of a signal, that is no noise; elsewhere it is.
-    drifts = channels[0].drifts
-    centred = [_without_drift(window) if drifts else window - window.mean() for window in windows]
-    samples = sum(len(window) for window in centred)
-    spread = math.sqrt(sum(float(window @ window) for window in centred) / max(1, samples - len(centred)))
-    floor = max(step / math.sqrt(12.0), _floor(channels))
-    if step > COARSE * spread:
+    drifts, floor = channels[0].drifts, max(step / math.sqrt(12.0), _floor(channels))
+    found = _at_rest(windows, step, floor, drifts=drifts, shows_colour=shows_colour)
+    # Beside the noise that is left more of it may show.
+    for _ in range(HUM_PASSES if may_hum and shows_colour and found.sigma > floor else 0):
+        windows, is_less = _without_hum(windows, found)
+        if not is_less:
+            break
+        found = _at_rest(windows, step, floor, drifts=drifts, shows_colour=shows_colour)
+    if step > COARSE * found.sigma:
         sigma = max(_spread_in_motion(channels, step), floor)
-        return Noise(sigma, sigma, (), step, samples)
+        return Noise(sigma, sigma, (), step, found.samples)
+    return found
+
+
+def _at_rest(windows: Sequence[Window], step: float, floor: float, *, drifts: bool, shows_colour: bool) -> Noise:
+    """The noise in windows: where a model has the drift of a signal, that is no noise; elsewhere it is."""
+    values = [_without_drift(own.values) if drifts else own.values - own.values.mean() for own in windows]
+    samples = sum(map(len, values))
+    spread = math.sqrt(sum(float(own @ own) for own in values) / max(1, samples - len(values)))
     if spread < floor:
         return Noise(floor, floor, (), step, samples)
+    if step > COARSE * spread:
+        return Noise(spread, spread, (), step, samples)
     if not shows_colour:
-        return _with_slow_part(Noise(spread, spread, (), step, samples), centred, SHORT_WINDOW)
-    coefficients, innovation = _autoregression(centred, samples)
-    return _with_slow_part(Noise(spread, innovation, coefficients, step, samples), centred)
+        return _with_slow_part(Noise(spread, spread, (), step, samples), values, SHORT_WINDOW)
+    coefficients, innovation = _autoregression(values, samples)
+    return _with_slow_part(Noise(spread, innovation, coefficients, step, samples), values)
+
+
+def _without_hum(windows: Sequence[Window], noise: Noise) -> tuple[list[Window], bool]:
+    """Windows less the harmonics of the mains that plainly show above the noise, and whether there are any.
+
+    All windows together say how large they are, since their phase is steady.
+    """
+    start = windows[0].times[0]
+    rates = hum.rates(windows[0].times)
+    columns = [_white_waves(window, rates, start, noise) for window in windows]
+    information = sum((own.T @ own for own, _ in columns), np.zeros((2 * len(rates), 2 * len(rates))))
+    pull = sum((own.T @ left for own, left in columns), np.zeros(2 * len(rates)))
+    is_plain = np.ones(2 * len(rates), dtype=np.bool_)
+    size = np.zeros(2 * len(rates))
+    # The least of them is left out until all that are left are plain.
+    while is_plain.any():
+        kept = np.flatnonzero(is_plain)
+        own = information[np.ix_(kept, kept)]
+        size[:] = 0.0
+        size[kept] = np.linalg.lstsq(own, pull[kept], rcond=1e-10)[0]
+        variances = np.full(2 * len(rates), np.inf)
+        variances[kept] = np.diag(np.linalg.pinv(own, rcond=1e-10, hermitian=True))
+        shown = np.sum(np.square(size.reshape(2, -1)) / variances.reshape(2, -1), axis=0)
+        least = int(np.argmin(np.where(is_plain[: len(rates)], shown, np.inf)))
+        if shown[least] > PLAIN_DRIFT**2:
+            break
+        is_plain[[least, least + len(rates)]] = False
+    if not is_plain.any():
+        return list(windows), False
+    return [own._replace(values=own.values - hum.waves(own.times - start, rates) @ size) for own in windows], True
+
+
+def _white_waves(window: Window, rates: Array, start: float, noise: Noise) -> tuple[Array, Array]:
+    """(n, 2 h) waves and (n,) readings of a window, each less a straight line, in units of the innovation."""
+    columns = np.column_stack([hum.waves(window.times - start, rates), window.values])
+    lines = np.linalg.qr(legvander(np.linspace(-1.0, 1.0, len(columns)), 1))[0]
+    white = np.empty_like(columns)
+    noise.whiten_into(white, columns - lines @ (lines.T @ columns), np.ones(len(columns)))
+    return white[:, :-1], white[:, -1]
 
 
 def noise_of_residuals(pieces: Sequence[Array], guess: Noise) -> Noise:
@@ -146,7 +208,7 @@ def noise_of_residuals(pieces: Sequence[Array], guess: Noise) -> Noise:
     return _with_slow_part(Noise(spread, max(innovation, 1e-6 * spread), coefficients, guess.step, 0), long)
 
 
-def quiet_windows(channel: Channel, shortest: int = SHORTEST_WINDOW) -> list[Array]:
+def quiet_windows(channel: Channel, shortest: int = SHORTEST_WINDOW) -> list[Window]:
     """The stretches of a channel in which the machine is still, each of at least `shortest` samples.
 
     A few that are left out in a row are bridged, so that spikes do not cut windows to pieces; more end a window.
@@ -157,7 +219,11 @@ def quiet_windows(channel: Channel, shortest: int = SHORTEST_WINDOW) -> list[Arr
         for start, stop in stretches(channel.left_out):
             if stop - start > BRIDGED:
                 quiet[start:stop] = False
-    return [channel.data[start:stop] for start, stop in stretches(quiet) if stop - start >= shortest]
+    return [
+        Window(channel.times[start:stop], channel.data[start:stop])
+        for start, stop in stretches(quiet)
+        if stop - start >= shortest
+    ]
 
 
 def stretches(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
@@ -169,17 +235,17 @@ def stretches(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
-def _at_the_quieter_rest(windows: list[Array]) -> list[Array]:
+def _at_the_quieter_rest(windows: list[Window]) -> list[Window]:
     """Windows at one rest only, seat or stop, where the other is plainly noisier: vibration is no sensor noise."""
     if not windows:
         return windows
-    levels = [float(window.mean()) for window in windows]
+    levels = [float(window.values.mean()) for window in windows]
     middle = 0.5 * (min(levels) + max(levels))
     rests = [
         [window for window, level in zip(windows, levels, strict=True) if (level > middle) == is_high]
         for is_high in (False, True)
     ]
-    if any(sum(len(window) for window in rest) < ENOUGH_AT_REST for rest in rests):
+    if any(sum(len(window.values) for window in rest) < ENOUGH_AT_REST for rest in rests):
         return windows
     quieter, louder = sorted(rests, key=_spread)
     return quieter if _spread(louder) > PLAINLY_NOISIER * _spread(quieter) else windows
@@ -200,10 +266,10 @@ def _without_drift(window: Array) -> Array:
     return np.asarray(window - basis[:, : degree + 1] @ sizes[: degree + 1])
 
 
-def _spread(windows: Sequence[Array]) -> float:
+def _spread(windows: Sequence[Window]) -> float:
     """Standard deviation within windows."""
-    squares = sum(float(np.sum(np.square(window - window.mean()))) for window in windows)
-    return math.sqrt(squares / max(1, sum(len(window) - 1 for window in windows)))
+    squares = sum(float(np.sum(np.square(own.values - own.values.mean()))) for own in windows)
+    return math.sqrt(squares / max(1, sum(len(own.values) - 1 for own in windows)))
 
 
 def quantisation_step(*pieces: Array) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import functools
 import math
@@ -32,6 +33,7 @@ from valve_sim.identification.plants.check import checked_prediction
 from valve_sim.identification.plants.protocol import (
     Array,
     Direction,
+    HasSensors,
     InPieces,
     Nuisance,
     Plant,
@@ -39,6 +41,7 @@ from valve_sim.identification.plants.protocol import (
     strokes_of_plant,
 )
 from valve_sim.identification.plants.thinning import Thinnable
+from valve_sim.model import SimulationError
 
 Mask = Callable[[int, NDArray[np.integer]], NDArray[np.bool_]]
 Whitening = Callable[[Array], Array]
@@ -86,7 +89,9 @@ class Problem:
         self.budget = budget or Budget.unlimited()
         kinds = {channel.kind for channel in plant.channels}
         self.noises = dict(noises) if noises is not None else {
-            kind: estimate_noise([channel for channel in plant.channels if channel.kind == kind])
+            kind: estimate_noise(
+                [channel for channel in plant.channels if channel.kind == kind], may_hum=kind in _humming(plant)
+            )
             for kind in sorted(kinds)
         }  # fmt: skip
         self._weights = [self._weight(index, takes_part) for index in range(len(plant.channels))]
@@ -349,6 +354,15 @@ class Problem:
         if takes_part is not None:
             weight = np.where(takes_part(index, channel.group), weight, 0.0)
         return weight
+
+
+def _humming(plant: Plant) -> set[str]:
+    """Kinds of the channels whose hum fits estimate along; none of a long recording, whose errors have no columns."""
+    if not isinstance(plant, HasSensors) or sum(len(channel.data) for channel in plant.channels) > LONG:
+        return set()
+    with contextlib.suppress(SimulationError):
+        return {plant.channels[index].kind for index in plant.sensors({})}
+    return set()
 
 
 def shows_rest(plant: Plant) -> bool:

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
 
+from valve_sim.identification.diagnosis.recording_state import Hidden, RecordingState
 from valve_sim.identification.estimation.recorded_errors import RecordedError
+from valve_sim.identification.plants.effect_titles import title_of
 from valve_sim.identification.plants.protocol import Array
-from valve_sim.identification.reporting.units import three_digits
+from valve_sim.identification.reporting.findings import remarks
+from valve_sim.identification.reporting.units import quantity, three_digits
+from valve_sim.identification.reporting.wording import percent
 
 UNITS: Final[Mapping[str, tuple[float, str, str]]] = {
     "m": (1e6, "µm", "um"),
@@ -99,6 +104,80 @@ def recording_lines(errors: Mapping[str, Sequence[RecordedError]]) -> list[str]:
     return found
 
 
+def state_lines(state: RecordingState) -> list[str]:
+    """Lines for a terminal: each error with its size and what it hides, and what can be named in the recording."""
+    found = state.identification
+    (source,) = found.sources
+    noise, is_of_position = found.fit.problem.noise.sigma, found.judged.kind == "position"
+    if not state.errors:
+        why = "its errors cannot be told from what the declared model lacks; valve-sim diagnose looks for that"
+        return [f"State of {source}: {why}.", *remarks(found.findings)]
+    lines = [f"State of {source}, beside the refitted declared valve:"]
+    lines.append(f"  {'error':<52}{'size':<20}{'in noise':<10}{'probability':<13}picture")
+    for name, entries in itertools.groupby(state.errors, key=lambda entry: entry.error):
+        of_it = list(entries)
+        for entry in of_it:
+            share = f"{abs(entry.size) / noise:.2g}" if entry.unit == "m" and is_of_position and noise > 0.0 else "–"
+            row = f"  {title_words(entry):<52}{size_words(entry):<20}{share:<10}{percent(entry.probability):<13}"
+            lines.append(f"{row}{sparkline(entry.shown)}".rstrip())
+        if any(entry.is_likely for entry in of_it) and name not in SMALL_TALK:
+            lines.append(f"    {_advice(of_it[0], state.hidden.get(name))}.")
+    lines += _limit_lines(state)
+    return [*lines, *remarks(found.findings)]
+
+
+def _advice(entry: RecordedError, hidden: Hidden | None) -> str:
+    """What to do, and what for."""
+    if hidden is None:
+        return entry.what_to_do
+    now, then = quantity(hidden.limit, hidden.unit), quantity(hidden.without, hidden.unit)
+    named = f"{title_of(hidden.effect)} would be named from {then} on"
+    return f"{entry.what_to_do}: {named}, {'now at no size' if math.isinf(hidden.limit) else f'now from {now}'}"
+
+
+def _limit_lines(state: RecordingState) -> Iterator[str]:
+    if not state.limits:
+        return
+    effects = state.identification.fit.problem.plant.effects
+    yield f"  {'would be named in half of such recordings':<60}{'from':<20}without these errors from"
+    for name, limits in state.limits.items():
+        switches = [switch for switch in effects[name].parameters if switch.name in limits]
+        for switch in switches:
+            title = title_of(name) + (f": {switch.name.replace('_', ' ')}" if len(switches) > 1 else "")
+            now, then = limits[switch.name], state.without_errors[name][switch.name]
+            shown = (quantity(limit, switch.unit) if math.isfinite(limit) else "–" for limit in (now, then))
+            yield f"    {title:<58}{next(shown):<20}{next(shown)}"
+
+
+def state_json(state: RecordingState) -> dict[str, Any]:
+    """What `info --json` holds of the state of a recording."""
+    (source,) = state.identification.sources
+    return {
+        "recording": recording_json({source: state.errors})[source],
+        "detection_limits": {name: dict(limits) for name, limits in state.limits.items()},
+        "detection_limits_without_errors": {name: dict(limits) for name, limits in state.without_errors.items()},
+        "hidden": {error: hidden._asdict() for error, hidden in state.hidden.items()},
+        "findings": remarks(state.identification.findings),
+    }
+
+
+def sparkline(shown: Array) -> str:
+    """A line of characters whose heights follow what an error adds; empty where so few cannot show it."""
+    if len(shown) < 2 or not np.all(np.isfinite(shown)):
+        return ""
+    few = np.array([np.mean(part) for part in np.array_split(shown, min(CHARACTERS, len(shown)))])
+    low, size = float(np.min(few)), float(np.ptp(few))
+    # Of what swings faster the means are nothing.
+    if size <= SHOWN * float(np.ptp(shown)):
+        return ""
+    return "".join(HEIGHTS[int(height)] for height in (few - low) / size * (len(HEIGHTS) - 1))
+
+
+HEIGHTS: Final = "▁▂▃▄▅▆▇█"
+CHARACTERS: Final = 24
+"""Of a picture on a terminal."""
+SHOWN: Final = 0.5
+"""Of the range, what their means are to reach."""
 SMALL_TALK: Final = ("clock_offset", "clock_rate", "scale")
 """Errors that are estimated and cost next to nothing: no advice is printed for them."""
 

@@ -18,6 +18,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
+from valve_sim.identification.plants.protocol import Plant
+
 FORM_IS_RIGHT: Final = 0.95
 """Prior probability that nothing acts but what has a name."""
 EXPECTED: Final = 1.0
@@ -95,6 +97,18 @@ class Rivals:
         if math.isinf(evidence.plain):
             return 0.0
         return 1.0 / (1.0 + math.exp(min(700.0, plain + evidence.plain - unnamed - evidence.unnamed)))
+
+
+def rivals_of(plant: Plant) -> Rivals:
+    """What may be missing of a machine."""
+    # What has a tolerance is as rarely wrong as an effect acts; of what has none nobody says how well it is known.
+    tolerated = {own.name for own in plant.nuisances if own.is_of_machine}
+    wrong = frozenset(
+        name
+        for name, choice in plant.effects.items()
+        if choice.is_declared and not tolerated & set(choice.free_names())
+    )
+    return Rivals(frozenset(plant.effects) - wrong, wrong)
 
 
 def _poisson(count: int, among: int) -> float:

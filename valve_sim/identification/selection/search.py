@@ -40,7 +40,7 @@ from valve_sim.identification.plants.effect_titles import titles_of
 from valve_sim.identification.plants.protocol import Array, EffectChoice, Nuisance
 from valve_sim.identification.selection.discrepancy import Cell, Discrepancy, Spread, lengths_of
 from valve_sim.identification.selection.force_maps import NonparametricFit, competing_curves
-from valve_sim.identification.selection.posterior import EVEN, Evidence, Posterior, Rivals, Set, posterior_of
+from valve_sim.identification.selection.posterior import EVEN, Evidence, Posterior, Set, posterior_of, rivals_of
 from valve_sim.identification.selection.score_test import log_gains
 from valve_sim.identification.selection.starts import (
     effect_starts,
@@ -124,13 +124,7 @@ class Search:
         places = problem.rows.places
         self.discrepancy = Discrepancy(places, lengths_of(problem.plant, places))
         self.stamps = bool(problem.plant.timing_errors)
-        effects = problem.plant.effects
-        # What has a tolerance is as rarely wrong as an effect acts; of what has none nobody says how well it is known.
-        tolerated = {own.name for own in problem.plant.nuisances if own.is_of_machine}
-        wrong = frozenset(
-            name for name, choice in effects.items() if choice.is_declared and not tolerated & set(choice.free_names())
-        )
-        self.rivals = Rivals(frozenset(effects) - wrong, wrong)
+        self.rivals = rivals_of(problem.plant)
         self._cost_of = _costs_of(problem)
 
     # -- what is known -------------------------------------------------------------------------------------------------

@@ -18,10 +18,19 @@ HARMONICS: Final = (1, 2, 3, 4, 5)
 
 def columns(seen: Seen) -> Array:
     """(n, 20) sines and cosines."""
-    rates = 2.0 * math.pi * np.outer(MAINS, HARMONICS).ravel()
-    # Harmonics above half the sampling rate would repeat lower ones.
-    usual = float(np.median(np.diff(seen.times))) if len(seen.times) > 1 else 0.0
-    angles = np.outer(seen.times - seen.times[0], rates[rates * usual < math.pi])
+    return waves(seen.times - seen.times[0], rates(seen.times))
+
+
+def rates(times: Array) -> Array:
+    """(h,) rad/s of the harmonics that (n,) samples can show: those above half their rate would repeat lower ones."""
+    usual = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+    every = 2.0 * math.pi * np.outer(MAINS, HARMONICS).ravel()
+    return np.asarray(every[every * usual < math.pi])
+
+
+def waves(times: Array, own: Array) -> Array:
+    """(n, 2 h) sines, then cosines, at (n,) times, s, of (h,) rates, rad/s."""
+    angles = np.outer(times, own)
     return np.hstack([np.sin(angles), np.cos(angles)])
 
 
