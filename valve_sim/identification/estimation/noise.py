@@ -10,6 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from valve_sim.identification.estimation.errors import hum
 from valve_sim.identification.plants.protocol import Channel
@@ -38,7 +39,11 @@ LARGEST_DEGREE: Final = 3
 """Of the drift of what settles."""
 PLAIN_DRIFT: Final = 5.0
 """Standard errors of a drift's curve, beyond which it is one: less may be slow noise."""
-HUM_PASSES: Final = 2
+DRAWS: Final = 20
+"""Of noise like the estimate, by which its bias is known to a quarter of its standard error."""
+SETTLES: Final = 200
+"""Samples after which drawn noise has forgotten how it began."""
+HUM_PASSES: Final = 3
 """Times that hum is looked for."""
 COARSE: Final = 2.0
 """A quantisation step above this many standard deviations hides the noise: readings at rest then repeat."""
@@ -122,12 +127,9 @@ def estimate_noise(channels: Sequence[Channel], *, may_hum: bool = False) -> Noi
         return Noise(sigma, sigma, (), step, 0)
     drifts, floor = channels[0].drifts, max(step / math.sqrt(12.0), _floor(channels))
     found = _at_rest(windows, step, floor, drifts=drifts, shows_colour=shows_colour)
-    # Beside the noise that is left more of it may show.
+    # Beside the noise that is left, more of the hum shows, and more sharply.
     for _ in range(HUM_PASSES if may_hum and shows_colour and found.sigma > floor else 0):
-        windows, is_less = _without_hum(windows, found)
-        if not is_less:
-            break
-        found = _at_rest(windows, step, floor, drifts=drifts, shows_colour=shows_colour)
+        found = _at_rest(_without_hum(windows, found), step, floor, drifts=drifts, shows_colour=shows_colour)
     if step > COARSE * found.sigma:
         sigma = max(_spread_in_motion(channels, step), floor)
         return Noise(sigma, sigma, (), step, found.samples)
@@ -136,7 +138,8 @@ def estimate_noise(channels: Sequence[Channel], *, may_hum: bool = False) -> Noi
 
 def _at_rest(windows: Sequence[Window], step: float, floor: float, *, drifts: bool, shows_colour: bool) -> Noise:
     """The noise in windows: where a model has the drift of a signal, that is no noise; elsewhere it is."""
-    values = [_without_drift(own.values) if drifts else own.values - own.values.mean() for own in windows]
+    bases = [_drift(own.values) if drifts else _level(own.values) for own in windows]
+    values = [_less(own.values, basis) for own, basis in zip(windows, bases, strict=True)]
     samples = sum(map(len, values))
     spread = math.sqrt(sum(float(own @ own) for own in values) / max(1, samples - len(values)))
     if spread < floor:
@@ -144,13 +147,43 @@ def _at_rest(windows: Sequence[Window], step: float, floor: float, *, drifts: bo
     if step > COARSE * spread:
         return Noise(spread, spread, (), step, samples)
     if not shows_colour:
-        return _with_slow_part(Noise(spread, spread, (), step, samples), values, SHORT_WINDOW)
+        return _with_slow_part(Noise(spread, spread, (), step, samples), values, bases, SHORT_WINDOW)
     coefficients, innovation = _autoregression(values, samples)
-    return _with_slow_part(Noise(spread, innovation, coefficients, step, samples), values)
+    found = Noise(spread, innovation, coefficients, step, samples)
+    return _with_slow_part(_unbiased(found, [len(own) for own in values], drifts=drifts), values, bases)
 
 
-def _without_hum(windows: Sequence[Window], noise: Noise) -> tuple[list[Window], bool]:
-    """Windows less the harmonics of the mains that plainly show above the noise, and whether there are any.
+def _unbiased(noise: Noise, lengths: Sequence[int], *, drifts: bool) -> Noise:
+    """Coloured noise as it is before means and curves of windows are taken off, which take some of what is slow along.
+
+    Noise like the estimate is drawn in such windows and estimated again; what that misses of it, the estimate misses of
+    the truth (bootstrap; Efron and Tibshirani 1993, section 10.6).
+    """
+    if not noise.coefficients:
+        return noise
+    random, order = np.random.default_rng(DRAWS), len(noise.coefficients)
+    polynomial = np.concatenate([[1.0], -np.array(noise.coefficients)])
+    again = []
+    for _ in range(DRAWS):
+        drawn = [
+            lfilter([noise.innovation], polynomial, random.standard_normal(SETTLES + length))[SETTLES:]
+            for length in lengths
+        ]
+        values = [_less(own, _drift(own) if drifts else _level(own)) for own in drawn]
+        size = math.sqrt(sum(float(own @ own) for own in values) / max(1, sum(lengths) - len(values)))
+        coefficients, innovation = _autoregression(values, sum(lengths), order)
+        # Of the draws the mean square is known: that of what was drawn.
+        true = math.sqrt(sum(float(own @ own) for own in drawn) / sum(lengths))
+        again.append([*coefficients, innovation / noise.innovation, size / true])
+    *means, innovation, size = np.mean(again, axis=0).tolist()
+    unbiased = tuple(2.0 * own - mean for own, mean in zip(noise.coefficients, means, strict=True))
+    if np.max(np.abs(np.roots([1.0, *(-own for own in unbiased)]))) >= 1.0:
+        return noise
+    return replace(noise, coefficients=unbiased, innovation=noise.innovation / innovation, sigma=noise.sigma / size)
+
+
+def _without_hum(windows: Sequence[Window], noise: Noise) -> list[Window]:
+    """Windows less the harmonics of the mains that plainly show above the noise.
 
     All windows together say how large they are, since their phase is steady.
     """
@@ -175,8 +208,8 @@ def _without_hum(windows: Sequence[Window], noise: Noise) -> tuple[list[Window],
             break
         is_plain[[least, least + len(rates)]] = False
     if not is_plain.any():
-        return list(windows), False
-    return [own._replace(values=own.values - hum.waves(own.times - start, rates) @ size) for own in windows], True
+        return list(windows)
+    return [own._replace(values=own.values - hum.waves(own.times - start, rates) @ size) for own in windows]
 
 
 def _white_waves(window: Window, rates: Array, start: float, noise: Noise) -> tuple[Array, Array]:
@@ -205,7 +238,8 @@ def noise_of_residuals(pieces: Sequence[Array], guess: Noise) -> Noise:
     if spread <= floor or spread == 0.0:
         return guess
     coefficients, innovation = _autoregression(long, samples)
-    return _with_slow_part(Noise(spread, max(innovation, 1e-6 * spread), coefficients, guess.step, 0), long)
+    found = Noise(spread, max(innovation, 1e-6 * spread), coefficients, guess.step, 0)
+    return _with_slow_part(found, long, [_level(piece) for piece in long])
 
 
 def quiet_windows(channel: Channel, shortest: int = SHORTEST_WINDOW) -> list[Window]:
@@ -251,8 +285,13 @@ def _at_the_quieter_rest(windows: list[Window]) -> list[Window]:
     return quieter if _spread(louder) > PLAINLY_NOISIER * _spread(quieter) else windows
 
 
-def _without_drift(window: Array) -> Array:
-    """A window less a straight line or, where that plainly leaves a tail of what settles, a curve of third degree.
+def _level(window: Array) -> Array:
+    """(n, 1) of a window, whose mean is taken off."""
+    return np.full((len(window), 1), 1.0 / math.sqrt(len(window)))
+
+
+def _drift(window: Array) -> Array:
+    """(n, d) orthonormal curves that are taken off a window: a straight line, and more where it plainly settles.
 
     Over three time constants a cubic follows an exponential to half a percent of its height.
     """
@@ -263,7 +302,12 @@ def _without_drift(window: Array) -> Array:
     variance = float(left @ left) / max(1, len(window) - len(sizes))
     plain = np.flatnonzero(np.square(sizes) > PLAIN_DRIFT**2 * variance)
     degree = max(1, int(plain[-1]) if len(plain) else 0)
-    return np.asarray(window - basis[:, : degree + 1] @ sizes[: degree + 1])
+    return np.asarray(basis[:, : degree + 1])
+
+
+def _less(window: Array, basis: Array) -> Array:
+    """A window without what it has of orthonormal curves."""
+    return np.asarray(window - basis @ (basis.T @ window))
 
 
 def _spread(windows: Sequence[Window]) -> float:
@@ -331,24 +375,27 @@ def _floor(channels: Sequence[Channel]) -> float:
     return max(known, DIGITS * max(float(np.ptp(channel.data)) for channel in channels)) + 1e-15
 
 
-def _autoregression(windows: Sequence[Array], samples: int) -> tuple[tuple[float, ...], float]:
+def _autoregression(
+    windows: Sequence[Array], samples: int, order: int | None = None
+) -> tuple[tuple[float, ...], float]:
     """Coefficients and innovation by Burg's recursion over several windows (Burg 1975; Kay 1988, section 7.3).
 
-    The order is that of the smallest n ln P + 2 m ln n: Schwarz's criterion with twice its penalty, theory, eq. (23).
-    Schwarz's own takes 1 in 100 white noises of 2000 samples for coloured, this one fewer than 1 in 1000.
+    Where it is not given, the order is that of the smallest n ln P + 2 m ln n: Schwarz's criterion with twice its
+    penalty, theory, eq. (23). Schwarz's own takes 1 in 100 white noises of 2000 samples for coloured, this one fewer
+    than 1 in 1000.
     """
     reflections: list[float] = []
     power = sum(float(window @ window) for window in windows) / samples
     coefficients = np.empty(0)
     best = (samples * math.log(power), coefficients, power)
-    for order in range(1, LARGEST_ORDER + 1):
+    for count in range(1, (order or LARGEST_ORDER) + 1):
         sums = [_products(window, reflections) for window in windows]
         reflection = 2.0 * sum(product for product, _ in sums) / sum(squares for _, squares in sums)
         reflections.append(reflection)
         coefficients = np.concatenate([coefficients - reflection * coefficients[::-1], [reflection]])
         power *= 1.0 - reflection * reflection
-        score = samples * math.log(power) + 2.0 * order * math.log(samples)
-        if score < best[0]:
+        score = samples * math.log(power) + 2.0 * count * math.log(samples)
+        if score < best[0] or count == order:
             best = (score, coefficients.copy(), power)
     return tuple(float(value) for value in best[1]), math.sqrt(best[2])
 
@@ -368,20 +415,27 @@ def _products(window: Array, reflections: Sequence[float]) -> tuple[float, float
     return float(ahead @ behind), float(ahead @ ahead + behind @ behind)
 
 
-def _with_slow_part(noise: Noise, windows: Sequence[Array], block: int = BLOCK) -> Noise:
+def _with_slow_part(noise: Noise, windows: Sequence[Array], bases: Sequence[Array], block: int = BLOCK) -> Noise:
     """Noise whose innovation is larger by what noise slower than the autoregression adds to means over blocks."""
-    return replace(noise, innovation=noise.innovation * math.sqrt(_excess_of_means(noise, windows, block)))
+    return replace(noise, innovation=noise.innovation * math.sqrt(_excess_of_means(noise, windows, bases, block)))
 
 
-def _excess_of_means(noise: Noise, windows: Sequence[Array], block: int) -> float:
-    """Variance of block means over that of white noise, at least 1: theory, eq. (24). 1 where blocks are too few."""
-    means = []
-    for window in windows:
-        white = noise.whiten(window)
-        blocks = len(white) // block
-        means.extend(white[: blocks * block].reshape(blocks, block).mean(axis=1) * math.sqrt(block))
-    if len(means) < 10:
+def _excess_of_means(noise: Noise, windows: Sequence[Array], bases: Sequence[Array], block: int) -> float:
+    """Variance of block means over that of white noise, at least 1: theory, eq. (24). 1 where blocks are too few.
+
+    Curves that were taken off windows, (n, d) orthonormal each, took some of white noise along, too.
+    """
+    squares, expected, count = 0.0, 0.0, 0
+    for window, basis in zip(windows, bases, strict=True):
+        blocks = len(window) // block
+        if not blocks:
+            continue
+        white, whole = noise.whiten(window), slice(blocks * block)
+        squares += float(np.sum(np.square(white[whole].reshape(blocks, block).sum(axis=1)))) / block
+        expected += blocks - float(np.sum(np.square(basis[whole].reshape(blocks, block, -1).sum(axis=1)))) / block
+        count += blocks
+    if count < 10:
         return 1.0
-    ratio = float(np.mean(np.square(means)))
+    ratio = squares / expected
     # Chance alone gives a ratio within two standard errors of one.
-    return ratio if ratio > 1.0 + 2.0 * math.sqrt(2.0 / len(means)) else 1.0
+    return ratio if ratio > 1.0 + 2.0 * math.sqrt(2.0 / expected) else 1.0

@@ -317,13 +317,11 @@ class ValvePlant:
         return [IntervalFactors(self.valve, trace, index) for index, trace in enumerate(self.traces)]
 
     def sensors(self, values: Mapping[str, float]) -> dict[int, Sensor]:
-        """The position sensor of each trace; none of a valve with gas.
+        """The position sensor of each trace; the mount of one at a valve with gas does not ring.
 
         Raises:
             SimulationError: the simulation could not be carried to its end.
         """
-        if self.valve.gas is not None:
-            return {}
         found: dict[int, Sensor] = {}
         record, own_sheet = self._model.record(values), self.valve.tolerances.sensor
         shares = {"scale": own_sheet.gain, "bend": own_sheet.linearity}
@@ -334,7 +332,8 @@ class ValvePlant:
                 continue
             drive, late = drive_with(trace, index, values, self.valve), lateness_with(index, values)
             own = next(iter(self._channels_of(index)))
-            meet = NO_CONTACTS if self._is_watched else contacts(record, trace, drive, late)
+            is_calm = self._is_watched or self.valve.gas is not None
+            meet = NO_CONTACTS if is_calm else contacts(record, trace, drive, late)
             alike = next(iter(found), own) if self._is_watched else None
             # A stroke is two intervals, whenever its recording begins.
             knots = trace.drive.times[1:2] if self._is_watched else trace.drive.times
