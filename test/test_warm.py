@@ -56,6 +56,7 @@ def test_a_numba_that_was_not_tried_compiles_in_its_own_way(version: tuple[int, 
     assert ("pipeline_class" in linked(version)) is is_tried
 
 
+@pytest.mark.long
 def test_what_is_warm_compiles_nothing_and_what_is_not_says_so(tmp_path: Path) -> None:
     cache = tmp_path / "cache"
 

@@ -215,6 +215,7 @@ def test_a_healthy_valve_stays_healthy_with_spikes_and_dropouts(tmp_path: Path) 
     assert found.before.train_rmse == pytest.approx(1e-6, rel=0.03)
 
 
+@pytest.mark.long
 def test_a_missing_effect_is_named_with_spikes_and_dropouts() -> None:
     bad = spoilt(recorded(effects={"stop_bounce": {"restitution_stop": 0.2, "restitution_seat": 0.15}}))
     found = diagnosed(bad)

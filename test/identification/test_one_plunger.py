@@ -113,6 +113,7 @@ def test_arrivals_by_the_current_leave_the_gap_out() -> None:
     assert kinds <= {"reaches_stop", "reaches_seat"}
 
 
+@pytest.mark.long
 def test_diagnose_names_the_friction(rubbing: Path, tmp_path: Path) -> None:
     run("diagnose", rubbing, "--params", FILE, "--output", tmp_path)
     report = json.loads((tmp_path / "report.json").read_text())

@@ -121,6 +121,7 @@ def test_two_missing_effects_are_both_named() -> None:
     assert diagnosis.after.holdout_rmse < 1.1e-6
 
 
+@pytest.mark.long
 def test_the_outcome_does_not_depend_on_the_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     film = {"squeeze_film": {"coefficient": 5.0, "film_thickness": 3e-5}}
     monkeypatch.setattr(os, "cpu_count", lambda: 4)

@@ -73,6 +73,19 @@ def test_noise_slower_than_the_autoregression_makes_the_innovation_larger() -> N
     assert drifting.sigma == pytest.approx(1e-6 * math.hypot(1.0, 0.5), rel=0.1)
 
 
+def test_a_motion_that_bends_between_samples_is_no_noise_of_a_coarse_sensor() -> None:
+    """At 2 kHz a plunger moves by tens of micrometres from one sample to the next, and its velocity changes."""
+    random, times = np.random.default_rng(7), np.arange(4000) / 2e3
+    moves = (times % 0.1) < 0.03
+    position = np.where(moves, 4e-4 * (1.0 - np.cos(2.0 * np.pi * (times % 0.1) / 0.03)), 0.0)
+    step, sigma = 3e-6, 1e-6
+    readings = step * np.round((position + sigma * random.standard_normal(len(times))) / step)
+    channel = replace(still(readings), times=times, quiet=~moves)
+    noise = estimate_noise([channel])
+    assert noise.step == pytest.approx(step)
+    assert 1.0 < noise.sigma / math.hypot(sigma, step / math.sqrt(12.0)) < 1.3
+
+
 def rests(values: np.ndarray) -> list[Channel]:
     """Eight windows of 25 ms at 20 kHz, one stroke of 50 ms after the other."""
     return [

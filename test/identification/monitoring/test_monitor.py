@@ -115,6 +115,7 @@ def test_a_report_tells_the_stroke(commissioned: tuple[Monitor, LiveValve]) -> N
         assert low - (high - low) < truth < high + (high - low)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("colour", [0.0, 0.7])
 def test_friction_of_five_limits_is_found_within_five_strokes(colour: float) -> None:
     for seed in range(3):

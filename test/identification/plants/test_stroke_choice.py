@@ -84,6 +84,7 @@ def test_of_several_recordings_a_few_strokes_each() -> None:
     assert {recording for recording, _ in choice.chosen} == {0, 1, 2}
 
 
+@pytest.mark.long
 def test_the_missing_effect_is_found_in_some_of_many_strokes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stroke_choice, "MANY", 10_000)
     monkeypatch.setattr(stroke_choice, "ENOUGH", 1)

@@ -39,6 +39,8 @@ LARGEST_DEGREE: Final = 3
 """Of the drift of what settles."""
 PLAIN_DRIFT: Final = 5.0
 """Standard errors of a drift's curve, beyond which it is one: less may be slow noise."""
+HIDDEN: Final = 0.25
+"""Of a step: noise of this standard deviation takes one reading in twenty at rest to another code, less hides."""
 DRAWS: Final = 20
 """Of noise like the estimate, by which its bias is known to a quarter of its standard error."""
 SETTLES: Final = 200
@@ -131,7 +133,9 @@ def estimate_noise(channels: Sequence[Channel], *, may_hum: bool = False) -> Noi
     for _ in range(HUM_PASSES if may_hum and shows_colour and found.sigma > floor else 0):
         found = _at_rest(_without_hum(windows, found), step, floor, drifts=drifts, shows_colour=shows_colour)
     if step > COARSE * found.sigma:
-        sigma = max(_spread_in_motion(channels, step), floor)
+        # At a low rate the motion itself bends between samples, by more than a step can hide of noise.
+        most = math.hypot(step / math.sqrt(12.0), max(found.sigma, HIDDEN * step))
+        sigma = max(min(_spread_in_motion(channels, step), most), floor)
         return Noise(sigma, sigma, (), step, found.samples)
     return found
 
