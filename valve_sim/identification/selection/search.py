@@ -259,7 +259,9 @@ class Search:
         Beside a declared model that lacks something, learned errors imitate what it lacks, most of all numbers of the
         machine that vary from stroke to stroke; so there are none of these.
         """
-        plant, values = self.problem.plant, self.tried[()].fit.values
+        plant, found = self.problem.plant, self.tried[()].fit.values
+        # Columns that had the shape of what is left out would explain it in the machine's place.
+        values = {name: value for name, value in found.items() if name not in {own.name for own in learned.varying}}
         few = structured_noise(plant, values, {}, learned.unlearned())
         assert few is not None
         self._go_on_with(self.problem.with_errors(few.without_varying()))
