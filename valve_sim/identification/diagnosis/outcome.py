@@ -176,7 +176,7 @@ class Diagnosis:
         # Strokes that are held out within a recording have its errors.
         others = [] if held_out is None or held_out.problem.plant is self.plant else [held_out]
         for result in (self.after.fit, *others):
-            sources = {own.recording: own.name.rpartition(": ")[0] for own in result.problem.plant.channels}
+            sources = {own.recording: own.name.rpartition(": ")[0] or own.name for own in result.problem.plant.channels}
             for entry in recorded_errors(result):
                 found.setdefault(sources[entry.recording], []).append(entry)
         return {source: tuple(entries) for source, entries in found.items()}
