@@ -6,6 +6,8 @@ import functools
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from valve_sim.identification.diagnosis.experiment_design import Recommendation
 from valve_sim.identification.estimation.declared_values import DeclaredValue, declared_values, estimated_valve
 from valve_sim.identification.estimation.intervals import Interval
@@ -172,13 +174,17 @@ class Diagnosis:
     def recording(self) -> dict[str, tuple[RecordedError, ...]]:
         """The errors of each recording as the corrected model has them, by the recording's source."""
         found: dict[str, list[RecordedError]] = {}
-        held_out = self.after.holdout
+        done: set[tuple[int, int]] = set()
         # Strokes that are held out within a recording have its errors.
-        others = [] if held_out is None or held_out.problem.plant is self.plant else [held_out]
-        for result in (self.after.fit, *others):
-            sources = {own.recording: own.name.rpartition(": ")[0] or own.name for own in result.problem.plant.channels}
+        for result in (self.after.fit, *([] if self.after.holdout is None else [self.after.holdout])):
+            problem, plant = result.problem, result.problem.plant
+            sources = {own.recording: own.name.rpartition(": ")[0] or own.name for own in plant.channels}
+            seen = {own.recording for at, own in enumerate(plant.channels) if np.any(problem.weight(at) > 0.0)}
+            due = {own for own in seen if (id(plant), own) not in done}
             for entry in recorded_errors(result):
-                found.setdefault(sources[entry.recording], []).append(entry)
+                if entry.recording in due:
+                    found.setdefault(sources[entry.recording], []).append(entry)
+            done |= {(id(plant), own) for own in due}
         return {source: tuple(entries) for source, entries in found.items()}
 
     @property
