@@ -195,6 +195,11 @@ def _known_name(group: Group) -> str:
     return f"{group.error.name} {group.kind}".rstrip()
 
 
+def rests_often(channel: Channel) -> bool:
+    """Whether the machine is known to be still in most strokes: a single rest does not show how far a zero drifts."""
+    return 2 * len(np.unique(channel.group[channel.quiet])) > len(np.unique(channel.group))
+
+
 def seen_by(sensor: Sensor, channel: Channel, shown: Array, modes: tuple[Mode, ...]) -> Seen:
     """What the columns of a sensor's errors are made from.
 
@@ -235,7 +240,7 @@ def structured_noise(
     for index, sensor in sensors.items():
         channel = plant.channels[index]
         seen = seen_by(sensor, channel, shown[index], modes.get(index, ()))
-        shows_rest = sensor.is_true_at_rest and bool(channel.quiet.any())
+        shows_rest = sensor.is_true_at_rest and rests_often(channel)
         parts, owners = [], []
         for error in ERRORS:
             share = sensor.shares.get(error.name, error.share)

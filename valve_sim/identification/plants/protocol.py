@@ -387,7 +387,7 @@ class Sensor(NamedTuple):
         alike: the channel whose errors are as large, where recordings are strokes of one; None: its own.
         low: where its range begins, in the channel's unit.
         is_true_at_rest: whether the model is right while the machine is still, as where nothing moves: drift and hum
-            are then read there alone. Elsewhere, and where nothing rests, they are learned beside the motion.
+            are then read there alone, if it is still in most strokes. Else they are learned in motion, too.
     """
 
     span: float
@@ -403,7 +403,7 @@ class Sensor(NamedTuple):
 class HasSensors(Protocol):
     """A plant whose recordings err: sensors that drift, hum, bend and ring, and a machine that varies.
 
-    Both members are optional, and come together. What they say is part of every hypothesis, with sizes that are
+    The two members come together, or neither is there. What they say is part of every hypothesis, with sizes that are
     learned, and `predict` shows nothing of the sensors' errors.
     """
 
