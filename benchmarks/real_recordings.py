@@ -86,7 +86,9 @@ def table(machines: Sequence[Compared]) -> list[str]:
         _row("probability of something unnamed", [f"{own.verdict.unnamed:.3f}" for own in diagnoses]),
         _row("declared model, fitted / held out", [_errors(own, ()) for own in diagnoses]),
         _row("nearest names, fitted / held out", [_errors(own, own.verdict.effects) for own in diagnoses]),
-        _row("share of the squared error that they explain", [f"{own.verdict.share:.1%}" for own in diagnoses]),
+        _row(
+            "share of the squared error that they explain", [f"{100.0 * own.verdict.share:.1f} %" for own in diagnoses]
+        ),
     ]
     kinds = [_by_title(own.errors) for own in machines]
     for title in dict.fromkeys(title for own in kinds for title in own):
