@@ -257,6 +257,16 @@ def test_drift_is_read_at_rest_only_where_the_model_is_right_there_and_most_stro
         assert not any(own.is_read for own in rarely.with_read(rarely.sizes).groups)
 
 
+def test_strokes_whose_errors_are_alike_share_them_whether_they_rest_or_not() -> None:
+    plant = two_alike()
+    first, second = plant.channels
+    plant.channels = (first, replace(second, quiet=np.zeros_like(second.quiet)))
+    found = structured_noise(plant, {}, {})
+    assert found is not None
+    assert [own.error.name for own in found.groups] == ["zero", "drift", "scale", "bend", "stroke_variation"]
+    assert [own.key for own in found.groups] == [0, 0, 0, 0, "gain[0]"]
+
+
 def spoilt(**members: Any) -> Lag:
     plant = Lag(np.zeros(CYCLES * CYCLE))
     for name, value in members.items():
@@ -266,6 +276,15 @@ def spoilt(**members: Any) -> Lag:
 
 def with_sensor(**changes: Any) -> Lag:
     return spoilt(_sensors={0: SENSOR._replace(**changes)})
+
+
+def two_alike(**changes: Any) -> Lag:
+    plant = Lag(np.zeros(CYCLES * CYCLE))
+    (channel,) = plant.channels
+    plant.channels = (channel, replace(channel, recording=1))
+    plant._sensors = {0: SENSOR, 1: SENSOR._replace(alike=0, **changes)}
+    plant.predict = lambda values: [channel.data, channel.data]
+    return plant
 
 
 VARIED = group_variations(Lag(np.zeros(CYCLES * CYCLE)).channels, {"gain": 0.05})[0]
@@ -293,6 +312,7 @@ VARIED = group_variations(Lag(np.zeros(CYCLES * CYCLE)).channels, {"gain": 0.05}
         (with_sensor(shares={"bend": -1.0}), "Lag.sensors({})[0].shares['bend']: found -1.0, expected a number from 0"),
         (with_sensor(shares=0.1), "Lag.sensors({})[0].shares: found 0.1, expected a mapping"),
         (with_sensor(alike=3), "Lag.sensors({})[0].alike: found 3, expected the channel of a sensor"),
+        (two_alike(span=2.0), "Lag.sensors({})[1].alike: found a sensor of another span or other shares than that of"),
         (spoilt(varying=None), "Lag.varying: found None, expected a tuple or list, or ()"),
         (spoilt(varying=("gain",)), "Lag.varying[0]: found str, expected a Nuisance"),
         (spoilt(varying=(VARIED._replace(error="drift"),)), "found error 'drift', expected one of supply, stroke_"),

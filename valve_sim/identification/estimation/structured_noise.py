@@ -240,13 +240,13 @@ def structured_noise(
     for index, sensor in sensors.items():
         channel = plant.channels[index]
         seen = seen_by(sensor, channel, shown[index], modes.get(index, ()))
-        shows_rest = sensor.is_true_at_rest and rests_often(channel)
+        key = index if sensor.alike is None else sensor.alike
+        shows_rest = sensor.is_true_at_rest and rests_often(plant.channels[key])
         parts, owners = [], []
         for error in ERRORS:
             share = sensor.shares.get(error.name, error.share)
             own = np.empty((0, 0)) if error.columns is None or share == 0.0 else error.columns(seen)
             if own.shape[1]:
-                key = index if sensor.alike is None else sensor.alike
                 group = Group(key, error, share * sensor.span, span=sensor.span, shows_rest=shows_rest)
                 if group not in groups:
                     groups.append(group)

@@ -396,6 +396,13 @@ def _problems_of_sensor(sensor: Sensor, sensors: Mapping[int, Sensor]) -> Iterat
             yield f"shares[{error!r}]: found {share!r}, expected a number from 0 on"
     if sensor.alike is not None and sensor.alike not in sensors:
         yield f"alike: found {sensor.alike!r}, expected the channel of a sensor"
+    elif sensor.alike is not None and _scales(sensor) != _scales(sensors[sensor.alike]):
+        yield f"alike: found a sensor of another span or other shares than that of channel {sensor.alike}"
+
+
+def _scales(sensor: Sensor) -> tuple[float, dict[str, float]]:
+    """What the priors of a sensor's errors rest on."""
+    return sensor.span, dict(sensor.shares)
 
 
 def _check_force_maps(name: str, plant: Plant) -> None:
