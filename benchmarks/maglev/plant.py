@@ -32,7 +32,9 @@ from valve_sim.identification.plants.protocol import (
     Experiment,
     ForceMap,
     Nuisance,
+    Sensor,
 )
+from valve_sim.identification.plants.variation import group_factors, group_variations
 from valve_sim.model import Parameter
 from valve_sim.model.compiling import compiled
 
@@ -57,6 +59,8 @@ BASE: Final = {
     ),
 }
 """Declared by its prior scale: 11.66 V by the owners' voltmeter over 4.17 Ω."""
+VARIES: Final = "supply_current"
+"""What varies from record to record: the current at full voltage, as a warmer coil and the mains let it."""
 EFFECTS: Final = {
     "motional_emf": (
         Parameter("inductance", "s", "what inductance over resistance gains up to contact", 0.0, 1.0, 0.01, off=0.0),
@@ -127,6 +131,8 @@ class MagnetPlant:
 
     Args:
         records: of one magnet. One with a jump is compared around it, one without from its first step on.
+        sensor: the errors of the current; None: there are none.
+        variation: scale of the prior of how much `VARIES` varies from record to record; 0: it does not.
     """
 
     base: Sequence[str] = tuple(BASE)
@@ -143,13 +149,21 @@ class MagnetPlant:
         "Record next: jumps from distances not used yet",
     )
 
-    def __init__(self, records: Sequence[MagnetRecord]) -> None:
+    def __init__(self, records: Sequence[MagnetRecord], sensor: Sensor | None = None, variation: float = 0.0) -> None:
         self.records = tuple(records)
         self._spans = [compared(record) for record in records]
         self.channels: Sequence[Channel] = tuple(
             _channel(record, span, number)
             for number, (record, span) in enumerate(zip(records, self._spans, strict=True))
         )
+        self._sensors = {} if sensor is None else dict.fromkeys(range(len(records)), sensor)
+        self.varying: Sequence[Nuisance] = (
+            group_variations(self.channels, {VARIES: variation}) if variation > 0.0 else ()
+        )
+
+    def sensors(self, values: Mapping[str, float]) -> Mapping[int, Sensor]:
+        """That of the current, the same for each record, where its errors were said."""
+        return self._sensors
 
     def parameter(self, name: str) -> Parameter:
         """Unit and range of a declared value or `<effect>.<parameter>`.
@@ -166,10 +180,12 @@ class MagnetPlant:
     def predict(self, values: Mapping[str, float]) -> list[Array]:
         """The current, A, at each channel's times: (1) from the beginning of the record on, where there is none."""
         magnet = Magnet.of(values)
-        return [
-            _current(magnet, record.duty[: span.stop], record.distance[: span.stop], record.interval)[span]
-            for record, span in zip(self.records, self._spans, strict=True)
-        ]
+        shown = []
+        for record, span, channel in zip(self.records, self._spans, self.channels, strict=True):
+            factor = float(group_factors(channel, VARIES, values)[0])
+            own = magnet._replace(supply_current=factor * magnet.supply_current)
+            shown.append(_current(own, record.duty[: span.stop], record.distance[: span.stop], record.interval)[span])
+        return shown
 
 
 def compared(record: MagnetRecord) -> slice:

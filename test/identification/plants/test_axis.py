@@ -1,6 +1,7 @@
 """The same diagnosis on another machine: a force-driven axis, made up here and measured by others (EMPS)."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from scipy.io import savemat
 from benchmarks import emps
 from valve_sim.identification.diagnosis.run import diagnose_plant
 from valve_sim.identification.plants.axis import AxisPlant, AxisRecord
+from valve_sim.identification.plants.protocol import Sensor
 from valve_sim.model import ValveError
 
 RATE = 1000.0
@@ -142,3 +144,34 @@ def test_a_file_without_the_force_is_refused(tmp_path: Path):
     savemat(path, {"t": np.zeros(3), "qm": np.zeros(3)})
     with pytest.raises(ValveError, match="holds no variable vir"):
         emps.read_emps(path)
+
+
+@pytest.mark.parametrize(("friction", "lacks"), [(0.0, set()), (8.0, {"coulomb_friction", "stiction"})])
+def test_a_force_that_drifts_is_no_unnamed_effect_where_the_plant_says_that_it_may(friction, lacks):
+    record = made_up_record(lambda v: friction, 0.0, seed=1)
+    steps = np.random.default_rng(6).standard_normal(len(record.times))
+    record = replace(record, force=record.force + 0.5 * np.cumsum(steps) / math.sqrt(4.0 * RATE))
+    assert diagnose_plant(AxisPlant(record), None).verdict.kind == "unknown"
+    sensor = Sensor(100.0, low=-50.0, shares={"hum": 0.0}, is_true_at_rest=False)
+    found = diagnose_plant(AxisPlant(record, sensor=sensor, variation=0.05), None)
+    assert found.verdict.kind == ("effects" if lacks else "none")
+    assert set(found.verdict.effects) <= lacks
+    (errors,) = found.recording.values()
+    drift = next(own for own in errors if own.error == "drift")
+    assert drift.probability > 0.99
+    assert drift.low < 0.5 < drift.high
+
+
+def test_friction_that_varies_is_that_of_its_own_out_and_back():
+    plant = AxisPlant(made_up_record(lambda v: 8.0, 3.0), variation=0.05)
+    values = {"viscous_friction": 100.0, "coulomb_friction.force": 8.0, "constant_force.force": 3.0}
+    stronger = {**values, "viscous_friction": 110.0, "coulomb_friction.force": 8.8}
+    (channel,), third = plant.channels, plant.varying[2]
+    (as_usual,), (varied,) = plant.predict(values), plant.predict({**values, third.name: 0.1})
+    (with_more,) = plant.predict(stronger)
+    within = (channel.times > third.during[0] + 0.2) & (channel.times < third.during[1] - 0.2)
+    without = (channel.times < third.during[0] - 0.2) | (channel.times > third.during[1] + 0.2)
+    # The filter of the decimation rings on from the edges of the out-and-back.
+    np.testing.assert_allclose(varied[within], with_more[within], atol=2e-3)
+    np.testing.assert_allclose(varied[without], as_usual[without], atol=2e-3)
+    assert np.max(np.abs(varied - as_usual)[within]) > 1.0

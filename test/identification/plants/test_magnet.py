@@ -13,6 +13,7 @@ from benchmarks.maglev import report
 from benchmarks.maglev.force import lift_of, pull
 from benchmarks.maglev.plant import DEAD_BAND, EFFECTS, MagnetPlant
 from benchmarks.maglev.records import DEFAULT, MagnetRecord, read_jumps, read_record, records_in
+from benchmarks.real_recordings import CURRENT_SENSOR, CURRENT_VARIES
 from valve_sim.identification.diagnosis.run import diagnose_plant
 from valve_sim.model import ValveError
 
@@ -157,6 +158,23 @@ def test_what_a_rig_has_and_nothing_else_is_named(rig, missing):
     if "coil_heating" in missing:
         found = diagnosis.after.fit.values["coil_heating.temperature_rate"]
         assert found == pytest.approx(rig.warming, rel=0.1)
+
+
+@pytest.mark.parametrize("rig", [magnet.Rig(), magnet.Rig(lifting=0.0)], ids=["motional EMF", "nothing missing"])
+def test_a_current_sensor_that_drifts_is_no_unnamed_effect_where_the_plant_says_that_it_may(rig):
+    records = []
+    for seed, record in enumerate(rig_records(rig), start=50):
+        random = np.random.default_rng(seed)
+        gain = 1.0 + 0.01 * random.standard_normal()
+        drift = 0.02 * np.cumsum(random.standard_normal(len(record.times))) / math.sqrt(400.0)
+        records.append(replace(record, current=gain * record.current + drift))
+    assert diagnose_plant(MagnetPlant(records), None).verdict.kind == "unknown"
+    found = diagnose_plant(MagnetPlant(records, CURRENT_SENSOR, CURRENT_VARIES), None)
+    missing = ("motional_emf",) if rig.lifting else ()
+    assert (found.verdict.kind, found.verdict.effects) == ("effects" if missing else "none", missing)
+    # Jumps that were held out have errors of their own, once.
+    assert sorted(found.recording) == [f"rig_{seed}" for seed in range(len(STARTS))]
+    assert all(len({own.error for own in errors}) == len(errors) for errors in found.recording.values())
 
 
 def test_the_lift_is_found_where_the_pull_is_the_weight(made_up):

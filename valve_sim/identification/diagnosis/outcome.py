@@ -171,10 +171,7 @@ class Diagnosis:
     @functools.cached_property
     def recording(self) -> dict[str, tuple[RecordedError, ...]]:
         """The errors of each recording as the corrected model has them, by the recording's source."""
-        held_out = self.after.holdout
-        # Strokes that are held out within a recording have its errors.
-        others = [] if held_out is None or held_out.problem.plant is self.plant else [held_out]
-        return by_recording([self.after.fit, *others])
+        return by_recording([self.after.fit, *([] if self.after.holdout is None else [self.after.holdout])])
 
     @property
     def declared(self) -> tuple[DeclaredValue, ...]:

@@ -66,7 +66,8 @@ class Linearised:
         nothing = np.empty((len(left), 0)), np.empty(0, dtype=np.intp)
         columns, owners = nothing if errors is None else errors.dense(len(left))
         self.sizes = np.empty(0) if errors is None else errors.noise.sizes
-        self._rows = (jacobian, moved, columns, left[:, None])
+        # What errors add to a sensor, residuals have less.
+        self._rows = (jacobian, moved, -columns, left[:, None])
         self._room = np.vstack([result.room, np.full((self._moved, 2), math.inf)])
         # Of a fit's coordinates and of the columns of errors after them: the group that the size of each is of.
         numbers = {} if errors is None else errors.noise.numbers
@@ -82,7 +83,7 @@ class Linearised:
         return whole if self._errors is None else self._sized(sizes).whiten(whole)
 
     def with_columns(self) -> Array:
-        """(r, k + q + 1) derivatives, columns of errors and residuals, not whitened for these."""
+        """(r, k + q + 1) derivatives, those along coefficients of errors, and residuals, not whitened for errors."""
         return np.hstack(self._rows)
 
     def log_constant(self, sizes: Array) -> float:
@@ -299,9 +300,7 @@ class BySizes:
         factor, moves, scale, *_ = self._solved(sizes)
         own = self._places[self._owners == number]
         covariance = cho_solve(factor, np.eye(len(scale))[:, own], check_finite=False)[own]
-        # A residual is measured less predicted: columns are of what is measured, derivatives of what is left.
-        sign = 1.0 if self._groups[number].is_of_machine else -1.0
-        return sign * moves[own] * scale[own], covariance * np.outer(scale[own], scale[own])
+        return moves[own] * scale[own], covariance * np.outer(scale[own], scale[own])
 
     def costs_of(self, sizes: Array, number: int, at: Array) -> Array:
         """(n,) costs of a group at (n,) sizes, all others kept.

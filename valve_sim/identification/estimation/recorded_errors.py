@@ -20,6 +20,7 @@ from valve_sim.identification.estimation.linearised import BySizes, Linearised
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.structured_noise import GONE, Group, StructuredNoise, shown_by
 from valve_sim.identification.plants.protocol import Array, Channel
+from valve_sim.identification.plants.variation import stroke_of
 
 POINTS: Final = 40
 """Of the grid of a size, evenly spaced in the logarithm."""
@@ -95,12 +96,21 @@ def recorded_errors(result: Fit) -> tuple[RecordedError, ...]:
 
 
 def by_recording(results: Iterable[Fit]) -> dict[str, tuple[RecordedError, ...]]:
-    """The errors of the recordings of some fits, by the recording's source."""
+    """The errors of the recordings of some fits, by the recording's source.
+
+    Of a recording of which several fits have a part, strokes that are held out say, they are as the first one has them.
+    """
     found: dict[str, list[RecordedError]] = {}
+    done: set[tuple[int, int]] = set()
     for result in results:
-        sources = {own.recording: own.name.rpartition(": ")[0] for own in result.problem.plant.channels}
+        problem, plant = result.problem, result.problem.plant
+        sources = {own.recording: own.name.rpartition(": ")[0] or own.name for own in plant.channels}
+        seen = {own.recording for at, own in enumerate(plant.channels) if np.any(problem.weight(at) > 0.0)}
+        due = {own for own in seen if (id(plant), own) not in done}
         for entry in recorded_errors(result):
-            found.setdefault(sources[entry.recording], []).append(entry)
+            if entry.recording in due:
+                found.setdefault(sources[entry.recording], []).append(entry)
+        done |= {(id(plant), own) for own in due}
     return {source: tuple(entries) for source, entries in found.items()}
 
 
@@ -147,9 +157,8 @@ def _of_sizes(result: Fit) -> Iterator[RecordedError]:
             found = _found(by_sizes, sizes, number, group)
         else:
             found = _Found(0.0, 0.0, 0.0, GONE * group.scale, 0.0)
-        if group.error.is_known:
-            span = group.scale / group.error.share
-            found, unit = found.over(span), "–"
+        if group.error.is_relative:
+            found, unit = found.over(group.span), "–"
         yield _pictured(_entry(recording, group.error.name, found, unit, _detail(group, noise)), result, group)
 
 
@@ -198,7 +207,7 @@ def _pictured(entry: RecordedError, result: Fit, group: Group) -> RecordedError:
         if len(own) < 2:
             return entry
         values = np.array([result.values[one.name] for one in own])
-        strokes = np.array([float(one.name.split(",")[1]) + 1.0 for one in own])
+        strokes = np.array([float(stroke_of(one.name)) + 1.0 for one in own])
         return replace(entry, at=strokes, shown=values, over="stroke")
     channel = result.problem.plant.channels[group.key]
     shown = shown_by(noise, result.recording, [group.error.name])[group.key]

@@ -16,12 +16,12 @@ from typing import Final
 
 import numpy as np
 
-from valve_sim.identification.estimation.errors.error import Mode, Seen
+from valve_sim.identification.estimation.errors.error import Mode
 from valve_sim.identification.estimation.errors.ringing import columns, grid, refined
 from valve_sim.identification.estimation.linearised import Linearised
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
-from valve_sim.identification.estimation.structured_noise import StructuredNoise, structured_noise
+from valve_sim.identification.estimation.structured_noise import StructuredNoise, seen_by, structured_noise
 from valve_sim.identification.plants.protocol import HasSensors, Sensor
 
 MOST_ROUNDS: Final = 4
@@ -97,7 +97,10 @@ def with_forgotten_errors(problem: Problem, values: Mapping[str, float]) -> Prob
         problem: with learned errors. values: by which its machine is simulated.
     """
     assert problem.errors is not None
-    few = structured_noise(problem.plant, values, {}, problem.errors.unlearned())
+    # Columns that had the shape of what is left out would explain it in the machine's place.
+    varying = {own.name for own in problem.errors.varying}
+    kept = {name: value for name, value in values.items() if name not in varying}
+    few = structured_noise(problem.plant, kept, {}, problem.errors.unlearned())
     assert few is not None
     return problem.with_errors(few.without_varying())
 
@@ -189,8 +192,7 @@ def _gain_of_modes(result: Fit, channel: int, sensor: Sensor) -> Callable[[Mode]
     inverse = np.linalg.inv(information * np.outer(scale, scale) + 1e-12 * np.eye(len(scale))) * np.outer(scale, scale)
 
     def gain(mode: Mode) -> float:
-        seen = Seen(own.times, shown, sensor.span, sensor.knots, sensor.contacts, (mode,))
-        waves = columns(seen)
+        waves = columns(seen_by(sensor, own, shown, (mode,)))
         where, found = problem.rows.whitened_columns({channel: waves})[channel]
         moved = np.zeros((len(left), waves.shape[1]))
         moved[where] = found

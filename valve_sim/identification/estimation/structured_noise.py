@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from valve_sim.identification.estimation.errors import ERRORS
 from valve_sim.identification.estimation.errors.error import LARGEST, SMALLEST, Mode, RecordingError, Seen
 from valve_sim.identification.estimation.gram import gram
-from valve_sim.identification.plants.protocol import Array, HasSensors, Nuisance, Plant
+from valve_sim.identification.plants.protocol import Array, Channel, HasSensors, Nuisance, Plant, Sensor
 
 HELD: Final = 0.3
 """Of the scale of its prior, the size of an error before the data are asked."""
@@ -41,6 +41,7 @@ class Group(NamedTuple):
         scale: of the prior of the size, in the unit of the coefficients.
         is_read: whether the size has been read at rest, and is not learned any more.
         is_held: whether the size is known from elsewhere.
+        span: range of the channel, in its unit. shows_rest: whether the size can be read at rest.
     """
 
     key: int | str
@@ -48,6 +49,8 @@ class Group(NamedTuple):
     scale: float
     is_read: bool = False
     is_held: bool = False
+    span: float = 1.0
+    shows_rest: bool = True
 
     @property
     def is_learned(self) -> bool:
@@ -158,7 +161,7 @@ class StructuredNoise:
 
     def with_read(self, sizes: Array) -> StructuredNoise:
         """The same with the sizes of errors that are read at rest, (g,), which are not learned any more."""
-        is_read = [own.error.at_rest and not own.is_held for own in self.groups]
+        is_read = [own.error.at_rest and own.shows_rest and not own.is_held for own in self.groups]
         groups = tuple(own._replace(is_read=read) for own, read in zip(self.groups, is_read, strict=True))
         return replace(self, groups=groups, sizes=np.where(is_read, sizes, self.sizes))
 
@@ -192,6 +195,25 @@ def _known_name(group: Group) -> str:
     return f"{group.error.name} {group.kind}".rstrip()
 
 
+def rests_often(channel: Channel) -> bool:
+    """Whether the machine is known to be still in most strokes: a single rest does not show how far a zero drifts."""
+    return 2 * len(np.unique(channel.group[channel.quiet])) > len(np.unique(channel.group))
+
+
+def seen_by(sensor: Sensor, channel: Channel, shown: Array, modes: tuple[Mode, ...]) -> Seen:
+    """What the columns of a sensor's errors are made from.
+
+    Args:
+        sensor: whose. channel: what it has recorded. shown: (n,) what the model shows there. modes: of its mount.
+    """
+    knots = sensor.knots
+    if knots is None:
+        begins = channel.times[np.unique(channel.group, return_index=True)[1]]
+        edges = np.sort(np.append(begins, channel.times[-1:]))
+        knots = np.sort(np.concatenate([edges, 0.5 * (edges[1:] + edges[:-1])]))
+    return Seen(channel.times, shown, sensor.span, knots, sensor.contacts, modes, sensor.low)
+
+
 def structured_noise(
     plant: Plant,
     values: Mapping[str, float],
@@ -217,18 +239,21 @@ def structured_noise(
     columns: dict[int, ChannelColumns] = {}
     for index, sensor in sensors.items():
         channel = plant.channels[index]
-        seen = Seen(channel.times, shown[index], sensor.span, sensor.knots, sensor.contacts, modes.get(index, ()))
+        seen = seen_by(sensor, channel, shown[index], modes.get(index, ()))
+        key = index if sensor.alike is None else sensor.alike
+        shows_rest = sensor.is_true_at_rest and rests_often(plant.channels[key])
         parts, owners = [], []
         for error in ERRORS:
             share = sensor.shares.get(error.name, error.share)
             own = np.empty((0, 0)) if error.columns is None or share == 0.0 else error.columns(seen)
             if own.shape[1]:
-                group = Group(index if sensor.alike is None else sensor.alike, error, share * sensor.span)
+                group = Group(key, error, share * sensor.span, span=sensor.span, shows_rest=shows_rest)
                 if group not in groups:
                     groups.append(group)
                 owners += [groups.index(group)] * own.shape[1]
                 parts.append(own)
-        columns[index] = ChannelColumns(np.hstack(parts), np.array(owners, dtype=np.intp))
+        if parts:
+            columns[index] = ChannelColumns(np.hstack(parts), np.array(owners, dtype=np.intp))
     errors = {error.name: error for error in ERRORS}
     for nuisance in plant.varying:
         group = Group(nuisance.group, errors[nuisance.error], nuisance.sigma)

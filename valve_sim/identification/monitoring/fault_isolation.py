@@ -23,10 +23,10 @@ from valve_sim.identification.monitoring.lift_times import starts_by_lift
 from valve_sim.identification.monitoring.scores import FINEST, Baseline
 from valve_sim.identification.plants.commissioned import CommissionedPlant
 from valve_sim.identification.plants.effect_titles import WRONG
-from valve_sim.identification.plants.interval_factors import VARIATION
 from valve_sim.identification.plants.protocol import Plant
 from valve_sim.identification.plants.tolerances import hypothesis_of
 from valve_sim.identification.plants.valve import DAMPINGS
+from valve_sim.identification.plants.variation import VARIATION
 from valve_sim.model import Drive
 from valve_sim.traces import Signal, Trace
 

@@ -36,12 +36,12 @@ from valve_sim.identification.estimation.structured_noise import structured_nois
 from valve_sim.identification.monitoring.command_timing import UNINFORMATIVE
 from valve_sim.identification.monitoring.stroke_delays import rough_shifts, start_before
 from valve_sim.identification.plants.commissioned import Commissioned, CommissionedCurrent, commission_current
-from valve_sim.identification.plants.interval_factors import VARIATION
 from valve_sim.identification.plants.protocol import Array, Nuisance, perturbed
 from valve_sim.identification.plants.recording_errors import CLOCK_SIGMA
 from valve_sim.identification.plants.root_mean_square import root_mean_square
 from valve_sim.identification.plants.valve import DAMPINGS, ValvePlant, dampings_of
 from valve_sim.identification.plants.valve_sensors import as_it_began
+from valve_sim.identification.plants.variation import VARIATION
 from valve_sim.identification.selection.residual_tests import moving_residuals
 from valve_sim.model import EXACT, SimulationError, Valve, simulate
 from valve_sim.model.parameters import Parameter

@@ -25,8 +25,17 @@ from scipy import ndimage, signal
 
 from valve_sim.files.parameter_files import off_value
 from valve_sim.identification.plants.force_map_choice import force_map_over
-from valve_sim.identification.plants.protocol import Array, Channel, EffectChoice, Experiment, ForceMap, Nuisance
+from valve_sim.identification.plants.protocol import (
+    Array,
+    Channel,
+    EffectChoice,
+    Experiment,
+    ForceMap,
+    Nuisance,
+    Sensor,
+)
 from valve_sim.identification.plants.root_mean_square import root_mean_square
+from valve_sim.identification.plants.variation import group_variations, variation_name
 from valve_sim.model import CATALOGUE, DECLARED, Parameter, Phase, Tag
 from valve_sim.model.compiling import compiled
 from valve_sim.model.effects import new_record
@@ -52,6 +61,8 @@ BASE: Final = {
     "viscous_friction": Parameter("viscous_friction", "N·s/m", "against motion", 0.0, 1e6, 100.0),
 }
 _CORE_NAMES: Final = {"mass": "pilot_mass", "viscous_friction": "pilot_damping"}
+FRICTION: Final = "friction"
+"""What varies from one out-and-back to the next: viscous friction, and forces of effects that dissipate."""
 _FREE_PHASE: Final = int(Phase.PILOT)
 _MAP_VARIABLES: Final = ("x", "v", "t", "x·v", "t·v")
 
@@ -103,21 +114,32 @@ class AxisPlant:
     Args:
         record: what was measured.
         declared: mass and viscous friction that a fit starts from.
+        sensor: the errors of the force; None: there are none.
+        variation: scale of the prior of how much friction varies from one out-and-back to the next; 0: it does not.
     """
 
-    def __init__(self, record: AxisRecord, declared: Mapping[str, float] | None = None) -> None:
+    def __init__(
+        self,
+        record: AxisRecord,
+        declared: Mapping[str, float] | None = None,
+        sensor: Sensor | None = None,
+        variation: float = 0.0,
+    ) -> None:
         self.record = record
+        self._sensors = {} if sensor is None else {0: sensor}
         self.motion = Motion.of(record)
         self._declared = {name: parameter.prior_scale for name, parameter in BASE.items()} | dict(declared or {})
         self._edge = math.ceil(EDGE * record.rate / DECIMATION)
         force = self._decimated(record.force)
         times = record.times[::DECIMATION][self._edge : self._edge + len(force)]
+        self._groups = _repetitions(self.motion)
         self._channels = (
             Channel(
                 f"{record.source}: force", "force", times, force, self._thinned(self._cruises()),
-                self._thinned(_repetitions(self.motion)), "N",
+                self._thinned(self._groups), "N",
             ),
         )  # fmt: skip
+        self._varying = group_variations(self._channels, {FRICTION: variation}) if variation > 0.0 else ()
         self._size = root_mean_square(force)
         fastest = float(np.max(np.abs(self.motion.velocity)))
         expected = EXPECTED_SHARE * self._size
@@ -142,6 +164,15 @@ class AxisPlant:
     def timing_errors(self) -> Sequence[Nuisance]:
         """None: there are no commands."""
         return ()
+
+    @property
+    def varying(self) -> Sequence[Nuisance]:
+        """Friction, by out-and-back, where it was said to vary."""
+        return self._varying
+
+    def sensors(self, values: Mapping[str, float]) -> Mapping[int, Sensor]:
+        """That of the force, where its errors were said."""
+        return self._sensors
 
     @property
     def effects(self) -> Mapping[str, EffectChoice]:
@@ -187,11 +218,29 @@ class AxisPlant:
 
     def predict(self, values: Mapping[str, float]) -> list[Array]:
         """The force that (1) asks for, N, at the channel's times."""
-        motion = self.motion
-        force = _drive_force(
-            self._axis(values), motion.position, motion.velocity, motion.acceleration, self.record.times
-        )
+        force = self._force(values, np.ones(len(self._groups), dtype=bool))
+        for number in np.unique(self._groups).tolist():
+            deviation = values.get(variation_name(0, number, FRICTION), 0.0)
+            if deviation:
+                own = self._groups == number
+                force[own] = self._force(self._with_friction(values, 1.0 + deviation), own)
         return [self._decimated(force)]
+
+    def _force(self, values: Mapping[str, float], own: NDArray[np.bool_]) -> Array:
+        """The force that (1) asks for, N, at some samples of the record."""
+        motion = self.motion
+        columns = (motion.position, motion.velocity, motion.acceleration, self.record.times)
+        return np.asarray(_drive_force(self._axis(values), *(column[own] for column in columns)))
+
+    def _with_friction(self, values: Mapping[str, float], factor: float) -> dict[str, float]:
+        """The same values with so many times the friction."""
+        found = dict(values)
+        found["viscous_friction"] = factor * values.get("viscous_friction", self._declared["viscous_friction"])
+        for name in values:
+            effect, dot, _ = name.partition(".")
+            if dot and Tag.DISSIPATIVE in CATALOGUE[effect].tags and self.parameter(name).unit in self._scales:
+                found[name] = factor * values[name]
+        return found
 
     def residual_share(self, values: Mapping[str, float]) -> float:
         """Norm of the force residual over the norm of the force: the figure that Janot et al. publish."""

@@ -14,15 +14,22 @@ from typing import Any, Final, get_args
 import numpy as np
 
 from valve_sim.identification.plants.protocol import (
+    MACHINE_ERRORS,
+    SENSOR_ERRORS,
     Array,
     Channel,
+    Contacts,
     EffectChoice,
     ForceMap,
+    HasSensors,
     Nuisance,
     Plant,
     Role,
+    Sensor,
     perturbed,
+    varying_of,
 )
+from valve_sim.identification.plants.variation import VARIATION, stroke_of
 from valve_sim.model.errors import SimulationError, ValveError
 from valve_sim.model.parameters import Parameter
 from valve_sim.traces.checking import problem_of_column, problem_of_order
@@ -30,6 +37,8 @@ from valve_sim.traces.checking import problem_of_column, problem_of_order
 MEMBERS: Final = ("channels", "base", "nuisances", "timing_errors", "effects", "force_maps", "experiments")
 """What every plant has, beside `FUNCTIONS`."""
 FUNCTIONS: Final = ("parameter", "declared", "predict")
+OF_RECORDINGS: Final = ("sensors", "varying")
+"""What a plant has whose recordings err, both or none."""
 COLUMNS: Final = ("times", "data")
 
 Check = Callable[[], None]
@@ -60,7 +69,7 @@ def check_plant(plant: Plant, after_declared: Check = lambda: None) -> None:
     if missing:
         raise PlantError(f"{name}: has no {missing[0]}, which every plant has; see docs/how_to/your_own_plant.md")
     try:
-        for check in (_check_channels, _check_effects, _check_base, _check_nuisances, _check_force_maps):
+        for check in CHECKS:
             check(name, plant)
     except ValveError:
         raise
@@ -69,6 +78,8 @@ def check_plant(plant: Plant, after_declared: Check = lambda: None) -> None:
         raise PlantError(f"{name}: its members cannot be read as a Plant's: {_raised(error)}") from error
     with named_interrupts(plant):
         _check_predictions(plant, after_declared)
+        if isinstance(plant, HasSensors):
+            _check_sensors(name, plant, plant)
 
 
 def checked_prediction(plant: Plant, values: Mapping[str, float]) -> list[Array]:
@@ -278,8 +289,9 @@ def _check_nuisances(name: str, plant: Plant) -> None:
     for member in ("nuisances", "timing_errors", "force_maps", "experiments"):
         if not isinstance(getattr(plant, member), Sequence):
             raise PlantError(f"{name}.{member}: found {getattr(plant, member)!r:.60}, expected a tuple or list, or ()")
-    for member in ("nuisances", "timing_errors"):
-        for index, own in enumerate(getattr(plant, member)):
+    members = {"nuisances": plant.nuisances, "timing_errors": plant.timing_errors, "varying": varying_of(plant)}
+    for member, listed in members.items():
+        for index, own in enumerate(listed):
             where = f"{name}.{member}[{index}]"
             if not isinstance(own, Nuisance):
                 raise PlantError(f"{where}: found {type(own).__name__}, expected a Nuisance")
@@ -308,6 +320,91 @@ def _problem_of_nuisance(own: Nuisance, channels: int) -> str:
     return f"found channel {wrong[0]}, expected 0 to {channels - 1}" if wrong else ""
 
 
+def _check_varying(name: str, plant: Plant) -> None:
+    """Errors of recordings that act on the machine, in so far as they differ from other nuisances."""
+    found = [member for member in OF_RECORDINGS if hasattr(plant, member)]
+    if len(found) == 1:
+        (other,) = set(OF_RECORDINGS) - set(found)
+        raise PlantError(f"{name}: has {found[0]}, but no {other}; a plant whose recordings err has both")
+    varying = varying_of(plant)
+    if not isinstance(varying, Sequence):
+        raise PlantError(f"{name}.varying: found {varying!r:.60}, expected a tuple or list, or ()")
+    for index, own in enumerate(varying):
+        where = f"{name}.varying[{index}]"
+        if not isinstance(own, Nuisance):
+            raise PlantError(f"{where}: found {type(own).__name__}, expected a Nuisance")
+        problem = _problem_of_varying(own)
+        if problem:
+            raise PlantError(f"{where} ({own.name}): {problem}")
+
+
+def _problem_of_varying(own: Nuisance) -> str:
+    """What is wrong with a part of an error of the machine."""
+    if own.error not in MACHINE_ERRORS:
+        return f"found error {own.error!r}, expected one of {', '.join(MACHINE_ERRORS)}"
+    if not own.group:
+        return "found no group; parts of one group share a size"
+    if not own.channels:
+        return "found no channels; those of its recording are needed"
+    if own.error == VARIATION:
+        try:
+            stroke_of(own.name)
+        except ValueError:
+            return f"expected the name {VARIATION}[recording,stroke,what], as group_variations gives it"
+    return ""
+
+
+def _check_sensors(name: str, plant: Plant, of_sensors: HasSensors) -> None:
+    where = f"{name}.sensors({{}})"
+    try:
+        sensors = of_sensors.sensors({})
+    except ValveError:
+        raise
+    except Exception as error:
+        raise PlantError(f"{where} raised {_raised(error)}") from error
+    if not isinstance(sensors, Mapping):
+        raise PlantError(f"{where}: found {type(sensors).__name__}, expected a mapping of channels' indices to Sensor")
+    for index, sensor in sensors.items():
+        if not isinstance(index, int) or not 0 <= index < len(plant.channels):
+            raise PlantError(f"{where}: found the channel {index!r}, expected 0 to {len(plant.channels) - 1}")
+        if not isinstance(sensor, Sensor):
+            raise PlantError(f"{where}[{index}]: found {type(sensor).__name__}, expected a Sensor")
+        for problem in _problems_of_sensor(sensor, sensors):
+            raise PlantError(f"{where}[{index}].{problem}")
+
+
+def _problems_of_sensor(sensor: Sensor, sensors: Mapping[int, Sensor]) -> Iterator[str]:
+    """The members of a sensor that are wrong, and what is wrong with each."""
+    if not (_is_number(sensor.span) and sensor.span > 0.0):
+        yield f"span: found {sensor.span!r}, expected a number above 0"
+    if not _is_number(sensor.low):
+        yield f"low: found {sensor.low!r}, expected a number"
+    problem = "" if sensor.knots is None else problem_of_column(sensor.knots)
+    if sensor.knots is not None and (problem or problem_of_order(sensor.knots, rises=False)):
+        yield f"knots: {problem or problem_of_order(sensor.knots, rises=False)}"
+    contacts = sensor.contacts
+    if not isinstance(contacts, Contacts):
+        yield f"contacts: found {type(contacts).__name__}, expected Contacts"
+    elif len({len(column) for column in contacts}) > 1:
+        yield f"contacts: found {', '.join(str(len(column)) for column in contacts)} values, expected as many of each"
+    if not isinstance(sensor.shares, Mapping):
+        yield f"shares: found {sensor.shares!r:.40}, expected a mapping of names of errors to numbers"
+    for error, share in sensor.shares.items():
+        if error not in SENSOR_ERRORS:
+            yield f"shares: found {error!r}, expected of {', '.join(SENSOR_ERRORS)}"
+        if not (_is_number(share) and share >= 0.0):
+            yield f"shares[{error!r}]: found {share!r}, expected a number from 0 on"
+    if sensor.alike is not None and sensor.alike not in sensors:
+        yield f"alike: found {sensor.alike!r}, expected the channel of a sensor"
+    elif sensor.alike is not None and _scales(sensor) != _scales(sensors[sensor.alike]):
+        yield f"alike: found a sensor of another span or other shares than that of channel {sensor.alike}"
+
+
+def _scales(sensor: Sensor) -> tuple[float, dict[str, float]]:
+    """What the priors of a sensor's errors rest on."""
+    return sensor.span, dict(sensor.shares)
+
+
 def _check_force_maps(name: str, plant: Plant) -> None:
     for index, force in enumerate(plant.force_maps):
         where = f"{name}.force_maps[{index}]"
@@ -315,6 +412,10 @@ def _check_force_maps(name: str, plant: Plant) -> None:
             raise PlantError(f"{where}: found {type(force).__name__}, expected a ForceMap")
         for own in force.coefficients:
             _check_name(name, plant, own, where)
+
+
+CHECKS: Final = (_check_channels, _check_effects, _check_base, _check_varying, _check_nuisances, _check_force_maps)
+"""Of the members, in the order in which they rest on each other."""
 
 
 def _check_predictions(plant: Plant, after_declared: Check) -> None:

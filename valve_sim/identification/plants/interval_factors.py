@@ -16,12 +16,12 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from valve_sim.identification.plants.protocol import Array, Nuisance
+from valve_sim.identification.plants.variation import variation, variation_name
 from valve_sim.model import Valve
 from valve_sim.model.sensitivities import PLACES
 from valve_sim.traces import Trace
 from valve_sim.traces.strokes import command_strokes, stroke_starts
 
-VARIATION: Final = "stroke_variation"
 SUPPLY: Final = "supply"
 
 
@@ -46,12 +46,8 @@ VARYING: Final[Mapping[str, Varying]] = {
 TIME_CONSTANT: Final = "coil_time_constant"
 FIELDS: Final = (*VARYING, TIME_CONSTANT)
 """Numbers of a valve that have a factor in each interval."""
-LARGEST: Final = 0.9
-"""Of δ: a stroke's number keeps its sign."""
 SUPPLY_SCALE: Final = 0.1
 """Ω, of the prior of a source's resistance: that of its cables and contacts."""
-SMALL_SHARE: Final = 1e-4
-"""Step of δ in a difference quotient."""
 
 
 def variations(
@@ -77,12 +73,8 @@ def variations(
             continue
         for name, own in VARYING.items():
             if _is_used(valve, name):
-                found.append(
-                    Nuisance(
-                        f"{VARIATION}[{index},{stroke},{name}]", own.scale, "–", channels, during, SMALL_SHARE,
-                        lower=-LARGEST, upper=LARGEST, error=VARIATION, group=f"{own.group}[{recording}]",
-                    )
-                )  # fmt: skip
+                at = index, stroke, name
+                found.append(variation(at, own.scale, f"{own.group}[{recording}]", channels, during))
     return found
 
 
@@ -119,7 +111,7 @@ class IntervalFactors:
         self._is_on = np.concatenate([[False], drive.volts != 0.0])
         self._supply, self._resistance = f"{SUPPLY}[{index}]", valve.parameters.coil_resistance
         self._places = {
-            f"{VARIATION}[{index},{stroke},{name}]": (self._strokes == stroke, FIELDS.index(name))
+            variation_name(index, stroke, name): (self._strokes == stroke, FIELDS.index(name))
             for stroke in range(int(self._strokes.max(initial=-1)) + 1)
             for name in VARYING
         }

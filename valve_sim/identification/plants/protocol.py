@@ -366,34 +366,57 @@ class Contacts(NamedTuple):
     places: NDArray[np.int64]
 
 
+NO_CONTACTS: Final = Contacts(np.empty(0), np.empty(0), np.empty(0, dtype=np.int64))
+"""Of a sensor that nothing shakes."""
+SENSOR_ERRORS: Final = ("zero", "drift", "hum", "scale", "bend", "ringing", "ringing_scatter")
+"""Names of the errors that add something to what a sensor shows, by which `Sensor.shares` has them."""
+MACHINE_ERRORS: Final = ("supply", "stroke_variation")
+"""Names of the errors that act on the machine, which `HasSensors.varying` may be parts of."""
+
+
 class Sensor(NamedTuple):
     """What the errors of a sensor depend on.
 
     Attributes:
-        span: range of what it shows, in the channel's unit. knots: (c,) s, of the commands.
+        span: range of what it shows, in the channel's unit.
+        knots: (c,) s, of the commands, between which its zero drifts evenly, two for each stroke; None: where each
+            group of its channel begins, and half-way to the next.
         contacts: impacts that shake it.
-        shares: by the name of an error the scale of its prior, as a share of the range, where its data sheet says
-            another than the usual one; 0: there is none.
+        shares: by the name of an error (`SENSOR_ERRORS`) the scale of its prior, as a share of the range, where it is
+            known to be another than the usual one; 0: there is none.
         alike: the channel whose errors are as large, where recordings are strokes of one; None: its own.
+        low: where its range begins, in the channel's unit.
+        is_true_at_rest: whether the model is right while the machine is still, as where nothing moves: drift and hum
+            are then read there alone, if it is still in most strokes. Else they are learned in motion, too.
     """
 
     span: float
-    knots: Array
-    contacts: Contacts
+    knots: Array | None = None
+    contacts: Contacts = NO_CONTACTS
     shares: Mapping[str, float] = {}
     alike: int | None = None
+    low: float = 0.0
+    is_true_at_rest: bool = True
 
 
 @runtime_checkable
 class HasSensors(Protocol):
-    """A plant that says which channels are of sensors that drift, hum, bend and ring: an optional member."""
+    """A plant whose recordings err: sensors that drift, hum, bend and ring, and a machine that varies.
+
+    The two members come together, or neither is there. What they say is part of every hypothesis, with sizes that are
+    learned, and `predict` shows nothing of the sensors' errors.
+    """
 
     @property
     def varying(self) -> Sequence[Nuisance]:
-        """Errors of the recordings that act on the machine, in groups whose sizes are learned."""
+        """Errors of the recordings that act on the machine, in groups whose sizes are learned.
+
+        Each has an `error` of `MACHINE_ERRORS` and a `group`; `predict` takes their values by name. Those of
+        parameters that differ from stroke to stroke are what `variation.group_variations` returns.
+        """
 
     def sensors(self, values: Mapping[str, float]) -> Mapping[int, Sensor]:
-        """The sensors, by the index of their channel.
+        """The sensors, by the index of their channel; of channels that are not among them nothing errs.
 
         Args:
             values: as of `predict`: they say when parts meet.

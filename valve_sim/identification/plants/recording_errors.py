@@ -12,8 +12,9 @@ from typing import Final
 
 import numpy as np
 
-from valve_sim.identification.plants.interval_factors import SUPPLY, VARIATION, sag_with
+from valve_sim.identification.plants.interval_factors import SUPPLY, sag_with
 from valve_sim.identification.plants.protocol import Nuisance
+from valve_sim.identification.plants.variation import VARIATION
 from valve_sim.model import Drive, Valve
 from valve_sim.traces import Trace, command_strokes
 

@@ -17,6 +17,7 @@ from valve_sim.identification.plants.force_map_choice import force_map_over
 from valve_sim.identification.plants.hold_out import Condition
 from valve_sim.identification.plants.interval_factors import IntervalFactors, supply_errors, variations
 from valve_sim.identification.plants.protocol import (
+    NO_CONTACTS,
     Array,
     Channel,
     Direction,
@@ -42,7 +43,6 @@ from valve_sim.identification.plants.valve_model import ValveModel
 from valve_sim.identification.plants.valve_pieces import Intervals, run_in_pieces, whole_run
 from valve_sim.identification.plants.valve_sensitivities import pieces, sensitivities
 from valve_sim.identification.plants.valve_sensors import (
-    NO_CONTACTS,
     amperes,
     averaged,
     channels_of,

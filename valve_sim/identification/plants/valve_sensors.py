@@ -57,8 +57,6 @@ FAINTEST: Final = 0.02
 NO_EVENTS: Final = np.empty(0, EVENT_RECORD)
 NO_TIMES: Final = np.empty(0)
 NO_SIGNAL: Final = Signal(NO_TIMES, NO_TIMES)
-NO_CONTACTS: Final = Contacts(NO_TIMES, NO_TIMES, np.empty(0, dtype=np.int64))
-"""Where none are asked for, or recorded."""
 
 
 def still_mask(

@@ -67,11 +67,11 @@ def title_words(entry: RecordedError) -> str:
     return f"{entry.title} ({entry.detail})" if entry.detail else entry.title
 
 
-def recording_rows(errors: Mapping[str, Sequence[RecordedError]], noise: float) -> list[dict[str, Any]]:
+def recording_rows(errors: Mapping[str, Sequence[RecordedError]], noise: float, unit: str) -> list[dict[str, Any]]:
     """Rows of the report's table, recording by recording.
 
     Args:
-        errors: by source. noise: standard deviation of the sensor's noise, in the unit of the response.
+        errors: by source. noise: standard deviation of the sensor's noise. unit: that of both, of the response.
     """
     return [
         {
@@ -79,7 +79,7 @@ def recording_rows(errors: Mapping[str, Sequence[RecordedError]], noise: float) 
             "title": title_words(entry),
             "name": entry.error,
             "size": size_words(entry),
-            "noise": f"{entry.size / noise:.2g}" if entry.unit in ("m", "A") and noise > 0.0 else "–",
+            "noise": f"{entry.size / noise:.2g}" if entry.unit == unit and noise > 0.0 else "–",
             "probability": f"{entry.probability:.2f}",
             "is_likely": entry.is_likely,
             "picture": picture(entry.at, entry.shown),

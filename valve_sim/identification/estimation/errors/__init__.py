@@ -16,9 +16,10 @@ from valve_sim.identification.estimation.errors.ringing import RINGING, RINGING_
 from valve_sim.identification.estimation.errors.scale import SCALE
 from valve_sim.identification.estimation.errors.stroke_variation import STROKE_VARIATION
 from valve_sim.identification.estimation.errors.supply import SUPPLY
+from valve_sim.identification.estimation.errors.zero import ZERO
 
 ERRORS: Final = (
-    CLOCK_OFFSET, CLOCK_RATE, COMMAND_STAMPS, DRIFT, HUM, SCALE, BEND, RINGING, RINGING_SCATTER, SUPPLY,
+    CLOCK_OFFSET, CLOCK_RATE, COMMAND_STAMPS, ZERO, DRIFT, HUM, SCALE, BEND, RINGING, RINGING_SCATTER, SUPPLY,
     STROKE_VARIATION,
 )  # fmt: skip
 """Every error of a recording, in the order in which reports list them."""

@@ -18,7 +18,7 @@ LARGEST_DEGREE: Final = 5
 
 def columns(seen: Seen) -> Array:
     """(n, 6) polynomials of what is shown that are 0 at both ends, each less likely than the one before it."""
-    return _curves(np.clip(seen.shown / seen.span, 0.0, 1.0))
+    return _curves(np.clip((seen.shown - seen.low) / seen.span, 0.0, 1.0))
 
 
 def amount(coefficients: Array) -> float:

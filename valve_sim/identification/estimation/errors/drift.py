@@ -39,7 +39,9 @@ def change_by_stroke(coefficients: Array) -> float:
     stroke than a walk of as large steps.
     """
     steps = coefficients[1:] / math.sqrt(2.0 * RAMPS)
-    strokes = np.add.reduceat(steps, np.arange(0, len(steps), 2 * RAMPS))
+    # What follows the last whole stroke is less than one.
+    whole = max(1, len(steps) // (2 * RAMPS))
+    strokes = [float(np.sum(part)) for part in np.split(steps[: 2 * RAMPS * whole], whole)]
     return float(np.sqrt(np.mean(np.square(strokes))))
 
 

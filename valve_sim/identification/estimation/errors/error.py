@@ -33,6 +33,7 @@ class Seen(NamedTuple):
         times: (n,) s, of the samples. shown: (n,) what the model shows, in the channel's unit.
         span: range of the channel, in its unit. knots: (c,) s, between which the zero of a sensor drifts evenly.
         contacts: impacts that shake the sensor. modes: of its mount.
+        low: where the range begins, in the channel's unit.
     """
 
     times: Array
@@ -41,6 +42,7 @@ class Seen(NamedTuple):
     knots: Array
     contacts: Contacts
     modes: tuple[Mode, ...] = ()
+    low: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -52,13 +54,15 @@ class RecordingError:
         what_to_do: one sentence for the laboratory.
         columns: (n, q) of what each coefficient of size 1 adds to a channel; None of an error that acts on the machine,
             whose coefficients are nuisances of the plant.
-        share: scale of the prior of its size, as a share of the channel's range.
+        share: scale of the prior of its size, as a share of the channel's range; 0: there is none, unless the sensor
+            says so.
         is_known: whether its size is that scale, as a data sheet says it, and not learned.
         is_normal: whether the prior of the size is half of a normal density, not of a Cauchy density.
         at_rest: whether its size is read while the machine is still, where nothing else moves what is shown: in motion
             it would follow what a model lacks.
         stays: whether another recording of the same valve and sensor has an error of the same size.
         amount: of (q,) coefficients what is reported of them; None: the size that they share.
+        is_relative: whether that is reported as a share of the channel's range.
     """
 
     name: str
@@ -71,6 +75,7 @@ class RecordingError:
     at_rest: bool = False
     stays: bool = False
     amount: Callable[[Array], float] | None = None
+    is_relative: bool = False
 
     def log_prior(self, size: float, scale: float) -> float:
         """Ln of the prior density of a size over its scale, which has no unit: models with other errors compare."""

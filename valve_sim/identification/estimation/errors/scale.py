@@ -21,6 +21,6 @@ def amount(coefficients: Array) -> float:
 SCALE: Final = RecordingError(
     "scale", "gain of the sensor",
     "calibrate the sensor against a gauge block", columns=columns, amount=amount,
-    share=0.002, is_known=True,
+    share=0.002, is_known=True, is_relative=True,
 )  # fmt: skip
 """Prior: N(0, 0.2 %), the usual line of a data sheet."""

@@ -8,6 +8,6 @@ from valve_sim.identification.estimation.errors.error import RecordingError
 
 STROKE_VARIATION: Final = RecordingError(
     "stroke_variation", "variation from stroke to stroke",
-    "record more strokes, after some that warm the valve up and spread its grease", is_normal=True,
+    "record more strokes, after some that warm the machine up and spread its grease", is_normal=True,
     stays=True,
 )  # fmt: skip
