@@ -12,7 +12,9 @@ from plants.recording import Profile, Recorder, holdout_profile, record, single_
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
 from valve_sim.identification.estimation.intervals import Unbounded
 from valve_sim.identification.reporting.diagnosis_json import to_json
+from valve_sim.identification.reporting.recording_state import UNTOLD
 from valve_sim.identification.reporting.summary import recording_advice
+from valve_sim.identification.reporting.text import diagnosis_text
 from valve_sim.model import CATALOGUE, Drive, Tolerances, Valve
 from valve_sim.model.tolerances import SensorTolerances
 from valve_sim.traces import Signal, Trace
@@ -145,6 +147,8 @@ def test_what_shows_in_held_out_data_alone_is_not_nothing() -> None:
     diagnosis = diagnose([train], [held_out], DECLARED)
     assert diagnosis.verdict.kind == "unknown"
     assert diagnosis.unexplained is not None
+    # What has no name would be told as the state of the recording.
+    assert UNTOLD in diagnosis_text(diagnosis)
     opening = measured({}, single_opening(), Recorder(), 82)
     assert diagnose([opening], [held_out], DECLARED).verdict.kind == "unknown"
 

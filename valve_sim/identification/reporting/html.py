@@ -200,6 +200,7 @@ def _content(diagnosis: Diagnosis) -> dict[str, Any]:
         "intervals": _interval_rows(diagnosis),
         "has_parameters": isinstance(diagnosis.plant, ValvePlant),
         "declared": declared_section(diagnosis.declared),
+        "is_unknown": diagnosis.verdict.kind == "unknown",
         "recording": recording_rows(diagnosis.recording, diagnosis.before.fit.problem.noise.sigma, channel.unit),
         "record_next": recording_advice(diagnosis),
         "gain": _gain_rows(diagnosis),

@@ -91,6 +91,10 @@ def recording_rows(errors: Mapping[str, Sequence[RecordedError]], noise: float, 
     ]
 
 
+UNTOLD: Final = "State of the recording: not told, since what has no name would be taken for errors of the recording."
+"""In place of it, where something unnamed acts."""
+
+
 def recording_lines(errors: Mapping[str, Sequence[RecordedError]]) -> list[str]:
     """Lines for a terminal: errors that are there, and what to do about them."""
     found = []

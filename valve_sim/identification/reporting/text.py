@@ -12,7 +12,7 @@ from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.declared_values import summary_words
 from valve_sim.identification.reporting.detection_limits import limit_rows
 from valve_sim.identification.reporting.findings import remark_on
-from valve_sim.identification.reporting.recording_state import recording_lines
+from valve_sim.identification.reporting.recording_state import UNTOLD, recording_lines
 from valve_sim.identification.reporting.summary import recording_advice, summarise
 from valve_sim.identification.reporting.units import limits, measured, quantity
 from valve_sim.identification.reporting.wording import (
@@ -59,7 +59,8 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
             lines += textwrap.wrap(
                 f"95 % interval {limits(found, unit)}: {remark}.", 118, initial_indent="    ", subsequent_indent="    "
             )
-    lines += [f"  {words}" for words in recording_lines(diagnosis.recording)]
+    state = [UNTOLD] if diagnosis.verdict.kind == "unknown" else recording_lines(diagnosis.recording)
+    lines += [f"  {words}" for words in state]
     if rows := limit_rows(diagnosis):
         lines.append("  Would be named in half of such recordings, each alone, from:")
         lines += [f"    {title:<{_WIDTH - 2}}{words}" for title, words in rows]
