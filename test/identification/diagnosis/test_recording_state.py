@@ -20,6 +20,7 @@ from valve_sim.identification.reporting.diagnosis_json import to_json
 from valve_sim.identification.reporting.html import write_report
 from valve_sim.identification.reporting.recording_state import state_json, state_lines
 from valve_sim.identification.reporting.text import diagnosis_text
+from valve_sim.identification.reporting.units import quantity
 from valve_sim.traces import Trace
 
 LABORATORIES = {
@@ -115,7 +116,7 @@ def test_a_state_says_what_errors_hide_and_what_to_do() -> None:
     assert "hum of the mains" in words
     assert "ground the sensor at one point" in words
     assert "record more strokes" in words
-    assert f"{hidden.without:.3g}"[:3] in words
+    assert f"would be named from {quantity(hidden.without, hidden.unit)} on" in words
     entries = json.loads(json.dumps(plain(state_json(state)), allow_nan=False))
     assert {"drift", "hum", "stroke_variation"} <= {entry["error"] for entry in entries["recording"]}
 

@@ -86,12 +86,12 @@ def test_a_motion_that_bends_between_samples_is_no_noise_of_a_coarse_sensor() ->
     assert 1.0 < noise.sigma / math.hypot(sigma, step / math.sqrt(12.0)) < 1.3
 
 
-def rests(values: np.ndarray) -> list[Channel]:
-    """Eight windows of 25 ms at 20 kHz, one stroke of 50 ms after the other."""
-    return [
-        replace(still(own, "position"), times=at, drifts=True)
-        for own, at in zip(np.split(values, 8), np.split(RESTS, 8), strict=True)
-    ]
+def rests(values: np.ndarray, name: str = "pilot") -> list[Channel]:
+    """A channel that is still for 25 ms at 20 kHz in each of eight strokes of 50 ms."""
+    times = np.arange(8000) / 20e3
+    data, quiet = np.linspace(0.0, 1e-3, len(times)), np.arange(len(times)) % 1000 < 500
+    data[quiet] = values
+    return [replace(still(data, "position"), name=name, times=times, quiet=quiet, drifts=True)]
 
 
 RESTS = np.concatenate([0.05 * stroke + np.arange(500) / 20e3 for stroke in range(8)])
@@ -107,6 +107,19 @@ def test_hum_that_is_estimated_along_is_no_noise(colour: float) -> None:
     assert beside.innovation == pytest.approx(alone.innovation, rel=0.05)
     # Where no fit estimates it, it is noise.
     assert estimate_noise(rests(values + hum)).sigma > 1.05 * beside.sigma
+
+
+def test_each_sensor_hums_in_a_phase_of_its_own() -> None:
+    values = [coloured(1e-6, 0.0, len(RESTS), seed) for seed in (1, 2)]
+    hums = [3e-6 * np.sin(2.0 * np.pi * 50.0 * RESTS + phase) for phase in (0.4, 2.9)]
+    channels = [rests(own + hum, name)[0] for own, hum, name in zip(values, hums, ("pilot", "main"), strict=True)]
+    assert estimate_noise(channels, may_hum=True).sigma == pytest.approx(1e-6, rel=0.03)
+
+
+def test_the_bias_of_a_long_recording_is_found_in_a_part_of_it() -> None:
+    values = coloured(1e-6, 0.9, 40_000)
+    whole = estimate_noise([replace(still(values), drifts=True)])
+    assert whole.coefficients[0] == pytest.approx(0.9, abs=0.01)
 
 
 @pytest.mark.parametrize("colour", [0.0, 0.7, 0.95])

@@ -144,6 +144,16 @@ def test_drift_is_a_constant_and_ramps_that_stay() -> None:
     np.testing.assert_allclose(columns[0, 1:], 0.0)
 
 
+def test_drift_is_told_of_whole_strokes() -> None:
+    """3 µm in each of two strokes; half a stroke at the end, which drifts by less, counts for nothing."""
+    steps = np.concatenate([np.full(2 * RAMPS, 3e-6), np.full(2 * RAMPS, -3e-6), np.full(RAMPS, 1e-6)]) / (2 * RAMPS)
+    amount = DRIFT.amount
+    assert amount is not None
+    assert amount(np.concatenate([[0.0], steps * math.sqrt(2.0 * RAMPS)])) == pytest.approx(3e-6)
+    # A recording that is shorter than a stroke has what there is.
+    assert amount(np.concatenate([[0.0], steps[:RAMPS] * math.sqrt(2.0 * RAMPS)])) == pytest.approx(1.5e-6)
+
+
 def test_hum_holds_a_sine_of_the_mains_of_any_phase() -> None:
     assert HUM.columns is not None
     assert HUM.amount is not None

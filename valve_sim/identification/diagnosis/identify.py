@@ -25,7 +25,7 @@ from valve_sim.identification.plants.stroke_choice import choose_strokes
 from valve_sim.identification.plants.valve import ValvePlant, dampings_of
 from valve_sim.identification.plants.valve_model import GAS_NAMES
 from valve_sim.identification.selection.discrepancy import Discrepancy, lengths_of
-from valve_sim.identification.selection.posterior import EVEN, Evidence, Rivals
+from valve_sim.identification.selection.posterior import EVEN, Evidence, rivals_of
 from valve_sim.model import CATALOGUE, DECLARED, ParameterError, Valve
 from valve_sim.model.parameters import UNUSED_BY_ONE_PLUNGER, closest, unused_words
 from valve_sim.model.simulation import OF_TWO_PLUNGERS
@@ -197,7 +197,7 @@ def best_fit(
 
 
 def unnamed_beside(result: Fit) -> float:
-    """Probability that something that the model lacks acts, were nothing known of what that may be.
+    """Probability that something that the model lacks acts, as a diagnosis has it beside its empty set.
 
     Of a long recording, whose rows are not at hand, 1 where more than noise is left, else 0.
     """
@@ -206,7 +206,7 @@ def unnamed_beside(result: Fit) -> float:
         return float(leaves_more_than_noise(result))
     model, places = Linearised(result), problem.rows.places
     spread = Discrepancy(places, lengths_of(problem.plant, places)).spread(model)
-    return Rivals(frozenset(), frozenset()).unnamed_beside((), Evidence(model.integrated, spread.log_evidence))
+    return rivals_of(problem.plant).unnamed_beside((), Evidence(model.integrated, spread.log_evidence))
 
 
 def _best_of_starts(

@@ -20,7 +20,6 @@ from valve_sim.identification.estimation.errors.error import SMALLEST
 from valve_sim.identification.estimation.recorded_errors import RecordedError
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
-from valve_sim.identification.estimation.structured_noise import Group
 from valve_sim.identification.selection.detection_limits import Limits, detection_limits
 from valve_sim.identification.selection.posterior import rivals_of
 from valve_sim.model import Valve
@@ -84,23 +83,19 @@ def state_of_recording(trace: Trace, valve: Valve, progress: Progress | None = N
         return RecordingState(found, {}, {}, {})
     say("limits", 0.5)
     limits = _limits(best)
-    names = [own.error for own in found.recording[trace.source] if own.is_likely]
+    groups = () if best.problem.errors is None else best.problem.errors.groups
+    with_size = {group.error.name for group in groups}
+    likely = {own.error for own in found.recording[trace.source] if own.is_likely and own.error in with_size}
     hidden = {}
-    for done, name in enumerate(dict.fromkeys(names)):
-        say("limits", 0.6 + 0.3 * done / len(names))
-        if any(group.error.name == name for group in _groups(best)):
-            worst = _most_hidden(best, limits, _limits(_without(best, {name})))
-            if worst is not None:
-                hidden[name] = worst
+    for done, name in enumerate(sorted(likely)):
+        say("limits", 0.6 + 0.3 * done / len(likely))
+        worst = _most_hidden(best, limits, _limits(_without(best, {name})))
+        if worst is not None:
+            hidden[name] = worst
     say("limits", 0.9)
-    without_errors = _limits(_without(best, {group.error.name for group in _groups(best)}))
+    without_errors = _limits(_without(best, with_size))
     say("done", 1.0)
     return RecordingState(found, limits, without_errors, hidden)
-
-
-def _groups(result: Fit) -> tuple[Group, ...]:
-    errors = result.problem.errors
-    return () if errors is None else tuple(errors.groups)
 
 
 def _limits(result: Fit) -> Limits:

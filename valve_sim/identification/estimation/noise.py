@@ -43,6 +43,8 @@ HIDDEN: Final = 0.25
 """Of a step: noise of this standard deviation takes one reading in twenty at rest to another code, less hides."""
 DRAWS: Final = 20
 """Of noise like the estimate, by which its bias is known to a quarter of its standard error."""
+MOST_DRAWN: Final = 20_000
+"""Samples of a draw, and of one window: longer windows have next to no bias."""
 SETTLES: Final = 200
 """Samples after which drawn noise has forgotten how it began."""
 HUM_PASSES: Final = 3
@@ -103,10 +105,11 @@ def _whiten(found, columns, coefficients, scale):  # type: ignore[no-untyped-def
 
 
 class Window(NamedTuple):
-    """A stretch of a channel in which the machine is still: (n,) times, s, and readings."""
+    """A stretch in which the machine is still: (n,) times, s, and readings, and the name of the channel."""
 
     times: Array
     values: Array
+    channel: str
 
 
 def estimate_noise(channels: Sequence[Channel], *, may_hum: bool = False) -> Noise:
@@ -131,7 +134,12 @@ def estimate_noise(channels: Sequence[Channel], *, may_hum: bool = False) -> Noi
     found = _at_rest(windows, step, floor, drifts=drifts, shows_colour=shows_colour)
     # Beside the noise that is left, more of the hum shows, and more sharply.
     for _ in range(HUM_PASSES if may_hum and shows_colour and found.sigma > floor else 0):
-        found = _at_rest(_without_hum(windows, found), step, floor, drifts=drifts, shows_colour=shows_colour)
+        calm = [
+            window
+            for name in dict.fromkeys(own.channel for own in windows)
+            for window in _without_hum([own for own in windows if own.channel == name], found)
+        ]
+        found = _at_rest(calm, step, floor, drifts=drifts, shows_colour=shows_colour)
     if step > COARSE * found.sigma:
         # At a low rate the motion itself bends between samples, by more than a step can hide of noise.
         most = math.hypot(step / math.sqrt(12.0), max(found.sigma, HIDDEN * step))
@@ -166,6 +174,9 @@ def _unbiased(noise: Noise, lengths: Sequence[int], *, drifts: bool) -> Noise:
     if not noise.coefficients:
         return noise
     random, order = np.random.default_rng(DRAWS), len(noise.coefficients)
+    # Of a long recording some windows tell as much as all.
+    count = 1 + int(np.searchsorted(np.cumsum(lengths), MOST_DRAWN))
+    lengths = [min(length, MOST_DRAWN) for length in lengths[:count]]
     polynomial = np.concatenate([[1.0], -np.array(noise.coefficients)])
     again = []
     for _ in range(DRAWS):
@@ -187,9 +198,10 @@ def _unbiased(noise: Noise, lengths: Sequence[int], *, drifts: bool) -> Noise:
 
 
 def _without_hum(windows: Sequence[Window], noise: Noise) -> list[Window]:
-    """Windows less the harmonics of the mains that plainly show above the noise.
+    """Windows of one channel less the harmonics of the mains that plainly show above the noise.
 
-    All windows together say how large they are, since their phase is steady.
+    All windows together say how large they are, since their phase is steady. That of another sensor, or of another
+    recording, is another.
     """
     start = windows[0].times[0]
     rates = hum.rates(windows[0].times)
@@ -258,7 +270,7 @@ def quiet_windows(channel: Channel, shortest: int = SHORTEST_WINDOW) -> list[Win
             if stop - start > BRIDGED:
                 quiet[start:stop] = False
     return [
-        Window(channel.times[start:stop], channel.data[start:stop])
+        Window(channel.times[start:stop], channel.data[start:stop], channel.name)
         for start, stop in stretches(quiet)
         if stop - start >= shortest
     ]

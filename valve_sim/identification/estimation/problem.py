@@ -87,13 +87,7 @@ class Problem:
         self._reaches: dict[Nuisance, NDArray[np.bool_]] = {}
         self._groups: dict[tuple[Nuisance, ...], list[ColumnGroup]] = {}
         self.budget = budget or Budget.unlimited()
-        kinds = {channel.kind for channel in plant.channels}
-        self.noises = dict(noises) if noises is not None else {
-            kind: estimate_noise(
-                [channel for channel in plant.channels if channel.kind == kind], may_hum=kind in _humming(plant)
-            )
-            for kind in sorted(kinds)
-        }  # fmt: skip
+        self.noises = _noises(plant) if noises is None else dict(noises)
         self._weights = [self._weight(index, takes_part) for index in range(len(plant.channels))]
         self.samples = sum(int(np.count_nonzero(weight)) for weight in self._weights)
         self.effective_samples = float(sum(map(_effective, self._weights)))
@@ -308,8 +302,8 @@ class Problem:
 
     @property
     def is_long(self) -> bool:
-        """Whether there are so many residuals that a fit only adds them up, where the plant gives them in pieces."""
-        return sum(map(len, self._weights)) > LONG and isinstance(self.plant, InPieces)
+        """Whether a fit only adds its residuals up."""
+        return _is_long(self.plant)
 
     def sums(self, values: Mapping[str, float], directions: Sequence[Direction]) -> Sums | None:
         """Sums over the residuals and their derivatives along directions; None where these are not known.
@@ -356,9 +350,23 @@ class Problem:
         return weight
 
 
+def _is_long(plant: Plant) -> bool:
+    """Whether there are so many samples that a fit only adds residuals up, where the plant gives them in pieces."""
+    return sum(len(channel.data) for channel in plant.channels) > LONG and isinstance(plant, InPieces)
+
+
+def _noises(plant: Plant) -> dict[str, Noise]:
+    """The noise of each kind of channel."""
+    humming = _humming(plant)
+    return {
+        kind: estimate_noise([channel for channel in plant.channels if channel.kind == kind], may_hum=kind in humming)
+        for kind in sorted({channel.kind for channel in plant.channels})
+    }
+
+
 def _humming(plant: Plant) -> set[str]:
     """Kinds of the channels whose hum fits estimate along; none of a long recording, whose errors have no columns."""
-    if not isinstance(plant, HasSensors) or sum(len(channel.data) for channel in plant.channels) > LONG:
+    if not isinstance(plant, HasSensors) or _is_long(plant):
         return set()
     with contextlib.suppress(SimulationError):
         return {plant.channels[index].kind for index in plant.sensors({})}

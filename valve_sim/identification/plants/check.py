@@ -286,7 +286,12 @@ def _check_effects(name: str, plant: Plant) -> None:
 def _check_nuisances(name: str, plant: Plant) -> None:
     effects = {free: effect for effect in plant.effects.values() for free in effect.free_names()}
     seen: set[str] = set()
-    for member in ("nuisances", "timing_errors", "force_maps", "experiments"):
+    found = [member for member in OF_RECORDINGS if hasattr(plant, member)]
+    if len(found) == 1:
+        (other,) = set(OF_RECORDINGS) - set(found)
+        raise PlantError(f"{name}: has {found[0]}, but no {other}; a plant whose recordings err has both")
+    of_recordings = ("varying",) if found else ()
+    for member in ("nuisances", "timing_errors", *of_recordings, "force_maps", "experiments"):
         if not isinstance(getattr(plant, member), Sequence):
             raise PlantError(f"{name}.{member}: found {getattr(plant, member)!r:.60}, expected a tuple or list, or ()")
     members = {"nuisances": plant.nuisances, "timing_errors": plant.timing_errors, "varying": varying_of(plant)}
@@ -296,6 +301,8 @@ def _check_nuisances(name: str, plant: Plant) -> None:
             if not isinstance(own, Nuisance):
                 raise PlantError(f"{where}: found {type(own).__name__}, expected a Nuisance")
             problem = _problem_of_nuisance(own, len(plant.channels))
+            if member == "varying":
+                problem = problem or _problem_of_varying(own)
             if problem or own.name in seen:
                 raise PlantError(f"{where} ({own.name}): {problem or 'found its name twice'}")
             seen.add(own.name)
@@ -318,24 +325,6 @@ def _problem_of_nuisance(own: Nuisance, channels: int) -> str:
         return f"found mean {own.mean!r}, expected a number from {own.lower!r} to {own.upper!r}"
     wrong = [index for index in own.channels if not 0 <= index < channels]
     return f"found channel {wrong[0]}, expected 0 to {channels - 1}" if wrong else ""
-
-
-def _check_varying(name: str, plant: Plant) -> None:
-    """Errors of recordings that act on the machine, in so far as they differ from other nuisances."""
-    found = [member for member in OF_RECORDINGS if hasattr(plant, member)]
-    if len(found) == 1:
-        (other,) = set(OF_RECORDINGS) - set(found)
-        raise PlantError(f"{name}: has {found[0]}, but no {other}; a plant whose recordings err has both")
-    varying = varying_of(plant)
-    if not isinstance(varying, Sequence):
-        raise PlantError(f"{name}.varying: found {varying!r:.60}, expected a tuple or list, or ()")
-    for index, own in enumerate(varying):
-        where = f"{name}.varying[{index}]"
-        if not isinstance(own, Nuisance):
-            raise PlantError(f"{where}: found {type(own).__name__}, expected a Nuisance")
-        problem = _problem_of_varying(own)
-        if problem:
-            raise PlantError(f"{where} ({own.name}): {problem}")
 
 
 def _problem_of_varying(own: Nuisance) -> str:
@@ -414,7 +403,7 @@ def _check_force_maps(name: str, plant: Plant) -> None:
             _check_name(name, plant, own, where)
 
 
-CHECKS: Final = (_check_channels, _check_effects, _check_base, _check_varying, _check_nuisances, _check_force_maps)
+CHECKS: Final = (_check_channels, _check_effects, _check_base, _check_nuisances, _check_force_maps)
 """Of the members, in the order in which they rest on each other."""
 
 

@@ -28,6 +28,15 @@ RATES: Final = ("clock_rate",)
 """Errors without a unit that are reported in ppm; all others are in per cent."""
 WIDTH, HEIGHT = 120.0, 28.0
 """Of a picture, in pixels."""
+HEIGHTS: Final = "▁▂▃▄▅▆▇█"
+CHARACTERS: Final = 24
+"""Of a picture on a terminal."""
+SHOWN: Final = 0.5
+"""Of the range, what their means are to reach."""
+SMALL_TALK: Final = ("clock_offset", "clock_rate", "scale")
+"""Errors that are estimated and cost next to nothing: no advice is printed for them."""
+UNTOLD: Final = "State of the recording: not told, since what has no name would be taken for errors of the recording."
+"""In place of it, where something unnamed acts."""
 
 
 def _unit(entry: RecordedError) -> tuple[float, str, str]:
@@ -79,7 +88,7 @@ def recording_rows(errors: Mapping[str, Sequence[RecordedError]], noise: float, 
             "title": title_words(entry),
             "name": entry.error,
             "size": size_words(entry),
-            "noise": f"{entry.size / noise:.2g}" if entry.unit == unit and noise > 0.0 else "–",
+            "noise": _in_noise(entry, noise, unit),
             "probability": f"{entry.probability:.2f}",
             "is_likely": entry.is_likely,
             "picture": picture(entry.at, entry.shown),
@@ -91,8 +100,9 @@ def recording_rows(errors: Mapping[str, Sequence[RecordedError]], noise: float, 
     ]
 
 
-UNTOLD: Final = "State of the recording: not told, since what has no name would be taken for errors of the recording."
-"""In place of it, where something unnamed acts."""
+def _in_noise(entry: RecordedError, noise: float, unit: str) -> str:
+    """The size in standard deviations of the noise; – where the two are of other units."""
+    return f"{abs(entry.size) / noise:.2g}" if entry.unit == unit and noise > 0.0 else "–"
 
 
 def recording_lines(errors: Mapping[str, Sequence[RecordedError]]) -> list[str]:
@@ -112,7 +122,7 @@ def state_lines(state: RecordingState) -> list[str]:
     """Lines for a terminal: each error with its size and what it hides, and what can be named in the recording."""
     found = state.identification
     (source,) = found.sources
-    noise, is_of_position = found.fit.problem.noise.sigma, found.judged.kind == "position"
+    noise, unit = found.fit.problem.noise.sigma, found.judged.unit
     if not state.errors:
         why = "its errors cannot be told from what the declared model lacks; valve-sim diagnose looks for that"
         return [f"State of {source}: {why}.", *remarks(found.findings)]
@@ -121,8 +131,8 @@ def state_lines(state: RecordingState) -> list[str]:
     for name, entries in itertools.groupby(state.errors, key=lambda entry: entry.error):
         of_it = list(entries)
         for entry in of_it:
-            share = f"{abs(entry.size) / noise:.2g}" if entry.unit == "m" and is_of_position and noise > 0.0 else "–"
-            row = f"  {title_words(entry):<52}{size_words(entry):<20}{share:<10}{percent(entry.probability):<13}"
+            share, probability = _in_noise(entry, noise, unit), percent(entry.probability)
+            row = f"  {title_words(entry):<52}{size_words(entry):<20}{share:<10}{probability:<13}"
             lines.append(f"{row}{sparkline(entry.shown)}".rstrip())
         if any(entry.is_likely for entry in of_it) and name not in SMALL_TALK:
             lines.append(f"    {_advice(of_it[0], state.hidden.get(name))}.")
@@ -175,15 +185,6 @@ def sparkline(shown: Array) -> str:
     if size <= SHOWN * float(np.ptp(shown)):
         return ""
     return "".join(HEIGHTS[int(height)] for height in (few - low) / size * (len(HEIGHTS) - 1))
-
-
-HEIGHTS: Final = "▁▂▃▄▅▆▇█"
-CHARACTERS: Final = 24
-"""Of a picture on a terminal."""
-SHOWN: Final = 0.5
-"""Of the range, what their means are to reach."""
-SMALL_TALK: Final = ("clock_offset", "clock_rate", "scale")
-"""Errors that are estimated and cost next to nothing: no advice is printed for them."""
 
 
 def picture(at: Array, shown: Array) -> str:
