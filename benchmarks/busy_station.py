@@ -231,7 +231,6 @@ def main() -> int:
     parser.add_argument("--neighbours", type=int, default=8, help="busy processes (default 8)")
     parser.add_argument("--runs", type=int, default=1)
     chosen = parser.parse_args()
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     rclpy.init()
     try:
         good = []

@@ -17,7 +17,6 @@ import argparse
 import contextlib
 import json
 import math
-import os
 import signal
 import subprocess
 import sys
@@ -275,7 +274,6 @@ def main() -> int:
     parser.add_argument("--gas", action="store_true", help="with tanks of hydrogen, and a leak in the middle")
     parser.add_argument("--leak", type=float, default=LEAK, help=f"its area, m² (default {LEAK:g})")
     given = parser.parse_args()
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     rclpy.init()
     try:
         with running_station(gas=given.gas) as pids:

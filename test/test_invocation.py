@@ -106,3 +106,13 @@ def test_make_shell_finds_every_program_of_its_environment() -> None:
         check=True,
     )
     assert asked.stdout.splitlines() == [*(str(SCRIPT.with_name(name)) for name in programs), "makelevel="]
+
+
+@pytest.mark.parametrize("chosen", [None, "2"])
+def test_the_package_asks_for_one_thread_of_linear_algebra_unless_somebody_chose(chosen: str | None) -> None:
+    environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
+    if chosen is not None:
+        environment["OPENBLAS_NUM_THREADS"] = chosen
+    program = "import os, valve_sim; print(os.environ['OPENBLAS_NUM_THREADS'])"
+    ran = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True)
+    assert ran.stdout == f"{chosen or 1}\n"

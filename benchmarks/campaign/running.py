@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import subprocess
 import sys
 import tempfile
@@ -11,7 +10,6 @@ import time
 import traceback
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, fields, replace
 from multiprocessing import get_context
 from pathlib import Path
@@ -436,7 +434,7 @@ def true_declared(case: Case) -> dict[str, float]:
 
 def run_cases(plan: Sequence[tuple[str, int]], jobs: int) -> Iterator[Outcome]:
     """Outcomes as they come, from so many processes."""
-    with _one_thread_each(), ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
         futures = {pool.submit(run_case, family, seed): (family, seed) for family, seed in plan}
         for future in as_completed(futures):
             error = future.exception()
@@ -444,21 +442,6 @@ def run_cases(plan: Sequence[tuple[str, int]], jobs: int) -> Iterator[Outcome]:
                 yield future.result()
             else:
                 yield Outcome(draw_case(*futures[future]), error=f"{type(error).__name__}: {error}")
-
-
-@contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Processes started meanwhile leave the cores to each other."""
-    name = "OPENBLAS_NUM_THREADS"
-    before = os.environ.get(name)
-    os.environ[name] = "1"
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ[name]
-        else:
-            os.environ[name] = before
 
 
 def time_cold(family: str, seed: int) -> Timing:

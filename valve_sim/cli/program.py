@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-
 import click
 
 from valve_sim import __version__
@@ -16,9 +14,6 @@ from valve_sim.cli.identify import identify
 from valve_sim.cli.info import info
 from valve_sim.cli.simulate import simulate
 from valve_sim.cli.validate import validate
-
-# The matrices of a fit are thin: threads of the linear algebra cost more than they bring. NumPy comes later.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 @click.group(

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import threading
-
-# Before NumPy is loaded: matrices of a fit are thin, and the other processors belong to the other workers.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 def dask_setup(worker: object) -> None:
