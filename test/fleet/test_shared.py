@@ -11,6 +11,7 @@ import pytest
 from click.testing import CliRunner
 from distributed import Client, LocalCluster
 from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
+from plants.laboratory import Laboratory, measure
 from plants.recording import Recorder, record, train_bags, write_bag
 
 from valve_sim.cli import main
@@ -50,9 +51,9 @@ def test_the_optimum_and_its_errors_are_those_of_one_fit_to_all_recordings(bags:
     parts = [Problem(ValvePlant([trace], default_valve()), noises=whole.noises) for trace in traces]
 
     def shares_at(values: Mapping[str, float]) -> list[Share]:
-        return [share_of(part, DAMPINGS, values, {}) for part in parts]
+        return [share_of(part, DAMPINGS, values, {})[0] for part in parts]
 
-    shared = fit_shared(parts[0], DAMPINGS, shares_at)
+    shared = fit_shared(parts[0], DAMPINGS, shares_at, {})
     assert shared.converged
     assert shared.chi2 == pytest.approx(together.chi2, abs=0.01)
     apart = as_fit(parts[0], DAMPINGS, shared)
@@ -62,6 +63,22 @@ def test_the_optimum_and_its_errors_are_those_of_one_fit_to_all_recordings(bags:
     # A fit ends within a tenth of a standard error of the optimum.
     assert (np.abs(at - at_apart) / errors).max() < 0.1
     assert errors_apart == pytest.approx(errors, rel=1e-3)
+
+
+def test_recordings_whose_sensors_drift_and_hum_give_the_truth_and_what_errs(tmp_path: Path) -> None:
+    valve = {**CAMPAIGN_VALVE, "pilot_damping": 0.7, "main_damping": 5.4}
+    laboratory = Laboratory(drift=1.5e-6, hum=1e-6, sample_rate=10e3)
+    bags = [
+        write_bag(measure(valve, {}, profile, laboratory, seed), tmp_path / f"day_{seed}")
+        for seed, profile in enumerate(train_bags(2))
+    ]
+    found = identify_shared(bags, Recordings(default_valve(), DAMPINGS))
+    for name, interval in found.intervals.items():
+        assert abs(interval.value - valve[name]) < 4.0 * interval.stderr
+    assert len(found.recording) == len(bags)
+    assert all(bag.name in source for bag, source in zip(bags, found.recording, strict=True))
+    for errors in found.recording.values():
+        assert {"drift", "hum"} <= {own.error for own in errors if own.is_likely}
 
 
 def of_machine(result: Fit, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:

@@ -1,21 +1,37 @@
-"""`identify` over many recordings of one valve, each read where it is worked on: in this process, or on Dask."""
+"""`identify` over many recordings of one valve, each read where it is worked on: in this process, or on Dask.
+
+Each recording is first identified by itself, and learns its errors. The valve is then fitted to all of them, from the
+values of the recording that is fitted best. What a recording has learned travels without its columns.
+"""
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Generic, NamedTuple, TypeVar
 
 from valve_sim.files.recording_map import RecordingMap
 from valve_sim.fleet.cluster import run_batches
-from valve_sim.identification.diagnosis.identify import Identification, check_free, judged_rmse, rmse_of_kind
+from valve_sim.identification.diagnosis.identify import (
+    Identification,
+    check_free,
+    fit_beside_errors,
+    judged_rmse,
+    rmse_of_kind,
+)
 from valve_sim.identification.estimation.declared_values import declared_values, estimated_valve
+from valve_sim.identification.estimation.findings import findings
 from valve_sim.identification.estimation.intervals import covariance_interval
 from valve_sim.identification.estimation.problem import Problem
-from valve_sim.identification.estimation.shared_fit import Share, Shared, as_fit, fit_shared, share_of
+from valve_sim.identification.estimation.recorded_errors import RecordedError, by_recording
+from valve_sim.identification.estimation.result import Fit
+from valve_sim.identification.estimation.shared_fit import Share, as_fit, fit_shared, share_of
+from valve_sim.identification.estimation.structured_noise import StructuredNoise, structured_noise
 from valve_sim.identification.plants.protocol import judged_channels
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import SimulationError, Valve, ValveError
@@ -47,19 +63,42 @@ class Recordings(NamedTuple):
         refuse_doubtful_units(trace, self.valve.parameters)
         return trace
 
-    def problem(self, path: Path) -> Problem:
-        """One recording, with the noise of its own sensors.
+    def problem(self, path: Path, learned: Learned) -> Problem:
+        """One recording, with the noise of its own sensors, and with what it has learned of its errors.
 
         Raises:
             ValveError: it cannot be used.
         """
-        return Problem(ValvePlant([self.trace(path)], self.valve))
+        problem = Problem(ValvePlant([self.trace(path)], self.valve))
+        if learned.errors is None:
+            return problem
+        errors = structured_noise(problem.plant, learned.values, learned.errors.modes, learned.errors)
+        return problem.with_errors(errors)
+
+
+class Learned(NamedTuple):
+    """What a recording says by itself.
+
+    Attributes:
+        values: of its own fit, at which columns of its errors are made.
+        misfit: χ² of a sample there.
+        errors: sizes of its errors and modes of its mounts, without columns; None where it has none.
+        recording: the errors, by the recording's source; none where its model lacks something.
+        lacking: probability that it does, where that is likely; else 0.
+    """
+
+    values: Mapping[str, float]
+    misfit: float
+    errors: StructuredNoise | None
+    recording: Mapping[str, tuple[RecordedError, ...]]
+    lacking: float
 
 
 class Task(NamedTuple):
     """One recording at some values of the machine; its own nuisances start from `own`."""
 
     path: Path
+    learned: Learned
     values: Mapping[str, float]
     own: Mapping[str, float]
 
@@ -74,38 +113,77 @@ class Errors(NamedTuple):
     current_after: float
 
 
-class Answer(NamedTuple):
-    """A recording's share and errors, or why there are none; and the processor's seconds."""
+class Told(NamedTuple):
+    """What a recording says of the machine, and how far it is missed."""
 
-    share: Share | None
-    errors: Errors | None
+    share: Share
+    errors: Errors
+
+
+Found = TypeVar("Found", Told, Learned)
+Item = TypeVar("Item", Task, Path)
+
+
+class Answer(NamedTuple, Generic[Found]):
+    """What was found, or why nothing was; and the processor's seconds."""
+
+    found: Found | None
     failure: str
     is_of_simulation: bool
     seconds: float
 
 
-def answers(tasks: Sequence[Task], recordings: Recordings) -> list[Answer]:
-    """One for each task; what goes wrong is an answer, too."""
-    return [_answer(task, recordings) for task in tasks]
+def answers(
+    items: Sequence[Item], work: Callable[[Item, Recordings], Found], recordings: Recordings
+) -> list[Answer[Found]]:
+    """One for each item; what goes wrong is an answer, too."""
+    return [_answer(item, work, recordings) for item in items]
 
 
-def _answer(task: Task, recordings: Recordings) -> Answer:
+def _answer(item: Item, work: Callable[[Item, Recordings], Found], recordings: Recordings) -> Answer[Found]:
     begun = time.process_time()
-    share, errors, failure, is_of_simulation = None, None, "", False
+    found, failure, is_of_simulation = None, "", False
     try:
-        problem = recordings.problem(task.path)
-        share = share_of(problem, recordings.free, task.values, task.own)
-        errors = _errors(problem, task.values, share.own)
+        found = work(item, recordings)
     except (ValveError, OSError) as error:
         failure, is_of_simulation = str(error) or type(error).__name__, isinstance(error, SimulationError)
-    return Answer(share, errors, failure, is_of_simulation, time.process_time() - begun)
+    return Answer(found, failure, is_of_simulation, time.process_time() - begun)
 
 
-def _errors(problem: Problem, values: Mapping[str, float], own: Mapping[str, float]) -> Errors:
-    plant, now = problem.plant, {**values, **own}
+def told(task: Task, recordings: Recordings) -> Told:
+    """A recording's share at the values of its task.
+
+    Raises:
+        ValveError: it cannot be used, or the machine cannot be simulated.
+    """
+    problem = recordings.problem(task.path, task.learned)
+    share, left = share_of(problem, recordings.free, task.values, task.own)
+    plant, own = problem.plant, share.own
+    # What the sensors' errors add is the same as declared and refitted.
+    added = left.errors_of(left.left.few()) if problem.errors is not None else ()
     samples = sum(plant.channels[index].count for index in judged_channels(plant))
-    judged = judged_rmse(plant, own), judged_rmse(plant, now)
-    return Errors(samples, *judged, *(rmse_of_kind(plant, found, "current") for found in (own, now)))
+    now = {**task.values, **own}
+    judged = judged_rmse(plant, own, added), judged_rmse(plant, now, added)
+    return Told(share, Errors(samples, *judged, *(rmse_of_kind(plant, values, "current") for values in (own, now))))
+
+
+def learned(path: Path, recordings: Recordings) -> Learned:
+    """What a recording says by itself.
+
+    Raises:
+        ValveError: it cannot be used, or the machine cannot be simulated.
+    """
+    best, lacking = fit_beside_errors(
+        [recordings.trace(path)], recordings.valve, recordings.free, lambda what, fraction: None
+    )
+    problem = best.problem
+    return Learned(
+        best.values,
+        best.chi2 / problem.effective_samples,
+        None if problem.errors is None else replace(problem.errors, columns={}),
+        {} if lacking else by_recording([best]),
+        lacking,
+    )
 
 
 def identify_shared(
@@ -127,52 +205,69 @@ def identify_shared(
             lost.
     """
     check_free(recordings.free, recordings.valve)
-    say, first = progress or (lambda what, fraction: None), recordings.problem(paths[0])
-    own: list[Mapping[str, float]] = [{} for _ in paths]
+    say = progress or (lambda what, fraction: None)
+    alone: list[Learned] = _all(paths, learned, recordings, connect, lambda done: say("each by itself", done))
+    own: list[Mapping[str, float]] = [one.values for one in alone]
     latest: list[Errors] = []
     steps = 0
 
     def shares_at(values: Mapping[str, float]) -> list[Share]:
         nonlocal steps
         steps += 1
-        tasks = [Task(path, dict(values), start) for path, start in zip(paths, own, strict=True)]
-        found = _all(tasks, recordings, connect, lambda done: say(f"step {steps}", done))
-        shares = [answer.share for answer in found if answer.share is not None]
-        latest[:] = [answer.errors for answer in found if answer.errors is not None]
-        own[:] = [share.own for share in shares]
-        return shares
+        tasks = [Task(path, one, dict(values), start) for path, one, start in zip(paths, alone, own, strict=True)]
+        found: list[Told] = _all(tasks, told, recordings, connect, lambda done: say(f"step {steps}", done))
+        latest[:] = [one.errors for one in found]
+        own[:] = [one.share.own for one in found]
+        return [one.share for one in found]
 
-    shared = fit_shared(first, recordings.free, shares_at)
-    return _identification(first, recordings.free, shared, latest, paths)
+    first = recordings.problem(paths[0], alone[0])
+    shared = fit_shared(first, recordings.free, shares_at, min(alone, key=lambda one: one.misfit).values)
+    result = as_fit(first, recordings.free, shared)
+    return _identification(result, latest, paths, alone)
 
 
 def _all(
-    tasks: Sequence[Task], recordings: Recordings, connect: Callable[[], Any], say: Callable[[float], None]
-) -> list[Answer]:
-    """The answers, in the order of the tasks: sums over recordings are the same wherever they were worked on."""
-    found: dict[Path, Answer] = {}
-    for batch in run_batches(connect, partial(answers, recordings=recordings), tasks, lambda answer: answer.seconds):
+    items: Sequence[Item],
+    work: Callable[[Item, Recordings], Found],
+    recordings: Recordings,
+    connect: Callable[[], Any],
+    say: Callable[[float], None],
+) -> list[Found]:
+    """What was found, in the order of the items: sums over recordings are the same wherever they were worked on."""
+    found: dict[Path, Answer[Found]] = {}
+    do = partial(answers, work=work, recordings=recordings)
+    for batch in run_batches(connect, do, items, lambda answer: answer.seconds):
         if batch.failure:
-            raise ValveError(f"{batch.items[0].path}: {batch.failure}")
-        found.update((task.path, answer) for task, answer in zip(batch.items, batch.answers, strict=True))
-        say(len(found) / len(tasks))
-    ordered = [found[task.path] for task in tasks]
-    for answer in ordered:
-        if answer.failure:
+            raise ValveError(f"{_path(batch.items[0])}: {batch.failure}")
+        found.update((_path(item), answer) for item, answer in zip(batch.items, batch.answers, strict=True))
+        say(len(found) / len(items))
+    ordered: list[Found] = []
+    for item in items:
+        answer = found[_path(item)]
+        if answer.found is None:
             raise (SimulationError if answer.is_of_simulation else ValveError)(answer.failure)
+        ordered.append(answer.found)
     return ordered
 
 
+def _path(item: Task | Path) -> Path:
+    return item.path if isinstance(item, Task) else item
+
+
 def _identification(
-    first: Problem, free: tuple[str, ...], shared: Shared, errors: Sequence[Errors], paths: Sequence[Path]
+    result: Fit, errors: Sequence[Errors], paths: Sequence[Path], alone: Sequence[Learned]
 ) -> Identification:
-    result = as_fit(first, free, shared)
-    plant = first.plant
+    plant = result.problem.plant
     assert isinstance(plant, ValvePlant)
     rms = [_together(errors, index) for index in range(1, 5)]
+    lacking = max(one.lacking for one in alone)
+    recording = {} if lacking else {source: own for one in alone for source, own in one.recording.items()}
+    intervals = {name: covariance_interval(result, name) for name in result.free}
+    remarks = findings(result, intervals, itertools.chain(*recording.values()), lacking)
     return Identification(
-        result, {name: covariance_interval(result, name) for name in free}, {}, (), rms[0], rms[1],
+        result, intervals, {}, remarks, rms[0], rms[1],
         estimated_valve(result, plant), tuple(str(path) for path in paths), declared_values(result), rms[2], rms[3],
+        recording=recording,
     )  # fmt: skip
 
 

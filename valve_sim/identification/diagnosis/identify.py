@@ -107,23 +107,9 @@ def identify(
     free = dampings_of(valve) if free is None else free
     check_free(free, valve)
     say("start", 0.0)
-    # Before the data are prepared: what this takes of memory is free again then.
-    starts = starts_of(traces, valve, free)
-    plant = ValvePlant(traces, valve)
-    say("noise", 0.0)
-
-    def fitted(problem: Problem, begun: Fit | None) -> Fit:
-        if begun is not None:
-            return best_fit(problem, free, [begun.values], lambda fraction: None)
-        return best_fit(problem, free, starts, lambda fraction: say("fit", 0.3 * fraction))
-
-    problem, best = with_learned_errors(Problem(plant).condensed(), fitted)
-    unnamed = unnamed_beside(best)
-    if unnamed > EVEN and problem.errors is not None:
-        # Beside what it lacks, learned errors would imitate that.
-        best = fitted(with_forgotten_errors(problem, best.values), None)
-    best = with_uncertain_sizes(best)
-    lacking = unnamed if unnamed > EVEN else 0.0
+    best, lacking = fit_beside_errors(traces, valve, free, say)
+    best, plant = with_uncertain_sizes(best), best.problem.plant
+    assert isinstance(plant, ValvePlant)
     recording = {} if lacking else by_recording([best])
     intervals: dict[str, Interval] = {}
     profiles: dict[str, list[tuple[float, float]]] = {}
@@ -141,6 +127,36 @@ def identify(
         rmse_of_kind(plant, offsets, "current"), rmse_of_kind(plant, best.values, "current"),
         rmse_of_kind(plant, offsets, "pressure"), rmse_of_kind(plant, best.values, "pressure"), recording,
     )  # fmt: skip
+
+
+def fit_beside_errors(traces: Sequence[Trace], valve: Valve, free: Sequence[str], say: Progress) -> tuple[Fit, float]:
+    """The best fit, with the errors of the recordings as large as they are beside it.
+
+    Args:
+        traces: measured strokes. valve: the declared valve. free: parameters to refit. say: told the progress, to 0.3.
+
+    Returns:
+        The fit, and the probability that the model lacks something, if that is likely: then errors are as large as
+        they are before the data are asked; else 0.
+
+    Raises:
+        SimulationError: the declared valve cannot be simulated.
+    """
+    # Before the data are prepared: what this takes of memory is free again then.
+    starts = starts_of(traces, valve, free)
+    say("noise", 0.0)
+
+    def fitted(problem: Problem, begun: Fit | None) -> Fit:
+        if begun is not None:
+            return best_fit(problem, free, [begun.values], lambda fraction: None)
+        return best_fit(problem, free, starts, lambda fraction: say("fit", 0.3 * fraction))
+
+    problem, best = with_learned_errors(Problem(ValvePlant(traces, valve)).condensed(), fitted)
+    unnamed = unnamed_beside(best)
+    if unnamed > EVEN and problem.errors is not None:
+        # Beside what it lacks, learned errors would imitate that.
+        best = fitted(with_forgotten_errors(problem, best.values), None)
+    return best, unnamed if unnamed > EVEN else 0.0
 
 
 def check_free(free: Sequence[str], valve: Valve | None = None) -> None:

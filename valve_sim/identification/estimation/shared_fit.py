@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -63,9 +64,9 @@ SharesAt = Callable[[Mapping[str, float]], Sequence[Share]]
 """The shares of all recordings at values of the machine, wherever they are worked out."""
 
 
-def own_nuisances(plant: Plant) -> tuple[Nuisance, ...]:
-    """Errors of the recordings: of clocks, of what was read from a voltage, and of every command's stamp."""
-    return tuple(own for own in (*plant.nuisances, *plant.timing_errors) if not own.is_of_machine)
+def own_nuisances(problem: Problem) -> tuple[Nuisance, ...]:
+    """What each recording estimates for itself: errors of clocks and of commands' stamps, and what varies by stroke."""
+    return tuple(own for own in (*problem.nuisances, *problem.plant.timing_errors) if not own.is_of_machine)
 
 
 def machine_nuisances(plant: Plant, free: Sequence[str]) -> tuple[Nuisance, ...]:
@@ -73,8 +74,10 @@ def machine_nuisances(plant: Plant, free: Sequence[str]) -> tuple[Nuisance, ...]
     return tuple(own for own in plant.nuisances if own.is_of_machine and not {own.name, own.same_as} & set(free))
 
 
-def share_of(problem: Problem, free: Sequence[str], values: Mapping[str, float], own: Mapping[str, float]) -> Share:
-    """A recording's share.
+def share_of(
+    problem: Problem, free: Sequence[str], values: Mapping[str, float], own: Mapping[str, float]
+) -> tuple[Share, Fit]:
+    """A recording's share, and the fit from which it is: at these values, nuisances of the recording at their best.
 
     Args:
         problem: of this recording. free: parameters that are freed. values: of the machine.
@@ -83,14 +86,15 @@ def share_of(problem: Problem, free: Sequence[str], values: Mapping[str, float],
     Raises:
         SimulationError: the machine cannot be simulated with these values.
     """
-    plant = problem.plant
-    ours, machine = own_nuisances(plant), machine_nuisances(plant, free)
+    ours, machine = own_nuisances(problem), machine_nuisances(problem.plant, free)
     best = fit(problem, (), own, nuisances=ours, fixed=values)
     there = fit(problem, free, {**values, **best.values}, nuisances=(*machine, *ours), effort=_HERE)
     shared = len(free) + len(machine)
     priors = np.array([1.0 / nuisance.sigma**2 for nuisance in (*machine, *ours)])
     off = np.array([there.values[nuisance.name] - nuisance.mean for nuisance in (*machine, *ours)])
-    gradient = gram(there.jacobian, there.residuals)
+    rows = problem.whitened(np.column_stack([there.derivatives.few(), there.left.few()]))
+    jacobian, residuals = rows[:, :-1], rows[:, -1]
+    gradient = gram(jacobian, residuals)
     gradient[shared:] += (priors * off)[len(machine) :]
     information = there.information.copy()
     # Of the machine's values the priors count once, not once for each recording.
@@ -99,14 +103,15 @@ def share_of(problem: Problem, free: Sequence[str], values: Mapping[str, float],
     between, inside = information[:shared, shared:], information[shared:, shared:]
     # What is left of the own nuisances' gradient is a step that is taken here.
     solved = np.linalg.solve(inside, np.column_stack([gradient[shared:], between.T]))
-    chi2 = sum_squares(there.residuals) + float(priors[len(machine) :] @ np.square(off[len(machine) :]))
-    return Share(
+    chi2 = sum_squares(residuals) + float(priors[len(machine) :] @ np.square(off[len(machine) :]))
+    share = Share(
         chi2 - float(gradient[shared:] @ solved[:, 0]),
         gradient[:shared] - between @ solved[:, 0],
         information[:shared, :shared] - between @ solved[:, 1:],
         {nuisance.name: there.values[nuisance.name] for nuisance in ours},
         problem.effective_samples,
     )
+    return share, there
 
 
 class DescentOverRecordings(Descent):
@@ -119,7 +124,8 @@ class DescentOverRecordings(Descent):
     holds_rows = False
 
     def __init__(self, problem: Problem, free: Sequence[str], shares_at: SharesAt) -> None:
-        super().__init__(problem, tuple(free), machine_nuisances(problem.plant, free), {}, None)
+        # Each share is whitened for the errors of its recording; there are no rows here.
+        super().__init__(problem.with_errors(None), tuple(free), machine_nuisances(problem.plant, free), {}, None)
         self._shares_at, self._small = shares_at, SMALL
         self._shares: dict[bytes, Sequence[Share]] = {}
 
@@ -161,18 +167,18 @@ class DescentOverRecordings(Descent):
         return self.with_priors(at, information, gradient)
 
 
-def fit_shared(problem: Problem, free: Sequence[str], shares_at: SharesAt) -> Shared:
+def fit_shared(problem: Problem, free: Sequence[str], shares_at: SharesAt, start: Mapping[str, float]) -> Shared:
     """Fit the machine to all recordings.
 
     Args:
         problem: of one of the recordings, for what is declared. free: parameters to free.
-        shares_at: of all recordings.
+        shares_at: of all recordings. start: values of the machine to begin at; what is missing begins as declared.
 
     Raises:
         SimulationError: the declared machine cannot be simulated.
     """
     search = DescentOverRecordings(problem, free, shares_at)
-    end = search.descend(search.start({}), math.inf, Effort(most=MOST_STEPS))
+    end = search.descend(search.start(start), math.inf, Effort(most=MOST_STEPS))
     return Shared(search.values(end.at), search.shares(end.at), end.cost, end.converged)
 
 
@@ -189,6 +195,8 @@ def as_fit(problem: Problem, free: Sequence[str], found: Shared) -> Fit:
     names = (*free, *(nuisance.name for nuisance in machine))
     size = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
     centre = at - size * np.linalg.lstsq(information * np.outer(size, size), size * gradient, rcond=1e-12)[0]
-    nuisances = (*machine, *own_nuisances(problem.plant))
+    nuisances = (*machine, *own_nuisances(problem))
     start = {**found.values, **found.shares[0].own}
-    return fit(problem, free, start, nuisances=nuisances, prior=MachineKnowledge(names, centre, information))
+    known = MachineKnowledge(names, centre, information)
+    result = fit(problem, free, start, nuisances=nuisances, prior=known)
+    return replace(result, converged=result.converged and found.converged)
