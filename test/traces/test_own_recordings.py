@@ -175,6 +175,9 @@ def test_a_map_says_of_how_many_readings_a_position_is_the_mean(tmp_path: Path, 
     assert read_trace(recording, None, load_map(path)).averaging == 1
     path.write_text(path.read_text() + "sensor: {averaging: 8}\n")
     assert read_trace(recording, None, load_map(path)).averaging == 8
+    assert read_trace(recording, None, load_map(path)).bandwidth == np.inf
+    path.write_text(path.read_text().replace("averaging: 8", "bandwidth: 500"))
+    assert read_trace(recording, None, load_map(path)).bandwidth == 500.0
 
 
 def test_oscilloscope_table(tmp_path: Path, made: Recording) -> None:
@@ -250,7 +253,8 @@ WRONG_MAPS = {
         LAB + "sensor: {avraging: 2}\n",
         r"sensor\.avraging: unknown key; did you mean aver",
     ),
-    "a bandwidth": (LAB + "sensor: {bandwidth: 2000}\n", r"sensor\.bandwidth: found 2000; declare it in the parameter"),
+    "a bandwidth of nothing": (LAB + "sensor: {bandwidth: 0}\n", r"sensor\.bandwidth: found 0, expected a frequency"),
+    "a bandwidth in words": (LAB + "sensor: {bandwidth: fast}\n", r"sensor\.bandwidth: found 'fast', expected a freq"),
     "a misspelt quantity": (LAB.replace("position", "positon"), r"positon: unknown key; did you mean position\?"),
     "a misspelt key": (LAB.replace("unit", "units"), r"position: units: unknown key; did you mean unit\?"),
     "an unknown unit": (LAB.replace("unit: mm", "unit: millimetres"), "found 'millimetres', expected one of m, cm, mm"),

@@ -156,6 +156,19 @@ class TimeAxis:
 
 
 @dataclass(frozen=True)
+class DeclaredSensor:
+    """What is known of a position sensor.
+
+    Attributes:
+        averaging: of how many readings, the last one included, each recorded position is the mean.
+        bandwidth: of its low-pass of first order, Hz; infinite: it has none.
+    """
+
+    averaging: int = 1
+    bandwidth: float = math.inf
+
+
+@dataclass(frozen=True)
 class RecordingMap:
     """What a recording holds about each valve.
 
@@ -163,14 +176,13 @@ class RecordingMap:
         path: the file that it was read from, for messages.
         valves: valve's name ("/tank_1/valve") to quantity (of `QUANTITIES`) to where it is.
         time: of a table; None for bags.
-        averaging: by valve's name, of how many readings, the last one included, each recorded position is the mean;
-            of those that are not there, of one.
+        sensors: by valve's name, what is known of its position sensor; of those that are not there, nothing.
     """
 
     path: str
     valves: Mapping[str, Mapping[str, Source]]
     time: TimeAxis | None = None
-    averaging: Mapping[str, int] = field(default_factory=dict)
+    sensors: Mapping[str, DeclaredSensor] = field(default_factory=dict)
 
     def choose(self, valve: str | None) -> tuple[str, Mapping[str, Source]]:
         """The valve of this name, or the only one: its name and what is recorded of it.
@@ -214,16 +226,16 @@ def map_from(found: object, path: str) -> RecordingMap:
         if alone:
             raise MapError(f"{path}: {alone[0]}: found beside valves:; expected it below one of them")
         valves = _named_valves(found["valves"], clock, path)
-        averaging = {_absolute(name): _averaging(own, path, f"valves.{name}.") for name, own in found["valves"].items()}
+        sensors = {_absolute(name): _sensor(own, path, f"valves.{name}.") for name, own in found["valves"].items()}
     else:
         name = found.get("valve", DEFAULT_VALVE)
         if not isinstance(name, str) or not name.strip("/"):
             raise MapError(f"{path}: valve: found {_short(name)}, expected a name such as {DEFAULT_VALVE}")
         entries = {key: value for key, value in found.items() if key in QUANTITIES}
         valves = {_absolute(name): _sources(entries, clock, path, "")}
-        averaging = {_absolute(name): _averaging(found, path, "")}
+        sensors = {_absolute(name): _sensor(found, path, "")}
     _check_kind(valves, time, path)
-    return RecordingMap(path, valves, time, averaging)
+    return RecordingMap(path, valves, time, sensors)
 
 
 def load_force_map(path: Path | str) -> Mapping[str, Source]:
@@ -268,28 +280,26 @@ def _absolute(name: object) -> str:
     return "/" + str(name).strip("/")
 
 
-def _averaging(entries: Mapping[Any, Any], path: str, prefix: str) -> int:
-    """Of how many readings each position is the mean, as the entry of a valve says."""
+def _sensor(entries: Mapping[Any, Any], path: str, prefix: str) -> DeclaredSensor:
+    """What the entry of a valve says of its position sensor."""
     found, where = entries.get("sensor", {}), f"{path}: {prefix}"
     if not isinstance(found, Mapping):
-        raise MapError(f"{where}sensor: found {_short(found)}, expected {{averaging: 10}}")
+        raise MapError(f"{where}sensor: found {_short(found)}, expected {{averaging: 10}} or {{bandwidth: 500}}")
     if "sensor" in entries and "position" not in entries:
         raise MapError(
             f"{where}sensor: is that of the position, of which the map names none; add position: or take it out"
         )
-    if "bandwidth" in found:
-        raise MapError(
-            f"{where}sensor.bandwidth: found {_short(found['bandwidth'])}; declare it in the parameter file, as "
-            "effects: {sensor_bandwidth: {cutoff_frequency: ...}}"
-        )
-    _check_keys(found, ["averaging"], path, f"{prefix}sensor.")
+    _check_keys(found, ["averaging", "bandwidth"], path, f"{prefix}sensor.")
     count = found.get("averaging", 1)
     if isinstance(count, bool) or not isinstance(count, int) or not 1 <= count <= MOST_AVERAGED:
         raise MapError(
             f"{where}sensor.averaging: found {_short(count)}, expected a whole number of readings from 1 to "
             f"{MOST_AVERAGED}"
         )
-    return count
+    bandwidth = found.get("bandwidth", math.inf)
+    if isinstance(bandwidth, bool) or not isinstance(bandwidth, int | float) or not bandwidth >= 1.0:
+        raise MapError(f"{where}sensor.bandwidth: found {_short(bandwidth)}, expected a frequency in Hz from 1 on")
+    return DeclaredSensor(count, float(bandwidth))
 
 
 def _sources(entries: Mapping[Any, Any], clock: str, path: str, prefix: str) -> Mapping[str, Source]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from valve_sim.files.data_tables import TABLE_SUFFIXES
-from valve_sim.files.recording_map import QUANTITIES
+from valve_sim.files.recording_map import QUANTITIES, DeclaredSensor
 from valve_sim.model.drives import Drive
 from valve_sim.traces.clocks import SECOND, clock_offset, seconds_since
 from valve_sim.traces.command_dates import dates_by_voltage
@@ -82,8 +82,8 @@ def read_trace(path: str | PathLike[str], valve: str | None = None, recording_ma
     trace = _read(path, valve, recording_map)
     if recording_map is None:
         return trace
-    averaging = recording_map.averaging.get(recording_map.choose(valve)[0], 1)
-    return replace(trace, zero_error=ZERO_ERROR, averaging=averaging)
+    sensor = recording_map.sensors.get(recording_map.choose(valve)[0], DeclaredSensor())
+    return replace(trace, zero_error=ZERO_ERROR, averaging=sensor.averaging, bandwidth=sensor.bandwidth)
 
 
 def _read(path: Path, valve: str | None, recording_map: RecordingMap | None) -> Trace:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import KW_ONLY, dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
@@ -58,6 +59,7 @@ class Trace:
         pilot_position: Pilot plunger, m, shape (n,), as it was recorded; see `usable_position`.
         drive_errors: How well the commands are known; None where they were recorded as they were sent.
         averaging: Of how many readings, the last one included, each recorded position is the mean.
+        bandwidth: Of the position sensor's low-pass of first order, Hz, as a map declares it; infinite: none.
         zero_error: Standard deviation of what the position sensor shows of a closed valve, m; 0 where that is 0.
         main_position: Main plunger, m, shape (n,); None where it was not recorded.
         coil_current: Measured current, A.
@@ -82,6 +84,7 @@ class Trace:
     _: KW_ONLY
     drive_errors: DriveErrors | None = None
     averaging: int = 1
+    bandwidth: float = math.inf
     zero_error: float = 0.0
     coil_current: Signal | None = None
     coil_voltage: Signal | None = None

@@ -16,11 +16,13 @@ from benchmarks.campaign.running import as_trace
 from valve_sim.files.json_text import plain
 from valve_sim.identification.diagnosis.recording_state import state_of_recording
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
+from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.diagnosis_json import to_json
 from valve_sim.identification.reporting.html import write_report
 from valve_sim.identification.reporting.recording_state import state_json, state_lines
 from valve_sim.identification.reporting.text import diagnosis_text
 from valve_sim.identification.reporting.units import quantity
+from valve_sim.model import ParameterError
 from valve_sim.traces import Trace
 
 LABORATORIES = {
@@ -103,6 +105,26 @@ def test_a_declared_average_of_readings_is_no_effect_of_the_valve() -> None:
     assert (found.verdict.kind, found.verdict.effects) == ("none", ())
     for name in ("pilot_damping", "main_damping"):
         assert found.after.intervals[name].low < SHEET_VALVE[name] < found.after.intervals[name].high
+
+
+def test_a_declared_bandwidth_of_the_sensor_is_no_effect_of_the_valve() -> None:
+    recording = measure(
+        SHEET_VALVE, {"sensor_bandwidth": {"cutoff_frequency": 500.0}}, train_profile(), Laboratory(), 7
+    )
+    valve = declared_valve(SHEET_VALVE, declared_tolerances(SHEET_VALVE))
+    found = diagnose([replace(as_trace(recording, "x"), bandwidth=500.0)], [], valve)
+    assert (found.verdict.kind, found.verdict.effects) == ("none", ())
+    assert found.valve.effects == {"sensor_bandwidth": {"cutoff_frequency": 500.0}}
+
+
+def test_a_sensor_has_one_bandwidth() -> None:
+    trace = as_trace(measure(SHEET_VALVE, {}, train_profile(), Laboratory(), 8), "first")
+    valve = declared_valve(SHEET_VALVE, {})
+    with pytest.raises(ParameterError, match="second: its sensor has not the 500 Hz of the other recordings"):
+        ValvePlant([replace(trace, bandwidth=500.0), replace(trace, source="second")], valve)
+    slow = replace(valve, effects={"sensor_bandwidth": {"cutoff_frequency": 800.0}})
+    with pytest.raises(ParameterError, match=r"declares sensor\.bandwidth 500 Hz, and the valve .* 800 Hz"):
+        ValvePlant([replace(trace, bandwidth=500.0)], slow)
 
 
 def test_a_state_says_what_errors_hide_and_what_to_do() -> None:

@@ -50,6 +50,7 @@ from valve_sim.identification.plants.valve_sensors import (
     fastest_motion,
     followed,
     predicted,
+    with_declared_sensor,
     with_usable_current,
     without_pressure,
 )
@@ -96,6 +97,9 @@ class ValvePlant:
         is_watched: whether the traces are strokes of a valve that is watched, or rows of them. Errors of the recordings
             are then what differs from stroke to stroke, by sizes that are the same in all traces: drift and hum of the
             sensor, and what varies of the valve. The sensor's curve, its mount and the source are as they always were.
+
+    Raises:
+        ParameterError: the traces declare other bandwidths of the position sensor than each other or the valve.
     """
 
     def __init__(self, traces: Sequence[Trace], valve: Valve, *, is_watched: bool = False) -> None:
@@ -103,7 +107,7 @@ class ValvePlant:
         jumps = valve.parameters.coil_time_constant == 0.0 or "motional_emf" in valve.effects
         known = [trace if valve.gas is not None else without_pressure(trace) for trace in traces]
         self.traces = tuple(with_usable_current(trace, jumps=jumps) for trace in known)
-        self._model = ValveModel(valve, dampings_of(valve))
+        self._model = ValveModel(with_declared_sensor(valve, traces), dampings_of(valve))
         self._channels = [channel for index, trace in enumerate(self.traces) for channel in channels_of(index, trace)]
 
     @property

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, Final
 
@@ -296,6 +297,31 @@ def response_to(valve: Valve, trace: Trace, drive: Drive, times: Array, start: f
     if supply is None:
         return simulate(valve, drive, times, start_time=start)
     return simulate_supplied(valve, drive, supply, times, start)
+
+
+def with_declared_sensor(valve: Valve, traces: Sequence[Trace]) -> Valve:
+    """The declared valve with the low-pass of its position sensor that the traces declare; without one, as it is.
+
+    Raises:
+        ParameterError: the traces declare different ones, or the valve declares another.
+    """
+    bandwidths = {trace.bandwidth for trace in traces if len(trace.times)}
+    if not bandwidths - {math.inf}:
+        return valve
+    bandwidth, *others = sorted(bandwidths)
+    if others:
+        other = next(trace for trace in traces if trace.bandwidth != bandwidth)
+        raise ParameterError(
+            f"{other.source}: its sensor has not the {bandwidth:g} Hz of the other recordings; "
+            "use recordings of one sensor"
+        )
+    declared = valve.effects.get("sensor_bandwidth", {}).get("cutoff_frequency", bandwidth)
+    if declared != bandwidth:
+        raise ParameterError(
+            f"{traces[0].source}: its map declares sensor.bandwidth {bandwidth:g} Hz, and the valve "
+            f"effects.sensor_bandwidth.cutoff_frequency {declared:g} Hz; take one of them out"
+        )
+    return replace(valve, effects={**valve.effects, "sensor_bandwidth": {"cutoff_frequency": bandwidth}})
 
 
 def averaged(trace: Trace, positions: Array) -> Array:
