@@ -132,7 +132,7 @@ def test_a_bend_is_straight_at_both_ends_of_the_range() -> None:
     assert BEND.amount is not None
     columns = BEND.columns(seen(np.linspace(0.0, SPAN, len(TIMES))))
     np.testing.assert_allclose(columns[[0, -1]], 0.0, atol=1e-12)
-    assert BEND.amount(np.array([4e-6, 0.0, 0.0, 0.0, 0.0, 0.0])) == pytest.approx(1e-6)
+    assert BEND.amount(np.array([4e-6, 0.0, 0.0, 0.0, 0.0, 0.0]), columns) == pytest.approx(1e-6)
 
 
 def test_drift_is_a_constant_and_ramps_that_stay() -> None:
@@ -145,13 +145,17 @@ def test_drift_is_a_constant_and_ramps_that_stay() -> None:
 
 
 def test_drift_is_told_of_whole_strokes() -> None:
-    """3 µm in each of two strokes; half a stroke at the end, which drifts by less, counts for nothing."""
-    steps = np.concatenate([np.full(2 * RAMPS, 3e-6), np.full(2 * RAMPS, -3e-6), np.full(RAMPS, 1e-6)]) / (2 * RAMPS)
-    amount = DRIFT.amount
-    assert amount is not None
-    assert amount(np.concatenate([[0.0], steps * math.sqrt(2.0 * RAMPS)])) == pytest.approx(3e-6)
+    """3 µm in each of two strokes of different lengths; half a stroke at the end, which drifts by less, is none."""
+    assert DRIFT.columns is not None
+    assert DRIFT.amount is not None
+    zero = np.interp(TIMES, [0.0, 0.06, 0.15, TIMES[-1]], [0.0, 3e-6, 0.0, 1e-6])
+    columns = DRIFT.columns(seen())
+    coefficients = np.linalg.lstsq(columns, zero, rcond=None)[0]
+    assert DRIFT.amount(coefficients, columns) == pytest.approx(3e-6)
     # A recording that is shorter than a stroke has what there is.
-    assert amount(np.concatenate([[0.0], steps[:RAMPS] * math.sqrt(2.0 * RAMPS)])) == pytest.approx(1.5e-6)
+    short = DRIFT.columns(seen()._replace(times=TIMES[:1000], knots=np.array([0.01])))
+    climbs = np.linalg.lstsq(short, zero[:1000], rcond=None)[0]
+    assert DRIFT.amount(climbs, short) == pytest.approx(float(zero[999]))
 
 
 def test_hum_holds_a_sine_of_the_mains_of_any_phase() -> None:
@@ -161,7 +165,7 @@ def test_hum_holds_a_sine_of_the_mains_of_any_phase() -> None:
     columns = HUM.columns(seen())
     coefficients = np.linalg.lstsq(columns, wave, rcond=None)[0]
     np.testing.assert_allclose(columns @ coefficients, wave, atol=1e-12)
-    assert HUM.amount(coefficients) == pytest.approx(2e-6, rel=1e-6)
+    assert HUM.amount(coefficients, columns) == pytest.approx(2e-6, rel=1e-6)
 
 
 def test_a_harmonic_that_samples_cannot_show_is_left_out() -> None:

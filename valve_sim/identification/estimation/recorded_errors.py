@@ -154,7 +154,7 @@ def _of_sizes(result: Fit) -> Iterator[RecordedError]:
     for number, group in enumerate(noise.groups):
         recording, unit = _of(group, result)
         if by_sizes.is_estimated[number]:
-            found = _found(by_sizes, sizes, number, group)
+            found = _found(by_sizes, sizes, number, noise)
         else:
             found = _Found(0.0, 0.0, 0.0, GONE * group.scale, 0.0)
         if group.error.is_relative:
@@ -162,8 +162,9 @@ def _of_sizes(result: Fit) -> Iterator[RecordedError]:
         yield _pictured(_entry(recording, group.error.name, found, unit, _detail(group, noise)), result, group)
 
 
-def _found(by_sizes: BySizes, sizes: Array, number: int, group: Group) -> _Found:
+def _found(by_sizes: BySizes, sizes: Array, number: int, noise: StructuredNoise) -> _Found:
     """What the data say of an error: its size, or what is reported of its coefficients."""
+    group = noise.groups[number]
     at_sizes, weights, probability = sizes[number : number + 1], np.ones(1), 1.0
     if not group.error.is_known:
         at_sizes, weights, probability = _posterior(by_sizes, sizes, number, group)
@@ -173,14 +174,15 @@ def _found(by_sizes: BySizes, sizes: Array, number: int, group: Group) -> _Found
         low, high = np.interp([0.025, 0.975], np.cumsum(weights) - 0.5 * weights, at_sizes).tolist()
         return _Found(mean, spread, low, high, probability)
     # Over the sizes that are possible, as the machine's values are.
+    amount_of, samples = group.error.amount, noise.columns_of(number)
     chosen = np.argsort(weights)[-SPREAD:]
     shares = weights[chosen] / np.sum(weights[chosen])
     amounts, variances = np.empty(len(chosen)), np.empty(len(chosen))
     for place, size in enumerate(at_sizes[chosen].tolist()):
         at, covariance = by_sizes.coefficients(_with(sizes, number, size), number)
-        amounts[place] = group.error.amount(at)
+        amounts[place] = amount_of(at, samples)
         step = TENTH * np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
-        slope = np.array([(group.error.amount(at + own) - amounts[place]) for own in np.diag(step)]) / step
+        slope = np.array([(amount_of(at + own, samples) - amounts[place]) for own in np.diag(step)]) / step
         variances[place] = float(slope @ covariance @ slope)
     value = float(shares @ amounts)
     error = math.sqrt(max(0.0, float(shares @ (variances + np.square(amounts - value)))))

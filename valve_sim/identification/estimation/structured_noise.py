@@ -125,6 +125,13 @@ class StructuredNoise:
                 found.append(own._replace(sigma=size))
         return tuple(found)
 
+    def columns_of(self, number: int) -> Array:
+        """(n, q) columns of a group, of the first of its channels; (0, 1) of an error that acts on the machine."""
+        for samples, owners in self.columns.values():
+            if np.any(owners == number):
+                return samples[:, owners == number]
+        return np.empty((0, 1))
+
     def resized(self, sizes: Array) -> StructuredNoise:
         """The same with other sizes."""
         return replace(self, sizes=sizes)

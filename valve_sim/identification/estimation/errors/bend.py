@@ -21,7 +21,7 @@ def columns(seen: Seen) -> Array:
     return _curves(np.clip((seen.shown - seen.low) / seen.span, 0.0, 1.0))
 
 
-def amount(coefficients: Array) -> float:
+def amount(coefficients: Array, _: Array) -> float:
     """The largest deviation from a straight line."""
     return float(np.max(np.abs(_curves(np.linspace(0.0, 1.0, PLACES)) @ coefficients)))
 

@@ -7,7 +7,6 @@ straight line, which shows where a sensor of low noise drifts by micrometres.
 
 from __future__ import annotations
 
-import math
 from typing import Final
 
 import numpy as np
@@ -32,13 +31,13 @@ def columns(seen: Seen) -> Array:
     return np.column_stack([np.ones(len(seen.times)), ramps])
 
 
-def change_by_stroke(coefficients: Array) -> float:
-    """Root mean square of the zero's change over a stroke, of (1 + ramps,) coefficients.
+def change_by_stroke(coefficients: Array, samples: Array) -> float:
+    """Root mean square of the zero's change over a stroke, of (q,) coefficients and their (n, q) columns.
 
     Not the size that they share: a zero that changes smoothly has ramps that follow each other, and goes farther in a
     stroke than a walk of as large steps.
     """
-    steps = coefficients[1:] / math.sqrt(2.0 * RAMPS)
+    steps = coefficients[1:] * samples[-1, 1:]
     # What follows the last whole stroke is less than one.
     whole = max(1, len(steps) // (2 * RAMPS))
     strokes = [float(np.sum(part)) for part in np.split(steps[: 2 * RAMPS * whole], whole)]

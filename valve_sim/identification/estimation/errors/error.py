@@ -61,7 +61,8 @@ class RecordingError:
         at_rest: whether its size is read while the machine is still, where nothing else moves what is shown: in motion
             it would follow what a model lacks.
         stays: whether another recording of the same valve and sensor has an error of the same size.
-        amount: of (q,) coefficients what is reported of them; None: the size that they share.
+        amount: of (q,) coefficients and their (n, q) columns, if any, what is reported of them; None: the size that
+            they share.
         is_relative: whether that is reported as a share of the channel's range.
     """
 
@@ -74,7 +75,7 @@ class RecordingError:
     is_normal: bool = False
     at_rest: bool = False
     stays: bool = False
-    amount: Callable[[Array], float] | None = None
+    amount: Callable[[Array, Array], float] | None = None
     is_relative: bool = False
 
     def log_prior(self, size: float, scale: float) -> float:

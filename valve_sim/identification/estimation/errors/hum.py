@@ -34,7 +34,7 @@ def waves(times: Array, own: Array) -> Array:
     return np.hstack([np.sin(angles), np.cos(angles)])
 
 
-def amount(coefficients: Array) -> float:
+def amount(coefficients: Array, _: Array) -> float:
     """The amplitude of all of it: the root of the sum of squares of the harmonics' amplitudes."""
     return float(np.linalg.norm(coefficients))
 

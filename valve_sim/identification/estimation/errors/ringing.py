@@ -64,7 +64,7 @@ def own_columns(seen: Seen) -> Array:
     return found.reshape(len(seen.times), -1)
 
 
-def amount(coefficients: Array) -> float:
+def amount(coefficients: Array, _: Array) -> float:
     """The largest amplitude of a mode, after an impact of all that moves at 0.3 m/s."""
     return float(np.max(np.hypot(coefficients[0::2], coefficients[1::2])))
 

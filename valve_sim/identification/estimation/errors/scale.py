@@ -13,7 +13,7 @@ def columns(seen: Seen) -> Array:
     return seen.shown[:, None] / seen.span
 
 
-def amount(coefficients: Array) -> float:
+def amount(coefficients: Array, _: Array) -> float:
     """What it adds at the end of the range."""
     return float(coefficients[0])
 

@@ -8,7 +8,7 @@ from valve_sim.identification.estimation.errors.error import RecordingError
 from valve_sim.identification.plants.protocol import Array
 
 
-def resistance(coefficients: Array) -> float:
+def resistance(coefficients: Array, _: Array) -> float:
     """Ω, never negative, of (1,) coefficients."""
     return max(0.0, float(coefficients[0]))
 

@@ -19,7 +19,7 @@ def columns(seen: Seen) -> Array:
     return np.ones((len(seen.times), 1))
 
 
-def amount(coefficients: Array) -> float:
+def amount(coefficients: Array, _: Array) -> float:
     """What is shown of nothing."""
     return float(coefficients[0])
 
