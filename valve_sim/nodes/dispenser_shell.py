@@ -1,7 +1,7 @@
 """The ROS side of dispenser_node: a `Dispenser` wired to the topics of its valves. The coils are off at its end.
 
-Threads: one steps and publishes, after taking the pressures that were heard, which an executor would take ten times as
-long for; an `AnsweringThread` answers ROS; the main thread waits for a signal.
+Threads: one empties the inbox, steps and publishes; an `AnsweringThread` answers ROS; the main thread waits for a
+signal.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from typing import Final
 
 from rclpy.publisher import Publisher
-from rclpy.subscription import Subscription
 from sensor_msgs.msg import FluidPressure
 from std_msgs.msg import Float64
 
@@ -21,10 +20,9 @@ from valve_sim.nodes.answering import AnsweringThread, wait_until_heard
 from valve_sim.nodes.dispenser_parameters import DESCRIPTIONS, Settings, check_settings
 from valve_sim.nodes.dispensing import Dispensed, Dispenser
 from valve_sim.nodes.node_clock import NodeClock
-from valve_sim.nodes.realtime import NANOSECONDS, Restart, Worker
-from valve_sim.nodes.receiving import ReceiverGroup
+from valve_sim.nodes.realtime import NANOSECONDS, Arrival, Restart, Worker
+from valve_sim.nodes.receiving import Inbox
 from valve_sim.nodes.shell_parts import RELIABLE, declare_settings, full_name, make_node
-from valve_sim.nodes.spinning import guarded, log_left_out, waiting_messages
 from valve_sim.nodes.starting import STOP_SECONDS
 
 _BETWEEN_REMINDERS: Final = 10.0
@@ -51,6 +49,7 @@ class DispenserShell:
             self._settings: Settings = declare_settings(self._node, sections, check_settings, DESCRIPTIONS)
             self._dispenser = Dispenser(self._settings)
             self._clock = NodeClock(self._node)
+            self._inbox = Inbox(self._node, self._clock)
             self._wire()
         except BaseException:
             self._node.destroy_node()
@@ -102,7 +101,6 @@ class DispenserShell:
         self._voltages: list[Publisher] = []
         self._demands: list[Publisher] = []
         self._inlets: list[Publisher | None] = []
-        self._outlets: list[Subscription] = []
         for k, (given, volume) in enumerate(zip(self._settings.valves, self._settings.tank_volumes, strict=True)):
             valve = full_name(node, given, "valves")
             self._voltages.append(node.create_publisher(Float64, f"{valve}/coil_voltage", RELIABLE))
@@ -110,16 +108,13 @@ class DispenserShell:
             self._inlets.append(
                 node.create_publisher(FluidPressure, f"{valve}/inlet_pressure", RELIABLE) if volume else None
             )
-            hear = guarded(functools.partial(self._hear, k))
-            self._outlets.append(
-                node.create_subscription(
-                    FluidPressure, f"{valve}/outlet_pressure", hear, RELIABLE, callback_group=ReceiverGroup()
-                )
+            self._inbox.subscribe(
+                FluidPressure, f"{valve}/outlet_pressure", functools.partial(self._take_outlet, k), RELIABLE
             )
         self._line = node.create_publisher(FluidPressure, "~/line_pressure", RELIABLE)
         self._vehicle = node.create_publisher(FluidPressure, "~/vehicle_pressure", RELIABLE)
 
-    def _hear(self, valve: int, message: FluidPressure) -> None:
+    def _take_outlet(self, valve: int, message: FluidPressure, arrival: Arrival) -> None:
         if not self._dispenser.hear(valve, message.fluid_pressure):
             self._node.get_logger().warning(
                 f"{self._settings.valves[valve]}/outlet_pressure: {message.fluid_pressure:g} Pa is ignored, expected a "
@@ -143,19 +138,8 @@ class DispenserShell:
         self._zero = restart.reading.nanoseconds
         self._dispenser.restart()
 
-    def _take_outlets(self) -> None:
-        """Take the pressures that were heard since the last step."""
-        for outlet in self._outlets:
-            try:
-                heard = [message for message, _ in waiting_messages(outlet)]
-            except Exception as error:  # of rclpy
-                log_left_out(self._node, error)
-            else:
-                for message in heard:
-                    outlet.callback(message)
-
     def _step(self, deadline: int) -> None:
-        self._take_outlets()
+        self._inbox.deliver()
         done = self._dispenser.step((deadline - self._zero) / NANOSECONDS)
         for words in done.words:
             self._node.get_logger().info(words)

@@ -1,7 +1,8 @@
 """The ROS side of monitor_node: segmenter, monitor and fault isolation wired to topics. No physics, no decisions.
 
-Threads: callbacks run in the main thread; each sample is a step of the model there, some tens of microseconds. One
-thread scores strokes, another isolates the fault after an alarm; the live path waits for neither.
+Threads: callbacks run in the main thread, and only store. One thread empties the inbox, where each sample is a step of
+the model, some tens of microseconds; one scores strokes, another isolates the fault after an alarm; the live path waits
+for neither.
 """
 
 from __future__ import annotations
@@ -10,7 +11,6 @@ import contextlib
 import gc
 import json
 import math
-import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -53,16 +53,15 @@ from valve_sim.nodes.parameters import sources_of
 from valve_sim.nodes.realtime import LONGEST_LEAP_SECONDS, NANOSECONDS, Audience
 from valve_sim.nodes.shell_parts import LATCHED, RELIABLE, declare_read_only, full_name, given_parameters, make_node
 from valve_sim.nodes.spinning import guarded, spin
+from valve_sim.nodes.stoppable import Repeating
 from valve_sim.traces import Trace
 from valve_sim.traces.trouble import MOST_STROKES
 
 _PAUSE: Final = 40e-3
-"""s between polls: to wake up for a sample costs more than the model's step, and what is done once for each poll costs
-as much as ten samples. What a stroke shows is known when it has ended."""
+"""s between deliveries: to wake up for a sample costs more than the model's step, and what is done once for each of
+them costs as much as ten samples. What a stroke shows is known when it has ended."""
 _PAUSE_IF_HEARD: Final = 10e-3
 """s, where each sample's prediction is heard: at 1 kHz no more at a time than the ten that a subscriber queues."""
-_BETWEEN_LOOKS: Final = 0.2
-"""s while samples come, from one look of rclpy's executor at timers and services to the next."""
 _JUMP_SECONDS: Final = 1.0
 """A stamp that goes back by more means a clock that was set or a bag that restarted, not a sample out of order."""
 _MOST_WAITING: Final = 100_000
@@ -138,6 +137,9 @@ class MonitorShell:
             self._stroke_monitor, prepare=self._prepare, report=self._report, isolate=self._isolate,
             forget=self._forget, fail=self._fail,
         )  # fmt: skip
+        self._delivery = Repeating(
+            "delivery", self._inputs.deliver, lambda: _PAUSE_IF_HEARD if self._is_heard else _PAUSE, self._fail
+        )
 
     @property
     def exit_code(self) -> int:
@@ -147,12 +149,15 @@ class MonitorShell:
     def spin(self) -> None:
         """Monitor until ROS is shut down."""
         self._monitor_thread.start()
-        spin(self._node, guarded(self._poll))
+        self._delivery.start()
+        spin(self._node)
 
     def close(self, timeout: float) -> bool:
         """Stop and release everything; whether both threads have ended. A search for a fault cannot at once."""
-        have_ended = [self._monitor_thread.stop(timeout), self._isolation.stop(timeout)]
-        self._node.destroy_node()
+        are_silent = self._delivery.stop(timeout)
+        have_ended = [are_silent, self._monitor_thread.stop(timeout), self._isolation.stop(timeout)]
+        if are_silent:
+            self._node.destroy_node()
         return all(have_ended)
 
     # --- wiring ---
@@ -177,15 +182,7 @@ class MonitorShell:
         # Wall time: diagnostics must also report that /clock is silent.
         node.create_timer(1.0, guarded(self._diagnose), clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    # --- what is heard, in the main thread ---
-
-    def _poll(self) -> None:
-        """Take samples as they come, not under simulated time, where the executor keeps their order with /clock."""
-        end = time.monotonic() + _BETWEEN_LOOKS
-        while time.monotonic() < end and not self._inputs.is_simulated():
-            time.sleep(_PAUSE_IF_HEARD if self._is_heard else _PAUSE)
-            if not self._node.context.ok() or not self._inputs.take_waiting():
-                return
+    # --- what is heard, in the thread that empties the inbox ---
 
     def _on_command(self, stamp: int, volts: float) -> None:
         self._when_ready(partial(self._command, stamp, volts))
@@ -310,7 +307,7 @@ class MonitorShell:
             waiting_for = f"samples on {self._inputs.wanted}"
         elif self._is_ready and not self._input.commands:
             waiting_for = f"a command on {self._inputs.voltage}"
-        unheard = self._inputs.incompatible.count()
+        unheard = self._inputs.incompatible_publishers()
         facts = self._input.look(self._clock.elapsed(), self._monitor_thread.lost, waiting_for, unheard)
         wanted = self._settings.commissioning_strokes
         statuses = (

@@ -6,79 +6,20 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, Protocol, TypeVar
 
 from rcl_interfaces.msg import ParameterDescriptor
-from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
 from rclpy.expand_topic_name import expand_topic_name
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from valve_sim.files.parameter_sections import Section
 from valve_sim.model import ParameterError
 from valve_sim.model.compiling import COMPILING, announce_compiling
 from valve_sim.nodes.parameters import ROS_OWN, ROS_OWN_PREFIX, files_for_others, sources_of
-from valve_sim.nodes.spinning import guarded
 
 RELIABLE: Final = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 LATCHED: Final = QoSProfile(
     depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
 )
 """Late subscribers get the last message."""
-
-
-class EncodedPublisher:
-    """A publisher of messages that are encoded already.
-
-    Bytes go straight to what rclpy's own `publish` hands them to. Its checks before that, of the message's type and of
-    a publisher that another thread destroys, take 15 to 19 µs of 55 once a thread has slept a millisecond. So whoever
-    publishes must have ended before the node is destroyed.
-
-    Attributes:
-        topic_name: resolved.
-        publish: sends an encoded message.
-        get_subscription_count: how many subscribe.
-
-    Args:
-        node: publishes; keeps the publisher.
-        message_type: of the messages.
-        name: of the topic. qos: of it.
-    """
-
-    def __init__(self, node: Node, message_type: type, name: str, *, qos: QoSProfile = RELIABLE) -> None:
-        publisher = node.create_publisher(message_type, name, qos)
-        handle: Any = publisher.handle
-        self.topic_name = publisher.topic_name
-        self.publish: Callable[[bytes], None] = handle.publish_raw
-        self.get_subscription_count = publisher.get_subscription_count
-
-
-class IncompatiblePublishers:
-    """Publishers on a topic that is subscribed to reliably, who offer best effort and so cannot be heard.
-
-    Args:
-        node: subscribes. topic: full name.
-
-    Attributes:
-        events: for the subscription; each such publisher is warned of in the log.
-    """
-
-    def __init__(self, node: Node, topic: str) -> None:
-        self.events = SubscriptionEventCallbacks(incompatible_qos=guarded(self._warn))
-        self._node, self._topic = node, topic
-        self._have_been = False
-
-    def count(self) -> int:
-        """How many there are now."""
-        if not self._have_been:
-            return 0  # as nearly always, without a look at who publishes
-        found = self._node.get_publishers_info_by_topic(self._topic)
-        return sum(entry.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT for entry in found)
-
-    def _warn(self, event: QoSRequestedIncompatibleQoSInfo) -> None:
-        self._have_been = True
-        policy = qos_policy_name_from_kind(event.last_policy_kind)
-        self._node.get_logger().warning(
-            f"{self._topic}: a publisher offers an incompatible QoS ({policy}) and cannot be heard; publish reliable, "
-            "as this topic asks"
-        )
 
 
 def make_node(name: str) -> Node:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterator
-from typing import Any, ParamSpec, TypeVar
+from collections.abc import Callable
+from typing import ParamSpec, TypeVar
 
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.subscription import Subscription
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -31,12 +30,8 @@ def guarded(callback: Callable[P, R]) -> Callable[P, R]:
     return call
 
 
-def spin(node: Node, between: Callable[[], None] | None = None) -> None:
+def spin(node: Node) -> None:
     """Spin until ROS is shut down.
-
-    Args:
-        node: what is spun.
-        between: what is done after each callback, `guarded`; default nothing.
 
     A /clock before 1970, and whatever else rclpy refuses with an exception of its own, would end every node that
     subscribes to it; here the message is dropped with a line in the log. Exceptions of callbacks of this package, each
@@ -47,11 +42,7 @@ def spin(node: Node, between: Callable[[], None] | None = None) -> None:
     try:
         while node.context.ok():
             try:
-                if between is None:
-                    executor.spin()
-                else:
-                    executor.spin_once()
-                    between()
+                executor.spin()
             except (ExternalShutdownException, CallbackError):
                 raise
             except Exception as error:
@@ -60,22 +51,6 @@ def spin(node: Node, between: Callable[[], None] | None = None) -> None:
                 log_left_out(node, error)
     finally:
         executor.remove_node(node)
-
-
-def waiting_messages(subscription: Subscription) -> Iterator[tuple[Any, Any]]:
-    """The queued messages of a subscription, each with its message info, taken without an executor.
-
-    The only use of what rclpy does not document: `take_message`, as its own `wait_for_message` has it. An executor of
-    Jazzy takes 290 µs of a core for each message, 29 % at 1 kHz; taking all that waits every 10 ms, 54 µs.
-    """
-    handle: Any = subscription.handle
-    while (waiting := handle.take_message(subscription.msg_type, subscription.raw)) is not None:
-        yield waiting
-
-
-def received_time(info: Any) -> int:
-    """When the middleware received a message, ns; 0 where it does not say."""
-    return int(info.get("received_timestamp", 0)) if isinstance(info, dict) else 0
 
 
 def log_left_out(node: Node, error: Exception) -> None:

@@ -1,8 +1,8 @@
 """The ROS side of valve_node: parameters, topics and services wired to a `LiveValve`. No physics, no decisions.
 
-Threads: callbacks run in the main thread, in a `SingleThreadedExecutor`, and only store (commands, parameters, resets);
-those of commands run in a `Receiver` thread, but not under simulated time, where a command must not overtake the
-/clock before it. One `Worker` thread steps the valve and publishes; it consumes what was stored, each at its own time.
+Threads: callbacks run in the main thread, in a `SingleThreadedExecutor`, and only store (parameters, resets, and what
+an `Inbox` receives). One `Worker` thread empties the inbox, steps the valve and publishes; it consumes what was stored,
+each at its own time.
 Until a `ModelLoader` thread has the model ready, it publishes that the valve rests, and from a request on it waits.
 """
 
@@ -11,7 +11,6 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Sequence
-from typing import Final
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import SetParametersResult
@@ -59,20 +58,16 @@ from valve_sim.nodes.parameters import (
     table,
     valve_of,
 )
-from valve_sim.nodes.realtime import NANOSECONDS, Audience, Restart, Worker
-from valve_sim.nodes.receiving import Receiver, ReceiverGroup
+from valve_sim.nodes.realtime import NANOSECONDS, Arrival, Audience, Restart, Worker
+from valve_sim.nodes.receiving import Inbox
 from valve_sim.nodes.shell_parts import (
     LATCHED,
     RELIABLE,
-    EncodedPublisher,
-    IncompatiblePublishers,
     declare,
     given_parameters,
     make_node,
 )
 from valve_sim.nodes.spinning import guarded, spin
-
-_LONGEST_SLEEP: Final = 0.05
 
 
 class ValveShell:
@@ -102,6 +97,7 @@ class ValveShell:
                 command_timeout=self._settings.command_timeout,
                 max_voltage=self._settings.max_voltage,
             )
+            self._inbox = Inbox(self._node, self._clock)
             self._commands = CommandCount()
             self._gas: GasTopics | None = None
             self._duplicates = DuplicateNodes(self._node)
@@ -123,11 +119,9 @@ class ValveShell:
             restart=self._restart,
             step=self._step,
             fail=self._fail,
-            may_step=self._live.rests_until,
+            may_step=self._may_step,
         )
         self._loader = ModelLoader(self._load, self._fail)
-        self._receiver = Receiver(self._node, self._voltage, lambda: not self._clock.is_simulated, self._fail)
-        self._clock.when_exchanged(self._receiver.wake)
 
     @property
     def exit_code(self) -> int:
@@ -136,14 +130,14 @@ class ValveShell:
 
     def spin(self) -> None:
         """Run until ROS is shut down."""
-        for thread in (self._loader, self._worker, self._receiver):
+        for thread in (self._loader, self._worker):
             thread.start()
         spin(self._node)
 
     def close(self, timeout: float) -> bool:
         """Stop and release everything; whether all threads have ended. The loader cannot while it compiles."""
         # Whoever publishes must have ended before the node is destroyed; the loader does not.
-        are_silent = all([thread.stop(timeout) for thread in (self._receiver, self._worker)])
+        are_silent = self._worker.stop(timeout)
         is_loaded = self._loader.stop(timeout)
         if are_silent:
             self._node.destroy_node()
@@ -165,23 +159,15 @@ class ValveShell:
 
     def _wire(self) -> None:
         node = self._node
-        self._joint_states = EncodedPublisher(node, JointState, "~/joint_states")
-        self._coil = EncodedPublisher(node, BatteryState, "~/coil")
-        self._coil_current = EncodedPublisher(node, Float64, "~/coil_current")
+        self._joint_states = node.create_publisher(JointState, "~/joint_states", RELIABLE)
+        self._coil = node.create_publisher(BatteryState, "~/coil", RELIABLE)
+        self._coil_current = node.create_publisher(Float64, "~/coil_current", RELIABLE)
         sampled = (self._joint_states, self._coil, self._coil_current)
         self._audience = Audience(*(publisher.get_subscription_count for publisher in sampled))
-        self._phase = EncodedPublisher(node, UInt8, "~/phase", qos=LATCHED)
-        self._is_open = EncodedPublisher(node, Bool, "~/is_open", qos=LATCHED)
+        self._phase = node.create_publisher(UInt8, "~/phase", LATCHED)
+        self._is_open = node.create_publisher(Bool, "~/is_open", LATCHED)
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
-        self._incompatible = IncompatiblePublishers(node, node.resolve_topic_name("~/coil_voltage"))
-        self._voltage = node.create_subscription(
-            Float64,
-            "~/coil_voltage",
-            guarded(self._take_command),
-            RELIABLE,
-            callback_group=ReceiverGroup(),
-            event_callbacks=self._incompatible.events,
-        )
+        self._voltage = self._inbox.subscribe(Float64, "~/coil_voltage", self._take_command, RELIABLE)
         if self._live.valve.gas is not None:
             self._gas = self._wire_gas()
         node.create_service(Trigger, "~/reset", guarded(self._reset))
@@ -192,7 +178,7 @@ class ValveShell:
         node.create_timer(1.0, guarded(self._diagnose), clock=self._steady)
 
     def _wire_gas(self) -> GasTopics:
-        return GasTopics(self._node, self._live, self._messages, self._now)
+        return GasTopics(self._node, self._inbox, self._clock, self._live, self._messages)
 
     # --- the loading thread ---
 
@@ -210,7 +196,7 @@ class ValveShell:
         limit, rate = self._settings.max_voltage, self._settings.publish_rate
         gas = "" if self._gas is None else f"; {self._gas.words()}"
         self._node.get_logger().info(
-            f"ready: obeys {self._voltage.topic_name} (V, ±{limit:g} at most), publishes "
+            f"ready: obeys {self._voltage.topic} (V, ±{limit:g} at most), publishes "
             f"{self._joint_states.topic_name}, {self._coil.topic_name} and {self._coil_current.topic_name} "
             f"at {rate:g} Hz, "
             f"{self._phase.topic_name} and {self._is_open.topic_name} on change{gas}{waits}"
@@ -222,8 +208,14 @@ class ValveShell:
         if not self._live.can_rest:
             self._loader.join()
 
+    def _may_step(self, until: int) -> bool:
+        self._inbox.deliver()
+        return self._live.rests_until(until)
+
     def _restart(self, restart: Restart) -> None:
         self._clock.was_set()
+        if restart.reason:
+            self._inbox.forget()
         if restart.reason:
             self._node.get_logger().warning(f"{restart.reason}: the valve rests closed, and no command holds any more")
         self._live.restart(restart.reading.nanoseconds, self._clock.stamp_at(restart.reading))
@@ -240,6 +232,7 @@ class ValveShell:
     def _step(self, deadline: int) -> None:
         live, shown, gas = self._live, self._image, self._gas
         self._follow_system_clock()
+        self._inbox.deliver()
         is_of_gas = gas is not None and gas.is_due(deadline)
         if self._is_ready and not is_of_gas and live.passes(shown.image, deadline):
             self._publish_image(deadline, shown)
@@ -299,25 +292,26 @@ class ValveShell:
             self._node.get_logger().fatal(f"the node cannot go on: {error!r}")
             self._node.context.try_shutdown()
 
-    # --- callbacks, in the main thread but for commands ---
-
-    def _now(self) -> int:
-        reading = self._clock.read()
-        return 0 if reading is None else reading.nanoseconds
-
-    def _take_command(self, message: Float64) -> None:
-        if self._live.command(self._now(), message.data):
+    def _take_command(self, message: Float64, arrival: Arrival) -> None:
+        if self._live.command(self._clock.time_of(arrival), message.data):
             self._commands.accept()
             return
         self._commands.reject(message.data)
         limit = self._settings.max_voltage
         self._node.get_logger().warning(
-            f"{self._voltage.topic_name}: {message.data:g} V is ignored, expected a number within ±{limit:g} V "
+            f"{self._voltage.topic}: {message.data:g} V is ignored, expected a number within ±{limit:g} V "
             "(parameter max_voltage); the last good command stays",
             throttle_duration_sec=BETWEEN_WARNINGS,
         )
 
+    # --- callbacks, in the main thread ---
+
+    def _now(self) -> int:
+        reading = self._clock.read()
+        return 0 if reading is None else reading.nanoseconds
+
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._inbox.deliver()  # what came before it
         self._live.reset(self._now())
         self._commands.accept()
         self._failure = ""
@@ -352,7 +346,12 @@ class ValveShell:
             timing,
             command_status(
                 self._commands.look(
-                    now, live.last_command, live.volts, live.timed_out, live.withdrawn, self._incompatible.count()
+                    now,
+                    live.last_command,
+                    live.volts,
+                    live.timed_out,
+                    live.withdrawn,
+                    self._voltage.incompatible_publishers(),
                 )
             ),
             valve_status(ValveFacts(live.phase, live.strokes, live.failures, self._failure, self._duplicates.look())),
@@ -394,6 +393,7 @@ class ValveShell:
         values = self._values()
         if changes := changed_words(self._told, values):
             self._node.get_logger().info(f"set: {changes}")
+        self._inbox.deliver()  # what came before they were set
         now, settings, self._told = self._now(), settings_of(values), values
         if settings.time_scale != self._settings.time_scale:
             self._live.set_scale(now, settings.time_scale)
