@@ -82,7 +82,7 @@ def run(valve: Valve, messages: ReadingMessages, seed: int, *, by_image: bool) -
         clock = schedule.take()
         if index % 97 == 50:  # one that is given up, as when the machine is too busy
             clock = schedule.take()
-        if by_image and live.passes(image, clock):
+        if by_image and live.step_if_no_event(image, clock):
             passed += 1
             samples.append(tuple(part.tobytes() for part in shown))
         else:
@@ -110,13 +110,13 @@ def test_an_image_shows_what_a_step_would_and_nothing_else_is_left_untold(name: 
 
 def test_of_a_valve_that_nobody_has_read_an_image_shows_nothing() -> None:
     live, (image, *_) = LiveValve(default_valve()), ReadingMessages("").image()
-    assert not live.passes(image, 0)
+    assert not live.step_if_no_event(image, 0)
     live.restart(0, 0)
-    assert not live.passes(image, 0)
+    assert not live.step_if_no_event(image, 0)
     live.step(0)
-    assert live.passes(image, MILLISECOND)
+    assert live.step_if_no_event(image, MILLISECOND)
     live.restart(5 * MILLISECOND, 0)
-    assert not live.passes(image, 5 * MILLISECOND)
+    assert not live.step_if_no_event(image, 5 * MILLISECOND)
 
 
 def test_stamps_in_an_image_end_where_those_of_messages_do() -> None:
@@ -124,7 +124,7 @@ def test_stamps_in_an_image_end_where_those_of_messages_do() -> None:
     live, (image, *shown) = LiveValve(default_valve()), messages.image()
     live.restart(0, late)
     live.step(0)
-    assert live.passes(image, MILLISECOND)
+    assert live.step_if_no_event(image, MILLISECOND)
     step = live.step(MILLISECOND)
     assert step.stamp > LAST_STAMP
     assert tuple(part.tobytes() for part in shown) == of_step(messages, step)

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from valve_sim.nodes.realtime import (
-    Audience,
     ClockReading,
+    Decimator,
     Restart,
     Schedule,
-    Thinning,
+    SubscriberCounts,
     TimedQueue,
     TimingRecord,
     Worker,
@@ -285,7 +285,7 @@ def test_a_worker_that_cannot_end_yet_says_so() -> None:
 
 
 def test_a_slower_topic_has_a_sample_in_each_of_its_periods() -> None:
-    thinning = Thinning(100.0)
+    thinning = Decimator(100.0)
     due = [step for step in range(40) if thinning.is_due(1_700_000_000_003_456_789 + step * 1_000_000)]
     assert due[0] == 0
     assert [after - before for before, after in itertools.pairwise(due[1:])] == [10, 10, 10]
@@ -301,7 +301,7 @@ def test_subscribers_are_noticed_within_20_ms_and_not_looked_for_at_each_step() 
         looks += 1
         return subscriptions
 
-    audience = Audience(count, lambda: 1)
+    audience = SubscriberCounts(count, lambda: 1)
     assert [audience.look(step * MILLISECOND) for step in range(100)] == [(False, True)] * 100
     assert looks == 5
     subscriptions = 2

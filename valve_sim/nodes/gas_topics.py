@@ -8,16 +8,16 @@ from typing import Final
 
 from rclpy.node import Node
 from sensor_msgs.msg import FluidPressure
-from std_msgs.msg import Float64
 
 from valve_sim.model.gas import GAS
+from valve_sim.nodes import topics
 from valve_sim.nodes.diagnostics import CommandCount, Status, pressure_status
 from valve_sim.nodes.live_valve import LiveValve, Step
 from valve_sim.nodes.messages import ReadingMessages
 from valve_sim.nodes.node_clock import NodeClock
-from valve_sim.nodes.realtime import Arrival, Audience, Thinning
+from valve_sim.nodes.realtime import Arrival, Decimator, SubscriberCounts
 from valve_sim.nodes.receiving import Inbox
-from valve_sim.nodes.shell_parts import RELIABLE
+from valve_sim.nodes.wiring import Interface
 
 BETWEEN_WARNINGS: Final = 5.0
 """s between lines of the log about the same problem, which may occur a thousand times a second."""
@@ -29,13 +29,14 @@ class _Obeyed:
     """One pressure that is obeyed.
 
     Args:
-        node: hears. inbox: receives. clock: of the node. live: obeys. name: of the pressure, as declared.
-        obey: by what it does.
+        node: hears. interface: of it. inbox: receives. clock: of the node.
+        live: obeys. name: of the pressure, as declared. obey: by what it does.
     """
 
     def __init__(
         self,
         node: Node,
+        interface: Interface,
         inbox: Inbox,
         clock: NodeClock,
         live: LiveValve,
@@ -44,7 +45,7 @@ class _Obeyed:
     ) -> None:
         self.name = name
         self.count = CommandCount()
-        self.source = inbox.subscribe(FluidPressure, f"~/{name}", self._take, RELIABLE)
+        self.source = interface.receive(inbox, f"~/{name}", self._take)
         self._node, self._clock, self._live, self._obey = node, clock, live, obey
         self._warned_at = -math.inf
 
@@ -80,16 +81,19 @@ class GasTopics:
 
     def __init__(self, node: Node, inbox: Inbox, clock: NodeClock, live: LiveValve, messages: ReadingMessages) -> None:
         self._live, self._messages = live, messages
-        self._inlet = _Obeyed(node, inbox, clock, live, "inlet_pressure", live.supply)
-        self._demand = _Obeyed(node, inbox, clock, live, "demand_pressure", live.set_demand_pressure)
-        self._outlet_pressure = node.create_publisher(FluidPressure, "~/outlet_pressure", RELIABLE)
-        self._mass_flow = node.create_publisher(Float64, "~/mass_flow", RELIABLE)
+        interface = Interface(node, topics.GAS)
+        self._inlet = _Obeyed(node, interface, inbox, clock, live, "inlet_pressure", live.supply)
+        self._demand = _Obeyed(node, interface, inbox, clock, live, "demand_pressure", live.set_demand_pressure)
+        self._outlet_pressure = interface.publisher("~/outlet_pressure")
+        self._mass_flow = interface.publisher("~/mass_flow")
         self._obeyed = {
-            "inlet_pressure": node.create_publisher(FluidPressure, "~/obeyed/inlet_pressure", RELIABLE),
-            "demand_pressure": node.create_publisher(FluidPressure, "~/obeyed/demand_pressure", RELIABLE),
+            "inlet_pressure": interface.publisher("~/obeyed/inlet_pressure"),
+            "demand_pressure": interface.publisher("~/obeyed/demand_pressure"),
         }
-        self._audience = Audience(self._outlet_pressure.get_subscription_count, self._mass_flow.get_subscription_count)
-        self._samples = Thinning(_RATE)
+        self._subscribers = SubscriberCounts(
+            self._outlet_pressure.get_subscription_count, self._mass_flow.get_subscription_count
+        )
+        self._samples = Decimator(_RATE)
 
     def words(self) -> str:
         """What is obeyed and published, with full names."""
@@ -111,7 +115,7 @@ class GasTopics:
             self._obeyed[name].publish(self._messages.pressure(stamp, pressure))
         if not is_due or math.isnan(step.reading.outlet_pressure):
             return
-        hears_outlet_pressure, hears_mass_flow = self._audience.look(deadline)
+        hears_outlet_pressure, hears_mass_flow = self._subscribers.look(deadline)
         if hears_outlet_pressure:
             self._outlet_pressure.publish(self._messages.pressure(step.stamp, step.reading.outlet_pressure))
         if hears_mass_flow:

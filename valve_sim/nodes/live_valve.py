@@ -169,16 +169,16 @@ class LiveValve:
 
         It stays through a reset, until another is heard or declared. A valve without gas has no use for it.
         """
-        return self._hear("inlet_pressure", clock, pressure)
+        return self._request_pressure("inlet_pressure", clock, pressure)
 
     def set_demand_pressure(self, clock: int, pressure: float) -> bool:
         """The pressure behind the demand's orifice, Pa, likewise."""
-        return self._hear("demand_pressure", clock, pressure)
+        return self._request_pressure("demand_pressure", clock, pressure)
 
-    def _hear(self, name: str, clock: int, pressure: float) -> bool:
+    def _request_pressure(self, name: str, clock: int, pressure: float) -> bool:
         if not GAS[name].lower <= pressure <= GAS[name].upper:
             return False
-        self._requests.post(clock, name, partial(self._obey, name), pressure)
+        self._requests.post(clock, name, partial(self._apply_pressure, name), pressure)
         return True
 
     def limit(self, clock: int, max_voltage: float) -> None:
@@ -249,7 +249,7 @@ class LiveValve:
         switches = tuple(switch for switch in self._switches if switch[0] < self._stamp) if self._switches else ()
         return Step(self._stamp, reading, phases, failure, switches, tuple(self._obeyed), self._switched_off)
 
-    def passes(self, image: ProcessImage, clock: int) -> bool:
+    def step_if_no_event(self, image: ProcessImage, clock: int) -> bool:
         """Make the step to clock time `clock`, ns, and fill an image, where nothing but time passes.
 
         Returns:
@@ -299,7 +299,7 @@ class LiveValve:
         self.last_command = clock
         self.timed_out, self.withdrawn = False, 0.0
 
-    def _obey(self, name: str, clock: int, pressure: float) -> None:
+    def _apply_pressure(self, name: str, clock: int, pressure: float) -> None:
         if self._running.valve.gas is None:
             return
         self._watch_command(clock)

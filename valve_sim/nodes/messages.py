@@ -11,7 +11,6 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import BatteryState, FluidPressure, JointState
 from std_msgs.msg import Bool, Float64, UInt8
@@ -19,7 +18,6 @@ from std_msgs.msg import Bool, Float64, UInt8
 from valve_sim.model import Phase, Reading
 from valve_sim.model.process_image import KINDS, Number, ProcessImage
 from valve_sim.nodes.diagnostics import Status
-from valve_sim.nodes.parameters import NodeParameter
 from valve_sim.nodes.realtime import LAST_STAMP, NANOSECONDS
 
 JOINT_NAMES: Final = ("pilot_plunger", "main_plunger")
@@ -188,15 +186,4 @@ def diagnostic_array(statuses: Sequence[Status], node: str, stamp: int) -> Diagn
         )
         for status in statuses
     ]
-    return message
-
-
-def descriptor(entry: NodeParameter) -> ParameterDescriptor:
-    """The descriptor of a parameter, and the range that ROS enforces."""
-    message = ParameterDescriptor(name=entry.name, description=entry.description)
-    limits = entry.range
-    if limits is not None:
-        message.floating_point_range = [FloatingPointRange(from_value=float(limits[0]), to_value=float(limits[1]))]
-        if entry.rule is not None:
-            message.additional_constraints = entry.rule.range_words()
     return message

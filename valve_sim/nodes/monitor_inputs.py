@@ -8,19 +8,17 @@ from functools import partial
 from typing import Any, Final, NamedTuple
 
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
-from sensor_msgs.msg import BatteryState, FluidPressure, JointState
+from rclpy.qos import QoSProfile
 from std_msgs.msg import Float64
 
+from valve_sim.nodes import topics
 from valve_sim.nodes.encoded_messages import EncodedReader, UnusableMessageError, coils, joint_states, pressures
 from valve_sim.nodes.live_map import LiveInput
 from valve_sim.nodes.node_clock import NodeClock
 from valve_sim.nodes.realtime import Arrival
 from valve_sim.nodes.receiving import Inbox, Source
+from valve_sim.nodes.wiring import Interface, profile
 
-_MEASURED: Final = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""Best effort accepts sensors of either reliability; deep, because samples may come while the model compiles."""
-_COMMANDS: Final = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
 _OF_COIL: Final = ("coil", "coil_current")
 """Last part of a measured topic that is no position."""
 
@@ -71,6 +69,7 @@ class MonitorInputs:
     ) -> None:
         self._clock, self._take = clock, take
         self._inbox = Inbox(node, clock)
+        self._node = node
         self._unstamped_current: Source | None = None
         if entries:
             self._subscribe_by_map(entries)
@@ -90,46 +89,44 @@ class MonitorInputs:
         self.measured, self.voltage = measured, f"{valve}/coil_voltage"
         self.by_current = kind in _OF_COIL
         self.wanted = measured if self.by_current else f"{measured}, or a current on {sensors}/coil"
-        if has_gas:
-            self._subscribe_to_pressures(valve, sensors)
         inbox = self._inbox
-        self._commands = inbox.subscribe(Float64, self.voltage, self._on_command, _COMMANDS)
+        interface = Interface(self._node, topics.MONITOR, valve=valve, sensors=sensors, measured=measured)
+        if has_gas:
+            self._subscribe_to_pressures(interface, is_simulated=sensors == valve)
+        self._commands = interface.receive(inbox, "{valve}/coil_voltage", self._on_command)
         if not self.by_current:
-            take = partial(self._on_position, measured, joint_states())
-            inbox.subscribe(JointState, measured, take, _MEASURED, raw=True)
-        self._unstamped_current = inbox.subscribe(
-            Float64, f"{sensors}/coil_current", self._on_unstamped_current, _MEASURED
-        )
-        take = partial(self._on_coil, f"{sensors}/coil", coils())
-        inbox.subscribe(BatteryState, f"{sensors}/coil", take, _MEASURED, raw=True)
+            interface.receive(inbox, "{measured}", partial(self._on_position, measured, joint_states()), raw=True)
+        self._unstamped_current = interface.receive(inbox, "{sensors}/coil_current", self._on_unstamped_current)
+        interface.receive(inbox, "{sensors}/coil", partial(self._on_coil, f"{sensors}/coil", coils()), raw=True)
 
-    def _subscribe_to_pressures(self, valve: str, sensors: str) -> None:
+    def _subscribe_to_pressures(self, interface: Interface, *, is_simulated: bool) -> None:
         """Subscribe to the pressure behind the valve, and to those at its ends.
 
         A simulated valve says which pressures it obeys, and from when on; a sensor's stamps are those of its samples.
         What the valve is told counts, from its own stamp on, until one of them is heard.
         """
-        self._subscribe_to_pressure(f"{sensors}/outlet_pressure", self._take.pressure)
+
+        def receive(name: str, take: Callable[[int, float], None], **places: str) -> Source:
+            on_pressure = partial(self._on_pressure, pressures(), take)
+            return interface.receive(self._inbox, name, on_pressure, raw=True, **places)
+
+        receive("{sensors}/outlet_pressure", self._take.pressure)
         for end in ("inlet_pressure", "demand_pressure"):
             take_end = partial(self._take.end_pressure, end)
-            told = self._subscribe_to_pressure(f"{valve}/{end}", take_end)
-            known = f"{valve}/obeyed/{end}" if sensors == valve else f"{sensors}/{end}"
-            self._subscribe_to_pressure(known, _Superseding(self._inbox, told, take_end))
-
-    def _subscribe_to_pressure(self, topic: str, take: Callable[[int, float], None]) -> Source:
-        on_pressure = partial(self._on_pressure, topic, pressures(), take)
-        return self._inbox.subscribe(FluidPressure, topic, on_pressure, _MEASURED, raw=True)
+            told = receive("{valve}/{end}", take_end, end=end)
+            known = "{valve}/obeyed/{end}" if is_simulated else "{sensors}/{end}"
+            receive(known, _Superseding(self._inbox, told, take_end), end=end)
 
     def _subscribe_by_map(self, entries: Mapping[str, LiveInput]) -> None:
         """Subscribe to the topics that the map names."""
         self.by_current = "position" not in entries
         self.measured = self.wanted = entries["current" if self.by_current else "position"].source.topic
         self.voltage = entries["command"].source.topic
-        self._commands = self._subscribe_to_entry(entries["command"], self._take_mapped_command, _COMMANDS)
+        self._commands = self._subscribe_to_entry(entries["command"], self._take_mapped_command, profile(topics.DEEP))
         if "position" in entries:
-            self._subscribe_to_entry(entries["position"], self._take.position, _MEASURED)
+            self._subscribe_to_entry(entries["position"], self._take.position, profile(topics.SENSOR))
         if "current" in entries:
-            self._subscribe_to_entry(entries["current"], self._take_mapped_current, _MEASURED)
+            self._subscribe_to_entry(entries["current"], self._take_mapped_current, profile(topics.SENSOR))
 
     def _subscribe_to_entry(self, entry: LiveInput, take: Callable[[int, float, int], None], qos: QoSProfile) -> Source:
         def on_message(message: Any, arrival: Arrival) -> None:
@@ -168,15 +165,10 @@ class MonitorInputs:
         self._take.coil(stamp, current, voltage, self._received(arrival))
 
     def _on_pressure(
-        self,
-        topic: str,
-        reader: EncodedReader,
-        take: Callable[[int, float], None],
-        encoded: bytes,
-        arrival: Arrival,
+        self, reader: EncodedReader, take: Callable[[int, float], None], encoded: bytes, arrival: Arrival
     ) -> None:
         """Take a pressure; one without a stamp counts from when it is received."""
-        found = self._read(reader, topic, encoded)
+        found = self._read(reader, "a pressure", encoded)
         if found is not None:
             stamp, pressure = found
             take(stamp or self._clock.stamp_of(arrival), pressure)

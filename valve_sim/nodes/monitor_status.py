@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Final, NamedTuple
+from collections.abc import Iterator, Mapping
+from typing import Any, Final, NamedTuple
 
 from valve_sim.identification.monitoring.findings import Fault, Occasion, StrokeState
 from valve_sim.identification.monitoring.stroke_monitor import StrokeMonitor, StrokeReport
+from valve_sim.identification.reporting.monitoring import finding_json
 from valve_sim.identification.reporting.monitoring_words import (
     TIMING_UNCERTAIN,
     fault_words,
@@ -17,7 +18,7 @@ from valve_sim.identification.reporting.monitoring_words import (
     told_finding,
 )
 from valve_sim.nodes.diagnostics import Level, Status, unheard_words
-from valve_sim.nodes.monitor_tasks import FaultIsolation
+from valve_sim.nodes.monitor_tasks import FaultIsolation, Found
 
 SILENT_SECONDS: Final = 2.0
 """Time without samples after which the input is a warning."""
@@ -149,6 +150,26 @@ def stroke_status(report: StrokeReport) -> Status:
     }
     level, words = _verdict_on(report)
     return Status("stroke", level, words, {name: f"{value:.6g}" for name, value in values.items()})
+
+
+def finding_status(found: Found) -> Status:
+    """A finding as keys and values: the kind of its verdict, the effects and their sizes, and how sure all that is.
+
+    What is nested in JSON has its names joined by dots, such as "parameters.coulomb_friction.force.value".
+    """
+    told = finding_json(*found)
+    values = {name: value for name, value in told.items() if name not in ("schema", "summary")}
+    return Status("finding", Level.WARN, told["summary"], dict(_flat(values, "")))
+
+
+def _flat(found: Any, prefix: str) -> Iterator[tuple[str, str]]:
+    if isinstance(found, Mapping):
+        for name, value in found.items():
+            yield from _flat(value, f"{prefix}.{name}" if prefix else name)
+    elif isinstance(found, list):
+        yield prefix, ", ".join(map(str, found))
+    else:
+        yield prefix, "none" if found is None else str(found)
 
 
 def _verdict_on(report: StrokeReport) -> tuple[Level, str]:

@@ -12,7 +12,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Container
 from typing import Any, Final, NamedTuple, Protocol
 
-from valve_sim.nodes.stoppable import StoppableThread
+from valve_sim.nodes.threads import StoppableThread
 
 NANOSECONDS: Final = 1_000_000_000
 LAST_STAMP: Final = 2**31 * NANOSECONDS - 1
@@ -237,10 +237,10 @@ class Worker(StoppableThread):
             elif may_step is not None and not may_step(pace.now):
                 self._clock.sleep_until(pace.now + _BETWEEN_QUESTIONS)
             else:
-                self._make_up(schedule, pace.now, is_simulated=pace.is_simulated)
+                self._catch_up(schedule, pace.now, is_simulated=pace.is_simulated)
                 self._clock.sleep_until(schedule.next)
 
-    def _make_up(self, schedule: Schedule, until: int, *, is_simulated: bool) -> None:
+    def _catch_up(self, schedule: Schedule, until: int, *, is_simulated: bool) -> None:
         """Make the steps up to a time, ns, that has just been read off the clock.
 
         Simulated time moves by whole ticks, so that a step can be made only once /clock has passed it: it is late by
@@ -311,7 +311,7 @@ def why_restart(last: ClockReading | None, now: ClockReading) -> str | None:
     return f"the clock jumped back by {seconds:g} s" if moved < 0 else f"the clock jumped ahead by {seconds:g} s"
 
 
-class Thinning:
+class Decimator:
     """Which steps are also samples of a slower topic: the first in each of its periods.
 
     Args:
@@ -328,7 +328,7 @@ class Thinning:
         return self._last != before
 
 
-class Audience:
+class SubscriberCounts:
     """Which of some topics anyone subscribes to, looked at every 20 ms: what nobody hears need not be published.
 
     Args:

@@ -1,8 +1,7 @@
-"""The ROS side of valve_node: parameters, topics and services wired to a `LiveValve`. No physics, no decisions.
+"""The node `valve`: parameters, topics and services wired to a `LiveValve`. No physics, no decisions.
 
-Threads: callbacks run in the main thread, in a `SingleThreadedExecutor`, and only store (parameters, resets, and what
-an `Inbox` receives). One `Worker` thread empties the inbox, steps the valve and publishes; it consumes what was stored,
-each at its own time.
+Threads: callbacks run in the main thread, and only store (parameters, resets, and what an `Inbox` receives). One
+`Worker` thread empties the inbox, steps the valve and publishes; it consumes what was stored, each at its own time.
 Until a `ModelLoader` thread has the model ready, it publishes that the valve rests, and from a request on it waits.
 """
 
@@ -10,108 +9,82 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
-from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.parameter import Parameter
-from sensor_msgs.msg import BatteryState, JointState
-from std_msgs.msg import Bool, Float64, UInt8
+from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.files.parameter_sections import Section
 from valve_sim.model import ParameterError, Phase, Valve
+from valve_sim.nodes import topics
 from valve_sim.nodes.diagnostics import (
     CommandCount,
     Level,
     Reminder,
+    Status,
     ValveFacts,
     command_status,
     timing_status,
     valve_status,
 )
-from valve_sim.nodes.duplicate_nodes import DuplicateNodes
 from valve_sim.nodes.gas_topics import BETWEEN_WARNINGS, GasTopics
 from valve_sim.nodes.live_valve import LiveValve, Step, self_test
-from valve_sim.nodes.loading import ModelLoader, load_stepper
-from valve_sim.nodes.messages import (
-    IS_OPEN,
-    PHASE,
-    ReadingMessages,
-    SampleImage,
-    descriptor,
-    diagnostic_array,
-)
+from valve_sim.nodes.messages import IS_OPEN, PHASE, ReadingMessages, SampleImage
 from valve_sim.nodes.node_clock import NodeClock
-from valve_sim.nodes.parameters import (
+from valve_sim.nodes.parameters import Value, as_declared, changed_words, settings_of
+from valve_sim.nodes.realtime import NANOSECONDS, Arrival, Restart, SubscriberCounts, Worker
+from valve_sim.nodes.receiving import Inbox
+from valve_sim.nodes.spinning import guarded
+from valve_sim.nodes.threads import ModelLoader, load_stepper
+from valve_sim.nodes.valve_parameters import (
+    TOLERANCES,
+    VALVE_KEYS,
     Settings,
-    Value,
-    as_declared,
-    changed_words,
-    check_overrides,
-    left_without_effect,
-    settings_of,
-    sources_of,
+    check_with_valve,
     table,
     valve_of,
+    with_tolerances,
 )
-from valve_sim.nodes.realtime import NANOSECONDS, Arrival, Audience, Restart, Worker
-from valve_sim.nodes.receiving import Inbox
-from valve_sim.nodes.shell_parts import (
-    LATCHED,
-    RELIABLE,
-    declare,
-    given_parameters,
-    make_node,
-)
-from valve_sim.nodes.spinning import guarded, spin
+from valve_sim.nodes.wiring import Diagnostics, DuplicateNodes, Interface, RosNode, declared
 
 
-class ValveShell:
-    """The node `valve`.
+class ValveNode(RosNode):
+    """The node `valve`, with the topics and services `topics.VALVE`, and `topics.GAS` from when gas is declared.
 
-    Topics (docs/reference/topics.md): in ~/coil_voltage; out ~/joint_states, ~/coil and ~/coil_current at publish_rate,
-    ~/phase and ~/is_open on change (latched), /diagnostics at 1 Hz; from when gas is declared also those of
-    `GasTopics`. Services: ~/reset (rests closed, no current, no command), ~/self_test (one stroke of a copy of the
-    valve, off line). Parameters: the table of `valve_sim.nodes.parameters`; all can be set at run time.
+    Parameters: the table of `valve_parameters`; all can be set at run time.
 
     Args:
         sections: (file, section) of the parameter files on the command line.
 
     Raises:
-        ParameterError: an override is unknown, of the wrong type or out of range.
+        ParameterError: a parameter is unknown, of the wrong type or out of range.
     """
 
     def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
-        self._node = make_node("valve")
-        try:
-            self._entries = table(default_valve())
-            self._settings = self._declare(sections)
-            self._clock = NodeClock(self._node)
-            self._live = LiveValve(
-                self._current_valve(),
-                scale=self._settings.time_scale,
-                command_timeout=self._settings.command_timeout,
-                max_voltage=self._settings.max_voltage,
-            )
-            self._inbox = Inbox(self._node, self._clock)
-            self._commands = CommandCount()
-            self._gas: GasTopics | None = None
-            self._duplicates = DuplicateNodes(self._node)
-            self._failure = ""
-            self._exit_code = 0
-            self._is_ready = False
-            self._was_waiting = True
-            self._said_open: bool | None = None
-            self._messages = ReadingMessages(self._settings.frame_id)
-            self._image = self._messages.image()
-            self._wire()
-        except BaseException:
-            self._node.destroy_node()
-            raise
+        super().__init__("valve")
+        self._table = table(default_valve())
+        self._settings = self._declare(sections)
+        self._clock = NodeClock(self._node)
+        self._live = LiveValve(
+            self._current_valve(),
+            scale=self._settings.time_scale,
+            command_timeout=self._settings.command_timeout,
+            max_voltage=self._settings.max_voltage,
+        )
+        self._inbox = Inbox(self._node, self._clock)
+        self._commands = CommandCount()
+        self._gas: GasTopics | None = None
+        self._duplicates = DuplicateNodes(self._node)
+        self._failure = ""
+        self._is_ready = False
+        self._was_waiting = True
+        self._said_open: bool | None = None
+        self._messages = ReadingMessages(self._settings.frame_id)
+        self._image = self._messages.image()
+        self._wire()
         self._worker = Worker(
             self._clock,
             self._settings.publish_rate,
@@ -123,16 +96,11 @@ class ValveShell:
         )
         self._loader = ModelLoader(self._load, self._fail)
 
-    @property
-    def exit_code(self) -> int:
-        """0, or 1 if the stepper failed."""
-        return self._exit_code
-
     def spin(self) -> None:
         """Run until ROS is shut down."""
         for thread in (self._loader, self._worker):
             thread.start()
-        spin(self._node)
+        super().spin()
 
     def close(self, timeout: float) -> bool:
         """Stop and release everything; whether all threads have ended. The loader cannot while it compiles."""
@@ -146,36 +114,36 @@ class ValveShell:
     # --- wiring ---
 
     def _declare(self, sections: Sequence[tuple[str, Section]]) -> Settings:
-        node, name = self._node, self._node.get_fully_qualified_name()
-        given = given_parameters(node, sections)
-        values = check_overrides(given, self._entries, sources_of(sections, name))
-        for key, entry in self._entries.items():
-            declare(node, key, values[key], descriptor(entry))
+        values = declared(
+            self._node,
+            sections,
+            self._table,
+            lambda given, sources: check_with_valve(given, self._table, sources, "valve_node"),
+        )
         self._told = self._values()
-        node.add_pre_set_parameters_callback(guarded(self._complete))
-        node.add_on_set_parameters_callback(guarded(self._validate))
-        node.add_post_set_parameters_callback(guarded(self._apply))
-        return settings_of(values)
+        self._node.add_pre_set_parameters_callback(guarded(self._complete))
+        self._node.add_on_set_parameters_callback(guarded(self._validate))
+        self._node.add_post_set_parameters_callback(guarded(self._apply))
+        return settings_of(Settings, values)
 
     def _wire(self) -> None:
-        node = self._node
-        self._joint_states = node.create_publisher(JointState, "~/joint_states", RELIABLE)
-        self._coil = node.create_publisher(BatteryState, "~/coil", RELIABLE)
-        self._coil_current = node.create_publisher(Float64, "~/coil_current", RELIABLE)
+        interface = Interface(self._node, topics.VALVE)
+        self._joint_states = interface.publisher("~/joint_states")
+        self._coil = interface.publisher("~/coil")
+        self._coil_current = interface.publisher("~/coil_current")
         sampled = (self._joint_states, self._coil, self._coil_current)
-        self._audience = Audience(*(publisher.get_subscription_count for publisher in sampled))
-        self._phase = node.create_publisher(UInt8, "~/phase", LATCHED)
-        self._is_open = node.create_publisher(Bool, "~/is_open", LATCHED)
-        self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
-        self._voltage = self._inbox.subscribe(Float64, "~/coil_voltage", self._take_command, RELIABLE)
+        self._subscribers = SubscriberCounts(*(publisher.get_subscription_count for publisher in sampled))
+        self._phase = interface.publisher("~/phase")
+        self._is_open = interface.publisher("~/is_open")
+        self._voltage = interface.receive(self._inbox, "~/coil_voltage", self._take_command)
         if self._live.valve.gas is not None:
             self._gas = self._wire_gas()
-        node.create_service(Trigger, "~/reset", guarded(self._reset))
-        node.create_service(Trigger, "~/self_test", guarded(self._self_test))
-        # Wall time: diagnostics must also report that /clock is silent.
-        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        interface.serve("~/reset", guarded(self._reset))
+        interface.serve("~/self_test", guarded(self._self_test))
         self._too_busy = Reminder()
-        node.create_timer(1.0, guarded(self._diagnose), clock=self._steady)
+        self._diagnostics = Diagnostics(
+            self._node, interface.publisher("/diagnostics"), self._clock, lambda: [*self._statuses()]
+        )
 
     def _wire_gas(self) -> GasTopics:
         return GasTopics(self._node, self._inbox, self._clock, self._live, self._messages)
@@ -234,7 +202,7 @@ class ValveShell:
         self._follow_system_clock()
         self._inbox.deliver()
         is_of_gas = gas is not None and gas.is_due(deadline)
-        if self._is_ready and not is_of_gas and live.passes(shown.image, deadline):
+        if self._is_ready and not is_of_gas and live.step_if_no_event(shown.image, deadline):
             self._publish_image(deadline, shown)
             return
         step = live.step(deadline) if self._is_ready else live.step_at_rest(deadline)
@@ -259,7 +227,7 @@ class ValveShell:
             self._node.get_logger().warning(words)
 
     def _publish_image(self, deadline: int, shown: SampleImage) -> None:
-        hears_joint_states, hears_coil, hears_coil_current = self._audience.look(deadline)
+        hears_joint_states, hears_coil, hears_coil_current = self._subscribers.look(deadline)
         if hears_joint_states:
             self._joint_states.publish(shown.joint_states.tobytes())
         if hears_coil:
@@ -269,7 +237,7 @@ class ValveShell:
 
     def _publish_sample(self, deadline: int, step: Step) -> None:
         shown = step.reading
-        hears_joint_states, hears_coil, hears_coil_current = self._audience.look(deadline)
+        hears_joint_states, hears_coil, hears_coil_current = self._subscribers.look(deadline)
         if hears_joint_states:
             self._joint_states.publish(self._messages.joint_states(step.stamp, shown))
         if hears_coil:
@@ -285,12 +253,6 @@ class ValveShell:
             if (is_open := phase is Phase.OPEN) is not self._said_open:
                 self._said_open = is_open
                 self._is_open.publish(IS_OPEN[phase])
-
-    def _fail(self, error: Exception) -> None:
-        if self._node.context.ok():
-            self._exit_code = 1
-            self._node.get_logger().fatal(f"the node cannot go on: {error!r}")
-            self._node.context.try_shutdown()
 
     def _take_command(self, message: Float64, arrival: Arrival) -> None:
         if self._live.command(self._clock.time_of(arrival), message.data):
@@ -327,7 +289,7 @@ class ValveShell:
         response.success, response.message = self_test(self._live.valve)
         return response
 
-    def _diagnose(self) -> None:
+    def _statuses(self) -> Iterator[Status]:
         now = self._now()
         waiting_for = "" if self._is_ready else "the model to be compiled"
         if self._is_ready and self._clock.read() is None:
@@ -339,42 +301,36 @@ class ValveShell:
         self._was_waiting = bool(waiting_for)
         timing = timing_status(kept, self._settings.publish_rate, waiting_for)
         if self._is_ready and timing.level is Level.WARN:
-            line = self._too_busy.line(self._steady.now().nanoseconds / NANOSECONDS, timing.message)
+            line = self._too_busy.line(self._clock.elapsed(), timing.message)
             if line:
                 self._node.get_logger().warning(line)
-        statuses = [
-            timing,
-            command_status(
-                self._commands.look(
-                    now,
-                    live.last_command,
-                    live.volts,
-                    live.timed_out,
-                    live.withdrawn,
-                    self._voltage.incompatible_publishers(),
-                )
-            ),
-            valve_status(ValveFacts(live.phase, live.strokes, live.failures, self._failure, self._duplicates.look())),
-        ]
+        yield timing
+        yield command_status(
+            self._commands.look(
+                now,
+                live.last_command,
+                live.volts,
+                live.timed_out,
+                live.withdrawn,
+                self._voltage.incompatible_publishers(),
+            )
+        )
+        yield valve_status(ValveFacts(live.phase, live.strokes, live.failures, self._failure, self._duplicates.look()))
         if self._gas is not None:
-            statuses += self._gas.statuses()
-        name = self._node.get_fully_qualified_name()
-        self._diagnostics.publish(diagnostic_array(statuses, name, self._clock.stamp()))
+            yield from self._gas.statuses()
 
     # --- parameters ---
 
     def _complete(self, parameters: list[Parameter]) -> list[Parameter]:
-        """Turn integers into doubles; switch off the tolerances of an effect that is switched off."""
-        given = [
-            Parameter(parameter.name, value=as_declared(parameter.name, parameter.value, self._entries))
-            if parameter.name in self._entries and parameter.type_ is not Parameter.Type.NOT_SET
-            else parameter
-            for parameter in parameters
-        ]
+        """Turn integers into doubles, and put names below `tolerances` into that parameter."""
+        if any(parameter.type_ is Parameter.Type.NOT_SET for parameter in parameters):
+            return parameters  # which `_validate` refuses
+        own = [p for p in parameters if p.name in self._table or p.name.startswith(f"{TOLERANCES}.")]
+        given = {parameter.name: as_declared(parameter.name, parameter.value, self._table) for parameter in own}
         with contextlib.suppress(ParameterError):  # which `_validate` reports
-            changes = self._checked(given, "")
-            given += [Parameter(name, value=0.0) for name in left_without_effect(changes, self._values())]
-        return given
+            given = with_tolerances(given, self._values())
+        others = [parameter for parameter in parameters if parameter not in own]
+        return [*others, *(Parameter(name, value=value) for name, value in given.items())]
 
     def _validate(self, parameters: list[Parameter]) -> SetParametersResult:
         name = self._node.get_fully_qualified_name()
@@ -387,14 +343,14 @@ class ValveShell:
 
     def _apply(self, parameters: list[Parameter]) -> None:
         """Apply parameters that ROS has checked and stored."""
-        names = {parameter.name for parameter in parameters} & self._entries.keys()
+        names = {parameter.name for parameter in parameters} & self._table.keys()
         if not names:
             return
         values = self._values()
         if changes := changed_words(self._told, values):
             self._node.get_logger().info(f"set: {changes}")
         self._inbox.deliver()  # what came before they were set
-        now, settings, self._told = self._now(), settings_of(values), values
+        now, settings, self._told = self._now(), settings_of(Settings, values), values
         if settings.time_scale != self._settings.time_scale:
             self._live.set_scale(now, settings.time_scale)
         if settings.max_voltage != self._settings.max_voltage:
@@ -406,7 +362,7 @@ class ValveShell:
         if settings.publish_rate != self._settings.publish_rate:
             self._worker.set_rate(settings.publish_rate)
         self._settings = settings
-        if any(name.startswith(("valve.", "effects.", "gas.")) for name in names):
+        if any(name.startswith(VALVE_KEYS) for name in names):
             valve = self._current_valve()
             self._live.set_valve(now, valve)
             if valve.gas is not None and self._gas is None:
@@ -417,15 +373,17 @@ class ValveShell:
     def _checked(self, parameters: list[Parameter], source: str) -> dict[str, Value]:
         checked = {}
         for parameter in parameters:
-            if parameter.name in self._entries:
+            if parameter.name in self._table:
                 if parameter.type_ is Parameter.Type.NOT_SET:
                     raise ParameterError(f"{source}: {parameter.name}: cannot be undeclared")
-                checked[parameter.name] = self._entries[parameter.name].check(parameter.value, source)
+                checked[parameter.name] = self._table[parameter.name].check(
+                    parameter.value, f"{source}: {parameter.name}"
+                )
         return checked
 
     def _values(self) -> dict[str, Value]:
         found = {}
-        for name, entry in self._entries.items():
+        for name, entry in self._table.items():
             value = self._node.get_parameter(name).value
             found[name] = list(value) if isinstance(entry.default, list) else value
         return found
