@@ -56,6 +56,9 @@ class Node:
         self.queues[topic] = Queue(message_type, topic, callback, raw=raw)
         return self.queues[topic]
 
+    def create_timer(self, period: float, callback: Any, clock: Any) -> None:
+        pass
+
     def resolve_topic_name(self, topic: str) -> str:
         return topic
 

@@ -208,6 +208,6 @@ def test_what_nobody_takes_is_bounded(probe: Probe, hearing: Callable[..., Heari
 def test_a_publisher_that_cannot_be_heard_is_counted(probe: Probe, hearing: Callable[..., Hearing]) -> None:
     node = hearing()
     source = node.inbox.subscribe(Float64, "~/volts", node.take, RELIABLE)
-    assert source.incompatible_publishers() == 0
+    assert source.incompatible_publishers == 0
     probe.talker("volts", Float64, QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT))
-    assert probe.until(lambda: source.incompatible_publishers() == 1)
+    assert probe.until(lambda: source.incompatible_publishers == 1)

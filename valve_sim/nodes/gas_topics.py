@@ -128,4 +128,4 @@ class GasTopics:
             return
         for heard, pressure in ((self._inlet, live.inlet_pressure), (self._demand, live.demand_pressure)):
             task = heard.name.replace("_", " ")
-            yield pressure_status(task, pressure, heard.count.rejections(), heard.source.incompatible_publishers())
+            yield pressure_status(task, pressure, heard.count.rejections(), heard.source.incompatible_publishers)

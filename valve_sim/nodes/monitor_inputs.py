@@ -82,7 +82,7 @@ class MonitorInputs:
 
     def incompatible_publishers(self) -> int:
         """How many publishers of commands cannot be heard, because they offer best effort."""
-        return self._commands.incompatible_publishers()
+        return self._commands.incompatible_publishers
 
     def _subscribe_to_own_topics(self, valve: str, measured: str, *, has_gas: bool) -> None:
         sensors, _, kind = measured.rpartition("/")

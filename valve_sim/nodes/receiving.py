@@ -16,9 +16,11 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from rclpy.callback_groups import CallbackGroup
-from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
 from valve_sim.nodes.node_clock import NodeClock
@@ -28,6 +30,9 @@ from valve_sim.nodes.spinning import guarded, log_left_out
 MOST_STORED: Final = 10_000
 """Messages of one topic that are kept between two deliveries; of more the oldest are dropped."""
 
+_BETWEEN_LOOKS: Final = 1.0
+"""s from one look for publishers that cannot be heard to the next."""
+
 Take = Callable[[Any, Arrival], None]
 """What is done with a message and with when it came."""
 
@@ -36,36 +41,20 @@ class Source:
     """One topic that an inbox receives.
 
     Args:
-        node: subscribes. topic: its full name. take: called for each message, in the thread that empties the inbox.
+        topic: its full name. take: called for each message, in the thread that empties the inbox.
 
     Attributes:
-        topic: its full name.
+        topic, take: as given.
         subscription: rclpy's own.
-        events: for the subscription; each publisher that cannot be heard is warned of in the log.
+        stored: messages that the executor has called back with, each with its number among all of the inbox.
+        incompatible_publishers: how many offer best effort where this topic is subscribed to reliably.
     """
 
-    def __init__(self, node: Node, topic: str, take: Take) -> None:
+    def __init__(self, topic: str, take: Take) -> None:
         self.topic, self.take = topic, take
         self.subscription: Subscription
         self.stored: deque[tuple[int, Any, Arrival]] = deque(maxlen=MOST_STORED)
-        self.events = SubscriptionEventCallbacks(incompatible_qos=guarded(self._warn))
-        self._node = node
-        self._has_been_offered_less = False
-
-    def incompatible_publishers(self) -> int:
-        """How many publishers offer best effort now where this topic is subscribed to reliably."""
-        if not self._has_been_offered_less:
-            return 0  # as nearly always, without a look at who publishes
-        found = self._node.get_publishers_info_by_topic(self.topic)
-        return sum(entry.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT for entry in found)
-
-    def _warn(self, event: QoSRequestedIncompatibleQoSInfo) -> None:
-        self._has_been_offered_less = True
-        policy = qos_policy_name_from_kind(event.last_policy_kind)
-        self._node.get_logger().warning(
-            f"{self.topic}: a publisher offers an incompatible QoS ({policy}) and cannot be heard; publish reliable, "
-            "as this topic asks"
-        )
+        self.incompatible_publishers = 0
 
 
 class Inbox:
@@ -83,6 +72,7 @@ class Inbox:
         self._numbers = itertools.count()
         self._storing, self._delivering = threading.Lock(), threading.Lock()
         clock.when_exchanged(self._wake_executor)
+        node.create_timer(_BETWEEN_LOOKS, guarded(self._look), clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     @property
     def is_polled(self) -> bool:
@@ -97,15 +87,16 @@ class Inbox:
             take: called for each message by `deliver`. qos: of the subscription.
             raw: whether `take` is given the encoded message, as bytes.
         """
-        source = Source(self._node, self._node.resolve_topic_name(topic), take)
+        source = Source(self._node.resolve_topic_name(topic), take)
 
         def store(message: Any, info: Any) -> None:
             with self._storing:
                 source.stored.append((next(self._numbers), message, self._arrival(info)))
 
         callback: Any = guarded(store)  # its second argument, message info, is missing in rclpy's types
+        # Without events: an executor that waits for those alone is woken, again and again, by messages too.
         source.subscription = self._node.create_subscription(
-            message_type, topic, callback, qos, callback_group=self._group, event_callbacks=source.events, raw=raw
+            message_type, topic, callback, qos, callback_group=self._group, event_callbacks=_no_events(), raw=raw
         )
         self._sources += (source,)
         return source
@@ -168,14 +159,34 @@ class Inbox:
     def _arrival(self, info: Any) -> Arrival:
         return Arrival(int(info.get("received_timestamp", 0)) if isinstance(info, dict) else 0, self._clock.read())
 
+    def _look(self) -> None:
+        """Look for publishers that cannot be heard, and warn of them."""
+        for source in self._sources:
+            if source.subscription.qos_profile.reliability != ReliabilityPolicy.RELIABLE:
+                continue
+            found = self._node.get_publishers_info_by_topic(source.topic)
+            before = source.incompatible_publishers
+            source.incompatible_publishers = sum(
+                entry.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT for entry in found
+            )
+            if source.incompatible_publishers > before:
+                self._node.get_logger().warning(
+                    f"{source.topic}: a publisher offers an incompatible QoS (RELIABILITY) and cannot be heard; "
+                    "publish reliable, as this topic asks"
+                )
+
     def _wake_executor(self) -> None:
         """Have the executor look again at what it waits for."""
         if self._node.executor is not None:
             self._node.executor.wake()
 
 
+def _no_events() -> SubscriptionEventCallbacks:
+    return SubscriptionEventCallbacks(use_default_callbacks=False)
+
+
 class _PolledGroup(CallbackGroup):
-    """The group of subscriptions that no executor serves while they are polled; their events it always does.
+    """The group of subscriptions that no executor serves while they are polled.
 
     Args:
         is_polled: whether they are.
@@ -187,7 +198,7 @@ class _PolledGroup(CallbackGroup):
 
     def can_execute(self, entity: object) -> bool:
         """Whether an executor may wait for it."""
-        return not isinstance(entity, Subscription) or not self._is_polled()
+        return not self._is_polled()
 
     def beginning_execution(self, entity: object) -> bool:
         """Whether an executor may call back now."""

@@ -312,7 +312,7 @@ class ValveNode(RosNode):
                 live.volts,
                 live.timed_out,
                 live.withdrawn,
-                self._voltage.incompatible_publishers(),
+                self._voltage.incompatible_publishers,
             )
         )
         yield valve_status(ValveFacts(live.phase, live.strokes, live.failures, self._failure, self._duplicates.look()))
