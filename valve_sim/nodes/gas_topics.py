@@ -11,7 +11,7 @@ from sensor_msgs.msg import FluidPressure
 
 from valve_sim.model.gas import GAS
 from valve_sim.nodes import topics
-from valve_sim.nodes.diagnostics import CommandCount, Status, pressure_status
+from valve_sim.nodes.diagnostics import RejectionCount, Status, pressure_status
 from valve_sim.nodes.live_valve import LiveValve, Step
 from valve_sim.nodes.messages import ReadingMessages
 from valve_sim.nodes.node_clock import NodeClock
@@ -44,7 +44,7 @@ class _Obeyed:
         obey: Callable[[int, float], bool],
     ) -> None:
         self.name = name
-        self.count = CommandCount()
+        self.count = RejectionCount()
         self.source = interface.receive(inbox, f"~/{name}", self._take)
         self._node, self._clock, self._live, self._obey = node, clock, live, obey
         self._warned_at = -math.inf

@@ -21,8 +21,9 @@ from valve_sim.files.parameter_sections import Section
 from valve_sim.model import ParameterError, Phase, Valve
 from valve_sim.nodes import topics
 from valve_sim.nodes.diagnostics import (
-    CommandCount,
+    CommandFacts,
     Level,
+    RejectionCount,
     Reminder,
     Status,
     ValveFacts,
@@ -75,7 +76,7 @@ class ValveNode(RosNode):
             max_voltage=self._settings.max_voltage,
         )
         self._inbox = Inbox(self._node, self._clock)
-        self._commands = CommandCount()
+        self._commands = RejectionCount()
         self._gas: GasTopics | None = None
         self._duplicates = DuplicateNodes(self._node)
         self._failure = ""
@@ -156,7 +157,8 @@ class ValveNode(RosNode):
         self._warn_if_it_cannot_open(valve)
         self._is_ready = True
         self._worker.may_always_step()
-        self._say_ready()
+        if self._node.context.ok():
+            self._say_ready()
 
     def _say_ready(self) -> None:
         """Log that the node is ready, with the full names of its topics."""
@@ -184,7 +186,6 @@ class ValveNode(RosNode):
         self._clock.was_set()
         if restart.reason:
             self._inbox.forget()
-        if restart.reason:
             self._node.get_logger().warning(f"{restart.reason}: the valve rests closed, and no command holds any more")
         self._live.restart(restart.reading.nanoseconds, self._clock.stamp_at(restart.reading))
 
@@ -305,16 +306,9 @@ class ValveNode(RosNode):
             if line:
                 self._node.get_logger().warning(line)
         yield timing
-        yield command_status(
-            self._commands.look(
-                now,
-                live.last_command,
-                live.volts,
-                live.timed_out,
-                live.withdrawn,
-                self._voltage.incompatible_publishers,
-            )
-        )
+        age = math.nan if live.last_command is None else (now - live.last_command) / NANOSECONDS
+        rejections, unheard = self._commands.rejections(), self._voltage.incompatible_publishers
+        yield command_status(CommandFacts(age, live.volts, rejections, live.timed_out, live.withdrawn, unheard))
         yield valve_status(ValveFacts(live.phase, live.strokes, live.failures, self._failure, self._duplicates.look()))
         if self._gas is not None:
             yield from self._gas.statuses()
