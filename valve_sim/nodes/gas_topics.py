@@ -102,18 +102,14 @@ class GasTopics:
             f"{self._outlet_pressure.topic_name} and {self._mass_flow.topic_name} at {_RATE:g} Hz"
         )
 
-    def is_due(self, deadline: int) -> bool:
-        """Whether a step is one of the slower samples; to be asked once for each, in the stepping thread."""
-        return self._samples.is_due(deadline)
-
-    def publish(self, deadline: int, step: Step, *, is_due: bool) -> None:
+    def publish(self, deadline: int, step: Step) -> None:
         """Publish the pressures obeyed since the last step, and this one if it is one of the slower samples.
 
         In the stepping thread.
         """
         for name, stamp, pressure in step.obeyed:
             self._obeyed[name].publish(self._messages.pressure(stamp, pressure))
-        if not is_due or math.isnan(step.reading.outlet_pressure):
+        if not self._samples.is_due(deadline) or math.isnan(step.reading.outlet_pressure):
             return
         hears_outlet_pressure, hears_mass_flow = self._subscribers.look(deadline)
         if hears_outlet_pressure:

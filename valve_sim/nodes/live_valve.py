@@ -8,9 +8,8 @@ from typing import Final, NamedTuple
 
 from valve_sim.model import CoilReading, Event, EventKind, Phase, Reading, SimulationError, Stepper, Valve
 from valve_sim.model.gas import GAS
-from valve_sim.model.process_image import ProcessImage
 from valve_sim.model.stepper import reading_at_rest
-from valve_sim.nodes.realtime import LAST_STAMP, NANOSECONDS, TimedQueue
+from valve_sim.nodes.realtime import NANOSECONDS, TimedQueue
 
 _PHASE_AFTER: Final = {
     EventKind.UNSEATED: Phase.PILOT,
@@ -248,23 +247,6 @@ class LiveValve:
             phases = self._phases_to_announce(reading)
         switches = tuple(switch for switch in self._switches if switch[0] < self._stamp) if self._switches else ()
         return Step(self._stamp, reading, phases, failure, switches, tuple(self._obeyed), self._switched_off)
-
-    def step_if_no_event(self, image: ProcessImage, clock: int) -> bool:
-        """Make the step to clock time `clock`, ns, and fill an image, where nothing but time passes.
-
-        Returns:
-            whether it did; if not, `step` makes this step, and has more to tell of it than the image would show.
-        """
-        stepper = self._stepper
-        if stepper is None or not self._requests.is_empty:
-            return False
-        if self.command_timeout > 0.0 and (deadline := self._command_deadline) is not None and clock >= deadline:
-            return False
-        time, stamp = self._timeline.at(clock)
-        if not stepper.passes(image, time, min(stamp, LAST_STAMP)):
-            return False
-        self._reached, self._stamp = clock, stamp
-        return True
 
     @property
     def can_rest(self) -> bool:

@@ -6,9 +6,8 @@ import array
 import math
 import struct
 from collections.abc import Sequence
-from typing import Any, Final, NamedTuple
+from typing import Final
 
-import numpy as np
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.serialization import serialize_message
@@ -16,7 +15,6 @@ from sensor_msgs.msg import BatteryState, FluidPressure, JointState
 from std_msgs.msg import Bool, Float64, UInt8
 
 from valve_sim.model import Phase, Reading
-from valve_sim.model.process_image import KINDS, Number, ProcessImage
 from valve_sim.nodes.diagnostics import Status
 from valve_sim.nodes.realtime import LAST_STAMP, NANOSECONDS
 
@@ -54,19 +52,6 @@ class ReadingMessages:
         pressure = FluidPressure(header=joints.header, fluid_pressure=_MARKS[0])
         self._pressure = _Encoding(pressure, ["i", "I", "d"], [*_STAMP_MARKS, _MARKS[0]])
 
-    def image(self) -> SampleImage:
-        """The messages of each sample, all in one image that compiled code fills."""
-        encodings = (self._joints, self._coil, self._number)
-        content = np.frombuffer(bytearray(b"".join(encoding.content for encoding in encodings)), np.uint8)
-        places, parts, start = [], [], 0
-        for encoding, numbers in zip(encodings, _IN_IMAGE, strict=True):
-            for (at, kind), number in zip(encoding.places, numbers, strict=True):
-                places.append((start + at, number, KINDS[kind]))
-            end = start + len(encoding.content)
-            parts.append(content[start:end])
-            start = end
-        return SampleImage((content, np.array(places, np.int64)), *parts)
-
     def joint_states(self, stamp: int, reading: Reading) -> bytes:
         """Positions m, velocities m/s, efforts N; `stamp` in ns, LAST_STAMP at most."""
         seconds, nanoseconds = divmod(min(stamp, LAST_STAMP), NANOSECONDS)
@@ -100,26 +85,6 @@ class ReadingMessages:
         return self._number.filled(reading.mass_flow)
 
 
-_IN_IMAGE: Final = (
-    (
-        Number.SECONDS, Number.NANOSECONDS, Number.PILOT_POSITION, Number.MAIN_POSITION, Number.PILOT_VELOCITY,
-        Number.MAIN_VELOCITY, Number.ATTRACTION, Number.MAIN_EFFORT,
-    ),
-    (Number.SECONDS, Number.NANOSECONDS, Number.COIL_VOLTAGE, Number.COIL_CURRENT),
-    (Number.COIL_CURRENT,),
-)  # fmt: skip
-"""The numbers of joint states, of the coil and of its current, in the order in which they stand in a message."""
-
-
-class SampleImage(NamedTuple):
-    """An image of the messages of one sample, and the part of it that each message is."""
-
-    image: ProcessImage
-    joint_states: Any
-    coil: Any
-    coil_current: Any
-
-
 def _blank_coil() -> BatteryState:
     """A message of a coil: what nobody measures is NaN."""
     nothing = math.nan
@@ -138,20 +103,15 @@ class _Encoding:
 
     Where they stand is read off a message that rclpy has encoded, with marks in their place: nothing here knows CDR.
 
-    Attributes:
-        content: the message with the marks. places: where each number begins, and its kind.
-
     Args:
         message: with the marks. kinds: of each number, as in `struct`. marks: what stands there, in order.
     """
 
     def __init__(self, message: object, kinds: Sequence[str], marks: Sequence[float]) -> None:
-        self.content = encoded = serialize_message(message)
-        self.places: list[tuple[int, str]] = []
+        encoded = serialize_message(message)
         form, fixed, done = "=", [], 0
         for kind, mark in zip(kinds, marks, strict=True):
             at = encoded.index(struct.pack("=" + kind, mark), done)
-            self.places.append((at, kind))
             form += f"{at - done}s{kind}"
             fixed.append(encoded[done:at])
             done = at + struct.calcsize("=" + kind)

@@ -67,7 +67,7 @@ class Inbox:
     def __init__(self, node: Node, clock: NodeClock) -> None:
         self._node, self._clock = node, clock
         self._group = _PolledGroup(lambda: self.is_polled)
-        self._can_take = True
+        self._can_take, self._has_stored = True, False
         self._sources: tuple[Source, ...] = ()
         self._numbers = itertools.count()
         self._storing, self._delivering = threading.Lock(), threading.Lock()
@@ -92,6 +92,7 @@ class Inbox:
         def store(message: Any, info: Any) -> None:
             with self._storing:
                 source.stored.append((next(self._numbers), message, self._arrival(info)))
+                self._has_stored = True
 
         callback: Any = guarded(store)  # its second argument, message info, is missing in rclpy's types
         # Without events: an executor that waits for those alone is woken, again and again, by messages too.
@@ -117,7 +118,7 @@ class Inbox:
             if self.is_polled:
                 for source in reversed(self._sources):
                     found[:0] = self._take_waiting(source)
-            if any(source.stored for source in self._sources):
+            if self._has_stored:
                 found[:0] = self._take_stored()
             for source, message, arrival in found:
                 if source in self._sources:
@@ -134,6 +135,7 @@ class Inbox:
 
     def _take_stored(self) -> list[tuple[Source, Any, Arrival]]:
         with self._storing:
+            self._has_stored = False
             stored = [(number, source, *rest) for source in self._sources for number, *rest in source.stored]
             for source in self._sources:
                 source.stored.clear()

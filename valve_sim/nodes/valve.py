@@ -33,7 +33,7 @@ from valve_sim.nodes.diagnostics import (
 )
 from valve_sim.nodes.gas_topics import BETWEEN_WARNINGS, GasTopics
 from valve_sim.nodes.live_valve import LiveValve, Step, self_test
-from valve_sim.nodes.messages import IS_OPEN, PHASE, ReadingMessages, SampleImage
+from valve_sim.nodes.messages import IS_OPEN, PHASE, ReadingMessages
 from valve_sim.nodes.node_clock import NodeClock
 from valve_sim.nodes.parameters import Value, as_declared, changed_words, settings_of
 from valve_sim.nodes.realtime import NANOSECONDS, Arrival, Restart, SubscriberCounts, Worker
@@ -84,7 +84,6 @@ class ValveNode(RosNode):
         self._was_waiting = True
         self._said_open: bool | None = None
         self._messages = ReadingMessages(self._settings.frame_id)
-        self._image = self._messages.image()
         self._wire()
         self._worker = Worker(
             self._clock,
@@ -199,17 +198,13 @@ class ValveNode(RosNode):
             )
 
     def _step(self, deadline: int) -> None:
-        live, shown, gas = self._live, self._image, self._gas
+        live, gas = self._live, self._gas
         self._follow_system_clock()
         self._inbox.deliver()
-        is_of_gas = gas is not None and gas.is_due(deadline)
-        if self._is_ready and not is_of_gas and live.step_if_no_event(shown.image, deadline):
-            self._publish_image(deadline, shown)
-            return
         step = live.step(deadline) if self._is_ready else live.step_at_rest(deadline)
         self._publish_sample(deadline, step)
         if gas is not None:
-            gas.publish(deadline, step, is_due=is_of_gas)
+            gas.publish(deadline, step)
         if step.phases:
             self._publish_phases(step)
         if step.switched_off:
@@ -226,15 +221,6 @@ class ValveNode(RosNode):
             self._node.get_logger().warning(words, throttle_duration_sec=BETWEEN_WARNINGS)
         else:
             self._node.get_logger().warning(words)
-
-    def _publish_image(self, deadline: int, shown: SampleImage) -> None:
-        hears_joint_states, hears_coil, hears_coil_current = self._subscribers.look(deadline)
-        if hears_joint_states:
-            self._joint_states.publish(shown.joint_states.tobytes())
-        if hears_coil:
-            self._coil.publish(shown.coil.tobytes())
-        if hears_coil_current:
-            self._coil_current.publish(shown.coil_current.tobytes())
 
     def _publish_sample(self, deadline: int, step: Step) -> None:
         shown = step.reading
@@ -352,11 +338,10 @@ class ValveNode(RosNode):
         self._live.command_timeout = settings.command_timeout
         if settings.frame_id != self._settings.frame_id:
             self._messages.set_frame_id(settings.frame_id)
-            self._image = self._messages.image()
         if settings.publish_rate != self._settings.publish_rate:
             self._worker.set_rate(settings.publish_rate)
         self._settings = settings
-        if any(name.startswith(VALVE_KEYS) for name in names):
+        if any(name.startswith(VALVE_KEYS) for name in names - {TOLERANCES}):
             valve = self._current_valve()
             self._live.set_valve(now, valve)
             if valve.gas is not None and self._gas is None:
