@@ -12,8 +12,8 @@ from rclpy.qos import QoSProfile
 from std_msgs.msg import Float64
 
 from valve_sim.nodes import topics
-from valve_sim.nodes.encoded_messages import EncodedReader, UnusableMessageError, coils, joint_states, pressures
 from valve_sim.nodes.live_map import LiveInput
+from valve_sim.nodes.messages import EncodedReader, UnusableMessageError, coils, joint_states, pressures
 from valve_sim.nodes.node_clock import NodeClock
 from valve_sim.nodes.realtime import Arrival
 from valve_sim.nodes.receiving import Inbox, Source
