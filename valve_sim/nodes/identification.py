@@ -195,7 +195,7 @@ class IdentificationNode(RosNode):
         except ParameterError as error:
             return Applied(remote.name, False, str(error))
         changes = changes_between(old, new, outcome.intervals)
-        self._before = {change.name: change.old for change in changes}
+        self._before = {name: old[name] for name, value in new.items() if old[name] != value}
         if outcome.objection:
             logger.warning(f"{remote.name} is given the result although {outcome.objection} (apply_always)")
         lines = tuple(change.text() for change in changes)
