@@ -39,7 +39,6 @@ from valve_sim.nodes.monitor_status import (
     InputCount,
     finding_status,
     health_status,
-    input_status,
     isolation_status,
     model_status,
     stroke_status,
@@ -285,12 +284,11 @@ class MonitorNode(RosNode):
         elif self._is_ready and not self._input.commands:
             waiting_for = f"a command on {self._inputs.voltage}"
         unheard = self._inputs.incompatible_publishers()
-        facts = self._input.look(self._clock.elapsed(), self._monitor_thread.lost, waiting_for, unheard)
         wanted = self._settings.commissioning_strokes
         return (
             health_status(self._segmenter.fault, self._stroke_monitor, self._last_report, wanted, self._isolation),
             model_status(self._stroke_monitor),
-            input_status(facts),
+            self._input.status(self._clock.elapsed(), self._monitor_thread.lost, waiting_for, unheard),
             isolation_status(self._isolation),
         )
 
