@@ -39,7 +39,7 @@ PYTEST := -m pytest --durations 10
 # Live nodes are tested one after the other, all else by two processes.
 SIDE_BY_SIDE := --numprocesses 2 --dist worksteal
 # The tests that depend on the ROS distribution.
-KILTED_TESTS := $(foreach name,messages encoded_messages receiving valve_node identification_node monitor_node \
+KILTED_TESTS := $(foreach name,messages encoded_messages receiving node_clock tables valve_node identification_node monitor_node \
 	station supervision refusals,test/nodes/test_$(name).py)
 
 .PHONY: run shell test test-long docs nodes tests lint types layers long-nodes long-tests campaign kilted

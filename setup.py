@@ -109,11 +109,11 @@ setup(
     },
     entry_points={
         "console_scripts": [
-            "command_profile = valve_sim.nodes.command_profile:main",
-            "dispenser_node = valve_sim.nodes.dispenser_node:main",
-            "identification_node = valve_sim.nodes.identification_node:main",
-            "monitor_node = valve_sim.nodes.monitor_node:main",
-            "valve_node = valve_sim.nodes.valve_node:main",
+            "command_profile = valve_sim.nodes.__main__:command_profile",
+            "dispenser_node = valve_sim.station.__main__:dispenser_node",
+            "identification_node = valve_sim.nodes.__main__:identification_node",
+            "monitor_node = valve_sim.nodes.__main__:monitor_node",
+            "valve_node = valve_sim.nodes.__main__:valve_node",
             "valve-sim = valve_sim.cli:main",
         ],
     },

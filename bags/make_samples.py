@@ -155,7 +155,7 @@ def record_live(path: Path, volts: Sequence[tuple[float, float]], duration: floa
     """
     # Linux then ends the node with this process, though it be killed and can tell nobody.
     with_parent = ["setpriv", "--pdeathsig", "TERM"] if shutil.which("setpriv") else []
-    command = [*with_parent, sys.executable, "-m", "valve_sim.nodes.valve_node", "--ros-args", *parameters]
+    command = [*with_parent, sys.executable, "-m", "valve_sim.nodes", "valve_node", "--ros-args", *parameters]
     with subprocess.Popen(command) as node:
         try:
             _record(path, volts, duration)

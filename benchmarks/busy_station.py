@@ -25,6 +25,7 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from std_msgs.msg import Float64, String
@@ -64,10 +65,11 @@ class Listener:
 
     def __init__(self, hand: Hand) -> None:
         self.reports: dict[str, list[dict[str, Any]]] = {tank: [] for tank in TANKS}
-        self.findings: dict[str, list[dict[str, Any]]] = {tank: [] for tank in TANKS}
+        self.findings: dict[str, list[Any]] = {tank: [] for tank in TANKS}
         for tank in TANKS:
-            for topic, found in (("stroke_report", self.reports[tank]), ("finding", self.findings[tank])):
-                hand.node.create_subscription(String, f"/{tank}/monitor/{topic}", _appender(found), 1000)
+            reports, findings = self.reports[tank], self.findings[tank]
+            hand.node.create_subscription(String, f"/{tank}/monitor/stroke_report", _appender(reports), 1000)
+            hand.node.create_subscription(DiagnosticArray, f"/{tank}/monitor/finding", findings.append, 1000)
 
     def count(self, tank: str) -> int:
         """Strokes reported so far."""
@@ -156,7 +158,7 @@ class Station:
         while time.monotonic() < start + ISOLATION_SECONDS and not self.listener.findings[tank]:
             self.hand.spin_for(0.5)
         waited = f"{time.monotonic() - start:.0f} s after the last stroke"
-        return f"{waited}: {self.listener.findings[tank][-1]['summary']}" if self.listener.findings[tank] else ""
+        return f"{waited}: {self.listener.findings[tank][-1].status[0].message}" if self.listener.findings[tank] else ""
 
     def seize(self, tank: str, force: float) -> bool:
         """Put stiction on a valve; whether it took it."""

@@ -41,7 +41,7 @@ WANTED: Final = 2.0
 @contextlib.contextmanager
 def running(nodes: Mapping[str, Sequence[str]]) -> Iterator[Mapping[str, subprocess.Popen[bytes]]]:
     """A valve_node for each, ended by SIGINT."""
-    start = [sys.executable, "-m", "valve_sim.nodes.valve_node", "--ros-args", "-p", f"publish_rate:={RATE}"]
+    start = [sys.executable, "-m", "valve_sim.nodes", "valve_node", "--ros-args", "-p", f"publish_rate:={RATE}"]
     started = {
         name: subprocess.Popen([*start, "-r", f"__ns:=/{name}", *arguments]) for name, arguments in nodes.items()
     }

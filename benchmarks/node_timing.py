@@ -44,7 +44,7 @@ from sensor_msgs.msg import JointState
 
 rclpy.init()
 node = rclpy.create_node("valve")
-publish = node.create_publisher(JointState, "~/joint_states", 10).handle.publish_raw
+publish = node.create_publisher(JointState, "~/joint_states", 10).publish
 two = array.array("d", [1.0, 2.0])
 message = serialize_message(JointState(name=["pilot_plunger", "main_plunger"], position=two, velocity=two, effort=two))
 
@@ -122,7 +122,7 @@ def listening() -> Iterator[Listener]:
 @contextlib.contextmanager
 def running_node(**environment: str) -> Iterator[subprocess.Popen[bytes]]:
     """valve_node as a process, ended by SIGINT."""
-    command = [sys.executable, "-m", "valve_sim.nodes.valve_node", "--ros-args", "-p", f"publish_rate:={RATE}"]
+    command = [sys.executable, "-m", "valve_sim.nodes", "valve_node", "--ros-args", "-p", f"publish_rate:={RATE}"]
     process = subprocess.Popen(command, env={**os.environ, **environment})
     try:
         yield process

@@ -21,7 +21,8 @@ from std_msgs.msg import Float64
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.nodes.live_valve import LiveValve, Step
 from valve_sim.nodes.messages import JOINT_NAMES, ReadingMessages
-from valve_sim.nodes.shell_parts import RELIABLE
+from valve_sim.nodes.topics import RELIABLE
+from valve_sim.nodes.wiring import profile
 
 SAMPLES: Final = 3000
 PERIOD: Final = 5e-4
@@ -43,8 +44,8 @@ class Publisher:
     """Publishes one sample in either way."""
 
     def __init__(self, node: Node, step: Step) -> None:
-        self.joint_states = node.create_publisher(JointState, "/publishing/joint_states", RELIABLE)
-        self.coil_current = node.create_publisher(Float64, "/publishing/coil_current", RELIABLE)
+        self.joint_states = node.create_publisher(JointState, "/publishing/joint_states", profile(RELIABLE))
+        self.coil_current = node.create_publisher(Float64, "/publishing/coil_current", profile(RELIABLE))
         self._step = step
         self._encoded = ReadingMessages("")
 

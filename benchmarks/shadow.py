@@ -16,7 +16,6 @@ Exit code 1 where that falls short. Needs ROS 2.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 import tempfile
@@ -69,11 +68,10 @@ class Beside:
 
     def __init__(self, probe: Probe, valve: LiveValve) -> None:
         from diagnostic_msgs.msg import DiagnosticArray
-        from std_msgs.msg import String
 
         self._probe = probe
         self.plant = PlantOnTopics(probe, valve)
-        self._findings = probe.hear("/monitor/finding", String, latched=True)
+        self._findings = probe.hear("/monitor/finding", DiagnosticArray, latched=True)
         self._diagnostics = probe.hear("/diagnostics", DiagnosticArray)
         self.reports: list[Any] = []
         self._made = 0
@@ -90,7 +88,10 @@ class Beside:
         """The effects of the last finding, once no isolation is under way."""
         del self._diagnostics[:]
         assert self._probe.until(self._says_idle, ISOLATION_SECONDS), "fault isolation does not end"
-        return tuple(json.loads(self._findings[-1].data)["effects"]) if self._findings else ()
+        if not self._findings:
+            return ()
+        values = {item.key: item.value for item in self._findings[-1].status[0].values}
+        return tuple(values["effects"].split(", ")) if values["effects"] else ()
 
     def _says_idle(self) -> bool:
         statuses = [status for message in self._diagnostics[-1:] for status in message.status]

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import json
 import math
 import signal
 import subprocess
@@ -105,7 +104,7 @@ class Hand:
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._hear_diagnostics, 100)
         for tank in TANKS:
             self.node.create_subscription(String, f"/{tank}/monitor/stroke_report", self._counter(tank), 10)
-            self.node.create_subscription(String, f"/{tank}/monitor/finding", self._finder(tank), 10)
+            self.node.create_subscription(DiagnosticArray, f"/{tank}/monitor/finding", self._finder(tank), 10)
 
     def _stroke_counter(self, tank: str) -> Any:
         before = 0.0
@@ -130,8 +129,9 @@ class Hand:
 
     def _finder(self, tank: str) -> Any:
         def note(message: Any) -> None:
-            found = json.loads(message.data)
-            self.findings[tank].append((self.made[tank], "+".join(found["effects"]), found["summary"]))
+            (found,) = message.status
+            effects = next(item.value for item in found.values if item.key == "effects")
+            self.findings[tank].append((self.made[tank], effects.replace(", ", "+"), found.message))
 
         return note
 
@@ -194,7 +194,7 @@ def running_station(*, gas: bool = False) -> Iterator[dict[str, int]]:
             processes[f"{tank}/{name}"] = subprocess.Popen(command)
     if gas:
         given = ["--ros-args", "--params-file", str(GAS_FILES / "gas_dispenser.yaml")]
-        processes["dispenser"] = subprocess.Popen([sys.executable, "-m", "valve_sim.nodes.dispenser_node", *given])
+        processes["dispenser"] = subprocess.Popen([sys.executable, "-m", "valve_sim.station", "dispenser_node", *given])
     try:
         yield {name: process.pid for name, process in processes.items()}
     finally:

@@ -21,8 +21,8 @@ PATIENCE = 60.0
 def run(words: list[str]) -> int:
     """ros2 run PACKAGE NODE arguments."""
     package, node, *rest = words
-    module = package if node == "valve-sim" else f"{package}.nodes.{node}"
-    os.execv(sys.executable, [sys.executable, "-m", module, *rest])
+    program = [package] if node == "valve-sim" else [f"{package}.nodes", node]
+    os.execv(sys.executable, [sys.executable, "-m", *program, *rest])
 
 
 def message_class(name: str) -> Any:

@@ -86,7 +86,7 @@ def test_without_any_script_the_module_is_run(nothing_installed: Path, monkeypat
     monkeypatch.setattr(sys, "executable", str(executable(nothing_installed / "with space" / "python")))
     monkeypatch.chdir(nothing_installed)
     assert invocation() == "'with space/python' -m valve_sim"
-    assert invocation("valve_node") == "'with space/python' -m valve_sim.nodes.valve_node"
+    assert invocation("valve_node") == "'with space/python' -m valve_sim.nodes valve_node"
     shutil.copy("with space/python", "tools/python")
     monkeypatch.setattr(sys, "executable", str(nothing_installed / "tools" / "python"))
     assert invocation() == "python -m valve_sim"

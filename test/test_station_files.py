@@ -6,7 +6,6 @@ import functools
 import json
 import re
 from collections.abc import Iterator
-from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
@@ -16,12 +15,12 @@ from identification.live_strokes import LiveValve, feed
 
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.monitoring.monitor import Monitor
+from valve_sim.nodes import topics as tables
 from valve_sim.nodes.monitor_status import stroke_status
-from valve_sim.reference import interfaces
 
 CONFIG = Path(__file__).parents[1] / "config"
 TANKS = ("tank_1", "tank_2", "tank_3")
-SHELLS = {"valve": ("valve_shell.py",), "monitor": ("monitor_shell.py", "monitor_inputs.py")}
+NODES = {"valve": tables.VALVE, "monitor": tables.MONITOR}
 FIELDS = {
     "BatteryState": "current|voltage",
     "JointState": r"position\[[01]\]",
@@ -44,13 +43,13 @@ SERIES = {
 @pytest.fixture(scope="module")
 def topics() -> dict[str, str]:
     """Every topic of the station, and its message."""
-    found = {}
-    for node, files in SHELLS.items():
-        sources = [(resources.files("valve_sim.nodes") / file).read_text(encoding="utf-8") for file in files]
-        for entry in interfaces(*sources):
-            if entry.direction != "service":
-                found.update({entry.name.replace("~", f"/{tank}/{node}"): entry.message for tank in TANKS})
-    return found
+    return {
+        entry.name.replace("~", f"/{tank}/{node}"): entry.type.rpartition("/")[2]
+        for node, entries in NODES.items()
+        for entry in entries
+        if entry.direction != "service"
+        for tank in TANKS
+    }
 
 
 def split_path(path: str, topics: dict[str, str], between: str) -> tuple[str, str]:
@@ -202,5 +201,5 @@ def test_each_node_has_an_enclave_of_its_own_name() -> None:
         ]
         for enclave in root.iter("enclave")
     }
-    wanted = [f"/{tank}/{node}" for tank in TANKS for node in SHELLS] + ["/sequencer", "/dispenser"]
+    wanted = [f"/{tank}/{node}" for tank in TANKS for node in NODES] + ["/sequencer", "/dispenser"]
     assert enclaves == {path: [path] for path in wanted}

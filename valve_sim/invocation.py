@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Final
 
 PACKAGE: Final = "valve_sim"
-MODULES: Final = {"valve-sim": PACKAGE}
-"""Programs that `python -m` runs under another name than their own."""
+MODULES: Final = {"valve-sim": PACKAGE, "dispenser_node": f"{PACKAGE}.station dispenser_node"}
+"""What to run by `python -m` for a program; the others are nodes of `valve_sim.nodes`."""
 
 
 def invocation(program: str = "valve-sim") -> str:
@@ -30,7 +30,7 @@ def invocation(program: str = "valve-sim") -> str:
         return f"ros2 run {PACKAGE} {program}"
     if own:
         return _typed(own[0])
-    return f"{_typed(Path(sys.executable))} -m {MODULES.get(program, f'{PACKAGE}.nodes.{program}')}"
+    return f"{_typed(Path(sys.executable))} -m {MODULES.get(program, f'{PACKAGE}.nodes {program}')}"
 
 
 def _scripts(program: str) -> Iterator[Path]:

@@ -5,75 +5,32 @@
 
 from __future__ import annotations
 
-import ast
 import sys
-from collections.abc import Iterator, Sequence
-from importlib import resources
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.fleet.columns import BEFORE, SCHEMA, columns, followed, quantities
 from valve_sim.model import CATALOGUE
 from valve_sim.model.parameters import Parameter
-from valve_sim.nodes import dispenser_parameters, monitor_parameters, profile_parameters
-from valve_sim.nodes.identification_parameters import DESCRIPTIONS, Settings
-from valve_sim.nodes.parameters import NodeParameter, table
+from valve_sim.nodes import settings, topics
+from valve_sim.nodes.parameters import NodeParameter
+from valve_sim.nodes.topics import Topic
+from valve_sim.nodes.valve_parameters import table
+from valve_sim.station import dispenser_tables
 from valve_sim.traces.layout import CHANNELS, COIL, COIL_STATE, MEASURED
 
-_NODES: Final = {
-    "valve_node": ("valve_shell.py", "gas_topics.py"),
-    "identification_node": ("identification_shell.py",),
-    "monitor_node": ("monitor_shell.py", "monitor_inputs.py"),
-    "command_profile": ("command_profile_shell.py",),
-    "dispenser_node": ("dispenser_shell.py",),
+_TOPICS: Final = {
+    "valve_node": topics.VALVE,
+    "identification_node": topics.IDENTIFICATION,
+    "monitor_node": topics.MONITOR,
+    "command_profile": topics.PROFILE,
+    "dispenser_node": dispenser_tables.TOPICS,
 }
-_CALLS: Final = {"create_publisher": "out", "create_subscription": "in", "create_service": "service"}
-_WRAPPED: Final = "EncodedPublisher"
-"""The node's own publisher of messages that are encoded already: it takes the node first."""
-
-
-class Interface(NamedTuple):
-    """A topic or service of a node: its name, the message's name, and "in", "out" or "service"."""
-
-    name: str
-    message: str
-    direction: str
-
-
-def interfaces(*sources: str) -> list[Interface]:
-    """The topics and services that a node's source files make, in the order in which they make them.
-
-    Read from the source, so that neither ROS nor a running node is needed.
-    """
-    found = [entry for source in sources for entry in _interfaces(ast.parse(source))]
-    return sorted(found, key=lambda entry: list(_CALLS.values()).index(entry.direction))
-
-
-def _interfaces(tree: ast.AST) -> Iterator[Interface]:
-    for node in ast.walk(tree):
-        match node:
-            case ast.Call(func=ast.Attribute(attr=call), args=[ast.Name(id=message), name, *_]) if call in _CALLS:
-                yield Interface(_written(name), message, _CALLS[call])
-            case ast.Call(func=ast.Name(id=call), args=[_, ast.Name(id=message), name]) if call == _WRAPPED:
-                yield Interface(_written(name), message, "out")
-
-
-def _written(name: ast.expr) -> str:
-    """A name as it is written in the source; `<valve>` where a value is put in."""
-    match name:
-        case ast.Constant(value=str(words)):
-            return words
-        case ast.JoinedStr(values=parts):
-            return "".join(_written(part) for part in parts)
-        case ast.FormattedValue(value=value):
-            return _written(value)
-        case ast.Attribute(attr=attribute):
-            return f"<{attribute.lstrip('_')}>"
-        case ast.Name(id=variable):
-            return f"<{variable}>"
-        case _:
-            raise ValueError(f"a topic is made as {ast.unparse(name)}, which cannot be read from the source")
+_LONGEST_TEXT: Final = 60
+_OF_TOPICS: Final = ("name", "type", "direction", "QoS", "unit", "what")
+_OF_PARAMETERS: Final = ("name", "type", "default", "range", "unit", "read-only", "what")
 
 
 def pages() -> dict[str, str]:
@@ -89,17 +46,24 @@ def pages() -> dict[str, str]:
 
 
 def _topics() -> Iterator[str]:
-    folder = resources.files("valve_sim.nodes")
-    for node, files in _NODES.items():
+    for node, entries in _TOPICS.items():
         yield f"## {node}"
-        found = interfaces(*((folder / file).read_text(encoding="utf-8") for file in files))
-        yield _table(("name", "type", "direction"), [(f"`{e.name}`", e.message, e.direction) for e in found])
+        yield _table(_OF_TOPICS, [_topic(entry) for entry in entries])
+        if node == "valve_node":
+            yield "From when gas is declared, also:"
+            yield _table(_OF_TOPICS, [_topic(entry) for entry in topics.GAS])
     yield (
         "`<valve>` and `<measured>` are parameters of monitor_node; `<sensors>` is where `<measured>` is. Of "
         "dispenser_node `<valve>` is each of its parameter `valves`. `<end>` is inlet_pressure and demand_pressure: "
         "beside a simulated valve (`<sensors>` is `<valve>`) those that it obeys are heard, beside another its "
         "sensors, and where neither comes what the valve is told."
     )
+
+
+def _topic(entry: Topic) -> tuple[str, ...]:
+    name = entry.name.replace("{", "<").replace("}", ">")
+    qos = "–" if entry.qos is None else entry.qos.words
+    return f"`{name}`", entry.type, entry.direction, qos, entry.unit or "–", entry.meaning
 
 
 def _bag_topics() -> Iterator[str]:
@@ -124,33 +88,44 @@ def _bag_topics() -> Iterator[str]:
 def _node_parameters() -> Iterator[str]:
     yield "## valve_node"
     yield (
-        "SI units. Names under `valve.` and `tolerances.` are also keys of a parameter file, and so are those of "
-        "[effects](effects.md). A parameter of an effect has a tolerance as well: "
-        "`tolerances.effects.<effect>.<parameter>`, 0 while the effect is off. Where anything of a valve is given, a "
-        "tolerance that is not is 0: exact, but those of the sensor. "
+        "SI units. Names under `valve.` and `gas.` are also keys of a parameter file, and so are those of "
+        "[effects](effects.md), which are parameters too: `effects.<effect>.<parameter>`. All can be set at run time. "
+        "`tolerances` is the group of that name of a parameter file as one text in JSON; names below it, such as "
+        "`tolerances.stroke`, are taken from files and command lines and at run time, and go into it. Where anything "
+        "of a valve is given, a tolerance that is not is 0: exact, but those of the sensor. "
         "[How well your numbers are known](../how_to/tolerances.md)."
     )
-    of_effects = ("effects.", "tolerances.effects.")
-    entries = [entry for entry in table(default_valve()).values() if not entry.name.startswith(of_effects)]
-    rows = [(f"`{e.name}`", _default(e.default), _range(e), e.description) for e in entries]
-    yield _table(("name", "default", "range", "meaning"), rows)
+    yield _parameters({name: e for name, e in table(default_valve()).items() if not name.startswith("effects.")})
     yield "## identification_node"
-    defaults = Settings()._asdict()
-    yield _table(
-        ("name", "default", "meaning"),
-        [(f"`{name}`", _default(defaults[name]), DESCRIPTIONS[name]) for name in defaults],
-    )
+    yield _parameters(settings.IDENTIFICATION)
     yield "## monitor_node"
-    yield "Beside these: `valve.`, `effects.` and `tolerances.` as for valve_node, for the valve that it declares."
-    own, words = monitor_parameters.Settings()._asdict(), monitor_parameters.descriptions()
-    yield _table(("name", "default", "meaning"), [(f"`{name}`", _default(own[name]), words[name]) for name in own])
+    yield (
+        "Beside these: `valve.`, `effects.`, `gas.` and `tolerances` as for valve_node, for the valve that it "
+        "declares, and read-only."
+    )
+    yield _parameters(settings.MONITOR)
     yield "## command_profile"
-    own, words = profile_parameters.Settings()._asdict(), profile_parameters.DESCRIPTIONS
-    yield _table(("name", "default", "meaning"), [(f"`{name}`", _default(own[name]), words[name]) for name in own])
+    yield _parameters(settings.PROFILE)
     yield "## dispenser_node"
-    yield "All are read once, at the start."
-    own, words = dispenser_parameters.Settings()._asdict(), dispenser_parameters.DESCRIPTIONS
-    yield _table(("name", "default", "meaning"), [(f"`{name}`", _default(own[name]), words[name]) for name in own])
+    yield _parameters(dispenser_tables.PARAMETERS)
+
+
+def _parameters(entries: Mapping[str, NodeParameter]) -> str:
+    return _table(
+        _OF_PARAMETERS,
+        [
+            (
+                f"`{e.name}`",
+                e.type,
+                _default(e.default),
+                _range(e),
+                e.unit or "–",
+                "yes" if e.read_only else "no",
+                e.meaning,
+            )
+            for e in entries.values()
+        ],
+    )
 
 
 def _effects() -> Iterator[str]:
@@ -201,10 +176,14 @@ def _off(parameter: Parameter) -> str:
 
 
 def _range(entry: NodeParameter) -> str:
+    if entry.choices:
+        return " or ".join(f"`{choice}`" for choice in entry.choices)
     return "–" if entry.range is None else f"{entry.range[0]:g} … {entry.range[1]:g}"
 
 
 def _default(value: object) -> str:
+    if isinstance(value, str) and len(value) > _LONGEST_TEXT:
+        return "as config/valve.yaml"
     if isinstance(value, str):
         return f"`{value}`" if value else "empty"
     if isinstance(value, Sequence):

@@ -12,11 +12,11 @@ import sys
 from typing import Any, NoReturn
 
 PLACES = {
-    "valve_node": "valve_shell:load_stepper",
-    "monitor_node": "monitor_tasks:isolate_fault",
-    "identification_node": "identification_shell:fit_or_diagnose",
-    "dispenser_node": "dispensing:Dispenser.prepare",
-    "command_profile": "command_profile_shell:checked_profile",
+    "valve_node": "nodes.valve:load_stepper",
+    "monitor_node": "nodes.monitor_tasks:isolate_fault",
+    "identification_node": "nodes.identification:fit_or_diagnose",
+    "dispenser_node": "station.dispenser:Dispenser.prepare",
+    "command_profile": "nodes.profile:checked_profile",
 }
 """Module and name of what each node calculates."""
 
@@ -30,22 +30,23 @@ def calculate(*arguments: object) -> NoReturn:
 def search_at_once() -> None:
     """Have the monitor look for a fault from its start on."""
     from valve_sim.identification.monitoring.findings import Occasion
-    from valve_sim.nodes.monitor_shell import MonitorShell
+    from valve_sim.nodes.monitor import MonitorNode
 
     def prepare(self: Any) -> None:
         self._isolation.begin([], None, Occasion("/valve", 0, 0))
 
-    MonitorShell._prepare = prepare  # type: ignore[method-assign]
+    MonitorNode._prepare = prepare  # type: ignore[method-assign]
 
 
 if __name__ == "__main__":
     node = sys.argv.pop(1)
     module, _, names = PLACES[node].partition(":")
-    owner: Any = importlib.import_module(f"valve_sim.nodes.{module}")
+    owner: Any = importlib.import_module(f"valve_sim.{module}")
     *owners, name = names.split(".")
     for part in owners:
         owner = getattr(owner, part)
     setattr(owner, name, calculate)
     if node == "monitor_node":
         search_at_once()
-    raise SystemExit(importlib.import_module(f"valve_sim.nodes.{node}").main())
+    package = "station" if node == "dispenser_node" else "nodes"
+    raise SystemExit(getattr(importlib.import_module(f"valve_sim.{package}.__main__"), node)())

@@ -77,7 +77,8 @@ class NodeProcess:
         self, folder: Path, arguments: Sequence[str] = (), program: str = "valve_node", **environment: str
     ) -> None:
         self._log = folder / f"stderr-{time.monotonic_ns()}.txt"
-        command = [sys.executable, "-m", f"valve_sim.nodes.{program}", *arguments]
+        package = "station" if program == "dispenser_node" else "nodes"
+        command = [sys.executable, "-m", f"valve_sim.{package}", program, *arguments]
         with self._log.open("w") as log:
             self.process = subprocess.Popen(
                 command, stdout=log, stderr=log, env={**os.environ, "ROS_LOG_DIR": str(folder), **environment}

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.nodes.parameters import table
+from valve_sim.nodes.valve_parameters import table
 
 from .ros_process import Probe, piped
 
@@ -113,7 +113,7 @@ def handed_on(forgetful: Forgetful, name: str, folder: Path) -> Any:
         return bool(results)
 
     given: dict[str, object] = {"bag": BAG, "output": folder, "apply_to": name, "rate": 0, "linger": "true"}
-    with piped(folder, ("-m", "valve_sim.nodes.identification_node"), **given):
+    with piped(folder, ("-m", "valve_sim.nodes", "identification_node"), **given):
         assert probe.until(has_ended), "no result"
     probe.close()
     return json.loads(results[0].data)["applied"]

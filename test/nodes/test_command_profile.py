@@ -49,7 +49,7 @@ def commanding(
     """command_profile while inside."""
     (folder / "profile.yaml").write_text(rows)
     given = {"profile": folder / "profile.yaml", "output": folder / "commanded.csv", **parameters}
-    return piped(folder, ("-m", "valve_sim.nodes.command_profile"), **given)
+    return piped(folder, ("-m", "valve_sim.nodes", "command_profile"), **given)
 
 
 def ended(process: subprocess.Popen[str]) -> tuple[int, str]:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 
 from valve_sim.model import Phase
 from valve_sim.nodes.diagnostics import (
-    CommandCount,
+    CommandFacts,
     Level,
+    RejectionCount,
     Reminder,
+    Status,
     ValveFacts,
     command_status,
     pressure_status,
@@ -50,33 +53,41 @@ def test_late_samples_are_a_warning_that_says_how_late(late: Timing) -> None:
     assert f"{late.lateness * 1e3:.1f} ms" in status.message
 
 
+def status_of(
+    count: RejectionCount, now: int, last: int | None, volts: float, *, timed_out: bool = False, **more: Any
+) -> Status:
+    """What /diagnostics has at a time, ns, when the last command came at another."""
+    age = math.nan if last is None else 1e-9 * (now - last)
+    return command_status(CommandFacts(age, volts, count.rejections(), timed_out, **more))
+
+
 def test_rejected_commands_are_a_warning_until_a_good_one_comes_and_counted_for_ever() -> None:
-    count = CommandCount()
-    assert command_status(count.look(0, None, 0.0, False)).message == "none yet"
+    count = RejectionCount()
+    assert status_of(count, 0, None, 0.0).message == "none yet"
     count.reject(math.nan)
     count.reject(99.0)
-    status = command_status(count.look(3_000_000_000, 1_000_000_000, 9.0, False))
+    status = status_of(count, 3_000_000_000, 1_000_000_000, 9.0)
     assert status.level is Level.WARN
     assert status.message == "2 rejected, the last of 99 V; the last good one stays"
     assert status.values["rejected"] == "2"
     assert status.values["age (s)"] == "2.000"
-    status = command_status(count.look(4_000_000_000, 1_000_000_000, 9.0, False))
+    status = status_of(count, 4_000_000_000, 1_000_000_000, 9.0)
     assert (status.level, status.message) == (
         Level.WARN,
         "the last, of 99 V, was rejected; the last good one stays",
     )
     count.accept()
-    status = command_status(count.look(5_000_000_000, 5_000_000_000, 9.0, False))
+    status = status_of(count, 5_000_000_000, 5_000_000_000, 9.0)
     assert (status.level, status.message, status.values["rejected"]) == (Level.OK, "accepted", "2")
 
 
 def test_a_command_that_timed_out_is_a_warning() -> None:
-    status = command_status(CommandCount().look(9, 1, 0.0, True))
+    status = status_of(RejectionCount(), 9, 1, 0.0, timed_out=True)
     assert (status.level, status.values["timed out"]) == (Level.WARN, "true")
 
 
 def test_a_command_that_max_voltage_has_ended_is_a_warning() -> None:
-    status = command_status(CommandCount().look(9, None, 0.0, False, withdrawn=9.0))
+    status = status_of(RejectionCount(), 9, None, 0.0, withdrawn=9.0)
     assert status.level is Level.WARN
     assert status.message == "max_voltage was set below the last, of 9 V: coil de-energised"
 
@@ -84,9 +95,9 @@ def test_a_command_that_max_voltage_has_ended_is_a_warning() -> None:
 def test_a_publisher_that_cannot_be_heard_is_a_warning() -> None:
     words = "publishers that offer an incompatible QoS and cannot be heard: 1; publish reliable"
     for last_command in (None, 1):
-        status = command_status(CommandCount().look(9, last_command, 0.0, False, incompatible_publishers=1))
+        status = status_of(RejectionCount(), 9, last_command, 0.0, incompatible_publishers=1)
         assert (status.level, status.message) == (Level.WARN, words)
-    status = pressure_status("inlet pressure", 70e6, CommandCount().rejections(), 1)
+    status = pressure_status("inlet pressure", 70e6, RejectionCount().rejections(), 1)
     assert (status.level, status.message) == (Level.WARN, words)
 
 
@@ -127,7 +138,7 @@ def test_trouble_now_and_then_does_not_count_from_the_start_each_time() -> None:
 
 
 def test_a_rejected_tank_pressure_is_a_warning_until_a_good_one_comes() -> None:
-    count = CommandCount()
+    count = RejectionCount()
     status = pressure_status("inlet pressure", 70e6, count.rejections(), 0)
     assert (status.task, status.level, status.values["pressure (Pa)"]) == ("inlet pressure", Level.OK, "7e+07")
     count.reject(math.nan)

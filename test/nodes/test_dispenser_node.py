@@ -32,7 +32,7 @@ def probe(in_own_domain: None) -> Iterator[Probe]:
 
 
 def dispensing(folder: Path, **parameters: object) -> contextlib.AbstractContextManager[Any]:
-    return piped(folder, ("-m", "valve_sim.nodes.dispenser_node"), **parameters)
+    return piped(folder, ("-m", "valve_sim.station", "dispenser_node"), **parameters)
 
 
 def test_it_opens_the_first_tank_once_all_are_heard_and_ends_with_all_coils_off(probe: Probe, tmp_path: Path) -> None:

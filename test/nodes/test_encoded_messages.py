@@ -20,7 +20,7 @@ pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imp
 from rclpy.serialization import deserialize_message, serialize_message  # noqa: E402
 from sensor_msgs.msg import BatteryState, JointState  # noqa: E402
 
-from valve_sim.nodes.encoded_messages import UnusableMessageError, coils, joint_states  # noqa: E402
+from valve_sim.nodes.messages import UnusableMessageError, coils, joint_states  # noqa: E402
 
 PILOT = "pilot_plunger"
 NUMBERS = st.floats(width=64)

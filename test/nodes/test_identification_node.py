@@ -62,7 +62,7 @@ def probe(ros: None) -> Iterator[Probe]:
 def identifying(folder: Path, **parameters: object) -> contextlib.AbstractContextManager[subprocess.Popen[str]]:
     """identification_node while inside; it writes into the folder."""
     given: dict[str, object] = {"output": folder, **parameters}
-    return piped(folder, ("-m", "valve_sim.nodes.identification_node"), **given)
+    return piped(folder, ("-m", "valve_sim.nodes", "identification_node"), **given)
 
 
 def maker() -> Any:

@@ -215,7 +215,7 @@ def test_a_flood_while_the_clock_stands_still_fills_no_memory_and_ends_as_if_eac
         live.supply(START + MILLISECOND, 10e6 + index)
         live.set_demand_pressure(START + MILLISECOND, 2e6 + index)
         live.set_scale(START + MILLISECOND, 1.0 + index % 2)
-    assert len(live._mailbox) == 4
+    assert len(live._requests) == 4
     run(live, [2.0])
     assert (live.volts, live.inlet_pressure, live.demand_pressure) == (24.0, 10e6 + 49_999, 2e6 + 49_999)
     assert live.last_command == START + MILLISECOND

@@ -30,7 +30,7 @@ def nodes_of(process: int) -> Iterator[int]:
         with contextlib.suppress(OSError, IndexError):
             parent = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
             words = (folder / "cmdline").read_bytes().decode().split("\0")
-            if parent == process and words[0] == sys.executable and "valve_sim.nodes.valve_node" in words:
+            if parent == process and words[0] == sys.executable and "valve_node" in words:
                 yield int(folder.name)
 
 

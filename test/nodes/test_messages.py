@@ -10,7 +10,7 @@ import pytest
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.model import Phase, Reading
 from valve_sim.nodes.diagnostics import Level, Status
-from valve_sim.nodes.parameters import table
+from valve_sim.nodes.valve_parameters import table
 
 std_msgs = pytest.importorskip("std_msgs.msg", reason="there is no ROS 2 here: its messages cannot be imported")
 
@@ -19,6 +19,7 @@ from sensor_msgs.msg import BatteryState, FluidPressure, JointState  # noqa: E40
 from std_msgs.msg import Bool, Float64, UInt8  # noqa: E402
 
 from valve_sim.nodes import messages  # noqa: E402
+from valve_sim.nodes.wiring import descriptor  # noqa: E402
 
 READING = Reading(1.0, 2e-3, 1e-3, 0.5, 0.25, 0.8, 15.0, -3.0, Phase.OPEN, ())
 
@@ -90,12 +91,12 @@ def test_diagnostics_are_named_after_the_node() -> None:
 
 def test_descriptors_carry_unit_and_range() -> None:
     entries = table(default_valve())
-    mass = messages.descriptor(entries["valve.pilot_mass"])
+    mass = descriptor(entries["valve.pilot_mass"])
     assert mass.description == "[kg] mass that moves in Phase 1"
     assert (mass.floating_point_range[0].from_value, mass.floating_point_range[0].to_value) == (0.0, 5.0)
-    bandwidth = messages.descriptor(entries["effects.sensor_bandwidth.cutoff_frequency"])
+    bandwidth = descriptor(entries["effects.sensor_bandwidth.cutoff_frequency"])
     assert bandwidth.floating_point_range[0].to_value == math.inf
-    assert not messages.descriptor(entries["frame_id"]).floating_point_range
+    assert not descriptor(entries["frame_id"]).floating_point_range
 
 
 @pytest.mark.parametrize("frame_id", ["", "tank", "a frame of thirty characters …"])

@@ -15,7 +15,7 @@ from sensor_msgs.msg import BatteryState, FluidPressure, JointState  # noqa: E40
 from std_msgs.msg import Float64  # noqa: E402
 
 from valve_sim.nodes.monitor_inputs import MonitorInputs, Takers  # noqa: E402
-from valve_sim.nodes.realtime import ClockReading  # noqa: E402
+from valve_sim.nodes.realtime import Arrival, ClockReading  # noqa: E402
 
 ENDS = ("inlet_pressure", "demand_pressure")
 
@@ -33,22 +33,34 @@ class Queue:
     def take_message(self, message_type: type, raw: bool) -> Any:
         return self._waiting.popleft() if self._waiting else None
 
-    def execute(self) -> None:
-        """What an executor does for a subscription that is ready."""
-        self.callback(*self._waiting.popleft())
-
 
 class Node:
     """Of a node what `MonitorInputs` uses."""
+
+    executor = None
 
     def __init__(self) -> None:
         self.queues: dict[str, Queue] = {}
 
     def create_subscription(
-        self, message_type: type, topic: str, callback: Any, qos: Any, *, raw: bool = False, event_callbacks: Any = None
+        self,
+        message_type: type,
+        topic: str,
+        callback: Any,
+        qos: Any,
+        *,
+        raw: bool,
+        callback_group: Any,
+        event_callbacks: Any,
     ) -> Queue:
         self.queues[topic] = Queue(message_type, topic, callback, raw=raw)
         return self.queues[topic]
+
+    def create_timer(self, period: float, callback: Any, clock: Any) -> None:
+        pass
+
+    def resolve_topic_name(self, topic: str) -> str:
+        return topic
 
     def destroy_subscription(self, queue: Queue) -> None:
         del self.queues[queue.topic_name]
@@ -61,6 +73,12 @@ class Clock:
 
     def read(self) -> ClockReading:
         return ClockReading(0, False)
+
+    def when_exchanged(self, call: Any) -> None:
+        pass
+
+    def stamp_of(self, arrival: Arrival) -> int:
+        return arrival.received
 
 
 class Heard:
@@ -89,7 +107,7 @@ class Heard:
 
     def sample(self, topic: str = "joint_states") -> None:
         self.put_sample(topic)
-        self.node.queues[f"/valve/{topic}"].execute()
+        assert self.inputs.deliver()
 
 
 def test_a_sample_is_taken_after_all_pressures_that_were_heard_before_it() -> None:
@@ -138,12 +156,13 @@ def test_a_message_that_is_no_pressure_is_rejected() -> None:
     heard = Heard("joint_states")
     queue = heard.node.queues["/valve/outlet_pressure"]
     queue.callback(b"\x00\x01\x00\x00", {})
+    assert heard.inputs.deliver()
     assert [taken[0] for taken in heard.taken] == ["rejected"]
 
 
 def test_without_an_executor_all_samples_are_taken_after_what_was_heard_before_them() -> None:
     heard = Heard("joint_states")
-    assert not heard.inputs.take_waiting()
+    assert not heard.inputs.deliver()
     heard.put("outlet_pressure", 2e6, 1)
     heard.node.queues["/valve/coil_voltage"].put(Float64(data=9.0))
     for stamp in (5, 6, 7):
@@ -153,7 +172,7 @@ def test_without_an_executor_all_samples_are_taken_after_what_was_heard_before_t
         coil.header.stamp.nanosec = stamp
         heard.node.queues["/valve/coil"].put(coil)
     heard.node.queues["/valve/coil_current"].put(Float64(data=0.25))
-    assert heard.inputs.take_waiting()
+    assert heard.inputs.deliver()
     unstamped = ("coil", 77, 0.25)
     assert [taken[:3] for taken in heard.taken if taken[:3] != unstamped] == [
         ("outlet", 1, 2e6),
@@ -163,6 +182,6 @@ def test_without_an_executor_all_samples_are_taken_after_what_was_heard_before_t
     ]
     assert "/valve/coil_current" not in heard.node.queues, "the stamped one is heard in its place"
     heard.put_sample(stamp=10)
-    assert heard.inputs.take_waiting()
+    assert heard.inputs.deliver()
     assert heard.taken[-1][:2] == ("position", 10)
-    assert not heard.inputs.take_waiting()
+    assert not heard.inputs.deliver()

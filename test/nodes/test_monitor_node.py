@@ -51,7 +51,7 @@ def probe(ros: None) -> Iterator[Probe]:
 def monitoring(folder: Path, **parameters: object) -> contextlib.AbstractContextManager[subprocess.Popen[str]]:
     """monitor_node while inside."""
     given: dict[str, object] = {"commissioning_strokes": FEW, "measured": "joint_states", **parameters}
-    return piped(folder, ("-m", "valve_sim.nodes.monitor_node"), **given)
+    return piped(folder, ("-m", "valve_sim.nodes", "monitor_node"), **given)
 
 
 class Ears:
@@ -60,7 +60,7 @@ class Ears:
     def __init__(self, probe: Probe) -> None:
         self.probe = probe
         self.reports = probe.hear("/monitor/stroke_report", String)
-        self.findings = probe.hear("/monitor/finding", String, latched=True)
+        self.findings = probe.hear("/monitor/finding", DiagnosticArray, latched=True)
         self.diagnostics = probe.hear("/diagnostics", DiagnosticArray)
         self.voltage = probe.talker("coil_voltage", Float64)
 
@@ -148,7 +148,7 @@ def test_a_valve_with_topics_and_units_of_its_own_is_watched_by_a_map(probe: Pro
 @pytest.mark.any_distribution
 def test_friction_that_appears_in_a_real_valve_is_warned_of_and_named(probe: Probe, tmp_path: Path) -> None:
     plant = PlantOnTopics(probe, LiveValve(seed=5, rate=5e3, jitter=0.0))
-    findings = probe.hear("/monitor/finding", String, latched=True)
+    findings = probe.hear("/monitor/finding", DiagnosticArray, latched=True)
     ears = Ears(probe)
     given: dict[str, object] = {"measured": "measured/joint_states", "use_sim_time": True, "max_rate": 1e5}
     # One declared value, as it is shipped: the others are then exact, and the tracing takes two fifths of the time.
@@ -167,22 +167,24 @@ def test_friction_that_appears_in_a_real_valve_is_warned_of_and_named(probe: Pro
         assert any(report["alarm"]["raised"] for report in reports[:5])
         assert probe.until(lambda: ears.is_said("valve", 1, "not those of the commissioned valve"))
         assert probe.until(lambda: findings, 2 * PATIENCE), "the fault was not isolated"
-        finding = json.loads(findings[0].data)
-        assert finding["effects"] == ["coulomb_friction"], finding
-        assert ": Coulomb friction 0.3" in finding["summary"]
-        assert finding["summary"].startswith(f"/valve, stroke {finding['stroke']} at 1970-01-01T00:00:")
-        assert (
-            f"; probability {100 * finding['probability']:.0f} %" in finding["summary"]
-            or "> 99 %" in finding["summary"]
-        )
-        (last,) = (report for report in reports if report["stroke"] == finding["stroke"])
-        assert (last["valve"], last["time"]) == (finding["valve"], finding["time"])
+        (status,) = findings[0].status
+        finding, summary = {item.key: item.value for item in status.values}, status.message
+        assert (status.name, status.level) == ("monitor: finding", b"\x01")
+        assert (finding["kind"], finding["effects"]) == ("effects", "coulomb_friction")
+        assert float(finding["parameters.coulomb_friction.force.value"]) == pytest.approx(0.3, abs=0.05)
+        assert ": Coulomb friction 0.3" in summary
+        assert summary.startswith(f"/valve, stroke {finding['stroke']} at 1970-01-01T00:00:")
+        assert f"; probability {100 * float(finding['probability']):.0f} %" in summary or "> 99 %" in summary
+        (last,) = (report for report in reports if report["stroke"] == int(finding["stroke"]))
+        assert (last["valve"], last["time"]) == (finding["valve"], float(finding["time"]))
+        stamp = findings[0].header.stamp
+        assert last["time"] == pytest.approx(stamp.sec + 1e-9 * stamp.nanosec)
         assert 10.0 < last["time"] < 100.0, "of /clock, which begins with the tenth second"
-        assert probe.until(lambda: ears.is_said("valve", 1, finding["summary"])), "the same words on /diagnostics"
+        assert probe.until(lambda: ears.is_said("valve", 1, summary)), "the same words on /diagnostics"
         # Again with more strokes: the same name is on the topic with its new figures, and not logged again.
         plant.strokes(8, {"coulomb_friction": {"force": 0.3}})
         assert probe.until(lambda: len(findings) > 1, 2 * PATIENCE), "no second finding"
-        told = [json.loads(message.data)["summary"] for message in findings]
+        told = [message.status[0].message for message in findings]
         process.send_signal(signal.SIGTERM)
         _, said = process.communicate(timeout=ENDS_WITHIN)
         assert process.returncode == 0

@@ -2,37 +2,36 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.files.parameter_sections import Section
 from valve_sim.model import CATALOGUE, EXACT, ParameterError, Tolerances, ValveParameters
-from valve_sim.model.gas import GAS, GasParameters
-from valve_sim.nodes.parameters import (
-    as_declared,
-    check_overrides,
-    defaults,
-    files_for_others,
-    left_without_effect,
-    settings_of,
-    sources_of,
+from valve_sim.model.gas import GasParameters
+from valve_sim.nodes.parameters import as_declared, files_for_others, settings_of, sources_of
+from valve_sim.nodes.valve_parameters import (
+    VALVE_KEYS,
+    Settings,
+    check_with_valve,
     table,
     valve_of,
+    with_tolerances,
 )
 
 ENTRIES = table(default_valve())
 DEFAULTS = {name: entry.default for name, entry in ENTRIES.items()}
 KNOWN = ((0.01, 2.0, 0.0, 0.0), (2.0, 1e4, 0.0, 0.0), (0.0, 0.0, 1e9, 0.0), (0.0, 0.0, 0.0, 0.0))
-EXACT_VALUES = {name: value for name, value in DEFAULTS.items() if not name.startswith("tolerances.")} | {
-    name: 16 * [0.0] if isinstance(value, list) else 0.0
-    for name, value in DEFAULTS.items()
-    if name.startswith("tolerances.") and not name.startswith("tolerances.sensor.")
-}
-EXACT_VALUES |= {"tolerances.sensor.gain": 0.002, "tolerances.sensor.linearity": 0.001}
-"""Of a valve that is exact; a sensor is as usual where nothing is said of it."""
+EXACT_VALUES = {**DEFAULTS, "tolerances": ""}
+"""Of a valve of which nothing is known how well."""
+
+
+def check_overrides(given: dict[str, object], entries: Any, sources: dict[str, str]) -> dict[str, Any]:
+    return check_with_valve(given, entries, sources, "valve_node")
 
 
 WITH_GAS = {
@@ -45,25 +44,25 @@ def test_the_table_holds_the_valve_every_effect_and_the_settings() -> None:
     valve = {f"valve.{name}" for name in ValveParameters._fields}
     effects = {f"effects.{effect.name}.{name}" for effect in CATALOGUE.values() for name in effect.given_names}
     settings = {"publish_rate", "time_scale", "command_timeout", "max_voltage", "frame_id"}
-    named = [effect for effect in CATALOGUE.values() if effect.named]
-    tolerances = {f"tolerances.{name}" for name in ValveParameters._fields if name != "attraction_polynomial"}
-    tolerances |= {f"tolerances.effects.{effect.name}.{rule.name}" for effect in named for rule in effect.parameters}
-    tolerances |= {"tolerances.attraction_covariance", *(f"tolerances.gas.{name}" for name in GAS)}
-    tolerances |= {"tolerances.sensor.gain", "tolerances.sensor.linearity"}
     gas = {f"gas.{name}" for name in GasParameters._fields}
-    assert ENTRIES.keys() == valve | effects | tolerances | settings | gas
+    assert ENTRIES.keys() == valve | effects | settings | gas | {"tolerances"}
 
 
 @pytest.mark.parametrize(
     ("given", "keeps"),
-    [({}, True), ({"publish_rate": 100}, True), ({"valve.stroke": 1.2e-3}, False), ({"tolerances.stroke": 1}, False)],
+    [
+        ({}, True),
+        ({"publish_rate": 100}, True),
+        ({"valve.stroke": 1.2e-3}, False),
+        ({"tolerances.stroke": 1e-3}, False),
+    ],
 )
 def test_shipped_tolerances_are_those_of_the_shipped_valve_only(given: dict[str, object], keeps: bool) -> None:
     shipped = replace(default_valve(), tolerances=Tolerances({"pilot_gap": 4e-6}, KNOWN, {}))
-    found = defaults(table(shipped), given)
-    valve = valve_of(found, "here")
-    assert valve.tolerances == (shipped.tolerances if keeps else EXACT)
-    assert valve.exact() == default_valve().exact()
+    valve = valve_of(check_overrides(given, table(shipped), {}), "here")
+    stated = replace(EXACT, declared={"stroke": 1e-3}) if "tolerances.stroke" in given else EXACT
+    assert valve.tolerances == (shipped.tolerances if keeps else stated)
+    assert valve.parameters._replace(stroke=0.0) == default_valve().parameters._replace(stroke=0.0)
 
 
 def test_tolerances_are_checked_as_those_of_a_file() -> None:
@@ -72,35 +71,53 @@ def test_tolerances_are_checked_as_those_of_a_file() -> None:
     assert valve_of(values, "here").tolerances == Tolerances(
         {"stroke": 4e-6}, None, {"coulomb_friction": {"force": 0.05}}
     )
-    assert values["tolerances.attraction_covariance"] == 16 * [0.0]
+    assert json.loads(values["tolerances"]) == {"effects": {"coulomb_friction": {"force": 0.05}}, "stroke": 4e-6}
+    again = {name: value for name, value in values.items() if name.startswith(VALVE_KEYS)}
+    assert check_overrides(again, ENTRIES, {}) == values, "as a dump has it"
     with pytest.raises(ParameterError, match=r"a\.yaml: tolerances\.a0: found 0\.1; .* attraction_covariance"):
         check_overrides({"tolerances.a0": 0.1}, ENTRIES, {"tolerances.a0": "a.yaml"})
     with pytest.raises(ParameterError, match=r"tolerances\.effects\.stiction\.force: found 0\.1, .*not declared on"):
         check_overrides({"tolerances.effects.stiction.force": 0.1}, ENTRIES, {})
 
 
+KNOWN_OF_STICTION = {"force": 0.01, "stribeck_velocity": 0.01}
+
+
 @pytest.mark.parametrize(
     ("changes", "left"),
     [
-        ({"effects.stiction.force": 0.0}, []),
-        ({"effects.stiction.force": 0.0, "effects.stiction.breakaway": 0.0}, ["force", "stribeck_velocity"]),
+        ({"effects.stiction.force": 0.0}, KNOWN_OF_STICTION),
+        ({"effects.stiction.force": 0.0, "effects.stiction.breakaway": 0.0}, None),
         (
             {"effects.stiction.force": 0.0, "effects.stiction.breakaway": 0.0, "tolerances.effects.stiction.force": 1},
-            ["stribeck_velocity"],
+            {"force": 1},
         ),
-        ({"valve.stroke": 2e-3, "effects.no_such_effect.force": 0.0}, []),
+        ({"tolerances.effects.stiction.force": 0.02}, {**KNOWN_OF_STICTION, "force": 0.02}),
+        ({"valve.stroke": 2e-3, "effects.no_such_effect.force": 0.0}, KNOWN_OF_STICTION),
     ],
 )
-def test_an_effect_that_is_switched_off_leaves_its_tolerances(changes: dict[str, object], left: list[str]) -> None:
+def test_an_effect_that_is_switched_off_takes_its_tolerances_with_it(
+    changes: dict[str, object], left: dict[str, float] | None
+) -> None:
     values = {**DEFAULTS, "effects.stiction.force": 0.3, "effects.stiction.breakaway": 0.1}
-    values |= {f"tolerances.effects.stiction.{name}": 0.01 for name in ("force", "stribeck_velocity")}
-    assert left_without_effect(changes, values) == [f"tolerances.effects.stiction.{name}" for name in left]
+    values["tolerances"] = json.dumps({"stroke": 4e-6, "effects": {"stiction": KNOWN_OF_STICTION}})
+    completed = with_tolerances(changes, values)
+    tolerances = json.loads(completed.pop("tolerances", values["tolerances"]))
+    assert completed == {name: value for name, value in changes.items() if not name.startswith("tolerances.")}
+    assert tolerances["stroke"] == 4e-6
+    assert tolerances["effects"].get("stiction") == left
+
+
+@pytest.mark.parametrize("text", ["stroke: 4e-6", "[1, 2]", "3", "{", '{"strok": 1e-6}'])
+def test_a_text_that_holds_no_tolerances_is_refused(text: str) -> None:
+    with pytest.raises(ParameterError, match=r"some\.yaml: tolerances"):
+        check_overrides({"tolerances": text}, ENTRIES, {"tolerances": "some.yaml"})
 
 
 def test_the_defaults_are_the_default_valve_and_pass_their_own_checks() -> None:
     assert {name: entry.check(entry.default, "here") for name, entry in ENTRIES.items()} == DEFAULTS
     assert valve_of(DEFAULTS, "here") == default_valve()
-    settings = settings_of(DEFAULTS)
+    settings = settings_of(Settings, DEFAULTS)
     assert (settings.publish_rate, settings.time_scale, settings.command_timeout) == (1000.0, 1.0, 0.0)
 
 

@@ -89,7 +89,7 @@ def test_every_figure_of_a_stroke_is_a_series(probe: Probe, tmp_path: Path) -> N
     probe.node.create_subscription(DiagnosticArray, TOPIC, heard.append, 100, raw=True)
     plant = PlantOnTopics(probe, LiveValve(seed=5, rate=5e3, jitter=0.0))
     given = {"measured": "measured/joint_states", "use_sim_time": True, "max_rate": 1e5, "commissioning_strokes": FEW}
-    with piped(tmp_path, ("-m", "valve_sim.nodes.monitor_node"), **given) as process:
+    with piped(tmp_path, ("-m", "valve_sim.nodes", "monitor_node"), **given) as process:
         plant.wait_for_monitor()
         reports = plant.strokes(FEW + 3)
         reports += plant.rest(FEW + 3)

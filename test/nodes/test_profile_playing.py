@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from valve_sim.model import Drive, ParameterError, ValveError
-from valve_sim.nodes.profile_parameters import Settings, check_settings, checked_profile
 from valve_sim.nodes.profile_playing import Commanded, ProfileBrokenOffError, as_csv, play
 from valve_sim.nodes.realtime import NANOSECONDS, ClockReading
+from valve_sim.nodes.settings import ProfileSettings, checked_profile, profile_settings
 from valve_sim.traces.synthetic import read_profile
 
 PULSE = Drive.of([0.1, 0.104], [11.0, 0.0])
@@ -79,7 +79,7 @@ def test_a_profile_that_may_not_be_commanded_is_refused_in_one_line(tmp_path: Pa
     path = tmp_path / "profile.yaml"
     path.write_text(rows)
     with pytest.raises(ValveError, match=words) as refused:
-        checked_profile(Settings(str(path)))
+        checked_profile(ProfileSettings(str(path)))
     assert str(refused.value).startswith(f"{path}: ")
     assert "\n" not in str(refused.value)
 
@@ -90,10 +90,10 @@ def test_a_profile_that_may_not_be_commanded_is_refused_in_one_line(tmp_path: Pa
         ({}, "profile: not given"),
         ({"profil": "x"}, "did you mean profile"),
         ({"profile": 3}, "expected text"),
-        ({"profile": "x", "max_voltage": float("nan")}, "expected a number from 0 on"),
-        ({"profile": "x", "patience": True}, "expected a number from 0 on"),
+        ({"profile": "x", "max_voltage": float("nan")}, "expected a number at least 0 V"),
+        ({"profile": "x", "patience": True}, "expected a number in s"),
     ],
 )
 def test_parameters_that_cannot_be_used_are_refused(given: dict[str, object], words: str) -> None:
     with pytest.raises(ParameterError, match=words):
-        check_settings(given, {})
+        profile_settings(given, {})

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from valve_sim.nodes.realtime import (
-    Audience,
     ClockReading,
-    Mailbox,
+    Decimator,
     Restart,
     Schedule,
-    Thinning,
+    SubscriberCounts,
+    TimedQueue,
     TimingRecord,
     Worker,
     why_restart,
@@ -85,35 +85,55 @@ def test_timing_counts_rate_lateness_overruns_and_losses() -> None:
     assert record.look(2 * SECOND)[2:] == (10, 7, 0, 0, 0)
 
 
-def test_letters_are_delivered_in_order_when_their_time_has_come() -> None:
-    mailbox, got = Mailbox(), []
+def test_requests_are_delivered_in_order_when_their_time_has_come() -> None:
+    queue, got = TimedQueue(), []
     for time in (0, 5, 9):
-        mailbox.post(time, "command", lambda time, volts: got.append((time, volts)), 9.0)
-    mailbox.deliver(3, 8)
+        queue.post(time, "command", lambda time, volts: got.append((time, volts)), 9.0)
+    queue.deliver(3, 8)
     assert got == [(3, 9.0), (5, 9.0)]
-    mailbox.clear()
-    mailbox.deliver(0, 100)
+    queue.clear()
+    queue.deliver(0, 100)
     assert got == [(3, 9.0), (5, 9.0)]
 
 
-def test_letters_of_one_time_are_one_of_each_kind_in_the_order_of_their_last() -> None:
-    mailbox, got = Mailbox(), []
+def test_requests_of_one_time_are_one_of_each_kind_in_the_order_of_their_last() -> None:
+    queue, got = TimedQueue(), []
 
     def post(time: int, kind: str, value: float, **how: Any) -> None:
-        mailbox.post(time, kind, lambda time, value: got.append((time, kind, value)), value, **how)
+        queue.post(time, kind, lambda time, value: got.append((time, kind, value)), value, **how)
 
     for volts in range(10_000):
         post(7, "command", volts)
         post(7, "pressure", -volts)
-    assert len(mailbox) == 2
+    assert len(queue) == 2
     for limit in (7.0, 30.0, 20.0):
         post(8, "limit", limit, merge=min)
     post(8, "command", 5.0)
     post(8, "limit", 30.0, merge=min)
     post(8, "reset", 0.0, voids=("command",))
-    mailbox.deliver(0, 9)
+    queue.deliver(0, 9)
     assert got == [(7, "command", 9999), (7, "pressure", -9999), (8, "limit", 7.0), (8, "reset", 0.0)]
-    assert len(mailbox) == 0
+    assert len(queue) == 0
+
+
+def test_requests_that_come_late_are_delivered_in_the_order_of_their_times() -> None:
+    queue, got = TimedQueue(), []
+    for time, kind in ((5, "reset"), (9, "valve"), (3, "command"), (5, "command"), (7, "command")):
+        queue.post(time, kind, lambda time, kind: got.append((time, kind)), kind)
+    queue.deliver(0, 10)
+    assert got == [(3, "command"), (5, "reset"), (5, "command"), (7, "command"), (9, "valve")]
+
+
+def test_a_queue_that_nobody_empties_is_bounded_and_keeps_what_holds_in_the_end() -> None:
+    queue, got = TimedQueue(), []
+    queue.post(0, "limit", lambda time, value: got.append(("limit", value)), 8.0)
+    for time in range(1, 3 * TimedQueue.MOST):
+        kind = "command" if time % 2 else "pressure"
+        queue.post(time, kind, lambda time, value: got.append((time, value)), time)
+    assert len(queue) == TimedQueue.MOST
+    queue.deliver(0, 3 * TimedQueue.MOST)
+    assert got[0] == ("limit", 8.0), "nothing came in its place"
+    assert got[-2:] == [(time, time) for time in (3 * TimedQueue.MOST - 2, 3 * TimedQueue.MOST - 1)]
 
 
 class ScriptedClock:
@@ -265,7 +285,7 @@ def test_a_worker_that_cannot_end_yet_says_so() -> None:
 
 
 def test_a_slower_topic_has_a_sample_in_each_of_its_periods() -> None:
-    thinning = Thinning(100.0)
+    thinning = Decimator(100.0)
     due = [step for step in range(40) if thinning.is_due(1_700_000_000_003_456_789 + step * 1_000_000)]
     assert due[0] == 0
     assert [after - before for before, after in itertools.pairwise(due[1:])] == [10, 10, 10]
@@ -281,7 +301,7 @@ def test_subscribers_are_noticed_within_20_ms_and_not_looked_for_at_each_step() 
         looks += 1
         return subscriptions
 
-    audience = Audience(count, lambda: 1)
+    audience = SubscriberCounts(count, lambda: 1)
     assert [audience.look(step * MILLISECOND) for step in range(100)] == [(False, True)] * 100
     assert looks == 5
     subscriptions = 2

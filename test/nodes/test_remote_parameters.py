@@ -37,3 +37,13 @@ def test_changes_have_units_and_digits_that_show_the_interval() -> None:
         "effects.coulomb_friction.force: 0 → 0.3 N, 95 % interval 0 to infinity",
         "effects.sensor_bandwidth.cutoff_frequency: infinity → 2000 Hz",
     ]
+
+
+def test_each_tolerance_that_changes_has_a_line_of_its_own() -> None:
+    old = {"tolerances": '{"stroke": 4e-06, "spring_rate": 12.8, "pilot_mass": 0.0005}'}
+    new = {"tolerances": '{"stroke": 2e-06, "spring_rate": 12.8, "effects": {"stiction": {"force": 0.01}}}'}
+    assert {change.text() for change in changes_between(old, new, {})} == {
+        "tolerances.stroke: 4e-06 → 2e-06 m",
+        "tolerances.effects.stiction.force: 0 → 0.01 N",
+        "tolerances.pilot_mass: 0.0005 → 0 kg",
+    }

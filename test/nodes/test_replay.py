@@ -13,10 +13,10 @@ from valve_sim.files.parameter_files import default_valve, load_valve
 from valve_sim.files.resources import config_path
 from valve_sim.model import Drive, ParameterError, simulate
 from valve_sim.nodes.diagnostics import Level
-from valve_sim.nodes.identification_parameters import Settings, check_settings
 from valve_sim.nodes.identification_task import Task, fit_or_diagnose, read_recording
 from valve_sim.nodes.realtime import ClockReading
 from valve_sim.nodes.replay import Replay, measured_reading, measured_voltages, predict, replay_status, timeline
+from valve_sim.nodes.settings import IdentificationSettings, identification_settings
 from valve_sim.traces import Signal, Trace, write_bag
 
 TIMES = np.arange(40) / 1e3
@@ -149,20 +149,22 @@ def test_a_recording_of_the_current_alone_is_replayed_and_fitted(tmp_path: Path)
         "coil", drive, times[:0], times[:0], coil_current=Signal(times, current), coil_voltage=voltage, epoch_ns=10**9
     )
     write_bag(tmp_path / "coil.mcap", written)
-    trace = read_recording(Settings(str(tmp_path / "coil.mcap")), declared)
+    trace = read_recording(IdentificationSettings(str(tmp_path / "coil.mcap")), declared)
     assert sorted(timeline(trace, 1.0).places.tolist()) == [-2, -1, *range(300)]
     sample = measured_reading(trace, 100)
     assert (sample.time, sample.coil_current) == (trace.sample_times[100], pytest.approx(current[100], abs=1e-6))
     assert np.isnan(sample.pilot_position)
     assert np.isfinite(measured_voltages(trace)).tolist() == [True, False] * 150
-    outcome = fit_or_diagnose(trace, declared, Settings(), tmp_path, lambda what, fraction: None)
+    outcome = fit_or_diagnose(trace, declared, IdentificationSettings(), tmp_path, lambda what, fraction: None)
     assert outcome.report["rmse_ma"]["after"] == pytest.approx(1.0, rel=0.15)
     assert outcome.valve.parameters.main_damping == pytest.approx(5.0, abs=0.6)
 
 
 def test_settings_have_defaults_and_take_integers_and_texts() -> None:
     given: dict[str, Any] = {"bag": "a.mcap", "rate": 2, "free": "a0, main_damping,a0", "loop": True}
-    assert check_settings(given, {}) == Settings("a.mcap", free=("a0", "main_damping"), rate=2.0, loop=True)
+    assert identification_settings(given, {}) == IdentificationSettings(
+        "a.mcap", free=("a0", "main_damping"), rate=2.0, loop=True
+    )
 
 
 @pytest.mark.parametrize(
@@ -170,8 +172,8 @@ def test_settings_have_defaults_and_take_integers_and_texts() -> None:
     [
         ({}, "bag: not given"),
         ({"bag": 3}, "expected text"),
-        ({"bag": "a", "rate": -1.0}, "from 0 on"),
-        ({"bag": "a", "rate": True}, "from 0 on"),
+        ({"bag": "a", "rate": -1.0}, "at least 0"),
+        ({"bag": "a", "rate": True}, "expected a number"),
         ({"bag": "a", "loop": "yes"}, "true or false"),
         ({"bag": "a", "mode": "guess"}, "identify or diagnose"),
         ({"bag": "a", "free": "pilot_dampin"}, "pilot_damping"),
@@ -183,7 +185,7 @@ def test_settings_have_defaults_and_take_integers_and_texts() -> None:
 )
 def test_wrong_settings_are_refused_in_one_line(given: dict[str, object], says: str) -> None:
     with pytest.raises(ParameterError, match=says) as caught:
-        check_settings(given, {"rate": "file.yaml"})
+        identification_settings(given, {"rate": "file.yaml"})
     assert "\n" not in str(caught.value)
     assert ("file.yaml: rate" in str(caught.value)) == ("rate" in given)
 

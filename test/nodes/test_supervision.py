@@ -81,7 +81,7 @@ def unit(tmp_path: Path) -> tuple[list[str], dict[str, str], configparser.Sectio
     service = parser["Service"]
     program = tmp_path / "install" / "valve_sim" / "lib" / "valve_sim" / "valve_node"
     program.parent.mkdir(parents=True)
-    program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m valve_sim.nodes.valve_node "$@"\n')
+    program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m valve_sim.nodes valve_node "$@"\n')
     program.chmod(0o755)
     sourced = {"PYTHONPATH": ROOT, "ROS_DOMAIN_ID": os.environ["ROS_DOMAIN_ID"], "ROS_LOG_DIR": tmp_path}
     setup = tmp_path / "install" / "setup.bash"

@@ -55,7 +55,7 @@ def perform(folder: Path, strokes: int, speed: float, console: Console, signals:
         listener.expect_valves(0)
         signals.check()
         console.print(f"starting valve_node at {speed:g} of real time")
-        command = [sys.executable, "-m", "valve_sim.nodes.valve_node", "--ros-args", "-p", f"time_scale:={speed!r}"]
+        command = [sys.executable, "-m", "valve_sim.nodes", "valve_node", "--ros-args", "-p", f"time_scale:={speed!r}"]
         process = ValveProcess(command, log)
         try:
             with BagRecorder(bag) as recorder:

@@ -17,7 +17,6 @@ from valve_sim.model.dormand_prince import WORK_RECORD
 from valve_sim.model.driver import NONE, run_on
 from valve_sim.model.effects.record import VALVE_RECORD
 from valve_sim.model.gas.record import GAS_COLUMNS, GAS_STATE_RECORD, GAS_VALVE_RECORD, is_of_gas
-from valve_sim.model.process_image import fill_image
 from valve_sim.model.response import EVENT_ROOM
 from valve_sim.model.sampling import ROW
 
@@ -65,13 +64,12 @@ def most_steps(duration: float) -> int:
 
 
 @compiled
-def step_live(live, time, commit, image, stamp):
+def step_live(live, time, commit):
     """Step a live valve to a time, s, and show it there; one that goes no further back than its state.
 
     Args:
         live: (1,) record, see `new_live`. time: s.
         commit: whether to stop exactly there (before a command), or at the last whole step.
-        image: `ProcessImage` that is to show it, too. stamp: of this time, in the image, ns.
 
     Returns:
         events counted, of which those that there is room for are noted; Outcome; Phase.
@@ -82,8 +80,4 @@ def step_live(live, time, commit, image, stamp):
     samples = (times, live.row[0], times, live.current[0])
     log = (live.events[0], NONE)
     _, count, outcome = run_on(live.valve, live.state, np.zeros(1, WORK_RECORD), limits, samples, log, None)
-    content, places = image
-    row = live.row[0][0]
-    if len(places) > 0:
-        fill_image(content, places, live.valve[0], row, live.current[0][0], stamp)
-    return count, outcome, int(row[4])
+    return count, outcome, int(live.row[0][0][4])

@@ -24,7 +24,6 @@ from valve_sim.model.gas.boundary import fill_outlets
 from valve_sim.model.gas.record import GAS_COLUMNS, GAS_STATE_RECORD, is_of_gas, record_of
 from valve_sim.model.live_record import MOST_STEPS_PER_SECOND, most_steps, new_live, step_live
 from valve_sim.model.parameters import POLYNOMIAL_NAMES, ValveParameters, check_declared, check_geometry
-from valve_sim.model.process_image import NO_IMAGE
 from valve_sim.model.response import EVENT_ROOM, Response, event_log, event_tuple
 from valve_sim.model.sampling import ROW
 from valve_sim.model.tolerances import EXACT, Tolerances
@@ -154,7 +153,7 @@ class Valve:
         set_voltage(record, state, float(record[0]["reference_voltage"]))
         settled = 50.0 * float(record[0]["coil_time_constant"] + record[0]["eddy_time_constant"]) + 1e-3
         live = new_live(record, state, TOLERANCE)
-        check_outcome(step_live(live, settled, True, NO_IMAGE, 0)[1])
+        check_outcome(step_live(live, settled, True)[1])
         return bool(live[0]["state"]["mode"] != Phase.CLOSED)
 
 

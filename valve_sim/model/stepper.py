@@ -7,13 +7,12 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
-from numba import boolean, float64, int64, typeof
+from numba import boolean, float64, typeof
 
 from valve_sim.model.core_types import STATE_RECORD, Phase
 from valve_sim.model.gas.boundary import keep_pressure, set_demand, set_inlet
 from valve_sim.model.gas.record import is_of_gas
 from valve_sim.model.live_record import new_live, step_live
-from valve_sim.model.process_image import NO_IMAGE, ProcessImage
 from valve_sim.model.response import EVENT_ROOM, Event, event_tuple
 from valve_sim.model.simulation import (
     TOLERANCE,
@@ -96,9 +95,9 @@ class _Live:
         if self.call is None:
             # Only now, for the model may still have to be compiled. Numba's own choice among what it compiled of
             # a function takes longer than a step.
-            types = (typeof(self.whole), float64, boolean, typeof(NO_IMAGE), int64)
+            types = (typeof(self.whole), float64, boolean)
             self.call = step_live.compile(types)
-        count, outcome, self.phase = self.call(self.whole, time, commit, NO_IMAGE, 0)
+        count, outcome, self.phase = self.call(self.whole, time, commit)
         if outcome:
             check_outcome(outcome)
         return self.events(count)
@@ -215,25 +214,6 @@ class Stepper:
             time, pilot, main, velocity, velocity if phase is _MAIN else 0.0, self._live.current.item() * self._rated,
             attraction, effort, phase, events, volts, *of_gas,
         )  # fmt: skip
-
-    def passes(self, image: ProcessImage, time: float, stamp: int) -> bool:
-        """Step to a time, s, and fill an image, where nothing but time passes; else `advance` there is to follow.
-
-        Args:
-            image: is to show the valve at that time; of no use where this returns False.
-            stamp: of that time, ns.
-
-        Returns:
-            whether there is nothing else to tell: no event, no other phase than at the last reading.
-        """
-        live = self._live
-        if self._delay or live.call is None:
-            return False
-        count, outcome, phase = live.call(live.whole, time, False, image, stamp)
-        if not (count or outcome or self._pending) and phase == live.phase:
-            return True
-        self._pending += live.events(count)
-        return False
 
     def set_valve(self, valve: Valve, time: float) -> None:
         """Continue as another valve from `time` on, without a jump in its state, and a late sensor with it.

@@ -1,4 +1,9 @@
-"""The ROS 2 nodes. Modules named `*_shell` and few others import rclpy; the rest is tested without ROS."""
+"""The ROS 2 nodes: one class each beside a core without ROS, made by the tables of their topics and parameters.
+
+`valve`, `monitor`, `identification` and `profile` are the classes. They and what they are wired with import rclpy
+(`wiring`, `receiving`, `spinning`, `node_clock`, `messages`, `gas_topics`, `monitor_inputs`, `remote_parameters`); the
+rest is tested without ROS.
+"""
 
 import os
 

@@ -7,7 +7,7 @@ import math
 from typing import Final, NamedTuple
 
 from valve_sim.model import Phase
-from valve_sim.nodes.realtime import NANOSECONDS, Timing
+from valve_sim.nodes.realtime import Timing
 
 SLOWEST_ACCEPTED: Final = 0.95
 """Achieved rate over publish_rate below which timing is a warning."""
@@ -35,32 +35,6 @@ class Status(NamedTuple):
     values: dict[str, str]
 
 
-class CommandFacts(NamedTuple):
-    """State of the commands.
-
-    Attributes:
-        age: s since the last good one; nan before the first.
-        volts: in force.
-        rejected: how many, in all, were not finite or beyond max_voltage.
-        rejected_now: those of them since the last look.
-        is_last_rejected: whether no good one has come since the last rejected one.
-        last_rejected: the last of them, V.
-        timed_out: whether the coil was de-energised for lack of commands.
-        withdrawn: V of the last good one, if the coil was de-energised because max_voltage was set below it; else 0.
-        incompatible_publishers: how many publishers offer an incompatible QoS now.
-    """
-
-    age: float
-    volts: float
-    rejected: int
-    rejected_now: int
-    is_last_rejected: bool
-    last_rejected: float
-    timed_out: bool
-    withdrawn: float
-    incompatible_publishers: int
-
-
 class Rejections(NamedTuple):
     """Messages that were ignored.
 
@@ -73,6 +47,26 @@ class Rejections(NamedTuple):
     now: int
     last: float
     is_last: bool
+
+
+class CommandFacts(NamedTuple):
+    """State of the commands.
+
+    Attributes:
+        age: s since the last good one; nan before the first.
+        volts: in force.
+        rejections: those that were not finite or beyond max_voltage.
+        timed_out: whether the coil was de-energised for lack of commands.
+        withdrawn: V of the last good one, if the coil was de-energised because max_voltage was set below it; else 0.
+        incompatible_publishers: how many publishers offer an incompatible QoS now.
+    """
+
+    age: float
+    volts: float
+    rejections: Rejections
+    timed_out: bool
+    withdrawn: float = 0.0
+    incompatible_publishers: int = 0
 
 
 class ValveFacts(NamedTuple):
@@ -120,12 +114,11 @@ def command_status(facts: CommandFacts) -> Status:
     values = {
         "age (s)": _number(facts.age, ".3f"),
         "voltage (V)": f"{facts.volts:g}",
-        "rejected": str(facts.rejected),
+        "rejected": str(facts.rejections.total),
         "timed out": str(facts.timed_out).lower(),
         "publishers of incompatible QoS": str(facts.incompatible_publishers),
     }
-    rejections = Rejections(facts.rejected, facts.rejected_now, facts.last_rejected, facts.is_last_rejected)
-    if message := _rejected(rejections, "V"):
+    if message := _rejected(facts.rejections, "V"):
         return Status("command", Level.WARN, message, values)
     if facts.timed_out:
         return Status("command", Level.WARN, "none for longer than command_timeout: coil de-energised", values)
@@ -166,7 +159,7 @@ def valve_status(facts: ValveFacts) -> Status:
     return Status("valve", Level.OK, facts.phase.name.lower(), values)
 
 
-class CommandCount:
+class RejectionCount:
     """Counts rejected commands, or rejected pressures, of one thread; another may look."""
 
     def __init__(self) -> None:
@@ -190,30 +183,6 @@ class CommandCount:
         rejected = self.rejected
         since, self._before = rejected - self._before, rejected
         return Rejections(rejected, since, self.last_rejected, self._is_last_rejected)
-
-    def look(
-        self,
-        now: int,
-        last_command: int | None,
-        volts: float,
-        timed_out: bool,
-        withdrawn: float = 0.0,
-        incompatible_publishers: int = 0,
-    ) -> CommandFacts:
-        """The state now; `now` and `last_command` in ns of the node's clock."""
-        rejections = self.rejections()
-        age = math.nan if last_command is None else (now - last_command) / NANOSECONDS
-        return CommandFacts(
-            age,
-            volts,
-            rejections.total,
-            rejections.now,
-            rejections.is_last,
-            rejections.last,
-            timed_out,
-            withdrawn,
-            incompatible_publishers,
-        )
 
 
 def _rejected(rejections: Rejections, unit: str) -> str:

@@ -20,8 +20,8 @@ from valve_sim.identification.reporting.units import measured
 from valve_sim.model import Valve
 from valve_sim.model.errors import ValveError
 from valve_sim.nodes.diagnostics import Level, Status
-from valve_sim.nodes.identification_parameters import Settings
-from valve_sim.nodes.stoppable import StoppableThread
+from valve_sim.nodes.settings import IdentificationSettings
+from valve_sim.nodes.threads import StoppableThread
 from valve_sim.traces import Trace, another_valve, left_out_finding, read_trace, refuse_doubtful_units
 
 IDENTIFIED_FILE: Final = "identified.yaml"
@@ -76,7 +76,7 @@ class Cancelled(Exception):  # noqa: N818 -- not an error: the node ends
     """The thread is to stop."""
 
 
-def read_recording(settings: Settings, declared: Valve) -> Trace:
+def read_recording(settings: IdentificationSettings, declared: Valve) -> Trace:
     """The recording that is replayed and fitted.
 
     Raises:
@@ -89,12 +89,14 @@ def read_recording(settings: Settings, declared: Valve) -> Trace:
     return replace(trace, findings=(*trace.findings, *further))
 
 
-def freed(settings: Settings, declared: Valve) -> tuple[str, ...]:
+def freed(settings: IdentificationSettings, declared: Valve) -> tuple[str, ...]:
     """What is refitted: of what is so by default, what the valve uses."""
     return dampings_of(declared) if settings.free == DAMPINGS else settings.free
 
 
-def fit_or_diagnose(trace: Trace, declared: Valve, settings: Settings, folder: Path, progress: Progress) -> Outcome:
+def fit_or_diagnose(
+    trace: Trace, declared: Valve, settings: IdentificationSettings, folder: Path, progress: Progress
+) -> Outcome:
     """Refit or diagnose, and write the valve that was found, and what to record next, into `folder`.
 
     Raises:
@@ -105,7 +107,7 @@ def fit_or_diagnose(trace: Trace, declared: Valve, settings: Settings, folder: P
     return _diagnosed(trace, declared, settings, folder, progress)
 
 
-def _identified(result: Identification, settings: Settings, folder: Path) -> Outcome:
+def _identified(result: Identification, settings: IdentificationSettings, folder: Path) -> Outcome:
     plant = result.fit.problem.plant
     values = [f"{name} {measured(found, plant.parameter(name).unit)}" for name, found in result.intervals.items()]
     summary = f"identified: {', '.join(values)}"
@@ -130,7 +132,9 @@ def _objection_to(result: Identification) -> str:
     return f"{bound} sits on the bound of its range" if bound else ""
 
 
-def _diagnosed(trace: Trace, declared: Valve, settings: Settings, folder: Path, progress: Progress) -> Outcome:
+def _diagnosed(
+    trace: Trace, declared: Valve, settings: IdentificationSettings, folder: Path, progress: Progress
+) -> Outcome:
     # Imported where it is needed: it takes half a second.
     from valve_sim.identification.diagnosis.run import diagnose
     from valve_sim.identification.diagnosis.trust import objection_to, what_is_left
@@ -153,7 +157,7 @@ def _diagnosed(trace: Trace, declared: Valve, settings: Settings, folder: Path, 
     return Outcome(result.valve, offset, report, file, summary, result.after.intervals, objection, advice)
 
 
-def _provenance(settings: Settings, summary: str) -> str:
+def _provenance(settings: IdentificationSettings, summary: str) -> str:
     declared = settings.params or "the shipped valve"
     return f"by identification_node from {settings.bag}, starting from {declared}\n{summary}"
 

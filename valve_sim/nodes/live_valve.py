@@ -8,9 +8,8 @@ from typing import Final, NamedTuple
 
 from valve_sim.model import CoilReading, Event, EventKind, Phase, Reading, SimulationError, Stepper, Valve
 from valve_sim.model.gas import GAS
-from valve_sim.model.process_image import ProcessImage
 from valve_sim.model.stepper import reading_at_rest
-from valve_sim.nodes.realtime import LAST_STAMP, NANOSECONDS, Mailbox
+from valve_sim.nodes.realtime import NANOSECONDS, TimedQueue
 
 _PHASE_AFTER: Final = {
     EventKind.UNSEATED: Phase.PILOT,
@@ -124,7 +123,7 @@ class LiveValve:
         self._valve = valve
         self._scale = scale
         self._timeline = Timeline(0, 0, scale)
-        self._mailbox = Mailbox()
+        self._requests = TimedQueue()
         self._reached = 0
         self._stepper: Stepper | None = None
         self._announced: Phase | None = None
@@ -147,7 +146,7 @@ class LiveValve:
         """A voltage that is in force from clock time `clock`, ns; False, and nothing else, if it is not acceptable."""
         if not (math.isfinite(volts) and abs(volts) <= self._max_voltage):
             return False
-        self._mailbox.post(clock, "command", self._energise, volts, voids=("limit",))
+        self._requests.post(clock, "command", self._energise, volts, voids=("limit",))
         return True
 
     @property
@@ -169,36 +168,36 @@ class LiveValve:
 
         It stays through a reset, until another is heard or declared. A valve without gas has no use for it.
         """
-        return self._hear("inlet_pressure", clock, pressure)
+        return self._request_pressure("inlet_pressure", clock, pressure)
 
     def set_demand_pressure(self, clock: int, pressure: float) -> bool:
         """The pressure behind the demand's orifice, Pa, likewise."""
-        return self._hear("demand_pressure", clock, pressure)
+        return self._request_pressure("demand_pressure", clock, pressure)
 
-    def _hear(self, name: str, clock: int, pressure: float) -> bool:
+    def _request_pressure(self, name: str, clock: int, pressure: float) -> bool:
         if not GAS[name].lower <= pressure <= GAS[name].upper:
             return False
-        self._mailbox.post(clock, name, partial(self._obey, name), pressure)
+        self._requests.post(clock, name, partial(self._apply_pressure, name), pressure)
         return True
 
     def limit(self, clock: int, max_voltage: float) -> None:
         """Limit commands from now on, V; a voltage in force beyond the limit ends at clock time `clock`, ns."""
         self._max_voltage = max_voltage
-        self._mailbox.post(clock, "limit", self._withdraw_beyond, max_voltage, merge=min)
+        self._requests.post(clock, "limit", self._withdraw_beyond, max_voltage, merge=min)
 
     def set_valve(self, clock: int, valve: Valve) -> None:
         """Continue with another valve, without a jump in state."""
         self._valve = valve
-        self._mailbox.post(clock, "valve", self._continue_as, valve)
+        self._requests.post(clock, "valve", self._continue_as, valve)
 
     def set_scale(self, clock: int, scale: float) -> None:
         """Continue at another time scale."""
         self._scale = scale
-        self._mailbox.post(clock, "scale", self._set_scale, scale)
+        self._requests.post(clock, "scale", self._set_scale, scale)
 
     def reset(self, clock: int) -> None:
         """Put the valve to rest: closed, without current, as before the first command."""
-        self._mailbox.post(clock, "reset", self._reset, voids=("command", "limit"))
+        self._requests.post(clock, "reset", self._reset, voids=("command", "limit"))
 
     def restart(self, clock: int, stamp: int) -> None:
         """Restart at clock time `clock`, ns, with stamps from `stamp` on: the valve rests closed.
@@ -206,7 +205,7 @@ class LiveValve:
         What was stored before a jump of the clock is forgotten; what came before the first start is not.
         """
         if self._stepper is not None:
-            self._mailbox.clear()
+            self._requests.clear()
         self._reached = clock
         self._timeline = Timeline(clock, stamp, self._scale)
         self._stepper = Stepper(self._valve, 0.0)
@@ -229,7 +228,7 @@ class LiveValve:
         stepper = self._running
         try:
             # A command cannot act before what is published already.
-            self._mailbox.deliver(self._reached, clock)
+            self._requests.deliver(self._reached, clock)
             self._watch_command(clock)
             time, stamp = self._timeline.at(clock)
             reading = stepper.advance(time)
@@ -249,23 +248,6 @@ class LiveValve:
         switches = tuple(switch for switch in self._switches if switch[0] < self._stamp) if self._switches else ()
         return Step(self._stamp, reading, phases, failure, switches, tuple(self._obeyed), self._switched_off)
 
-    def passes(self, image: ProcessImage, clock: int) -> bool:
-        """Make the step to clock time `clock`, ns, and fill an image, where nothing but time passes.
-
-        Returns:
-            whether it did; if not, `step` makes this step, and has more to tell of it than the image would show.
-        """
-        stepper = self._stepper
-        if stepper is None or not self._mailbox.is_empty:
-            return False
-        if self.command_timeout > 0.0 and (deadline := self._command_deadline) is not None and clock >= deadline:
-            return False
-        time, stamp = self._timeline.at(clock)
-        if not stepper.passes(image, time, min(stamp, LAST_STAMP)):
-            return False
-        self._reached, self._stamp = clock, stamp
-        return True
-
     @property
     def can_rest(self) -> bool:
         """Whether it goes without saying that the valve rests until something is asked of it."""
@@ -273,7 +255,7 @@ class LiveValve:
 
     def rests_until(self, clock: int) -> bool:
         """Whether that holds for the valve that is stepped, and nothing waits for it up to clock time `clock`, ns."""
-        return reading_at_rest(self._running.valve, 0.0) is not None and not self._mailbox.is_due(clock)
+        return reading_at_rest(self._running.valve, 0.0) is not None and not self._requests.is_due(clock)
 
     def step_at_rest(self, clock: int) -> Step:
         """What `step` returns of a valve of which nothing was asked since its start, without compiled code.
@@ -299,7 +281,7 @@ class LiveValve:
         self.last_command = clock
         self.timed_out, self.withdrawn = False, 0.0
 
-    def _obey(self, name: str, clock: int, pressure: float) -> None:
+    def _apply_pressure(self, name: str, clock: int, pressure: float) -> None:
         if self._running.valve.gas is None:
             return
         self._watch_command(clock)

@@ -1,26 +1,29 @@
-"""ROS messages from the model's readings; of rclpy, only the encoding is used."""
+"""ROS messages from the model's readings, and numbers out of encoded ones; of rclpy, only the encoding is used.
+
+rclpy makes a Python object of a message in 10 µs; to take its bytes, and two numbers out of them, takes a quarter of
+that: they are read at the places where they stood in the message before. A message whose lengths and names are not
+those of the one before is parsed anew.
+"""
 
 from __future__ import annotations
 
 import array
 import math
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Final, NamedTuple
 
-import numpy as np
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import BatteryState, FluidPressure, JointState
 from std_msgs.msg import Bool, Float64, UInt8
 
 from valve_sim.model import Phase, Reading
-from valve_sim.model.process_image import KINDS, Number, ProcessImage
 from valve_sim.nodes.diagnostics import Status
-from valve_sim.nodes.parameters import NodeParameter
 from valve_sim.nodes.realtime import LAST_STAMP, NANOSECONDS
+from valve_sim.traces.batches import Field, Layout
+from valve_sim.traces.cdr import MalformedMessage, find_layout
 
 JOINT_NAMES: Final = ("pilot_plunger", "main_plunger")
 _STAMP_MARKS: Final = (1_234_567_891, 123_456_789)
@@ -29,6 +32,12 @@ _SINGLE_MARKS: Final = struct.unpack("=ff", b"\xa1\xb2\xc3\x74\xa5\xb6\xc7\x75")
 """Placeholders: numbers that occur in no reading and no other field of a message. The latter are in single precision,
 and no byte of them is 0: what pads a message is whatever was in memory, such as a mark of the one before."""
 _LARGEST_SINGLE: Final = 3e38
+
+
+_STAMP: Final = ("header.stamp.sec", "header.stamp.nanosec")
+_KINDS: Final = {"i4": "i", "u4": "I", "f4": "f", "f8": "d"}
+_MOST_LAYOUTS: Final = 16
+"""Layouts that are remembered: several programs may publish on one topic."""
 
 
 class ReadingMessages:
@@ -55,19 +64,6 @@ class ReadingMessages:
         self._coil = _Encoding(coil, ["i", "I", *"ff"], [*_STAMP_MARKS, *_SINGLE_MARKS])
         pressure = FluidPressure(header=joints.header, fluid_pressure=_MARKS[0])
         self._pressure = _Encoding(pressure, ["i", "I", "d"], [*_STAMP_MARKS, _MARKS[0]])
-
-    def image(self) -> SampleImage:
-        """The messages of each sample, all in one image that compiled code fills."""
-        encodings = (self._joints, self._coil, self._number)
-        content = np.frombuffer(bytearray(b"".join(encoding.content for encoding in encodings)), np.uint8)
-        places, parts, start = [], [], 0
-        for encoding, numbers in zip(encodings, _IN_IMAGE, strict=True):
-            for (at, kind), number in zip(encoding.places, numbers, strict=True):
-                places.append((start + at, number, KINDS[kind]))
-            end = start + len(encoding.content)
-            parts.append(content[start:end])
-            start = end
-        return SampleImage((content, np.array(places, np.int64)), *parts)
 
     def joint_states(self, stamp: int, reading: Reading) -> bytes:
         """Positions m, velocities m/s, efforts N; `stamp` in ns, LAST_STAMP at most."""
@@ -102,26 +98,6 @@ class ReadingMessages:
         return self._number.filled(reading.mass_flow)
 
 
-_IN_IMAGE: Final = (
-    (
-        Number.SECONDS, Number.NANOSECONDS, Number.PILOT_POSITION, Number.MAIN_POSITION, Number.PILOT_VELOCITY,
-        Number.MAIN_VELOCITY, Number.ATTRACTION, Number.MAIN_EFFORT,
-    ),
-    (Number.SECONDS, Number.NANOSECONDS, Number.COIL_VOLTAGE, Number.COIL_CURRENT),
-    (Number.COIL_CURRENT,),
-)  # fmt: skip
-"""The numbers of joint states, of the coil and of its current, in the order in which they stand in a message."""
-
-
-class SampleImage(NamedTuple):
-    """An image of the messages of one sample, and the part of it that each message is."""
-
-    image: ProcessImage
-    joint_states: Any
-    coil: Any
-    coil_current: Any
-
-
 def _blank_coil() -> BatteryState:
     """A message of a coil: what nobody measures is NaN."""
     nothing = math.nan
@@ -140,20 +116,15 @@ class _Encoding:
 
     Where they stand is read off a message that rclpy has encoded, with marks in their place: nothing here knows CDR.
 
-    Attributes:
-        content: the message with the marks. places: where each number begins, and its kind.
-
     Args:
         message: with the marks. kinds: of each number, as in `struct`. marks: what stands there, in order.
     """
 
     def __init__(self, message: object, kinds: Sequence[str], marks: Sequence[float]) -> None:
-        self.content = encoded = serialize_message(message)
-        self.places: list[tuple[int, str]] = []
+        encoded = serialize_message(message)
         form, fixed, done = "=", [], 0
         for kind, mark in zip(kinds, marks, strict=True):
             at = encoded.index(struct.pack("=" + kind, mark), done)
-            self.places.append((at, kind))
             form += f"{at - done}s{kind}"
             fixed.append(encoded[done:at])
             done = at + struct.calcsize("=" + kind)
@@ -191,12 +162,91 @@ def diagnostic_array(statuses: Sequence[Status], node: str, stamp: int) -> Diagn
     return message
 
 
-def descriptor(entry: NodeParameter) -> ParameterDescriptor:
-    """The descriptor of a parameter, and the range that ROS enforces."""
-    message = ParameterDescriptor(name=entry.name, description=entry.description)
-    limits = entry.range
-    if limits is not None:
-        message.floating_point_range = [FloatingPointRange(from_value=float(limits[0]), to_value=float(limits[1]))]
-        if entry.rule is not None:
-            message.additional_constraints = entry.rule.range_words()
-    return message
+class UnusableMessageError(Exception):
+    """A message that does not hold what is wanted; the text says why."""
+
+
+class _Places(NamedTuple):
+    """Where numbers stand: `fixed_of` gives what messages of this layout have in common, `numbers_of` the numbers."""
+
+    fixed_of: Callable[[bytes], tuple[Any, ...]]
+    fixed: tuple[Any, ...]
+    numbers_of: Callable[[bytes], tuple[Any, ...]]
+
+
+class EncodedReader:
+    """Reads the messages of one topic.
+
+    Args:
+        message_type: with a header, "sensor_msgs/msg/JointState".
+        choose: the fields whose first numbers are wanted, in the order in which they stand in a message; raises
+            UnusableMessageError where they are missing.
+    """
+
+    def __init__(self, message_type: str, choose: Callable[[Layout], Sequence[Field]]) -> None:
+        self._type, self._choose = message_type, choose
+        self._known: dict[int, _Places] = {}
+
+    def read(self, encoded: bytes) -> tuple[Any, ...]:
+        """The header's stamp, ns, and the numbers.
+
+        Raises:
+            UnusableMessageError: they are not there, or these bytes are not a message of this type.
+        """
+        places = self._known.get(len(encoded))
+        if places is None or places.fixed_of(encoded) != places.fixed:
+            places = self._parsed(encoded)
+        seconds, nanoseconds, *numbers = places.numbers_of(encoded)
+        return (seconds * NANOSECONDS + nanoseconds, *numbers)
+
+    def _parsed(self, encoded: bytes) -> _Places:
+        try:
+            layout = find_layout(encoded, self._type)
+        except MalformedMessage:
+            raise UnusableMessageError(f"{len(encoded)} bytes that are no {self._type}") from None
+        fields = [*(layout.fields[path] for path in _STAMP), *self._choose(layout)]
+        spans = [(start, f"{stop - start}s") for start, stop in layout.fixed]
+        numbers = [(field.offset, _KINDS[field.dtype[1:]]) for field in fields]
+        fixed_of = _unpacker("=", spans)
+        if len(self._known) >= _MOST_LAYOUTS:
+            self._known.clear()
+        places = _Places(fixed_of, fixed_of(encoded), _unpacker(fields[0].dtype[0], numbers))
+        self._known[len(encoded)] = places
+        return places
+
+
+def _unpacker(order: str, items: Sequence[tuple[int, str]]) -> Callable[[bytes], tuple[Any, ...]]:
+    """What unpacks items, each of which stands at a byte, and leaves out what is between them."""
+    form, done = order, 0
+    for offset, kind in items:
+        form += f"{offset - done}x{kind}"
+        done = offset + struct.calcsize(order + kind)
+    return struct.Struct(form).unpack_from
+
+
+def joint_states() -> EncodedReader:
+    """Reads the stamp, ns, and the pilot plunger's position, m, of sensor_msgs/JointState."""
+    return EncodedReader("sensor_msgs/msg/JointState", _position)
+
+
+def coils() -> EncodedReader:
+    """Reads the stamp, ns, the voltage, V, and the current, A, of sensor_msgs/BatteryState."""
+    return EncodedReader(
+        "sensor_msgs/msg/BatteryState", lambda layout: [layout.fields["voltage"], layout.fields["current"]]
+    )
+
+
+def pressures() -> EncodedReader:
+    """Reads the stamp, ns, and the pressure, Pa, of sensor_msgs/FluidPressure."""
+    return EncodedReader("sensor_msgs/msg/FluidPressure", lambda layout: [layout.fields["fluid_pressure"]])
+
+
+def _position(layout: Layout) -> Sequence[Field]:
+    names, positions = layout.texts["name"], layout.fields["position"]
+    if JOINT_NAMES[0] not in names:
+        raise UnusableMessageError(f"joints {list(names)}, expected {JOINT_NAMES[0]} among them")
+    index = names.index(JOINT_NAMES[0])
+    if positions.size <= index:
+        raise UnusableMessageError(f"{positions.size} positions for {len(names)} joints")
+    width = struct.calcsize(_KINDS[positions.dtype[1:]])
+    return [Field(positions.offset + index * width, positions.dtype, 1)]

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Final, NamedTuple
+from collections.abc import Iterator, Mapping
+from typing import Any, Final
 
 from valve_sim.identification.monitoring.findings import Fault, Occasion, StrokeState
 from valve_sim.identification.monitoring.stroke_monitor import StrokeMonitor, StrokeReport
+from valve_sim.identification.reporting.monitoring import finding_json
 from valve_sim.identification.reporting.monitoring_words import (
     TIMING_UNCERTAIN,
     fault_words,
@@ -17,33 +18,10 @@ from valve_sim.identification.reporting.monitoring_words import (
     told_finding,
 )
 from valve_sim.nodes.diagnostics import Level, Status, unheard_words
-from valve_sim.nodes.monitor_tasks import FaultIsolation
+from valve_sim.nodes.monitor_tasks import FaultIsolation, Found
 
 SILENT_SECONDS: Final = 2.0
 """Time without samples after which the input is a warning."""
-
-
-class InputFacts(NamedTuple):
-    """State of the input.
-
-    Attributes:
-        samples, commands: how many, in all. rate: samples a second since the last look, Hz.
-        rejected: samples and commands, in all, that could not be used. rejected_now: since the last look.
-        why: reason for the last of them. silence: s since the last sample, nan before the first.
-        lost: strokes, in all, that were not judged for lack of time. waiting_for: what is still missing, or empty.
-        incompatible_publishers: how many send commands that cannot be heard, as their QoS is incompatible.
-    """
-
-    samples: int
-    commands: int
-    rate: float
-    rejected: int
-    rejected_now: int
-    why: str
-    silence: float
-    lost: int
-    waiting_for: str
-    incompatible_publishers: int = 0
 
 
 def health_status(
@@ -100,27 +78,6 @@ def model_status(monitor: StrokeMonitor) -> Status:
     return Status("model", Level.OK, "explains the healthy valve", values)
 
 
-def input_status(facts: InputFacts) -> Status:
-    """Whether samples and commands arrive and can be used."""
-    values = {
-        "samples": str(facts.samples),
-        "commands": str(facts.commands),
-        "rate (Hz)": "none" if math.isnan(facts.rate) else f"{facts.rate:.1f}",
-        "rejected": str(facts.rejected),
-        "strokes not judged": str(facts.lost),
-    }
-    if facts.waiting_for:
-        unheard = f"; {unheard_words(facts.incompatible_publishers)}" if facts.incompatible_publishers else ""
-        return Status("input", Level.WARN, f"waiting for {facts.waiting_for}{unheard}", values)
-    if facts.rejected_now:
-        return Status("input", Level.WARN, f"{facts.rejected_now} rejected, the last: {facts.why}", values)
-    if facts.silence > SILENT_SECONDS:
-        return Status("input", Level.WARN, f"no sample for {facts.silence:.1f} s", values)
-    if facts.incompatible_publishers:
-        return Status("input", Level.WARN, unheard_words(facts.incompatible_publishers), values)
-    return Status("input", Level.OK, "arrives", values)
-
-
 def isolation_status(isolation: FaultIsolation) -> Status:
     """Progress of fault isolation."""
     if isolation.failure:
@@ -149,6 +106,26 @@ def stroke_status(report: StrokeReport) -> Status:
     }
     level, words = _verdict_on(report)
     return Status("stroke", level, words, {name: f"{value:.6g}" for name, value in values.items()})
+
+
+def finding_status(found: Found) -> Status:
+    """A finding as keys and values: the kind of its verdict, the effects and their sizes, and how sure all that is.
+
+    What is nested in JSON has its names joined by dots, such as "parameters.coulomb_friction.force.value".
+    """
+    told = finding_json(*found)
+    values = {name: value for name, value in told.items() if name not in ("schema", "summary")}
+    return Status("finding", Level.WARN, told["summary"], dict(_flat(values, "")))
+
+
+def _flat(found: Any, prefix: str) -> Iterator[tuple[str, str]]:
+    if isinstance(found, Mapping):
+        for name, value in found.items():
+            yield from _flat(value, f"{prefix}.{name}" if prefix else name)
+    elif isinstance(found, list):
+        yield prefix, ", ".join(map(str, found))
+    else:
+        yield prefix, "none" if found is None else str(found)
 
 
 def _verdict_on(report: StrokeReport) -> tuple[Level, str]:
@@ -226,7 +203,7 @@ def _health(report: StrokeReport, monitor: StrokeMonitor) -> tuple[Level, str, s
 
 
 class InputCount:
-    """Counts samples and rejected input; used by one thread."""
+    """Counts samples, commands and what cannot be used, for /diagnostics."""
 
     def __init__(self) -> None:
         self.samples = 0
@@ -243,15 +220,33 @@ class InputCount:
         self.rejected += 1
         self._why = why
 
-    def look(self, now: float, lost: int, waiting_for: str, incompatible_publishers: int = 0) -> InputFacts:
-        """The state now; `now` in s of a monotonic clock."""
-        fresh = self.samples - self._samples_before
+    def status(self, now: float, lost: int, waiting_for: str, unheard: int = 0) -> Status:
+        """Whether samples and commands arrive and can be used; counts since the last call.
+
+        Args:
+            now: s of a monotonic clock. lost: strokes, in all, that were not judged for lack of time.
+            waiting_for: what is still missing, or empty. unheard: publishers of commands of incompatible QoS.
+        """
+        fresh, rejected_now = self.samples - self._samples_before, self.rejected - self._rejected_before
         if fresh or math.isnan(self._last_sample):
             self._last_sample = now if fresh else math.nan
         rate = fresh / (now - self._looked_at) if now > self._looked_at else math.nan
-        rejected_now = self.rejected - self._rejected_before
         self._looked_at, self._samples_before, self._rejected_before = now, self.samples, self.rejected
-        return InputFacts(
-            self.samples, self.commands, rate, self.rejected, rejected_now, self._why, now - self._last_sample, lost,
-            waiting_for, incompatible_publishers,
-        )  # fmt: skip
+        silence = now - self._last_sample
+        values = {
+            "samples": str(self.samples),
+            "commands": str(self.commands),
+            "rate (Hz)": "none" if math.isnan(rate) else f"{rate:.1f}",
+            "rejected": str(self.rejected),
+            "strokes not judged": str(lost),
+        }
+        if waiting_for:
+            words = f"waiting for {waiting_for}{f'; {unheard_words(unheard)}' if unheard else ''}"
+            return Status("input", Level.WARN, words, values)
+        if rejected_now:
+            return Status("input", Level.WARN, f"{rejected_now} rejected, the last: {self._why}", values)
+        if silence > SILENT_SECONDS:
+            return Status("input", Level.WARN, f"no sample for {silence:.1f} s", values)
+        if unheard:
+            return Status("input", Level.WARN, unheard_words(unheard), values)
+        return Status("input", Level.OK, "arrives", values)

@@ -13,7 +13,7 @@ from valve_sim.identification.monitoring.findings import Occasion, StrokeRecord
 from valve_sim.identification.monitoring.scores import Baseline
 from valve_sim.identification.monitoring.stroke_monitor import StrokeMonitor, StrokeReport
 from valve_sim.model.errors import ValveError
-from valve_sim.nodes.stoppable import StoppableThread
+from valve_sim.nodes.threads import StoppableThread
 from valve_sim.traces import Trace
 
 MOST_WAITING: Final = 100

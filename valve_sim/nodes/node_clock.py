@@ -11,9 +11,11 @@ from rclpy.clock import JumpThreshold
 from rclpy.duration import Duration
 from rclpy.node import Node
 
-from valve_sim.nodes.realtime import NANOSECONDS, ClockReading
+from valve_sim.nodes.realtime import NANOSECONDS, Arrival, ClockReading
 
 _LONGEST_SLEEP: Final = 0.05
+_LONGEST_WAY: Final = NANOSECONDS
+"""ns from the middleware to this process; a message that took longer counts from when it arrived here."""
 _ROUNDING: Final = 1_000
 """ns by which two clocks of the system may differ without one of them having been set."""
 _LOOKS: Final = 20
@@ -44,7 +46,7 @@ class NodeClock:
         self._monotonic, self._system = monotonic, system
         self._measure()
         self._woken = threading.Event()
-        self._on_exchange: Callable[[], None] = _nothing
+        self._on_exchange: list[Callable[[], None]] = []
         # The handle is kept, because ROS drops a callback without it. Every /clock message is a jump of some size.
         threshold = JumpThreshold(
             min_forward=Duration(nanoseconds=1), min_backward=Duration(nanoseconds=-1), on_clock_change=True
@@ -60,7 +62,7 @@ class NodeClock:
 
     def when_exchanged(self, call: Callable[[], None]) -> None:
         """Have this called whenever /clock is followed from now on, or no longer; it must return soon."""
-        self._on_exchange = call
+        self._on_exchange.append(call)
 
     def read(self) -> ClockReading | None:
         """Elapsed time, or simulated time once there is any."""
@@ -95,6 +97,26 @@ class NodeClock:
         """ROS time, ns, at a reading of this clock."""
         return reading.nanoseconds + (0 if reading.is_simulated else self._ahead)
 
+    def time_of(self, arrival: Arrival) -> int:
+        """When a message came, ns of this clock: when it was received, or where that is not known, taken; 0: never yet.
+
+        The middleware stamps by the system's clock, of which the present distance from elapsed time is known.
+        """
+        reading = arrival.reading
+        if reading is None:
+            return 0
+        if reading.is_simulated or not arrival.received:
+            return reading.nanoseconds
+        received = arrival.received - self._ahead
+        return received if 0 <= reading.nanoseconds - received <= _LONGEST_WAY else reading.nanoseconds
+
+    def stamp_of(self, arrival: Arrival) -> int:
+        """When a message came, ns of ROS time; 0 before the first /clock."""
+        reading = arrival.reading
+        if reading is None:
+            return 0
+        return self.stamp_at(reading) if reading.is_simulated or not arrival.received else arrival.received
+
     def was_set(self) -> int:
         """By how much, ns, the system's clock was set since this was last asked; negative where it was set back.
 
@@ -123,8 +145,5 @@ class NodeClock:
         before, self._is_simulated = self._is_simulated, bool(self._clock.ros_time_is_active)
         self._woken.set()
         if self._is_simulated != before:
-            self._on_exchange()
-
-
-def _nothing() -> None:
-    """Nobody wants to know."""
+            for call in self._on_exchange:
+                call()

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import math
 import threading
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Container
 from typing import Any, Final, NamedTuple, Protocol
 
-from valve_sim.nodes.stoppable import StoppableThread
+from valve_sim.nodes.threads import StoppableThread
 
 NANOSECONDS: Final = 1_000_000_000
 LAST_STAMP: Final = 2**31 * NANOSECONDS - 1
@@ -134,6 +134,18 @@ class ClockReading(NamedTuple):
     is_simulated: bool
 
 
+class Arrival(NamedTuple):
+    """When a message came.
+
+    Attributes:
+        received: when the middleware received it, ns of the system's clock; 0 where it does not say.
+        reading: what the node's clock showed when this process took it; None before the first /clock.
+    """
+
+    received: int
+    reading: ClockReading | None
+
+
 class PaceClock(Protocol):
     """The clock that a `Worker` follows."""
 
@@ -225,10 +237,10 @@ class Worker(StoppableThread):
             elif may_step is not None and not may_step(pace.now):
                 self._clock.sleep_until(pace.now + _BETWEEN_QUESTIONS)
             else:
-                self._make_up(schedule, pace.now, is_simulated=pace.is_simulated)
+                self._catch_up(schedule, pace.now, is_simulated=pace.is_simulated)
                 self._clock.sleep_until(schedule.next)
 
-    def _make_up(self, schedule: Schedule, until: int, *, is_simulated: bool) -> None:
+    def _catch_up(self, schedule: Schedule, until: int, *, is_simulated: bool) -> None:
         """Make the steps up to a time, ns, that has just been read off the clock.
 
         Simulated time moves by whole ticks, so that a step can be made only once /clock has passed it: it is late by
@@ -299,7 +311,7 @@ def why_restart(last: ClockReading | None, now: ClockReading) -> str | None:
     return f"the clock jumped back by {seconds:g} s" if moved < 0 else f"the clock jumped ahead by {seconds:g} s"
 
 
-class Thinning:
+class Decimator:
     """Which steps are also samples of a slower topic: the first in each of its periods.
 
     Args:
@@ -316,7 +328,7 @@ class Thinning:
         return self._last != before
 
 
-class Audience:
+class SubscriberCounts:
     """Which of some topics anyone subscribes to, looked at every 20 ms: what nobody hears need not be published.
 
     Args:
@@ -337,7 +349,7 @@ class Audience:
         return self._is_heard
 
 
-class _Letter(NamedTuple):
+class _Request(NamedTuple):
     """An action for a clock time, ns, with the value that it is called with."""
 
     time: int
@@ -346,24 +358,27 @@ class _Letter(NamedTuple):
     value: Any
 
 
-class Mailbox:
-    """A queue between threads: callbacks post actions, the stepper calls those that are due.
+class TimedQueue:
+    """Requests between threads: any thread posts actions, the stepping thread calls those whose time has come.
 
-    While a clock stands still, letters may come for hours, in any order of their kinds. So of one time it holds at most
-    one letter of each kind: a value that would hold for no time need not be kept.
+    It cannot grow without bound, whether the clock stands still or the stepping thread does. Of one time it holds at
+    most one request of each kind, because a value that would hold for no time need not be kept. Beyond `MOST` requests
+    the oldest that a later one of its kind replaces is dropped: what holds in the end is as without the bound.
 
     Attributes:
-        is_empty: whether there is no letter.
+        is_empty: whether there is no request.
     """
+
+    MOST: Final = 10_000
 
     def __init__(self) -> None:
         self.is_empty = True
-        self._letters: deque[_Letter] = deque()
+        self._requests: deque[_Request] = deque()
         self._lock = threading.Lock()
 
     def __len__(self) -> int:
-        """How many letters wait."""
-        return len(self._letters)
+        """How many requests wait."""
+        return len(self._requests)
 
     def post(
         self,
@@ -378,41 +393,53 @@ class Mailbox:
         """Store an action for clock time `time`, ns; it will be called with that time and the value.
 
         Args:
-            time: ns. kind: a letter of this kind that waits for the same time is dropped.
+            time: ns; behind requests of the same time, and before those of later times.
+            kind: a request of this kind that waits for the same time is dropped.
             action, value: what is called, and with what beside the time.
-            voids: other kinds of which letters that wait for the same time are dropped.
-            merge: makes one value of that of a dropped letter of this kind and of the new one; default: the new one.
+            voids: other kinds of which requests that wait for the same time are dropped.
+            merge: makes one value of that of a dropped request of this kind and of the new one; default: the new one.
         """
         with self._lock:
-            kept = []
-            while self._letters and self._letters[-1].time == time:
-                letter = self._letters.pop()
-                if letter.kind == kind:
-                    value = value if merge is None else merge(letter.value, value)
-                elif letter.kind not in voids:
-                    kept.append(letter)
-            self._letters.extend(reversed(kept))
-            self._letters.append(_Letter(time, kind, action, value))
+            later, kept = deque[_Request](), deque[_Request]()
+            while self._requests and self._requests[-1].time > time:
+                later.appendleft(self._requests.pop())
+            while self._requests and self._requests[-1].time == time:
+                request = self._requests.pop()
+                if request.kind == kind:
+                    value = value if merge is None else merge(request.value, value)
+                elif request.kind not in voids:
+                    kept.appendleft(request)
+            self._requests += kept
+            self._requests.append(_Request(time, kind, action, value))
+            self._requests += later
+            if len(self._requests) > self.MOST:
+                self._drop_one_that_is_replaced()
             self.is_empty = False
 
     def deliver(self, since: int, until: int) -> None:
-        """Call every action whose time is not after `until`, ns, in the order of posting, none as of before `since`."""
-        while self._letters and (letter := self._take(until)) is not None:
-            letter.action(max(letter.time, since), letter.value)
+        """Call every action whose time is not after `until`, ns, in the order of time, none as of before `since`."""
+        while self._requests and (request := self._take(until)) is not None:
+            request.action(max(request.time, since), request.value)
 
     def is_due(self, until: int) -> bool:
         """Whether an action's time is not after `until`, ns."""
         with self._lock:
-            return bool(self._letters) and self._letters[0].time <= until
+            return bool(self._requests) and self._requests[0].time <= until
 
     def clear(self) -> None:
         """Drop all actions."""
         with self._lock:
-            self._letters.clear()
+            self._requests.clear()
             self.is_empty = True
 
-    def _take(self, until: int) -> _Letter | None:
+    def _drop_one_that_is_replaced(self) -> None:
+        """Drop the oldest request that has a later one of its kind; there is one, as there are few kinds."""
+        left = Counter(request.kind for request in self._requests)
+        index = next(index for index, request in enumerate(self._requests) if left[request.kind] > 1)
+        del self._requests[index]
+
+    def _take(self, until: int) -> _Request | None:
         with self._lock:
-            letter = self._letters.popleft() if self._letters and self._letters[0].time <= until else None
-            self.is_empty = not self._letters
-            return letter
+            request = self._requests.popleft() if self._requests and self._requests[0].time <= until else None
+            self.is_empty = not self._requests
+            return request

@@ -5,16 +5,18 @@ from __future__ import annotations
 import contextlib
 import math
 import queue
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
 
+from valve_sim.files.parameter_files import read_tolerances
 from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.model import CATALOGUE, DECLARED, ParameterError
 from valve_sim.model.gas import GAS
+from valve_sim.nodes.valve_parameters import TOLERANCES
 
 FIND_SECONDS: Final = 10.0
 """Time in which a node must be found: announcements that DDS loses are repeated every 3 s."""
@@ -23,6 +25,8 @@ ANSWER_SECONDS: Final = 10.0
 _REQUESTS: Final = 4
 """Requests to a node that does not answer: a reply that is sent before DDS has matched its reader is lost."""
 _DIGITS: Final = 5
+_EXACT: Final = 0.0
+"""Of a tolerance that is not given."""
 
 Values = dict[str, Any]
 """Flat parameter name to value."""
@@ -103,12 +107,32 @@ class RemoteParameters:
 
 
 def changes_between(old: Mapping[str, Any], new: Mapping[str, Any], intervals: Mapping[str, Interval]) -> list[Change]:
-    """The changes from `old` to `new`; `intervals` by the names of a fit, such as pilot_damping or stiction.force."""
+    """The changes from `old` to `new`, tolerances one by one.
+
+    Args:
+        old, new: flat names and values. intervals: by the names of a fit, such as pilot_damping or stiction.force.
+    """
+    before, after = _with_each_tolerance(old), _with_each_tolerance(new)
+    pairs = {name: (before.get(name, _EXACT), after.get(name, _EXACT)) for name in {**after, **before}}
     return [
-        Change(name, old[name], value, _interval_of(name, intervals), _unit(name))
-        for name, value in new.items()
-        if old[name] != value
+        Change(name, was, becomes, _interval_of(name, intervals), _unit(name))
+        for name, (was, becomes) in pairs.items()
+        if was != becomes
     ]
+
+
+def _with_each_tolerance(values: Mapping[str, Any]) -> Values:
+    """Values with a name for each tolerance, as in a parameter file, in place of one text of all."""
+    found = {name: value for name, value in values.items() if name != TOLERANCES}
+    return {**found, **dict(_flat(read_tolerances(values.get(TOLERANCES, ""), ""), TOLERANCES))}
+
+
+def _flat(found: Any, prefix: str) -> Iterator[tuple[str, Any]]:
+    if not isinstance(found, Mapping):
+        yield prefix, found
+        return
+    for name, value in found.items():
+        yield from _flat(value, f"{prefix}.{name}")
 
 
 def _interval_of(name: str, intervals: Mapping[str, Interval]) -> tuple[float, float] | None:

@@ -12,7 +12,7 @@ from valve_sim.identification.plants.valve_sensors import response_to
 from valve_sim.model import Phase, Reading, Response, Valve
 from valve_sim.nodes.diagnostics import Level, Status
 from valve_sim.nodes.realtime import NANOSECONDS, ClockReading, PaceClock, TimingRecord, why_restart
-from valve_sim.nodes.stoppable import StoppableThread
+from valve_sim.nodes.threads import StoppableThread
 from valve_sim.traces import Trace
 
 LISTENERS_SECONDS: Final = 0.5

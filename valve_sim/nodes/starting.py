@@ -34,7 +34,7 @@ GivenFiles = list[tuple[str, Section]]
 """The sections of the parameter files on a command line: (file as given, section), in order."""
 
 
-class Shell(Protocol):
+class RunsAsNode(Protocol):
     """A node as `run_node` runs it."""
 
     @property
@@ -48,12 +48,12 @@ class Shell(Protocol):
         """End every thread and release everything; whether each thread has ended within `timeout`, s."""
 
 
-def run_node(name: str, make: Callable[[GivenFiles], Shell], args: Sequence[str] | None) -> int:
+def run_node(name: str, place: str, args: Sequence[str] | None) -> int:
     """Start a node, spin it, and return its exit code.
 
     Args:
         name: of the program, for messages.
-        make: builds the node; called after rclpy.init.
+        place: "module:Class" of the node, which is imported only after ROS was found; without it one line is printed.
         args: the command line with the program's own name first; default sys.argv.
 
     Returns:
@@ -67,15 +67,15 @@ def run_node(name: str, make: Callable[[GivenFiles], Shell], args: Sequence[str]
             _ensure_log_folder(name)
             offer_profile(os.environ, Path.cwd(), installed_rclpy())
         rclpy_init(arguments)
-        shell = None if signals.have_come else _made(make, given)
+        node = None if signals.have_come else _made(place, given)
     except ValveError as error:
         print(f"{name}: {error}", file=sys.stderr)
         return UNUSABLE_INPUT
-    if shell is None:
+    if node is None:
         rclpy().try_shutdown()
         return 0
-    signals.shell = shell
-    return _spin(name, shell)
+    signals.node = node
+    return _spin(name, node)
 
 
 def read_files(arguments: Sequence[str]) -> GivenFiles:
@@ -133,10 +133,12 @@ def rclpy() -> Any:
         ) from error
 
 
-def _made(make: Callable[[GivenFiles], Shell], given: GivenFiles) -> Shell | None:
+def _made(place: str, given: GivenFiles) -> RunsAsNode | None:
     """The node; None if a signal ended ROS meanwhile."""
+    module, _, kind = place.partition(":")
     try:
-        return make(given)
+        made: RunsAsNode = getattr(importlib.import_module(module), kind)(given)
+        return made
     except ValveError:
         rclpy().try_shutdown()
         raise
@@ -146,10 +148,10 @@ def _made(make: Callable[[GivenFiles], Shell], given: GivenFiles) -> Shell | Non
         return None
 
 
-def _spin(name: str, shell: Shell) -> int:
+def _spin(name: str, node: RunsAsNode) -> int:
     shutdown_seen = importlib.import_module("rclpy.executors").ExternalShutdownException
     try:
-        shell.spin()
+        node.spin()
     except shutdown_seen:
         pass
     except Exception:
@@ -158,13 +160,13 @@ def _spin(name: str, shell: Shell) -> int:
             raise
     finally:
         _on_signals(signal.SIG_IGN)
-        has_ended = shell.close(STOP_SECONDS)
+        has_ended = node.close(STOP_SECONDS)
         rclpy().try_shutdown()
         if not has_ended:
             # A thread that compiles or searches looks at no flag for as long as that takes: Python would wait for it.
             print(f"{name}: ended in the middle of a calculation", file=sys.stderr)
-            _end_at_once(shell.exit_code)
-    return shell.exit_code
+            _end_at_once(node.exit_code)
+    return node.exit_code
 
 
 def _end_at_once(code: int) -> NoReturn:
@@ -188,7 +190,7 @@ class _Signals:
 
     def __init__(self) -> None:
         self.have_come = False
-        self.shell: Shell | None = None
+        self.node: RunsAsNode | None = None
         _on_signals(self._note)
 
     def _note(self, number: int, frame: FrameType | None) -> None:
@@ -200,7 +202,7 @@ class _Signals:
         latest.start()
 
     def _end(self) -> None:
-        _end_at_once(0 if self.shell is None else self.shell.exit_code)
+        _end_at_once(0 if self.node is None else self.node.exit_code)
 
 
 def _on_signals(action: signal.Handlers | Callable[[int, FrameType | None], None]) -> None:

@@ -1,4 +1,4 @@
-"""The ROS side of identification_node: a recording, a replay and a task wired to topics. No physics, no fitting.
+"""The node `identification`: a recording, a replay and a task wired to topics. No physics, no fitting.
 
 Threads: callbacks run in the main thread. A `Replay` thread publishes what is due, a `Task` thread refits, publishes
 the result and hands it on.
@@ -8,23 +8,20 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Final
 
-from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
-from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
-from sensor_msgs.msg import BatteryState, JointState
 from std_msgs.msg import Float64, String
 from std_srvs.srv import Trigger
 
 from valve_sim.files.parameter_files import default_valve, load_valve
 from valve_sim.files.parameter_sections import Section, write_sections
 from valve_sim.model import ParameterError, Valve
-from valve_sim.nodes.identification_parameters import DESCRIPTIONS, Settings, check_settings, output_folder
+from valve_sim.nodes import settings, topics
+from valve_sim.nodes.diagnostics import Status
 from valve_sim.nodes.identification_task import (
     BEFORE_FILE,
     Applied,
@@ -36,30 +33,24 @@ from valve_sim.nodes.identification_task import (
     read_recording,
     report_text,
 )
-from valve_sim.nodes.messages import ReadingMessages, diagnostic_array
+from valve_sim.nodes.messages import ReadingMessages
 from valve_sim.nodes.node_clock import NodeClock
-from valve_sim.nodes.parameters import VALVE_KEYS, table
 from valve_sim.nodes.remote_parameters import RemoteParameters, Values, changes_between
 from valve_sim.nodes.replay import Prediction, Replay, measured_reading, measured_voltages, predict, replay_status
-from valve_sim.nodes.shell_parts import LATCHED, declare_settings, full_name, make_node
-from valve_sim.nodes.spinning import guarded, spin
+from valve_sim.nodes.settings import IdentificationSettings, identification_settings
+from valve_sim.nodes.valve_parameters import valve_table
+from valve_sim.nodes.wiring import Diagnostics, Interface, RosNode, declared, full_name
 
-_DEEP: Final = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
-"""A recording has more samples a second than a live valve."""
 _DELIVERY: Final = Duration(seconds=2)
 """s that the node waits at its end until subscribers have the result."""
 
 
-class IdentificationShell:
-    """The node `identification`.
+class IdentificationNode(RosNode):
+    """The node `identification`, with the topics and services `topics.IDENTIFICATION`.
 
-    Topics: ~/coil_voltage and ~/measured/joint_states as recorded, header stamps too; ~/predicted/joint_states with the
-    same stamps, by the declared valve until the refitted one is known; ~/residual, m, measured less predicted position
-    of the pilot plunger. Of a recording without positions ~/measured/coil in their place, ~/predicted/coil, and
-    ~/residual, A, of the current. ~/result (JSON, latched) when it is known; /diagnostics at 1 Hz. Service: ~/undo,
-    which gives the valve of `apply_to` its own values back. Parameters: `Settings`; they are read once, at the start.
-
-    It ends when the recording has been played and the result is known, but for `loop` and `linger`.
+    The prediction is by the declared valve until the refitted one is known. Parameters: `settings.IDENTIFICATION`; they
+    are read once, at the start. It ends when the recording has been played and the result is known, but for `loop` and
+    `linger`.
 
     Args:
         sections: (file, section) of the parameter files on the command line.
@@ -69,39 +60,32 @@ class IdentificationShell:
     """
 
     def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
-        self._node = make_node("identification")
-        try:
-            self._settings: Settings = declare_settings(self._node, sections, check_settings, DESCRIPTIONS)
-            self._folder = output_folder(self._settings)
-            self._target = self._resolved_target()
-            self._declared = load_valve(self._settings.params) if self._settings.params else default_valve()
-            self._trace = read_recording(self._settings, self._declared)
-            self._voltages = measured_voltages(self._trace)
-            self._clock = NodeClock(self._node)
-            self._remote = RemoteParameters(self._node, self._target) if self._target else None
-            self._before: Values = {}
-            self._wire()
-        except BaseException:
-            self._node.destroy_node()
-            raise
+        super().__init__("identification")
+        self._settings: IdentificationSettings = declared(
+            self._node, sections, settings.IDENTIFICATION, identification_settings
+        )
+        self._folder = _output_folder(self._settings)
+        given = self._settings.apply_to
+        target = full_name(self._node, given, "apply_to") if given else ""
+        self._declared = load_valve(self._settings.params) if self._settings.params else default_valve()
+        self._trace = read_recording(self._settings, self._declared)
+        self._voltages = measured_voltages(self._trace)
+        self._clock = NodeClock(self._node)
+        self._remote = RemoteParameters(self._node, target) if target else None
+        self._before: Values = {}
         self._prediction: Prediction | None = None
-        self._exit_code = 0
         self._refusal = ""
         self._task = Task(self._work, self._report)
         rate, loop = self._settings.rate, self._settings.loop
         self._replay = Replay(self._clock, self._trace, rate=rate, loop=loop, player=self)
-
-    @property
-    def exit_code(self) -> int:
-        """0; 1 if the replay or the task failed, or the result could not be set on the valve of `apply_to`."""
-        return self._exit_code
+        self._wire()
 
     def spin(self) -> None:
         """Replay, refit and answer until ROS is shut down."""
         for finding in self._trace.findings:
             self._node.get_logger().warning(finding)
         self._replay.start()
-        spin(self._node)
+        super().spin()
 
     def close(self, timeout: float) -> bool:
         """Stop and release everything; whether both threads have ended. A fit cannot at once."""
@@ -111,26 +95,19 @@ class IdentificationShell:
 
     # --- wiring ---
 
-    def _resolved_target(self) -> str:
-        """The full name of the node on which the result is set; empty for none."""
-        given = self._settings.apply_to
-        return full_name(self._node, given, "apply_to") if given else ""
-
     def _wire(self) -> None:
-        node = self._node
-        self._voltage = node.create_publisher(Float64, "~/coil_voltage", _DEEP)
-        self._measured = node.create_publisher(JointState, "~/measured/joint_states", _DEEP)
-        self._measured_coil = node.create_publisher(BatteryState, "~/measured/coil", _DEEP)
-        self._predicted_coil = node.create_publisher(BatteryState, "~/predicted/coil", _DEEP)
-        self._predicted = node.create_publisher(JointState, "~/predicted/joint_states", _DEEP)
-        self._residual = node.create_publisher(Float64, "~/residual", _DEEP)
-        self._result = node.create_publisher(String, "~/result", LATCHED)
-        self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", _DEEP)
+        interface = Interface(self._node, topics.IDENTIFICATION)
+        self._voltage = interface.publisher("~/coil_voltage")
+        self._measured = interface.publisher("~/measured/joint_states")
+        self._measured_coil = interface.publisher("~/measured/coil")
+        self._predicted_coil = interface.publisher("~/predicted/coil")
+        self._predicted = interface.publisher("~/predicted/joint_states")
+        self._residual = interface.publisher("~/residual")
+        self._result = interface.publisher("~/result")
         self._messages = ReadingMessages("")
-        # Wall time: diagnostics must also report that /clock is silent.
-        node.create_timer(1.0, guarded(self._diagnose), clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._diagnostics = Diagnostics(self._node, interface.publisher("/diagnostics"), self._clock, self._statuses)
         # A callback group of its own: while it waits for the valve, the reply needs the other group.
-        node.create_service(Trigger, "~/undo", self._undo, callback_group=MutuallyExclusiveCallbackGroup())
+        interface.serve("~/undo", self._undo, MutuallyExclusiveCallbackGroup())
 
     # --- the replay's thread ---
 
@@ -141,11 +118,11 @@ class IdentificationShell:
         self._task.start()
 
     def _say_ready(self) -> None:
-        settings = self._settings
-        what = f"refits {', '.join(freed(settings, self._declared))}" if settings.mode == "identify" else "diagnoses it"
+        own = self._settings
+        what = f"refits {', '.join(freed(own, self._declared))}" if own.mode == "identify" else "diagnoses it"
         topic = (self._measured if self._trace.has_positions else self._measured_coil).topic_name
         self._node.get_logger().info(
-            f"ready: replays {settings.bag} on {topic} beside the model, {what}; the result comes on "
+            f"ready: replays {own.bag} on {topic} beside the model, {what}; the result comes on "
             f"{self._result.topic_name} and in {self._folder.resolve()}"
         )
 
@@ -170,10 +147,7 @@ class IdentificationShell:
 
     def fail(self, error: Exception) -> None:
         """End the node because the replay failed."""
-        if self._node.context.ok():
-            self._exit_code = 1
-            self._node.get_logger().fatal(f"the replay ended: {error!r}")
-            self._node.context.try_shutdown()
+        self._fail(error)
 
     # --- the task's thread ---
 
@@ -221,7 +195,7 @@ class IdentificationShell:
         except ParameterError as error:
             return Applied(remote.name, False, str(error))
         changes = changes_between(old, new, outcome.intervals)
-        self._before = {change.name: change.old for change in changes}
+        self._before = {name: old[name] for name, value in new.items() if old[name] != value}
         if outcome.objection:
             logger.warning(f"{remote.name} is given the result although {outcome.objection} (apply_always)")
         lines = tuple(change.text() for change in changes)
@@ -260,14 +234,26 @@ class IdentificationShell:
         self._before = {}
         return True, words
 
-    def _diagnose(self) -> None:
+    def _statuses(self) -> Sequence[Status]:
         reading = self._clock.read()
         model = "none yet" if self._prediction is None else self._prediction.model
-        statuses = (replay_status(self._replay, reading.nanoseconds if reading else 0, model), self._task.status)
-        name = self._node.get_fully_qualified_name()
-        self._diagnostics.publish(diagnostic_array(statuses, name, self._clock.stamp()))
+        return replay_status(self._replay, reading.nanoseconds if reading else 0, model), self._task.status
 
 
 def valve_parameters(valve: Valve) -> Values:
     """Every parameter of valve_node that describes its valve, with the values of this one."""
-    return {entry.name: entry.default for entry in table(valve).values() if entry.name.startswith(VALVE_KEYS)}
+    return {name: entry.default for name, entry in valve_table(valve).items()}
+
+
+def _output_folder(settings: IdentificationSettings) -> Path:
+    """The folder of the results; it is made if missing.
+
+    Raises:
+        ParameterError: it cannot be made.
+    """
+    folder = Path(settings.output).expanduser()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ParameterError(f"output: {folder}: cannot be made ({error.strerror}); expected a folder") from error
+    return folder

@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 
 from valve_sim.model.gas.line import Gas, Line
 from valve_sim.model.gas.parameters import orifice_area
-from valve_sim.nodes.dispenser_parameters import Settings
+from valve_sim.station.dispenser_tables import Settings
 
 LONGEST_STEP: Final = 0.01
 """s. Shorter ones change no pressure by more than 0.2 %, since those of the pipes are held between messages anyway."""

@@ -1,4 +1,4 @@
-"""The ROS side of command_profile: a profile of voltages wired to a valve's topic. The coil is off at every end of it.
+"""The node `command_profile`: a profile of voltages wired to a valve's topic. The coil is off at every end of it.
 
 Threads: the main thread commands; an `AnsweringThread` answers ROS (parameters, /clock).
 """
@@ -13,21 +13,20 @@ from typing import Final
 
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import BatteryState
 from std_msgs.msg import Float64
 
 from valve_sim.files.parameter_sections import Section
 from valve_sim.files.whole_files import write_whole
 from valve_sim.model import ValveError
-from valve_sim.nodes.answering import AnsweringThread, wait_until_heard
+from valve_sim.nodes import topics
 from valve_sim.nodes.node_clock import NodeClock
-from valve_sim.nodes.profile_parameters import DESCRIPTIONS, Settings, check_settings, checked_profile
 from valve_sim.nodes.profile_playing import Commanded, ProfileBrokenOffError, as_csv, play
 from valve_sim.nodes.realtime import NANOSECONDS
 from valve_sim.nodes.replay import LISTENERS_SECONDS
-from valve_sim.nodes.shell_parts import RELIABLE, declare_settings, full_name, make_node
-from valve_sim.nodes.spinning import guarded
+from valve_sim.nodes.settings import PROFILE, ProfileSettings, checked_profile, profile_settings
+from valve_sim.nodes.spinning import AnsweringThread, guarded, wait_until_heard
+from valve_sim.nodes.wiring import Interface, RosNode, declared, full_name
 
 _LOOK_SECONDS: Final = 0.05
 _UNKNOWN_NODE: Final = "_NODE_NAME_UNKNOWN_"
@@ -36,11 +35,10 @@ _NAMELESS: Final = "a node without a name so far"
 _PROGRESS_SECONDS: Final = 5.0
 
 
-class CommandProfileShell:
-    """The node `command_profile`.
+class ProfileNode(RosNode):
+    """The node `command_profile`, with the topics `topics.PROFILE`.
 
-    Topics: out <valve>/coil_voltage; ~/commanded, what was commanded and when (header.stamp, voltage; all else NaN).
-    Parameters: `Settings`; they are read once, at the start.
+    Parameters: `settings.PROFILE`; they are read once, at the start.
 
     Args:
         sections: (file, section) of the parameter files on the command line.
@@ -50,31 +48,22 @@ class CommandProfileShell:
     """
 
     def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
-        self._node = make_node("command_profile")
-        try:
-            self._settings: Settings = declare_settings(self._node, sections, check_settings, DESCRIPTIONS)
-            self._drive = checked_profile(self._settings)
-            self._valve = full_name(self._node, self._settings.valve, "valve")
-            self._clock = NodeClock(self._node)
-            self._voltage = self._node.create_publisher(Float64, f"{self._valve}/coil_voltage", RELIABLE)
-            # A recorder that discovers the topic late still gets the log from its beginning.
-            whole = QoSProfile(depth=len(self._drive.times) + 1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-            self._log = self._node.create_publisher(BatteryState, "~/commanded", whole)
-            self._is_watching = False
-            self._node.create_timer(_LOOK_SECONDS, guarded(self._look), clock=Clock(clock_type=ClockType.STEADY_TIME))
-        except BaseException:
-            self._node.destroy_node()
-            raise
+        super().__init__("command_profile")
+        self._settings: ProfileSettings = declared(self._node, sections, PROFILE, profile_settings)
+        self._drive = checked_profile(self._settings)
+        self._valve = full_name(self._node, self._settings.valve, "valve")
+        self._clock = NodeClock(self._node)
+        interface = Interface(self._node, topics.PROFILE, valve=self._valve)
+        self._voltage = interface.publisher("{valve}/coil_voltage")
+        # A recorder that discovers the topic late still gets the log from its beginning.
+        self._log = interface.publisher("~/commanded", depth=len(self._drive.times) + 1)
+        self._is_watching = False
+        self._node.create_timer(_LOOK_SECONDS, guarded(self._look), clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._commanded: list[Commanded] = []
         self._stop = ""
         self._exit_code = 1
         self._next_progress = math.inf
         self._answering = AnsweringThread(self._node, stop=self._break_off, fail=self._fail)
-
-    @property
-    def exit_code(self) -> int:
-        """0 when the whole profile was commanded, 1 when not."""
-        return self._exit_code
 
     def spin(self) -> None:
         """Command the profile; 0 V is the last command in any case."""

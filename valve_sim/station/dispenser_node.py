@@ -1,7 +1,7 @@
-"""The ROS side of dispenser_node: a `Dispenser` wired to the topics of its valves. The coils are off at its end.
+"""The node `dispenser`: a `Dispenser` wired to the topics of its valves. The coils are off at its end.
 
-Threads: one steps and publishes, after taking the pressures that were heard, which an executor would take ten times as
-long for; an `AnsweringThread` answers ROS; the main thread waits for a signal.
+Threads: one empties the inbox, steps and publishes; an `AnsweringThread` answers ROS; the main thread waits for a
+signal.
 """
 
 from __future__ import annotations
@@ -12,31 +12,27 @@ from collections.abc import Sequence
 from typing import Final
 
 from rclpy.publisher import Publisher
-from rclpy.subscription import Subscription
 from sensor_msgs.msg import FluidPressure
 from std_msgs.msg import Float64
 
 from valve_sim.files.parameter_sections import Section
-from valve_sim.nodes.answering import AnsweringThread, wait_until_heard
-from valve_sim.nodes.dispenser_parameters import DESCRIPTIONS, Settings, check_settings
-from valve_sim.nodes.dispensing import Dispensed, Dispenser
 from valve_sim.nodes.node_clock import NodeClock
-from valve_sim.nodes.realtime import NANOSECONDS, Restart, Worker
-from valve_sim.nodes.receiving import ReceiverGroup
-from valve_sim.nodes.shell_parts import RELIABLE, declare_settings, full_name, make_node
-from valve_sim.nodes.spinning import guarded, log_left_out, waiting_messages
+from valve_sim.nodes.realtime import NANOSECONDS, Arrival, Restart, Worker
+from valve_sim.nodes.receiving import Inbox
+from valve_sim.nodes.spinning import AnsweringThread, wait_until_heard
 from valve_sim.nodes.starting import STOP_SECONDS
+from valve_sim.nodes.wiring import Interface, RosNode, declared, full_name
+from valve_sim.station.dispenser import Dispensed, Dispenser
+from valve_sim.station.dispenser_tables import PARAMETERS, TOPICS, Settings, dispenser_settings
 
 _BETWEEN_REMINDERS: Final = 10.0
 """s between lines that say which valve is waited for."""
 
 
-class DispenserShell:
-    """The node `dispenser`.
+class DispenserNode(RosNode):
+    """The node `dispenser`, with the topics `TOPICS` for each of `valves`.
 
-    Topics: in <valve>/outlet_pressure; out <valve>/coil_voltage, <valve>/demand_pressure and, of a tank with a volume,
-    <valve>/inlet_pressure, for each of `valves`; ~/line_pressure, ~/vehicle_pressure. Parameters: `Settings`; they are
-    read once, at the start.
+    Parameters: `PARAMETERS`; they are read once, at the start.
 
     Args:
         sections: (file, section) of the parameter files on the command line.
@@ -46,17 +42,13 @@ class DispenserShell:
     """
 
     def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
-        self._node = make_node("dispenser")
-        try:
-            self._settings: Settings = declare_settings(self._node, sections, check_settings, DESCRIPTIONS)
-            self._dispenser = Dispenser(self._settings)
-            self._clock = NodeClock(self._node)
-            self._wire()
-        except BaseException:
-            self._node.destroy_node()
-            raise
+        super().__init__("dispenser")
+        self._settings: Settings = declared(self._node, sections, PARAMETERS, dispenser_settings)
+        self._dispenser = Dispenser(self._settings)
+        self._clock = NodeClock(self._node)
+        self._inbox = Inbox(self._node, self._clock)
+        self._wire()
         self._zero = 0
-        self._exit_code = 0
         self._stop = threading.Event()
         self._commanding = threading.Lock()
         self._is_off = False
@@ -70,11 +62,6 @@ class DispenserShell:
             fail=self._fail,
         )
         self._answering = AnsweringThread(self._node, stop=lambda reason: self._stop.set(), fail=self._fail)
-
-    @property
-    def exit_code(self) -> int:
-        """0, or 1 if it failed."""
-        return self._exit_code
 
     def spin(self) -> None:
         """Run until a signal comes; 0 V is the last command to every valve."""
@@ -98,28 +85,21 @@ class DispenserShell:
         return all(have_ended)
 
     def _wire(self) -> None:
-        node = self._node
+        interface = Interface(self._node, TOPICS)
         self._voltages: list[Publisher] = []
         self._demands: list[Publisher] = []
         self._inlets: list[Publisher | None] = []
-        self._outlets: list[Subscription] = []
         for k, (given, volume) in enumerate(zip(self._settings.valves, self._settings.tank_volumes, strict=True)):
-            valve = full_name(node, given, "valves")
-            self._voltages.append(node.create_publisher(Float64, f"{valve}/coil_voltage", RELIABLE))
-            self._demands.append(node.create_publisher(FluidPressure, f"{valve}/demand_pressure", RELIABLE))
-            self._inlets.append(
-                node.create_publisher(FluidPressure, f"{valve}/inlet_pressure", RELIABLE) if volume else None
-            )
-            hear = guarded(functools.partial(self._hear, k))
-            self._outlets.append(
-                node.create_subscription(
-                    FluidPressure, f"{valve}/outlet_pressure", hear, RELIABLE, callback_group=ReceiverGroup()
-                )
-            )
-        self._line = node.create_publisher(FluidPressure, "~/line_pressure", RELIABLE)
-        self._vehicle = node.create_publisher(FluidPressure, "~/vehicle_pressure", RELIABLE)
+            valve = full_name(self._node, given, "valves")
+            self._voltages.append(interface.publisher("{valve}/coil_voltage", valve=valve))
+            self._demands.append(interface.publisher("{valve}/demand_pressure", valve=valve))
+            self._inlets.append(interface.publisher("{valve}/inlet_pressure", valve=valve) if volume else None)
+            take = functools.partial(self._take_outlet, k)
+            interface.receive(self._inbox, "{valve}/outlet_pressure", take, valve=valve)
+        self._line = interface.publisher("~/line_pressure")
+        self._vehicle = interface.publisher("~/vehicle_pressure")
 
-    def _hear(self, valve: int, message: FluidPressure) -> None:
+    def _take_outlet(self, valve: int, message: FluidPressure, arrival: Arrival) -> None:
         if not self._dispenser.hear(valve, message.fluid_pressure):
             self._node.get_logger().warning(
                 f"{self._settings.valves[valve]}/outlet_pressure: {message.fluid_pressure:g} Pa is ignored, expected a "
@@ -143,19 +123,8 @@ class DispenserShell:
         self._zero = restart.reading.nanoseconds
         self._dispenser.restart()
 
-    def _take_outlets(self) -> None:
-        """Take the pressures that were heard since the last step."""
-        for outlet in self._outlets:
-            try:
-                heard = [message for message, _ in waiting_messages(outlet)]
-            except Exception as error:  # of rclpy
-                log_left_out(self._node, error)
-            else:
-                for message in heard:
-                    outlet.callback(message)
-
     def _step(self, deadline: int) -> None:
-        self._take_outlets()
+        self._inbox.deliver()
         done = self._dispenser.step((deadline - self._zero) / NANOSECONDS)
         for words in done.words:
             self._node.get_logger().info(words)

@@ -1,8 +1,7 @@
-"""The ROS side of valve_node: parameters, topics and services wired to a `LiveValve`. No physics, no decisions.
+"""The node `valve`: parameters, topics and services wired to a `LiveValve`. No physics, no decisions.
 
-Threads: callbacks run in the main thread, in a `SingleThreadedExecutor`, and only store (commands, parameters, resets);
-those of commands run in a `Receiver` thread, but not under simulated time, where a command must not overtake the
-/clock before it. One `Worker` thread steps the valve and publishes; it consumes what was stored, each at its own time.
+Threads: callbacks run in the main thread, and only store (parameters, resets, and what an `Inbox` receives). One
+`Worker` thread empties the inbox, steps the valve and publishes; it consumes what was stored, each at its own time.
 Until a `ModelLoader` thread has the model ready, it publishes that the valve rests, and from a request on it waits.
 """
 
@@ -10,112 +9,82 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Sequence
-from typing import Final
+from collections.abc import Iterator, Sequence
 
-from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.parameter import Parameter
-from sensor_msgs.msg import BatteryState, JointState
-from std_msgs.msg import Bool, Float64, UInt8
+from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.files.parameter_sections import Section
 from valve_sim.model import ParameterError, Phase, Valve
+from valve_sim.nodes import topics
 from valve_sim.nodes.diagnostics import (
-    CommandCount,
+    CommandFacts,
     Level,
+    RejectionCount,
     Reminder,
+    Status,
     ValveFacts,
     command_status,
     timing_status,
     valve_status,
 )
-from valve_sim.nodes.duplicate_nodes import DuplicateNodes
 from valve_sim.nodes.gas_topics import BETWEEN_WARNINGS, GasTopics
 from valve_sim.nodes.live_valve import LiveValve, Step, self_test
-from valve_sim.nodes.loading import ModelLoader, load_stepper
-from valve_sim.nodes.messages import (
-    IS_OPEN,
-    PHASE,
-    ReadingMessages,
-    SampleImage,
-    descriptor,
-    diagnostic_array,
-)
+from valve_sim.nodes.messages import IS_OPEN, PHASE, ReadingMessages
 from valve_sim.nodes.node_clock import NodeClock
-from valve_sim.nodes.parameters import (
+from valve_sim.nodes.parameters import Value, as_declared, changed_words, settings_of
+from valve_sim.nodes.realtime import NANOSECONDS, Arrival, Restart, SubscriberCounts, Worker
+from valve_sim.nodes.receiving import Inbox
+from valve_sim.nodes.spinning import guarded
+from valve_sim.nodes.threads import ModelLoader, load_stepper
+from valve_sim.nodes.valve_parameters import (
+    TOLERANCES,
+    VALVE_KEYS,
     Settings,
-    Value,
-    as_declared,
-    changed_words,
-    check_overrides,
-    left_without_effect,
-    settings_of,
-    sources_of,
+    check_with_valve,
     table,
     valve_of,
+    with_tolerances,
 )
-from valve_sim.nodes.realtime import NANOSECONDS, Audience, Restart, Worker
-from valve_sim.nodes.receiving import Receiver, ReceiverGroup
-from valve_sim.nodes.shell_parts import (
-    LATCHED,
-    RELIABLE,
-    EncodedPublisher,
-    IncompatiblePublishers,
-    declare,
-    given_parameters,
-    make_node,
-)
-from valve_sim.nodes.spinning import guarded, spin
-
-_LONGEST_SLEEP: Final = 0.05
+from valve_sim.nodes.wiring import Diagnostics, DuplicateNodes, Interface, RosNode, declared
 
 
-class ValveShell:
-    """The node `valve`.
+class ValveNode(RosNode):
+    """The node `valve`, with the topics and services `topics.VALVE`, and `topics.GAS` from when gas is declared.
 
-    Topics (docs/reference/topics.md): in ~/coil_voltage; out ~/joint_states, ~/coil and ~/coil_current at publish_rate,
-    ~/phase and ~/is_open on change (latched), /diagnostics at 1 Hz; from when gas is declared also those of
-    `GasTopics`. Services: ~/reset (rests closed, no current, no command), ~/self_test (one stroke of a copy of the
-    valve, off line). Parameters: the table of `valve_sim.nodes.parameters`; all can be set at run time.
+    Parameters: the table of `valve_parameters`; all can be set at run time.
 
     Args:
         sections: (file, section) of the parameter files on the command line.
 
     Raises:
-        ParameterError: an override is unknown, of the wrong type or out of range.
+        ParameterError: a parameter is unknown, of the wrong type or out of range.
     """
 
     def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
-        self._node = make_node("valve")
-        try:
-            self._entries = table(default_valve())
-            self._settings = self._declare(sections)
-            self._clock = NodeClock(self._node)
-            self._live = LiveValve(
-                self._current_valve(),
-                scale=self._settings.time_scale,
-                command_timeout=self._settings.command_timeout,
-                max_voltage=self._settings.max_voltage,
-            )
-            self._commands = CommandCount()
-            self._gas: GasTopics | None = None
-            self._duplicates = DuplicateNodes(self._node)
-            self._failure = ""
-            self._exit_code = 0
-            self._is_ready = False
-            self._was_waiting = True
-            self._said_open: bool | None = None
-            self._messages = ReadingMessages(self._settings.frame_id)
-            self._image = self._messages.image()
-            self._wire()
-        except BaseException:
-            self._node.destroy_node()
-            raise
+        super().__init__("valve")
+        self._table = table(default_valve())
+        self._settings = self._declare(sections)
+        self._clock = NodeClock(self._node)
+        self._live = LiveValve(
+            self._current_valve(),
+            scale=self._settings.time_scale,
+            command_timeout=self._settings.command_timeout,
+            max_voltage=self._settings.max_voltage,
+        )
+        self._inbox = Inbox(self._node, self._clock)
+        self._commands = RejectionCount()
+        self._gas: GasTopics | None = None
+        self._duplicates = DuplicateNodes(self._node)
+        self._failure = ""
+        self._is_ready = False
+        self._was_waiting = True
+        self._said_open: bool | None = None
+        self._messages = ReadingMessages(self._settings.frame_id)
+        self._wire()
         self._worker = Worker(
             self._clock,
             self._settings.publish_rate,
@@ -123,27 +92,20 @@ class ValveShell:
             restart=self._restart,
             step=self._step,
             fail=self._fail,
-            may_step=self._live.rests_until,
+            may_step=self._may_step,
         )
         self._loader = ModelLoader(self._load, self._fail)
-        self._receiver = Receiver(self._node, self._voltage, lambda: not self._clock.is_simulated, self._fail)
-        self._clock.when_exchanged(self._receiver.wake)
-
-    @property
-    def exit_code(self) -> int:
-        """0, or 1 if the stepper failed."""
-        return self._exit_code
 
     def spin(self) -> None:
         """Run until ROS is shut down."""
-        for thread in (self._loader, self._worker, self._receiver):
+        for thread in (self._loader, self._worker):
             thread.start()
-        spin(self._node)
+        super().spin()
 
     def close(self, timeout: float) -> bool:
         """Stop and release everything; whether all threads have ended. The loader cannot while it compiles."""
         # Whoever publishes must have ended before the node is destroyed; the loader does not.
-        are_silent = all([thread.stop(timeout) for thread in (self._receiver, self._worker)])
+        are_silent = self._worker.stop(timeout)
         is_loaded = self._loader.stop(timeout)
         if are_silent:
             self._node.destroy_node()
@@ -152,47 +114,39 @@ class ValveShell:
     # --- wiring ---
 
     def _declare(self, sections: Sequence[tuple[str, Section]]) -> Settings:
-        node, name = self._node, self._node.get_fully_qualified_name()
-        given = given_parameters(node, sections)
-        values = check_overrides(given, self._entries, sources_of(sections, name))
-        for key, entry in self._entries.items():
-            declare(node, key, values[key], descriptor(entry))
+        values = declared(
+            self._node,
+            sections,
+            self._table,
+            lambda given, sources: check_with_valve(given, self._table, sources, "valve_node"),
+        )
         self._told = self._values()
-        node.add_pre_set_parameters_callback(guarded(self._complete))
-        node.add_on_set_parameters_callback(guarded(self._validate))
-        node.add_post_set_parameters_callback(guarded(self._apply))
-        return settings_of(values)
+        self._node.add_pre_set_parameters_callback(guarded(self._complete))
+        self._node.add_on_set_parameters_callback(guarded(self._validate))
+        self._node.add_post_set_parameters_callback(guarded(self._apply))
+        return settings_of(Settings, values)
 
     def _wire(self) -> None:
-        node = self._node
-        self._joint_states = EncodedPublisher(node, JointState, "~/joint_states")
-        self._coil = EncodedPublisher(node, BatteryState, "~/coil")
-        self._coil_current = EncodedPublisher(node, Float64, "~/coil_current")
+        interface = Interface(self._node, topics.VALVE)
+        self._joint_states = interface.publisher("~/joint_states")
+        self._coil = interface.publisher("~/coil")
+        self._coil_current = interface.publisher("~/coil_current")
         sampled = (self._joint_states, self._coil, self._coil_current)
-        self._audience = Audience(*(publisher.get_subscription_count for publisher in sampled))
-        self._phase = EncodedPublisher(node, UInt8, "~/phase", qos=LATCHED)
-        self._is_open = EncodedPublisher(node, Bool, "~/is_open", qos=LATCHED)
-        self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
-        self._incompatible = IncompatiblePublishers(node, node.resolve_topic_name("~/coil_voltage"))
-        self._voltage = node.create_subscription(
-            Float64,
-            "~/coil_voltage",
-            guarded(self._take_command),
-            RELIABLE,
-            callback_group=ReceiverGroup(),
-            event_callbacks=self._incompatible.events,
-        )
+        self._subscribers = SubscriberCounts(*(publisher.get_subscription_count for publisher in sampled))
+        self._phase = interface.publisher("~/phase")
+        self._is_open = interface.publisher("~/is_open")
+        self._voltage = interface.receive(self._inbox, "~/coil_voltage", self._take_command)
         if self._live.valve.gas is not None:
             self._gas = self._wire_gas()
-        node.create_service(Trigger, "~/reset", guarded(self._reset))
-        node.create_service(Trigger, "~/self_test", guarded(self._self_test))
-        # Wall time: diagnostics must also report that /clock is silent.
-        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        interface.serve("~/reset", guarded(self._reset))
+        interface.serve("~/self_test", guarded(self._self_test))
         self._too_busy = Reminder()
-        node.create_timer(1.0, guarded(self._diagnose), clock=self._steady)
+        self._diagnostics = Diagnostics(
+            self._node, interface.publisher("/diagnostics"), self._clock, lambda: [*self._statuses()]
+        )
 
     def _wire_gas(self) -> GasTopics:
-        return GasTopics(self._node, self._live, self._messages, self._now)
+        return GasTopics(self._node, self._inbox, self._clock, self._live, self._messages)
 
     # --- the loading thread ---
 
@@ -202,7 +156,8 @@ class ValveShell:
         self._warn_if_it_cannot_open(valve)
         self._is_ready = True
         self._worker.may_always_step()
-        self._say_ready()
+        if self._node.context.ok():
+            self._say_ready()
 
     def _say_ready(self) -> None:
         """Log that the node is ready, with the full names of its topics."""
@@ -210,7 +165,7 @@ class ValveShell:
         limit, rate = self._settings.max_voltage, self._settings.publish_rate
         gas = "" if self._gas is None else f"; {self._gas.words()}"
         self._node.get_logger().info(
-            f"ready: obeys {self._voltage.topic_name} (V, ±{limit:g} at most), publishes "
+            f"ready: obeys {self._voltage.topic} (V, ±{limit:g} at most), publishes "
             f"{self._joint_states.topic_name}, {self._coil.topic_name} and {self._coil_current.topic_name} "
             f"at {rate:g} Hz, "
             f"{self._phase.topic_name} and {self._is_open.topic_name} on change{gas}{waits}"
@@ -222,9 +177,14 @@ class ValveShell:
         if not self._live.can_rest:
             self._loader.join()
 
+    def _may_step(self, until: int) -> bool:
+        self._inbox.deliver()
+        return self._live.rests_until(until)
+
     def _restart(self, restart: Restart) -> None:
         self._clock.was_set()
         if restart.reason:
+            self._inbox.forget()
             self._node.get_logger().warning(f"{restart.reason}: the valve rests closed, and no command holds any more")
         self._live.restart(restart.reading.nanoseconds, self._clock.stamp_at(restart.reading))
 
@@ -238,16 +198,13 @@ class ValveShell:
             )
 
     def _step(self, deadline: int) -> None:
-        live, shown, gas = self._live, self._image, self._gas
+        live, gas = self._live, self._gas
         self._follow_system_clock()
-        is_of_gas = gas is not None and gas.is_due(deadline)
-        if self._is_ready and not is_of_gas and live.passes(shown.image, deadline):
-            self._publish_image(deadline, shown)
-            return
+        self._inbox.deliver()
         step = live.step(deadline) if self._is_ready else live.step_at_rest(deadline)
         self._publish_sample(deadline, step)
         if gas is not None:
-            gas.publish(deadline, step, is_due=is_of_gas)
+            gas.publish(deadline, step)
         if step.phases:
             self._publish_phases(step)
         if step.switched_off:
@@ -265,18 +222,9 @@ class ValveShell:
         else:
             self._node.get_logger().warning(words)
 
-    def _publish_image(self, deadline: int, shown: SampleImage) -> None:
-        hears_joint_states, hears_coil, hears_coil_current = self._audience.look(deadline)
-        if hears_joint_states:
-            self._joint_states.publish(shown.joint_states.tobytes())
-        if hears_coil:
-            self._coil.publish(shown.coil.tobytes())
-        if hears_coil_current:
-            self._coil_current.publish(shown.coil_current.tobytes())
-
     def _publish_sample(self, deadline: int, step: Step) -> None:
         shown = step.reading
-        hears_joint_states, hears_coil, hears_coil_current = self._audience.look(deadline)
+        hears_joint_states, hears_coil, hears_coil_current = self._subscribers.look(deadline)
         if hears_joint_states:
             self._joint_states.publish(self._messages.joint_states(step.stamp, shown))
         if hears_coil:
@@ -293,31 +241,26 @@ class ValveShell:
                 self._said_open = is_open
                 self._is_open.publish(IS_OPEN[phase])
 
-    def _fail(self, error: Exception) -> None:
-        if self._node.context.ok():
-            self._exit_code = 1
-            self._node.get_logger().fatal(f"the node cannot go on: {error!r}")
-            self._node.context.try_shutdown()
-
-    # --- callbacks, in the main thread but for commands ---
-
-    def _now(self) -> int:
-        reading = self._clock.read()
-        return 0 if reading is None else reading.nanoseconds
-
-    def _take_command(self, message: Float64) -> None:
-        if self._live.command(self._now(), message.data):
+    def _take_command(self, message: Float64, arrival: Arrival) -> None:
+        if self._live.command(self._clock.time_of(arrival), message.data):
             self._commands.accept()
             return
         self._commands.reject(message.data)
         limit = self._settings.max_voltage
         self._node.get_logger().warning(
-            f"{self._voltage.topic_name}: {message.data:g} V is ignored, expected a number within ±{limit:g} V "
+            f"{self._voltage.topic}: {message.data:g} V is ignored, expected a number within ±{limit:g} V "
             "(parameter max_voltage); the last good command stays",
             throttle_duration_sec=BETWEEN_WARNINGS,
         )
 
+    # --- callbacks, in the main thread ---
+
+    def _now(self) -> int:
+        reading = self._clock.read()
+        return 0 if reading is None else reading.nanoseconds
+
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._inbox.deliver()  # what came before it
         self._live.reset(self._now())
         self._commands.accept()
         self._failure = ""
@@ -333,7 +276,7 @@ class ValveShell:
         response.success, response.message = self_test(self._live.valve)
         return response
 
-    def _diagnose(self) -> None:
+    def _statuses(self) -> Iterator[Status]:
         now = self._now()
         waiting_for = "" if self._is_ready else "the model to be compiled"
         if self._is_ready and self._clock.read() is None:
@@ -345,37 +288,29 @@ class ValveShell:
         self._was_waiting = bool(waiting_for)
         timing = timing_status(kept, self._settings.publish_rate, waiting_for)
         if self._is_ready and timing.level is Level.WARN:
-            line = self._too_busy.line(self._steady.now().nanoseconds / NANOSECONDS, timing.message)
+            line = self._too_busy.line(self._clock.elapsed(), timing.message)
             if line:
                 self._node.get_logger().warning(line)
-        statuses = [
-            timing,
-            command_status(
-                self._commands.look(
-                    now, live.last_command, live.volts, live.timed_out, live.withdrawn, self._incompatible.count()
-                )
-            ),
-            valve_status(ValveFacts(live.phase, live.strokes, live.failures, self._failure, self._duplicates.look())),
-        ]
+        yield timing
+        age = math.nan if live.last_command is None else (now - live.last_command) / NANOSECONDS
+        rejections, unheard = self._commands.rejections(), self._voltage.incompatible_publishers
+        yield command_status(CommandFacts(age, live.volts, rejections, live.timed_out, live.withdrawn, unheard))
+        yield valve_status(ValveFacts(live.phase, live.strokes, live.failures, self._failure, self._duplicates.look()))
         if self._gas is not None:
-            statuses += self._gas.statuses()
-        name = self._node.get_fully_qualified_name()
-        self._diagnostics.publish(diagnostic_array(statuses, name, self._clock.stamp()))
+            yield from self._gas.statuses()
 
     # --- parameters ---
 
     def _complete(self, parameters: list[Parameter]) -> list[Parameter]:
-        """Turn integers into doubles; switch off the tolerances of an effect that is switched off."""
-        given = [
-            Parameter(parameter.name, value=as_declared(parameter.name, parameter.value, self._entries))
-            if parameter.name in self._entries and parameter.type_ is not Parameter.Type.NOT_SET
-            else parameter
-            for parameter in parameters
-        ]
+        """Turn integers into doubles, and put names below `tolerances` into that parameter."""
+        if any(parameter.type_ is Parameter.Type.NOT_SET for parameter in parameters):
+            return parameters  # which `_validate` refuses
+        own = [p for p in parameters if p.name in self._table or p.name.startswith(f"{TOLERANCES}.")]
+        given = {parameter.name: as_declared(parameter.name, parameter.value, self._table) for parameter in own}
         with contextlib.suppress(ParameterError):  # which `_validate` reports
-            changes = self._checked(given, "")
-            given += [Parameter(name, value=0.0) for name in left_without_effect(changes, self._values())]
-        return given
+            given = with_tolerances(given, self._values())
+        others = [parameter for parameter in parameters if parameter not in own]
+        return [*others, *(Parameter(name, value=value) for name, value in given.items())]
 
     def _validate(self, parameters: list[Parameter]) -> SetParametersResult:
         name = self._node.get_fully_qualified_name()
@@ -388,13 +323,14 @@ class ValveShell:
 
     def _apply(self, parameters: list[Parameter]) -> None:
         """Apply parameters that ROS has checked and stored."""
-        names = {parameter.name for parameter in parameters} & self._entries.keys()
+        names = {parameter.name for parameter in parameters} & self._table.keys()
         if not names:
             return
         values = self._values()
         if changes := changed_words(self._told, values):
             self._node.get_logger().info(f"set: {changes}")
-        now, settings, self._told = self._now(), settings_of(values), values
+        self._inbox.deliver()  # what came before they were set
+        now, settings, self._told = self._now(), settings_of(Settings, values), values
         if settings.time_scale != self._settings.time_scale:
             self._live.set_scale(now, settings.time_scale)
         if settings.max_voltage != self._settings.max_voltage:
@@ -402,11 +338,10 @@ class ValveShell:
         self._live.command_timeout = settings.command_timeout
         if settings.frame_id != self._settings.frame_id:
             self._messages.set_frame_id(settings.frame_id)
-            self._image = self._messages.image()
         if settings.publish_rate != self._settings.publish_rate:
             self._worker.set_rate(settings.publish_rate)
         self._settings = settings
-        if any(name.startswith(("valve.", "effects.", "gas.")) for name in names):
+        if any(name.startswith(VALVE_KEYS) for name in names - {TOLERANCES}):
             valve = self._current_valve()
             self._live.set_valve(now, valve)
             if valve.gas is not None and self._gas is None:
@@ -417,15 +352,17 @@ class ValveShell:
     def _checked(self, parameters: list[Parameter], source: str) -> dict[str, Value]:
         checked = {}
         for parameter in parameters:
-            if parameter.name in self._entries:
+            if parameter.name in self._table:
                 if parameter.type_ is Parameter.Type.NOT_SET:
                     raise ParameterError(f"{source}: {parameter.name}: cannot be undeclared")
-                checked[parameter.name] = self._entries[parameter.name].check(parameter.value, source)
+                checked[parameter.name] = self._table[parameter.name].check(
+                    parameter.value, f"{source}: {parameter.name}"
+                )
         return checked
 
     def _values(self) -> dict[str, Value]:
         found = {}
-        for name, entry in self._entries.items():
+        for name, entry in self._table.items():
             value = self._node.get_parameter(name).value
             found[name] = list(value) if isinstance(entry.default, list) else value
         return found

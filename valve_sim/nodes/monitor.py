@@ -1,7 +1,8 @@
-"""The ROS side of monitor_node: segmenter, monitor and fault isolation wired to topics. No physics, no decisions.
+"""The node `monitor`: segmenter, monitor and fault isolation wired to topics. No physics, no decisions.
 
-Threads: callbacks run in the main thread; each sample is a step of the model there, some tens of microseconds. One
-thread scores strokes, another isolates the fault after an alarm; the live path waits for neither.
+Threads: callbacks run in the main thread, and only store. One thread empties the inbox, where each sample is a step of
+the model, some tens of microseconds; one scores strokes, another isolates the fault after an alarm; the live path waits
+for neither.
 """
 
 from __future__ import annotations
@@ -10,17 +11,12 @@ import contextlib
 import gc
 import json
 import math
-import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Final
 
-from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
-from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, String
 from std_srvs.srv import Trigger
 
@@ -30,57 +26,52 @@ from valve_sim.identification.monitoring.memory import load_commissioning, save_
 from valve_sim.identification.monitoring.scores import Baseline
 from valve_sim.identification.monitoring.segmenter import StrokeSegmenter
 from valve_sim.identification.monitoring.stroke_monitor import StrokeMonitor, StrokeReport
-from valve_sim.identification.reporting.monitoring import finding_json, stroke_json
+from valve_sim.identification.reporting.monitoring import stroke_json
 from valve_sim.identification.reporting.monitoring_words import told_finding
 from valve_sim.model import ParameterError, Stepper
-from valve_sim.nodes.diagnostics import Level
+from valve_sim.nodes import topics
+from valve_sim.nodes.diagnostics import Level, Status
 from valve_sim.nodes.live_map import live_inputs
 from valve_sim.nodes.messages import ReadingMessages, diagnostic_array
 from valve_sim.nodes.monitor_inputs import MonitorInputs, Takers
-from valve_sim.nodes.monitor_parameters import FORMER_NAMES, Given, check_given, descriptions
 from valve_sim.nodes.monitor_status import (
     HealthLog,
     InputCount,
+    finding_status,
     health_status,
-    input_status,
     isolation_status,
     model_status,
     stroke_status,
 )
 from valve_sim.nodes.monitor_tasks import FaultIsolation, Found, MonitorThread
 from valve_sim.nodes.node_clock import NodeClock
-from valve_sim.nodes.parameters import sources_of
-from valve_sim.nodes.realtime import LONGEST_LEAP_SECONDS, NANOSECONDS, Audience
-from valve_sim.nodes.shell_parts import LATCHED, RELIABLE, declare_read_only, full_name, given_parameters, make_node
-from valve_sim.nodes.spinning import guarded, spin
+from valve_sim.nodes.parameters import settings_of
+from valve_sim.nodes.realtime import LONGEST_LEAP_SECONDS, NANOSECONDS, SubscriberCounts
+from valve_sim.nodes.settings import MONITORS_FORMER_NAMES, MonitorNodeSettings, monitor_table, monitor_values
+from valve_sim.nodes.spinning import guarded
+from valve_sim.nodes.threads import Repeating
+from valve_sim.nodes.valve_parameters import valve_of
+from valve_sim.nodes.wiring import Diagnostics, Interface, RosNode, declared, full_name
 from valve_sim.traces import Trace
 from valve_sim.traces.trouble import MOST_STROKES
 
 _PAUSE: Final = 40e-3
-"""s between polls: to wake up for a sample costs more than the model's step, and what is done once for each poll costs
-as much as ten samples. What a stroke shows is known when it has ended."""
+"""s between deliveries: to wake up for a sample costs more than the model's step, and what is done once for each of
+them costs as much as ten samples. What a stroke shows is known when it has ended."""
 _PAUSE_IF_HEARD: Final = 10e-3
 """s, where each sample's prediction is heard: at 1 kHz no more at a time than the ten that a subscriber queues."""
-_BETWEEN_LOOKS: Final = 0.2
-"""s while samples come, from one look of rclpy's executor at timers and services to the next."""
 _JUMP_SECONDS: Final = 1.0
 """A stamp that goes back by more means a clock that was set or a bag that restarted, not a sample out of order."""
 _MOST_WAITING: Final = 100_000
 
 
-class MonitorShell:
-    """The node `monitor`.
+class MonitorNode(RosNode):
+    """The node `monitor`, with the topics and services `topics.MONITOR`.
 
-    Topics of the valve <valve>, in: <valve>/coil_voltage, <valve>/<measured>, and coil or coil_current beside the
-    latter, where there is one: with it fault isolation tells a change of the coil from one of the magnetic circuit.
-    Of a valve with gas also outlet_pressure there, from which a stroke starts; without it, the model's own. And the
-    valve's inlet_pressure and demand_pressure; without them, the declared ones.
-    Where no position comes, or <measured> is that of the coil, the valve is watched by its current alone. Out:
-    ~/predicted/joint_states and ~/residual (m, measured less predicted position of the pilot plunger; by the current
-    alone A, measured less predicted current) with each sample;
-    ~/stroke_report (JSON) and ~/stroke_diagnostics (its numbers, to be plotted) with each stroke; ~/finding (JSON,
-    latched), what has changed, after an alarm; /diagnostics at 1 Hz. Service: ~/recommission (the next strokes are
-    the new baseline). Parameters: those of `valve_sim.nodes.monitor_parameters`; they are read once, at the start.
+    It hears the commands of a valve and the measured positions beside them; a current, where one comes, tells a change
+    of the coil from one of the magnetic circuit. Where no position comes, or `measured` is that of the coil, the valve
+    is watched by its current alone. Of a valve with gas it also hears the pressures around it; without them, the
+    model's own and the declared ones count. Parameters: `settings.monitor_table`; they are read once, at the start.
 
     Args:
         sections: (file, section) of the parameter files on the command line.
@@ -90,42 +81,36 @@ class MonitorShell:
     """
 
     def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
-        self._node = make_node("monitor")
-        try:
-            given = self._declare(sections)
-            self._settings = given.settings
-            self._valve = full_name(self._node, given.settings.valve_node, "valve_node")
-            measured = full_name(self._node, f"{self._valve}/{given.settings.measured}", "measured")
-            entries = live_inputs(given.settings.map, self._valve) if given.settings.map else {}
-            self._clock = NodeClock(self._node)
-            self._state = Path(given.settings.state).expanduser() if given.settings.state else None
-            self._kept = None if self._state is None else load_commissioning(self._state, given.valve)
-            self._wire()
-            take = Takers(
-                self._on_command,
-                self._on_position,
-                self._on_coil,
-                self._on_pressure,
-                self._on_end_pressure,
-                self._on_unusable,
-            )
-            self._inputs = MonitorInputs(
-                self._node, self._clock, self._valve, measured, entries, take, has_gas=given.valve.gas is not None
-            )
-        except BaseException:
-            self._node.destroy_node()
-            raise
-        self._exit_code = 0
+        super().__init__("monitor")
+        values = declared(self._node, sections, monitor_table(), monitor_values, MONITORS_FORMER_NAMES)
+        self._settings = settings_of(MonitorNodeSettings, values)
+        self._declared = valve_of(values, self._node.get_fully_qualified_name())
+        settings, valve = self._settings.monitor, self._declared
+        self._valve = full_name(self._node, self._settings.valve_node, "valve_node")
+        measured = full_name(self._node, f"{self._valve}/{self._settings.measured}", "measured")
+        entries = live_inputs(self._settings.map, self._valve) if self._settings.map else {}
+        self._clock = NodeClock(self._node)
+        self._state = Path(self._settings.state).expanduser() if self._settings.state else None
+        self._kept = None if self._state is None else load_commissioning(self._state, valve)
+        take = Takers(
+            self._on_command,
+            self._on_position,
+            self._on_coil,
+            self._on_pressure,
+            self._on_end_pressure,
+            self._on_unusable,
+        )
+        has_gas = valve.gas is not None
+        self._inputs = MonitorInputs(self._node, self._clock, self._valve, measured, entries, take, has_gas=has_gas)
         self._epoch: int | None = None
         self._last_stamp: int | None = None
         self._next_message = 0
         self._input = InputCount()
-        self._declared = given.valve
-        self._segmenter = StrokeSegmenter(given.valve, given.settings.monitor)
+        self._segmenter = StrokeSegmenter(valve, settings)
         if self._inputs.by_current:
             self._segmenter.go_by_current()
         self._is_by_current = self._segmenter.by_current
-        self._stroke_monitor = StrokeMonitor(given.valve, given.settings.monitor)
+        self._stroke_monitor = StrokeMonitor(valve, settings)
         if self._kept is not None:
             self._stroke_monitor.use(self._kept)
         self._isolation = FaultIsolation(self._tell)
@@ -138,54 +123,42 @@ class MonitorShell:
             self._stroke_monitor, prepare=self._prepare, report=self._report, isolate=self._isolate,
             forget=self._forget, fail=self._fail,
         )  # fmt: skip
-
-    @property
-    def exit_code(self) -> int:
-        """0, or 1 if the monitor's thread failed."""
-        return self._exit_code
+        self._delivery = Repeating(
+            "delivery", self._inputs.deliver, lambda: _PAUSE_IF_HEARD if self._is_heard else _PAUSE, self._fail
+        )
+        self._wire()
 
     def spin(self) -> None:
         """Monitor until ROS is shut down."""
         self._monitor_thread.start()
-        spin(self._node, guarded(self._poll))
+        self._delivery.start()
+        super().spin()
 
     def close(self, timeout: float) -> bool:
         """Stop and release everything; whether both threads have ended. A search for a fault cannot at once."""
-        have_ended = [self._monitor_thread.stop(timeout), self._isolation.stop(timeout)]
-        self._node.destroy_node()
+        are_silent = self._delivery.stop(timeout)
+        have_ended = [are_silent, self._monitor_thread.stop(timeout), self._isolation.stop(timeout)]
+        if are_silent:
+            self._node.destroy_node()
         return all(have_ended)
 
     # --- wiring ---
 
-    def _declare(self, sections: Sequence[tuple[str, Section]]) -> Given:
-        node, name = self._node, self._node.get_fully_qualified_name()
-        given = check_given(given_parameters(node, sections, FORMER_NAMES), sources_of(sections, name), name)
-        declare_read_only(node, given.values, descriptions())
-        return given
-
     def _wire(self) -> None:
-        node = self._node
-        self._predicted = node.create_publisher(JointState, "~/predicted/joint_states", RELIABLE)
-        self._residual = node.create_publisher(Float64, "~/residual", RELIABLE)
-        self._audience = Audience(self._predicted.get_subscription_count, self._residual.get_subscription_count)
-        self._stroke_diagnostics = node.create_publisher(DiagnosticArray, "~/stroke_diagnostics", RELIABLE)
-        self._stroke_report = node.create_publisher(String, "~/stroke_report", RELIABLE)
-        self._finding = node.create_publisher(String, "~/finding", LATCHED)
-        self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
+        interface = Interface(self._node, topics.MONITOR)
+        self._predicted = interface.publisher("~/predicted/joint_states")
+        self._residual = interface.publisher("~/residual")
+        self._subscribers = SubscriberCounts(
+            self._predicted.get_subscription_count, self._residual.get_subscription_count
+        )
+        self._stroke_diagnostics = interface.publisher("~/stroke_diagnostics")
+        self._stroke_report = interface.publisher("~/stroke_report")
+        self._finding = interface.publisher("~/finding")
         self._messages = ReadingMessages(self._settings.frame_id)
-        node.create_service(Trigger, "~/recommission", guarded(self._recommission))
-        # Wall time: diagnostics must also report that /clock is silent.
-        node.create_timer(1.0, guarded(self._diagnose), clock=Clock(clock_type=ClockType.STEADY_TIME))
+        interface.serve("~/recommission", guarded(self._recommission))
+        self._diagnostics = Diagnostics(self._node, interface.publisher("/diagnostics"), self._clock, self._statuses)
 
-    # --- what is heard, in the main thread ---
-
-    def _poll(self) -> None:
-        """Take samples as they come, not under simulated time, where the executor keeps their order with /clock."""
-        end = time.monotonic() + _BETWEEN_LOOKS
-        while time.monotonic() < end and not self._inputs.is_simulated():
-            time.sleep(_PAUSE_IF_HEARD if self._is_heard else _PAUSE)
-            if not self._node.context.ok() or not self._inputs.take_waiting():
-                return
+    # --- what is heard, in the thread that empties the inbox ---
 
     def _on_command(self, stamp: int, volts: float) -> None:
         self._when_ready(partial(self._command, stamp, volts))
@@ -272,7 +245,7 @@ class MonitorShell:
         if stamp < self._next_message:
             return
         self._next_message = max(self._next_message, stamp) + round(0.9 * NANOSECONDS / self._settings.max_rate)
-        hears_predicted, hears_residual = self._audience.look(stamp)
+        hears_predicted, hears_residual = self._subscribers.look(stamp)
         self._is_heard = hears_predicted or hears_residual
         if hears_predicted:
             self._predicted.publish(self._messages.joint_states(stamp, prediction.reading))
@@ -302,7 +275,7 @@ class MonitorShell:
         response.message = f"the next {self._settings.commissioning_strokes} strokes are taken as the new baseline"
         return response
 
-    def _diagnose(self) -> None:
+    def _statuses(self) -> Sequence[Status]:
         waiting_for = "" if self._is_ready else "the model to be compiled"
         if self._is_ready and self._clock.read() is None:
             waiting_for = "/clock (use_sim_time is true)"
@@ -310,17 +283,14 @@ class MonitorShell:
             waiting_for = f"samples on {self._inputs.wanted}"
         elif self._is_ready and not self._input.commands:
             waiting_for = f"a command on {self._inputs.voltage}"
-        unheard = self._inputs.incompatible.count()
-        facts = self._input.look(self._clock.elapsed(), self._monitor_thread.lost, waiting_for, unheard)
+        unheard = self._inputs.incompatible_publishers()
         wanted = self._settings.commissioning_strokes
-        statuses = (
+        return (
             health_status(self._segmenter.fault, self._stroke_monitor, self._last_report, wanted, self._isolation),
             model_status(self._stroke_monitor),
-            input_status(facts),
+            self._input.status(self._clock.elapsed(), self._monitor_thread.lost, waiting_for, unheard),
             isolation_status(self._isolation),
         )
-        name = self._node.get_fully_qualified_name()
-        self._diagnostics.publish(diagnostic_array(statuses, name, self._clock.stamp()))
 
     # --- the monitor's thread, and that of fault isolation ---
 
@@ -379,12 +349,7 @@ class MonitorShell:
 
     def _tell(self, found: Found, is_new: bool) -> None:
         """Say a finding on the topic and in the log, as /diagnostics has it; what was said is not logged again."""
-        self._finding.publish(String(data=json.dumps(finding_json(*found), ensure_ascii=False)))
+        name = self._node.get_fully_qualified_name()
+        self._finding.publish(diagnostic_array([finding_status(found)], name, found.occasion.stamp))
         if is_new:
             self._node.get_logger().warning(told_finding(*found))
-
-    def _fail(self, error: Exception) -> None:
-        if self._node.context.ok():
-            self._exit_code = 1
-            self._node.get_logger().fatal(f"monitoring ended: {error!r}")
-            self._node.context.try_shutdown()

@@ -1,0 +1,1 @@
+"""What a filling station has beside its valves: so far the dispenser that opens them in turn."""
