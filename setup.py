@@ -55,6 +55,7 @@ ROS_KILTED = [
 ]
 PARQUET = ["pyarrow>=14.0"]
 FLEET = ["dask>=2024.1", "distributed>=2024.1", "fsspec>=2024.2", "s3fs>=2024.2", *PARQUET]
+FMI = ["pythonfmu>=0.6.9", "pythonfmu3>=0.3.3", "fmpy>=0.3.20"]
 S3_SERVER = ["flask", "flask-cors", "moto"]
 CHECKS = ["hypothesis", "import-linter", "mypy", "pytest", "pytest-xdist", "ruff", "scipy-stubs", "types-PyYAML"]
 DOCUMENTATION = ["furo", "ipykernel", "latex2mathml", "myst-nb", "sphinx>=7.3", "sphinx-click"]
@@ -103,8 +104,9 @@ setup(
         "ros-kilted": ROS_KILTED,
         "parquet": PARQUET,
         "fleet": FLEET,
+        "fmi": FMI,
         "checks": CHECKS,
-        "test": [*CHECKS, *FLEET, *S3_SERVER],
+        "test": [*CHECKS, *FLEET, *FMI, *S3_SERVER],
         "docs": DOCUMENTATION,
     },
     entry_points={

@@ -8,6 +8,7 @@ from valve_sim import __version__
 from valve_sim.cli.command_line import CommandLine
 from valve_sim.cli.diagnose import diagnose
 from valve_sim.cli.draft import draft
+from valve_sim.cli.export_fmu import export_fmu
 from valve_sim.cli.fit_force import fit_force
 from valve_sim.cli.fleet import fleet
 from valve_sim.cli.identify import identify
@@ -37,5 +38,5 @@ def main() -> None:
     """
 
 
-for _command in (simulate, info, draft, identify, diagnose, validate, fit_force, fleet):
+for _command in (simulate, info, draft, identify, diagnose, validate, fit_force, fleet, export_fmu):
     main.add_command(_command)
