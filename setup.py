@@ -55,6 +55,7 @@ ROS_KILTED = [
 ]
 PARQUET = ["pyarrow>=14.0"]
 FLEET = ["dask>=2024.1", "distributed>=2024.1", "fsspec>=2024.2", "s3fs>=2024.2", *PARQUET]
+OPCUA = ["asyncua>=1.1.8"]
 FMI = ["pythonfmu>=0.6.9", "pythonfmu3>=0.3.3", "fmpy>=0.3.20"]
 S3_SERVER = ["flask", "flask-cors", "moto"]
 CHECKS = ["hypothesis", "import-linter", "mypy", "pytest", "pytest-xdist", "ruff", "scipy-stubs", "types-PyYAML"]
@@ -105,8 +106,9 @@ setup(
         "parquet": PARQUET,
         "fleet": FLEET,
         "fmi": FMI,
+        "opcua": OPCUA,
         "checks": CHECKS,
-        "test": [*CHECKS, *FLEET, *FMI, *S3_SERVER],
+        "test": [*CHECKS, *FLEET, *FMI, *OPCUA, *S3_SERVER],
         "docs": DOCUMENTATION,
     },
     entry_points={
@@ -116,6 +118,7 @@ setup(
             "identification_node = valve_sim.nodes.identification_node:main",
             "monitor_node = valve_sim.nodes.monitor_node:main",
             "valve_node = valve_sim.nodes.valve_node:main",
+            "opcua_node = valve_sim.station.opcua_node:main",
             "valve-sim = valve_sim.cli:main",
         ],
     },
