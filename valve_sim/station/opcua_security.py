@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import datetime
+import logging
 import socket
 from contextvars import ContextVar
 from pathlib import Path
@@ -18,6 +19,7 @@ from asyncua import ua
 from asyncua.common.utils import ServiceError
 from asyncua.crypto import cert_gen
 from asyncua.crypto.permission_rules import USER_TYPES, SimpleRoleRuleset, User, UserRole
+from asyncua.server import monitored_item_service
 from asyncua.server.internal_server import InternalServer
 from asyncua.server.internal_session import InternalSession
 from cryptography import x509
@@ -184,6 +186,13 @@ class NamedSession(InternalSession):
             return await super().call(params)
         finally:
             _CALLER.reset(token)
+
+    async def delete_subscriptions(self, ids: Any) -> Any:
+        """End subscriptions, and forget the logger that asyncua makes for each: Python keeps loggers for ever."""
+        ended = await super().delete_subscriptions(ids)
+        for number in ids:
+            logging.Logger.manager.loggerDict.pop(f"{monitored_item_service.__name__}.{number}", None)
+        return ended
 
 
 class NamingServer(InternalServer):

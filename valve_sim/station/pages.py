@@ -47,7 +47,7 @@ def _opcua() -> str:
         "",
         _MADE,
         "",
-        "The namespace is `urn:valve_sim:station`. A variable of a valve has the identifier `<valve>.<variable>`, as in",
+        "The namespace is `urn:valve_sim:station`. A variable of a valve has the identifier `<valve>.<variable>`, so",
         "`s=tank_1/valve.Stroke.T1`; all valves are of the type `s=ValveType`. Units are in `EngineeringUnits`",
         "(EUInformation, UNECE codes). A value that is not known has the status BadNoData.",
         "",
