@@ -56,6 +56,7 @@ ROS_KILTED = [
 PARQUET = ["pyarrow>=14.0"]
 FLEET = ["dask>=2024.1", "distributed>=2024.1", "fsspec>=2024.2", "s3fs>=2024.2", *PARQUET]
 OPCUA = ["asyncua>=1.1.8"]
+MODBUS = ["pymodbus>=3.16,<4"]
 FMI = ["pythonfmu>=0.6.9", "pythonfmu3>=0.3.3", "fmpy>=0.3.20"]
 S3_SERVER = ["flask", "flask-cors", "moto"]
 CHECKS = ["hypothesis", "import-linter", "mypy", "pytest", "pytest-xdist", "ruff", "scipy-stubs", "types-PyYAML"]
@@ -107,8 +108,9 @@ setup(
         "fleet": FLEET,
         "fmi": FMI,
         "opcua": OPCUA,
+        "modbus": MODBUS,
         "checks": CHECKS,
-        "test": [*CHECKS, *FLEET, *FMI, *OPCUA, *S3_SERVER],
+        "test": [*CHECKS, *FLEET, *FMI, *OPCUA, *MODBUS, *S3_SERVER],
         "docs": DOCUMENTATION,
     },
     entry_points={
@@ -119,6 +121,7 @@ setup(
             "monitor_node = valve_sim.nodes.monitor_node:main",
             "valve_node = valve_sim.nodes.valve_node:main",
             "opcua_node = valve_sim.station.opcua_node:main",
+            "plc_node = valve_sim.station.plc_node:main",
             "valve-sim = valve_sim.cli:main",
         ],
     },

@@ -167,6 +167,8 @@ class Gate:
                 partial.write_bytes(encoded)
 
 
+# With a logger for the module, Python does not note the loggers of its subscriptions elsewhere: see `NamedSession`.
+_LOGGER_OF_SUBSCRIPTIONS: Final = logging.getLogger(monitored_item_service.__name__)
 _CALLER: Final[ContextVar[str]] = ContextVar("caller", default="")
 """Name of the client whose method call is being answered."""
 
@@ -191,7 +193,7 @@ class NamedSession(InternalSession):
         """End subscriptions, and forget the logger that asyncua makes for each: Python keeps loggers for ever."""
         ended = await super().delete_subscriptions(ids)
         for number in ids:
-            logging.Logger.manager.loggerDict.pop(f"{monitored_item_service.__name__}.{number}", None)
+            logging.Logger.manager.loggerDict.pop(f"{_LOGGER_OF_SUBSCRIPTIONS.name}.{number}", None)
         return ended
 
 
