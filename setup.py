@@ -89,6 +89,7 @@ setup(
     package_data={
         NAME: ["py.typed"],
         f"{NAME}.fleet": ["templates/*.j2"],
+        f"{NAME}.records": ["templates/*.j2"],
         f"{NAME}.identification.reporting": ["templates/*.j2"],
     },
     data_files=[
