@@ -9,29 +9,24 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.subscription import Subscription
 from sensor_msgs.msg import FluidPressure
 from std_msgs.msg import Bool, Float64, UInt8
 
 from valve_sim.files.parameter_sections import Section
 from valve_sim.files.whole_files import write_whole
 from valve_sim.nodes.answering import AnsweringThread, wait_until_heard
-from valve_sim.nodes.receiving import ReceiverGroup
 from valve_sim.nodes.shell_parts import LATCHED, RELIABLE, declare_settings, full_name, make_node
-from valve_sim.nodes.spinning import guarded, log_left_out, waiting_messages
+from valve_sim.station.hearing import LATEST, Ear
 from valve_sim.station.modbus import PlcClient, PlcServer, Side, SideThread
 from valve_sim.station.plc import PlcStation, map_csv
 from valve_sim.station.plc_parameters import DESCRIPTIONS, PlcSettings, check_settings
-
-_LATEST: Final = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
 
 
 class PlcShell:
@@ -58,7 +53,7 @@ class PlcShell:
             self._is_off = False
             """Whether 0 V has been commanded for good."""
             self._voltages: list[Publisher] = []
-            self._subscriptions: list[tuple[Subscription, Callable[[Any], None]]] = []
+            self._ear = Ear(self._node)
             self._was_on = [False] * len(self._valves)
             self._station = PlcStation(
                 self._valves, settings.watchdog, changed=self._command, low_word_first=settings.low_word_first
@@ -92,7 +87,7 @@ class PlcShell:
         period, due = 1.0 / self._settings.rate, time.monotonic()
         try:
             while not self._stop.is_set():
-                self._take()
+                self._ear.look()
                 self._station.beat()
                 for valve in range(len(self._valves)):
                     self._command(valve)
@@ -129,30 +124,15 @@ class PlcShell:
         for place, valve in enumerate(self._valves):
             self._voltages.append(self._node.create_publisher(Float64, f"{valve}/coil_voltage", RELIABLE))
             hear = partial(self._hear, place)
-            self._subscribe(UInt8, f"{valve}/phase", LATCHED, partial(hear, "phase", "data"))
-            self._subscribe(Bool, f"{valve}/is_open", LATCHED, partial(hear, "is_open", "data"))
-            self._subscribe(Float64, f"{valve}/coil_current", _LATEST, partial(hear, "", "data"))
+            self._ear.hear(UInt8, f"{valve}/phase", LATCHED, partial(hear, "phase", "data"))
+            self._ear.hear(Bool, f"{valve}/is_open", LATCHED, partial(hear, "is_open", "data"))
+            self._ear.hear(Float64, f"{valve}/coil_current", LATEST, partial(hear, "", "data"))
             pressure = partial(hear, "outlet_pressure", "fluid_pressure")
-            self._subscribe(FluidPressure, f"{valve}/outlet_pressure", _LATEST, pressure)
-
-    def _subscribe(self, kind: type, topic: str, qos: QoSProfile, take: Callable[[Any], None]) -> None:
-        nothing = guarded(lambda message: None)  # the executor leaves these to `_take`
-        subscription = self._node.create_subscription(kind, topic, nothing, qos, callback_group=ReceiverGroup())
-        self._subscriptions.append((subscription, take))
+            self._ear.hear(FluidPressure, f"{valve}/outlet_pressure", LATEST, pressure)
 
     # --- what is heard and commanded ---
 
-    def _take(self) -> None:
-        for subscription, take in self._subscriptions:
-            try:
-                heard = [message for message, _ in waiting_messages(subscription)]
-            except Exception as error:  # of rclpy
-                log_left_out(self._node, error)
-                continue
-            for message in heard:
-                take(message)
-
-    def _hear(self, valve: int, name: str, field: str, message: Any) -> None:
+    def _hear(self, valve: int, name: str, field: str, message: Any, received: float) -> None:
         values = {name: getattr(message, field)} if name else {}
         self._station.hear(valve, time.monotonic(), **values)
 
