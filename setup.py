@@ -116,6 +116,7 @@ setup(
     },
     entry_points={
         "console_scripts": [
+            "archive_node = valve_sim.station.archive_node:main",
             "command_profile = valve_sim.nodes.command_profile:main",
             "dispenser_node = valve_sim.nodes.dispenser_node:main",
             "identification_node = valve_sim.nodes.identification_node:main",
