@@ -55,6 +55,9 @@ ROS_KILTED = [
 ]
 PARQUET = ["pyarrow>=14.0"]
 FLEET = ["dask>=2024.1", "distributed>=2024.1", "fsspec>=2024.2", "s3fs>=2024.2", *PARQUET]
+OPCUA = ["asyncua>=2.1,<3"]
+MODBUS = ["pymodbus>=3.16,<4"]
+FMI = ["pythonfmu>=0.7", "pythonfmu3>=0.3.4", "fmpy>=0.3.20"]
 S3_SERVER = ["flask", "flask-cors", "moto"]
 CHECKS = ["hypothesis", "import-linter", "mypy", "pytest", "pytest-xdist", "ruff", "scipy-stubs", "types-PyYAML"]
 DOCUMENTATION = ["furo", "ipykernel", "latex2mathml", "myst-nb", "sphinx>=7.3", "sphinx-click"]
@@ -86,6 +89,7 @@ setup(
     package_data={
         NAME: ["py.typed"],
         f"{NAME}.fleet": ["templates/*.j2"],
+        f"{NAME}.records": ["templates/*.j2"],
         f"{NAME}.identification.reporting": ["templates/*.j2"],
     },
     data_files=[
@@ -103,16 +107,22 @@ setup(
         "ros-kilted": ROS_KILTED,
         "parquet": PARQUET,
         "fleet": FLEET,
+        "fmi": FMI,
+        "opcua": OPCUA,
+        "modbus": MODBUS,
         "checks": CHECKS,
-        "test": [*CHECKS, *FLEET, *S3_SERVER],
+        "test": [*CHECKS, *FLEET, *FMI, *OPCUA, *MODBUS, *S3_SERVER],
         "docs": DOCUMENTATION,
     },
     entry_points={
         "console_scripts": [
+            "archive_node = valve_sim.station.archive_node:main",
             "command_profile = valve_sim.nodes.__main__:command_profile",
             "dispenser_node = valve_sim.station.__main__:dispenser_node",
             "identification_node = valve_sim.nodes.__main__:identification_node",
             "monitor_node = valve_sim.nodes.__main__:monitor_node",
+            "opcua_node = valve_sim.station.opcua_node:main",
+            "plc_node = valve_sim.station.plc_node:main",
             "valve_node = valve_sim.nodes.__main__:valve_node",
             "valve-sim = valve_sim.cli:main",
         ],

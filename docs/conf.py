@@ -49,6 +49,9 @@ nb_execution_raise_on_error = True
 nb_merge_streams = True
 
 autosummary_generate = True
+# What needs an extra is documented where that is missing, too.
+_EXTRAS = ("aiosqlite", "asyncua", "cryptography", "pymodbus", "pythonfmu", "pythonfmu3")
+autodoc_mock_imports = [name for name in _EXTRAS if find_spec(name) is None]
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_use_type_comments = False  # there are none, and each source would be read again for them

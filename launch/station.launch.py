@@ -3,6 +3,8 @@
     ros2 launch valve_sim station.launch.py monitors:=false command_timeout:=0.5
     ros2 launch valve_sim station.launch.py gas:=true
 
+    ros2 launch valve_sim station.launch.py opcua:=true plc:=true archive:=true
+
 With gas a dispenser commands the valves; dispenser:=false leaves that to you.
 
 A monitor declares the valve that its parameter file describes, and hears the simulated valve's own joint_states in
@@ -29,6 +31,9 @@ ARGUMENTS = {
     "monitors": ("true", "whether each valve has a monitor_node beside it"),
     "publish_rate": ("500.0", "Hz, of each valve"),
     "command_timeout": ("0.0", "s without a command, after which a valve closes by itself; 0: never"),
+    "opcua": ("false", "whether an opcua_node serves all valves, at port 4840"),
+    "plc": ("false", "whether a plc_node lets a PLC command all valves, at port 1502"),
+    "archive": ("false", "whether an archive_node keeps what the monitors say"),
     "commissioning_strokes": ("20", "so many first strokes of a valve are taken for healthy by its monitor"),
 }
 
@@ -83,11 +88,31 @@ def dispenser() -> Node:
     )
 
 
+def node_of_all(name: str, **parameters: list[str]) -> Node:
+    """A node of the station beside its tanks, where the argument of its name says so."""
+    valves = [f"{tank}/valve" for tank in TANKS]
+    return Node(
+        package="valve_sim",
+        executable=f"{name}_node",
+        name=name,
+        namespace="",
+        parameters=[{"valves": valves, **parameters}, {"use_sim_time": LaunchConfiguration("use_sim_time")}],
+        condition=IfCondition(LaunchConfiguration(name)),
+        output="screen",
+    )
+
+
 def generate_launch_description() -> LaunchDescription:
-    """A valve and a monitor for each tank, and a dispenser where there is gas."""
+    """A valve and a monitor for each tank, a dispenser where there is gas, and what serves all of them."""
     arguments = [
         DeclareLaunchArgument(name, default_value=value, description=words)
         for name, (value, words) in ARGUMENTS.items()
     ]
+    monitors = [f"{tank}/monitor" for tank in TANKS]
     nodes = [*(valve_of(tank) for tank in TANKS), *(monitor_of(tank) for tank in TANKS), dispenser()]
+    nodes += [
+        node_of_all("opcua", monitors=monitors),
+        node_of_all("plc"),
+        node_of_all("archive", monitors=monitors),
+    ]
     return LaunchDescription([*arguments, *nodes])

@@ -23,7 +23,19 @@ from valve_sim.invocation import invocation
 from valve_sim.traces import CSV_COLUMNS, read_trace, write_bag
 
 STROKES = "time,volts\n0.010,9.0\n0.040,0.0\n0.070,12.0\n0.100,0.0\n"
-COMMANDS = ("simulate", "info", "map", "identify", "diagnose", "validate", "fit-force", "fleet")
+COMMANDS = (
+    "simulate",
+    "info",
+    "map",
+    "identify",
+    "diagnose",
+    "validate",
+    "fit-force",
+    "fleet",
+    "export-fmu",
+    "commission",
+    "history",
+)
 
 
 def run(*arguments: object) -> Result:

@@ -6,10 +6,13 @@ import click
 
 from valve_sim import __version__
 from valve_sim.cli.command_line import CommandLine
+from valve_sim.cli.commission import commission
 from valve_sim.cli.diagnose import diagnose
 from valve_sim.cli.draft import draft
+from valve_sim.cli.export_fmu import export_fmu
 from valve_sim.cli.fit_force import fit_force
 from valve_sim.cli.fleet import fleet
+from valve_sim.cli.history import history
 from valve_sim.cli.identify import identify
 from valve_sim.cli.info import info
 from valve_sim.cli.simulate import simulate
@@ -37,5 +40,17 @@ def main() -> None:
     """
 
 
-for _command in (simulate, info, draft, identify, diagnose, validate, fit_force, fleet):
+for _command in (
+    simulate,
+    info,
+    draft,
+    identify,
+    diagnose,
+    validate,
+    fit_force,
+    fleet,
+    export_fmu,
+    commission,
+    history,
+):
     main.add_command(_command)

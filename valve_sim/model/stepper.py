@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections import deque
 from collections.abc import Callable
@@ -156,6 +157,12 @@ class Stepper:
         self._become(self._valve, self._record, time)
         self._volts = 0.0
         self._pending: tuple[Event, ...] = ()
+
+    def copy(self) -> Stepper:
+        """A stepper in this state, which goes its own way from here on: whoever keeps it can return to this time."""
+        twin = copy.copy(self)
+        twin._live, twin._late, twin._changes = self._live.copy(), self._late.copy(), self._changes.copy()
+        return twin
 
     def command(self, time: float, volts: float) -> tuple[CoilReading, CoilReading]:
         """A voltage in force from `time` on; a time that is past takes effect at the latest time stepped to.

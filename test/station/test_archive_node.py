@@ -1,0 +1,97 @@
+"""archive_node: what monitors say is kept, each thing once, and read after the node has gone."""
+
+from __future__ import annotations
+
+import json
+import signal
+from collections.abc import Iterator
+from datetime import datetime, timedelta, timezone
+from pathlib import Path
+
+import pytest
+from nodes.ros_process import ENDS_WITHIN, Probe, own_lines, piped
+
+from valve_sim.model import ParameterError
+from valve_sim.station.archive_parameters import DESCRIPTIONS, ArchiveSettings, check_settings
+from valve_sim.station.figures import Report, finding_report, stroke_report
+from valve_sim.station.keeping import Keeper
+
+from .test_figures import FINDING, STROKE
+
+pytest.importorskip("pyarrow", reason="pyarrow is not installed: pip install '.[parquet]'")
+
+from valve_sim.records.archive import Archive
+
+VALVE = "/tank_1/valve"
+START = datetime(2026, 11, 30, tzinfo=timezone.utc)
+
+
+def health(level: int, message: str, seconds: float) -> Report:
+    return Report(VALVE, START + timedelta(seconds=seconds), {"Health.Level": level, "Health.Message": message})
+
+
+def test_each_thing_is_kept_once(tmp_path: Path) -> None:
+    archive = Archive(tmp_path)
+    keeper = Keeper(archive)
+    for report in (stroke_report(json.dumps(STROKE)), *[finding_report(json.dumps(FINDING))] * 3):
+        keeper.take(report, 0.0)
+    for seconds, (level, message) in enumerate([(0, "fine"), (1, "changed"), (1, "changed: friction"), (0, "fine")]):
+        keeper.take(health(level, message, seconds), 0.0)
+    archive.flush()
+    (stroke,) = archive.read("strokes", VALVE)
+    assert (stroke["number"], stroke["t2"], stroke["cause"]) == (31, None, "coulomb_friction")
+    assert stroke["t1"] == pytest.approx(5.3e-3) and stroke["residual"] == pytest.approx(1.5e-6)
+    (finding,) = archive.read("findings", VALVE)
+    assert (finding["effect"], finding["value"], finding["unit"]) == ("coulomb_friction", 0.31, "N")
+    alarms = archive.read("alarms", VALVE)
+    assert [(row["level"], row["message"]) for row in alarms] == [(1, "changed"), (0, "fine")]
+    assert {row["strokes_since_service"] for row in alarms} == {31}
+
+
+def test_settings_are_checked_in_one_line() -> None:
+    assert check_settings({}, {}) == ArchiveSettings()
+    assert DESCRIPTIONS.keys() == set(ArchiveSettings._fields)
+    for given, words in (
+        ({"years": 0.0}, "command line: years: found 0.0, expected a number from 0.01 to 100 years"),
+        ({"valves": ["a", "b"]}, "monitors: found 1, expected 2, one for each of valves"),
+        ({"folder": ""}, "command line: folder: found '', expected a folder"),
+        ({"year": 1.0}, "did you mean years?"),
+    ):
+        with pytest.raises(ParameterError) as refused:
+            check_settings(given, {})
+        assert words in str(refused.value)
+
+
+@pytest.fixture
+def probe(in_own_domain: None) -> Iterator[Probe]:
+    rclpy = pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
+    rclpy.init()
+    probe = Probe("/valve")
+    yield probe
+    probe.close()
+    rclpy.try_shutdown()
+
+
+@pytest.mark.ros
+def test_what_a_monitor_said_is_read_after_the_node_has_gone(probe: Probe, tmp_path: Path) -> None:
+    from rclpy.qos import DurabilityPolicy, QoSProfile
+    from std_msgs.msg import String
+
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    strokes, finding = probe.talker("/monitor/stroke_report", String), probe.talker("/monitor/finding", String, latched)
+    folder = tmp_path / "archive"
+    program = ("-m", "valve_sim.station.archive_node", "--ros-args", "-p", f"folder:={folder}")
+    with piped(tmp_path, program) as process:
+        assert probe.until(lambda: strokes.get_subscription_count() and finding.get_subscription_count())
+        for number in range(3):
+            strokes.publish(String(data=json.dumps({**STROKE, "stroke": number})))
+        strokes.publish(String(data="nonsense"))
+        finding.publish(String(data=json.dumps(FINDING)))
+        probe.spin_for(2.0)  # both are in the node's queues; the next look takes them
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=ENDS_WITHIN)
+    assert process.returncode == 0, said
+    archive = Archive(folder)
+    assert [row["number"] for row in archive.read("strokes", "/valve")] == [0, 1, 2]
+    assert [row["effect"] for row in archive.read("findings", "/valve")] == ["coulomb_friction"]
+    assert any("a report of /valve is left out" in line for line in own_lines(said)), said

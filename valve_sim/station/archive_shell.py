@@ -1,0 +1,92 @@
+"""The ROS side of archive_node: what monitors say goes to the archive; all in one thread."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Final
+
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.node import Node
+
+from valve_sim.files.parameter_sections import Section
+from valve_sim.files.whole_files import refuse_unwritable
+from valve_sim.model.errors import ValveError
+from valve_sim.nodes.shell_parts import declare_settings, full_name, make_node
+from valve_sim.nodes.spinning import guarded, spin
+from valve_sim.records.archive import Archive
+from valve_sim.station.archive_parameters import DESCRIPTIONS, ArchiveSettings, check_settings
+from valve_sim.station.figures import Report
+from valve_sim.station.hearing import StationEar
+from valve_sim.station.keeping import Keeper
+
+_PERIOD: Final = 0.5
+"""s between looks at what was heard."""
+_BETWEEN_PRUNINGS: Final = 6.0 * 3600.0
+
+
+class ArchiveShell:
+    """The node `archive`.
+
+    Topics in, for each of `monitors`: <monitor>/stroke_report, <monitor>/finding; and /diagnostics. Parameters:
+    `ArchiveSettings`; they are read once, at the start.
+
+    Args:
+        sections: (file, section) of the parameter files on the command line.
+
+    Raises:
+        ValveError: a parameter cannot be used, or the folder cannot be written.
+    """
+
+    def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
+        self._node: Node = make_node("archive")
+        try:
+            settings: ArchiveSettings = declare_settings(self._node, sections, check_settings, DESCRIPTIONS)
+            folder = Path(settings.folder).expanduser()
+            refuse_unwritable(folder / "strokes")
+            self._archive = Archive(folder, settings.years, int(1e6 * settings.megabytes))
+            self._keeper, self._prune_at = Keeper(self._archive), time.monotonic()
+            valves = [full_name(self._node, name, "valves") for name in settings.valves]
+            monitors = [full_name(self._node, name, "monitors") for name in settings.monitors]
+            self._ear = StationEar(self._node, valves, monitors, self._take, is_live=False)
+            self._node.create_timer(_PERIOD, guarded(self._look), clock=Clock(clock_type=ClockType.STEADY_TIME))
+        except BaseException:
+            self._node.destroy_node()
+            raise
+        self._node.get_logger().info(f"ready: keeps what is said of {len(valves)} valves in {folder}")
+
+    @property
+    def exit_code(self) -> int:
+        """Always 0: what cannot be written waits."""
+        return 0
+
+    def spin(self) -> None:
+        """Keep until ROS is shut down."""
+        spin(self._node)
+
+    def close(self, timeout: float) -> bool:
+        """Write what waits, and release everything."""
+        try:
+            self._archive.flush()
+        except ValveError as error:
+            print(f"archive_node: what was not written yet is lost: {error}")
+        self._node.destroy_node()
+        return True
+
+    def _take(self, report: Report) -> None:
+        self._keeper.take(report, time.monotonic())
+
+    def _look(self) -> None:
+        self._ear.look()
+        now = time.monotonic()
+        try:
+            self._archive.tick(now)
+            if now >= self._prune_at:
+                self._prune_at = now + _BETWEEN_PRUNINGS
+                for month in self._archive.prune(datetime.now(timezone.utc)):
+                    self._node.get_logger().info(f"{month} has been taken out of the archive")
+        except ValveError as error:
+            self._node.get_logger().error(f"{error}; rows wait", throttle_duration_sec=10.0)

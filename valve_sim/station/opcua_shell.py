@@ -1,0 +1,119 @@
+"""The ROS side of opcua_node: what monitors and valves publish goes to a `StationServer`, and its methods to services.
+
+Threads: the main one takes what has been heard ten times a second, which takes a fraction of what an executor needs for
+each message, and answers ROS; the server has one of its own.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.node import Node
+from std_srvs.srv import Trigger
+
+from valve_sim.files.parameter_sections import Section
+from valve_sim.model.errors import ValveError
+from valve_sim.nodes.shell_parts import declare_settings, full_name, make_node
+from valve_sim.nodes.spinning import guarded, spin
+from valve_sim.station.hearing import StationEar
+from valve_sim.station.opcua_parameters import DESCRIPTIONS, NodeSettings, check_settings
+from valve_sim.station.opcua_server import ServedValve, ServerThread, Settings, StationServer
+
+_PERIOD: Final = 0.1
+"""s between looks at what was heard."""
+_ANSWER_SECONDS: Final = 10.0
+"""s that a service may take to answer."""
+
+
+class OpcUaShell:
+    """The node `opcua`.
+
+    Topics in, for each of `valves`: <valve>/phase, <valve>/is_open, <valve>/coil_current, <valve>/outlet_pressure; for
+    each of `monitors`: <monitor>/stroke_report, <monitor>/finding; and /diagnostics. Services called:
+    <monitor>/recommission, <valve>/self_test. Parameters: `NodeSettings`; they are read once, at the start.
+
+    Args:
+        sections: (file, section) of the parameter files on the command line.
+
+    Raises:
+        ValveError: a parameter cannot be used, or the server cannot start.
+    """
+
+    def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
+        self._node: Node = make_node("opcua")
+        try:
+            settings: NodeSettings = declare_settings(self._node, sections, check_settings, DESCRIPTIONS)
+            self._valves = [full_name(self._node, name, "valves") for name in settings.valves]
+            self._monitors = [full_name(self._node, name, "monitors") for name in settings.monitors]
+            self._services: dict[tuple[str, str], Any] = {}
+            self._is_failed = False
+            for valve, monitor in zip(self._valves, self._monitors, strict=True):
+                self._services["recommission", valve] = self._node.create_client(Trigger, f"{monitor}/recommission")
+                self._services["self_test", valve] = self._node.create_client(Trigger, f"{valve}/self_test")
+            folder = Path(settings.folder).expanduser()
+            served = [
+                ServedValve(name, serial) for name, serial in zip(self._valves, settings.serial_numbers, strict=True)
+            ]
+            server = StationServer(
+                Settings(folder, settings.address, settings.port, settings.anonymous_read, settings.history_days),
+                served,
+                recommission=partial(self._call, "recommission"),
+                self_test=partial(self._call, "self_test"),
+            )
+            self._thread = ServerThread(server, self._fail)
+            self._thread.start()
+            ear = StationEar(self._node, self._valves, self._monitors, self._thread.put, is_live=True)
+            steady = Clock(clock_type=ClockType.STEADY_TIME)
+            self._node.create_timer(_PERIOD, guarded(ear.look), clock=steady)
+        except BaseException:
+            self._node.destroy_node()
+            raise
+        self._node.get_logger().info(
+            f"ready: {server.endpoint}, {len(served)} valves; clients connect whose certificates are in "
+            f"{folder / 'trusted'}; those of others are kept in {folder / 'rejected'}"
+        )
+
+    @property
+    def exit_code(self) -> int:
+        """0, or 1 if the server failed."""
+        return int(self._is_failed)
+
+    def spin(self) -> None:
+        """Serve until ROS is shut down."""
+        spin(self._node)
+
+    def close(self, timeout: float) -> bool:
+        """End the server and release everything; whether it has ended."""
+        has_ended = self._thread.stop(timeout)
+        self._node.destroy_node()
+        return has_ended
+
+    # --- methods, in the server's thread ---
+
+    async def _call(self, name: str, valve: str) -> tuple[bool, str]:
+        client = self._services[name, valve]
+        if not client.service_is_ready():
+            return False, f"{client.srv_name}: no node offers this service; start it"
+        loop, done = asyncio.get_running_loop(), asyncio.Event()
+        future = client.call_async(Trigger.Request())
+        future.add_done_callback(lambda _: loop.call_soon_threadsafe(done.set))
+        try:
+            await asyncio.wait_for(done.wait(), _ANSWER_SECONDS)
+        except asyncio.TimeoutError:
+            return False, f"{client.srv_name}: has not answered within {_ANSWER_SECONDS:g} s"
+        answer = future.result()
+        return bool(answer.success), str(answer.message)
+
+    def _fail(self, error: Exception) -> None:
+        if isinstance(error, ValveError):  # a full disk, say: what is shown goes on when there is room again
+            self._node.get_logger().error(str(error), throttle_duration_sec=10.0)
+        elif self._node.context.ok():
+            self._is_failed = True
+            self._node.get_logger().fatal(f"the server ended: {error!r}")
+            self._node.context.try_shutdown()

@@ -1,0 +1,157 @@
+"""The ROS side of plc_node: a `PlcStation` wired to the topics of its valves. The coils are off at its end.
+
+Threads: the main one takes what was heard, looks at the watchdogs and repeats the commands; Modbus has one of its own,
+which also publishes a command that the PLC has just switched; an `AnsweringThread` answers ROS. Watchdogs go by the
+machine's own clock, also under use_sim_time: a /clock that stands still must not keep a coil energised.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from sensor_msgs.msg import FluidPressure
+from std_msgs.msg import Bool, Float64, UInt8
+
+from valve_sim.files.parameter_sections import Section
+from valve_sim.files.whole_files import write_whole
+from valve_sim.nodes.answering import AnsweringThread, wait_until_heard
+from valve_sim.nodes.shell_parts import LATCHED, RELIABLE, declare_settings, full_name, make_node
+from valve_sim.station.hearing import LATEST, Ear
+from valve_sim.station.modbus import PlcClient, PlcServer, Side, SideThread
+from valve_sim.station.plc import PlcStation, map_csv
+from valve_sim.station.plc_parameters import DESCRIPTIONS, PlcSettings, check_settings
+
+
+class PlcShell:
+    """The node `plc`.
+
+    Topics, for each of `valves`: out <valve>/coil_voltage; in <valve>/phase, <valve>/is_open, <valve>/coil_current (by
+    which it is known that the valve lives) and <valve>/outlet_pressure. Parameters: `PlcSettings`; they are read once,
+    at the start.
+
+    Args:
+        sections: (file, section) of the parameter files on the command line.
+
+    Raises:
+        ValveError: a parameter cannot be used, or the port is taken.
+    """
+
+    def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
+        self._node: Node = make_node("plc")
+        try:
+            settings: PlcSettings = declare_settings(self._node, sections, check_settings, DESCRIPTIONS)
+            self._settings = settings
+            self._valves = [full_name(self._node, name, "valves") for name in settings.valves]
+            self._commanding = threading.Lock()
+            self._is_off = False
+            """Whether 0 V has been commanded for good."""
+            self._voltages: list[Publisher] = []
+            self._ear = Ear(self._node)
+            self._was_on = [False] * len(self._valves)
+            self._station = PlcStation(
+                self._valves, settings.watchdog, changed=self._command, low_word_first=settings.low_word_first
+            )
+            self._wire()
+            if settings.map_file:
+                write_whole(Path(settings.map_file).expanduser(), map_csv(self._valves))
+            self._side = SideThread(self._make_side())
+            self._side.start()
+        except BaseException:
+            self._node.destroy_node()
+            raise
+        self._exit_code = 0
+        self._stop = threading.Event()
+        self._answering = AnsweringThread(self._node, stop=lambda reason: self._stop.set(), fail=self._fail)
+        place = f"{settings.plc_host or settings.address}:{settings.port}"
+        role = f"polls the PLC at {place}" if settings.plc_host else f"the PLC polls {place}"
+        self._node.get_logger().info(
+            f"ready: {role}; {len(self._valves)} valves, {self._station.count} registers, watchdog "
+            f"{settings.watchdog:g} s"
+        )
+
+    @property
+    def exit_code(self) -> int:
+        """0, or 1 if it failed."""
+        return self._exit_code
+
+    def spin(self) -> None:
+        """Run until a signal comes; 0 V is the last command to every valve."""
+        self._answering.start()
+        period, due = 1.0 / self._settings.rate, time.monotonic()
+        try:
+            while not self._stop.is_set():
+                self._ear.look()
+                self._station.beat()
+                for valve in range(len(self._valves)):
+                    self._command(valve)
+                due = max(due + period, time.monotonic())
+                self._stop.wait(max(0.0, due - time.monotonic()))
+        finally:
+            with self._commanding:
+                self._is_off = True
+                if self._node.context.ok():
+                    for voltage in self._voltages:
+                        voltage.publish(Float64(data=0.0))
+            if self._node.context.ok():
+                wait_until_heard(self._voltages)
+
+    def close(self, timeout: float) -> bool:
+        """Release everything; whether all threads have ended."""
+        have_ended = [self._side.stop(timeout), self._answering.close(timeout)]
+        if all(have_ended):
+            self._node.destroy_node()
+        return all(have_ended)
+
+    # --- wiring ---
+
+    def _make_side(self) -> Side:
+        settings = self._settings
+        if not settings.plc_host:
+            return PlcServer(self._station, settings.address, settings.port)
+        return PlcClient(
+            self._station, settings.plc_host, settings.port, first=settings.first_register, unit=settings.unit,
+            period=1.0 / settings.rate, say=self._say,
+        )  # fmt: skip
+
+    def _wire(self) -> None:
+        for place, valve in enumerate(self._valves):
+            self._voltages.append(self._node.create_publisher(Float64, f"{valve}/coil_voltage", RELIABLE))
+            hear = partial(self._hear, place)
+            self._ear.hear(UInt8, f"{valve}/phase", LATCHED, partial(hear, "phase", "data"))
+            self._ear.hear(Bool, f"{valve}/is_open", LATCHED, partial(hear, "is_open", "data"))
+            self._ear.hear(Float64, f"{valve}/coil_current", LATEST, partial(hear, "", "data"))
+            pressure = partial(hear, "outlet_pressure", "fluid_pressure")
+            self._ear.hear(FluidPressure, f"{valve}/outlet_pressure", LATEST, pressure)
+
+    # --- what is heard and commanded ---
+
+    def _hear(self, valve: int, name: str, field: str, message: Any, received: float) -> None:
+        values = {name: getattr(message, field)} if name else {}
+        self._station.hear(valve, time.monotonic(), **values)
+
+    def _command(self, valve: int) -> None:
+        """Publish a coil's voltage as it is to be now."""
+        with self._commanding:
+            if self._is_off or not self._node.context.ok():
+                return
+            is_on = self._station.is_on(valve, time.monotonic())
+            self._voltages[valve].publish(Float64(data=self._settings.voltage if is_on else 0.0))
+            was_on, self._was_on[valve] = self._was_on[valve], is_on
+        if was_on and not is_on and self._station.is_silent(valve, time.monotonic()):
+            self._say(f"{self._valves[valve]}: de-energised, the PLC has been silent for {self._settings.watchdog:g} s")
+
+    def _say(self, words: str) -> None:
+        self._node.get_logger().warning(words)
+
+    def _fail(self, error: Exception) -> None:
+        if self._node.context.ok():
+            self._exit_code = 1
+            self._node.get_logger().fatal(f"the node cannot go on: {error!r}")
+        self._stop.set()
