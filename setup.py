@@ -116,13 +116,13 @@ setup(
     },
     entry_points={
         "console_scripts": [
-            "archive_node = valve_sim.station.archive_node:main",
+            "archive_node = valve_sim.station.__main__:archive_node",
             "command_profile = valve_sim.nodes.__main__:command_profile",
             "dispenser_node = valve_sim.station.__main__:dispenser_node",
             "identification_node = valve_sim.nodes.__main__:identification_node",
             "monitor_node = valve_sim.nodes.__main__:monitor_node",
-            "opcua_node = valve_sim.station.opcua_node:main",
-            "plc_node = valve_sim.station.plc_node:main",
+            "opcua_node = valve_sim.station.__main__:opcua_node",
+            "plc_node = valve_sim.station.__main__:plc_node",
             "valve_node = valve_sim.nodes.__main__:valve_node",
             "valve-sim = valve_sim.cli:main",
         ],

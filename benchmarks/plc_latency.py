@@ -30,7 +30,7 @@ def running() -> Iterator[None]:
     settings = ["--ros-args", "-p", f"port:={PORT}", "-p", "address:=127.0.0.1"]
     commands = [
         [sys.executable, "-m", "valve_sim.nodes.valve_node"],
-        [sys.executable, "-m", "valve_sim.station.plc_node", *settings],
+        [sys.executable, "-m", "valve_sim.station", "plc_node", *settings],
     ]
     quiet = subprocess.DEVNULL
     processes = [subprocess.Popen(command, env=environment, stderr=quiet, stdout=quiet) for command in commands]

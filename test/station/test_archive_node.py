@@ -12,11 +12,11 @@ import pytest
 from nodes.ros_process import ENDS_WITHIN, Probe, own_lines, piped
 
 from valve_sim.model import ParameterError
-from valve_sim.station.archive_parameters import DESCRIPTIONS, ArchiveSettings, check_settings
+from valve_sim.station.archive_tables import ArchiveSettings, archive_settings
 from valve_sim.station.figures import Report, finding_report, stroke_report
 from valve_sim.station.keeping import Keeper
 
-from .test_figures import FINDING, STROKE
+from .test_figures import FINDING, STROKE, SUMMARY
 
 pytest.importorskip("pyarrow", reason="pyarrow is not installed: pip install '.[parquet]'")
 
@@ -33,7 +33,7 @@ def health(level: int, message: str, seconds: float) -> Report:
 def test_each_thing_is_kept_once(tmp_path: Path) -> None:
     archive = Archive(tmp_path)
     keeper = Keeper(archive)
-    for report in (stroke_report(json.dumps(STROKE)), *[finding_report(json.dumps(FINDING))] * 3):
+    for report in (stroke_report(json.dumps(STROKE)), *[finding_report(SUMMARY, FINDING)] * 3):
         keeper.take(report, 0.0)
     for seconds, (level, message) in enumerate([(0, "fine"), (1, "changed"), (1, "changed: friction"), (0, "fine")]):
         keeper.take(health(level, message, seconds), 0.0)
@@ -49,16 +49,15 @@ def test_each_thing_is_kept_once(tmp_path: Path) -> None:
 
 
 def test_settings_are_checked_in_one_line() -> None:
-    assert check_settings({}, {}) == ArchiveSettings()
-    assert DESCRIPTIONS.keys() == set(ArchiveSettings._fields)
+    assert archive_settings({}, {}) == ArchiveSettings()
     for given, words in (
         ({"years": 0.0}, "command line: years: found 0.0, expected a number from 0.01 to 100 years"),
         ({"valves": ["a", "b"]}, "monitors: found 1, expected 2, one for each of valves"),
-        ({"folder": ""}, "command line: folder: found '', expected a folder"),
+        ({"folder": ""}, "folder: found '', expected a text"),
         ({"year": 1.0}, "did you mean years?"),
     ):
         with pytest.raises(ParameterError) as refused:
-            check_settings(given, {})
+            archive_settings(given, {})
         assert words in str(refused.value)
 
 
@@ -74,19 +73,22 @@ def probe(in_own_domain: None) -> Iterator[Probe]:
 
 @pytest.mark.ros
 def test_what_a_monitor_said_is_read_after_the_node_has_gone(probe: Probe, tmp_path: Path) -> None:
+    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
     from rclpy.qos import DurabilityPolicy, QoSProfile
     from std_msgs.msg import String
 
+    entries = [KeyValue(key=key, value=value) for key, value in FINDING.items()]
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    strokes, finding = probe.talker("/monitor/stroke_report", String), probe.talker("/monitor/finding", String, latched)
+    strokes = probe.talker("/monitor/stroke_report", String)
+    finding = probe.talker("/monitor/finding", DiagnosticArray, latched)
     folder = tmp_path / "archive"
-    program = ("-m", "valve_sim.station.archive_node", "--ros-args", "-p", f"folder:={folder}")
+    program = ("-m", "valve_sim.station", "archive_node", "--ros-args", "-p", f"folder:={folder}")
     with piped(tmp_path, program) as process:
         assert probe.until(lambda: strokes.get_subscription_count() and finding.get_subscription_count())
         for number in range(3):
             strokes.publish(String(data=json.dumps({**STROKE, "stroke": number})))
         strokes.publish(String(data="nonsense"))
-        finding.publish(String(data=json.dumps(FINDING)))
+        finding.publish(DiagnosticArray(status=[DiagnosticStatus(message=SUMMARY, values=entries)]))
         probe.spin_for(2.0)  # both are in the node's queues; the next look takes them
         process.send_signal(signal.SIGINT)
         _, said = process.communicate(timeout=ENDS_WITHIN)

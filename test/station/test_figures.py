@@ -18,10 +18,11 @@ STROKE = {
     "scores": {"coulomb_friction": 4.5, "drive_gain": -1.0},
     "alarm": {"raised": True, "cause": "coulomb_friction", "sum": 12.0, "threshold": 9.0},
 }  # fmt: skip
+SUMMARY = "Coulomb friction 0.310 N"
 FINDING = {
-    "schema": "valve_sim/finding/1", "valve": "/tank_1/valve", "stroke": 36, "time": 1790000030.0, "kind": "effects",
-    "effects": ["coulomb_friction"], "summary": "Coulomb friction 0.310 N", "probability": 0.98,
-    "parameters": {"coulomb_friction.force": {"value": 0.31, "stderr": 0.02, "ci95": [0.27, 0.35]}},
+    "valve": "/tank_1/valve", "stroke": "36", "time": "1790000030.0", "kind": "effects", "effects": "coulomb_friction",
+    "probability": "0.98", "parameters.coulomb_friction.force.value": "0.31",
+    "parameters.coulomb_friction.force.stderr": "0.02", "parameters.coulomb_friction.force.ci95": "0.27, 0.35",
 }  # fmt: skip
 
 
@@ -39,12 +40,13 @@ def test_a_stroke_is_shown_in_si_with_its_time() -> None:
 
 
 def test_a_finding_is_shown_with_effect_value_unit_and_probability() -> None:
-    values = finding_report(json.dumps(FINDING)).values
+    values = finding_report(SUMMARY, FINDING).values
     assert values["Finding.Effect"] == "coulomb_friction"
     assert (values["Finding.Value"], values["Finding.StandardError"], values["Finding.Unit"]) == (0.31, 0.02, "N")
     assert values["Finding.Probability"] == 0.98
     assert values.keys() == {figure.path for figure in FIGURES if figure.group == "Finding"}
-    unknown = finding_report(json.dumps({**FINDING, "kind": "unknown", "effects": [], "parameters": {}})).values
+    bare = {name: FINDING[name] for name in ("valve", "stroke", "time")}
+    unknown = finding_report("something", {**bare, "kind": "unknown", "effects": ""}).values
     assert (unknown["Finding.Effect"], unknown["Finding.Value"]) == ("unknown", None)
 
 
@@ -61,6 +63,11 @@ def test_other_messages_are_refused_in_one_line(text: str) -> None:
     with pytest.raises(ValveError, match="expected") as refused:
         stroke_report(text)
     assert "\n" not in str(refused.value)
+
+
+def test_a_status_that_is_no_finding_is_refused_in_one_line() -> None:
+    with pytest.raises(ValveError, match="expected a finding of a monitor: KeyError"):
+        finding_report("on time", {"rate": "500"})
 
 
 def test_the_worst_of_a_nodes_statuses_counts() -> None:

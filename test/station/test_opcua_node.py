@@ -16,26 +16,25 @@ from nodes.ros_process import ENDS_WITHIN, Probe, own_lines, piped
 
 from valve_sim.model import ParameterError
 from valve_sim.station.extras import require
-from valve_sim.station.opcua_parameters import DESCRIPTIONS, NodeSettings, check_settings
+from valve_sim.station.opcua_tables import OpcUaSettings, opcua_settings
 
-from .test_figures import FINDING, STROKE
+from .test_figures import FINDING, STROKE, SUMMARY
 
 
 def test_settings_are_checked_in_one_line() -> None:
-    assert check_settings({}, {}) == NodeSettings()
-    assert DESCRIPTIONS.keys() == set(NodeSettings._fields)
-    two = check_settings({"valves": ["a", "b"], "monitors": ["c", "d"]}, {})
+    assert opcua_settings({}, {}) == OpcUaSettings()
+    two = opcua_settings({"valves": ["a", "b"], "monitors": ["c", "d"]}, {})
     assert two.serial_numbers == ("", "")
     for given, words in (
         ({"valves": ["a", "b"]}, "monitors: found 1, expected 2, one for each of valves"),
         ({"port": 70000}, "command line: port: found 70000, expected a number from 1 to 65535"),
-        ({"port": "x"}, "command line: port: found 'x', expected a whole number from 1 to 65535"),
+        ({"port": "x"}, "command line: port: found 'x', expected a whole number"),
         ({"anonymous_read": 1}, "command line: anonymous_read: found 1, expected true or false"),
         ({"valves": ["a", "a"], "monitors": ["c", "d"]}, "valves: found a, a, expected each once"),
         ({"folders": ""}, "did you mean folder?"),
     ):
         with pytest.raises(ParameterError) as refused:
-            check_settings(given, {})
+            opcua_settings(given, {})
         assert words in str(refused.value)
 
 
@@ -48,7 +47,7 @@ def test_a_missing_library_is_one_line_that_says_what_to_install() -> None:
 
 def node(folder: Path) -> tuple[str, ...]:
     """The program, whose files are in a folder."""
-    return ("-m", "valve_sim.station.opcua_node", "--ros-args", "-p", f"folder:={folder}")
+    return ("-m", "valve_sim.station", "opcua_node", "--ros-args", "-p", f"folder:={folder}")
 
 
 @pytest.fixture
@@ -63,17 +62,19 @@ def probe(in_own_domain: None) -> Iterator[Probe]:
 
 @pytest.mark.ros
 def test_what_is_said_on_topics_is_read_and_methods_call_services(probe: Probe, tmp_path: Path) -> None:
-    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
     from rclpy.qos import DurabilityPolicy, QoSProfile
     from std_msgs.msg import Bool, Float64, String
     from std_srvs.srv import Trigger
 
     from .clients import Identity, free_port
 
+    entries = [KeyValue(key=key, value=value) for key, value in FINDING.items()]
+    finding = DiagnosticArray(status=[DiagnosticStatus(message=SUMMARY, values=entries)])
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     talkers = [
         (probe.talker("/monitor/stroke_report", String), String(data=json.dumps(STROKE))),
-        (probe.talker("/monitor/finding", String, latched), String(data=json.dumps(FINDING))),
+        (probe.talker("/monitor/finding", DiagnosticArray, latched), finding),
         (probe.talker("is_open", Bool, latched), Bool(data=True)),
         (probe.talker("coil_current", Float64), Float64(data=0.75)),
     ]

@@ -11,22 +11,21 @@ import pytest
 from nodes.ros_process import ENDS_WITHIN, Probe, own_lines, piped
 
 from valve_sim.model import ParameterError
-from valve_sim.station.plc_parameters import DESCRIPTIONS, PlcSettings, check_settings
+from valve_sim.station.plc_tables import PlcSettings, plc_settings
 
 
 def test_settings_are_checked_in_one_line() -> None:
-    assert check_settings({}, {}) == PlcSettings()
-    assert DESCRIPTIONS.keys() == set(PlcSettings._fields)
+    assert plc_settings({}, {}) == PlcSettings()
     for given, words in (
         ({"watchdog": 0.0}, "command line: watchdog: found 0.0, expected a number from 0.01 to 60 s"),
         ({"port": 1.5}, "command line: port: found 1.5, expected a whole number"),
         ({"low_word_first": "yes"}, "expected true or false"),
-        ({"valves": ["a", "a"]}, "valves: found a, a, expected each valve once"),
-        ({"address": ""}, "command line: address: found '', expected a text"),
+        ({"valves": ["a", "a"]}, "valves: found a, a, expected each once"),
+        ({"address": ""}, "address: found '', expected a text"),
         ({"adress": "x"}, "did you mean address?"),
     ):
         with pytest.raises(ParameterError) as refused:
-            check_settings(given, {})
+            plc_settings(given, {})
         assert words in str(refused.value)
 
 
@@ -51,7 +50,7 @@ def test_a_plc_opens_a_valve_reads_it_falls_silent_and_the_coil_is_off(probe: Pr
     is_open, phase = probe.talker("is_open", Bool, latched), probe.talker("phase", UInt8, latched)
     current, volts = probe.talker("coil_current", Float64), probe.hear("coil_voltage", Float64)
     port, file, beats = free_port(), tmp_path / "map.csv", 0
-    program = ("-m", "valve_sim.station.plc_node", "--ros-args", "-p", f"map_file:={file}")
+    program = ("-m", "valve_sim.station", "plc_node", "--ros-args", "-p", f"map_file:={file}")
 
     def obey() -> None:
         """A valve that opens at once."""
@@ -101,7 +100,7 @@ def test_a_port_that_is_taken_ends_the_node_with_one_line(in_own_domain: None, t
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port: Any = taken.getsockname()[1]
-        with piped(tmp_path, ("-m", "valve_sim.station.plc_node"), port=port, address="127.0.0.1") as process:
+        with piped(tmp_path, ("-m", "valve_sim.station", "plc_node"), port=port, address="127.0.0.1") as process:
             _, said = process.communicate(timeout=ENDS_WITHIN)
     assert process.returncode == 2
     assert own_lines(said)[-1].startswith(f"plc_node: port {port} of 127.0.0.1: cannot be listened on"), said

@@ -13,5 +13,29 @@ def dispenser_node(args: Sequence[str] | None = None) -> int:
     return run_node("dispenser_node", "valve_sim.station.dispenser_node:DispenserNode", args)
 
 
+def opcua_node(args: Sequence[str] | None = None) -> int:
+    """Serve what monitors and valves say to OPC UA clients; arguments and exit codes of `run_node`."""
+    return run_node("opcua_node", "valve_sim.station.extras:opcua_node", args)
+
+
+def plc_node(args: Sequence[str] | None = None) -> int:
+    """Have a PLC command the coils of valves over Modbus TCP; arguments and exit codes of `run_node`."""
+    return run_node("plc_node", "valve_sim.station.extras:plc_node", args)
+
+
+def archive_node(args: Sequence[str] | None = None) -> int:
+    """Keep what monitors say of valves for years; arguments and exit codes of `run_node`."""
+    return run_node("archive_node", "valve_sim.station.extras:archive_node", args)
+
+
 if __name__ == "__main__":
-    raise SystemExit(chosen({"dispenser_node": dispenser_node}))
+    raise SystemExit(
+        chosen(
+            {
+                "archive_node": archive_node,
+                "dispenser_node": dispenser_node,
+                "opcua_node": opcua_node,
+                "plc_node": plc_node,
+            }
+        )
+    )

@@ -1,35 +1,81 @@
-"""`ros2 run valve_sim archive_node`: keeps what monitors say of valves for years.
-
-See `valve_sim.station.archive_shell.ArchiveShell` for topics and parameters.
-"""
+"""The ROS side of archive_node: what monitors say goes to the archive; all in one thread."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Final
 
-from valve_sim.nodes.starting import GivenFiles, Shell, run_node
-from valve_sim.station.extras import require
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+
+from valve_sim.files.parameter_sections import Section
+from valve_sim.files.whole_files import refuse_unwritable
+from valve_sim.model.errors import ValveError
+from valve_sim.nodes.spinning import guarded
+from valve_sim.nodes.wiring import RosNode, declared, full_name
+from valve_sim.records.archive import Archive
+from valve_sim.station.archive_tables import PARAMETERS, TOPICS, ArchiveSettings, archive_settings
+from valve_sim.station.figures import Report
+from valve_sim.station.hearing import StationEar
+from valve_sim.station.keeping import Keeper
+
+_PERIOD: Final = 0.5
+"""s between looks at what was heard."""
+_BETWEEN_PRUNINGS: Final = 6.0 * 3600.0
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the node until a signal ends it.
+class ArchiveNode(RosNode):
+    """The node `archive`, with the topics `TOPICS` of each of `monitors`.
+
+    Parameters: `PARAMETERS`; they are read once, at the start. What cannot be written waits.
 
     Args:
-        args: the command line with the program's own name first; default sys.argv.
+        sections: (file, section) of the parameter files on the command line.
 
-    Returns:
-        the exit code: 0 after SIGINT or SIGTERM, 1 if the node failed, 2 after unusable input.
+    Raises:
+        ValveError: a parameter cannot be used, or the folder cannot be written.
     """
-    return run_node("archive_node", _make_shell, args)
 
+    def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
+        super().__init__("archive")
+        try:
+            settings: ArchiveSettings = declared(self._node, sections, PARAMETERS, archive_settings)
+            folder = Path(settings.folder).expanduser()
+            refuse_unwritable(folder / "strokes")
+            self._archive = Archive(folder, settings.years, int(1e6 * settings.megabytes))
+            self._keeper, self._prune_at = Keeper(self._archive), time.monotonic()
+            valves = [full_name(self._node, name, "valves") for name in settings.valves]
+            monitors = [full_name(self._node, name, "monitors") for name in settings.monitors]
+            self._ear = StationEar(self._node, TOPICS, valves, monitors, self._take, is_live=False)
+            self._node.create_timer(_PERIOD, guarded(self._look), clock=Clock(clock_type=ClockType.STEADY_TIME))
+        except BaseException:
+            self._node.destroy_node()
+            raise
+        self._node.get_logger().info(f"ready: keeps what is said of {len(valves)} valves in {folder}")
 
-def _make_shell(given: GivenFiles) -> Shell:
-    require("pyarrow", "parquet", "an archive")
-    # Imported only after `run_node` has found ROS; without ROS it prints one line.
-    from valve_sim.station.archive_shell import ArchiveShell
+    def close(self, timeout: float) -> bool:
+        """Write what waits, and release everything."""
+        try:
+            self._archive.flush()
+        except ValveError as error:
+            print(f"archive_node: what was not written yet is lost: {error}")
+        self._node.destroy_node()
+        return True
 
-    return ArchiveShell(given)
+    def _take(self, report: Report) -> None:
+        self._keeper.take(report, time.monotonic())
 
-
-if __name__ == "__main__":
-    raise SystemExit(main())
+    def _look(self) -> None:
+        self._ear.look()
+        now = time.monotonic()
+        try:
+            self._archive.tick(now)
+            if now >= self._prune_at:
+                self._prune_at = now + _BETWEEN_PRUNINGS
+                for month in self._archive.prune(datetime.now(timezone.utc)):
+                    self._node.get_logger().info(f"{month} has been taken out of the archive")
+        except ValveError as error:
+            self._node.get_logger().error(f"{error}; rows wait", throttle_duration_sec=10.0)

@@ -159,27 +159,38 @@ def stroke_report(text: str) -> Report:
     return Report(found["valve"], utc(found["time"]), values)
 
 
-def finding_report(text: str) -> Report:
+def finding_report(summary: str, found: Mapping[str, str]) -> Report:
     """What a monitor's ~/finding says; of several parameters the first is shown, and all are in the summary.
+
+    Args:
+        summary: its words. found: keys and values.
 
     Raises:
         ValveError: it is no such finding.
     """
-    found = _read(text, "valve_sim/finding/1")
-    parameters = _mapping(found.get("parameters"))
-    name = next(iter(parameters), "")
-    interval = _mapping(parameters.get(name))
+    name = next((key for key in found if key.startswith("parameters.") and key.endswith(".value")), "")
+    name = name.removeprefix("parameters.").removesuffix(".value")
     values: Values = {
-        "Finding.Effect": ", ".join(found.get("effects") or []) or str(found.get("kind")),
+        "Finding.Effect": found.get("effects") or found.get("kind"),
         "Finding.Parameter": name,
-        "Finding.Value": interval.get("value"),
-        "Finding.StandardError": interval.get("stderr"),
+        "Finding.Value": _number(found, f"parameters.{name}.value"),
+        "Finding.StandardError": _number(found, f"parameters.{name}.stderr"),
         "Finding.Unit": unit_of(name),
-        "Finding.Probability": found.get("probability"),
-        "Finding.Stroke": found["stroke"],
-        "Finding.Summary": found.get("summary"),
+        "Finding.Probability": _number(found, "probability"),
+        "Finding.Summary": summary,
     }
-    return Report(found["valve"], utc(found["time"]), values)
+    try:
+        values["Finding.Stroke"] = int(found["stroke"])
+        return Report(found["valve"], utc(float(found["time"])), values)
+    except (KeyError, ValueError) as error:
+        raise ValveError(f"found {dict(found)!r:.60}, expected a finding of a monitor: {error!r}") from error
+
+
+def _number(found: Mapping[str, str], key: str) -> float | None:
+    try:
+        return float(found[key])
+    except (KeyError, ValueError):
+        return None
 
 
 def unit_of(parameter: str) -> str:

@@ -5,98 +5,76 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, Final
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.subscription import Subscription
-from sensor_msgs.msg import FluidPressure
-from std_msgs.msg import Bool, Float64, String, UInt8
+from std_msgs.msg import String
 
 from valve_sim.model.errors import ValveError
-from valve_sim.nodes.receiving import ReceiverGroup
-from valve_sim.nodes.shell_parts import LATCHED, RELIABLE
-from valve_sim.nodes.spinning import guarded, log_left_out, received_time, waiting_messages
+from valve_sim.nodes.node_clock import NodeClock
+from valve_sim.nodes.realtime import NANOSECONDS, Arrival
+from valve_sim.nodes.receiving import Inbox
+from valve_sim.nodes.topics import Topic
+from valve_sim.nodes.wiring import Interface
 from valve_sim.station.figures import Report, Values, finding_report, stroke_report, utc, worst
 
-LATEST: Final = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
-"""Of what comes often, the last one is enough."""
-_MANY: Final = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
 
-
-class Ear:
-    """Subscriptions that are taken when their node looks, a few times a second.
-
-    That takes a fraction of what an executor needs for each message.
+class StationEar:
+    """What is said of the valves of a station, heard when its node looks, a few times a second.
 
     Args:
-        node: subscribes.
-    """
-
-    def __init__(self, node: Node) -> None:
-        self._node = node
-        self._subscriptions: list[tuple[Subscription, Callable[[Any, float], None]]] = []
-
-    def hear(self, kind: type, topic: str, qos: QoSProfile, take: Callable[[Any, float], None]) -> None:
-        """Subscribe; `take` is handed each message and when it was received, s since 1970."""
-        nothing = guarded(lambda message: None)  # the executor leaves these to `look`
-        subscription = self._node.create_subscription(kind, topic, nothing, qos, callback_group=ReceiverGroup())
-        self._subscriptions.append((subscription, take))
-
-    def look(self) -> None:
-        """Take all that has come since the last look."""
-        for subscription, take in self._subscriptions:
-            try:
-                heard = list(waiting_messages(subscription))
-            except Exception as error:  # of rclpy
-                log_left_out(self._node, error)
-                continue
-            for message, info in heard:
-                take(message, received_time(info) * 1e-9 or time.time())
-
-
-class StationEar(Ear):
-    """What is said of the valves of a station.
-
-    Args:
-        node: subscribes.
+        node: subscribes. topics: its table.
         valves, monitors: full names of their nodes, in one order.
         tell: is handed each report.
         is_live: whether to hear phase, is_open, current and pressure of the valves, too.
     """
 
     def __init__(
-        self, node: Node, valves: Sequence[str], monitors: Sequence[str], tell: Callable[[Report], None], *,
+        self,
+        node: Node,
+        topics: Sequence[Topic],
+        valves: Sequence[str],
+        monitors: Sequence[str],
+        tell: Callable[[Report], None],
+        *,
         is_live: bool,
-    ) -> None:  # fmt: skip
-        super().__init__(node)
-        self._tell, self._pairs = tell, list(zip(valves, monitors, strict=True))
+    ) -> None:
+        self._node, self._tell = node, tell
+        self._pairs = list(zip(valves, monitors, strict=True))
+        self._inbox, interface = Inbox(node, NodeClock(node)), Interface(node, topics)
         for valve, monitor in self._pairs:
-            self.hear(String, f"{monitor}/stroke_report", RELIABLE, partial(self._report, valve, stroke_report))
-            self.hear(String, f"{monitor}/finding", LATCHED, partial(self._report, valve, finding_report))
+            take = partial(self._take_stroke, valve)
+            interface.receive(self._inbox, "{monitor}/stroke_report", take, monitor=monitor)
+            interface.receive(self._inbox, "{monitor}/finding", partial(self._take_finding, valve), monitor=monitor)
             if is_live:
-                self._hear_live(valve)
-        self.hear(DiagnosticArray, "/diagnostics", _MANY, self._diagnose)
+                hear_live(interface, self._inbox, valve, partial(self._show, valve))
+        interface.receive(self._inbox, "/diagnostics", self._diagnose)
 
-    def _hear_live(self, valve: str) -> None:
-        show = partial(self._show, valve)
-        self.hear(UInt8, f"{valve}/phase", LATCHED, partial(show, "Live.Phase", "data"))
-        self.hear(Bool, f"{valve}/is_open", LATCHED, partial(show, "Live.IsOpen", "data"))
-        self.hear(Float64, f"{valve}/coil_current", LATEST, partial(show, "Live.CoilCurrent", "data"))
-        pressure = partial(show, "Live.OutletPressure", "fluid_pressure")
-        self.hear(FluidPressure, f"{valve}/outlet_pressure", LATEST, pressure)
+    def look(self) -> None:
+        """Take all that has come since the last look."""
+        self._inbox.deliver()
 
-    def _show(self, valve: str, path: str, field: str, message: Any, received: float) -> None:
-        self._tell(Report(valve, utc(received), {path: getattr(message, field)}))
+    def _show(self, valve: str, name: str, value: Any, arrival: Arrival) -> None:
+        path = {"phase": "Phase", "is_open": "IsOpen", "coil_current": "CoilCurrent"}.get(name, "OutletPressure")
+        received = arrival.received / NANOSECONDS or time.time()
+        self._tell(Report(valve, utc(received), {f"Live.{path}": value}))
 
-    def _report(self, valve: str, read: Callable[[str], Report], message: String, received: float) -> None:
+    def _take_stroke(self, valve: str, message: String, arrival: Arrival) -> None:
+        self._report(valve, lambda: stroke_report(message.data))
+
+    def _take_finding(self, valve: str, message: DiagnosticArray, arrival: Arrival) -> None:
+        for status in message.status:
+            values = {entry.key: entry.value for entry in status.values}
+            self._report(valve, partial(finding_report, status.message, values))
+
+    def _report(self, valve: str, read: Callable[[], Report]) -> None:
         try:
-            self._tell(read(message.data)._replace(valve=valve))
+            self._tell(read()._replace(valve=valve))
         except ValveError as error:
             self._node.get_logger().warning(f"a report of {valve} is left out: {error}", throttle_duration_sec=10.0)
 
-    def _diagnose(self, message: DiagnosticArray, received: float) -> None:
+    def _diagnose(self, message: DiagnosticArray, arrival: Arrival) -> None:
         stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
         for valve, monitor in self._pairs:
             values: Values = {}
@@ -114,3 +92,19 @@ class StationEar(Ear):
                 values |= {"Driver.Level": level, "Driver.Message": words}
             if values:
                 self._tell(Report(valve, utc(stamp), values))
+
+
+def hear_live(interface: Interface, inbox: Inbox, valve: str, take: Callable[[str, Any, Arrival], None]) -> None:
+    """Receive what a valve says often; `take` is handed the topic's name, its value, and when it came."""
+
+    def hear(name: str, field: str) -> None:
+        interface.receive(
+            inbox,
+            f"{{valve}}/{name}",
+            lambda message, arrival: take(name, getattr(message, field), arrival),
+            valve=valve,
+        )
+
+    for name in ("phase", "is_open", "coil_current"):
+        hear(name, "data")
+    hear("outlet_pressure", "fluid_pressure")

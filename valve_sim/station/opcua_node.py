@@ -1,35 +1,105 @@
-"""`ros2 run valve_sim opcua_node`: serves what monitors and valves say to OPC UA clients.
+"""The ROS side of opcua_node: what monitors and valves publish goes to a `StationServer`, and its methods to services.
 
-See `valve_sim.station.opcua_shell.OpcUaShell` for topics and parameters.
+Threads: the main one takes what has been heard ten times a second, which takes a fraction of what an executor needs for
+each message, and answers ROS; the server has one of its own.
 """
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
 
-from valve_sim.nodes.starting import GivenFiles, Shell, run_node
-from valve_sim.station.extras import require
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from std_srvs.srv import Trigger
+
+from valve_sim.files.parameter_sections import Section
+from valve_sim.model.errors import ValveError
+from valve_sim.nodes.spinning import guarded
+from valve_sim.nodes.wiring import RosNode, declared, full_name
+from valve_sim.station.hearing import StationEar
+from valve_sim.station.opcua_server import ServedValve, ServerThread, Settings, StationServer
+from valve_sim.station.opcua_tables import PARAMETERS, TOPICS, OpcUaSettings, opcua_settings
+
+_PERIOD: Final = 0.1
+"""s between looks at what was heard."""
+_ANSWER_SECONDS: Final = 10.0
+"""s that a service may take to answer."""
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the node until a signal ends it.
+class OpcUaNode(RosNode):
+    """The node `opcua`, with the topics `TOPICS` of each of `valves` and `monitors`.
+
+    Services called: <monitor>/recommission, <valve>/self_test. Parameters: `PARAMETERS`; they are read once, at the
+    start.
 
     Args:
-        args: the command line with the program's own name first; default sys.argv.
+        sections: (file, section) of the parameter files on the command line.
 
-    Returns:
-        the exit code: 0 after SIGINT or SIGTERM, 1 if the node failed, 2 after unusable input.
+    Raises:
+        ValveError: a parameter cannot be used, or the server cannot start.
     """
-    return run_node("opcua_node", _make_shell, args)
 
+    def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
+        super().__init__("opcua")
+        try:
+            settings: OpcUaSettings = declared(self._node, sections, PARAMETERS, opcua_settings)
+            self._valves = [full_name(self._node, name, "valves") for name in settings.valves]
+            self._monitors = [full_name(self._node, name, "monitors") for name in settings.monitors]
+            self._services: dict[tuple[str, str], Any] = {}
+            for valve, monitor in zip(self._valves, self._monitors, strict=True):
+                self._services["recommission", valve] = self._node.create_client(Trigger, f"{monitor}/recommission")
+                self._services["self_test", valve] = self._node.create_client(Trigger, f"{valve}/self_test")
+            folder = Path(settings.folder).expanduser()
+            served = [
+                ServedValve(name, serial) for name, serial in zip(self._valves, settings.serial_numbers, strict=True)
+            ]
+            server = StationServer(
+                Settings(folder, settings.address, settings.port, settings.anonymous_read, settings.history_days),
+                served,
+                recommission=partial(self._call, "recommission"),
+                self_test=partial(self._call, "self_test"),
+            )
+            self._thread = ServerThread(server, self._fail)
+            self._thread.start()
+            ear = StationEar(self._node, TOPICS, self._valves, self._monitors, self._thread.put, is_live=True)
+            steady = Clock(clock_type=ClockType.STEADY_TIME)
+            self._node.create_timer(_PERIOD, guarded(ear.look), clock=steady)
+        except BaseException:
+            self._node.destroy_node()
+            raise
+        self._node.get_logger().info(
+            f"ready: {server.endpoint}, {len(served)} valves; clients connect whose certificates are in "
+            f"{folder / 'trusted'}; those of others are kept in {folder / 'rejected'}"
+        )
 
-def _make_shell(given: GivenFiles) -> Shell:
-    require("asyncua", "opcua", "the OPC UA server")
-    # Imported only after `run_node` has found ROS; without ROS it prints one line.
-    from valve_sim.station.opcua_shell import OpcUaShell
+    def close(self, timeout: float) -> bool:
+        """End the server and release everything; whether it has ended."""
+        has_ended = self._thread.stop(timeout)
+        self._node.destroy_node()
+        return has_ended
 
-    return OpcUaShell(given)
+    # --- methods, in the server's thread ---
 
+    async def _call(self, name: str, valve: str) -> tuple[bool, str]:
+        client = self._services[name, valve]
+        if not client.service_is_ready():
+            return False, f"{client.srv_name}: no node offers this service; start it"
+        loop, done = asyncio.get_running_loop(), asyncio.Event()
+        future = client.call_async(Trigger.Request())
+        future.add_done_callback(lambda _: loop.call_soon_threadsafe(done.set))
+        try:
+            await asyncio.wait_for(done.wait(), _ANSWER_SECONDS)
+        except asyncio.TimeoutError:
+            return False, f"{client.srv_name}: has not answered within {_ANSWER_SECONDS:g} s"
+        answer = future.result()
+        return bool(answer.success), str(answer.message)
 
-if __name__ == "__main__":
-    raise SystemExit(main())
+    def _fail(self, error: Exception) -> None:
+        if isinstance(error, ValveError):  # a full disk, say: what is shown goes on when there is room again
+            self._node.get_logger().error(str(error), throttle_duration_sec=10.0)
+        else:
+            super()._fail(error)

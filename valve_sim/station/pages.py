@@ -6,11 +6,12 @@ A test compares them with what is committed.
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from valve_sim.station import opcua_parameters, plc_parameters
+from valve_sim.nodes.parameters import Table
+from valve_sim.station import opcua_tables, plc_tables
 from valve_sim.station.figures import FIGURES
 from valve_sim.station.plc import MAP, SPACING, map_csv
 
@@ -41,7 +42,6 @@ def _opcua() -> str:
         )
         for figure in FIGURES
     ]
-    defaults, described = opcua_parameters.NodeSettings()._asdict(), opcua_parameters.DESCRIPTIONS
     lines = [
         "# OPC UA: variables and parameters",
         "",
@@ -59,7 +59,7 @@ def _opcua() -> str:
         "",
         "## Parameters of opcua_node",
         "",
-        *_parameters(defaults, described),
+        *_parameters(opcua_tables.PARAMETERS),
     ]
     return "\n".join(lines) + "\n"
 
@@ -76,7 +76,6 @@ def _modbus() -> str:
         )
         for register in MAP
     ]
-    defaults, described = plc_parameters.PlcSettings()._asdict(), plc_parameters.DESCRIPTIONS
     lines = [
         "# Modbus: registers and parameters",
         "",
@@ -91,13 +90,13 @@ def _modbus() -> str:
         "",
         "## Parameters of plc_node",
         "",
-        *_parameters(defaults, described),
+        *_parameters(plc_tables.PARAMETERS),
     ]
     return "\n".join(lines) + "\n"
 
 
-def _parameters(defaults: Mapping[str, object], described: Mapping[str, str]) -> list[str]:
-    cells = [(f"`{name}`", f"`{value}`", described[name]) for name, value in defaults.items()]
+def _parameters(table: Table) -> list[str]:
+    cells = [(f"`{name}`", f"`{entry.default}`", entry.description) for name, entry in table.items()]
     return rows(("parameter", "default", "meaning"), cells)
 
 

@@ -1,35 +1,147 @@
-"""`ros2 run valve_sim plc_node`: a PLC commands the coils of valves over Modbus TCP and reads their state.
+"""The ROS side of plc_node: a `PlcStation` wired to the topics of its valves. The coils are off at its end.
 
-See `valve_sim.station.plc_shell.PlcShell` for topics and parameters.
+Threads: the main one takes what was heard, looks at the watchdogs and repeats the commands; Modbus has one of its own,
+which also publishes a command that the PLC has just switched; an `AnsweringThread` answers ROS. Watchdogs go by the
+machine's own clock, also under use_sim_time: a /clock that stands still must not keep a coil energised.
 """
 
 from __future__ import annotations
 
+import threading
+import time
 from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
 
-from valve_sim.nodes.starting import GivenFiles, Shell, run_node
-from valve_sim.station.extras import require
+from rclpy.publisher import Publisher
+from std_msgs.msg import Float64
+
+from valve_sim.files.parameter_sections import Section
+from valve_sim.files.whole_files import write_whole
+from valve_sim.nodes.node_clock import NodeClock
+from valve_sim.nodes.realtime import Arrival
+from valve_sim.nodes.receiving import Inbox
+from valve_sim.nodes.spinning import AnsweringThread, wait_until_heard
+from valve_sim.nodes.wiring import Interface, RosNode, declared, full_name
+from valve_sim.station.hearing import hear_live
+from valve_sim.station.modbus import PlcClient, PlcServer, Side, SideThread
+from valve_sim.station.plc import PlcStation, map_csv
+from valve_sim.station.plc_tables import PARAMETERS, TOPICS, PlcSettings, plc_settings
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the node until a signal ends it.
+class PlcNode(RosNode):
+    """The node `plc`, with the topics `TOPICS` of each of `valves`.
+
+    Parameters: `PARAMETERS`; they are read once, at the start.
 
     Args:
-        args: the command line with the program's own name first; default sys.argv.
+        sections: (file, section) of the parameter files on the command line.
 
-    Returns:
-        the exit code: 0 after SIGINT or SIGTERM, 1 if the node failed, 2 after unusable input.
+    Raises:
+        ValveError: a parameter cannot be used, or the port is taken.
     """
-    return run_node("plc_node", _make_shell, args)
 
+    def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
+        super().__init__("plc")
+        try:
+            settings: PlcSettings = declared(self._node, sections, PARAMETERS, plc_settings)
+            self._settings = settings
+            self._valves = [full_name(self._node, name, "valves") for name in settings.valves]
+            self._commanding = threading.Lock()
+            self._is_off = False
+            """Whether 0 V has been commanded for good."""
+            self._voltages: list[Publisher] = []
+            self._inbox = Inbox(self._node, NodeClock(self._node))
+            self._was_on = [False] * len(self._valves)
+            self._station = PlcStation(
+                self._valves, settings.watchdog, changed=self._command, low_word_first=settings.low_word_first
+            )
+            self._wire()
+            if settings.map_file:
+                write_whole(Path(settings.map_file).expanduser(), map_csv(self._valves))
+            self._side = SideThread(self._make_side())
+            self._side.start()
+        except BaseException:
+            self._node.destroy_node()
+            raise
+        self._stop = threading.Event()
+        self._answering = AnsweringThread(self._node, stop=lambda reason: self._stop.set(), fail=self._fail)
+        place = f"{settings.plc_host or settings.address}:{settings.port}"
+        role = f"polls the PLC at {place}" if settings.plc_host else f"the PLC polls {place}"
+        self._node.get_logger().info(
+            f"ready: {role}; {len(self._valves)} valves, {self._station.count} registers, watchdog "
+            f"{settings.watchdog:g} s"
+        )
 
-def _make_shell(given: GivenFiles) -> Shell:
-    require("pymodbus.simulator", "modbus", "Modbus TCP")
-    # Imported only after `run_node` has found ROS; without ROS it prints one line.
-    from valve_sim.station.plc_shell import PlcShell
+    def spin(self) -> None:
+        """Run until a signal comes; 0 V is the last command to every valve."""
+        self._answering.start()
+        period, due = 1.0 / self._settings.rate, time.monotonic()
+        try:
+            while not self._stop.is_set():
+                self._inbox.deliver()
+                self._station.beat()
+                for valve in range(len(self._valves)):
+                    self._command(valve)
+                due = max(due + period, time.monotonic())
+                self._stop.wait(max(0.0, due - time.monotonic()))
+        finally:
+            with self._commanding:
+                self._is_off = True
+                if self._node.context.ok():
+                    for voltage in self._voltages:
+                        voltage.publish(Float64(data=0.0))
+            if self._node.context.ok():
+                wait_until_heard(self._voltages)
 
-    return PlcShell(given)
+    def close(self, timeout: float) -> bool:
+        """Release everything; whether all threads have ended."""
+        have_ended = [self._side.stop(timeout), self._answering.close(timeout)]
+        if all(have_ended):
+            self._node.destroy_node()
+        return all(have_ended)
 
+    # --- wiring ---
 
-if __name__ == "__main__":
-    raise SystemExit(main())
+    def _make_side(self) -> Side:
+        settings = self._settings
+        if not settings.plc_host:
+            return PlcServer(self._station, settings.address, settings.port)
+        return PlcClient(
+            self._station, settings.plc_host, settings.port, first=settings.first_register, unit=settings.unit,
+            period=1.0 / settings.rate, say=self._say,
+        )  # fmt: skip
+
+    def _wire(self) -> None:
+        interface = Interface(self._node, TOPICS)
+        for place, valve in enumerate(self._valves):
+            self._voltages.append(interface.publisher("{valve}/coil_voltage", valve=valve))
+            hear_live(interface, self._inbox, valve, partial(self._hear, place))
+
+    # --- what is heard and commanded ---
+
+    def _hear(self, valve: int, name: str, value: Any, arrival: Arrival) -> None:
+        """Take what a valve says; its current says only that it lives."""
+        values = {} if name == "coil_current" else {name: value}
+        self._station.hear(valve, time.monotonic(), **values)
+
+    def _command(self, valve: int) -> None:
+        """Publish a coil's voltage as it is to be now."""
+        with self._commanding:
+            if self._is_off or not self._node.context.ok():
+                return
+            is_on = self._station.is_on(valve, time.monotonic())
+            self._voltages[valve].publish(Float64(data=self._settings.voltage if is_on else 0.0))
+            was_on, self._was_on[valve] = self._was_on[valve], is_on
+        if was_on and not is_on and self._station.is_silent(valve, time.monotonic()):
+            self._say(f"{self._valves[valve]}: de-energised, the PLC has been silent for {self._settings.watchdog:g} s")
+
+    def _say(self, words: str) -> None:
+        self._node.get_logger().warning(words)
+
+    def _fail(self, error: Exception) -> None:
+        if self._node.context.ok():
+            self._exit_code = 1
+            self._node.get_logger().fatal(f"the node cannot go on: {error!r}")
+        self._stop.set()
