@@ -190,7 +190,7 @@ def running_station(*, gas: bool = False) -> Iterator[dict[str, int]]:
             words = ["--ros-args", "-r", f"__ns:=/{tank}", *(word for pair in parameters for word in ("-p", pair))]
             if gas:
                 words += ["--params-file", str(GAS_FILES / f"gas_{tank}.yaml")]
-            command = [sys.executable, "-m", f"valve_sim.nodes.{name}_node", *words]
+            command = [sys.executable, "-m", "valve_sim.nodes", f"{name}_node", *words]
             processes[f"{tank}/{name}"] = subprocess.Popen(command)
     if gas:
         given = ["--ros-args", "--params-file", str(GAS_FILES / "gas_dispenser.yaml")]
