@@ -1,0 +1,1 @@
+"""The core: equations written once, everything else derived from them."""

@@ -1,0 +1,787 @@
+"""The integrator: natural steps from event to event, of which all callers read.
+
+A step ends where error control ends it or where something happens, never where a caller looks: samples within it are
+read from its polynomial. Only a command cuts a step. So the state does not depend on who looked when, and a valve that
+is stepped live is the whole run, to the last bit.
+
+These functions are compiled by `lowering`; the kernels that they invoke are those of `kernels`. `b` is the block of a
+valve, `t` that of its tangents of `width` directions (0: none); `layout` names their slots.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final, TypeAlias
+
+from valve_sim.core.layout import (
+    ACCELERATION, AGEING, AHEAD, AT, BEYOND, BLOCKED, CHATTER, CLOSED_NOW, COIL, COIL_RATES, COMPLIANCE, COUNT, CURRENT,
+    CURRENT_RATE, DECIDE, DEFECT, DELAY, DELTA, DIRECTION, DOWN, DOWN_RATE, EDDY, ELAPSED, END, END_PEAK, END_V, END_X,
+    ENDS, FLAG, FREEWHEELS, GAIN, GAP, GUARD, GUARDS, HAS_PEAK, IS_CHECKED, IS_FLUX, LAG, LIFTED, LIFTED_DOWN,
+    LIFTED_UP, LONGEST, LOOK, MAY_FALL, MAY_RISE, MODE, MOVE, MOVING, NET, NUMBERS, ON_SEAT, ONE_PLUNGER, ORDER, OUTCOME, PATH, PEAK,
+    PENDING, PREPARE, PULL, RATIO, RELEASE, REST, RESTITUTION_SEAT, RESTITUTION_STOP, ROW, ROW_V, ROW_X, SAMPLED, SAMPLED_ROWS,
+    SCRATCH, SEEN, SENSOR_LAG, SERIES_X, SHOWN_MAIN, SHOWN_PILOT, STATES, STEP, STROKE, SUSPECT, TERMINAL, TERMS, TIME,
+    TOLERANCE, UNSEATED_TIME, UP, UP_RATE, V, VOLTS, X,
+)  # fmt: skip
+from valve_sim.model.core_types import EventKind, Outcome, Phase
+
+Block: TypeAlias = Any
+"""Doubles that are read and written by index; `b[n:]` begins n further on."""
+
+CLOSED, PILOT, GAP_HOLD, MAIN, OPEN = (int(phase) for phase in Phase)
+UNSEATED, PICKED_UP, HELD_AT_GAP, LIFTED_OFF, DROPPED, REACHED_STOP, BOUNCED_AT_STOP = (int(k) for k in list(EventKind)[:7])
+RELEASED, MAIN_SEATED, SEATED, BOUNCED_AT_SEAT, STUCK, BROKE_AWAY, GONE = (int(k) for k in list(EventKind)[7:14])
+FINISHED, STEP_TOO_SMALL, TOO_MANY_STEPS, CHATTERING = (int(outcome) for outcome in list(Outcome)[:4])
+DRIVEN, FREEWHEELING, CUT_OFF = 0, 1, 2
+"""What closes the coil's circuit: its driver, the freewheeling path, or nothing."""
+NO_EVENT, CONTACT, TURN, RISE, FALL, CURRENT_GONE, FLAGGED = 0, 1, 2, 3, 4, 5, 6
+"""What ends a step; FLAGGED and more is the comparison of that number."""
+
+SLOW_AT_GAP: Final = 1e-3
+"""m/s: a slower contact at the gap may be held there."""
+SLOWEST_REBOUND: Final = 5e-3
+"""m/s: a slower contact does not rebound."""
+SHORTEST_LAG: Final = 2e-8
+"""s: the current of a coil that is faster is gone at once when it freewheels."""
+SHORTEST_STEP: Final = 1e-16
+"""s: if error control asks for less, it has failed."""
+SHORTEST_PROGRESS: Final = 1e-12
+LONGEST_CHATTER: Final = 1000
+"""Steps in a row that are shorter, s, after which a run ends with an error."""
+ANY_STEP: Final = 1e9
+"""s: no limit of a step."""
+RETAKEN: Final = 0.6
+"""Of the step whose series was too far off its equation: what is tried next."""
+OWN_ERROR: Final = 1e-3
+"""m/s times the tolerance: a velocity that small has no sign; a crawl would turn for ever."""
+ROUNDING: Final = 1e-13
+"""N, or of the size of a polynomial: below it a guard has no sign."""
+NARROWEST: Final = 1e-12
+"""Of a step: a guard that cannot be told from 0 in a shorter part of it counts as 0 there."""
+MOST_TRIALS: Final = 400
+FINE: Final = 5
+NEWTON_STEPS: Final = 60
+ON_EQUATION: Final = 4
+"""Newton steps on the balance of forces with which the end of a rest is found."""
+ROW_COLUMNS: Final = 9
+"""Of a whole row of output: pilot and main plunger as shown, m; velocity, m/s; attraction, N; phase; the pilot itself,
+m; V at the terminals; the current u; unused."""
+MOMENTS: Final = 40
+"""Terms of the series of a moment of the low-pass."""
+
+
+def invoke(address: float, b: Block, t: Block) -> None:
+    """Call a kernel; what is compiled does so by its address."""
+    raise NotImplementedError
+
+
+def enter(b: Block, t: Block) -> None:
+    """Derive from the mode, and from whether and which way the plungers move, what the equations ask for."""
+    mode = b[MODE]
+    one = b[ONE_PLUNGER]
+    up = b[DIRECTION] > 0.0
+    b[BEYOND] = 1.0 if mode == OPEN and b[COMPLIANCE] > 0.0 else 0.0
+    b[LIFTED] = 1.0 if mode >= MAIN else 0.0
+    b[LIFTED_UP] = 1.0 if mode >= GAP_HOLD or one > 0.0 else 0.0
+    b[LIFTED_DOWN] = 1.0 if mode >= MAIN else 0.0
+    b[CLOSED_NOW] = 1.0 if mode == CLOSED else 0.0
+    b[ON_SEAT] = one * b[CLOSED_NOW]
+    b[AGEING] = 1.0 - b[ON_SEAT]
+    b[MAY_RISE] = 1.0 if mode != OPEN or b[BEYOND] > 0.0 else 0.0
+    b[MAY_FALL] = 1.0 - b[CLOSED_NOW]
+    if mode == OPEN:
+        b[AHEAD] = 1e300 if up else b[STROKE]
+    elif mode == MAIN:
+        b[AHEAD] = b[STROKE] if up else b[GAP]
+    else:
+        b[AHEAD] = b[GAP] if up else 0.0
+    if b[GUARDS] > 0.0:
+        invoke(b[DECIDE], b, t)
+    b[PENDING] = 0.0
+
+
+def value_at(b: Block, c: int, h: float, terms: int) -> float:
+    """The polynomial whose coefficients begin at slot c, at h."""
+    total = b[c + terms - 1]
+    for k in range(terms - 2, -1, -1):
+        total = b[c + k] + h * total
+    return total
+
+
+def slope_at(b: Block, c: int, h: float, terms: int) -> float:
+    """Its derivative."""
+    total = (terms - 1) * b[c + terms - 1]
+    for k in range(terms - 2, 0, -1):
+        total = k * b[c + k] + h * total
+    return total
+
+
+def bound(p: Block, w: float, down: float) -> float:
+    """A number that a polynomial of TERMS terms, times `down`, does not fall below between 0 and w.
+
+    The smallest Bernstein coefficient of its first terms, less the size of the others.
+    """
+    d1 = down * p[1] * w
+    w2 = w * w
+    d2 = down * p[2] * w2
+    d3 = down * p[3] * w2 * w
+    d4 = down * p[4] * w2 * w2
+    d5 = down * p[5] * w2 * w2 * w
+    power = w2 * w2 * w2
+    rest = 0.0
+    for k in range(FINE + 1, TERMS):
+        rest += abs(p[k]) * power
+        power *= w
+    b0 = down * p[0]
+    b1 = b0 + d1 * 0.2
+    b2 = b0 + d1 * 0.4 + d2 * 0.1
+    b3 = b0 + d1 * 0.6 + d2 * 0.3 + d3 * 0.1
+    b4 = b0 + d1 * 0.8 + d2 * 0.6 + d3 * 0.4 + d4 * 0.2
+    b5 = b0 + d1 + d2 + d3 + d4 + d5
+    return min(b0, b1, b2, b3, b4, b5) - rest
+
+
+def first_fall(b: Block, c: int, h: float, unsure: float) -> float:
+    """When a polynomial first falls through 0, s; 2 h if it does not before h.
+
+    Args:
+        b, c: a block, and the slot where the coefficients of the polynomial begin.
+        h: s, up to when it is followed. unsure: it falls only if it comes below −unsure.
+    """
+    p = b[SCRATCH:]
+    slopes = b[SCRATCH + TERMS:]
+    power = 1.0
+    for k in range(TERMS):
+        p[k] = b[c + k] * power
+        power *= h
+    left = 0.0
+    width = 1.0
+    for _ in range(MOST_TRIALS):
+        if p[0] < -unsure:
+            return left * h
+        if bound(p, width, 1.0) > -unsure:
+            left += width
+            if left >= 1.0:
+                return 2.0 * h
+            for i in range(TERMS - 1):
+                for k in range(TERMS - 2, i - 1, -1):
+                    p[k] += width * p[k + 1]
+            width = min(2.0 * width, 1.0 - left)
+            continue
+        for k in range(1, TERMS):
+            slopes[k - 1] = k * p[k]
+        slopes[TERMS - 1] = 0.0
+        if bound(slopes, width, -1.0) > 0.0 or width < NARROWEST:
+            if value_at(p, 0, width, TERMS) < -unsure:
+                return (left + root(p, 0, width, 0.0, -1.0, TERMS)) * h
+            # It comes close to 0 and does not fall through: on to the next part.
+            left += width
+            if left >= 1.0:
+                return 2.0 * h
+            for i in range(TERMS - 1):
+                for k in range(TERMS - 2, i - 1, -1):
+                    p[k] += width * p[k + 1]
+            width = min(2.0 * width, 1.0 - left)
+            continue
+        width *= 0.5
+    return 2.0 * h
+
+
+def root(b: Block, c: int, h: float, target: float, way: float, terms: int) -> float:
+    """Where a polynomial that is monotone up to h reaches a target, which it does: Newton's method in a bracket.
+
+    Args:
+        b, c: a block, and the slot where the coefficients begin. target: as the polynomial. way: +1 upwards, −1 down.
+    """
+    low = 0.0
+    high = h
+    at = h
+    for _ in range(NEWTON_STEPS):
+        ahead = (value_at(b, c, at, terms) - target) * way
+        if ahead >= 0.0:
+            high = at
+        else:
+            low = at
+        slope = slope_at(b, c, at, terms) * way
+        better = at - ahead / slope if slope > 0.0 else low
+        if not (low < better < high):
+            if better == at or high - low <= 1e-16 * h:
+                return at
+            better = 0.5 * (low + high)
+        if abs(better - at) <= 1e-16 * h:
+            return better
+        at = better
+    return at
+
+
+def step(b: Block, t: Block) -> int:
+    """Find the next step from the state: its series, its size, and what ends it. −1 if it cannot be found."""
+    if b[ON_SEAT] > 0.0:
+        b[UNSEATED_TIME] = b[TIME]
+    if b[MOVING] == 0.0:
+        invoke(b[REST], b, t)
+    else:
+        invoke(b[MOVE], b, t)
+        if b[IS_CHECKED] > 0.0:
+            while b[DEFECT] > 1.0 and b[STEP] > SHORTEST_STEP:
+                b[LONGEST] = RETAKEN * b[STEP]
+                invoke(b[MOVE], b, t)
+            b[LONGEST] = ANY_STEP
+    h = b[STEP]
+    if not (h >= SHORTEST_STEP) or b[END_X] - b[END_X] != 0.0 or b[END_V] - b[END_V] != 0.0:
+        return -1
+    if b[SUSPECT] == 0.0:
+        return NO_EVENT
+    ends = first_event(b, t)
+    if ends != NO_EVENT and ends != RISE and ends != FALL:
+        b[ELAPSED] = b[STEP]
+        invoke(b[AT], b, t)
+    return ends
+
+
+def first_event(b: Block, t: Block) -> int:
+    """What ends a step first; sets its size to when that happens."""
+    h = b[STEP]
+    latest = h
+    ends = NO_EVENT
+    if b[MOVING] > 0.0:
+        turn = first_fall(b, GUARD, h, OWN_ERROR * b[TOLERANCE])
+        if turn < h:
+            latest = turn
+            ends = TURN
+        x = b[END_X] if ends == NO_EVENT else value_at(b, SERIES_X, latest, ORDER + 1)
+        if (x - b[AHEAD]) * b[DIRECTION] >= 0.0:
+            latest = root(b, SERIES_X, latest, b[AHEAD], b[DIRECTION], ORDER + 1)
+            ends = CONTACT
+    else:
+        rise = first_fall(b, GUARD, h, ROUNDING)
+        if rise < h:
+            latest = rise
+            ends = RISE
+        fall = first_fall(b, GUARD + TERMS, latest, ROUNDING)
+        if fall < latest:
+            latest = fall
+            ends = FALL
+    if b[FREEWHEELS] != 0.0:
+        gone = first_fall(b, GUARD + 2 * TERMS, latest, 0.0)
+        if gone < latest:
+            latest = gone
+            ends = CURRENT_GONE
+    count = int(b[GUARDS])
+    for guard in range(count):
+        c = GUARD + (3 + guard) * TERMS
+        changes = first_fall(b, c, latest, ROUNDING * size(b, c, latest))
+        if changes < latest:
+            latest = changes
+            ends = FLAGGED + guard
+    b[STEP] = latest
+    if ends == RISE or ends == FALL:
+        balance(b, t, ends)
+    return ends
+
+
+def size(b: Block, c: int, h: float) -> float:
+    """The size of a polynomial up to h: the sum of the sizes of its terms."""
+    total = 0.0
+    power = 1.0
+    for k in range(TERMS):
+        total += abs(b[c + k]) * power
+        power *= h
+    return total
+
+
+def balance(b: Block, t: Block, ends: int) -> None:
+    """Find the end of a rest by Newton's method on the balance of forces itself; sets the step and its end."""
+    start = b[TIME]
+    coil = b[SCRATCH:]
+    states = int(b[STATES])
+    peak = b[PEAK]
+    for i in range(states):
+        coil[i] = b[COIL + i]
+    h = b[STEP]
+    for _ in range(ON_EQUATION):
+        b[ELAPSED] = h
+        invoke(b[AT], b, t)
+        b[TIME] = start + h
+        for i in range(states):
+            b[COIL + i] = b[END + 2 + i]
+        invoke(b[LOOK], b, t)
+        b[TIME] = start
+        for i in range(states):
+            b[COIL + i] = coil[i]
+        excess = b[UP] if ends == RISE else b[DOWN]
+        rate = b[UP_RATE] if ends == RISE else b[DOWN_RATE]
+        if not (rate > 0.0):
+            break
+        better = h - excess / rate
+        if not (abs(better - h) <= 0.5 * b[STEP]) or better < 0.0 or better == h:
+            break
+        h = better
+    b[PEAK] = peak
+    b[STEP] = h
+    b[ELAPSED] = h
+    invoke(b[AT], b, t)
+
+
+def commit(b: Block, t: Block, width: int, time: float) -> None:
+    """Make the end of the step, which is in the block, the state."""
+    if b[SENSOR_LAG] > 0.0:
+        h = time - b[TIME]
+        pilot = lagged(b, h, b[SHOWN_PILOT], 0.0)
+        b[SHOWN_MAIN] = shown_main(b, h)
+        b[SHOWN_PILOT] = pilot
+    b[TIME] = time
+    states = 2 + int(b[STATES])
+    for i in range(states):
+        b[X + i] = b[END + i]
+    if b[HAS_PEAK] > 0.0:
+        b[PEAK] = b[END_PEAK]
+    b[PENDING] = 0.0
+
+
+def log_event(b: Block, events: Block, room: int, kind: int, v: float) -> None:
+    """Note an event, if there is room, and count it."""
+    count = int(b[COUNT])
+    if count < room:
+        event = events[4 * count:]
+        event[0] = b[TIME]
+        event[1] = kind
+        event[2] = b[X]
+        event[3] = v
+    b[COUNT] = count + 1
+
+
+def come_to_rest(b: Block, t: Block, mode: int) -> None:
+    """The plungers stay where they are."""
+    b[MODE] = mode
+    b[MOVING] = 0.0
+    b[V] = 0.0
+    enter(b, t)
+
+
+def set_off(b: Block, t: Block, mode: int, direction: float) -> None:
+    """The plungers move from rest."""
+    if b[MODE] == CLOSED:
+        b[UNSEATED_TIME] = b[TIME]
+    b[MODE] = mode
+    b[MOVING] = 1.0
+    b[DIRECTION] = direction
+    enter(b, t)
+
+
+def push_now(b: Block, t: Block) -> float:
+    """Which way the forces move plungers at rest: +1, −1, or 0 for not at all."""
+    invoke(b[LOOK], b, t)
+    if b[UP] > 0.0:
+        return 1.0
+    return -1.0 if b[DOWN] > 0.0 else 0.0
+
+
+def move_off(b: Block, t: Block, ends: int, events: Block, room: int) -> None:
+    """Set plungers at rest in motion, in the mode that follows."""
+    mode = int(b[MODE])
+    if mode == CLOSED:
+        set_off(b, t, MAIN if b[ONE_PLUNGER] > 0.0 else PILOT, 1.0)
+        log_event(b, events, room, UNSEATED, 0.0)
+    elif mode == OPEN and b[BEYOND] == 0.0:
+        set_off(b, t, MAIN, -1.0)
+        log_event(b, events, room, RELEASED, 0.0)
+    elif mode == GAP_HOLD:
+        if ends == RISE:
+            set_off(b, t, MAIN, 1.0)
+            log_event(b, events, room, LIFTED_OFF, 0.0)
+        else:
+            set_off(b, t, PILOT, -1.0)
+            log_event(b, events, room, DROPPED, 0.0)
+    else:
+        set_off(b, t, mode, 1.0 if ends == RISE else -1.0)
+        log_event(b, events, room, BROKE_AWAY, 0.0)
+
+
+def touch(b: Block, t: Block, events: Block, room: int) -> None:
+    """A contact: pick-up, hold, stop, seat; the state is at the contact with the velocity before it."""
+    v = b[V]
+    mode = int(b[MODE])
+    if mode == OPEN:
+        b[MODE] = MAIN
+        enter(b, t)
+        log_event(b, events, room, RELEASED, v)
+    elif mode == MAIN and b[DIRECTION] > 0.0:
+        if b[COMPLIANCE] > 0.0:
+            b[MODE] = OPEN
+            enter(b, t)
+            log_event(b, events, room, REACHED_STOP, v)
+        elif b[RESTITUTION_STOP] > 0.0 and abs(v) >= SLOWEST_REBOUND:
+            b[V] = -b[RESTITUTION_STOP] * v
+            b[DIRECTION] = -1.0
+            enter(b, t)
+            log_event(b, events, room, BOUNCED_AT_STOP, v)
+        else:
+            come_to_rest(b, t, OPEN)
+            log_event(b, events, room, REACHED_STOP, v)
+    elif b[DIRECTION] < 0.0 and (mode == PILOT or b[ONE_PLUNGER] > 0.0):
+        touch_seat(b, t, events, room)
+    else:
+        touch_gap(b, t, events, room)
+
+
+def touch_seat(b: Block, t: Block, events: Block, room: int) -> None:
+    """The pilot plunger, or the only one, meets its seat."""
+    v = b[V]
+    mode = int(b[MODE])
+    if b[RESTITUTION_SEAT] > 0.0 and abs(v) >= SLOWEST_REBOUND:
+        b[V] = -b[RESTITUTION_SEAT] * v
+        b[DIRECTION] = 1.0
+        b[UNSEATED_TIME] = b[TIME]
+        enter(b, t)
+        log_event(b, events, room, BOUNCED_AT_SEAT, v)
+        return
+    come_to_rest(b, t, CLOSED)
+    b[UNSEATED_TIME] = b[TIME] if b[ON_SEAT] > 0.0 else b[UNSEATED_TIME]
+    if push_now(b, t) != 0.0:
+        # What pulls lifts it again at once: one event, not a seating and an unseating at one time.
+        set_off(b, t, mode, 1.0)
+        log_event(b, events, room, BOUNCED_AT_SEAT, v)
+    else:
+        log_event(b, events, room, SEATED, v)
+
+
+def touch_gap(b: Block, t: Block, events: Block, room: int) -> None:
+    """The contact between pilot and main plunger, from below (pick-up) or above (the main plunger seats)."""
+    v = b[V]
+    if abs(v) < SLOW_AT_GAP:
+        # Friction takes no part in this decision, nor does velocity.
+        lifted = b[LIFTED]
+        b[V] = 0.0
+        b[LIFTED] = 0.0
+        invoke(b[LOOK], b, t)
+        of_pilot = b[NET]
+        b[LIFTED] = 1.0
+        invoke(b[LOOK], b, t)
+        of_main = b[NET]
+        b[LIFTED] = lifted
+        b[V] = v
+        if of_pilot > 0.0 and of_main <= 0.0:
+            come_to_rest(b, t, GAP_HOLD)
+            log_event(b, events, room, HELD_AT_GAP, v)
+            return
+    if b[DIRECTION] < 0.0:
+        b[MODE] = PILOT
+        enter(b, t)
+        log_event(b, events, room, MAIN_SEATED, v)
+        return
+    b[V] = b[RATIO] * v
+    if b[V] == 0.0:
+        # A full stop against the main plunger: what happens next is decided from rest.
+        come_to_rest(b, t, GAP_HOLD)
+    else:
+        b[MODE] = MAIN
+        enter(b, t)
+    log_event(b, events, room, PICKED_UP, v)
+
+
+def turn_round(b: Block, t: Block, events: Block, room: int) -> None:
+    """The velocity reached zero: go on, turn round, or stay where dry friction holds."""
+    b[V] = 0.0
+    b[MOVING] = 0.0
+    enter(b, t)
+    push = push_now(b, t)
+    if push != 0.0:
+        b[MOVING] = 1.0
+        b[DIRECTION] = push
+        enter(b, t)
+    else:
+        log_event(b, events, room, STUCK, 0.0)
+
+
+def block_diode(b: Block, t: Block) -> None:
+    """The current has gone and the diode blocks; eddy currents continue, and pull."""
+    b[PATH] = CUT_OFF
+    b[SEEN] = 0.0
+    b[BLOCKED] = 1.0
+    b[FREEWHEELS] = 0.0
+    if b[IS_FLUX] == 0.0 or b[EDDY] < SHORTEST_LAG:
+        b[COIL] = 0.0
+    enter(b, t)
+
+
+def close_circuit(b: Block, t: Block) -> None:
+    """Decide what closes the coil's circuit under the command in force: afresh, but a diode that blocks goes on so."""
+    stays_blocked = b[PATH] == CUT_OFF
+    b[SEEN] = b[VOLTS]
+    b[PATH] = DRIVEN
+    b[BLOCKED] = 0.0
+    b[FREEWHEELS] = 0.0
+    if b[RELEASE] == 0.0 or b[VOLTS] != 0.0:
+        enter(b, t)
+        return
+    if stays_blocked or b[COIL] == 0.0 or b[LAG] < SHORTEST_LAG:
+        block_diode(b, t)
+        return
+    sign = 1.0 if b[COIL] > 0.0 else -1.0
+    b[PATH] = FREEWHEELING
+    b[SEEN] = -sign * b[RELEASE]
+    b[FREEWHEELS] = sign
+    enter(b, t)
+    invoke(b[LOOK], b, t)
+    if not (b[CURRENT] * sign > 0.0):
+        block_diode(b, t)
+
+
+def set_voltage(b: Block, t: Block, volts: float) -> None:
+    """A command takes effect now, at the state's time."""
+    b[VOLTS] = volts
+    close_circuit(b, t)
+    if b[HAS_PEAK] > 0.0:
+        invoke(b[LOOK], b, t)
+        b[PEAK] = max(b[PEAK], abs(b[CURRENT]))
+        enter(b, t)
+
+
+def lag_moments(b: float, into: Block) -> None:
+    """Moments M_k = ∫ e^{−b(1−φ)} φᵏ b dφ over φ from 0 to 1, of a low-pass after b time constants; k to ORDER.
+
+    They obey M_k = 1 − (k/b) M_{k−1}: used upwards where b is large, and downwards from a series of positive terms
+    where it is small, so that rounding errors shrink.
+    """
+    if b > ORDER:
+        into[0] = -math.expm1(-b)
+        for k in range(1, ORDER + 1):
+            into[k] = 1.0 - k / b * into[k - 1]
+        return
+    term = b * math.exp(-b)
+    total = 0.0
+    for j in range(MOMENTS):
+        total += term / (ORDER + 1 + j)
+        term *= b / (j + 1)
+    into[ORDER] = total
+    for k in range(ORDER, 0, -1):
+        into[k - 1] = (1.0 - into[k]) * b / k
+
+
+def lagged(b: Block, h: float, shown: float, offset: float) -> float:
+    """What the low-pass of a sensor shows of x − offset at h since the start of the step, m; exact for its polynomial.
+
+    Args:
+        shown: m, at the start of the step.
+    """
+    moments = b[SCRATCH + TERMS:]
+    rate = h / b[SENSOR_LAG]
+    lag_moments(rate, moments)
+    power = 1.0
+    total = (b[SERIES_X] - offset) * moments[0]
+    for k in range(1, ORDER + 1):
+        power *= h
+        total += b[SERIES_X + k] * power * moments[k]
+    return shown * math.exp(-rate) + total
+
+
+def shown_pilot(b: Block, h: float) -> float:
+    """What the sensor of the pilot plunger shows at h since the start of the step, m, without gain."""
+    if b[SENSOR_LAG] > 0.0:
+        return lagged(b, h, b[SHOWN_PILOT], 0.0)
+    return value_at(b, SERIES_X, h, ORDER + 1)
+
+
+def shown_main(b: Block, h: float) -> float:
+    """Likewise of the main plunger."""
+    if b[LIFTED] == 0.0:
+        return b[SHOWN_MAIN] * math.exp(-h / b[SENSOR_LAG]) if b[SENSOR_LAG] > 0.0 else 0.0
+    if b[SENSOR_LAG] > 0.0:
+        return lagged(b, h, b[SHOWN_MAIN], b[GAP])
+    return value_at(b, SERIES_X, h, ORDER + 1) - b[GAP]
+
+
+def fill(b: Block, t: Block, width: int, last: float, times: Block, count: int, rows: Block, columns: int) -> None:
+    """Write the samples of the step that lie before `last`, s: positions late by the sensor's delay, all else not."""
+    start = b[TIME]
+    late = start + b[DELAY]
+    first = int(b[SAMPLED])
+    end = first
+    while end < count and times[end] - b[DELAY] <= last:
+        end += 1
+    if end > first:
+        if columns == 1 and b[SENSOR_LAG] == 0.0:
+            fill_positions(b, times, first, end, rows)
+        else:
+            for i in range(first, end):
+                h = max(0.0, times[i] - late)
+                row = rows[i * columns:]
+                row[0] = b[GAIN] * shown_pilot(b, h)
+                if columns == ROW_COLUMNS:
+                    row[1] = b[GAIN] * shown_main(b, h)
+        b[SAMPLED] = end
+    if columns > 1:
+        fill_rows(b, t, last, times, count, rows, columns)
+
+
+def fill_positions(b: Block, times: Block, first: int, end: int, rows: Block) -> None:
+    """Write positions alone, of a sensor that filters nothing: most of what a fit asks for."""
+    late = b[TIME] + b[DELAY]
+    gain = b[GAIN]
+    if b[MOVING] == 0.0:
+        shown = gain * b[X]
+        for i in range(first, end):
+            rows[i] = shown
+        return
+    c = b[SERIES_X:]
+    c0 = c[0]
+    c1 = c[1]
+    c2 = c[2]
+    c3 = c[3]
+    c4 = c[4]
+    c5 = c[5]
+    c6 = c[6]
+    c7 = c[7]
+    c8 = c[8]
+    c9 = c[9]
+    c10 = c[10]
+    c11 = c[11]
+    c12 = c[12]
+    c13 = c[13]
+    c14 = c[14]
+    for i in range(first, end):
+        h = max(0.0, times[i] - late)
+        high = c7 + h * (c8 + h * (c9 + h * (c10 + h * (c11 + h * (c12 + h * (c13 + h * c14))))))
+        rows[i] = gain * (c0 + h * (c1 + h * (c2 + h * (c3 + h * (c4 + h * (c5 + h * (c6 + h * high)))))))
+
+
+def fill_rows(b: Block, t: Block, last: float, times: Block, count: int, rows: Block, columns: int) -> None:
+    """Write all but positions of the samples before `last`: the current, or whole rows."""
+    i = int(b[SAMPLED_ROWS])
+    while i < count and times[i] <= last:
+        b[ELAPSED] = max(0.0, times[i] - b[TIME])
+        invoke(b[ROW], b, t)
+        row = rows[i * columns:]
+        if columns == ROW_COLUMNS:
+            row[2] = b[ROW_V]
+            row[3] = b[PULL]
+            row[4] = b[MODE]
+            row[5] = b[ROW_X]
+            row[6] = b[TERMINAL]
+            row[7] = b[CURRENT]
+        else:
+            row[1] = b[CURRENT]
+        i += 1
+    b[SAMPLED_ROWS] = i
+
+
+def end_step(b: Block, t: Block, ends: int, events: Block, room: int) -> None:
+    """Apply the event that ended a step; the state is that of its end."""
+    if ends == CONTACT:
+        b[X] = b[AHEAD]
+        touch(b, t, events, room)
+    elif ends == TURN:
+        turn_round(b, t, events, room)
+    elif ends == RISE or ends == FALL:
+        move_off(b, t, ends, events, room)
+    elif ends == CURRENT_GONE:
+        block_diode(b, t)
+        log_event(b, events, room, GONE, b[V])
+    else:
+        b[FLAG + ends - FLAGGED] = 1.0 - b[FLAG + ends - FLAGGED]
+
+
+def run(
+    b: Block, t: Block, width: int, end: float, cuts: bool, most: int, times: Block, count: int, rows: Block,
+    columns: int, events: Block, room: int,
+) -> int:  # fmt: skip
+    """Step a valve from its state to a time under one voltage; returns an Outcome.
+
+    Args:
+        b, t, width: see the module.
+        end: s. cuts: whether to stop exactly there, before a command, or at the last whole step.
+        most: steps, after which the run ends with an error.
+        times: s, ascending, of `count` samples. rows: what they show, `columns` numbers each: the pilot plunger as
+            shown; that and u; or ROW_COLUMNS.
+        events: four numbers each, time, kind, position and the velocity before, for `room` of them.
+    """
+    for _ in range(most):
+        if b[PENDING] == 0.0:
+            if b[TIME] >= end and b[SAMPLED] >= count and (columns == 1 or b[SAMPLED_ROWS] >= count):
+                return FINISHED
+            ends = step(b, t)
+            if ends < 0:
+                return STEP_TOO_SMALL
+            b[ENDS] = ends
+            b[PENDING] = 1.0
+        following = b[TIME] + b[STEP]
+        if count > 0:
+            fill(b, t, width, min(following, end), times, count, rows, columns)
+        if following > end:
+            if cuts:
+                if end > b[TIME]:
+                    b[ELAPSED] = end - b[TIME]
+                    invoke(b[AT], b, t)
+                    commit(b, t, width, end)
+                b[PENDING] = 0.0
+            return FINISHED
+        b[CHATTER] = b[CHATTER] + 1.0 if b[STEP] < SHORTEST_PROGRESS else 0.0
+        if b[CHATTER] > LONGEST_CHATTER:
+            return CHATTERING
+        ends = int(b[ENDS])
+        commit(b, t, width, following)
+        if ends != NO_EVENT:
+            end_step(b, t, ends, events, room)
+    return TOO_MANY_STEPS
+
+
+def drive(
+    b: Block, t: Block, width: int, commands: Block, command_count: int, end: float, most: int, times: Block,
+    count: int, rows: Block, columns: int, events: Block, room: int,
+) -> int:  # fmt: skip
+    """Step a valve through a whole drive; arguments as for `run`, and commands of two numbers each: s, V."""
+    for command in range(command_count):
+        when = commands[2 * command]
+        if when > end:
+            break
+        outcome = run(b, t, width, when, True, most, times, count, rows, columns, events, room)
+        if outcome != FINISHED:
+            return outcome
+        set_voltage(b, t, commands[2 * command + 1])
+    return run(b, t, width, end, False, most, times, count, rows, columns, events, room)
+
+
+def start(b: Block, t: Block, blank: Block, numbers: Block, count: int, time: float) -> None:
+    """Make the block of a valve that rests closed and without current at a time, s.
+
+    Args:
+        blank: the block of no valve in particular, with the addresses of its kernels. numbers: `count` of the valve.
+    """
+    for i in range(NUMBERS):
+        b[i] = blank[i]
+    for i in range(count):
+        b[NUMBERS + i] = numbers[i]
+    b[TIME] = time
+    b[UNSEATED_TIME] = time
+    invoke(b[PREPARE], b, t)
+    b[ONE_PLUNGER] = 1.0 if b[GAP] == 0.0 else 0.0
+    enter(b, t)
+
+
+def batch(
+    b: Block, blank: Block, numbers: Block, number_count: int, valves: int, time: float, commands: Block,
+    command_count: int, end: float, most: int, times: Block, count: int, rows: Block,
+) -> int:  # fmt: skip
+    """The positions of many valves under one drive, each (count,) in a row; returns how many ran to their end.
+
+    Args:
+        b: room for the block of one valve. numbers: of each valve in turn. Others: as for `start` and `drive`.
+    """
+    for valve in range(valves):
+        start(b, b, blank, numbers[valve * number_count:], number_count, time)
+        outcome = drive(
+            b, b, 0, commands, command_count, end, most, times, count, rows[valve * count:], 1, b, 0
+        )
+        if outcome != FINISHED:
+            b[OUTCOME] = outcome
+            return valve
+    return valves
+
+
+FUNCTIONS: Final = (
+    enter, value_at, slope_at, bound, first_fall, root, step, first_event, size, balance, commit, log_event,
+    come_to_rest, set_off, push_now, move_off, touch, touch_seat, touch_gap, turn_round, block_diode, close_circuit,
+    set_voltage, lag_moments, lagged, shown_pilot, shown_main, fill, fill_positions, fill_rows, end_step, run, drive,
+    start, batch,
+)  # fmt: skip
+"""What is compiled."""

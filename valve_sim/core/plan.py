@@ -1,0 +1,113 @@
+"""What is compiled for a set of effects, and the blocks of valves that have them."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import struct
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valve_sim.core import driver, layout
+from valve_sim.core.effects import Effect
+from valve_sim.core.equations import build
+from valve_sim.core.kernels import NAMES, Kernels
+from valve_sim.core.lowering import lowered
+from valve_sim.core.machine import Library, library
+from valve_sim.model.parameters import DECLARED
+
+Array = NDArray[np.float64]
+POINTER: Final = ctypes.c_void_p
+_SLOTS: Final = {
+    "move": layout.MOVE, "rest": layout.REST, "at": layout.AT, "row": layout.ROW, "look": layout.LOOK,
+    "decide": layout.DECIDE, "prepare": layout.PREPARE,
+}  # fmt: skip
+_ENTRIES: Final = ("drive", "run", "set_voltage", "enter", "start", "batch")
+
+
+def as_double(address: int) -> float:
+    """A double of the same bits as an address."""
+    return float(struct.unpack("<d", struct.pack("<q", address))[0])
+
+
+@functools.cache
+def integrator() -> Library:
+    """The compiled integrator."""
+    return library("driver", lambda: lowered(driver.FUNCTIONS, _ENTRIES))
+
+
+@functools.cache
+def entry(name: str) -> Any:
+    """A function of the integrator that Python can call; it releases the interpreter's lock."""
+    signature = {
+        "drive": (ctypes.c_int64, *[POINTER] * 2, ctypes.c_int64, POINTER, ctypes.c_int64, ctypes.c_double,
+                  ctypes.c_int64, POINTER, ctypes.c_int64, POINTER, ctypes.c_int64, POINTER, ctypes.c_int64),
+        "run": (ctypes.c_int64, *[POINTER] * 2, ctypes.c_int64, ctypes.c_double, ctypes.c_bool, ctypes.c_int64,
+                POINTER, ctypes.c_int64, POINTER, ctypes.c_int64, POINTER, ctypes.c_int64),
+        "set_voltage": (None, POINTER, POINTER, ctypes.c_double),
+        "enter": (None, POINTER, POINTER),
+        "start": (None, *[POINTER] * 4, ctypes.c_int64, ctypes.c_double),
+        "batch": (ctypes.c_int64, *[POINTER] * 3, ctypes.c_int64, ctypes.c_int64, ctypes.c_double, POINTER,
+                  ctypes.c_int64, ctypes.c_double, ctypes.c_int64, POINTER, ctypes.c_int64, POINTER),
+    }[name]  # fmt: skip
+    return ctypes.CFUNCTYPE(*signature)(integrator().address(name))
+
+
+class Plan:
+    """The equations of a set of effects, compiled.
+
+    Args:
+        effects: in the order in which they act. freewheels: whether the current may freewheel.
+        free: parameters that derivatives are taken to. width: directions of derivatives; 0 for none.
+    """
+
+    def __init__(
+        self, effects: Sequence[Effect], *, freewheels: bool = False, free: Sequence[str] = (), width: int = 0
+    ) -> None:
+        system = build(effects, freewheels=freewheels)
+        kernels = Kernels(system, free, width)
+        key = f"{system.trace.digest()} {tuple(free)} {width}"
+        self.parameters, self.states = system.parameters, kernels.names
+        self._of_effects = [(effect.name, effect.names) for effect in effects]
+        self._library = library(key, kernels.text)
+        blank = np.zeros(layout.SIZE)
+        for name in NAMES:
+            blank[_SLOTS[name]] = as_double(self._library.address(name))
+        blank[layout.STATES] = len(kernels.names)
+        blank[layout.GUARDS] = kernels.guard_count
+        blank[layout.IS_CHECKED] = system.is_checked
+        blank[layout.HAS_PEAK] = system.peak is not None
+        blank[layout.IS_FLUX] = kernels.names == ("w",) or kernels.names == ("w", "temperature")
+        blank[layout.MODE] = driver.CLOSED
+        blank[layout.DIRECTION] = 1.0
+        blank[layout.LONGEST] = driver.ANY_STEP
+        self.blank = blank
+
+    def numbers(self, declared: Mapping[str, float], effects: Mapping[str, Mapping[str, float]]) -> Array:
+        """The numbers of a valve in their order."""
+        values = [declared[name] for name in DECLARED]
+        for effect, names in self._of_effects:
+            given = effects[effect]
+            values += [given[name] for name in names]
+        return np.array(values)
+
+    def block(self, numbers: Array, tolerance: float, start: float) -> Array:
+        """The block of a valve that rests closed and without current at a time, s.
+
+        Args:
+            numbers: as of `numbers`. tolerance: relative error of one step.
+        """
+        block = np.empty(layout.SIZE)
+        address = block.ctypes.data
+        entry("start")(address, address, self.blank.ctypes.data, numbers.ctypes.data, len(numbers), start)
+        block[layout.TOLERANCE] = tolerance
+        return block
+
+
+@functools.cache
+def plan_of(effects: tuple[Effect, ...], freewheels: bool = False, free: tuple[str, ...] = (), width: int = 0) -> Plan:
+    """The plan of a set of effects, made once a process."""
+    return Plan(effects, freewheels=freewheels, free=free, width=width)

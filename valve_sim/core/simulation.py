@@ -1,0 +1,218 @@
+"""Simulation of one valve, or of many at once."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from valve_sim.core import layout
+from valve_sim.core.driver import ROW_COLUMNS
+from valve_sim.core.plan import entry
+from valve_sim.core.valve import Valve
+from valve_sim.model.core_types import EventKind, Outcome
+from valve_sim.model.drives import Drive
+from valve_sim.model.errors import SimulationError
+from valve_sim.model.response import Event, Response
+
+Array = NDArray[np.float64]
+
+TOLERANCE: Final = 1e-8
+"""Relative error of one step. It leaves the events of random valves within 5e-12 s (`python -m benchmarks.core`)."""
+EVENT_ROOM: Final = 256
+"""Events for which there is room at first; a run with more is repeated."""
+MOST_STEPS: Final = 200_000
+"""Steps a run may take, and as many again for each second of it."""
+_KINDS: Final = tuple(EventKind)
+_ROWS: Final = 4
+"""Numbers of an event."""
+
+
+def most_steps(duration: float) -> int:
+    """How many steps a run of a duration, s, may take."""
+    return int(MOST_STEPS * (1.0 + max(0.0, min(duration, 1e9))))
+
+
+def start_of(drive: Drive, times: Array) -> float:
+    """When a run begins unless it is said: at the first command or sample, s."""
+    start = min(drive.times[0] if len(drive.times) else math.inf, times[0] if len(times) else math.inf)
+    return float(start) if math.isfinite(start) else 0.0
+
+
+def simulate(
+    valve: Valve,
+    drive: Drive,
+    sample_times: ArrayLike,
+    *,
+    tolerance: float = TOLERANCE,
+    start_time: float | None = None,
+) -> Response:
+    """The response of a valve at rest to a commanded voltage.
+
+    Args:
+        valve: what is simulated.
+        drive: the commanded voltage.
+        sample_times: (n,) s, ascending.
+        tolerance: relative error of one step.
+        start_time: s; the valve rests closed until then. Default: the first command or sample.
+
+    Raises:
+        SimulationError: the run could not be carried to its end.
+    """
+    times = np.ascontiguousarray(sample_times, dtype=np.float64)
+    start = start_of(drive, times) if start_time is None else start_time
+    rows = np.empty((len(times), ROW_COLUMNS))
+    room = EVENT_ROOM
+    while True:
+        block, events = valve.plan().block(valve.numbers(), tolerance, start), np.empty((room, _ROWS))
+        count = run_drive(block, drive, times, rows, events)
+        if count <= room:
+            break
+        room = count
+    logged = events[:count].tolist()
+    return Response(
+        times, rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 7] * block[layout.RATED], rows[:, 3],
+        rows[:, 4].astype(np.uint8), tuple([Event(t, _KINDS[int(kind)], x, v) for t, kind, x, v in logged]),
+        rows[:, 6], bool(block[layout.ONE_PLUNGER]),
+    )  # fmt: skip
+
+
+def run_drive(block: Array, drive: Drive, times: Array, rows: Array, events: Array) -> int:
+    """Run a valve's block through a drive, for callers that hold the arrays.
+
+    Args:
+        block: advanced. drive: the commanded voltage. times: (n,) s, ascending.
+        rows: (n, 1), (n, 2) or (n, ROW_COLUMNS), written, see `driver.run`. events: (e, 4), written.
+
+    Returns:
+        how many events there were.
+
+    Raises:
+        SimulationError: the run could not be carried to its end.
+    """
+    check_geometry(block)
+    commands = np.column_stack((drive.times, drive.volts))
+    end = float(times[-1]) if len(times) else -math.inf
+    address = block.ctypes.data
+    outcome = entry("drive")(
+        address, address, 0, commands.ctypes.data, len(commands), end, most_steps(end - block[layout.TIME]),
+        times.ctypes.data, len(times), rows.ctypes.data, rows.shape[1], events.ctypes.data, len(events),
+    )  # fmt: skip
+    check_outcome(outcome)
+    return int(block[layout.COUNT])
+
+
+def check_geometry(block: Array) -> None:
+    """Check that the gap of a block is inside its stroke.
+
+    Raises:
+        SimulationError: it is not.
+    """
+    gap, stroke = float(block[layout.GAP]), float(block[layout.STROKE])
+    if not 0.0 <= gap < stroke:
+        raise SimulationError(f"the simulation cannot start: pilot_gap {gap:g} m is not inside stroke {stroke:g} m")
+
+
+def check_outcome(outcome: int, what: str = "") -> None:
+    """Check that a run was carried to its end.
+
+    Raises:
+        SimulationError: it was not; the message says why.
+    """
+    if outcome == Outcome.FINISHED:
+        return
+    why = {
+        Outcome.STEP_TOO_SMALL: "the forces change faster than error control can follow; look for a parameter that is "
+        "many orders of magnitude off, or, with motional_emf, for a flux that does not grow with the current",
+        Outcome.TOO_MANY_STEPS: f"more than {MOST_STEPS} steps a second are needed; look for a time constant that is "
+        "far below a microsecond",
+        Outcome.CHATTERING: "the plungers chatter without progress in time",
+    }
+    raise SimulationError(f"{what}the simulation stopped early: {why[Outcome(outcome)]}")
+
+
+def run_many(
+    valves: Sequence[Valve],
+    drive: Drive,
+    sample_times: ArrayLike,
+    *,
+    tolerance: float = TOLERANCE,
+    threads: int | None = None,
+) -> Array:
+    """Pilot plunger positions of many valves with the same effects under one drive, on several threads.
+
+    Args:
+        valves: any number, with one set of effects.
+        drive: the commanded voltage.
+        sample_times: (n,) s, ascending.
+        tolerance: relative error of one step.
+        threads: how many; default all processors.
+
+    Returns:
+        (k, n) m, as the position sensor shows it.
+
+    Raises:
+        SimulationError: a run could not be carried to its end; it names the valve. Or the valves have other effects.
+    """
+    if not valves:
+        return np.empty((0, np.size(sample_times)))
+    first = valves[0].plan()
+    if any(valve.plan() is not first for valve in valves):
+        raise SimulationError("the valves have different effects; simulate those apart from each other")
+    numbers = np.array([valve.numbers() for valve in valves])
+    return run_numbers(valves[0], numbers, drive, sample_times, tolerance=tolerance, threads=threads)
+
+
+def run_numbers(
+    valve: Valve,
+    numbers: Array,
+    drive: Drive,
+    sample_times: ArrayLike,
+    *,
+    tolerance: float = TOLERANCE,
+    threads: int | None = None,
+) -> Array:
+    """As `run_many`, of one valve with other numbers.
+
+    Args:
+        numbers: (k, m) the numbers of each in the order of the plan's parameters, see `Valve.numbers`.
+
+    Raises:
+        SimulationError: a run could not be carried to its end; it names the row.
+    """
+    times = np.ascontiguousarray(sample_times, dtype=np.float64)
+    numbers = np.ascontiguousarray(numbers, dtype=np.float64)
+    positions = np.empty((len(numbers), len(times)))
+    commands = np.column_stack((drive.times, drive.volts))
+    start = start_of(drive, times)
+    blank = valve.plan().blank.copy()
+    blank[layout.TOLERANCE] = tolerance
+    workers = threads or os.cpu_count() or 1
+    chunks = [chunk for chunk in np.array_split(np.arange(len(numbers)), workers * 4) if len(chunk)]
+    end = float(times[-1]) if len(times) else -math.inf
+
+    def work(chunk: Any) -> int:
+        own, shown, room = numbers[chunk[0] :], positions[chunk[0] :], np.empty(layout.SIZE)
+        done = entry("batch")(
+            room.ctypes.data, blank.ctypes.data, own.ctypes.data, own.shape[1], len(chunk), start,
+            commands.ctypes.data, len(commands), end, most_steps(end - start), times.ctypes.data, len(times),
+            shown.ctypes.data,
+        )  # fmt: skip
+        if done < len(chunk):
+            check_outcome(int(room[layout.OUTCOME]), f"parameter set {chunk[0] + done}: ")
+        return int(done)
+
+    if workers == 1:
+        for chunk in chunks:
+            work(chunk)
+    else:
+        with ThreadPoolExecutor(workers) as pool:
+            list(pool.map(work, chunks))
+    return positions
+
+
