@@ -65,8 +65,8 @@ ON_EQUATION: Final = 4
 ROW_COLUMNS: Final = 9
 """Of a whole row of output: pilot and main plunger as shown, m; velocity, m/s; attraction, N; phase; the pilot itself,
 m; V at the terminals; the current u; unused."""
-MOMENTS: Final = 40
-"""Terms of the series of a moment of the low-pass."""
+NEGLIGIBLE: Final = 1e-17
+"""Of a sum: a term that ends its series."""
 
 
 def invoke(address: float, b: Block, t: Block) -> None:
@@ -550,9 +550,11 @@ def lag_moments(b: float, into: Block) -> None:
         return
     term = b * math.exp(-b)
     total = 0.0
-    for j in range(MOMENTS):
+    j = 0
+    while j < b or term > NEGLIGIBLE * total:
         total += term / (ORDER + 1 + j)
-        term *= b / (j + 1)
+        j += 1
+        term *= b / j
     into[ORDER] = total
     for k in range(ORDER, 0, -1):
         into[k - 1] = (1.0 - into[k]) * b / k

@@ -69,13 +69,13 @@ class State:
 
     Attributes:
         rate: its rate of change.
-        after: its value after the time `elapsed`, where it has a closed form while nothing else changes.
-        scale: the size below which its error is held absolutely; None where its closed form is used.
+        after: its value after the time `elapsed`, where it has a closed form; its error is then not held.
+        scale: the size below which its error is held absolutely.
     """
 
     rate: Node
     after: Node | None = None
-    scale: float | None = None
+    scale: float = 1e-2
 
 
 @dataclass
@@ -290,14 +290,14 @@ def _heating_coil(system: System, p: Any, *, has_eddies: bool) -> tuple[Node, No
     state = trace.state("u")
     u = where(lags, state, target / r)
     rate = where(lags, 1.0 / p.coil_time_constant, 0.0)
-    system.states["u"] = State(rate * (target - r * state), scale=1e-2)
+    system.states["u"] = State(rate * (target - r * state))
     _heat(system, p, u)
     system.terminal = trace.number("seen")
     if not has_eddies:
         return u, u
     chases = p.eddy_time_constant > SHORTEST_INTEGRATED
     chaser = trace.state("w")
-    system.states["w"] = State(where(chases, 1.0 / p.eddy_time_constant, 0.0) * (u - chaser), scale=1e-2)
+    system.states["w"] = State(where(chases, 1.0 / p.eddy_time_constant, 0.0) * (u - chaser))
     return u, where(chases, chaser, u)
 
 
@@ -330,7 +330,7 @@ def _flux_coil(
     flux_rate = where(blocked, where(circulates, -w * p.coil_time_constant / p.eddy_time_constant, 0.0), driven)
     system.flux_slope = _gradient(flux, w)
     rate = (flux_rate - _gradient(flux, x) * v) / system.flux_slope  # (C4)
-    system.states["w"] = State(rate, scale=1e-2)
+    system.states["w"] = State(rate)
     if heats:
         _heat(system, p, u)
     induced = p.reference_voltage / p.drive_gain * flux_rate

@@ -27,6 +27,9 @@ SIZE_OF_X: Final = 1e-5
 SIZE_OF_V: Final = 1e-2
 SIZE_OF_FORCE: Final = 1.0
 """m, m/s, N: below these sizes errors are held absolutely."""
+SAFETY: Final = 0.1
+"""Of the tolerance: the last terms of a series, of which a step tolerates that much, are larger than what is left out,
+but many steps add up."""
 FINE: Final = 5
 """Order up to which a guard's Bernstein coefficients are taken; the terms above are bounded by their size."""
 CHECKED_AT: Final = (0.5, 1.0)
@@ -61,6 +64,8 @@ class Kernels:
             for name in (*free, *DYNAMIC):
                 self._seeds[trace.number(name)] = trace.number(f"d {name}")
         self._guards = trace.guards()
+        # Where something is read from the series of a current, these must hold even if the forces do not feel it.
+        self._is_watched = bool(self._guards) or system.current_left is not None
         self._flags = {guard: at.FLAG + i for i, guard in enumerate(self._guards)}
         self._moving_rates = self._with_tangents({"x": self._v, "v": system.acceleration, **self._coil})
         self._resting_rates = self._with_tangents(self._coil)
@@ -170,7 +175,7 @@ class Kernels:
         for name, state in self.system.states.items():
             for order in range(at.TERMS):
                 self._store_coefficient(code, series, name, order)
-            if state.scale is not None:
+            if state.after is None or self._is_watched:
                 node = self.system.trace.state(name)
                 coefficients = [series.coefficient(node, order) for order in range(at.TERMS)]
                 taken.append((self._or_zero(code, coefficients), state.scale))
@@ -185,7 +190,7 @@ class Kernels:
         tolerance, least = code.load(at.TOLERANCE), None
         for coefficients, size in controlled:
             scale = code.larger(code.call("fabs", coefficients[0]), code.constant(size))
-            tolerated = code.rough_log2(code.mul(tolerance, scale))
+            tolerated = code.rough_log2(code.mul(code.mul(tolerance, scale), code.constant(SAFETY)))
             for order in (len(coefficients) - 1, len(coefficients) - 2):
                 term = code.rough_log2(code.call("fabs", coefficients[order]))
                 exponent = code.mul(code.sub(tolerated, term), code.constant(1.0 / order))

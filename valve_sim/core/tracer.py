@@ -107,9 +107,9 @@ class Node:
         if a.value == 0.0 or b.value == 1.0:
             return a
         if a.value is not None and b.value is not None:
-            return self.trace.constant(a.value / b.value)
+            return self.trace.constant(a.value / b.value if b.value else math.inf)
         if b.value is not None:
-            return a * (1.0 / b.value)
+            return a * (1.0 / b.value if b.value else math.inf)
         if b.steady and a.value != 1.0:
             return a * (1.0 / b)
         return self.trace.node("div", a, b)
