@@ -5,7 +5,10 @@ read from its polynomial. Only a command cuts a step. So the state does not depe
 is stepped live is the whole run, to the last bit.
 
 These functions are compiled by `lowering`; the kernels that they invoke are those of `kernels`. `b` is the block of a
-valve, `t` that of its tangents of `width` directions (0: none); `layout` names their slots.
+valve, `t` that of its tangents, in as many directions as the block says; `layout` names their slots.
+
+Derivatives go through an event by its saltation: the states are moved to where the event is, by the rates before it
+times the derivative δ of its time, changed there as the event changes them, and moved back by the rates after it.
 """
 
 from __future__ import annotations
@@ -17,10 +20,10 @@ from valve_sim.core.layout import (
     ACCELERATION, AGEING, AHEAD, AT, BEYOND, BLOCKED, CHATTER, CLOSED_NOW, COIL, COIL_RATES, COMPLIANCE, COUNT, CURRENT,
     CURRENT_RATE, DECIDE, DEFECT, DELAY, DELTA, DIRECTION, DOWN, DOWN_RATE, EDDY, ELAPSED, END, END_PEAK, END_V, END_X,
     ENDS, FLAG, FREEWHEELS, GAIN, GAP, GUARD, GUARDS, HAS_PEAK, IS_CHECKED, IS_FLUX, LAG, LIFTED, LIFTED_DOWN,
-    LIFTED_UP, LONGEST, LOOK, MAY_FALL, MAY_RISE, MODE, MOVE, MOVING, NET, NUMBERS, ON_SEAT, ONE_PLUNGER, ORDER, OUTCOME, PATH, PEAK,
+    LATE, LIFTED_UP, LONGEST, LOOK, MAY_FALL, MAY_RISE, MODE, MOVE, MOVING, NET, NUMBERS, ON_SEAT, ONE_PLUNGER, ORDER, OUTCOME, PATH, PEAK,
     PENDING, PREPARE, PULL, RATIO, RELEASE, REST, RESTITUTION_SEAT, RESTITUTION_STOP, ROW, ROW_V, ROW_X, SAMPLED, SAMPLED_ROWS,
-    SCRATCH, SEEN, SENSOR_LAG, SERIES_X, SHOWN_MAIN, SHOWN_PILOT, STATES, STEP, STROKE, SUSPECT, TERMINAL, TERMS, TIME,
-    TOLERANCE, UNSEATED_TIME, UP, UP_RATE, V, VOLTS, X,
+    SCRATCH, SEEN, SENSOR_LAG, SERIES_X, SHOWN_MAIN, SHOWN_PILOT, SPOT, STATES, STEP, STROKE, SUSPECT, TERMINAL, TERMS, TIME,
+    TOLERANCE, UNSEATED_TIME, UP, UP_RATE, V, VOLTS, WIDTH, X,
 )  # fmt: skip
 from valve_sim.model.core_types import EventKind, Outcome, Phase
 
@@ -55,6 +58,8 @@ OWN_ERROR: Final = 1e-3
 """m/s times the tolerance: a velocity that small has no sign; a crawl would turn for ever."""
 ROUNDING: Final = 1e-13
 """N, or of the size of a polynomial: below it a guard has no sign."""
+JUMPED: Final = 1e-9
+"""N: so much more than what holds them pushes plungers at rest only after a jump of the force."""
 NARROWEST: Final = 1e-12
 """Of a step: a guard that cannot be told from 0 in a shorter part of it counts as 0 there."""
 MOST_TRIALS: Final = 400
@@ -88,15 +93,24 @@ def enter(b: Block, t: Block) -> None:
     b[AGEING] = 1.0 - b[ON_SEAT]
     b[MAY_RISE] = 1.0 if mode != OPEN or b[BEYOND] > 0.0 else 0.0
     b[MAY_FALL] = 1.0 - b[CLOSED_NOW]
-    if mode == OPEN:
-        b[AHEAD] = 1e300 if up else b[STROKE]
-    elif mode == MAIN:
-        b[AHEAD] = b[STROKE] if up else b[GAP]
+    if mode == OPEN and up:
+        b[AHEAD] = 1e300
+    elif mode < MAIN and not up:
+        b[AHEAD] = 0.0
     else:
-        b[AHEAD] = b[GAP] if up else 0.0
+        b[AHEAD] = b[contact_ahead(b)]
     if b[GUARDS] > 0.0:
         invoke(b[DECIDE], b, t)
     b[PENDING] = 0.0
+
+
+def contact_ahead(b: Block) -> int:
+    """The slot of the position of the contact that the plungers move towards; that of the time for the seat."""
+    if b[MODE] == OPEN:
+        return STROKE
+    if b[MODE] == MAIN:
+        return STROKE if b[DIRECTION] > 0.0 else GAP
+    return GAP if b[DIRECTION] > 0.0 else TIME
 
 
 def value_at(b: Block, c: int, h: float, terms: int) -> float:
@@ -322,10 +336,12 @@ def balance(b: Block, t: Block, ends: int) -> None:
     invoke(b[AT], b, t)
 
 
-def commit(b: Block, t: Block, width: int, time: float) -> None:
+def commit(b: Block, t: Block, time: float) -> None:
     """Make the end of the step, which is in the block, the state."""
     if b[SENSOR_LAG] > 0.0:
         h = time - b[TIME]
+        for k in range(int(b[WIDTH])):
+            lag_tangents(b, t, h, k)
         pilot = lagged(b, h, b[SHOWN_PILOT], 0.0)
         b[SHOWN_MAIN] = shown_main(b, h)
         b[SHOWN_PILOT] = pilot
@@ -333,9 +349,93 @@ def commit(b: Block, t: Block, width: int, time: float) -> None:
     states = 2 + int(b[STATES])
     for i in range(states):
         b[X + i] = b[END + i]
+    width = int(b[WIDTH])
+    for i in range(states * width):
+        t[X * width + i] = t[END * width + i]
     if b[HAS_PEAK] > 0.0:
         b[PEAK] = b[END_PEAK]
+        for k in range(width):
+            t[PEAK * width + k] = t[END_PEAK * width + k]
     b[PENDING] = 0.0
+
+
+def divided(a: float, c: float) -> float:
+    """A quotient, or 0 where it has no value: an event that comes and goes at no rate has no derivative."""
+    return a / c if c != 0.0 else 0.0
+
+
+def leave(b: Block, t: Block, ends: int) -> None:
+    """Find the derivative δ of the time of an event, and move the tangents of the states to where it is.
+
+    That of a command, NO_EVENT, is known. A comparison that changes changes nothing at once: its δ does not matter.
+    What a jump of the force at the event before sets off at once has the δ of that event.
+    """
+    width = int(b[WIDTH])
+    if width == 0:
+        return
+    invoke(b[LOOK], b, t)
+    ahead = contact_ahead(b)
+    for k in range(width):
+        delta = 0.0
+        if ends == NO_EVENT or (b[STEP] == 0.0 and max(b[UP], b[DOWN]) > JUMPED):
+            delta = t[DELTA * width + k]
+        elif ends == CONTACT:
+            delta = divided(t[ahead * width + k] - t[X * width + k], b[V])
+        elif ends == TURN:
+            delta = divided(-t[V * width + k], b[ACCELERATION])
+        elif ends == RISE:
+            delta = divided(-t[UP * width + k], b[UP_RATE])
+        elif ends == FALL:
+            delta = divided(-t[DOWN * width + k], b[DOWN_RATE])
+        elif ends == CURRENT_GONE:
+            delta = divided(-t[CURRENT * width + k], b[CURRENT_RATE])
+        t[DELTA * width + k] = delta
+    move_tangents(b, t, 1.0)
+    if b[HAS_PEAK] > 0.0 and b[PEAK] == abs(b[CURRENT]):
+        rate = b[CURRENT_RATE] if b[CURRENT] > 0.0 else -b[CURRENT_RATE]
+        for k in range(width):
+            t[PEAK * width + k] += rate * t[DELTA * width + k]
+
+
+def arrive(b: Block, t: Block) -> None:
+    """Move the tangents of the states back from where the event is."""
+    if b[WIDTH] > 0.0:
+        invoke(b[LOOK], b, t)
+        move_tangents(b, t, -1.0)
+
+
+def move_tangents(b: Block, t: Block, way: float) -> None:
+    """Add to the tangents of the states their rates times δ, times `way`."""
+    width = int(b[WIDTH])
+    states = int(b[STATES])
+    for k in range(width):
+        delta = way * t[DELTA * width + k]
+        if b[MOVING] > 0.0:
+            t[X * width + k] += b[V] * delta
+            t[V * width + k] += b[ACCELERATION] * delta
+        for i in range(states):
+            t[(COIL + i) * width + k] += b[COIL_RATES + i] * delta
+
+
+def set_tangents(b: Block, t: Block, slot: int, source: int, factor: float) -> None:
+    """Make the tangents in a slot those of another one, times a factor."""
+    width = int(b[WIDTH])
+    for k in range(width):
+        t[slot * width + k] = factor * t[source * width + k]
+
+
+def rescale_velocity(b: Block, t: Block, ratio: int, way: float) -> None:
+    """Multiply the velocity by the number in the slot `ratio` and by `way`, which is 1 or −1."""
+    width = int(b[WIDTH])
+    for k in range(width):
+        t[V * width + k] = way * (b[ratio] * t[V * width + k] + t[ratio * width + k] * b[V])
+    b[V] = way * b[ratio] * b[V]
+
+
+def unseat(b: Block, t: Block) -> None:
+    """The pilot plunger leaves its seat now."""
+    b[UNSEATED_TIME] = b[TIME]
+    set_tangents(b, t, UNSEATED_TIME, DELTA, 1.0)
 
 
 def log_event(b: Block, events: Block, room: int, kind: int, v: float) -> None:
@@ -355,13 +455,14 @@ def come_to_rest(b: Block, t: Block, mode: int) -> None:
     b[MODE] = mode
     b[MOVING] = 0.0
     b[V] = 0.0
+    set_tangents(b, t, V, V, 0.0)
     enter(b, t)
 
 
 def set_off(b: Block, t: Block, mode: int, direction: float) -> None:
     """The plungers move from rest."""
     if b[MODE] == CLOSED:
-        b[UNSEATED_TIME] = b[TIME]
+        unseat(b, t)
     b[MODE] = mode
     b[MOVING] = 1.0
     b[DIRECTION] = direction
@@ -411,7 +512,7 @@ def touch(b: Block, t: Block, events: Block, room: int) -> None:
             enter(b, t)
             log_event(b, events, room, REACHED_STOP, v)
         elif b[RESTITUTION_STOP] > 0.0 and abs(v) >= SLOWEST_REBOUND:
-            b[V] = -b[RESTITUTION_STOP] * v
+            rescale_velocity(b, t, RESTITUTION_STOP, -1.0)
             b[DIRECTION] = -1.0
             enter(b, t)
             log_event(b, events, room, BOUNCED_AT_STOP, v)
@@ -429,14 +530,16 @@ def touch_seat(b: Block, t: Block, events: Block, room: int) -> None:
     v = b[V]
     mode = int(b[MODE])
     if b[RESTITUTION_SEAT] > 0.0 and abs(v) >= SLOWEST_REBOUND:
-        b[V] = -b[RESTITUTION_SEAT] * v
+        rescale_velocity(b, t, RESTITUTION_SEAT, -1.0)
         b[DIRECTION] = 1.0
-        b[UNSEATED_TIME] = b[TIME]
+        unseat(b, t)
         enter(b, t)
         log_event(b, events, room, BOUNCED_AT_SEAT, v)
         return
     come_to_rest(b, t, CLOSED)
-    b[UNSEATED_TIME] = b[TIME] if b[ON_SEAT] > 0.0 else b[UNSEATED_TIME]
+    if b[ON_SEAT] > 0.0:
+        b[UNSEATED_TIME] = b[TIME]
+        set_tangents(b, t, UNSEATED_TIME, UNSEATED_TIME, 0.0)
     if push_now(b, t) != 0.0:
         # What pulls lifts it again at once: one event, not a seating and an unseating at one time.
         set_off(b, t, mode, 1.0)
@@ -469,7 +572,7 @@ def touch_gap(b: Block, t: Block, events: Block, room: int) -> None:
         enter(b, t)
         log_event(b, events, room, MAIN_SEATED, v)
         return
-    b[V] = b[RATIO] * v
+    rescale_velocity(b, t, RATIO, 1.0)
     if b[V] == 0.0:
         # A full stop against the main plunger: what happens next is decided from rest.
         come_to_rest(b, t, GAP_HOLD)
@@ -481,9 +584,7 @@ def touch_gap(b: Block, t: Block, events: Block, room: int) -> None:
 
 def turn_round(b: Block, t: Block, events: Block, room: int) -> None:
     """The velocity reached zero: go on, turn round, or stay where dry friction holds."""
-    b[V] = 0.0
-    b[MOVING] = 0.0
-    enter(b, t)
+    come_to_rest(b, t, int(b[MODE]))
     push = push_now(b, t)
     if push != 0.0:
         b[MOVING] = 1.0
@@ -501,6 +602,8 @@ def block_diode(b: Block, t: Block) -> None:
     b[FREEWHEELS] = 0.0
     if b[IS_FLUX] == 0.0 or b[EDDY] < SHORTEST_LAG:
         b[COIL] = 0.0
+        set_tangents(b, t, COIL, COIL, 0.0)
+    set_tangents(b, t, SEEN, SEEN, 0.0)
     enter(b, t)
 
 
@@ -508,6 +611,7 @@ def close_circuit(b: Block, t: Block) -> None:
     """Decide what closes the coil's circuit under the command in force: afresh, but a diode that blocks goes on so."""
     stays_blocked = b[PATH] == CUT_OFF
     b[SEEN] = b[VOLTS]
+    set_tangents(b, t, SEEN, VOLTS, 1.0)
     b[PATH] = DRIVEN
     b[BLOCKED] = 0.0
     b[FREEWHEELS] = 0.0
@@ -520,6 +624,7 @@ def close_circuit(b: Block, t: Block) -> None:
     sign = 1.0 if b[COIL] > 0.0 else -1.0
     b[PATH] = FREEWHEELING
     b[SEEN] = -sign * b[RELEASE]
+    set_tangents(b, t, SEEN, RELEASE, -sign)
     b[FREEWHEELS] = sign
     enter(b, t)
     invoke(b[LOOK], b, t)
@@ -533,7 +638,9 @@ def set_voltage(b: Block, t: Block, volts: float) -> None:
     close_circuit(b, t)
     if b[HAS_PEAK] > 0.0:
         invoke(b[LOOK], b, t)
-        b[PEAK] = max(b[PEAK], abs(b[CURRENT]))
+        if abs(b[CURRENT]) > b[PEAK]:
+            b[PEAK] = abs(b[CURRENT])
+            set_tangents(b, t, PEAK, CURRENT, 1.0 if b[CURRENT] > 0.0 else -1.0)
         enter(b, t)
 
 
@@ -577,6 +684,38 @@ def lagged(b: Block, h: float, shown: float, offset: float) -> float:
     return shown * math.exp(-rate) + total
 
 
+def lag_tangents(b: Block, t: Block, h: float, k: int) -> None:
+    """Advance the tangents, in direction k, of what the sensors show to h since the start of the step.
+
+    By M_k' = 1 − M_k (1 + k/b), the derivative of a moment by the time constants b that have passed.
+    """
+    width = int(b[WIDTH])
+    moments = b[SCRATCH + TERMS:]
+    rate = h / b[SENSOR_LAG]
+    if rate == 0.0:
+        return
+    lag_moments(rate, moments)
+    left = math.exp(-rate)
+    moved = 0.0
+    slope = 0.0
+    power = 1.0
+    for j in range(ORDER + 1):
+        moved += t[(SERIES_X + j) * width + k] * power * moments[j]
+        slope += b[SERIES_X + j] * power * (1.0 - moments[j] * (1.0 + j / rate))
+        power *= h
+    longer = -rate / b[SENSOR_LAG] * t[SENSOR_LAG * width + k]
+    pilot = SHOWN_PILOT * width + k
+    t[pilot] = left * t[pilot] + moved + longer * (slope - left * b[SHOWN_PILOT])
+    main = SHOWN_MAIN * width + k
+    if b[LIFTED] > 0.0:
+        moved -= t[GAP * width + k] * moments[0]
+        slope -= b[GAP] * (1.0 - moments[0])
+    else:
+        moved = 0.0
+        slope = 0.0
+    t[main] = left * t[main] + moved + longer * (slope - left * b[SHOWN_MAIN])
+
+
 def shown_pilot(b: Block, h: float) -> float:
     """What the sensor of the pilot plunger shows at h since the start of the step, m, without gain."""
     if b[SENSOR_LAG] > 0.0:
@@ -593,10 +732,11 @@ def shown_main(b: Block, h: float) -> float:
     return value_at(b, SERIES_X, h, ORDER + 1) - b[GAP]
 
 
-def fill(b: Block, t: Block, width: int, last: float, times: Block, count: int, rows: Block, columns: int) -> None:
+def fill(
+    b: Block, t: Block, last: float, times: Block, count: int, rows: Block, columns: int, slopes: Block
+) -> None:
     """Write the samples of the step that lie before `last`, s: positions late by the sensor's delay, all else not."""
-    start = b[TIME]
-    late = start + b[DELAY]
+    late = b[TIME] + b[DELAY]
     first = int(b[SAMPLED])
     end = first
     while end < count and times[end] - b[DELAY] <= last:
@@ -611,9 +751,45 @@ def fill(b: Block, t: Block, width: int, last: float, times: Block, count: int, 
                 row[0] = b[GAIN] * shown_pilot(b, h)
                 if columns == ROW_COLUMNS:
                     row[1] = b[GAIN] * shown_main(b, h)
+        if b[WIDTH] > 0.0:
+            fill_slopes(b, t, times, first, end, columns, slopes)
         b[SAMPLED] = end
     if columns > 1:
-        fill_rows(b, t, last, times, count, rows, columns)
+        fill_rows(b, t, last, times, count, rows, columns, slopes)
+
+
+def fill_slopes(b: Block, t: Block, times: Block, first: int, end: int, columns: int, slopes: Block) -> None:
+    """Write the tangents of the positions of some samples, as the sensor shows them."""
+    width = int(b[WIDTH])
+    late = b[TIME] + b[DELAY]
+    stride = width if columns == 1 else 2 * width
+    lag = b[SENSOR_LAG]
+    for i in range(first, end):
+        out = slopes[i * stride:]
+        h = max(0.0, times[i] - late)
+        b[ELAPSED] = h
+        shown = b[X]
+        speed = 0.0
+        of_shown = X * width
+        if lag > 0.0 or b[MOVING] > 0.0:
+            invoke(b[SPOT], b, t)
+            shown = b[ROW_X]
+            speed = b[ROW_V]
+            of_shown = ROW_X * width
+        if lag > 0.0:
+            x = shown
+            shown = shown_pilot(b, h)
+            speed = (x - shown) / lag
+            for k in range(width):
+                before = t[SHOWN_PILOT * width + k]
+                main = t[SHOWN_MAIN * width + k]
+                lag_tangents(b, t, h, k)
+                t[ROW_X * width + k] = t[SHOWN_PILOT * width + k]
+                t[SHOWN_PILOT * width + k] = before
+                t[SHOWN_MAIN * width + k] = main
+        for k in range(width):
+            later = t[LATE * width + k] - t[DELAY * width + k]
+            out[k] = b[GAIN] * (t[of_shown + k] + speed * later) + t[GAIN * width + k] * shown
 
 
 def fill_positions(b: Block, times: Block, first: int, end: int, rows: Block) -> None:
@@ -647,8 +823,11 @@ def fill_positions(b: Block, times: Block, first: int, end: int, rows: Block) ->
         rows[i] = gain * (c0 + h * (c1 + h * (c2 + h * (c3 + h * (c4 + h * (c5 + h * (c6 + h * high)))))))
 
 
-def fill_rows(b: Block, t: Block, last: float, times: Block, count: int, rows: Block, columns: int) -> None:
+def fill_rows(
+    b: Block, t: Block, last: float, times: Block, count: int, rows: Block, columns: int, slopes: Block
+) -> None:
     """Write all but positions of the samples before `last`: the current, or whole rows."""
+    width = int(b[WIDTH])
     i = int(b[SAMPLED_ROWS])
     while i < count and times[i] <= last:
         b[ELAPSED] = max(0.0, times[i] - b[TIME])
@@ -663,12 +842,16 @@ def fill_rows(b: Block, t: Block, last: float, times: Block, count: int, rows: B
             row[7] = b[CURRENT]
         else:
             row[1] = b[CURRENT]
+            out = slopes[(2 * i + 1) * width:]
+            for k in range(width):
+                out[k] = t[CURRENT * width + k] + b[CURRENT_RATE] * t[LATE * width + k]
         i += 1
     b[SAMPLED_ROWS] = i
 
 
 def end_step(b: Block, t: Block, ends: int, events: Block, room: int) -> None:
     """Apply the event that ended a step; the state is that of its end."""
+    leave(b, t, ends)
     if ends == CONTACT:
         b[X] = b[AHEAD]
         touch(b, t, events, room)
@@ -681,20 +864,22 @@ def end_step(b: Block, t: Block, ends: int, events: Block, room: int) -> None:
         log_event(b, events, room, GONE, b[V])
     else:
         b[FLAG + ends - FLAGGED] = 1.0 - b[FLAG + ends - FLAGGED]
+    arrive(b, t)
 
 
 def run(
-    b: Block, t: Block, width: int, end: float, cuts: bool, most: int, times: Block, count: int, rows: Block,
-    columns: int, events: Block, room: int,
+    b: Block, t: Block, end: float, cuts: bool, most: int, times: Block, count: int, rows: Block,
+    columns: int, slopes: Block, events: Block, room: int,
 ) -> int:  # fmt: skip
     """Step a valve from its state to a time under one voltage; returns an Outcome.
 
     Args:
-        b, t, width: see the module.
+        b, t: see the module.
         end: s. cuts: whether to stop exactly there, before a command, or at the last whole step.
         most: steps, after which the run ends with an error.
         times: s, ascending, of `count` samples. rows: what they show, `columns` numbers each: the pilot plunger as
             shown; that and u; or ROW_COLUMNS.
+        slopes: with derivatives, those of the first one or two columns: (samples, 1 or 2, directions).
         events: four numbers each, time, kind, position and the velocity before, for `room` of them.
     """
     for _ in range(most):
@@ -708,39 +893,50 @@ def run(
             b[PENDING] = 1.0
         following = b[TIME] + b[STEP]
         if count > 0:
-            fill(b, t, width, min(following, end), times, count, rows, columns)
+            fill(b, t, min(following, end), times, count, rows, columns, slopes)
         if following > end:
             if cuts:
                 if end > b[TIME]:
                     b[ELAPSED] = end - b[TIME]
                     invoke(b[AT], b, t)
-                    commit(b, t, width, end)
+                    commit(b, t, end)
                 b[PENDING] = 0.0
             return FINISHED
         b[CHATTER] = b[CHATTER] + 1.0 if b[STEP] < SHORTEST_PROGRESS else 0.0
         if b[CHATTER] > LONGEST_CHATTER:
             return CHATTERING
         ends = int(b[ENDS])
-        commit(b, t, width, following)
+        commit(b, t, following)
         if ends != NO_EVENT:
             end_step(b, t, ends, events, room)
     return TOO_MANY_STEPS
 
 
 def drive(
-    b: Block, t: Block, width: int, commands: Block, command_count: int, end: float, most: int, times: Block,
-    count: int, rows: Block, columns: int, events: Block, room: int,
+    b: Block, t: Block, commands: Block, command_count: int, end: float, most: int, times: Block,
+    count: int, rows: Block, columns: int, slopes: Block, moves: Block, events: Block, room: int,
 ) -> int:  # fmt: skip
-    """Step a valve through a whole drive; arguments as for `run`, and commands of two numbers each: s, V."""
+    """Step a valve through a whole drive; arguments as for `run`.
+
+    Args:
+        commands: two numbers each: s, V. moves: with derivatives, those of the same: (commands, 2, directions).
+    """
+    width = int(b[WIDTH])
     for command in range(command_count):
         when = commands[2 * command]
         if when > end:
             break
-        outcome = run(b, t, width, when, True, most, times, count, rows, columns, events, room)
+        outcome = run(b, t, when, True, most, times, count, rows, columns, slopes, events, room)
         if outcome != FINISHED:
             return outcome
+        change = moves[2 * command * width:]
+        for k in range(width):
+            t[VOLTS * width + k] = change[width + k]
+            t[DELTA * width + k] = change[k]
+        leave(b, t, NO_EVENT)
         set_voltage(b, t, commands[2 * command + 1])
-    return run(b, t, width, end, False, most, times, count, rows, columns, events, room)
+        arrive(b, t)
+    return run(b, t, end, False, most, times, count, rows, columns, slopes, events, room)
 
 
 def start(b: Block, t: Block, blank: Block, numbers: Block, count: int, time: float) -> None:
@@ -772,7 +968,7 @@ def batch(
     for valve in range(valves):
         start(b, b, blank, numbers[valve * number_count:], number_count, time)
         outcome = drive(
-            b, b, 0, commands, command_count, end, most, times, count, rows[valve * count:], 1, b, 0
+            b, b, commands, command_count, end, most, times, count, rows[valve * count:], 1, b, b, b, 0
         )
         if outcome != FINISHED:
             b[OUTCOME] = outcome
@@ -781,9 +977,10 @@ def batch(
 
 
 FUNCTIONS: Final = (
-    enter, value_at, slope_at, bound, first_fall, root, step, first_event, size, balance, commit, log_event,
+    enter, contact_ahead, value_at, slope_at, bound, first_fall, root, step, first_event, size, balance, commit, divided,
+    leave, arrive, move_tangents, set_tangents, rescale_velocity, unseat, log_event,
     come_to_rest, set_off, push_now, move_off, touch, touch_seat, touch_gap, turn_round, block_diode, close_circuit,
-    set_voltage, lag_moments, lagged, shown_pilot, shown_main, fill, fill_positions, fill_rows, end_step, run, drive,
+    set_voltage, lag_moments, lagged, lag_tangents, shown_pilot, shown_main, fill, fill_slopes, fill_positions, fill_rows, end_step, run, drive,
     start, batch,
 )  # fmt: skip
 """What is compiled."""

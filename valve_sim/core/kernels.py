@@ -4,6 +4,7 @@
     move      one step in motion: Taylor series, step size, states at its end, whether anything may happen in it
     rest      one step at rest, likewise: only the coil moves
     at        the states at some time within the step
+    spot      x and v at some time within the step
     row       what a row of output shows at some time within the step
     look      forces, rates and currents at the state
     decide    which comparisons of the equations hold at the state
@@ -36,7 +37,7 @@ CHECKED_AT: Final = (0.5, 1.0)
 """Fractions of a step at which its series is compared with the equation."""
 DYNAMIC: Final = ("unseated_time", "seen", "peak")
 """Numbers that events change, and their tangents with them."""
-NAMES: Final = ("move", "rest", "at", "row", "look", "decide", "prepare")
+NAMES: Final = ("move", "rest", "at", "spot", "row", "look", "decide", "prepare")
 
 
 class Kernels:
@@ -351,6 +352,21 @@ class Kernels:
         self._store_peak(code, states, elapsed)
         return code
 
+    def _current_rate(self) -> list[Node | None]:
+        """The rate of u, which no coil makes depend on the acceleration."""
+        trace = self.system.trace
+        coil = {trace.state(name): rate for name, rate in self._coil.items()}
+        return derivative([self.system.current], {**coil, trace.clock(): trace.constant(1.0), self._x: self._v})
+
+    def _spot(self) -> Code:
+        code = self._code()
+        states, _ = self._states_at(code, code.load(at.ELAPSED))
+        code.store(at.ROW_X, states["x"])
+        code.store(at.ROW_V, states["v"])
+        if self.width:
+            code.store(at.ROW_X, states["d x"], wide=True)
+        return code
+
     def _row(self) -> Code:
         code, system = self._code(), self.system
         elapsed = code.load(at.ELAPSED)
@@ -358,6 +374,9 @@ class Kernels:
         there = self._series(code, states, {}, clock=elapsed)
         code.store(at.ROW_X, states["x"])
         code.store(at.ROW_V, states["v"])
+        if self.width:
+            (rate,) = self._current_rate()
+            code.store(at.CURRENT_RATE, code.constant(0.0) if rate is None else there.value(rate))
         code.store(at.PULL, there.value(system.attraction))
         code.store(at.TERMINAL, there.value(system.terminal))
         self._store_all(code, there, {"current": system.current}, {"current": at.CURRENT})
@@ -368,9 +387,8 @@ class Kernels:
         series = self._series(code, {}, {})
         coil = {trace.state(name): rate for name, rate in self._coil.items()}
         resting = {**coil, trace.clock(): trace.constant(1.0)}
-        moving = {**resting, self._x: self._v}
         up_rate, down_rate = derivative([system.up, system.down], resting)
-        (current_rate,) = derivative([system.current], moving)
+        (current_rate,) = self._current_rate()
         zero = trace.constant(0.0)
         self._store_all(
             code, series, {"up": system.up, "down": system.down, "current": system.current},

@@ -34,7 +34,7 @@ GAP, STROKE, RATIO, RESTITUTION_STOP, RESTITUTION_SEAT, COMPLIANCE, DELAY, SENSO
 RELEASE, MAY_RISE, LAG, MAY_FALL = 50, 51, 52, 53
 ACCELERATION, NET, UP, DOWN, UP_RATE, DOWN_RATE, CURRENT, CURRENT_RATE, PULL, TERMINAL, COIL_RATES = range(54, 65)
 """What `look` fills in: m/s², N, N, N, N/s, N/s, –, 1/s, N, V, and the rates of the states of the coil (five)."""
-MOVE, REST, AT, ROW, LOOK, DECIDE, PREPARE = range(70, 77)
+MOVE, REST, AT, SPOT, ROW, LOOK, DECIDE, PREPARE = range(69, 77)
 """Addresses of the kernels, as bits."""
 STATES, GUARDS, IS_CHECKED, HAS_PEAK, IS_FLUX, ONE_PLUNGER = range(77, 83)
 """How many states the coil has, how many guards there are; whether series are checked; whether the peak is asked for;
@@ -46,7 +46,11 @@ PENDING, ENDS, CHATTER, COUNT, SAMPLED, SAMPLED_ROWS = range(85, 91)
 of positions, and of all else, that have been written."""
 EDDY, ROW_X, ROW_V, DELTA, OUTCOME = range(91, 96)
 """s; m and m/s of a row of output; tangents of the time of an event, s, stand in the last."""
-SERIES_X: Final = 96
+WIDTH: Final = 96
+"""Directions of derivatives; 0 for none."""
+LATE: Final = STEP
+"""Tangents of the sample times, s, stand in this slot of the tangents."""
+SERIES_X: Final = 97
 """ORDER + 1 coefficients of x about the start of the step."""
 SERIES_COIL: Final = SERIES_X + ORDER + 1
 """TERMS coefficients of each state of the coil."""

@@ -22,7 +22,7 @@ from valve_sim.model.parameters import DECLARED
 Array = NDArray[np.float64]
 POINTER: Final = ctypes.c_void_p
 _SLOTS: Final = {
-    "move": layout.MOVE, "rest": layout.REST, "at": layout.AT, "row": layout.ROW, "look": layout.LOOK,
+    "move": layout.MOVE, "rest": layout.REST, "at": layout.AT, "spot": layout.SPOT, "row": layout.ROW, "look": layout.LOOK,
     "decide": layout.DECIDE, "prepare": layout.PREPARE,
 }  # fmt: skip
 _ENTRIES: Final = ("drive", "run", "set_voltage", "enter", "start", "batch")
@@ -43,10 +43,10 @@ def integrator() -> Library:
 def entry(name: str) -> Any:
     """A function of the integrator that Python can call; it releases the interpreter's lock."""
     signature = {
-        "drive": (ctypes.c_int64, *[POINTER] * 2, ctypes.c_int64, POINTER, ctypes.c_int64, ctypes.c_double,
-                  ctypes.c_int64, POINTER, ctypes.c_int64, POINTER, ctypes.c_int64, POINTER, ctypes.c_int64),
-        "run": (ctypes.c_int64, *[POINTER] * 2, ctypes.c_int64, ctypes.c_double, ctypes.c_bool, ctypes.c_int64,
-                POINTER, ctypes.c_int64, POINTER, ctypes.c_int64, POINTER, ctypes.c_int64),
+        "drive": (ctypes.c_int64, *[POINTER] * 3, ctypes.c_int64, ctypes.c_double, ctypes.c_int64, POINTER,
+                  ctypes.c_int64, POINTER, ctypes.c_int64, *[POINTER] * 3, ctypes.c_int64),
+        "run": (ctypes.c_int64, *[POINTER] * 2, ctypes.c_double, ctypes.c_bool, ctypes.c_int64, POINTER,
+                ctypes.c_int64, POINTER, ctypes.c_int64, *[POINTER] * 2, ctypes.c_int64),
         "set_voltage": (None, POINTER, POINTER, ctypes.c_double),
         "enter": (None, POINTER, POINTER),
         "start": (None, *[POINTER] * 4, ctypes.c_int64, ctypes.c_double),
@@ -81,6 +81,7 @@ class Plan:
         blank[layout.IS_CHECKED] = system.is_checked
         blank[layout.HAS_PEAK] = system.peak is not None
         blank[layout.IS_FLUX] = kernels.names == ("w",) or kernels.names == ("w", "temperature")
+        blank[layout.WIDTH] = width
         blank[layout.MODE] = driver.CLOSED
         blank[layout.DIRECTION] = 1.0
         blank[layout.LONGEST] = driver.ANY_STEP
@@ -94,15 +95,17 @@ class Plan:
             values += [given[name] for name in names]
         return np.array(values)
 
-    def block(self, numbers: Array, tolerance: float, start: float) -> Array:
+    def block(self, numbers: Array, tolerance: float, start: float, tangents: Array | None = None) -> Array:
         """The block of a valve that rests closed and without current at a time, s.
 
         Args:
             numbers: as of `numbers`. tolerance: relative error of one step.
+            tangents: (layout.SIZE, width) those of the numbers, completed; None without derivatives.
         """
         block = np.empty(layout.SIZE)
         address = block.ctypes.data
-        entry("start")(address, address, self.blank.ctypes.data, numbers.ctypes.data, len(numbers), start)
+        beside = address if tangents is None else tangents.ctypes.data
+        entry("start")(address, beside, self.blank.ctypes.data, numbers.ctypes.data, len(numbers), start)
         block[layout.TOLERANCE] = tolerance
         return block
 

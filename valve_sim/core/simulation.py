@@ -100,8 +100,9 @@ def run_drive(block: Array, drive: Drive, times: Array, rows: Array, events: Arr
     end = float(times[-1]) if len(times) else -math.inf
     address = block.ctypes.data
     outcome = entry("drive")(
-        address, address, 0, commands.ctypes.data, len(commands), end, most_steps(end - block[layout.TIME]),
-        times.ctypes.data, len(times), rows.ctypes.data, rows.shape[1], events.ctypes.data, len(events),
+        address, address, commands.ctypes.data, len(commands), end, most_steps(end - block[layout.TIME]),
+        times.ctypes.data, len(times), rows.ctypes.data, rows.shape[1], address, address, events.ctypes.data,
+        len(events),
     )  # fmt: skip
     check_outcome(outcome)
     return int(block[layout.COUNT])
