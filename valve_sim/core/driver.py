@@ -22,7 +22,7 @@ from valve_sim.core.layout import (
     ENDS, FLAG, FREEWHEELS, GAIN, GAP, GUARD, GUARDS, HAS_PEAK, IS_CHECKED, IS_FLUX, LAG, LIFTED, LIFTED_DOWN,
     LATE, LIFTED_UP, LONGEST, LOOK, MAY_FALL, MAY_RISE, MODE, MOVE, MOVING, NET, NUMBERS, ON_SEAT, ONE_PLUNGER, ORDER, OUTCOME, PATH, PEAK,
     PENDING, PREPARE, PULL, RATIO, RELEASE, REST, RESTITUTION_SEAT, RESTITUTION_STOP, ROW, ROW_V, ROW_X, SAMPLED, SAMPLED_ROWS,
-    SCRATCH, SEEN, SENSOR_LAG, SERIES_X, SHOWN_MAIN, SHOWN_PILOT, SPOT, STATES, STEP, STROKE, SUSPECT, TERMINAL, TERMS, TIME,
+    SCRATCH, SEEN, SENSOR_LAG, SERIES_X, SHOWN_MAIN, SIZE, SHOWN_PILOT, SPOT, STATES, STEP, STROKE, SUSPECT, TERMINAL, TERMS, TIME,
     TOLERANCE, UNSEATED_TIME, UP, UP_RATE, V, VOLTS, WIDTH, X,
 )  # fmt: skip
 from valve_sim.model.core_types import EventKind, Outcome, Phase
@@ -70,6 +70,14 @@ ON_EQUATION: Final = 4
 ROW_COLUMNS: Final = 9
 """Of a whole row of output: pilot and main plunger as shown, m; velocity, m/s; attraction, N; phase; the pilot itself,
 m; V at the terminals; the current u; unused."""
+UPWARDS: Final = 6.0
+"""Time constants of the low-pass above which its moments are found upwards; so neither way loses two digits."""
+LIVE_EVENTS: Final = 256
+"""Events of a live valve that are kept from one look to the next."""
+LIVE_STEPS: Final = 4_000_000
+"""Steps of a live valve between two looks, after which it ends with an error."""
+SPACING: Final = 1.2e-16
+"""Half of the relative distance between doubles, and a little more: rounding takes less than that to the next one."""
 NEGLIGIBLE: Final = 1e-17
 """Of a sum: a term that ends its series."""
 
@@ -283,7 +291,7 @@ def first_event(b: Block, t: Block) -> int:
     count = int(b[GUARDS])
     for guard in range(count):
         c = GUARD + (3 + guard) * TERMS
-        changes = first_fall(b, c, latest, ROUNDING * size(b, c, latest))
+        changes = first_fall(b, c, latest, ROUNDING * extent(b, c, latest))
         if changes < latest:
             latest = changes
             ends = FLAGGED + guard
@@ -293,7 +301,7 @@ def first_event(b: Block, t: Block) -> int:
     return ends
 
 
-def size(b: Block, c: int, h: float) -> float:
+def extent(b: Block, c: int, h: float) -> float:
     """The size of a polynomial up to h: the sum of the sizes of its terms."""
     total = 0.0
     power = 1.0
@@ -650,7 +658,7 @@ def lag_moments(b: float, into: Block) -> None:
     They obey M_k = 1 − (k/b) M_{k−1}: used upwards where b is large, and downwards from a series of positive terms
     where it is small, so that rounding errors shrink.
     """
-    if b > ORDER:
+    if b > UPWARDS:
         into[0] = -math.expm1(-b)
         for k in range(1, ORDER + 1):
             into[k] = 1.0 - k / b * into[k - 1]
@@ -732,11 +740,17 @@ def shown_main(b: Block, h: float) -> float:
     return value_at(b, SERIES_X, h, ORDER + 1) - b[GAP]
 
 
+def before(time: float) -> float:
+    """The last double before a time, s, or one close to it."""
+    return time - SPACING * abs(time)
+
+
 def fill(
     b: Block, t: Block, last: float, times: Block, count: int, rows: Block, columns: int, slopes: Block
 ) -> None:
-    """Write the samples of the step that lie before `last`, s: positions late by the sensor's delay, all else not."""
-    late = b[TIME] + b[DELAY]
+    """Write the samples of the step up to `last`, s: positions late by the sensor's delay, all else not."""
+    start = b[TIME]
+    delay = b[DELAY]
     first = int(b[SAMPLED])
     end = first
     while end < count and times[end] - b[DELAY] <= last:
@@ -746,7 +760,7 @@ def fill(
             fill_positions(b, times, first, end, rows)
         else:
             for i in range(first, end):
-                h = max(0.0, times[i] - late)
+                h = max(0.0, times[i] - delay - start)
                 row = rows[i * columns:]
                 row[0] = b[GAIN] * shown_pilot(b, h)
                 if columns == ROW_COLUMNS:
@@ -761,12 +775,13 @@ def fill(
 def fill_slopes(b: Block, t: Block, times: Block, first: int, end: int, columns: int, slopes: Block) -> None:
     """Write the tangents of the positions of some samples, as the sensor shows them."""
     width = int(b[WIDTH])
-    late = b[TIME] + b[DELAY]
+    start = b[TIME]
+    delay = b[DELAY]
     stride = width if columns == 1 else 2 * width
     lag = b[SENSOR_LAG]
     for i in range(first, end):
         out = slopes[i * stride:]
-        h = max(0.0, times[i] - late)
+        h = max(0.0, times[i] - delay - start)
         b[ELAPSED] = h
         shown = b[X]
         speed = 0.0
@@ -794,7 +809,8 @@ def fill_slopes(b: Block, t: Block, times: Block, first: int, end: int, columns:
 
 def fill_positions(b: Block, times: Block, first: int, end: int, rows: Block) -> None:
     """Write positions alone, of a sensor that filters nothing: most of what a fit asks for."""
-    late = b[TIME] + b[DELAY]
+    start = b[TIME]
+    delay = b[DELAY]
     gain = b[GAIN]
     if b[MOVING] == 0.0:
         shown = gain * b[X]
@@ -818,7 +834,7 @@ def fill_positions(b: Block, times: Block, first: int, end: int, rows: Block) ->
     c13 = c[13]
     c14 = c[14]
     for i in range(first, end):
-        h = max(0.0, times[i] - late)
+        h = max(0.0, times[i] - delay - start)
         high = c7 + h * (c8 + h * (c9 + h * (c10 + h * (c11 + h * (c12 + h * (c13 + h * c14))))))
         rows[i] = gain * (c0 + h * (c1 + h * (c2 + h * (c3 + h * (c4 + h * (c5 + h * (c6 + h * high)))))))
 
@@ -893,7 +909,8 @@ def run(
             b[PENDING] = 1.0
         following = b[TIME] + b[STEP]
         if count > 0:
-            fill(b, t, min(following, end), times, count, rows, columns, slopes)
+            # A sample at the very end of a step is of the next one, as it is live: that has what happens there.
+            fill(b, t, end if following > end else before(following), times, count, rows, columns, slopes)
         if following > end:
             if cuts:
                 if end > b[TIME]:
@@ -976,11 +993,84 @@ def batch(
     return valves
 
 
+def read(b: Block, t: Block, time: float, row: Block) -> None:
+    """Fill a row of ROW_COLUMNS at a time within the step that is under way, without the sensor's delay."""
+    h = max(0.0, time - b[TIME])
+    row[0] = b[GAIN] * shown_pilot(b, h)
+    row[1] = b[GAIN] * shown_main(b, h)
+    b[ELAPSED] = h
+    invoke(b[ROW], b, t)
+    row[2] = b[ROW_V]
+    row[3] = b[PULL]
+    row[4] = b[MODE]
+    row[5] = b[ROW_X]
+    row[6] = b[TERMINAL]
+    row[7] = b[CURRENT]
+
+
+def advance(b: Block, time: float) -> int:
+    """Step a live valve to a time, s, or to where it is if that is later, and read it there; returns an Outcome.
+
+    Args:
+        b: its block; behind it a row of output, and room for LIVE_EVENTS events, of which COUNT have been counted.
+    """
+    row = b[SIZE:]
+    events = b[SIZE + ROW_COLUMNS:]
+    outcome = run(b, b, time, False, LIVE_STEPS, row, 0, row, 1, row, events, LIVE_EVENTS)
+    if outcome == FINISHED and b[PENDING] == 0.0:
+        b[ENDS] = step(b, b)
+        b[PENDING] = 1.0
+        if b[ENDS] < 0.0:
+            outcome = STEP_TOO_SMALL
+    if outcome == FINISHED:
+        read(b, b, time, row)
+    return outcome
+
+
+def halt(b: Block, time: float) -> int:
+    """Step a live valve exactly to a time, s; returns an Outcome."""
+    row = b[SIZE:]
+    return run(b, b, time, True, LIVE_STEPS, row, 0, row, 1, row, b[SIZE + ROW_COLUMNS:], LIVE_EVENTS)
+
+
+def command(b: Block, time: float, volts: float) -> int:
+    """Command a live valve: a voltage in force from a time on, or from where it is; reads it there, see `advance`."""
+    when = max(time, b[TIME])
+    outcome = halt(b, when)
+    if outcome != FINISHED:
+        return outcome
+    set_voltage(b, b, volts)
+    return advance(b, when)
+
+
+def settle(b: Block) -> None:
+    """Make a state agree with another valve: only a contact or a blocking diode makes it jump."""
+    at_contact = b[MOVING] == 0.0 and (b[MODE] == GAP_HOLD or b[MODE] == OPEN)
+    contact = b[STROKE] if b[MODE] == OPEN else b[GAP]
+    if b[COMPLIANCE] == 0.0:
+        b[X] = min(b[X], b[STROKE])
+    if at_contact and b[X] != contact:
+        # The contact has gone: at rest between contacts, free to move off.
+        b[MODE] = MAIN if b[X] >= b[GAP] else PILOT
+    elif b[MODE] == OPEN and b[X] < b[STROKE]:
+        b[MODE] = MAIN
+    elif b[MODE] == PILOT and b[X] >= b[GAP]:
+        b[MODE] = MAIN
+    elif b[MODE] == MAIN and b[X] < b[GAP]:
+        b[MODE] = PILOT
+    if b[MODE] == MAIN and b[X] >= b[STROKE] and b[V] >= 0.0:
+        b[MODE] = OPEN
+        if b[COMPLIANCE] == 0.0:
+            b[MOVING] = 0.0
+            b[V] = 0.0
+    set_voltage(b, b, b[VOLTS])
+
+
 FUNCTIONS: Final = (
-    enter, contact_ahead, value_at, slope_at, bound, first_fall, root, step, first_event, size, balance, commit, divided,
+    enter, contact_ahead, value_at, slope_at, bound, first_fall, root, step, first_event, extent, balance, commit, divided,
     leave, arrive, move_tangents, set_tangents, rescale_velocity, unseat, log_event,
     come_to_rest, set_off, push_now, move_off, touch, touch_seat, touch_gap, turn_round, block_diode, close_circuit,
-    set_voltage, lag_moments, lagged, lag_tangents, shown_pilot, shown_main, fill, fill_slopes, fill_positions, fill_rows, end_step, run, drive,
-    start, batch,
+    set_voltage, lag_moments, lagged, lag_tangents, before, shown_pilot, shown_main, fill, fill_slopes, fill_positions, fill_rows, end_step, run, drive,
+    start, batch, read, advance, halt, command, settle,
 )  # fmt: skip
 """What is compiled."""

@@ -11,8 +11,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.core import driver, layout
+from valve_sim.core import driver, entries, layout
 from valve_sim.core.effects import Effect
+from valve_sim.core.entries import ENTRIES
 from valve_sim.core.equations import build
 from valve_sim.core.kernels import NAMES, Kernels
 from valve_sim.core.lowering import lowered
@@ -25,7 +26,7 @@ _SLOTS: Final = {
     "move": layout.MOVE, "rest": layout.REST, "at": layout.AT, "spot": layout.SPOT, "row": layout.ROW, "look": layout.LOOK,
     "decide": layout.DECIDE, "prepare": layout.PREPARE,
 }  # fmt: skip
-_ENTRIES: Final = ("drive", "run", "set_voltage", "enter", "start", "batch")
+_ENTRIES: Final = ("drive", "start", "batch", "settle", *ENTRIES)
 
 
 def as_double(address: int) -> float:
@@ -36,7 +37,8 @@ def as_double(address: int) -> float:
 @functools.cache
 def integrator() -> Library:
     """The compiled integrator."""
-    return library("driver", lambda: lowered(driver.FUNCTIONS, _ENTRIES))
+    entries.resolve()
+    return library("driver", lambda: lowered(driver.FUNCTIONS, _ENTRIES) + entries.text())
 
 
 @functools.cache
@@ -45,10 +47,7 @@ def entry(name: str) -> Any:
     signature = {
         "drive": (ctypes.c_int64, *[POINTER] * 3, ctypes.c_int64, ctypes.c_double, ctypes.c_int64, POINTER,
                   ctypes.c_int64, POINTER, ctypes.c_int64, *[POINTER] * 3, ctypes.c_int64),
-        "run": (ctypes.c_int64, *[POINTER] * 2, ctypes.c_double, ctypes.c_bool, ctypes.c_int64, POINTER,
-                ctypes.c_int64, POINTER, ctypes.c_int64, *[POINTER] * 2, ctypes.c_int64),
-        "set_voltage": (None, POINTER, POINTER, ctypes.c_double),
-        "enter": (None, POINTER, POINTER),
+        "settle": (None, POINTER),
         "start": (None, *[POINTER] * 4, ctypes.c_int64, ctypes.c_double),
         "batch": (ctypes.c_int64, *[POINTER] * 3, ctypes.c_int64, ctypes.c_int64, ctypes.c_double, POINTER,
                   ctypes.c_int64, ctypes.c_double, ctypes.c_int64, POINTER, ctypes.c_int64, POINTER),

@@ -1,0 +1,82 @@
+"""Functions of the integrator as functions of Python, without the tenth of a microsecond that others take.
+
+A function of Python's C interface is emitted beside the integrator: it takes the time from its arguments, steps the
+valve that it is bound to, and returns an integer. Only documented, stable names of that interface are used.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from typing import Any, Final
+
+import llvmlite.binding as llvm
+
+from valve_sim.core.code import POINTER
+
+ENTRIES: Final = {"advance": 1, "command": 2, "halt": 1}
+"""Functions of a block and of so many doubles, which return an integer."""
+_USED: Final = ("PyFloat_AsDouble", "PyLong_AsVoidPtr", "PyLong_FromLongLong", "PyErr_Occurred")
+_FASTCALL: Final = 0x0080
+_OBJECTS: Final = "ptr" if POINTER == "ptr" else "i8**"
+_OBJECT: Final = "ptr" if POINTER == "ptr" else "i8*"
+_Method = Callable[..., int]
+
+
+class _MethodDefinition(ctypes.Structure):
+    """What Python asks of a function of C: its name, address, way of being called and documentation."""
+
+    _fields_ = (
+        ("name", ctypes.c_char_p), ("function", ctypes.c_void_p), ("flags", ctypes.c_int), ("doc", ctypes.c_char_p),
+    )  # fmt: skip
+
+
+def text() -> str:
+    """The functions, as text of LLVM, to be compiled with those that they call."""
+    parts = [
+        f"declare double @PyFloat_AsDouble({_OBJECT})", f"declare {POINTER} @PyLong_AsVoidPtr({_OBJECT})",
+        f"declare {_OBJECT} @PyLong_FromLongLong(i64)", f"declare {_OBJECT} @PyErr_Occurred()",
+    ]  # fmt: skip
+    for name, count in ENTRIES.items():
+        lines = [f"%block = call {POINTER} @PyLong_AsVoidPtr({_OBJECT} %self)"]
+        for i in range(count):
+            lines += [
+                f"%place{i} = getelementptr {_OBJECT}, {_OBJECTS} %given, i64 {i}",
+                f"%given{i} = load {_OBJECT}, {_OBJECTS} %place{i}",
+                f"%double{i} = call double @PyFloat_AsDouble({_OBJECT} %given{i})",
+            ]
+        doubles = ", ".join(f"double %double{i}" for i in range(count))
+        lines += [
+            f"%wrong = call {_OBJECT} @PyErr_Occurred()", f"%fails = icmp ne {_OBJECT} %wrong, null",
+            "br i1 %fails, label %failed, label %sound", "failed:", f"ret {_OBJECT} null", "sound:",
+            f"%outcome = call i64 @{name}({POINTER} %block, {doubles})",
+            f"%answer = call {_OBJECT} @PyLong_FromLongLong(i64 %outcome)", f"ret {_OBJECT} %answer",
+        ]  # fmt: skip
+        body = "\n  ".join(lines)
+        parts.append(f"define {_OBJECT} @py_{name}({_OBJECT} %self, {_OBJECTS} %given, i64 %count) {{\n  {body}\n}}\n")
+    return "\n".join(parts)
+
+
+def resolve() -> None:
+    """Tell LLVM where the functions of Python's C interface are, before code that calls them is loaded."""
+    for name in _USED:
+        llvm.add_symbol(name, ctypes.cast(getattr(ctypes.pythonapi, name), ctypes.c_void_p).value)
+
+
+class Method:
+    """One of the functions, to be bound to blocks.
+
+    Args:
+        name: of `ENTRIES`. address: where it was loaded.
+    """
+
+    def __init__(self, name: str, address: int) -> None:
+        self._definition = _MethodDefinition(name.encode(), address, _FASTCALL, None)
+        self._make: Any = ctypes.pythonapi.PyCFunction_NewEx
+        self._make = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p, ctypes.py_object, ctypes.c_void_p)(
+            ctypes.cast(ctypes.pythonapi.PyCFunction_NewEx, ctypes.c_void_p).value
+        )
+
+    def bound(self, address: int) -> _Method:
+        """The function of the valve whose block is at an address; it takes doubles and returns an Outcome."""
+        return self._make(ctypes.addressof(self._definition), address, None)  # type: ignore[no-any-return]
