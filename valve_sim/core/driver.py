@@ -17,13 +17,99 @@ import math
 from typing import Any, Final, TypeAlias
 
 from valve_sim.core.layout import (
-    ACCELERATION, AGEING, AHEAD, AT, BEYOND, BLOCKED, CHATTER, CLOSED_NOW, COIL, COIL_RATES, COMPLIANCE, COUNT, CURRENT,
-    CURRENT_RATE, DECIDE, DEFECT, DELAY, DELTA, DIRECTION, DOWN, DOWN_RATE, EDDY, ELAPSED, END, END_PEAK, END_V, END_X,
-    ENDS, FLAG, FREEWHEELS, GAIN, GAP, GUARD, GUARDS, HAS_PEAK, IS_CHECKED, IS_FLUX, LAG, LIFTED, LIFTED_DOWN,
-    LATE, LIFTED_UP, LONGEST, LOOK, MAY_FALL, MAY_RISE, MODE, MOVE, MOVING, NET, NUMBERS, ON_SEAT, ONE_PLUNGER, ORDER, OUTCOME, PATH, PEAK,
-    PENDING, PREPARE, PULL, RATIO, RELEASE, REST, RESTITUTION_SEAT, RESTITUTION_STOP, ROW, ROW_V, ROW_X, SAMPLED, SAMPLED_ROWS,
-    SCRATCH, SEEN, SENSOR_LAG, SERIES_X, SHOWN_MAIN, SIZE, SHOWN_PILOT, SPOT, STATES, STEP, STROKE, SUSPECT, TERMINAL, TERMS, TIME,
-    TOLERANCE, UNSEATED_TIME, UP, UP_RATE, V, VOLTS, WIDTH, X,
+    ACCELERATION,
+    AGEING,
+    AHEAD,
+    AT,
+    BEYOND,
+    BLOCKED,
+    CHATTER,
+    CLOSED_NOW,
+    COIL,
+    COIL_RATES,
+    COMPLIANCE,
+    COUNT,
+    CURRENT,
+    CURRENT_RATE,
+    DECIDE,
+    DEFECT,
+    DELAY,
+    DELTA,
+    DIRECTION,
+    DOWN,
+    DOWN_RATE,
+    EDDY,
+    ELAPSED,
+    END,
+    END_PEAK,
+    END_V,
+    END_X,
+    ENDS,
+    FLAG,
+    FREEWHEELS,
+    GAIN,
+    GAP,
+    GUARD,
+    GUARDS,
+    HAS_PEAK,
+    IS_CHECKED,
+    IS_FLUX,
+    LAG,
+    LATE,
+    LIFTED,
+    LIFTED_DOWN,
+    LIFTED_UP,
+    LONGEST,
+    LOOK,
+    MAY_FALL,
+    MAY_RISE,
+    MODE,
+    MOVE,
+    MOVING,
+    NET,
+    NUMBERS,
+    ON_SEAT,
+    ONE_PLUNGER,
+    ORDER,
+    OUTCOME,
+    PATH,
+    PEAK,
+    PENDING,
+    PREPARE,
+    PULL,
+    RATIO,
+    RELEASE,
+    REST,
+    RESTITUTION_SEAT,
+    RESTITUTION_STOP,
+    ROW,
+    ROW_V,
+    ROW_X,
+    SAMPLED,
+    SAMPLED_ROWS,
+    SCRATCH,
+    SEEN,
+    SENSOR_LAG,
+    SERIES_X,
+    SHOWN_MAIN,
+    SHOWN_PILOT,
+    SIZE,
+    SPOT,
+    STATES,
+    STEP,
+    STROKE,
+    SUSPECT,
+    TERMINAL,
+    TERMS,
+    TIME,
+    TOLERANCE,
+    UNSEATED_TIME,
+    UP,
+    UP_RATE,
+    VOLTS,
+    WIDTH,
+    V,
+    X,
 )  # fmt: skip
 from valve_sim.model.core_types import EventKind, Outcome, Phase
 
@@ -31,7 +117,9 @@ Block: TypeAlias = Any
 """Doubles that are read and written by index; `b[n:]` begins n further on."""
 
 CLOSED, PILOT, GAP_HOLD, MAIN, OPEN = (int(phase) for phase in Phase)
-UNSEATED, PICKED_UP, HELD_AT_GAP, LIFTED_OFF, DROPPED, REACHED_STOP, BOUNCED_AT_STOP = (int(k) for k in list(EventKind)[:7])
+UNSEATED, PICKED_UP, HELD_AT_GAP, LIFTED_OFF, DROPPED, REACHED_STOP, BOUNCED_AT_STOP = (
+    int(k) for k in list(EventKind)[:7]
+)
 RELEASED, MAIN_SEATED, SEATED, BOUNCED_AT_SEAT, STUCK, BROKE_AWAY, GONE = (int(k) for k in list(EventKind)[7:14])
 FINISHED, STEP_TOO_SMALL, TOO_MANY_STEPS, CHATTERING = (int(outcome) for outcome in list(Outcome)[:4])
 DRIVEN, FREEWHEELING, CUT_OFF = 0, 1, 2
@@ -123,7 +211,7 @@ def contact_ahead(b: Block) -> int:
 
 def value_at(b: Block, c: int, h: float, terms: int) -> float:
     """The polynomial whose coefficients begin at slot c, at h."""
-    total = b[c + terms - 1]
+    total: float = b[c + terms - 1]
     for k in range(terms - 2, -1, -1):
         total = b[c + k] + h * total
     return total
@@ -131,7 +219,7 @@ def value_at(b: Block, c: int, h: float, terms: int) -> float:
 
 def slope_at(b: Block, c: int, h: float, terms: int) -> float:
     """Its derivative."""
-    total = (terms - 1) * b[c + terms - 1]
+    total: float = (terms - 1) * b[c + terms - 1]
     for k in range(terms - 2, 0, -1):
         total = k * b[c + k] + h * total
     return total
@@ -153,13 +241,13 @@ def bound(p: Block, w: float, down: float) -> float:
     for k in range(FINE + 1, TERMS):
         rest += abs(p[k]) * power
         power *= w
-    b0 = down * p[0]
+    b0: float = down * p[0]
     b1 = b0 + d1 * 0.2
     b2 = b0 + d1 * 0.4 + d2 * 0.1
     b3 = b0 + d1 * 0.6 + d2 * 0.3 + d3 * 0.1
     b4 = b0 + d1 * 0.8 + d2 * 0.6 + d3 * 0.4 + d4 * 0.2
     b5 = b0 + d1 + d2 + d3 + d4 + d5
-    return min(b0, b1, b2, b3, b4, b5) - rest
+    return float(min(b0, b1, b2, b3, b4, b5) - rest)
 
 
 def first_fall(b: Block, c: int, h: float, unsure: float) -> float:
@@ -170,7 +258,7 @@ def first_fall(b: Block, c: int, h: float, unsure: float) -> float:
         h: s, up to when it is followed. unsure: it falls only if it comes below −unsure.
     """
     p = b[SCRATCH:]
-    slopes = b[SCRATCH + TERMS:]
+    slopes = b[SCRATCH + TERMS :]
     power = 1.0
     for k in range(TERMS):
         p[k] = b[c + k] * power
@@ -180,32 +268,31 @@ def first_fall(b: Block, c: int, h: float, unsure: float) -> float:
     for _ in range(MOST_TRIALS):
         if p[0] < -unsure:
             return left * h
-        if bound(p, width, 1.0) > -unsure:
-            left += width
-            if left >= 1.0:
-                return 2.0 * h
-            for i in range(TERMS - 1):
-                for k in range(TERMS - 2, i - 1, -1):
-                    p[k] += width * p[k + 1]
-            width = min(2.0 * width, 1.0 - left)
-            continue
         for k in range(1, TERMS):
             slopes[k - 1] = k * p[k]
         slopes[TERMS - 1] = 0.0
-        if bound(slopes, width, -1.0) > 0.0 or width < NARROWEST:
+        is_sure = bound(p, width, 1.0) > -unsure
+        if not is_sure and (bound(slopes, width, -1.0) > 0.0 or width < NARROWEST):
             if value_at(p, 0, width, TERMS) < -unsure:
                 return (left + root(p, 0, width, 0.0, -1.0, TERMS)) * h
-            # It comes close to 0 and does not fall through: on to the next part.
+            # It comes close to 0 and does not fall through.
+            is_sure = True
+        if is_sure:
             left += width
             if left >= 1.0:
                 return 2.0 * h
-            for i in range(TERMS - 1):
-                for k in range(TERMS - 2, i - 1, -1):
-                    p[k] += width * p[k + 1]
+            shift(p, width)
             width = min(2.0 * width, 1.0 - left)
-            continue
-        width *= 0.5
+        else:
+            width *= 0.5
     return 2.0 * h
+
+
+def shift(p: Block, by: float) -> None:
+    """Make a polynomial of TERMS terms one about a place further on."""
+    for i in range(TERMS - 1):
+        for k in range(TERMS - 2, i - 1, -1):
+            p[k] += by * p[k + 1]
 
 
 def root(b: Block, c: int, h: float, target: float, way: float, terms: int) -> float:
@@ -254,7 +341,7 @@ def step(b: Block, t: Block) -> int:
     if b[SUSPECT] == 0.0:
         return NO_EVENT
     ends = first_event(b, t)
-    if ends != NO_EVENT and ends != RISE and ends != FALL:
+    if ends not in (NO_EVENT, RISE, FALL):
         b[ELAPSED] = b[STEP]
         invoke(b[AT], b, t)
     return ends
@@ -296,7 +383,7 @@ def first_event(b: Block, t: Block) -> int:
             latest = changes
             ends = FLAGGED + guard
     b[STEP] = latest
-    if ends == RISE or ends == FALL:
+    if ends in (RISE, FALL):
         balance(b, t, ends)
     return ends
 
@@ -450,7 +537,7 @@ def log_event(b: Block, events: Block, room: int, kind: int, v: float) -> None:
     """Note an event, if there is room, and count it."""
     count = int(b[COUNT])
     if count < room:
-        event = events[4 * count:]
+        event = events[4 * count :]
         event[0] = b[TIME]
         event[1] = kind
         event[2] = b[X]
@@ -681,11 +768,11 @@ def lagged(b: Block, h: float, shown: float, offset: float) -> float:
     Args:
         shown: m, at the start of the step.
     """
-    moments = b[SCRATCH + TERMS:]
+    moments = b[SCRATCH + TERMS :]
     rate = h / b[SENSOR_LAG]
     lag_moments(rate, moments)
     power = 1.0
-    total = (b[SERIES_X] - offset) * moments[0]
+    total: float = (b[SERIES_X] - offset) * moments[0]
     for k in range(1, ORDER + 1):
         power *= h
         total += b[SERIES_X + k] * power * moments[k]
@@ -698,7 +785,7 @@ def lag_tangents(b: Block, t: Block, h: float, k: int) -> None:
     By M_k' = 1 − M_k (1 + k/b), the derivative of a moment by the time constants b that have passed.
     """
     width = int(b[WIDTH])
-    moments = b[SCRATCH + TERMS:]
+    moments = b[SCRATCH + TERMS :]
     rate = h / b[SENSOR_LAG]
     if rate == 0.0:
         return
@@ -737,17 +824,15 @@ def shown_main(b: Block, h: float) -> float:
         return b[SHOWN_MAIN] * math.exp(-h / b[SENSOR_LAG]) if b[SENSOR_LAG] > 0.0 else 0.0
     if b[SENSOR_LAG] > 0.0:
         return lagged(b, h, b[SHOWN_MAIN], b[GAP])
-    return value_at(b, SERIES_X, h, ORDER + 1) - b[GAP]
+    return float(value_at(b, SERIES_X, h, ORDER + 1) - b[GAP])
 
 
 def before(time: float) -> float:
     """The last double before a time, s, or one close to it."""
-    return time - SPACING * abs(time)
+    return time - SPACING * abs(time) - 1e-300
 
 
-def fill(
-    b: Block, t: Block, last: float, times: Block, count: int, rows: Block, columns: int, slopes: Block
-) -> None:
+def fill(b: Block, t: Block, last: float, times: Block, count: int, rows: Block, columns: int, slopes: Block) -> None:
     """Write the samples of the step up to `last`, s: positions late by the sensor's delay, all else not."""
     start = b[TIME]
     delay = b[DELAY]
@@ -761,7 +846,7 @@ def fill(
         else:
             for i in range(first, end):
                 h = max(0.0, times[i] - delay - start)
-                row = rows[i * columns:]
+                row = rows[i * columns :]
                 row[0] = b[GAIN] * shown_pilot(b, h)
                 if columns == ROW_COLUMNS:
                     row[1] = b[GAIN] * shown_main(b, h)
@@ -780,7 +865,7 @@ def fill_slopes(b: Block, t: Block, times: Block, first: int, end: int, columns:
     stride = width if columns == 1 else 2 * width
     lag = b[SENSOR_LAG]
     for i in range(first, end):
-        out = slopes[i * stride:]
+        out = slopes[i * stride :]
         h = max(0.0, times[i] - delay - start)
         b[ELAPSED] = h
         shown = b[X]
@@ -848,7 +933,7 @@ def fill_rows(
     while i < count and times[i] <= last:
         b[ELAPSED] = max(0.0, times[i] - b[TIME])
         invoke(b[ROW], b, t)
-        row = rows[i * columns:]
+        row = rows[i * columns :]
         if columns == ROW_COLUMNS:
             row[2] = b[ROW_V]
             row[3] = b[PULL]
@@ -858,7 +943,7 @@ def fill_rows(
             row[7] = b[CURRENT]
         else:
             row[1] = b[CURRENT]
-            out = slopes[(2 * i + 1) * width:]
+            out = slopes[(2 * i + 1) * width :]
             for k in range(width):
                 out[k] = t[CURRENT * width + k] + b[CURRENT_RATE] * t[LATE * width + k]
         i += 1
@@ -873,7 +958,7 @@ def end_step(b: Block, t: Block, ends: int, events: Block, room: int) -> None:
         touch(b, t, events, room)
     elif ends == TURN:
         turn_round(b, t, events, room)
-    elif ends == RISE or ends == FALL:
+    elif ends in (RISE, FALL):
         move_off(b, t, ends, events, room)
     elif ends == CURRENT_GONE:
         block_diode(b, t)
@@ -946,7 +1031,7 @@ def drive(
         outcome = run(b, t, when, True, most, times, count, rows, columns, slopes, events, room)
         if outcome != FINISHED:
             return outcome
-        change = moves[2 * command * width:]
+        change = moves[2 * command * width :]
         for k in range(width):
             t[VOLTS * width + k] = change[width + k]
             t[DELTA * width + k] = change[k]
@@ -983,10 +1068,8 @@ def batch(
         b: room for the block of one valve. numbers: of each valve in turn. Others: as for `start` and `drive`.
     """
     for valve in range(valves):
-        start(b, b, blank, numbers[valve * number_count:], number_count, time)
-        outcome = drive(
-            b, b, commands, command_count, end, most, times, count, rows[valve * count:], 1, b, b, b, 0
-        )
+        start(b, b, blank, numbers[valve * number_count :], number_count, time)
+        outcome = drive(b, b, commands, command_count, end, most, times, count, rows[valve * count :], 1, b, b, b, 0)
         if outcome != FINISHED:
             b[OUTCOME] = outcome
             return valve
@@ -1015,7 +1098,7 @@ def advance(b: Block, time: float) -> int:
         b: its block; behind it a row of output, and room for LIVE_EVENTS events, of which COUNT have been counted.
     """
     row = b[SIZE:]
-    events = b[SIZE + ROW_COLUMNS:]
+    events = b[SIZE + ROW_COLUMNS :]
     outcome = run(b, b, time, False, LIVE_STEPS, row, 0, row, 1, row, events, LIVE_EVENTS)
     if outcome == FINISHED and b[PENDING] == 0.0:
         b[ENDS] = step(b, b)
@@ -1030,7 +1113,7 @@ def advance(b: Block, time: float) -> int:
 def halt(b: Block, time: float) -> int:
     """Step a live valve exactly to a time, s; returns an Outcome."""
     row = b[SIZE:]
-    return run(b, b, time, True, LIVE_STEPS, row, 0, row, 1, row, b[SIZE + ROW_COLUMNS:], LIVE_EVENTS)
+    return run(b, b, time, True, LIVE_STEPS, row, 0, row, 1, row, b[SIZE + ROW_COLUMNS :], LIVE_EVENTS)
 
 
 def command(b: Block, time: float, volts: float) -> int:
@@ -1052,9 +1135,7 @@ def settle(b: Block) -> None:
     if at_contact and b[X] != contact:
         # The contact has gone: at rest between contacts, free to move off.
         b[MODE] = MAIN if b[X] >= b[GAP] else PILOT
-    elif b[MODE] == OPEN and b[X] < b[STROKE]:
-        b[MODE] = MAIN
-    elif b[MODE] == PILOT and b[X] >= b[GAP]:
+    elif (b[MODE] == OPEN and b[X] < b[STROKE]) or (b[MODE] == PILOT and b[X] >= b[GAP]):
         b[MODE] = MAIN
     elif b[MODE] == MAIN and b[X] < b[GAP]:
         b[MODE] = PILOT
@@ -1067,10 +1148,10 @@ def settle(b: Block) -> None:
 
 
 FUNCTIONS: Final = (
-    enter, contact_ahead, value_at, slope_at, bound, first_fall, root, step, first_event, extent, balance, commit, divided,
-    leave, arrive, move_tangents, set_tangents, rescale_velocity, unseat, log_event,
-    come_to_rest, set_off, push_now, move_off, touch, touch_seat, touch_gap, turn_round, block_diode, close_circuit,
-    set_voltage, lag_moments, lagged, lag_tangents, before, shown_pilot, shown_main, fill, fill_slopes, fill_positions, fill_rows, end_step, run, drive,
-    start, batch, read, advance, halt, command, settle,
+    enter, contact_ahead, value_at, slope_at, bound, first_fall, shift, root, step, first_event, extent, balance,
+    commit, divided, leave, arrive, move_tangents, set_tangents, rescale_velocity, unseat, log_event, come_to_rest,
+    set_off, push_now, move_off, touch, touch_seat, touch_gap, turn_round, block_diode, close_circuit, set_voltage,
+    lag_moments, lagged, lag_tangents, before, shown_pilot, shown_main, fill, fill_slopes, fill_positions, fill_rows,
+    end_step, run, drive, start, batch, read, advance, halt, command, settle,
 )  # fmt: skip
 """What is compiled."""

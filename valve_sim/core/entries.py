@@ -60,7 +60,12 @@ def text() -> str:
 def resolve() -> None:
     """Tell LLVM where the functions of Python's C interface are, before code that calls them is loaded."""
     for name in _USED:
-        llvm.add_symbol(name, ctypes.cast(getattr(ctypes.pythonapi, name), ctypes.c_void_p).value)
+        llvm.add_symbol(name, _address(name))
+
+
+def _address(name: str) -> int:
+    """The address of a function of Python's C interface."""
+    return ctypes.cast(getattr(ctypes.pythonapi, name), ctypes.c_void_p).value or 0
 
 
 class Method:
@@ -72,10 +77,8 @@ class Method:
 
     def __init__(self, name: str, address: int) -> None:
         self._definition = _MethodDefinition(name.encode(), address, _FASTCALL, None)
-        self._make: Any = ctypes.pythonapi.PyCFunction_NewEx
-        self._make = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p, ctypes.py_object, ctypes.c_void_p)(
-            ctypes.cast(ctypes.pythonapi.PyCFunction_NewEx, ctypes.c_void_p).value
-        )
+        signature = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p, ctypes.py_object, ctypes.c_void_p)
+        self._make: Any = signature(_address("PyCFunction_NewEx"))
 
     def bound(self, address: int) -> _Method:
         """The function of the valve whose block is at an address; it takes doubles and returns an Outcome."""

@@ -27,10 +27,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from types import SimpleNamespace
 from typing import Any, Final
 
-from valve_sim.core.effects.entry import Effect, Motion
+from valve_sim.core.effects.entry import Effect, Motion, Own
 from valve_sim.core.tracer import (
     Condition,
     Node,
@@ -123,15 +122,14 @@ def build(effects: Sequence[Effect], *, freewheels: bool = False) -> System:
     trace = Trace()
     system = System(trace)
     owns = {
-        effect.name: SimpleNamespace(**{name: trace.number(f"{effect.name}.{name}") for name in effect.names})
-        for effect in effects
+        effect.name: Own(**{name: trace.number(f"{effect.name}.{name}") for name in effect.names}) for effect in effects
     }
     numbers = {name: trace.number(name) for name in DECLARED}
     numbers.update({name: trace.constant(value) for name, value in NEUTRAL.items()})
     for effect in effects:
         for name, change in effect.changes.items():
             numbers[name] = trace.lift(change(numbers[name], owns[effect.name]))
-    p = SimpleNamespace(**numbers)
+    p = Own(**numbers)
     on = [(effect, owns[effect.name]) for effect in effects]
     names = {effect.name for effect in effects}
 
@@ -173,17 +171,17 @@ def build(effects: Sequence[Effect], *, freewheels: bool = False) -> System:
     return system
 
 
-def attraction(p: Any, x: Node, square: Node) -> Node:
+def attraction(p: Own, x: Node, square: Node) -> Node:
     """F_a of equation (2), N, given s."""
     return square * polynomial(x, p.a0, p.a1, p.a2, p.a3)
 
 
-def work_of_attraction(p: Any, x: Node) -> Node:
+def work_of_attraction(p: Own, x: Node) -> Node:
     """W(x), J."""
     return polynomial(x, 0.0, p.a0, p.a1 / 2.0, p.a2 / 3.0, p.a3 / 4.0)
 
 
-def net_force(m: Motion, square: Node, on: Sequence[tuple[Effect, Any]]) -> Node:
+def net_force(m: Motion, square: Node, on: Sequence[tuple[Effect, Own]]) -> Node:
     """Right-hand sides of (3) and (4) with (5), N; the dry friction of (6) is the caller's.
 
     What waits longest in a series is added last: the attraction is known before the velocity.
@@ -199,7 +197,7 @@ def net_force(m: Motion, square: Node, on: Sequence[tuple[Effect, Any]]) -> Node
     return force - rate * m.x - damping * m.v
 
 
-def _square(pulling: Node, on: Sequence[tuple[Effect, Any]]) -> Node:
+def _square(pulling: Node, on: Sequence[tuple[Effect, Own]]) -> Node:
     """The s of the current that pulls, (2) and (7)."""
     square = pulling * pulling
     for effect, own in on:
@@ -208,7 +206,7 @@ def _square(pulling: Node, on: Sequence[tuple[Effect, Any]]) -> Node:
     return square
 
 
-def _friction(m: Motion, on: Sequence[tuple[Effect, Any]]) -> Node:
+def _friction(m: Motion, on: Sequence[tuple[Effect, Own]]) -> Node:
     """Magnitude of (6), N."""
     level = m.x.trace.constant(0.0)
     for effect, own in on:
@@ -217,7 +215,7 @@ def _friction(m: Motion, on: Sequence[tuple[Effect, Any]]) -> Node:
     return level
 
 
-def _at_rest(system: System, motion: Motion, square: Node, on: Sequence[tuple[Effect, Any]]) -> None:
+def _at_rest(system: System, motion: Motion, square: Node, on: Sequence[tuple[Effect, Own]]) -> None:
     """By how much the net forces on plungers at rest exceed what holds them."""
     trace, p = system.trace, motion.p
     nothing = trace.constant(0.0)
@@ -247,7 +245,7 @@ def _varies_with_motion(node: Node) -> bool:
     return False
 
 
-def _linear_coil(system: System, p: Any, *, has_eddies: bool) -> tuple[Node, Node]:
+def _linear_coil(system: System, p: Own, *, has_eddies: bool) -> tuple[Node, Node]:
     """Equations (1) and (9) of a coil that does not heat: u and w."""
     trace = system.trace
     h = trace.number("elapsed")
@@ -270,7 +268,7 @@ def _linear_coil(system: System, p: Any, *, has_eddies: bool) -> tuple[Node, Nod
     return u, w
 
 
-def _chase(p: Any, h: Node) -> Node:
+def _chase(p: Own, h: Node) -> Node:
     """(τ/(τ − τ_e)) (e^{−h/τ} − e^{−h/τ_e}), also where τ is near τ_e: the response of (9) to (1)."""
     a, b = h / p.coil_time_constant, h / p.eddy_time_constant
     apart = abs(b - a)
@@ -281,7 +279,7 @@ def _chase(p: Any, h: Node) -> Node:
     return where(p.eddy_time_constant > INSTANT, b * exp(-minimum(a, b)) * share, 0.0)
 
 
-def _heating_coil(system: System, p: Any, *, has_eddies: bool) -> tuple[Node, Node]:
+def _heating_coil(system: System, p: Own, *, has_eddies: bool) -> tuple[Node, Node]:
     """Equations (1), (9) and (10): u and w."""
     trace = system.trace
     target = p.drive_gain * trace.number("seen") / p.reference_voltage
@@ -306,14 +304,14 @@ def _resistance_ratio(system: System) -> Node:
     return 1.0 + COPPER * system.trace.state("temperature")
 
 
-def _heat(system: System, p: Any, u: Node) -> None:
+def _heat(system: System, p: Own, u: Node) -> None:
     """Equation (10)."""
     warm = system.trace.state("temperature")
     system.states["temperature"] = State(p.temperature_rate * u * u - warm / p.cooling_time_constant, scale=1e-1)
 
 
 def _flux_coil(
-    system: System, p: Any, on: Sequence[tuple[Effect, Any]], x: Node, v: Node, *, heats: bool
+    system: System, p: Own, on: Sequence[tuple[Effect, Own]], x: Node, v: Node, *, heats: bool
 ) -> tuple[Node, Node]:
     """Equations (C1) to (C5): u at the terminals and w, which pulls."""
     trace = system.trace

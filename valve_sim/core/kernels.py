@@ -228,7 +228,9 @@ class Kernels:
         trace = self.system.trace
         ends: dict[str, Value] = {}
         kinds = ("", "d ") if self.width else ("",)
-        for slot, (name, terms) in enumerate((("x", at.ORDER + 1), ("v", at.TERMS), *((n, at.TERMS) for n in self.names))):
+        for slot, (name, terms) in enumerate(
+            (("x", at.ORDER + 1), ("v", at.TERMS), *((n, at.TERMS) for n in self.names))
+        ):
             closed = name in self.system.states and self.system.states[name].after is not None
             for kind in kinds:
                 if not closed:
@@ -301,9 +303,7 @@ class Kernels:
 
     def _check(self, code: Code, step: Value, v: Sequence[Value]) -> None:
         """Store how far the series is off the equation within a step, over what is tolerated."""
-        tolerated = code.mul(
-            code.load(at.TOLERANCE), code.larger(code.call("fabs", v[0]), code.constant(SIZE_OF_V))
-        )
+        tolerated = code.mul(code.load(at.TOLERANCE), code.larger(code.call("fabs", v[0]), code.constant(SIZE_OF_V)))
         worst = code.constant(0.0)
         for fraction in CHECKED_AT:
             h = code.mul(step, code.constant(fraction))

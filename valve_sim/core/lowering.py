@@ -139,12 +139,16 @@ class _Function:
 
     def _do_AnnAssign(self, statement: ast.AnnAssign) -> None:  # noqa: N802
         assert statement.value is not None
-        self._assign(statement.target, self._cast(self._value(statement.value), _TYPES[ast.unparse(statement.annotation)]))
+        self._assign(
+            statement.target, self._cast(self._value(statement.value), _TYPES[ast.unparse(statement.annotation)])
+        )
 
     def _do_AugAssign(self, statement: ast.AugAssign) -> None:  # noqa: N802
         target = statement.target
         before = ast.copy_location(ast.parse(ast.unparse(target), mode="eval").body, target)
-        self._assign(target, self._arithmetic(statement, statement.op, self._value(before), self._value(statement.value)))
+        self._assign(
+            target, self._arithmetic(statement, statement.op, self._value(before), self._value(statement.value))
+        )
 
     def _assign(self, target: ast.expr, value: Typed) -> None:
         if isinstance(target, ast.Name):
@@ -331,6 +335,8 @@ class _Function:
         return self._new(f"fneg double {value.text}", "double")
 
     def _of_Compare(self, node: ast.Compare) -> Typed:  # noqa: N802
+        if isinstance(node.ops[0], ast.In | ast.NotIn):
+            return self._among(node)
         sides = [self._value(side) for side in (node.left, *node.comparators)]
         found: Typed | None = None
         for op, a, b in zip(node.ops, sides, sides[1:], strict=False):
@@ -339,11 +345,23 @@ class _Function:
         assert found is not None
         return found
 
+    def _among(self, node: ast.Compare) -> Typed:
+        """Whether a value is one of several, or none of them."""
+        value, several = self._value(node.left), node.comparators[0]
+        assert isinstance(several, ast.Tuple)
+        found = Typed("false", "i1")
+        for one in several.elts:
+            equal = self._compared(ast.Eq(), value, self._value(one))
+            found = self._new(f"or i1 {found.text}, {equal.text}", "i1")
+        return self._new(f"xor i1 {found.text}, true", "i1") if isinstance(node.ops[0], ast.NotIn) else found
+
     def _compared(self, op: ast.cmpop, a: Typed, b: Typed) -> Typed:
         of_doubles, of_integers = _COMPARED[type(op)]
         if a.type == b.type and a.type in ("i64", "i1"):
             return self._new(f"icmp {of_integers} {a.type} {a.text}, {b.text}", "i1")
-        return self._new(f"fcmp {of_doubles} double {self._cast(a, 'double').text}, {self._cast(b, 'double').text}", "i1")
+        return self._new(
+            f"fcmp {of_doubles} double {self._cast(a, 'double').text}, {self._cast(b, 'double').text}", "i1"
+        )
 
     def _of_BoolOp(self, node: ast.BoolOp) -> Typed:  # noqa: N802
         return self._chosen(node, Typed("true", "i1"), Typed("false", "i1"))

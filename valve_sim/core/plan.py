@@ -22,10 +22,7 @@ from valve_sim.model.parameters import DECLARED
 
 Array = NDArray[np.float64]
 POINTER: Final = ctypes.c_void_p
-_SLOTS: Final = {
-    "move": layout.MOVE, "rest": layout.REST, "at": layout.AT, "spot": layout.SPOT, "row": layout.ROW, "look": layout.LOOK,
-    "decide": layout.DECIDE, "prepare": layout.PREPARE,
-}  # fmt: skip
+_SLOTS: Final = {name: getattr(layout, name.upper()) for name in NAMES}
 _ENTRIES: Final = ("drive", "start", "batch", "settle", *ENTRIES)
 
 
@@ -44,7 +41,7 @@ def integrator() -> Library:
 @functools.cache
 def entry(name: str) -> Any:
     """A function of the integrator that Python can call; it releases the interpreter's lock."""
-    signature = {
+    signature: tuple[Any, ...] = {
         "drive": (ctypes.c_int64, *[POINTER] * 3, ctypes.c_int64, ctypes.c_double, ctypes.c_int64, POINTER,
                   ctypes.c_int64, POINTER, ctypes.c_int64, *[POINTER] * 3, ctypes.c_int64),
         "settle": (None, POINTER),
@@ -79,7 +76,7 @@ class Plan:
         blank[layout.GUARDS] = kernels.guard_count
         blank[layout.IS_CHECKED] = system.is_checked
         blank[layout.HAS_PEAK] = system.peak is not None
-        blank[layout.IS_FLUX] = kernels.names == ("w",) or kernels.names == ("w", "temperature")
+        blank[layout.IS_FLUX] = system.flux_slope is not None
         blank[layout.WIDTH] = width
         blank[layout.MODE] = driver.CLOSED
         blank[layout.DIRECTION] = 1.0

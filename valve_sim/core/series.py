@@ -3,7 +3,9 @@
 With a_k the coefficient of order k of an expression a about the start of a step:
 
     (a + b)_k = a_k + b_k          (a b)_k = Σ a_i b_{k−i}          (a/b)_k = (a_k − Σ_{j≥1} b_j (a/b)_{k−j}) / b_0
-    (eᵃ)_k = Σ_{j≥1} (j/k) a_j (eᵃ)_{k−j}          and likewise for the others; a state s with s' = r: s_{k+1} = r_k/(k+1)
+    (eᵃ)_k = Σ_{j≥1} (j/k) a_j (eᵃ)_{k−j}          and likewise for the others
+
+A state s with s' = r has s_{k+1} = r_k/(k + 1).
 """
 
 from __future__ import annotations
@@ -109,9 +111,7 @@ class Series:
                 total = code.fma(total, self.value(a), other)
             return total
         slope = polynomial_slope(node)
-        moved = self._products(
-            (self._times_order(a, j), self.coefficient(slope, order - j)) for j in range(1, order)
-        )
+        moved = self._products((self._times_order(a, j), self.coefficient(slope, order - j)) for j in range(1, order))
         if moved is not None:
             moved = code.mul(moved, code.constant(1.0 / order))
         last, first = self.coefficient(a, order), self.value(slope)
@@ -224,7 +224,10 @@ class Series:
     def _tanh(self, node: Node, order: int) -> Value | None:
         code = self._code
         if order == 0:
-            one, grown = code.constant(1.0), code.exp(code.mul(code.constant(-2.0), code.call("fabs", self.value(node.args[0]))))
+            one, grown = (
+                code.constant(1.0),
+                code.exp(code.mul(code.constant(-2.0), code.call("fabs", self.value(node.args[0])))),
+            )
             size = code.div(code.sub(one, grown), code.add(one, grown))
             return code.call("copysign", size, self.value(node.args[0]))
         return self._chain(node, 1.0 - node * node, order)
@@ -294,4 +297,3 @@ class Series:
             return None
         zero = self._code.constant(0.0)
         return self._code.select(self.condition(excess), if_so or zero, if_not or zero)
-

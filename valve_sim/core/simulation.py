@@ -215,5 +215,3 @@ def run_numbers(
         with ThreadPoolExecutor(workers) as pool:
             list(pool.map(work, chunks))
     return positions
-
-

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterable, Mapping
-from typing import Any, Final, NamedTuple, TypeAlias, Union
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -38,9 +38,10 @@ class Node:
 
     def __init__(self, trace: Trace, op: str, args: tuple[Node, ...], payload: object, index: int) -> None:
         self.trace, self.op, self.args, self.payload, self.index = trace, op, args, payload, index
-        self.steady = op not in ("state", "clock") and all(argument.steady for argument in args)
-        self.wide = op in ("number", "state") and str(payload).startswith("d ") or any(a.wide for a in args)
-        self.late = (op == "state" and payload in _OF_MOTION) or any(argument.late for argument in args)
+        self.steady: bool = op not in ("state", "clock") and all(argument.steady for argument in args)
+        is_tangent = op in ("number", "state") and str(payload).startswith("d ")
+        self.wide: bool = is_tangent or any(argument.wide for argument in args)
+        self.late: bool = (op == "state" and payload in _OF_MOTION) or any(argument.late for argument in args)
 
     @property
     def value(self) -> float | None:
@@ -84,15 +85,10 @@ class Node:
 
     def __mul__(self, other: Expression) -> Node:
         a, b = self, self.trace.lift(other)
-        if a.value is not None and b.value is not None:
-            return self.trace.constant(a.value * b.value)
-        if 0.0 in (a.value, b.value):
-            return self.trace.constant(0.0)
-        for one, rest in ((a, b), (b, a)):
-            if one.value == 1.0:
-                return rest
-            if one.value == -1.0:
-                return -rest
+        if b.value is not None:
+            a, b = b, a
+        if a.value is not None:
+            return self.trace.constant(a.value * b.value) if b.value is not None else _scaled(b, a.value)
         if a.op == "neg":
             return -(a.args[0] * b)
         if b.op == "neg":
@@ -119,7 +115,9 @@ class Node:
 
     def __pow__(self, exponent: float) -> Node:
         if isinstance(exponent, Node):
-            raise ParameterError("**: found an exponent that is an expression, expected a number; write exp(b * log(a))")
+            raise ParameterError(
+                "**: found an exponent that is an expression, expected a number; write exp(b * log(a))"
+            )
         if exponent == 0:
             return self.trace.constant(1.0)
         if exponent == 1:
@@ -156,8 +154,15 @@ class Condition(NamedTuple):
     excess: Node
 
 
-Expression: TypeAlias = Union[Node, float]
+Expression: TypeAlias = Node | float
 """What an equation may combine: nodes, and plain numbers."""
+
+
+def _scaled(node: Node, factor: float) -> Node:
+    """A node that is no constant, times a number."""
+    if factor in (0.0, 1.0, -1.0):
+        return (node.trace.constant(0.0), node, -node)[int(factor)]
+    return node.trace.node("mul", *sorted((node, node.trace.constant(factor)), key=_made))
 
 
 def _made(node: Node) -> int:
@@ -386,13 +391,15 @@ def _derived(node: Node, known: Mapping[int, Node | None]) -> Node | None:
     if all(slope is None for slope in slopes):
         return None
     if node.op == "rising":
-        return None
+        return None  # a guard, which is not differentiated: events know what they change
     if node.op == "pick":
         zero = node.trace.constant(0.0)
         return node.trace.node("pick", node.args[0], *(zero if slope is None else slope for slope in slopes[1:]))
     if node.op == "polynomial":
         return _derived_polynomial(node, slopes)
-    return _sum([None if slope is None else part(slope) for part, slope in zip(_PARTS[node.op](node), slopes)])
+    return _sum(
+        [None if slope is None else part(slope) for part, slope in zip(_PARTS[node.op](node), slopes, strict=True)]
+    )
 
 
 def polynomial_slope(node: Node) -> Node:
@@ -419,31 +426,35 @@ def _sum(terms: Iterable[Node | None]) -> Node | None:
     return total
 
 
-def _parts_of_mul(node: Node):  # type: ignore[no-untyped-def]
+_Part: TypeAlias = Callable[[Node], Node]
+"""What a derivative takes from that of one argument."""
+
+
+def _parts_of_mul(node: Node) -> tuple[_Part, ...]:
     a, b = node.args
     return (lambda slope: slope * b, lambda slope: slope * a)
 
 
-def _parts_of_div(node: Node):  # type: ignore[no-untyped-def]
+def _parts_of_div(node: Node) -> tuple[_Part, ...]:
     _, b = node.args
     return (lambda slope: slope / b, lambda slope: -(slope * node) / b)
 
 
-def _chain(inner):  # type: ignore[no-untyped-def]
+def _chained(inner: Callable[[Node, Node], Node]) -> Callable[[Node], tuple[_Part, ...]]:
     return lambda node: (lambda slope: slope * inner(node, node.args[0]),)
 
 
-_PARTS: Final = {
+_PARTS: Final[Mapping[str, Callable[[Node], tuple[_Part, ...]]]] = {
     "add": lambda node: (lambda slope: slope, lambda slope: slope),
     "sub": lambda node: (lambda slope: slope, lambda slope: -slope),
     "neg": lambda node: (lambda slope: -slope,),
     "mul": _parts_of_mul,
     "div": _parts_of_div,
-    "exp": _chain(lambda node, a: node),
-    "log": _chain(lambda node, a: 1.0 / a),
-    "sin": _chain(lambda node, a: cos(a)),
-    "cos": _chain(lambda node, a: -sin(a)),
-    "tanh": _chain(lambda node, a: 1.0 - node * node),
-    "power": _chain(lambda node, a: node.payload * a ** (node.payload - 1.0)),
+    "exp": _chained(lambda node, a: node),
+    "log": _chained(lambda node, a: 1.0 / a),
+    "sin": _chained(lambda node, a: cos(a)),
+    "cos": _chained(lambda node, a: -sin(a)),
+    "tanh": _chained(lambda node, a: 1.0 - node * node),
+    "power": _chained(lambda node, a: float(str(node.payload)) * a ** (float(str(node.payload)) - 1.0)),
 }
 """For each operation what its derivative takes from that of each argument."""

@@ -38,7 +38,9 @@ class Valve:
     catalogue: Mapping[str, Effect] = field(default_factory=shipped, repr=False, compare=False)
 
     @classmethod
-    def from_mapping(cls, values: Mapping[str, Any], source: str, catalogue: Mapping[str, Effect] | None = None) -> Valve:
+    def from_mapping(
+        cls, values: Mapping[str, Any], source: str, catalogue: Mapping[str, Effect] | None = None
+    ) -> Valve:
         """A checked valve from {"valve": {...}, "effects": {...}}, both optional.
 
         Args:

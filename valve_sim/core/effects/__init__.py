@@ -51,7 +51,9 @@ def check_effects(
         checked[name] = _check_effect(catalogue[name], found, where)
         for other in catalogue[name].stands_alone:
             if other in values:
-                raise ParameterError(f"{where}: found beside effects.{other}, whose place it takes; take one of the two out")
+                raise ParameterError(
+                    f"{where}: found beside effects.{other}, whose place it takes; take one of the two out"
+                )
     return checked
 
 

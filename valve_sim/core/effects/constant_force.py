@@ -9,9 +9,7 @@ EFFECT = Effect(
     name="constant_force",
     title="Constant force",
     summary="a constant force in both phases, + opens: gravity, zero of the load cell",
-    parameters=(
-        Parameter("force", "N", "+ opens", -100000.0, 100000.0, 0.05, 0.0),
-    ),
+    parameters=(Parameter("force", "N", "+ opens", -100000.0, 100000.0, 0.05, 0.0),),
     source="free-body diagram; the paper's load cell is ±0.25 %",
     on_a_real_valve=(
         "Something pushes the plungers one way all the time: their weight in another mounting position, a "

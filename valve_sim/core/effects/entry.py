@@ -14,13 +14,28 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
-from valve_sim.core.tracer import Node
+from valve_sim.core.tracer import Condition, Node
+from valve_sim.model.errors import ParameterError
 from valve_sim.model.parameters import Parameter
 
-Own: TypeAlias = Any
-"""The parameters of one effect, by name, as nodes."""
+
+class Own:
+    """Nodes by name: the parameters of one effect, or the numbers of a valve."""
+
+    def __init__(self, **nodes: Node) -> None:
+        vars(self).update(nodes)
+
+    def named(self, name: str) -> Node:
+        """The node of a name that is known at run time only."""
+        found: Node = vars(self)[name]
+        return found
+
+    def __getattr__(self, name: str) -> Node:
+        raise ParameterError(f"{name}: no such parameter; expected {', '.join(vars(self))}")
+
+
 Change: TypeAlias = Callable[[Node, Own], Node]
 
 
@@ -44,9 +59,9 @@ class Motion:
     t: Node
     since: Node
     direction: Node
-    lifted: Any
-    beyond: Any
-    p: Any
+    lifted: Condition
+    beyond: Condition
+    p: Own
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -85,9 +100,9 @@ class Effect:
 
 def added(parameter: str) -> Change:
     """A number that is larger by one of the effect's parameters."""
-    return lambda before, own: before + getattr(own, parameter)
+    return lambda before, own: before + own.named(parameter)
 
 
 def replaced(parameter: str) -> Change:
     """A number that one of the effect's parameters takes the place of."""
-    return lambda _before, own: getattr(own, parameter)
+    return lambda _before, own: own.named(parameter)

@@ -9,9 +9,7 @@ EFFECT = Effect(
     name="gap_offset",
     title="Pilot gap not as declared",
     summary="the main plunger is picked up elsewhere than declared",
-    parameters=(
-        Parameter("offset", "m", "added to pilot_gap", -0.1, 0.1, 5e-06, 0.0),
-    ),
+    parameters=(Parameter("offset", "m", "added to pilot_gap", -0.1, 0.1, 5e-06, 0.0),),
     source="manufacturing tolerance",
     on_a_real_valve=(
         "The pilot plunger travels farther or less far than declared until the pin takes the main plunger "

@@ -10,7 +10,16 @@ EFFECT = Effect(
     title="Motional EMF",
     summary="motion induces a voltage in the coil, which pays for the work of the attraction",
     parameters=(
-        Parameter("share", "–", "of what energy conservation demands with the declared resistance", 0, 10, 1.0, 0.0, not_declared=-1.0),
+        Parameter(
+            "share",
+            "–",
+            "of what energy conservation demands with the declared resistance",
+            0,
+            10,
+            1.0,
+            0.0,
+            not_declared=-1.0,
+        ),
     ),
     source="H. H. Woodson, J. R. Melcher: Electromechanical Dynamics, part I, Wiley 1968, chapter 3",
     on_a_real_valve=(
@@ -18,6 +27,11 @@ EFFECT = Effect(
         "against that of the driver."
     ),
     what_to_do="It belongs to every coil; declare it, with the coil's resistance and time constant as measured.",
-    confused_with=("eddy_lag", "coil_lag", "coil_heating", "drive_gain",),
+    confused_with=(
+        "eddy_lag",
+        "coil_lag",
+        "coil_heating",
+        "drive_gain",
+    ),
     changes={"motional_share": replaced("share")},
 )

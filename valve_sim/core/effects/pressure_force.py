@@ -18,7 +18,9 @@ EFFECT = Effect(
     summary="pressure across the main plunger until the pilot orifice has equalised it",
     parameters=(
         Parameter("force", "N", "ΔP · A, holds the main plunger closed", -100000.0, 100000.0, 0.3, 0.0),
-        Parameter("equalisation_time", "s", "time constant of the equalisation", 1e-05, 1000.0, 0.005, infinite_at_upper=True),
+        Parameter(
+            "equalisation_time", "s", "time constant of the equalisation", 1e-05, 1000.0, 0.005, infinite_at_upper=True
+        ),
     ),
     source="70 MPa on a 0.3 mm orifice: 4.9 N",
     on_a_real_valve=(

@@ -11,9 +11,7 @@ EFFECT = Effect(
     name="sensor_bandwidth",
     title="Slow position sensor",
     summary="the measured positions pass a first-order low-pass",
-    parameters=(
-        Parameter("cutoff_frequency", "Hz", "of both joints", 1.0, 1000000000.0, 2000.0, math.inf),
-    ),
+    parameters=(Parameter("cutoff_frequency", "Hz", "of both joints", 1.0, 1000000000.0, 2000.0, math.inf),),
     source="laser displacement sensors average",
     on_a_real_valve=(
         "The position sensor smooths what it shows: its averaging or filter is too slow for the motion; the "

@@ -9,9 +9,7 @@ EFFECT = Effect(
     name="sensor_delay",
     title="Late position sensor",
     summary="the measured positions are late",
-    parameters=(
-        Parameter("delay", "s", "of both joints, not of the current", 0, 1.0, 0.0001, 0.0),
-    ),
+    parameters=(Parameter("delay", "s", "of both joints, not of the current", 0, 1.0, 0.0001, 0.0),),
     source="acquisition chains",
     on_a_real_valve=(
         "The positions are stamped later than they were measured: filters, buffers or the bus; the valve "

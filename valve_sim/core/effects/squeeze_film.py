@@ -27,8 +27,7 @@ EFFECT = Effect(
         "brakes the plungers close to seat and stop."
     ),
     what_to_do=(
-        "Look for oil or condensate between plunger and core, and check that faces and their grooves are as "
-        "designed."
+        "Look for oil or condensate between plunger and core, and check that faces and their grooves are as designed."
     ),
     force=squeezed,
 )

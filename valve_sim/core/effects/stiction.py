@@ -27,6 +27,9 @@ EFFECT = Effect(
         "surfaces that cling."
     ),
     what_to_do="Clean seat and guide, replace sticky seals, and compare strokes after a long and after a short rest.",
-    confused_with=("asymmetric_friction", "squeeze_film",),
+    confused_with=(
+        "asymmetric_friction",
+        "squeeze_film",
+    ),
     friction=friction,
 )

@@ -9,9 +9,7 @@ EFFECT = Effect(
     name="stroke_offset",
     title="Stroke not as declared",
     summary="the core stops the plungers elsewhere than declared",
-    parameters=(
-        Parameter("offset", "m", "added to stroke", -0.1, 0.1, 5e-06, 0.0),
-    ),
+    parameters=(Parameter("offset", "m", "added to stroke", -0.1, 0.1, 5e-06, 0.0),),
     source="manufacturing tolerance",
     on_a_real_valve=(
         "The plungers travel farther or less far than declared: tolerance, wear of the stop, a deposit on it, "
