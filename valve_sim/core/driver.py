@@ -148,6 +148,8 @@ ROUNDING: Final = 1e-13
 """N, or of the size of a polynomial: below it a guard has no sign."""
 JUMPED: Final = 1e-9
 """N: so much more than what holds them pushes plungers at rest only after a jump of the force."""
+RECOVERS: Final = 1e-3
+"""Of a step: a comparison that holds again so soon has just begun to hold."""
 NARROWEST: Final = 1e-12
 """Of a step: a guard that cannot be told from 0 in a shorter part of it counts as 0 there."""
 MOST_TRIALS: Final = 400
@@ -378,6 +380,9 @@ def first_event(b: Block, t: Block) -> int:
     count = int(b[GUARDS])
     for guard in range(count):
         c = GUARD + (3 + guard) * TERMS
+        if b[c] < 0.0 and -b[c] < RECOVERS * b[c + 1] * latest:
+            # It has just changed, and the state is off the root of the series before by rounding.
+            b[c] = 0.0
         changes = first_fall(b, c, latest, ROUNDING * extent(b, c, latest))
         if changes < latest:
             latest = changes

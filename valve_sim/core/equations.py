@@ -48,6 +48,10 @@ COPPER: Final = 0.00393
 """α, 1/K: the temperature coefficient of the resistance of copper at 20 °C (IEC 60028)."""
 INSTANT: Final = 1e-12
 """s: a current that settles faster than this follows at once."""
+NEARLY_EQUAL: Final = 0.1
+"""Relative difference of two time constants below which the difference of their exponentials loses digits."""
+DECAYED: Final = 4e-15
+"""A part of a current that is below rounding."""
 SHORTEST_INTEGRATED: Final = 2e-8
 """s: likewise of a current that is integrated, while the coil heats or follows its flux."""
 SEAT_HOLDS: Final = 1e-9
@@ -70,11 +74,13 @@ class State:
         rate: its rate of change.
         after: its value after the time `elapsed`, where it has a closed form; its error is then not held.
         scale: the size below which its error is held absolutely.
+        series: what its series is to be read from, if not from the state itself.
     """
 
     rate: Node
     after: Node | None = None
     scale: float = 1e-2
+    series: Node | None = None
 
 
 @dataclass
@@ -261,11 +267,24 @@ def _linear_coil(system: System, p: Own, *, has_eddies: bool) -> tuple[Node, Nod
         return u, u
     chases = p.eddy_time_constant > INSTANT
     chaser = trace.state("w")
-    w = where(chases, chaser, u)
     rest = where(chases, exp(-h / p.eddy_time_constant), 0.0)
     moved = target + (chaser - target) * rest + where(lags, (state - target) * _chase(p, h), 0.0)
-    system.states["w"] = State(where(chases, 1.0 / p.eddy_time_constant, 0.0) * (u - chaser), after=moved)
-    return u, w
+    # Where the time constants differ, w is two exponentials, and the fast one of them is 0 when it has decayed: the
+    # difference u − w, of which (9) makes the series, would keep a rounding error that a tiny time constant magnifies.
+    apart = 1.0 - p.eddy_time_constant / p.coil_time_constant
+    of_coil = (trace.number("u at start") - target) / apart
+    of_eddies = trace.number("w at start") - target - of_coil
+    of_eddies = where(abs(of_eddies) > DECAYED, of_eddies, 0.0)
+
+    def two_exponentials(time: Node) -> Node:
+        return target + of_coil * exp(-time / p.coil_time_constant) + of_eddies * exp(-time / p.eddy_time_constant)
+
+    differ = abs(apart) > NEARLY_EQUAL
+    series = where(lags, where(differ, two_exponentials(trace.clock()), chaser), chaser)
+    moved = where(chases, where(lags, where(differ, two_exponentials(h), moved), moved), moved)
+    rate = where(chases, 1.0 / p.eddy_time_constant, 0.0) * (u - chaser)
+    system.states["w"] = State(rate, after=moved, series=series)
+    return u, where(chases, series, u)
 
 
 def _chase(p: Own, h: Node) -> Node:

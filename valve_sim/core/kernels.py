@@ -54,7 +54,8 @@ class Kernels:
         self.system, self.width, self.lanes = system, width, lanes
         self.names = tuple(system.states)
         self._slots = {**at.HELD, **{name: at.NUMBERS + i for i, name in enumerate(system.parameters)}}
-        self._slots.update({name: at.COIL + i for i, name in enumerate(self.names)})
+        for place, name in enumerate(self.names):
+            self._slots[name] = self._slots[f"{name} at start"] = at.COIL + place
         trace = system.trace
         self._x, self._v = trace.state("x"), trace.state("v")
         self._coil = {name: state.rate for name, state in system.states.items()}
@@ -62,7 +63,7 @@ class Kernels:
         if width:
             for name in ("x", "v", *self.names):
                 self._seeds[trace.state(name)] = trace.state(f"d {name}")
-            for name in (*free, *DYNAMIC):
+            for name in (*free, *DYNAMIC, *(f"{name} at start" for name in self.names)):
                 self._seeds[trace.number(name)] = trace.number(f"d {name}")
         self._guards = trace.guards()
         # Where something is read from the series of a current, these must hold even if the forces do not feel it.
@@ -177,7 +178,7 @@ class Kernels:
             for order in range(at.TERMS):
                 self._store_coefficient(code, series, name, order)
             if state.after is None or self._is_watched:
-                node = self.system.trace.state(name)
+                node = state.series or self.system.trace.state(name)
                 coefficients = [series.coefficient(node, order) for order in range(at.TERMS)]
                 taken.append((self._or_zero(code, coefficients), state.scale))
         return taken

@@ -26,7 +26,7 @@ TOLERANCE: Final = 1e-8
 """Relative error of one step. It leaves the events of random valves within 5e-12 s (`python -m benchmarks.core`)."""
 EVENT_ROOM: Final = 256
 """Events for which there is room at first; a run with more is repeated."""
-MOST_STEPS: Final = 200_000
+MOST_STEPS: Final = 1_000_000
 """Steps a run may take, and as many again for each second of it."""
 _KINDS: Final = tuple(EventKind)
 _ROWS: Final = 4

@@ -347,7 +347,7 @@ _EVALUATED: Final[Mapping[str, Any]] = {
     "power": lambda node, a: np.power(a, node.payload),
     "polynomial": lambda node, a, *c: np.polynomial.polynomial.polyval(a, np.array(c)),
     "rising": lambda node, a, so_far: a - so_far,
-    "pick": lambda node, excess, a, b: np.where(excess > 0.0, a, b),
+    "pick": lambda node, excess, a, b: np.where(np.real(excess) > 0.0, a, b),
     **{name: lambda node, a, name=name: getattr(np, name)(a) for name in ("exp", "log", "sin", "cos", "tanh")},
 }
 """What NumPy makes of each operation."""

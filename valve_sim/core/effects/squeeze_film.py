@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from valve_sim.core.effects.entry import Effect, Motion, Own
-from valve_sim.core.tracer import Node
+from valve_sim.core.tracer import Node, where
 from valve_sim.model.parameters import Parameter
 
 
 def squeezed(m: Motion, own: Own) -> Node:
-    """−B v [(h/(x + h))³ + (h/(stroke − x + h))³], N."""
+    """−B v [(h/(x + h))³ + (h/(stroke − x + h))³], N; beyond a compliant stop the film is as thin as at contact."""
     h = own.film_thickness
-    return -own.coefficient * m.v * ((h / (m.x + h)) ** 3 + (h / (m.p.stroke - m.x + h)) ** 3)
+    at_stop = where(m.beyond, 1.0, h / (m.p.stroke - m.x + h))
+    return -own.coefficient * m.v * ((h / (m.x + h)) ** 3 + at_stop**3)
 
 
 EFFECT = Effect(
