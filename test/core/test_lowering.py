@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import itertools
 import math
 from typing import Any
 
@@ -74,7 +75,7 @@ def test_compiled_functions_do_what_python_does(library: Library, n: int, x: flo
 def test_the_first_fall_is_found(library: Library, roots: list[float], scale: float, h: float) -> None:
     """A polynomial that is positive at 0 first falls at its smallest root, unless two of them are close."""
     roots = sorted(roots)
-    if any(b - a < 1e-3 for a, b in zip(roots, roots[1:], strict=False)):
+    if any(b - a < 1e-3 for a, b in itertools.pairwise(roots)):
         return
     coefficients = np.polynomial.polynomial.polyfromroots(roots)
     coefficients *= scale / coefficients[0]

@@ -103,7 +103,8 @@ def test_equal_expressions_are_one_node() -> None:
     x, p = trace.state("x"), trace.number("p")
     assert x * p + 1.0 is 1.0 + p * x
     assert (x - x.trace.constant(0.0)) is x
-    assert x * 1.0 is x and -(-x) is x and (x * 0.0).value == 0.0
+    negative = -x
+    assert x * 1.0 is x and -negative is x and (x * 0.0).value == 0.0
 
 
 def test_the_gradient_of_the_work_is_the_attraction() -> None:
