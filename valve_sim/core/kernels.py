@@ -178,7 +178,7 @@ class Kernels:
             for order in range(at.TERMS):
                 self._store_coefficient(code, series, name, order)
             if state.after is None or self._is_watched:
-                node = state.series or self.system.trace.state(name)
+                node = self.system.trace.state(name) if state.series is None else state.series
                 coefficients = [series.coefficient(node, order) for order in range(at.TERMS)]
                 taken.append((self._or_zero(code, coefficients), state.scale))
         return taken
