@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from valve_sim.core import layout
 from valve_sim.core.plan import entry
-from valve_sim.core.simulation import TOLERANCE, check_geometry, check_outcome, most_steps, start_of
+from valve_sim.core.simulation import TOLERANCE, check_geometry, check_outcome, commands_of, most_steps, start_of
 from valve_sim.core.valve import Valve
 from valve_sim.model.drives import Drive
 from valve_sim.model.errors import ParameterError
@@ -102,7 +102,7 @@ def run_sloped(
     rows, slopes = np.empty((len(times), columns)), np.empty((len(times), columns, width))
     block = plan.block(valve.numbers(), tolerance, start_of(drive, times), tangents)
     check_geometry(block)
-    commands = np.column_stack((drive.times, drive.volts))
+    commands = commands_of(drive)
     end = float(times[-1]) if len(times) else -np.inf
     outcome = entry("drive")(
         block.ctypes.data, tangents.ctypes.data, commands.ctypes.data, len(commands), end,

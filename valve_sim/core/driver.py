@@ -162,6 +162,12 @@ ROW_COLUMNS: Final = 9
 m; V at the terminals; the current u; unused."""
 UPWARDS: Final = 6.0
 """Time constants of the low-pass above which its moments are found upwards; so neither way loses two digits."""
+MOST_STEPS: Final = 1_000_000
+"""Steps that a run may take, and as many again for each second of it."""
+LONGEST_RUN: Final = 1e9
+"""s, of which the steps are counted."""
+NO_TRAVEL: Final = -1
+"""In place of an Outcome: the gap is not inside the stroke."""
 LIVE_EVENTS: Final = 256
 """Events of a live valve that are kept from one look to the next."""
 LIVE_STEPS: Final = 4_000_000
@@ -1063,6 +1069,29 @@ def start(b: Block, t: Block, blank: Block, numbers: Block, count: int, time: fl
     enter(b, t)
 
 
+def whole(
+    blank: Block, blank_count: int, numbers: Block, number_count: int, commands: Block, command_doubles: int,
+    times: Block, count: int, memory: Block, memory_count: int, time: float, end: float, tolerance: float,
+) -> int:  # fmt: skip
+    """Run one valve that rests closed and without current at a time, s, through a drive; returns an Outcome.
+
+    Args:
+        blank, numbers: as for `start`. commands, times, end: as for `drive`. tolerance: relative error of one step.
+        memory: room for the block, for as many events as are left room for, and for whole rows of output at its end.
+    """
+    start(memory, memory, blank, numbers, number_count, time)
+    memory[TOLERANCE] = tolerance
+    rows = memory_count - ROW_COLUMNS * count
+    room = (rows - SIZE) // 4
+    if not (0.0 <= memory[GAP] < memory[STROKE]):
+        return NO_TRAVEL
+    most = int(MOST_STEPS * (1.0 + min(max(0.0, end - time), LONGEST_RUN)))
+    return drive(
+        memory, memory, commands, command_doubles // 2, end, most, times, count, memory[rows:], ROW_COLUMNS,
+        memory, memory, memory[SIZE:], room,
+    )  # fmt: skip
+
+
 def batch(
     b: Block, blank: Block, numbers: Block, number_count: int, valves: int, time: float, commands: Block,
     command_count: int, end: float, most: int, times: Block, count: int, rows: Block,
@@ -1157,6 +1186,6 @@ FUNCTIONS: Final = (
     commit, divided, leave, arrive, move_tangents, set_tangents, rescale_velocity, unseat, log_event, come_to_rest,
     set_off, push_now, move_off, touch, touch_seat, touch_gap, turn_round, block_diode, close_circuit, set_voltage,
     lag_moments, lagged, lag_tangents, before, shown_pilot, shown_main, fill, fill_slopes, fill_positions, fill_rows,
-    end_step, run, drive, start, batch, read, advance, halt, command, settle,
+    end_step, run, drive, start, whole, batch, read, advance, halt, command, settle,
 )  # fmt: skip
 """What is compiled."""

@@ -13,17 +13,19 @@ from numpy.typing import NDArray
 
 from valve_sim.core import driver, entries, layout
 from valve_sim.core.effects import Effect
-from valve_sim.core.entries import ENTRIES
+from valve_sim.core.entries import ENTRIES, Method
 from valve_sim.core.equations import build
 from valve_sim.core.kernels import NAMES, Kernels
 from valve_sim.core.lowering import lowered
 from valve_sim.core.machine import Library, library
-from valve_sim.model.parameters import DECLARED
+from valve_sim.model.parameters import ValveParameters
 
 Array = NDArray[np.float64]
 POINTER: Final = ctypes.c_void_p
 _SLOTS: Final = {name: getattr(layout, name.upper()) for name in NAMES}
-_ENTRIES: Final = ("drive", "start", "batch", "settle", *ENTRIES)
+_POLYNOMIAL: Final = ValveParameters._fields.index("attraction_polynomial")
+"""Its place among the declared parameters, where its coefficients stand one by one."""
+_ENTRIES: Final = ("drive", "start", "batch", "settle", "whole", *ENTRIES)
 
 
 def as_double(address: int) -> float:
@@ -50,6 +52,12 @@ def entry(name: str) -> Any:
                   ctypes.c_int64, ctypes.c_double, ctypes.c_int64, POINTER, ctypes.c_int64, POINTER),
     }[name]  # fmt: skip
     return ctypes.CFUNCTYPE(*signature)(integrator().address(name))
+
+
+@functools.cache
+def method(name: str) -> Method:
+    """A function of the integrator as one of Python, to be bound; it lives as long as what is bound to it."""
+    return Method(name, integrator().address(f"py_{name}"))
 
 
 class Plan:
@@ -83,9 +91,10 @@ class Plan:
         blank[layout.LONGEST] = driver.ANY_STEP
         self.blank = blank
 
-    def numbers(self, declared: Mapping[str, float], effects: Mapping[str, Mapping[str, float]]) -> Array:
-        """The numbers of a valve in their order."""
-        values = [declared[name] for name in DECLARED]
+    def numbers(self, parameters: ValveParameters, effects: Mapping[str, Mapping[str, float]]) -> Array:
+        """The numbers of a valve in the order of `parameters`."""
+        before, polynomial, after = parameters[:_POLYNOMIAL], parameters[_POLYNOMIAL], parameters[_POLYNOMIAL + 1 :]
+        values = [*before, *polynomial, *after]  # type: ignore[misc]
         for effect, names in self._of_effects:
             given = effects[effect]
             values += [given[name] for name in names]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import os
 from collections.abc import Sequence
@@ -12,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from valve_sim.core import layout
-from valve_sim.core.driver import ROW_COLUMNS
-from valve_sim.core.plan import entry
+from valve_sim.core.driver import LONGEST_RUN, MOST_STEPS, ROW_COLUMNS
+from valve_sim.core.plan import entry, method
 from valve_sim.core.valve import Valve
 from valve_sim.model.core_types import EventKind, Outcome
 from valve_sim.model.drives import Drive
@@ -26,16 +27,12 @@ TOLERANCE: Final = 1e-8
 """Relative error of one step. It leaves the events of random valves within 5e-12 s (`python -m benchmarks.core`)."""
 EVENT_ROOM: Final = 256
 """Events for which there is room at first; a run with more is repeated."""
-MOST_STEPS: Final = 1_000_000
-"""Steps a run may take, and as many again for each second of it."""
 _KINDS: Final = tuple(EventKind)
-_ROWS: Final = 4
-"""Numbers of an event."""
 
 
 def most_steps(duration: float) -> int:
     """How many steps a run of a duration, s, may take."""
-    return int(MOST_STEPS * (1.0 + max(0.0, min(duration, 1e9))))
+    return int(MOST_STEPS * (1.0 + max(0.0, min(duration, LONGEST_RUN))))
 
 
 def start_of(drive: Drive, times: Array) -> float:
@@ -66,46 +63,39 @@ def simulate(
     """
     times = np.ascontiguousarray(sample_times, dtype=np.float64)
     start = start_of(drive, times) if start_time is None else start_time
-    rows = np.empty((len(times), ROW_COLUMNS))
-    room = EVENT_ROOM
+    plan, count, room = valve.plan(), len(times), EVENT_ROOM
+    numbers, commands = plan.numbers(valve.parameters, valve.effects), commands_of(drive)
+    end = float(times[-1]) if count else -math.inf
     while True:
-        block, events = valve.plan().block(valve.numbers(), tolerance, start), np.empty((room, _ROWS))
-        count = run_drive(block, drive, times, rows, events)
-        if count <= room:
+        memory = np.empty(layout.SIZE + 4 * room + ROW_COLUMNS * count)
+        outcome = _whole()(plan.blank, numbers, commands, times, memory, start, end, tolerance)
+        if outcome:
+            check_geometry(memory)
+            check_outcome(outcome)
+        found = int(memory[layout.COUNT])
+        if found <= room:
             break
-        room = count
-    logged = events[:count].tolist()
+        room = found
+    logged = memory[layout.SIZE : layout.SIZE + 4 * found].reshape(-1, 4).tolist()
+    rows = memory[layout.SIZE + 4 * room :].reshape(count, ROW_COLUMNS)
     return Response(
-        times, rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 7] * block[layout.RATED], rows[:, 3],
+        times, rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 7] * memory[layout.RATED], rows[:, 3],
         rows[:, 4].astype(np.uint8), tuple([Event(t, _KINDS[int(kind)], x, v) for t, kind, x, v in logged]),
-        rows[:, 6], bool(block[layout.ONE_PLUNGER]),
+        rows[:, 6], bool(memory[layout.ONE_PLUNGER]),
     )  # fmt: skip
 
 
-def run_drive(block: Array, drive: Drive, times: Array, rows: Array, events: Array) -> int:
-    """Run a valve's block through a drive, for callers that hold the arrays.
+@functools.cache
+def _whole() -> Any:
+    """The run of one valve, as a function of arrays."""
+    return method("whole").bound(0)
 
-    Args:
-        block: advanced. drive: the commanded voltage. times: (n,) s, ascending.
-        rows: (n, 1), (n, 2) or (n, ROW_COLUMNS), written, see `driver.run`. events: (e, 4), written.
 
-    Returns:
-        how many events there were.
-
-    Raises:
-        SimulationError: the run could not be carried to its end.
-    """
-    check_geometry(block)
-    commands = np.column_stack((drive.times, drive.volts))
-    end = float(times[-1]) if len(times) else -math.inf
-    address = block.ctypes.data
-    outcome = entry("drive")(
-        address, address, commands.ctypes.data, len(commands), end, most_steps(end - block[layout.TIME]),
-        times.ctypes.data, len(times), rows.ctypes.data, rows.shape[1], address, address, events.ctypes.data,
-        len(events),
-    )  # fmt: skip
-    check_outcome(outcome)
-    return int(block[layout.COUNT])
+def commands_of(drive: Drive) -> Array:
+    """(c, 2) s and V."""
+    commands = np.empty((len(drive.times), 2))
+    commands[:, 0], commands[:, 1] = drive
+    return commands
 
 
 def check_geometry(block: Array) -> None:
@@ -189,7 +179,7 @@ def run_numbers(
     times = np.ascontiguousarray(sample_times, dtype=np.float64)
     numbers = np.ascontiguousarray(numbers, dtype=np.float64)
     positions = np.empty((len(numbers), len(times)))
-    commands = np.column_stack((drive.times, drive.volts))
+    commands = commands_of(drive)
     start = start_of(drive, times)
     blank = valve.plan().blank.copy()
     blank[layout.TOLERANCE] = tolerance

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections import deque
 from collections.abc import Callable
 from typing import Final, NamedTuple
@@ -12,8 +11,8 @@ from numpy.typing import NDArray
 
 from valve_sim.core import layout
 from valve_sim.core.driver import LIVE_EVENTS, ROW_COLUMNS
-from valve_sim.core.entries import ENTRIES, Method
-from valve_sim.core.plan import Plan, entry, integrator
+from valve_sim.core.entries import ENTRIES
+from valve_sim.core.plan import Plan, entry, method
 from valve_sim.core.simulation import TOLERANCE, check_geometry, check_outcome
 from valve_sim.core.valve import Valve
 from valve_sim.model.core_types import EventKind, Phase
@@ -41,11 +40,6 @@ class Reading(NamedTuple):
     coil_voltage: float
 
 
-@functools.cache
-def _method(name: str) -> Method:
-    return Method(name, integrator().address(f"py_{name}"))
-
-
 class _Live:
     """The block of a valve that is stepped, with its row of output and its events, and functions bound to it.
 
@@ -60,7 +54,7 @@ class _Live:
         self.block, self.row = self.memory[: layout.SIZE], self.memory[layout.SIZE : _EVENTS_AT]
         self.events = self.memory[_EVENTS_AT:].reshape(LIVE_EVENTS, 4)
         address = self.memory.ctypes.data
-        self.advance, self.command, self.halt = (_method(name).bound(address) for name in ENTRIES)
+        self.advance, self.command, self.halt = (method(name).bound(address) for name in ENTRIES)
 
     def copy(self) -> _Live:
         """Another one in the same state."""

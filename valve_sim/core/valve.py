@@ -83,7 +83,7 @@ class Valve:
 
     def numbers(self) -> NDArray[np.float64]:
         """Its numbers in the order of its plan's parameters."""
-        return self.plan().numbers(self.declared(), self.effects)
+        return self.plan().numbers(self.parameters, self.effects)
 
     def check(self, source: str) -> None:
         """Check what only shows when all is taken together.
