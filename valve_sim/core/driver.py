@@ -361,6 +361,8 @@ def first_event(b: Block, t: Block) -> int:
     latest = h
     ends = NO_EVENT
     if b[MOVING] > 0.0:
+        for k in range(TERMS):
+            b[GUARD + k] = b[DIRECTION] * (k + 1) * b[SERIES_X + k + 1]
         turn = first_fall(b, GUARD, h, OWN_ERROR * b[TOLERANCE])
         if turn < h:
             latest = turn

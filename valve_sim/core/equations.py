@@ -89,7 +89,7 @@ class System:
 
     Attributes:
         states: of the coil by name.
-        acceleration: v' in motion, m/s². speed: −v or v, which is positive until the plungers turn.
+        acceleration: v' in motion, m/s².
         net: (3) or (4) in motion without dry friction, N. up, down: of plungers at rest, by how much the net force
             exceeds what holds them, N, upwards and downwards. current: u. current_left: positive while a current
             freewheels; None where none does.
@@ -104,7 +104,6 @@ class System:
     trace: Trace
     states: dict[str, State] = field(default_factory=dict)
     acceleration: Any = None
-    speed: Any = None
     net: Any = None
     up: Any = None
     down: Any = None
@@ -162,7 +161,6 @@ def build(effects: Sequence[Effect], *, freewheels: bool = False) -> System:
     friction = direction * _friction(motion, on)
     mass = where(motion.lifted, p.moving_mass, p.pilot_mass)
     system.acceleration = (system.net - friction) / mass
-    system.speed = direction * v
     _at_rest(system, motion, square, on)
     system.current = u
     if freewheels:

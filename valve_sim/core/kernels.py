@@ -31,8 +31,12 @@ SIZE_OF_FORCE: Final = 1.0
 SAFETY: Final = 0.1
 """Of the tolerance: the last terms of a series, of which a step tolerates that much, are larger than what is left out,
 but many steps add up."""
+CHAINS: Final = 3
+"""In which a polynomial is summed."""
 FINE: Final = 5
 """Order up to which a guard's Bernstein coefficients are taken; the terms above are bounded by their size."""
+NOT_COMPARED: Final = 3
+"""Places among what is held that are of no comparison: velocity, or forces upwards and downwards; and the current."""
 CHECKED_AT: Final = (0.5, 1.0)
 """Fractions of a step at which its series is compared with the equation."""
 DYNAMIC: Final = ("unseated_time", "seen", "peak")
@@ -132,8 +136,12 @@ class Kernels:
         step = self._step_of(code, controlled)
         self._end(code, series, step)
         moved = self._ancestors([self.system.acceleration, *self._coil.values()])
-        held = [self.system.speed, None, self.system.current_left, *(g if g in moved else None for g in self._guards)]
+        held = [None, None, self.system.current_left, *(g if g in moved else None for g in self._guards)]
         sure = self._sure(code, series, step, held)
+        terms = [code.mul(c, h) for c, h in zip(self._or_zero(code, v), self._powers(code, step, at.TERMS), strict=True)]
+        way = code.load(at.DIRECTION)
+        onwards = self._above_zero(code, [code.mul(way, term) for term in terms[: FINE + 1]], terms[FINE + 1 :])
+        sure = onwards if sure is None else code.both(sure, onwards)
         ahead = code.sub(code.load(at.AHEAD), code.load(at.END_X))
         away = code.compare("ogt", code.mul(ahead, code.load(at.DIRECTION)), code.constant(0.0))
         self._store_suspect(code, code.both(sure, away))
@@ -154,7 +162,9 @@ class Kernels:
         moved = self._ancestors([*nets, *self._coil.values()])
         flags = [guard if guard in moved else None for guard in self._guards]
         held = [-self.system.up, -self.system.down, self.system.current_left, *flags]
-        self._store_suspect(code, self._sure(code, series, step, held))
+        sure = self._sure(code, series, step, held)
+        assert sure is not None
+        self._store_suspect(code, sure)
         return code
 
     def _ancestors(self, nodes: Iterable[Node]) -> set[Node]:
@@ -172,11 +182,12 @@ class Kernels:
             code.store(slot, series.coefficient(trace.state(f"d {name}"), order) or code.constant(0.0), wide=True)
 
     def _store_coil(self, code: Code, series: Series) -> list[tuple[list[Value], float]]:
-        """Store the series of the coil; returns those whose errors count, with their sizes."""
+        """Store those series of the coil that are read; returns those whose errors count, with their sizes."""
         taken = []
         for name, state in self.system.states.items():
-            for order in range(at.TERMS):
-                self._store_coefficient(code, series, name, order)
+            if state.after is None:
+                for order in range(at.TERMS):
+                    self._store_coefficient(code, series, name, order)
             if state.after is None or self._is_watched:
                 node = self.system.trace.state(name) if state.series is None else state.series
                 coefficients = [series.coefficient(node, order) for order in range(at.TERMS)]
@@ -220,8 +231,17 @@ class Kernels:
         return left[0]
 
     def _polynomial(self, code: Code, coefficients: Sequence[Value | None], powers: Sequence[Value]) -> Value:
-        terms = [code.mul(c, h) for c, h in zip(coefficients, powers, strict=False) if c is not None]
-        return self._summed(code, terms) if terms else code.constant(0.0)
+        """A sum of coefficients times powers, in chains side by side, so that none waits long."""
+        terms = [(c, h) for c, h in zip(coefficients, powers, strict=False) if c is not None]
+        sums: list[Value | None] = [None] * CHAINS
+        for place, (c, h) in reversed(list(enumerate(terms))):
+            before = sums[place % CHAINS]
+            if h is powers[0]:
+                sums[place % CHAINS] = c if before is None else code.add(before, c)
+            else:
+                sums[place % CHAINS] = code.mul(c, h) if before is None else code.fma(c, h, before)
+        found = [total for total in sums if total is not None]
+        return self._summed(code, found) if found else code.constant(0.0)
 
     def _end(self, code: Code, series: Series, step: Value) -> None:
         """Store the states at the end of a step."""
@@ -265,16 +285,16 @@ class Kernels:
                 slope = self._tangents({"peak": peak}).get("d peak")
                 code.store(at.END_PEAK, code.constant(0.0) if slope is None else there.value(slope), wide=True)
 
-    def _sure(self, code: Code, series: Series, step: Value, held: Sequence[Node | None]) -> Value:
+    def _sure(self, code: Code, series: Series, step: Value, held: Sequence[Node | None]) -> Value | None:
         """Whether it is sure that all that must not become negative in a step, or change its sign, does not.
 
-        A polynomial lies above the smallest of its Bernstein coefficients. Those of the first orders are taken, less
-        the size of all other terms. A guard of a comparison counts with the sign that its flag tells.
+        A guard of a comparison counts with the sign that its flag tells. None where nothing is held.
         """
-        powers = self._powers(code, step, at.TERMS)
-        zero, sure = code.constant(0.0), None
+        powers, sure = self._powers(code, step, at.TERMS), None
         for place, guard in enumerate(held):
             if guard is None:
+                if place < NOT_COMPARED:
+                    continue
                 for order in range(at.TERMS):
                     code.store(at.GUARD + place * at.TERMS + order, code.constant(0.0 if order else 1.0))
                 continue
@@ -285,18 +305,23 @@ class Kernels:
             for order, c in enumerate(coefficients):
                 code.store(at.GUARD + place * at.TERMS + order, c)
             terms = [code.mul(c, h) for c, h in zip(coefficients, powers, strict=True)]
-            rest = self._summed(code, [code.call("fabs", term) for term in terms[FINE + 1 :]])
-            least = None
-            for j in range(FINE + 1):
-                total = terms[0]
-                for i in range(1, j + 1):
-                    total = code.fma(terms[i], code.constant(math.comb(j, i) / math.comb(FINE, i)), total)
-                least = total if least is None else code.smaller(total, least)
-            assert least is not None
-            above = code.compare("ogt", code.sub(least, rest), zero)
+            above = self._above_zero(code, terms[: FINE + 1], terms[FINE + 1 :])
             sure = above if sure is None else code.both(sure, above)
-        assert sure is not None
         return sure
+
+    def _above_zero(self, code: Code, terms: Sequence[Value], rest: Sequence[Value]) -> Value:
+        """Whether it is sure that a polynomial is positive up to the end of a step, by its terms there.
+
+        A polynomial lies above the smallest of its Bernstein coefficients. Those of the first orders are taken, less
+        the size of the other terms.
+        """
+        others, least = self._summed(code, [code.call("fabs", term) for term in rest]), terms[0]
+        for j in range(1, FINE + 1):
+            total = terms[0]
+            for i in range(1, j + 1):
+                total = code.fma(terms[i], code.constant(math.comb(j, i) / math.comb(FINE, i)), total)
+            least = code.smaller(total, least)
+        return code.compare("ogt", least, others)
 
     @staticmethod
     def _store_suspect(code: Code, sure: Value) -> None:

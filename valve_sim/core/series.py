@@ -190,6 +190,9 @@ class Series:
 
     def _times_order(self, node: Node, order: int) -> Value | None:
         """The coefficient of the derivative by the logarithm of time: k a_k."""
+        rate = self._rates.get(str(node.payload)) if node.op == "state" else None
+        if rate is not None and rate.op == "state":
+            return self.coefficient(rate, order - 1)
         key = (node.index, order)
         if key not in self._scaled:
             a = self.coefficient(node, order)
