@@ -77,6 +77,7 @@ from valve_sim.core.layout import (
     PENDING,
     PREPARE,
     PULL,
+    RATED,
     RATIO,
     RELEASE,
     REST,
@@ -85,6 +86,9 @@ from valve_sim.core.layout import (
     ROW,
     ROW_V,
     ROW_X,
+    ROWS,
+    ROWS_AT,
+    ROWS_LANES,
     SAMPLED,
     SAMPLED_ROWS,
     SCRATCH,
@@ -159,7 +163,7 @@ ON_EQUATION: Final = 4
 """Newton steps on the balance of forces with which the end of a rest is found."""
 ROW_COLUMNS: Final = 9
 """Of a whole row of output: pilot and main plunger as shown, m; velocity, m/s; attraction, N; phase; the pilot itself,
-m; V at the terminals; the current u; unused."""
+m; V at the terminals; the current u, and in A."""
 UPWARDS: Final = 6.0
 """Time constants of the low-pass above which its moments are found upwards; so neither way loses two digits."""
 MOST_STEPS: Final = 1_000_000
@@ -357,47 +361,56 @@ def step(b: Block, t: Block) -> int:
 
 def first_event(b: Block, t: Block) -> int:
     """What ends a step first; sets its size to when that happens."""
-    h = b[STEP]
-    latest = h
-    ends = NO_EVENT
-    if b[MOVING] > 0.0:
-        for k in range(TERMS):
-            b[GUARD + k] = b[DIRECTION] * (k + 1) * b[SERIES_X + k + 1]
-        turn = first_fall(b, GUARD, h, OWN_ERROR * b[TOLERANCE])
-        if turn < h:
-            latest = turn
-            ends = TURN
-        x = b[END_X] if ends == NO_EVENT else value_at(b, SERIES_X, latest, ORDER + 1)
-        if (x - b[AHEAD]) * b[DIRECTION] >= 0.0:
-            latest = root(b, SERIES_X, latest, b[AHEAD], b[DIRECTION], ORDER + 1)
-            ends = CONTACT
-    else:
-        rise = first_fall(b, GUARD, h, ROUNDING)
-        if rise < h:
-            latest = rise
-            ends = RISE
-        fall = first_fall(b, GUARD + TERMS, latest, ROUNDING)
-        if fall < latest:
-            latest = fall
-            ends = FALL
+    ends = first_of_motion(b) if b[MOVING] > 0.0 else first_of_rest(b)
     if b[FREEWHEELS] != 0.0:
-        gone = first_fall(b, GUARD + 2 * TERMS, latest, 0.0)
-        if gone < latest:
-            latest = gone
+        gone = first_fall(b, GUARD + 2 * TERMS, b[STEP], 0.0)
+        if gone < b[STEP]:
+            b[STEP] = gone
             ends = CURRENT_GONE
     count = int(b[GUARDS])
     for guard in range(count):
+        latest = b[STEP]
         c = GUARD + (3 + guard) * TERMS
         if b[c] < 0.0 and -b[c] < RECOVERS * b[c + 1] * latest:
             # It has just changed, and the state is off the root of the series before by rounding.
             b[c] = 0.0
         changes = first_fall(b, c, latest, ROUNDING * extent(b, c, latest))
         if changes < latest:
-            latest = changes
+            b[STEP] = changes
             ends = FLAGGED + guard
-    b[STEP] = latest
     if ends in (RISE, FALL):
         balance(b, t, ends)
+    return ends
+
+
+def first_of_motion(b: Block) -> int:
+    """The first turn or contact of a step: between two turns x is monotone, and meets the contact ahead only."""
+    for k in range(TERMS):
+        b[GUARD + k] = b[DIRECTION] * (k + 1) * b[SERIES_X + k + 1]
+    ends = NO_EVENT
+    x = b[END_X]
+    turn = first_fall(b, GUARD, b[STEP], OWN_ERROR * b[TOLERANCE])
+    if turn < b[STEP]:
+        b[STEP] = turn
+        ends = TURN
+        x = value_at(b, SERIES_X, turn, ORDER + 1)
+    if (x - b[AHEAD]) * b[DIRECTION] >= 0.0:
+        b[STEP] = root(b, SERIES_X, b[STEP], b[AHEAD], b[DIRECTION], ORDER + 1)
+        ends = CONTACT
+    return ends
+
+
+def first_of_rest(b: Block) -> int:
+    """Which way, if any, plungers at rest are first pushed off in a step."""
+    ends = NO_EVENT
+    rise = first_fall(b, GUARD, b[STEP], ROUNDING)
+    if rise < b[STEP]:
+        b[STEP] = rise
+        ends = RISE
+    fall = first_fall(b, GUARD + TERMS, b[STEP], ROUNDING)
+    if fall < b[STEP]:
+        b[STEP] = fall
+        ends = FALL
     return ends
 
 
@@ -941,26 +954,45 @@ def fill_rows(
     b: Block, t: Block, last: float, times: Block, count: int, rows: Block, columns: int, slopes: Block
 ) -> None:
     """Write all but positions of the samples before `last`: the current, or whole rows."""
+    first = int(b[SAMPLED_ROWS])
+    end = first
+    while end < count and times[end] <= last:
+        end += 1
+    if columns == ROW_COLUMNS:
+        fill_whole_rows(b, t, times, first, end, rows)
+    else:
+        fill_currents(b, t, times, first, end, rows, slopes)
+    b[SAMPLED_ROWS] = end
+
+
+def fill_currents(b: Block, t: Block, times: Block, first: int, end: int, rows: Block, slopes: Block) -> None:
+    """Write the currents of some samples, and their tangents."""
     width = int(b[WIDTH])
-    i = int(b[SAMPLED_ROWS])
-    while i < count and times[i] <= last:
+    for i in range(first, end):
         b[ELAPSED] = max(0.0, times[i] - b[TIME])
         invoke(b[ROW], b, t)
-        row = rows[i * columns :]
-        if columns == ROW_COLUMNS:
-            row[2] = b[ROW_V]
-            row[3] = b[PULL]
+        rows[2 * i + 1] = b[CURRENT]
+        out = slopes[(2 * i + 1) * width :]
+        for k in range(width):
+            out[k] = t[CURRENT * width + k] + b[CURRENT_RATE] * t[LATE * width + k]
+
+
+def fill_whole_rows(b: Block, t: Block, times: Block, first: int, end: int, rows: Block) -> None:
+    """Write whole rows of some samples, ROWS_LANES of them at once; what is left over of these is the last one."""
+    for i in range(first, end, ROWS_LANES):
+        for lane in range(ROWS_LANES):
+            b[ROWS + lane] = max(0.0, times[min(i + lane, end - 1)] - b[TIME])
+        invoke(b[ROWS_AT], b, t)
+        for lane in range(min(ROWS_LANES, end - i)):
+            shown = b[ROWS + lane :]
+            row = rows[(i + lane) * ROW_COLUMNS :]
+            row[5] = shown[ROWS_LANES]
+            row[2] = shown[2 * ROWS_LANES]
+            row[3] = shown[3 * ROWS_LANES]
             row[4] = b[MODE]
-            row[5] = b[ROW_X]
-            row[6] = b[TERMINAL]
-            row[7] = b[CURRENT]
-        else:
-            row[1] = b[CURRENT]
-            out = slopes[(2 * i + 1) * width :]
-            for k in range(width):
-                out[k] = t[CURRENT * width + k] + b[CURRENT_RATE] * t[LATE * width + k]
-        i += 1
-    b[SAMPLED_ROWS] = i
+            row[6] = shown[4 * ROWS_LANES]
+            row[7] = shown[5 * ROWS_LANES]
+            row[8] = shown[5 * ROWS_LANES] * b[RATED]
 
 
 def end_step(b: Block, t: Block, ends: int, events: Block, room: int) -> None:
@@ -1125,6 +1157,7 @@ def read(b: Block, t: Block, time: float, row: Block) -> None:
     row[5] = b[ROW_X]
     row[6] = b[TERMINAL]
     row[7] = b[CURRENT]
+    row[8] = b[CURRENT] * b[RATED]
 
 
 def advance(b: Block, time: float) -> int:
@@ -1184,10 +1217,11 @@ def settle(b: Block) -> None:
 
 
 FUNCTIONS: Final = (
-    enter, contact_ahead, value_at, slope_at, bound, first_fall, shift, root, step, first_event, extent, balance,
-    commit, divided, leave, arrive, move_tangents, set_tangents, rescale_velocity, unseat, log_event, come_to_rest,
-    set_off, push_now, move_off, touch, touch_seat, touch_gap, turn_round, block_diode, close_circuit, set_voltage,
-    lag_moments, lagged, lag_tangents, before, shown_pilot, shown_main, fill, fill_slopes, fill_positions, fill_rows,
-    end_step, run, drive, start, whole, batch, read, advance, halt, command, settle,
+    enter, contact_ahead, value_at, slope_at, bound, first_fall, shift, root, step, first_event, first_of_motion,
+    first_of_rest, extent, balance, commit, divided, leave, arrive, move_tangents, set_tangents, rescale_velocity,
+    unseat, log_event, come_to_rest, set_off, push_now, move_off, touch, touch_seat, touch_gap, turn_round,
+    block_diode, close_circuit, set_voltage, lag_moments, lagged, lag_tangents, before, shown_pilot, shown_main, fill,
+    fill_slopes, fill_positions, fill_rows, fill_currents, fill_whole_rows, end_step, run, drive, start, whole, batch,
+    read, advance, halt, command, settle,
 )  # fmt: skip
 """What is compiled."""

@@ -6,6 +6,7 @@
     at        the states at some time within the step
     spot      x and v at some time within the step
     row       what a row of output shows at some time within the step
+    rows      likewise, at ROWS_LANES times side by side
     look      forces, rates and currents at the state
     decide    which comparisons of the equations hold at the state
 
@@ -41,7 +42,7 @@ CHECKED_AT: Final = (0.5, 1.0)
 """Fractions of a step at which its series is compared with the equation."""
 DYNAMIC: Final = ("unseated_time", "seen", "peak")
 """Numbers that events change, and their tangents with them."""
-NAMES: Final = ("move", "rest", "at", "spot", "row", "look", "decide", "prepare")
+NAMES: Final = ("move", "rest", "at", "spot", "row", "rows", "look", "decide", "prepare")
 
 
 class Kernels:
@@ -51,11 +52,10 @@ class Kernels:
         system: the equations.
         free: names of the parameters that derivatives are taken to.
         width: directions of derivatives; 0 for none.
-        lanes: valves side by side.
     """
 
-    def __init__(self, system: System, free: Sequence[str] = (), width: int = 0, lanes: int = 1) -> None:
-        self.system, self.width, self.lanes = system, width, lanes
+    def __init__(self, system: System, free: Sequence[str] = (), width: int = 0) -> None:
+        self.system, self.width = system, width
         self.names = tuple(system.states)
         self._slots = {**at.HELD, **{name: at.NUMBERS + i for i, name in enumerate(system.parameters)}}
         for place, name in enumerate(self.names):
@@ -101,7 +101,7 @@ class Kernels:
         return self._slots[name]
 
     def _code(self) -> Code:
-        return Code(self.lanes, self.width)
+        return Code(width=self.width)
 
     def _series(self, code: Code, start: Mapping[str, Value], rates: Mapping[str, Node], **how: object) -> Series:
         return Series(code, self._slot_of, start, rates, self._flags, **how)  # type: ignore[arg-type]
@@ -138,7 +138,9 @@ class Kernels:
         moved = self._ancestors([self.system.acceleration, *self._coil.values()])
         held = [None, None, self.system.current_left, *(g if g in moved else None for g in self._guards)]
         sure = self._sure(code, series, step, held)
-        terms = [code.mul(c, h) for c, h in zip(self._or_zero(code, v), self._powers(code, step, at.TERMS), strict=True)]
+        terms = [
+            code.mul(c, h) for c, h in zip(self._or_zero(code, v), self._powers(code, step, at.TERMS), strict=True)
+        ]
         way = code.load(at.DIRECTION)
         onwards = self._above_zero(code, [code.mul(way, term) for term in terms[: FINE + 1]], terms[FINE + 1 :])
         sure = onwards if sure is None else code.both(sure, onwards)
@@ -270,7 +272,7 @@ class Kernels:
         assert after is not None
         start = self._series(code, {"elapsed": step}, {})
         found = {name: start.value(after)}
-        if self.width:
+        if code.width:
             tangents = self._tangents({name: after})
             found[f"d {name}"] = start.value(tangents[f"d {name}"]) if tangents else code.constant(0.0)
         return found
@@ -348,7 +350,7 @@ class Kernels:
         powers = self._powers(code, h, at.ORDER + 1)
         states: dict[str, Value] = {}
         slope = code.constant(0.0)
-        for wide in (False, True) if self.width else (False,):
+        for wide in (False, True) if code.width else (False,):
             kind = "d " if wide else ""
             x = [code.load(at.SERIES_X + order, wide=wide) for order in range(at.ORDER + 1)]
             v = [code.mul(c, code.constant(float(order))) for order, c in enumerate(x)][1:]
@@ -394,19 +396,30 @@ class Kernels:
         return code
 
     def _row(self) -> Code:
-        code, system = self._code(), self.system
+        code, system = Code(width=self.width, exact=True), self.system
         elapsed = code.load(at.ELAPSED)
-        states, _ = self._states_at(code, elapsed)
-        there = self._series(code, states, {}, clock=elapsed)
-        code.store(at.ROW_X, states["x"])
-        code.store(at.ROW_V, states["v"])
+        shown, there = self._shown(code, elapsed)
+        for slot, value in zip((at.ROW_X, at.ROW_V, at.PULL, at.TERMINAL), shown, strict=False):
+            code.store(slot, value)
         if self.width:
             (rate,) = self._current_rate()
             code.store(at.CURRENT_RATE, code.constant(0.0) if rate is None else there.value(rate))
-        code.store(at.PULL, there.value(system.attraction))
-        code.store(at.TERMINAL, there.value(system.terminal))
         self._store_all(code, there, {"current": system.current}, {"current": at.CURRENT})
         return code
+
+    def _rows(self) -> Code:
+        code = Code(at.ROWS_LANES, exact=True)
+        shown, there = self._shown(code, code.load_lanes(at.ROWS))
+        for place, value in enumerate((*shown, there.value(self.system.current)), 1):
+            code.store(at.ROWS + place * at.ROWS_LANES, value)
+        return code
+
+    def _shown(self, code: Code, elapsed: Value) -> tuple[tuple[Value, ...], Series]:
+        """Position, velocity, attraction and voltage at times within the step, and the series that all else is of."""
+        states, _ = self._states_at(code, elapsed)
+        there = self._series(code, states, {}, clock=elapsed)
+        system = self.system
+        return (states["x"], states["v"], there.value(system.attraction), there.value(system.terminal)), there
 
     def _look(self) -> Code:
         code, trace, system = self._code(), self.system.trace, self.system

@@ -196,7 +196,8 @@ class _Function:
             raise self._fail(statement.target, "a loop goes over a range")
         limits = [self._cast(self._value(argument), "i64") for argument in call.args]
         first, last = limits[:2] if len(limits) > 1 else (Typed("0", "i64"), limits[0])
-        down = len(limits) == 3
+        by = limits[2].text if len(limits) == 3 else "1"
+        down = by.startswith("-")
         self._count += 1
         counter = f"{target.id}.{self._count}"
         self._declare(counter, "i64")
@@ -216,7 +217,7 @@ class _Function:
         self._body(statement.body)
         self._loops.pop()
         self._start(step)
-        following = self._new(f"add nsw i64 {now.text}, {-1 if down else 1}", "i64")
+        following = self._new(f"add nsw i64 {now.text}, {by}", "i64")
         self._line(f"store i64 {following.text}, {pointer} %l.{counter}")
         self._line(f"br label %{test}")
         self._lines.append(f"{after}:")

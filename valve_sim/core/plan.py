@@ -22,7 +22,7 @@ from valve_sim.model.parameters import ValveParameters
 
 Array = NDArray[np.float64]
 POINTER: Final = ctypes.c_void_p
-_SLOTS: Final = {name: getattr(layout, name.upper()) for name in NAMES}
+_SLOTS: Final = {name: getattr(layout, "ROWS_AT" if name == "rows" else name.upper()) for name in NAMES}
 _POLYNOMIAL: Final = ValveParameters._fields.index("attraction_polynomial")
 """Its place among the declared parameters, where its coefficients stand one by one."""
 _ENTRIES: Final = ("drive", "start", "batch", "settle", "whole", *ENTRIES)

@@ -78,11 +78,15 @@ def simulate(
         room = found
     logged = memory[layout.SIZE : layout.SIZE + 4 * found].reshape(-1, 4).tolist()
     rows = memory[layout.SIZE + 4 * room :].reshape(count, ROW_COLUMNS)
-    return Response(
-        times, rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 7] * memory[layout.RATED], rows[:, 3],
-        rows[:, 4].astype(np.uint8), tuple([Event(t, _KINDS[int(kind)], x, v) for t, kind, x, v in logged]),
-        rows[:, 6], bool(memory[layout.ONE_PLUNGER]),
+    # A frozen dataclass sets each of its attributes by a call; all of these together take as long as the run.
+    response = Response.__new__(Response)
+    vars(response).update(
+        time=times, pilot_position=rows[:, 0], main_position=rows[:, 1], pilot_velocity=rows[:, 2],
+        coil_current=rows[:, 8], attraction=rows[:, 3], phase=rows[:, 4].astype(np.uint8),
+        events=tuple([Event(t, _KINDS[int(kind)], x, v) for t, kind, x, v in logged]), coil_voltage=rows[:, 6],
+        has_one_plunger=bool(memory[layout.ONE_PLUNGER]), outlet_pressure=None, mass_flow=None,
     )  # fmt: skip
+    return response
 
 
 @functools.cache

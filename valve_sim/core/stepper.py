@@ -114,7 +114,7 @@ class Stepper:
 
     def _become(self, live: _Live) -> None:
         self._live, self.step = live, live.advance
-        self._delay, self._rated = float(live.block[layout.DELAY]), float(live.block[layout.RATED])
+        self._delay = float(live.block[layout.DELAY])
         parameters = self._valve.parameters
         self._preload, self._rate = parameters.spring_preload, parameters.spring_rate
 
@@ -147,7 +147,7 @@ class Stepper:
         """
         live = self._live
         check_outcome(live.advance(time))
-        pilot, main, velocity, attraction, number, x, volts, current, _ = live.row.tolist()
+        pilot, main, velocity, attraction, number, x, volts, _, current = live.row.tolist()
         phase = _PHASES[int(number)]
         if self._delay:
             pilot, main = self._delayed(time)
@@ -158,7 +158,7 @@ class Stepper:
         lifted = phase >= Phase.MAIN
         moves = phase is Phase.MAIN or live.block[layout.BEYOND] > 0.0
         return Reading(
-            time, pilot, main, velocity, velocity if moves else 0.0, current * self._rated, attraction,
+            time, pilot, main, velocity, velocity if moves else 0.0, current, attraction,
             -(self._preload + self._rate * x) if lifted else 0.0, phase, events, volts,
         )  # fmt: skip
 
