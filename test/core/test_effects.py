@@ -174,3 +174,59 @@ def test_many_accepted_valves_end_finite_and_inside(valve: Valve, commands: list
 
 def test_the_sizes_of_the_random_valves_are_of_the_catalogue() -> None:
     assert set(RANGES) <= set(shipped())
+
+
+MAP = {"low": 1e-4, "high": 1.1e-3, "coefficients": [0.3, -0.2, 0.4, 0.1, -0.3, 0.2, 0.35, -0.1]}
+
+
+@pytest.mark.parametrize(
+    ("variable", "low", "high"), [(0, 1e-4, 1.1e-3), (1, -0.3, 0.3), (2, 2e-3, 2e-2), (4, 1e-4, 1.1e-3)]
+)
+def test_a_force_map_is_its_spline_and_stops_at_its_knots(variable: int, low: float, high: float) -> None:
+    from scipy.interpolate import BSpline
+
+    mapping = {**MAP, "low": low, "high": high, "variable": variable}
+    if variable == 1:
+        mapping["coefficients"] = [abs(c) for c in MAP["coefficients"]]  # type: ignore[attr-defined]
+    valve = Valve.from_mapping(
+        {"valve": CALIBRATED.parameters._asdict(), "effects": {"force_map": mapping}}, "map.yaml"
+    )
+    c = np.array(mapping["coefficients"])
+    h = (high - low) / (len(c) - 3)
+    curve = BSpline(low + h * np.arange(-3, len(c) + 1), c, 3)
+    times = np.arange(1, 3000) * 1e-5
+    response = simulate(valve, STROKE, times)
+    exact = simulate(valve, STROKE, times, tolerance=1e-13)
+    assert response.pilot_position == pytest.approx(exact.pilot_position, abs=2e-12)
+    x, v = exact.pilot_position, exact.pilot_velocity
+    place = np.clip({0: x, 1: v, 2: times, 4: x}[variable], low, high)
+    force = curve(place) * {0: 1.0, 1: -v, 2: 1.0, 4: (exact.coil_current / 0.9) ** 2}[variable]
+    p = valve.parameters
+    away = np.abs(times[:, None] - np.array([event.time for event in exact.events])).min(axis=1) > 4e-5
+    for phase, mass, rest in ((1, p.pilot_mass, 0.0 * x), (3, p.moving_mass, p.spring_preload + p.spring_rate * x)):
+        inside = np.flatnonzero((exact.phase == phase) & away)
+        runs = [run for run in np.split(inside, np.flatnonzero(np.diff(inside) != 1) + 1) if len(run) > 20]
+        for run in runs:
+            damping = p.pilot_damping if phase == 1 else p.main_damping
+            net = (exact.attraction + force - rest - damping * v)[run]
+            slope = (v[run[4:]] - 8 * v[run[3:-1]] + 8 * v[run[1:-3]] - v[run[:-4]]) / -12e-5
+            assert mass * slope == pytest.approx(net[2:-2], abs=2e-4)
+
+
+def test_a_force_map_has_derivatives() -> None:
+    valve = Valve.from_mapping(
+        {"valve": CALIBRATED.parameters._asdict(), "effects": {"force_map": {**MAP, "variable": 0}}}, "map.yaml"
+    )
+    directions = Directions.of(valve, STROKE, ["force_map.c3", "force_map.low"])
+    sloped = run_sloped(valve, STROKE, TIMES, directions, tolerance=1e-10)
+    held = valve.effects["force_map"]
+    for column, (name, h) in enumerate((("c3", 1e-5), ("low", 1e-9))):
+        above, below = (
+            simulate(
+                Valve(valve.parameters, {"force_map": {**held, name: held[name] + d}}), STROKE, TIMES,
+                tolerance=1e-12,
+            ).pilot_position
+            for d in (h, -h)
+        )  # fmt: skip
+        quotient = (above - below) / (2.0 * h)
+        assert np.abs(sloped.of_positions[:, column] - quotient).max() < 1e-6 * np.abs(quotient).max()

@@ -118,17 +118,19 @@ class System:
     is_checked: bool = False
 
 
-def build(effects: Sequence[Effect], *, freewheels: bool = False) -> System:
+def build(effects: Sequence[Effect], *, shapes: Sequence[float] = (), freewheels: bool = False) -> System:
     """The equations of a valve.
 
     Args:
-        effects: what it has. freewheels: whether its current may freewheel, (C5), and its sign must be watched.
+        effects: what it has. shapes: values of the parameters that shape these, in their order.
+        freewheels: whether its current may freewheel, (C5), and its sign must be watched.
     """
     trace = Trace()
     system = System(trace)
-    owns = {
-        effect.name: Own(**{name: trace.number(f"{effect.name}.{name}") for name in effect.names}) for effect in effects
-    }
+    owns, given = {}, iter(shapes)
+    for effect in effects:
+        nodes = {name: trace.number(f"{effect.name}.{name}") for name in effect.names}
+        owns[effect.name] = Own(**{**nodes, **{name: trace.constant(next(given)) for name in effect.shapes}})
     numbers = {name: trace.number(name) for name in DECLARED}
     numbers.update({name: trace.constant(value) for name, value in NEUTRAL.items()})
     for effect in effects:

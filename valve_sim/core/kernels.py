@@ -317,13 +317,16 @@ class Kernels:
         A polynomial lies above the smallest of its Bernstein coefficients. Those of the first orders are taken, less
         the size of the other terms.
         """
-        others, least = self._summed(code, [code.call("fabs", term) for term in rest]), terms[0]
+        others, least = self._summed(code, [code.call("fabs", term) for term in rest]), None
         for j in range(1, FINE + 1):
-            total = terms[0]
-            for i in range(1, j + 1):
+            total = code.mul(terms[1], code.constant(j / FINE))
+            for i in range(2, j + 1):
                 total = code.fma(terms[i], code.constant(math.comb(j, i) / math.comb(FINE, i)), total)
-            least = code.smaller(total, least)
-        return code.compare("ogt", least, others)
+            least = total if least is None else code.smaller(total, least)
+        assert least is not None
+        # Guards that differ by a constant, as those of the knots of a curve, share all but this.
+        lowest = code.smaller(code.add(terms[0], least), terms[0])
+        return code.compare("ogt", lowest, others)
 
     @staticmethod
     def _store_suspect(code: Code, sure: Value) -> None:

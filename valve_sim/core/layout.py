@@ -14,7 +14,7 @@ TERMS: Final = 14
 """Coefficients of a series of anything but x: orders 0 to 13."""
 MOST_STATES: Final = 5
 """Of the coil."""
-MOST_GUARDS: Final = 12
+MOST_GUARDS: Final = 16
 
 TIME, X, V, COIL = 0, 1, 2, 3
 """s, m, m/s, and the states of the coil."""
@@ -65,7 +65,7 @@ ROWS: Final = SCRATCH + 3 * TERMS
 """So many times since the start of a step, s; then as many of each: x, v, attraction, V at the terminals, u."""
 NUMBERS: Final = ROWS + 6 * ROWS_LANES
 """The numbers that a valve gives: declared ones and those of its effects."""
-MOST_NUMBERS: Final = 96
+MOST_NUMBERS: Final = 128
 SIZE: Final = NUMBERS + MOST_NUMBERS
 
 HELD: Final = {

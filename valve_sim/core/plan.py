@@ -18,6 +18,7 @@ from valve_sim.core.equations import build
 from valve_sim.core.kernels import NAMES, Kernels
 from valve_sim.core.lowering import lowered
 from valve_sim.core.machine import Library, library
+from valve_sim.model.errors import ParameterError
 from valve_sim.model.parameters import ValveParameters
 
 Array = NDArray[np.float64]
@@ -64,15 +65,23 @@ class Plan:
     """The equations of a set of effects, compiled.
 
     Args:
-        effects: in the order in which they act. freewheels: whether the current may freewheel.
+        effects: in the order in which they act. shapes: values of the parameters that shape these.
+        freewheels: whether the current may freewheel.
         free: parameters that derivatives are taken to. width: directions of derivatives; 0 for none.
     """
 
     def __init__(
-        self, effects: Sequence[Effect], *, freewheels: bool = False, free: Sequence[str] = (), width: int = 0
-    ) -> None:
-        system = build(effects, freewheels=freewheels)
+        self, effects: Sequence[Effect], *, shapes: Sequence[float] = (), freewheels: bool = False,
+        free: Sequence[str] = (), width: int = 0,
+    ) -> None:  # fmt: skip
+        system = build(effects, shapes=shapes, freewheels=freewheels)
         kernels = Kernels(system, free, width)
+        if kernels.guard_count > layout.MOST_GUARDS or len(system.parameters) > layout.MOST_NUMBERS:
+            raise ParameterError(
+                f"effects {', '.join(effect.name for effect in effects)}: found {kernels.guard_count} comparisons and "
+                f"{len(system.parameters)} numbers, expected at most {layout.MOST_GUARDS} and {layout.MOST_NUMBERS}; "
+                "take one out"
+            )
         key = f"{system.trace.digest()} {tuple(free)} {width}"
         self.parameters, self.states = system.parameters, kernels.names
         self._of_effects = [(effect.name, effect.names) for effect in effects]
@@ -115,7 +124,10 @@ class Plan:
         return block
 
 
-@functools.cache
-def plan_of(effects: tuple[Effect, ...], freewheels: bool = False, free: tuple[str, ...] = (), width: int = 0) -> Plan:
+@functools.lru_cache(maxsize=512)
+def plan_of(
+    effects: tuple[Effect, ...], shapes: tuple[float, ...] = (), freewheels: bool = False, free: tuple[str, ...] = (),
+    width: int = 0,
+) -> Plan:  # fmt: skip
     """The plan of a set of effects, made once a process."""
-    return Plan(effects, freewheels=freewheels, free=free, width=width)
+    return Plan(effects, shapes=shapes, freewheels=freewheels, free=free, width=width)

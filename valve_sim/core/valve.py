@@ -78,8 +78,12 @@ class Valve:
 
     def plan(self, free: tuple[str, ...] = (), width: int = 0) -> Plan:
         """What is compiled for its effects, with derivatives to some parameters."""
-        effects = tuple(self.catalogue[name] for name in self.effects)
-        return plan_of(effects, self.parameters.release_voltage > 0.0, free, width)
+        effects = tuple([self.catalogue[name] for name in self.effects])
+        return plan_of(effects, self._shapes(effects), self.parameters.release_voltage > 0.0, free, width)
+
+    def _shapes(self, effects: tuple[Effect, ...]) -> tuple[float, ...]:
+        """The values of the parameters that shape its effects."""
+        return tuple([self.effects[effect.name][name] for effect in effects for name in effect.shapes])
 
     def numbers(self) -> NDArray[np.float64]:
         """Its numbers in the order of its plan's parameters."""
@@ -102,7 +106,8 @@ class Valve:
                     f"{source}: effects.{name}: found beside valve.pilot_gap 0, a valve with one plunger, which picks "
                     "nothing up; take the effect out, or declare the gap"
                 )
-        system = build([self.catalogue[name] for name in self.effects])
+        effects = tuple(self.catalogue[name] for name in self.effects)
+        system = build(effects, shapes=self._shapes(effects))
         values = dict(zip(system.parameters, self.numbers().tolist(), strict=True))
         gap, stroke, lag = evaluate(
             [system.numbers[name] for name in ("pilot_gap", "stroke", "coil_time_constant")], values

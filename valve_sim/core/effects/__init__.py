@@ -61,6 +61,8 @@ def _check_effect(effect: Effect, found: object, where: str) -> dict[str, float]
     expected = ", ".join(effect.names)
     if not isinstance(found, Mapping):
         raise ParameterError(f"{where}: found {found!r}, expected {{{expected}}}")
+    if effect.unpack is not None:
+        found = effect.unpack(found, where)
     for name in found:
         if name not in effect.names:
             raise ParameterError(f"{where}.{name}: no such parameter; expected {expected}")

@@ -76,6 +76,8 @@ class Effect:
         confused_with: names of effects that data often cannot tell from this one, the closest first.
         force, friction, square, changes: its expressions, see the module.
         stands_alone: names of effects that cannot be declared beside it.
+        shapes: parameters whose values decide which expressions it has; they are constants there.
+        unpack: (what a file has, where) → its parameters one by one, where a file gives them in another form.
     """
 
     name: str
@@ -91,6 +93,8 @@ class Effect:
     square: Callable[[Node, Own], Node] | None = None
     changes: Mapping[str, Change] = field(default_factory=dict)
     stands_alone: tuple[str, ...] = ()
+    shapes: tuple[str, ...] = ()
+    unpack: Callable[[Mapping[str, object], str], Mapping[str, object]] | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
