@@ -17,7 +17,9 @@ from valve_sim.model.core_types import EventKind, Phase
 from valve_sim.model.drives import Drive, peak_and_hold, step
 
 EVENTS_AGREE = 1e-11
-"""s: with the independent integrator, whose own error is a tenth of it."""
+"""s: with the independent integrator, whose own error is a tenth of it, at a tolerance of 1e-10."""
+AT_DEFAULT = 1e-10
+"""s: what the default tolerance leaves of the error of an event; the worst are contacts at millimetres a second."""
 FLAT = Valve().with_values(a0=10.0, a1=0.0, a2=0.0, a3=0.0, pilot_damping=0.0, main_damping=0.0, spring_rate=0.0)
 """Of constant force and without inductance: it moves in parabolas."""
 
@@ -100,7 +102,7 @@ def test_a_compliant_stop_is_a_damped_spring() -> None:
 @pytest.mark.parametrize("seed", [*range(2), *(pytest.param(seed, marks=pytest.mark.long) for seed in range(2, 60))])
 def test_events_and_motion_are_those_of_an_independent_integrator(kind: str, seed: int) -> None:
     valve, drive, times = drawn(kind, seed)
-    ours = simulate(valve, drive, times)
+    ours = simulate(valve, drive, times, tolerance=1e-10)
     if kind == "random":
         theirs = reference(valve.declared(), valve.effects, drive, times)
         pilot, main, events = theirs.pilot, theirs.main, theirs.events
@@ -128,7 +130,7 @@ def test_events_converge_with_the_tolerance(kind: str) -> None:
             assert [event.kind for event in found] == [event.kind for event in exact]
             off = max((abs(a.time - b.time) for a, b in zip(found, exact, strict=True)), default=0.0)
             worst[place] = max(worst[place], off)
-    assert worst[1] < max(0.1 * worst[0], 1e-13)
+    assert worst[1] < min(max(0.1 * worst[0], 1e-13), AT_DEFAULT)
     assert worst[2] < max(0.1 * worst[1], 1e-13)
 
 
