@@ -18,7 +18,6 @@ from typing import Any, Final, TypeAlias
 
 from valve_sim.core.layout import (
     ACCELERATION,
-    AGEING,
     AHEAD,
     AT,
     BEYOND,
@@ -198,7 +197,6 @@ def enter(b: Block, t: Block) -> None:
     b[LIFTED_DOWN] = 1.0 if mode >= MAIN else 0.0
     b[CLOSED_NOW] = 1.0 if mode == CLOSED else 0.0
     b[ON_SEAT] = one * b[CLOSED_NOW]
-    b[AGEING] = 1.0 - b[ON_SEAT]
     b[MAY_RISE] = 1.0 if mode != OPEN or b[BEYOND] > 0.0 else 0.0
     b[MAY_FALL] = 1.0 - b[CLOSED_NOW]
     if mode == OPEN and up:
@@ -336,8 +334,6 @@ def root(b: Block, c: int, h: float, target: float, way: float, terms: int) -> f
 
 def step(b: Block, t: Block) -> int:
     """Find the next step from the state: its series, its size, and what ends it. −1 if it cannot be found."""
-    if b[ON_SEAT] > 0.0:
-        b[UNSEATED_TIME] = b[TIME]
     if b[MOVING] == 0.0:
         invoke(b[REST], b, t)
     else:
@@ -658,9 +654,6 @@ def touch_seat(b: Block, t: Block, events: Block, room: int) -> None:
         log_event(b, events, room, BOUNCED_AT_SEAT, v)
         return
     come_to_rest(b, t, CLOSED)
-    if b[ON_SEAT] > 0.0:
-        b[UNSEATED_TIME] = b[TIME]
-        set_tangents(b, t, UNSEATED_TIME, UNSEATED_TIME, 0.0)
     if push_now(b, t) != 0.0:
         # What pulls lifts it again at once: one event, not a seating and an unseating at one time.
         set_off(b, t, mode, 1.0)

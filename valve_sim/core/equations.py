@@ -142,7 +142,7 @@ def build(effects: Sequence[Effect], *, shapes: Sequence[float] = (), freewheels
 
     clock, beyond = trace.clock(), trace.number("beyond") > 0.5
     t = trace.number("time") + clock
-    since = trace.number("time") - trace.number("unseated_time") + trace.number("ageing") * clock
+    since = where(trace.number("on seat") > 0.5, 0.0, trace.number("time") - trace.number("unseated_time") + clock)
     x, v, direction = trace.state("x"), trace.state("v"), trace.number("direction")
     if "motional_emf" in names:
         u, w = _flux_coil(system, p, on, x, v, heats="coil_heating" in names)

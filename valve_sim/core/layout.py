@@ -24,7 +24,7 @@ END_X, END_V = END, END + 1
 STEP, LONGEST, SUSPECT, DEFECT, TOLERANCE, ELAPSED = 15, 16, 17, 18, 19, 20
 """Size of the step, s, and the longest allowed; 1 where something may happen in it; error of its series over what is
 tolerated; relative error of a step; the time since its start at which the states are asked for."""
-MODE, MOVING, DIRECTION, LIFTED, LIFTED_UP, LIFTED_DOWN, BEYOND, AHEAD, ON_SEAT, CLOSED_NOW, AGEING = range(21, 32)
+MODE, MOVING, DIRECTION, LIFTED, LIFTED_UP, LIFTED_DOWN, BEYOND, AHEAD, ON_SEAT, CLOSED_NOW = range(21, 31)
 """What the plungers do: see `driver.enter`."""
 UNSEATED_TIME, VOLTS, SEEN, BLOCKED, PATH, FREEWHEELS, PEAK, END_PEAK = range(32, 40)
 """s; V, commanded and at the terminals; whether the diode blocks; what closes the circuit; the sign of a current that
@@ -71,7 +71,7 @@ SIZE: Final = NUMBERS + MOST_NUMBERS
 HELD: Final = {
     "time": TIME, "x": X, "v": V, "elapsed": ELAPSED, "direction": DIRECTION, "lifted": LIFTED,
     "lifted up": LIFTED_UP, "lifted down": LIFTED_DOWN, "beyond": BEYOND, "on seat": ON_SEAT, "closed": CLOSED_NOW,
-    "ageing": AGEING, "unseated_time": UNSEATED_TIME, "seen": SEEN, "blocked": BLOCKED, "peak": PEAK,
+    "unseated_time": UNSEATED_TIME, "seen": SEEN, "blocked": BLOCKED, "peak": PEAK,
     "freewheels": FREEWHEELS, "moving": MOVING, "may rise": MAY_RISE, "may fall": MAY_FALL,
 }  # fmt: skip
 """The slots of what the equations call by these names."""
