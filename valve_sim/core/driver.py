@@ -1085,7 +1085,7 @@ def start(b: Block, t: Block, blank: Block, numbers: Block, count: int, time: fl
     Args:
         blank: the block of no valve in particular, with the addresses of its kernels. numbers: `count` of the valve.
     """
-    for i in range(NUMBERS):
+    for i in range(SERIES_X):
         b[i] = blank[i]
     for i in range(count):
         b[NUMBERS + i] = numbers[i]
