@@ -1,0 +1,232 @@
+"""The catalogue of the core: every effect can be off, what does not go together is refused, users add their own."""
+
+from __future__ import annotations
+
+import math
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import strategies as st
+from model.random_valves import RANGES
+
+from core.cases import CALIBRATED, STROKE
+from valve_sim.core import Directions, Effect, Motion, Own, Valve, run_sloped, shipped, simulate
+from valve_sim.core.tracer import Node, exp, maximum, sin
+from valve_sim.model.drives import Drive
+from valve_sim.model.errors import ParameterError, SimulationError
+from valve_sim.model.parameters import DECLARED, Parameter
+
+TIMES = np.linspace(1e-3, 0.03, 80)
+NEVER_OFF = ("motional_emf",)
+"""Whose declaration alone changes the coil."""
+
+
+@pytest.mark.parametrize("name", [name for name in shipped() if name not in NEVER_OFF])
+def test_an_effect_that_is_off_changes_nothing(name: str) -> None:
+    finite = {p.name: p.neutral if math.isfinite(p.neutral) else p.upper for p in shipped()[name].parameters}
+    plain = simulate(CALIBRATED, STROKE, TIMES)
+    off = simulate(Valve(CALIBRATED.parameters, {name: finite}), STROKE, TIMES)
+    # Where it is never quite off, the largest value stands for that: 1e3 for u_s, 1 GHz for the sensor.
+    assert off.pilot_position == pytest.approx(
+        plain.pilot_position, abs=2e-9 if name == "magnetic_saturation" else 1e-10
+    )
+    assert [event.kind for event in off.events] == [event.kind for event in plain.events]
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_every_entry_is_whole(name: str) -> None:
+    entry = shipped()[name]
+    assert entry.name == name and entry.title and entry.summary and entry.source
+    assert entry.on_a_real_valve.endswith(".") and entry.what_to_do.endswith(".")
+    assert set(entry.confused_with) <= set(shipped())
+    assert all(p.unit and p.description for p in entry.parameters)
+    assert entry.force or entry.friction or entry.square or entry.changes
+
+
+def valve_of(effects: dict[str, Any], **values: Any) -> Valve:
+    return Valve.from_mapping({"valve": values, "effects": effects}, "valve.yaml")
+
+
+@pytest.mark.parametrize(
+    ("effects", "values", "why"),
+    [
+        ({"coulomb": {"force": 1.0}}, {}, "no such effect; did you mean coulomb_friction"),
+        ({"coulomb_friction": {"force": -1.0}}, {}, "expected a number from 0"),
+        ({"coulomb_friction": {}}, {}, "force is missing"),
+        ({"coulomb_friction": {"force": 1.0, "level": 2.0}}, {}, "no such parameter"),
+        (
+            {"stop_bounce": {"restitution_stop": 0.1, "restitution_seat": 0.1},
+             "stop_compliance": {"compliance": 1e-8, "damping_ratio": 0.3}}, {}, "whose place it takes",
+        ),
+        ({"gap_offset": {"offset": 5e-3}}, {}, "expected 0 < pilot_gap < stroke"),
+        ({"stroke_offset": {"offset": -1.1e-3}}, {}, "expected 0 < pilot_gap < stroke"),
+        ({"gap_offset": {"offset": 1e-5}}, {"pilot_gap": 0.0}, "a valve with one plunger"),
+        ({"motional_emf": {"share": 1.0}}, {}, "without inductance has no flux"),
+        (
+            {"motional_emf": {"share": 1.0}, "magnetic_saturation": {"current": 0.5}}, {"coil_time_constant": 1e-4},
+            "more current would make less flux",
+        ),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_is_refused_in_one_line(effects: dict[str, Any], values: dict[str, Any], why: str) -> None:
+    with pytest.raises(ParameterError, match=why) as raised:
+        valve_of(effects, **values)
+    assert "\n" not in str(raised.value) and str(raised.value).startswith("valve.yaml")
+
+
+def spring_catch(m: Motion, own: Own) -> Node:
+    """A one-sided spring that begins at a place, a ripple and something that fades after the start."""
+    caught = own.stiffness * maximum(0.0, m.x - own.place)
+    return -caught + own.ripple * sin(m.t * 3000.0) * exp(-m.since / 5e-3)
+
+
+OWN_EFFECT = Effect(
+    name="catch", title="Catch", summary="a one-sided spring",
+    parameters=(
+        Parameter("stiffness", "N/m", "of the spring", 0, 1e6, 1e3, 0.0),
+        Parameter("place", "m", "where it begins", 0, 1e-2, 6e-4),
+        Parameter("ripple", "N", "of the drive", -10, 10, 0.1, 0.0),
+    ),
+    source="this test", on_a_real_valve="A catch.", what_to_do="Look for it.", force=spring_catch,
+)  # fmt: skip
+
+
+def test_an_effect_of_one_s_own_gets_series_events_and_derivatives() -> None:
+    catalogue = MappingProxyType({**shipped(), "catch": OWN_EFFECT})
+    values = {"stiffness": 2e3, "place": 7e-4, "ripple": 0.05}
+    mapping = {"valve": CALIBRATED.parameters._asdict(), "effects": {"catch": values}}
+    valve = Valve.from_mapping(mapping, "own.yaml", catalogue)
+    exact = simulate(valve, STROKE, TIMES, tolerance=1e-13)
+    found = simulate(valve, STROKE, TIMES)
+    assert found.pilot_position == pytest.approx(exact.pilot_position, abs=2e-12)
+    names = ["catch.stiffness", "catch.place", "catch.ripple"]
+    sloped = run_sloped(valve, STROKE, TIMES, Directions.of(valve, STROKE, names), tolerance=1e-10)
+    for column, name in enumerate(("stiffness", "place", "ripple")):
+        h = 1e-5 * values[name]
+        above, below = (
+            simulate(
+                Valve(valve.parameters, {"catch": {**values, name: values[name] + d}}, catalogue), STROKE, TIMES,
+                tolerance=1e-12,
+            ).pilot_position
+            for d in (h, -h)
+        )  # fmt: skip
+        quotient = (above - below) / (2.0 * h)
+        assert np.abs(sloped.of_positions[:, column] - quotient).max() < 1e-6 * np.abs(quotient).max()
+
+
+def values(parameter: Parameter, typical: float) -> st.SearchStrategy[float]:
+    """The ends of its range, zero, and anything from a ten-thousandth to a thousand times what is typical."""
+    sizes = st.floats(-4.0, 3.0).map(lambda decades: abs(typical or 1e-3) * 10.0**decades)
+    signed = st.builds(math.copysign, sizes, st.sampled_from((1.0, -1.0)))
+    ends = [end for end in (parameter.lower, parameter.upper, 0.0) if math.isfinite(end)]
+    return st.one_of(signed, st.sampled_from(ends)).map(lambda v: min(max(v, parameter.lower), parameter.upper))
+
+
+@st.composite
+def valves(draw: st.DrawFn, most_effects: int) -> Valve:
+    """Up to five declared parameters, and effects, anywhere in their ranges; what is refused is drawn anew."""
+    declared: dict[str, Any] = CALIBRATED.parameters._asdict()
+    for name in draw(st.lists(st.sampled_from([name for name in DECLARED if name in declared]), max_size=5)):
+        declared[name] = draw(values(DECLARED[name], declared[name]))
+    chosen = draw(st.lists(st.sampled_from(sorted(shipped())), max_size=most_effects, unique=True))
+    effects = {name: {p.name: draw(values(p, p.prior_scale)) for p in shipped()[name].parameters} for name in chosen}
+    try:
+        return Valve.from_mapping({"valve": declared, "effects": effects}, "drawn")
+    except ParameterError as error:
+        assert "\n" not in str(error)
+        assume(False)
+        raise
+
+
+drives = st.lists(st.tuples(st.floats(0.0, 0.02), st.floats(-1e3, 1e3) | st.sampled_from((0.0, 9.0, -9.0, 30.0))),
+                  min_size=1, max_size=5).map(sorted)  # fmt: skip
+
+
+def ends_inside(valve: Valve, commands: list[tuple[float, float]]) -> None:
+    times, volts = zip(*commands, strict=True)
+    try:
+        response = simulate(valve, Drive.of(times, volts), np.linspace(0.0, 0.02, 41))
+    except SimulationError as error:
+        # What explodes does so by its parameters; it is said in one line, and never by a hang.
+        assert "\n" not in str(error)
+        return
+    assert np.isfinite(response.pilot_position).all() and np.isfinite(response.coil_current).all()
+    if not {"sensor_gain", "stop_compliance"} & set(valve.effects):
+        stroke = valve.parameters.stroke + valve.effects.get("stroke_offset", {}).get("offset", 0.0)
+        assert response.pilot_position.min() >= -1e-9 and response.pilot_position.max() <= stroke + 1e-9
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck))
+@given(valves(1), drives)
+def test_any_accepted_valve_ends_finite_and_inside(valve: Valve, commands: list[tuple[float, float]]) -> None:
+    ends_inside(valve, commands)
+
+
+@pytest.mark.long
+@settings(max_examples=1500, deadline=None, suppress_health_check=list(HealthCheck))
+@given(valves(3), drives)
+def test_many_accepted_valves_end_finite_and_inside(valve: Valve, commands: list[tuple[float, float]]) -> None:
+    ends_inside(valve, commands)
+
+
+def test_the_sizes_of_the_random_valves_are_of_the_catalogue() -> None:
+    assert set(RANGES) <= set(shipped())
+
+
+MAP = {"low": 1e-4, "high": 1.1e-3, "coefficients": [0.3, -0.2, 0.4, 0.1, -0.3, 0.2, 0.35, -0.1]}
+
+
+@pytest.mark.parametrize(
+    ("variable", "low", "high"), [(0, 1e-4, 1.1e-3), (1, -0.3, 0.3), (2, 2e-3, 2e-2), (4, 1e-4, 1.1e-3)]
+)
+def test_a_force_map_is_its_spline_and_stops_at_its_knots(variable: int, low: float, high: float) -> None:
+    from scipy.interpolate import BSpline
+
+    mapping = {**MAP, "low": low, "high": high, "variable": variable}
+    if variable == 1:
+        mapping["coefficients"] = [abs(c) for c in MAP["coefficients"]]  # type: ignore[attr-defined]
+    valve = Valve.from_mapping(
+        {"valve": CALIBRATED.parameters._asdict(), "effects": {"force_map": mapping}}, "map.yaml"
+    )
+    c = np.array(mapping["coefficients"])
+    h = (high - low) / (len(c) - 3)
+    curve = BSpline(low + h * np.arange(-3, len(c) + 1), c, 3)
+    times = np.arange(1, 3000) * 1e-5
+    response = simulate(valve, STROKE, times)
+    exact = simulate(valve, STROKE, times, tolerance=1e-13)
+    assert response.pilot_position == pytest.approx(exact.pilot_position, abs=2e-12)
+    x, v = exact.pilot_position, exact.pilot_velocity
+    place = np.clip({0: x, 1: v, 2: times, 4: x}[variable], low, high)
+    force = curve(place) * {0: 1.0, 1: -v, 2: 1.0, 4: (exact.coil_current / 0.9) ** 2}[variable]
+    p = valve.parameters
+    away = np.abs(times[:, None] - np.array([event.time for event in exact.events])).min(axis=1) > 4e-5
+    for phase, mass, rest in ((1, p.pilot_mass, 0.0 * x), (3, p.moving_mass, p.spring_preload + p.spring_rate * x)):
+        inside = np.flatnonzero((exact.phase == phase) & away)
+        runs = [run for run in np.split(inside, np.flatnonzero(np.diff(inside) != 1) + 1) if len(run) > 20]
+        for run in runs:
+            damping = p.pilot_damping if phase == 1 else p.main_damping
+            net = (exact.attraction + force - rest - damping * v)[run]
+            slope = (v[run[4:]] - 8 * v[run[3:-1]] + 8 * v[run[1:-3]] - v[run[:-4]]) / -12e-5
+            assert mass * slope == pytest.approx(net[2:-2], abs=2e-4)
+
+
+def test_a_force_map_has_derivatives() -> None:
+    valve = Valve.from_mapping(
+        {"valve": CALIBRATED.parameters._asdict(), "effects": {"force_map": {**MAP, "variable": 0}}}, "map.yaml"
+    )
+    directions = Directions.of(valve, STROKE, ["force_map.c3", "force_map.low"])
+    sloped = run_sloped(valve, STROKE, TIMES, directions, tolerance=1e-10)
+    held = valve.effects["force_map"]
+    for column, (name, h) in enumerate((("c3", 1e-5), ("low", 1e-9))):
+        above, below = (
+            simulate(
+                Valve(valve.parameters, {"force_map": {**held, name: held[name] + d}}), STROKE, TIMES,
+                tolerance=1e-12,
+            ).pilot_position
+            for d in (h, -h)
+        )  # fmt: skip
+        quotient = (above - below) / (2.0 * h)
+        assert np.abs(sloped.of_positions[:, column] - quotient).max() < 1e-6 * np.abs(quotient).max()

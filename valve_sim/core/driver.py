@@ -1,0 +1,1220 @@
+"""The integrator: natural steps from event to event, of which all callers read.
+
+A step ends where error control ends it or where something happens, never where a caller looks: samples within it are
+read from its polynomial. Only a command cuts a step. So the state does not depend on who looked when, and a valve that
+is stepped live is the whole run, to the last bit.
+
+These functions are compiled by `lowering`; the kernels that they invoke are those of `kernels`. `b` is the block of a
+valve, `t` that of its tangents, in as many directions as the block says; `layout` names their slots.
+
+Derivatives go through an event by its saltation: the states are moved to where the event is, by the rates before it
+times the derivative δ of its time, changed there as the event changes them, and moved back by the rates after it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final, TypeAlias
+
+from valve_sim.core.layout import (
+    ACCELERATION,
+    AHEAD,
+    AT,
+    BEYOND,
+    BLOCKED,
+    CHATTER,
+    CLOSED_NOW,
+    COIL,
+    COIL_RATES,
+    COMPLIANCE,
+    COUNT,
+    CURRENT,
+    CURRENT_RATE,
+    DECIDE,
+    DEFECT,
+    DELAY,
+    DELTA,
+    DIRECTION,
+    DOWN,
+    DOWN_RATE,
+    EDDY,
+    ELAPSED,
+    END,
+    END_PEAK,
+    END_V,
+    END_X,
+    ENDS,
+    FLAG,
+    FREEWHEELS,
+    GAIN,
+    GAP,
+    GUARD,
+    GUARDS,
+    HAS_PEAK,
+    IS_CHECKED,
+    IS_FLUX,
+    LAG,
+    LATE,
+    LIFTED,
+    LIFTED_DOWN,
+    LIFTED_UP,
+    LONGEST,
+    LOOK,
+    MAY_FALL,
+    MAY_RISE,
+    MODE,
+    MOVE,
+    MOVING,
+    NET,
+    NUMBERS,
+    ON_SEAT,
+    ONE_PLUNGER,
+    ORDER,
+    OUTCOME,
+    PATH,
+    PEAK,
+    PENDING,
+    PREPARE,
+    PULL,
+    RATED,
+    RATIO,
+    RELEASE,
+    REST,
+    RESTITUTION_SEAT,
+    RESTITUTION_STOP,
+    ROW,
+    ROW_V,
+    ROW_X,
+    ROWS,
+    ROWS_AT,
+    ROWS_LANES,
+    SAMPLED,
+    SAMPLED_ROWS,
+    SCRATCH,
+    SEEN,
+    SENSOR_LAG,
+    SERIES_X,
+    SHOWN_MAIN,
+    SHOWN_PILOT,
+    SIZE,
+    SPOT,
+    STATES,
+    STEP,
+    STROKE,
+    SUSPECT,
+    TERMINAL,
+    TERMS,
+    TIME,
+    TOLERANCE,
+    UNSEATED_TIME,
+    UP,
+    UP_RATE,
+    VOLTS,
+    WIDTH,
+    V,
+    X,
+)  # fmt: skip
+from valve_sim.model.core_types import EventKind, Outcome, Phase
+
+Block: TypeAlias = Any
+"""Doubles that are read and written by index; `b[n:]` begins n further on."""
+
+CLOSED, PILOT, GAP_HOLD, MAIN, OPEN = (int(phase) for phase in Phase)
+UNSEATED, PICKED_UP, HELD_AT_GAP, LIFTED_OFF, DROPPED, REACHED_STOP, BOUNCED_AT_STOP = (
+    int(k) for k in list(EventKind)[:7]
+)
+RELEASED, MAIN_SEATED, SEATED, BOUNCED_AT_SEAT, STUCK, BROKE_AWAY, GONE = (int(k) for k in list(EventKind)[7:14])
+FINISHED, STEP_TOO_SMALL, TOO_MANY_STEPS, CHATTERING = (int(outcome) for outcome in list(Outcome)[:4])
+DRIVEN, FREEWHEELING, CUT_OFF = 0, 1, 2
+"""What closes the coil's circuit: its driver, the freewheeling path, or nothing."""
+NO_EVENT, CONTACT, TURN, RISE, FALL, CURRENT_GONE, FLAGGED = 0, 1, 2, 3, 4, 5, 6
+"""What ends a step; FLAGGED and more is the comparison of that number."""
+
+SLOW_AT_GAP: Final = 1e-3
+"""m/s: a slower contact at the gap may be held there."""
+SLOWEST_REBOUND: Final = 5e-3
+"""m/s: a slower contact does not rebound."""
+SHORTEST_LAG: Final = 2e-8
+"""s: the current of a coil that is faster is gone at once when it freewheels."""
+SHORTEST_STEP: Final = 1e-16
+"""s: if error control asks for less, it has failed."""
+SHORTEST_PROGRESS: Final = 1e-12
+LONGEST_CHATTER: Final = 1000
+"""Steps in a row that are shorter, s, after which a run ends with an error."""
+ANY_STEP: Final = 1e9
+"""s: no limit of a step."""
+RETAKEN: Final = 0.6
+"""Of the step whose series was too far off its equation: what is tried next."""
+OWN_ERROR: Final = 1e-3
+"""m/s times the tolerance: a velocity that small has no sign; a crawl would turn for ever."""
+ROUNDING: Final = 1e-13
+"""N, or of the size of a polynomial: below it a guard has no sign."""
+JUMPED: Final = 1e-9
+"""N: so much more than what holds them pushes plungers at rest only after a jump of the force."""
+RECOVERS: Final = 1e-3
+"""Of a step: a comparison that holds again so soon has just begun to hold."""
+NARROWEST: Final = 1e-12
+"""Of a step: a guard that cannot be told from 0 in a shorter part of it counts as 0 there."""
+MOST_TRIALS: Final = 400
+FINE: Final = 5
+NEWTON_STEPS: Final = 60
+ON_EQUATION: Final = 4
+"""Newton steps on the balance of forces with which the end of a rest is found."""
+ROW_COLUMNS: Final = 9
+"""Of a whole row of output: pilot and main plunger as shown, m; velocity, m/s; attraction, N; phase; the pilot itself,
+m; V at the terminals; the current u, and in A."""
+UPWARDS: Final = 6.0
+"""Time constants of the low-pass above which its moments are found upwards; so neither way loses two digits."""
+MOST_STEPS: Final = 1_000_000
+"""Steps that a run may take, and as many again for each second of it."""
+LONGEST_RUN: Final = 1e9
+"""s, of which the steps are counted."""
+NO_TRAVEL: Final = -1
+"""In place of an Outcome: the gap is not inside the stroke."""
+LIVE_EVENTS: Final = 256
+"""Events of a live valve that are kept from one look to the next."""
+LIVE_STEPS: Final = 4_000_000
+"""Steps of a live valve between two looks, after which it ends with an error."""
+SPACING: Final = 1.2e-16
+"""Half of the relative distance between doubles, and a little more: rounding takes less than that to the next one."""
+NEGLIGIBLE: Final = 1e-17
+"""Of a sum: a term that ends its series."""
+
+
+def invoke(address: float, b: Block, t: Block) -> None:
+    """Call a kernel; what is compiled does so by its address."""
+    raise NotImplementedError
+
+
+def enter(b: Block, t: Block) -> None:
+    """Derive from the mode, and from whether and which way the plungers move, what the equations ask for."""
+    mode = b[MODE]
+    one = b[ONE_PLUNGER]
+    up = b[DIRECTION] > 0.0
+    b[BEYOND] = 1.0 if mode == OPEN and b[COMPLIANCE] > 0.0 else 0.0
+    b[LIFTED] = 1.0 if mode >= MAIN else 0.0
+    b[LIFTED_UP] = 1.0 if mode >= GAP_HOLD or one > 0.0 else 0.0
+    b[LIFTED_DOWN] = 1.0 if mode >= MAIN else 0.0
+    b[CLOSED_NOW] = 1.0 if mode == CLOSED else 0.0
+    b[ON_SEAT] = one * b[CLOSED_NOW]
+    b[MAY_RISE] = 1.0 if mode != OPEN or b[BEYOND] > 0.0 else 0.0
+    b[MAY_FALL] = 1.0 - b[CLOSED_NOW]
+    if mode == OPEN and up:
+        b[AHEAD] = 1e300
+    elif mode < MAIN and not up:
+        b[AHEAD] = 0.0
+    else:
+        b[AHEAD] = b[contact_ahead(b)]
+    if b[GUARDS] > 0.0:
+        invoke(b[DECIDE], b, t)
+    b[PENDING] = 0.0
+
+
+def contact_ahead(b: Block) -> int:
+    """The slot of the position of the contact that the plungers move towards; that of the time for the seat."""
+    if b[MODE] == OPEN:
+        return STROKE
+    if b[MODE] == MAIN:
+        return STROKE if b[DIRECTION] > 0.0 else GAP
+    return GAP if b[DIRECTION] > 0.0 else TIME
+
+
+def value_at(b: Block, c: int, h: float, terms: int) -> float:
+    """The polynomial whose coefficients begin at slot c, at h."""
+    total: float = b[c + terms - 1]
+    for k in range(terms - 2, -1, -1):
+        total = b[c + k] + h * total
+    return total
+
+
+def slope_at(b: Block, c: int, h: float, terms: int) -> float:
+    """Its derivative."""
+    total: float = (terms - 1) * b[c + terms - 1]
+    for k in range(terms - 2, 0, -1):
+        total = k * b[c + k] + h * total
+    return total
+
+
+def bound(p: Block, w: float, down: float) -> float:
+    """A number that a polynomial of TERMS terms, times `down`, does not fall below between 0 and w.
+
+    The smallest Bernstein coefficient of its first terms, less the size of the others.
+    """
+    d1 = down * p[1] * w
+    w2 = w * w
+    d2 = down * p[2] * w2
+    d3 = down * p[3] * w2 * w
+    d4 = down * p[4] * w2 * w2
+    d5 = down * p[5] * w2 * w2 * w
+    power = w2 * w2 * w2
+    rest = 0.0
+    for k in range(FINE + 1, TERMS):
+        rest += abs(p[k]) * power
+        power *= w
+    b0: float = down * p[0]
+    b1 = b0 + d1 * 0.2
+    b2 = b0 + d1 * 0.4 + d2 * 0.1
+    b3 = b0 + d1 * 0.6 + d2 * 0.3 + d3 * 0.1
+    b4 = b0 + d1 * 0.8 + d2 * 0.6 + d3 * 0.4 + d4 * 0.2
+    b5 = b0 + d1 + d2 + d3 + d4 + d5
+    return float(min(b0, b1, b2, b3, b4, b5) - rest)
+
+
+def first_fall(b: Block, c: int, h: float, unsure: float) -> float:
+    """When a polynomial first falls through 0, s; 2 h if it does not before h.
+
+    Args:
+        b, c: a block, and the slot where the coefficients of the polynomial begin.
+        h: s, up to when it is followed. unsure: it falls only if it comes below −unsure.
+    """
+    p = b[SCRATCH:]
+    slopes = b[SCRATCH + TERMS :]
+    power = 1.0
+    for k in range(TERMS):
+        p[k] = b[c + k] * power
+        power *= h
+    left = 0.0
+    width = 1.0
+    for _ in range(MOST_TRIALS):
+        if p[0] < -unsure:
+            return left * h
+        for k in range(1, TERMS):
+            slopes[k - 1] = k * p[k]
+        slopes[TERMS - 1] = 0.0
+        is_sure = bound(p, width, 1.0) > -unsure
+        if not is_sure and (bound(slopes, width, -1.0) > 0.0 or width < NARROWEST):
+            if value_at(p, 0, width, TERMS) < -unsure:
+                return (left + root(p, 0, width, 0.0, -1.0, TERMS)) * h
+            # It comes close to 0 and does not fall through.
+            is_sure = True
+        if is_sure:
+            left += width
+            if left >= 1.0:
+                return 2.0 * h
+            shift(p, width)
+            width = min(2.0 * width, 1.0 - left)
+        else:
+            width *= 0.5
+    return 2.0 * h
+
+
+def shift(p: Block, by: float) -> None:
+    """Make a polynomial of TERMS terms one about a place further on."""
+    for i in range(TERMS - 1):
+        for k in range(TERMS - 2, i - 1, -1):
+            p[k] += by * p[k + 1]
+
+
+def root(b: Block, c: int, h: float, target: float, way: float, terms: int) -> float:
+    """Where a polynomial that is monotone up to h reaches a target, which it does: Newton's method in a bracket.
+
+    Args:
+        b, c: a block, and the slot where the coefficients begin. target: as the polynomial. way: +1 upwards, −1 down.
+    """
+    low = 0.0
+    high = h
+    at = h
+    for _ in range(NEWTON_STEPS):
+        ahead = (value_at(b, c, at, terms) - target) * way
+        if ahead >= 0.0:
+            high = at
+        else:
+            low = at
+        slope = slope_at(b, c, at, terms) * way
+        better = at - ahead / slope if slope > 0.0 else low
+        if not (low < better < high):
+            if better == at or high - low <= 1e-16 * h:
+                return at
+            better = 0.5 * (low + high)
+        if abs(better - at) <= 1e-16 * h:
+            return better
+        at = better
+    return at
+
+
+def step(b: Block, t: Block) -> int:
+    """Find the next step from the state: its series, its size, and what ends it. −1 if it cannot be found."""
+    if b[MOVING] == 0.0:
+        invoke(b[REST], b, t)
+    else:
+        invoke(b[MOVE], b, t)
+        if b[IS_CHECKED] > 0.0:
+            while b[DEFECT] > 1.0 and b[STEP] > SHORTEST_STEP:
+                b[LONGEST] = RETAKEN * b[STEP]
+                invoke(b[MOVE], b, t)
+            b[LONGEST] = ANY_STEP
+    h = b[STEP]
+    if not (h >= SHORTEST_STEP) or b[END_X] - b[END_X] != 0.0 or b[END_V] - b[END_V] != 0.0:
+        return -1
+    if b[SUSPECT] == 0.0:
+        return NO_EVENT
+    ends = first_event(b, t)
+    if ends not in (NO_EVENT, RISE, FALL):
+        b[ELAPSED] = b[STEP]
+        invoke(b[AT], b, t)
+    return ends
+
+
+def first_event(b: Block, t: Block) -> int:
+    """What ends a step first; sets its size to when that happens."""
+    ends = first_of_motion(b) if b[MOVING] > 0.0 else first_of_rest(b)
+    if b[FREEWHEELS] != 0.0:
+        gone = first_fall(b, GUARD + 2 * TERMS, b[STEP], 0.0)
+        if gone < b[STEP]:
+            b[STEP] = gone
+            ends = CURRENT_GONE
+    count = int(b[GUARDS])
+    for guard in range(count):
+        latest = b[STEP]
+        c = GUARD + (3 + guard) * TERMS
+        if b[c] < 0.0 and -b[c] < RECOVERS * b[c + 1] * latest:
+            # It has just changed, and the state is off the root of the series before by rounding.
+            b[c] = 0.0
+        changes = first_fall(b, c, latest, ROUNDING * extent(b, c, latest))
+        if changes < latest:
+            b[STEP] = changes
+            ends = FLAGGED + guard
+    if ends in (RISE, FALL):
+        balance(b, t, ends)
+    return ends
+
+
+def first_of_motion(b: Block) -> int:
+    """The first turn or contact of a step: between two turns x is monotone, and meets the contact ahead only."""
+    for k in range(TERMS):
+        b[GUARD + k] = b[DIRECTION] * (k + 1) * b[SERIES_X + k + 1]
+    ends = NO_EVENT
+    x = b[END_X]
+    turn = first_fall(b, GUARD, b[STEP], OWN_ERROR * b[TOLERANCE])
+    if turn < b[STEP]:
+        b[STEP] = turn
+        ends = TURN
+        x = value_at(b, SERIES_X, turn, ORDER + 1)
+    if (x - b[AHEAD]) * b[DIRECTION] >= 0.0:
+        b[STEP] = root(b, SERIES_X, b[STEP], b[AHEAD], b[DIRECTION], ORDER + 1)
+        ends = CONTACT
+    return ends
+
+
+def first_of_rest(b: Block) -> int:
+    """Which way, if any, plungers at rest are first pushed off in a step."""
+    ends = NO_EVENT
+    rise = first_fall(b, GUARD, b[STEP], ROUNDING)
+    if rise < b[STEP]:
+        b[STEP] = rise
+        ends = RISE
+    fall = first_fall(b, GUARD + TERMS, b[STEP], ROUNDING)
+    if fall < b[STEP]:
+        b[STEP] = fall
+        ends = FALL
+    return ends
+
+
+def extent(b: Block, c: int, h: float) -> float:
+    """The size of a polynomial up to h: the sum of the sizes of its terms."""
+    total = 0.0
+    power = 1.0
+    for k in range(TERMS):
+        total += abs(b[c + k]) * power
+        power *= h
+    return total
+
+
+def balance(b: Block, t: Block, ends: int) -> None:
+    """Find the end of a rest by Newton's method on the balance of forces itself; sets the step and its end."""
+    start = b[TIME]
+    coil = b[SCRATCH:]
+    states = int(b[STATES])
+    peak = b[PEAK]
+    for i in range(states):
+        coil[i] = b[COIL + i]
+    h = b[STEP]
+    for _ in range(ON_EQUATION):
+        b[ELAPSED] = h
+        invoke(b[AT], b, t)
+        b[TIME] = start + h
+        for i in range(states):
+            b[COIL + i] = b[END + 2 + i]
+        invoke(b[LOOK], b, t)
+        b[TIME] = start
+        for i in range(states):
+            b[COIL + i] = coil[i]
+        excess = b[UP] if ends == RISE else b[DOWN]
+        rate = b[UP_RATE] if ends == RISE else b[DOWN_RATE]
+        if not (rate > 0.0):
+            break
+        better = h - excess / rate
+        if not (abs(better - h) <= 0.5 * b[STEP]) or better < 0.0 or better == h:
+            break
+        h = better
+    b[PEAK] = peak
+    b[STEP] = h
+    b[ELAPSED] = h
+    invoke(b[AT], b, t)
+
+
+def commit(b: Block, t: Block, time: float) -> None:
+    """Make the end of the step, which is in the block, the state."""
+    if b[SENSOR_LAG] > 0.0:
+        h = time - b[TIME]
+        for k in range(int(b[WIDTH])):
+            lag_tangents(b, t, h, k)
+        pilot = lagged(b, h, b[SHOWN_PILOT], 0.0)
+        b[SHOWN_MAIN] = shown_main(b, h)
+        b[SHOWN_PILOT] = pilot
+    b[TIME] = time
+    states = 2 + int(b[STATES])
+    for i in range(states):
+        b[X + i] = b[END + i]
+    width = int(b[WIDTH])
+    for i in range(states * width):
+        t[X * width + i] = t[END * width + i]
+    if b[HAS_PEAK] > 0.0:
+        b[PEAK] = b[END_PEAK]
+        for k in range(width):
+            t[PEAK * width + k] = t[END_PEAK * width + k]
+    b[PENDING] = 0.0
+
+
+def divided(a: float, c: float) -> float:
+    """A quotient, or 0 where it has no value: an event that comes and goes at no rate has no derivative."""
+    return a / c if c != 0.0 else 0.0
+
+
+def leave(b: Block, t: Block, ends: int) -> None:
+    """Find the derivative δ of the time of an event, and move the tangents of the states to where it is.
+
+    That of a command, NO_EVENT, is known. A comparison that changes changes nothing at once: its δ does not matter.
+    What a jump of the force at the event before sets off at once has the δ of that event.
+    """
+    width = int(b[WIDTH])
+    if width == 0:
+        return
+    invoke(b[LOOK], b, t)
+    ahead = contact_ahead(b)
+    for k in range(width):
+        delta = 0.0
+        if ends == NO_EVENT or (b[STEP] == 0.0 and max(b[UP], b[DOWN]) > JUMPED):
+            delta = t[DELTA * width + k]
+        elif ends == CONTACT:
+            delta = divided(t[ahead * width + k] - t[X * width + k], b[V])
+        elif ends == TURN:
+            delta = divided(-t[V * width + k], b[ACCELERATION])
+        elif ends == RISE:
+            delta = divided(-t[UP * width + k], b[UP_RATE])
+        elif ends == FALL:
+            delta = divided(-t[DOWN * width + k], b[DOWN_RATE])
+        elif ends == CURRENT_GONE:
+            delta = divided(-t[CURRENT * width + k], b[CURRENT_RATE])
+        t[DELTA * width + k] = delta
+    move_tangents(b, t, 1.0)
+    if b[HAS_PEAK] > 0.0 and b[PEAK] == abs(b[CURRENT]):
+        rate = b[CURRENT_RATE] if b[CURRENT] > 0.0 else -b[CURRENT_RATE]
+        for k in range(width):
+            t[PEAK * width + k] += rate * t[DELTA * width + k]
+
+
+def arrive(b: Block, t: Block) -> None:
+    """Move the tangents of the states back from where the event is."""
+    if b[WIDTH] > 0.0:
+        invoke(b[LOOK], b, t)
+        move_tangents(b, t, -1.0)
+
+
+def move_tangents(b: Block, t: Block, way: float) -> None:
+    """Add to the tangents of the states their rates times δ, times `way`."""
+    width = int(b[WIDTH])
+    states = int(b[STATES])
+    for k in range(width):
+        delta = way * t[DELTA * width + k]
+        if b[MOVING] > 0.0:
+            t[X * width + k] += b[V] * delta
+            t[V * width + k] += b[ACCELERATION] * delta
+        for i in range(states):
+            t[(COIL + i) * width + k] += b[COIL_RATES + i] * delta
+
+
+def set_tangents(b: Block, t: Block, slot: int, source: int, factor: float) -> None:
+    """Make the tangents in a slot those of another one, times a factor."""
+    width = int(b[WIDTH])
+    for k in range(width):
+        t[slot * width + k] = factor * t[source * width + k]
+
+
+def rescale_velocity(b: Block, t: Block, ratio: int, way: float) -> None:
+    """Multiply the velocity by the number in the slot `ratio` and by `way`, which is 1 or −1."""
+    width = int(b[WIDTH])
+    for k in range(width):
+        t[V * width + k] = way * (b[ratio] * t[V * width + k] + t[ratio * width + k] * b[V])
+    b[V] = way * b[ratio] * b[V]
+
+
+def unseat(b: Block, t: Block) -> None:
+    """The pilot plunger leaves its seat now."""
+    b[UNSEATED_TIME] = b[TIME]
+    set_tangents(b, t, UNSEATED_TIME, DELTA, 1.0)
+
+
+def log_event(b: Block, events: Block, room: int, kind: int, v: float) -> None:
+    """Note an event, if there is room, and count it."""
+    count = int(b[COUNT])
+    if count < room:
+        event = events[4 * count :]
+        event[0] = b[TIME]
+        event[1] = kind
+        event[2] = b[X]
+        event[3] = v
+    b[COUNT] = count + 1
+
+
+def come_to_rest(b: Block, t: Block, mode: int) -> None:
+    """The plungers stay where they are."""
+    b[MODE] = mode
+    b[MOVING] = 0.0
+    b[V] = 0.0
+    set_tangents(b, t, V, V, 0.0)
+    enter(b, t)
+
+
+def set_off(b: Block, t: Block, mode: int, direction: float) -> None:
+    """The plungers move from rest."""
+    if b[MODE] == CLOSED:
+        unseat(b, t)
+    b[MODE] = mode
+    b[MOVING] = 1.0
+    b[DIRECTION] = direction
+    enter(b, t)
+
+
+def push_now(b: Block, t: Block) -> float:
+    """Which way the forces move plungers at rest: +1, −1, or 0 for not at all."""
+    invoke(b[LOOK], b, t)
+    if b[UP] > 0.0:
+        return 1.0
+    return -1.0 if b[DOWN] > 0.0 else 0.0
+
+
+def move_off(b: Block, t: Block, ends: int, events: Block, room: int) -> None:
+    """Set plungers at rest in motion, in the mode that follows."""
+    mode = int(b[MODE])
+    if mode == CLOSED:
+        set_off(b, t, MAIN if b[ONE_PLUNGER] > 0.0 else PILOT, 1.0)
+        log_event(b, events, room, UNSEATED, 0.0)
+    elif mode == OPEN and b[BEYOND] == 0.0:
+        set_off(b, t, MAIN, -1.0)
+        log_event(b, events, room, RELEASED, 0.0)
+    elif mode == GAP_HOLD:
+        if ends == RISE:
+            set_off(b, t, MAIN, 1.0)
+            log_event(b, events, room, LIFTED_OFF, 0.0)
+        else:
+            set_off(b, t, PILOT, -1.0)
+            log_event(b, events, room, DROPPED, 0.0)
+    else:
+        set_off(b, t, mode, 1.0 if ends == RISE else -1.0)
+        log_event(b, events, room, BROKE_AWAY, 0.0)
+
+
+def touch(b: Block, t: Block, events: Block, room: int) -> None:
+    """A contact: pick-up, hold, stop, seat; the state is at the contact with the velocity before it."""
+    v = b[V]
+    mode = int(b[MODE])
+    if mode == OPEN:
+        b[MODE] = MAIN
+        enter(b, t)
+        log_event(b, events, room, RELEASED, v)
+    elif mode == MAIN and b[DIRECTION] > 0.0:
+        if b[COMPLIANCE] > 0.0:
+            b[MODE] = OPEN
+            enter(b, t)
+            log_event(b, events, room, REACHED_STOP, v)
+        elif b[RESTITUTION_STOP] > 0.0 and abs(v) >= SLOWEST_REBOUND:
+            rescale_velocity(b, t, RESTITUTION_STOP, -1.0)
+            b[DIRECTION] = -1.0
+            enter(b, t)
+            log_event(b, events, room, BOUNCED_AT_STOP, v)
+        else:
+            come_to_rest(b, t, OPEN)
+            log_event(b, events, room, REACHED_STOP, v)
+    elif b[DIRECTION] < 0.0 and (mode == PILOT or b[ONE_PLUNGER] > 0.0):
+        touch_seat(b, t, events, room)
+    else:
+        touch_gap(b, t, events, room)
+
+
+def touch_seat(b: Block, t: Block, events: Block, room: int) -> None:
+    """The pilot plunger, or the only one, meets its seat."""
+    v = b[V]
+    mode = int(b[MODE])
+    if b[RESTITUTION_SEAT] > 0.0 and abs(v) >= SLOWEST_REBOUND:
+        rescale_velocity(b, t, RESTITUTION_SEAT, -1.0)
+        b[DIRECTION] = 1.0
+        unseat(b, t)
+        enter(b, t)
+        log_event(b, events, room, BOUNCED_AT_SEAT, v)
+        return
+    come_to_rest(b, t, CLOSED)
+    if push_now(b, t) != 0.0:
+        # What pulls lifts it again at once: one event, not a seating and an unseating at one time.
+        set_off(b, t, mode, 1.0)
+        log_event(b, events, room, BOUNCED_AT_SEAT, v)
+    else:
+        log_event(b, events, room, SEATED, v)
+
+
+def touch_gap(b: Block, t: Block, events: Block, room: int) -> None:
+    """The contact between pilot and main plunger, from below (pick-up) or above (the main plunger seats)."""
+    v = b[V]
+    if abs(v) < SLOW_AT_GAP:
+        # Friction takes no part in this decision, nor does velocity.
+        lifted = b[LIFTED]
+        b[V] = 0.0
+        b[LIFTED] = 0.0
+        invoke(b[LOOK], b, t)
+        of_pilot = b[NET]
+        b[LIFTED] = 1.0
+        invoke(b[LOOK], b, t)
+        of_main = b[NET]
+        b[LIFTED] = lifted
+        b[V] = v
+        if of_pilot > 0.0 and of_main <= 0.0:
+            come_to_rest(b, t, GAP_HOLD)
+            log_event(b, events, room, HELD_AT_GAP, v)
+            return
+    if b[DIRECTION] < 0.0:
+        b[MODE] = PILOT
+        enter(b, t)
+        log_event(b, events, room, MAIN_SEATED, v)
+        return
+    rescale_velocity(b, t, RATIO, 1.0)
+    if b[V] == 0.0:
+        # A full stop against the main plunger: what happens next is decided from rest.
+        come_to_rest(b, t, GAP_HOLD)
+    else:
+        b[MODE] = MAIN
+        enter(b, t)
+    log_event(b, events, room, PICKED_UP, v)
+
+
+def turn_round(b: Block, t: Block, events: Block, room: int) -> None:
+    """The velocity reached zero: go on, turn round, or stay where dry friction holds."""
+    come_to_rest(b, t, int(b[MODE]))
+    push = push_now(b, t)
+    if push != 0.0:
+        b[MOVING] = 1.0
+        b[DIRECTION] = push
+        enter(b, t)
+    else:
+        log_event(b, events, room, STUCK, 0.0)
+
+
+def block_diode(b: Block, t: Block) -> None:
+    """The current has gone and the diode blocks; eddy currents continue, and pull."""
+    b[PATH] = CUT_OFF
+    b[SEEN] = 0.0
+    b[BLOCKED] = 1.0
+    b[FREEWHEELS] = 0.0
+    if b[IS_FLUX] == 0.0 or b[EDDY] < SHORTEST_LAG:
+        b[COIL] = 0.0
+        set_tangents(b, t, COIL, COIL, 0.0)
+    set_tangents(b, t, SEEN, SEEN, 0.0)
+    enter(b, t)
+
+
+def close_circuit(b: Block, t: Block) -> None:
+    """Decide what closes the coil's circuit under the command in force: afresh, but a diode that blocks goes on so."""
+    stays_blocked = b[PATH] == CUT_OFF
+    b[SEEN] = b[VOLTS]
+    set_tangents(b, t, SEEN, VOLTS, 1.0)
+    b[PATH] = DRIVEN
+    b[BLOCKED] = 0.0
+    b[FREEWHEELS] = 0.0
+    if b[RELEASE] == 0.0 or b[VOLTS] != 0.0:
+        enter(b, t)
+        return
+    if stays_blocked or b[COIL] == 0.0 or b[LAG] < SHORTEST_LAG:
+        block_diode(b, t)
+        return
+    sign = 1.0 if b[COIL] > 0.0 else -1.0
+    b[PATH] = FREEWHEELING
+    b[SEEN] = -sign * b[RELEASE]
+    set_tangents(b, t, SEEN, RELEASE, -sign)
+    b[FREEWHEELS] = sign
+    enter(b, t)
+    invoke(b[LOOK], b, t)
+    if not (b[CURRENT] * sign > 0.0):
+        block_diode(b, t)
+
+
+def set_voltage(b: Block, t: Block, volts: float) -> None:
+    """A command takes effect now, at the state's time."""
+    b[VOLTS] = volts
+    close_circuit(b, t)
+    if b[HAS_PEAK] > 0.0:
+        invoke(b[LOOK], b, t)
+        if abs(b[CURRENT]) > b[PEAK]:
+            b[PEAK] = abs(b[CURRENT])
+            set_tangents(b, t, PEAK, CURRENT, 1.0 if b[CURRENT] > 0.0 else -1.0)
+        enter(b, t)
+
+
+def lag_moments(b: float, into: Block) -> None:
+    """Moments M_k = ∫ e^{−b(1−φ)} φᵏ b dφ over φ from 0 to 1, of a low-pass after b time constants; k to ORDER.
+
+    They obey M_k = 1 − (k/b) M_{k−1}: used upwards where b is large, and downwards from a series of positive terms
+    where it is small, so that rounding errors shrink.
+    """
+    if b > UPWARDS:
+        into[0] = -math.expm1(-b)
+        for k in range(1, ORDER + 1):
+            into[k] = 1.0 - k / b * into[k - 1]
+        return
+    term = b * math.exp(-b)
+    total = 0.0
+    j = 0
+    while j < b or term > NEGLIGIBLE * total:
+        total += term / (ORDER + 1 + j)
+        j += 1
+        term *= b / j
+    into[ORDER] = total
+    for k in range(ORDER, 0, -1):
+        into[k - 1] = (1.0 - into[k]) * b / k
+
+
+def lagged(b: Block, h: float, shown: float, offset: float) -> float:
+    """What the low-pass of a sensor shows of x − offset at h since the start of the step, m; exact for its polynomial.
+
+    Args:
+        shown: m, at the start of the step.
+    """
+    moments = b[SCRATCH + TERMS :]
+    rate = h / b[SENSOR_LAG]
+    lag_moments(rate, moments)
+    power = 1.0
+    total: float = (b[SERIES_X] - offset) * moments[0]
+    for k in range(1, ORDER + 1):
+        power *= h
+        total += b[SERIES_X + k] * power * moments[k]
+    return shown * math.exp(-rate) + total
+
+
+def lag_tangents(b: Block, t: Block, h: float, k: int) -> None:
+    """Advance the tangents, in direction k, of what the sensors show to h since the start of the step.
+
+    By M_k' = 1 − M_k (1 + k/b), the derivative of a moment by the time constants b that have passed.
+    """
+    width = int(b[WIDTH])
+    moments = b[SCRATCH + TERMS :]
+    rate = h / b[SENSOR_LAG]
+    if rate == 0.0:
+        return
+    lag_moments(rate, moments)
+    left = math.exp(-rate)
+    moved = 0.0
+    slope = 0.0
+    power = 1.0
+    for j in range(ORDER + 1):
+        moved += t[(SERIES_X + j) * width + k] * power * moments[j]
+        slope += b[SERIES_X + j] * power * (1.0 - moments[j] * (1.0 + j / rate))
+        power *= h
+    longer = -rate / b[SENSOR_LAG] * t[SENSOR_LAG * width + k]
+    pilot = SHOWN_PILOT * width + k
+    t[pilot] = left * t[pilot] + moved + longer * (slope - left * b[SHOWN_PILOT])
+    main = SHOWN_MAIN * width + k
+    if b[LIFTED] > 0.0:
+        moved -= t[GAP * width + k] * moments[0]
+        slope -= b[GAP] * (1.0 - moments[0])
+    else:
+        moved = 0.0
+        slope = 0.0
+    t[main] = left * t[main] + moved + longer * (slope - left * b[SHOWN_MAIN])
+
+
+def shown_pilot(b: Block, h: float) -> float:
+    """What the sensor of the pilot plunger shows at h since the start of the step, m, without gain."""
+    if b[SENSOR_LAG] > 0.0:
+        return lagged(b, h, b[SHOWN_PILOT], 0.0)
+    return value_at(b, SERIES_X, h, ORDER + 1)
+
+
+def shown_main(b: Block, h: float) -> float:
+    """Likewise of the main plunger."""
+    if b[LIFTED] == 0.0:
+        return b[SHOWN_MAIN] * math.exp(-h / b[SENSOR_LAG]) if b[SENSOR_LAG] > 0.0 else 0.0
+    if b[SENSOR_LAG] > 0.0:
+        return lagged(b, h, b[SHOWN_MAIN], b[GAP])
+    return float(value_at(b, SERIES_X, h, ORDER + 1) - b[GAP])
+
+
+def before(time: float) -> float:
+    """The last double before a time, s, or one close to it."""
+    return time - SPACING * abs(time) - 1e-300
+
+
+def fill(b: Block, t: Block, last: float, times: Block, count: int, rows: Block, columns: int, slopes: Block) -> None:
+    """Write the samples of the step up to `last`, s: positions late by the sensor's delay, all else not."""
+    start = b[TIME]
+    delay = b[DELAY]
+    first = int(b[SAMPLED])
+    end = first
+    while end < count and times[end] - b[DELAY] <= last:
+        end += 1
+    if end > first:
+        if columns == 1 and b[SENSOR_LAG] == 0.0:
+            fill_positions(b, times, first, end, rows)
+        else:
+            for i in range(first, end):
+                h = max(0.0, times[i] - delay - start)
+                row = rows[i * columns :]
+                row[0] = b[GAIN] * shown_pilot(b, h)
+                if columns == ROW_COLUMNS:
+                    row[1] = b[GAIN] * shown_main(b, h)
+        if b[WIDTH] > 0.0:
+            fill_slopes(b, t, times, first, end, columns, slopes)
+        b[SAMPLED] = end
+    if columns > 1:
+        fill_rows(b, t, last, times, count, rows, columns, slopes)
+
+
+def fill_slopes(b: Block, t: Block, times: Block, first: int, end: int, columns: int, slopes: Block) -> None:
+    """Write the tangents of the positions of some samples, as the sensor shows them."""
+    width = int(b[WIDTH])
+    start = b[TIME]
+    delay = b[DELAY]
+    stride = width if columns == 1 else 2 * width
+    lag = b[SENSOR_LAG]
+    for i in range(first, end):
+        out = slopes[i * stride :]
+        h = max(0.0, times[i] - delay - start)
+        b[ELAPSED] = h
+        shown = b[X]
+        speed = 0.0
+        of_shown = X * width
+        if lag > 0.0 or b[MOVING] > 0.0:
+            invoke(b[SPOT], b, t)
+            shown = b[ROW_X]
+            speed = b[ROW_V]
+            of_shown = ROW_X * width
+        if lag > 0.0:
+            x = shown
+            shown = shown_pilot(b, h)
+            speed = (x - shown) / lag
+            for k in range(width):
+                before = t[SHOWN_PILOT * width + k]
+                main = t[SHOWN_MAIN * width + k]
+                lag_tangents(b, t, h, k)
+                t[ROW_X * width + k] = t[SHOWN_PILOT * width + k]
+                t[SHOWN_PILOT * width + k] = before
+                t[SHOWN_MAIN * width + k] = main
+        for k in range(width):
+            later = t[LATE * width + k] - t[DELAY * width + k]
+            out[k] = b[GAIN] * (t[of_shown + k] + speed * later) + t[GAIN * width + k] * shown
+
+
+def fill_positions(b: Block, times: Block, first: int, end: int, rows: Block) -> None:
+    """Write positions alone, of a sensor that filters nothing: most of what a fit asks for."""
+    start = b[TIME]
+    delay = b[DELAY]
+    gain = b[GAIN]
+    if b[MOVING] == 0.0:
+        shown = gain * b[X]
+        for i in range(first, end):
+            rows[i] = shown
+        return
+    c = b[SERIES_X:]
+    c0 = c[0]
+    c1 = c[1]
+    c2 = c[2]
+    c3 = c[3]
+    c4 = c[4]
+    c5 = c[5]
+    c6 = c[6]
+    c7 = c[7]
+    c8 = c[8]
+    c9 = c[9]
+    c10 = c[10]
+    c11 = c[11]
+    c12 = c[12]
+    c13 = c[13]
+    c14 = c[14]
+    for i in range(first, end):
+        h = max(0.0, times[i] - delay - start)
+        high = c7 + h * (c8 + h * (c9 + h * (c10 + h * (c11 + h * (c12 + h * (c13 + h * c14))))))
+        rows[i] = gain * (c0 + h * (c1 + h * (c2 + h * (c3 + h * (c4 + h * (c5 + h * (c6 + h * high)))))))
+
+
+def fill_rows(
+    b: Block, t: Block, last: float, times: Block, count: int, rows: Block, columns: int, slopes: Block
+) -> None:
+    """Write all but positions of the samples before `last`: the current, or whole rows."""
+    first = int(b[SAMPLED_ROWS])
+    end = first
+    while end < count and times[end] <= last:
+        end += 1
+    if columns == ROW_COLUMNS:
+        fill_whole_rows(b, t, times, first, end, rows)
+    else:
+        fill_currents(b, t, times, first, end, rows, slopes)
+    b[SAMPLED_ROWS] = end
+
+
+def fill_currents(b: Block, t: Block, times: Block, first: int, end: int, rows: Block, slopes: Block) -> None:
+    """Write the currents of some samples, and their tangents."""
+    width = int(b[WIDTH])
+    for i in range(first, end):
+        b[ELAPSED] = max(0.0, times[i] - b[TIME])
+        invoke(b[ROW], b, t)
+        rows[2 * i + 1] = b[CURRENT]
+        out = slopes[(2 * i + 1) * width :]
+        for k in range(width):
+            out[k] = t[CURRENT * width + k] + b[CURRENT_RATE] * t[LATE * width + k]
+
+
+def fill_whole_rows(b: Block, t: Block, times: Block, first: int, end: int, rows: Block) -> None:
+    """Write whole rows of some samples, ROWS_LANES of them at once; what is left over of these is the last one."""
+    for i in range(first, end, ROWS_LANES):
+        for lane in range(ROWS_LANES):
+            b[ROWS + lane] = max(0.0, times[min(i + lane, end - 1)] - b[TIME])
+        invoke(b[ROWS_AT], b, t)
+        for lane in range(min(ROWS_LANES, end - i)):
+            shown = b[ROWS + lane :]
+            row = rows[(i + lane) * ROW_COLUMNS :]
+            row[5] = shown[ROWS_LANES]
+            row[2] = shown[2 * ROWS_LANES]
+            row[3] = shown[3 * ROWS_LANES]
+            row[4] = b[MODE]
+            row[6] = shown[4 * ROWS_LANES]
+            row[7] = shown[5 * ROWS_LANES]
+            row[8] = shown[5 * ROWS_LANES] * b[RATED]
+
+
+def end_step(b: Block, t: Block, ends: int, events: Block, room: int) -> None:
+    """Apply the event that ended a step; the state is that of its end."""
+    leave(b, t, ends)
+    if ends == CONTACT:
+        b[X] = b[AHEAD]
+        touch(b, t, events, room)
+    elif ends == TURN:
+        turn_round(b, t, events, room)
+    elif ends in (RISE, FALL):
+        move_off(b, t, ends, events, room)
+    elif ends == CURRENT_GONE:
+        block_diode(b, t)
+        log_event(b, events, room, GONE, b[V])
+    else:
+        b[FLAG + ends - FLAGGED] = 1.0 - b[FLAG + ends - FLAGGED]
+    arrive(b, t)
+
+
+def run(
+    b: Block, t: Block, end: float, cuts: bool, most: int, times: Block, count: int, rows: Block,
+    columns: int, slopes: Block, events: Block, room: int,
+) -> int:  # fmt: skip
+    """Step a valve from its state to a time under one voltage; returns an Outcome.
+
+    Args:
+        b, t: see the module.
+        end: s. cuts: whether to stop exactly there, before a command, or at the last whole step.
+        most: steps, after which the run ends with an error.
+        times: s, ascending, of `count` samples. rows: what they show, `columns` numbers each: the pilot plunger as
+            shown; that and u; or ROW_COLUMNS.
+        slopes: with derivatives, those of the first one or two columns: (samples, 1 or 2, directions).
+        events: four numbers each, time, kind, position and the velocity before, for `room` of them.
+    """
+    for _ in range(most):
+        if b[PENDING] == 0.0:
+            if b[TIME] >= end and b[SAMPLED] >= count and (columns == 1 or b[SAMPLED_ROWS] >= count):
+                return FINISHED
+            ends = step(b, t)
+            if ends < 0:
+                return STEP_TOO_SMALL
+            b[ENDS] = ends
+            b[PENDING] = 1.0
+        following = b[TIME] + b[STEP]
+        if count > 0:
+            # A sample at the very end of a step is of the next one, as it is live: that has what happens there.
+            fill(b, t, end if following > end else before(following), times, count, rows, columns, slopes)
+        if following > end:
+            if cuts:
+                if end > b[TIME]:
+                    b[ELAPSED] = end - b[TIME]
+                    invoke(b[AT], b, t)
+                    commit(b, t, end)
+                b[PENDING] = 0.0
+            return FINISHED
+        b[CHATTER] = b[CHATTER] + 1.0 if b[STEP] < SHORTEST_PROGRESS else 0.0
+        if b[CHATTER] > LONGEST_CHATTER:
+            return CHATTERING
+        ends = int(b[ENDS])
+        commit(b, t, following)
+        if ends != NO_EVENT:
+            end_step(b, t, ends, events, room)
+    return TOO_MANY_STEPS
+
+
+def drive(
+    b: Block, t: Block, commands: Block, command_count: int, end: float, most: int, times: Block,
+    count: int, rows: Block, columns: int, slopes: Block, moves: Block, events: Block, room: int,
+) -> int:  # fmt: skip
+    """Step a valve through a whole drive; arguments as for `run`.
+
+    Args:
+        commands: two numbers each: s, V. moves: with derivatives, those of the same: (commands, 2, directions).
+    """
+    width = int(b[WIDTH])
+    for command in range(command_count):
+        when = commands[2 * command]
+        if when > end:
+            break
+        outcome = run(b, t, when, True, most, times, count, rows, columns, slopes, events, room)
+        if outcome != FINISHED:
+            return outcome
+        change = moves[2 * command * width :]
+        for k in range(width):
+            t[VOLTS * width + k] = change[width + k]
+            t[DELTA * width + k] = change[k]
+        leave(b, t, NO_EVENT)
+        set_voltage(b, t, commands[2 * command + 1])
+        arrive(b, t)
+    return run(b, t, end, False, most, times, count, rows, columns, slopes, events, room)
+
+
+def start(b: Block, t: Block, blank: Block, numbers: Block, count: int, time: float) -> None:
+    """Make the block of a valve that rests closed and without current at a time, s.
+
+    Args:
+        blank: the block of no valve in particular, with the addresses of its kernels. numbers: `count` of the valve.
+    """
+    for i in range(SERIES_X):
+        b[i] = blank[i]
+    for i in range(count):
+        b[NUMBERS + i] = numbers[i]
+    b[TIME] = time
+    b[UNSEATED_TIME] = time
+    invoke(b[PREPARE], b, t)
+    b[ONE_PLUNGER] = 1.0 if b[GAP] == 0.0 else 0.0
+    enter(b, t)
+
+
+def whole(
+    blank: Block, blank_count: int, numbers: Block, number_count: int, commands: Block, command_doubles: int,
+    times: Block, count: int, memory: Block, memory_count: int, time: float, end: float, tolerance: float,
+) -> int:  # fmt: skip
+    """Run one valve that rests closed and without current at a time, s, through a drive; returns an Outcome.
+
+    Args:
+        blank, numbers: as for `start`. commands, times, end: as for `drive`. tolerance: relative error of one step.
+        memory: room for the block, for as many events as are left room for, and for whole rows of output at its end.
+    """
+    start(memory, memory, blank, numbers, number_count, time)
+    memory[TOLERANCE] = tolerance
+    rows = memory_count - ROW_COLUMNS * count
+    room = (rows - SIZE) // 4
+    if not (0.0 <= memory[GAP] < memory[STROKE]):
+        return NO_TRAVEL
+    most = int(MOST_STEPS * (1.0 + min(max(0.0, end - time), LONGEST_RUN)))
+    return drive(
+        memory, memory, commands, command_doubles // 2, end, most, times, count, memory[rows:], ROW_COLUMNS,
+        memory, memory, memory[SIZE:], room,
+    )  # fmt: skip
+
+
+def batch(
+    b: Block, blank: Block, numbers: Block, number_count: int, valves: int, time: float, commands: Block,
+    command_count: int, end: float, most: int, times: Block, count: int, rows: Block,
+) -> int:  # fmt: skip
+    """The positions of many valves under one drive, each (count,) in a row; returns how many ran to their end.
+
+    Args:
+        b: room for the block of one valve. numbers: of each valve in turn. Others: as for `start` and `drive`.
+    """
+    for valve in range(valves):
+        start(b, b, blank, numbers[valve * number_count :], number_count, time)
+        outcome = drive(b, b, commands, command_count, end, most, times, count, rows[valve * count :], 1, b, b, b, 0)
+        if outcome != FINISHED:
+            b[OUTCOME] = outcome
+            return valve
+    return valves
+
+
+def read(b: Block, t: Block, time: float, row: Block) -> None:
+    """Fill a row of ROW_COLUMNS at a time within the step that is under way, without the sensor's delay."""
+    h = max(0.0, time - b[TIME])
+    row[0] = b[GAIN] * shown_pilot(b, h)
+    row[1] = b[GAIN] * shown_main(b, h)
+    b[ELAPSED] = h
+    invoke(b[ROW], b, t)
+    row[2] = b[ROW_V]
+    row[3] = b[PULL]
+    row[4] = b[MODE]
+    row[5] = b[ROW_X]
+    row[6] = b[TERMINAL]
+    row[7] = b[CURRENT]
+    row[8] = b[CURRENT] * b[RATED]
+
+
+def advance(b: Block, time: float) -> int:
+    """Step a live valve to a time, s, or to where it is if that is later, and read it there; returns an Outcome.
+
+    Args:
+        b: its block; behind it a row of output, and room for LIVE_EVENTS events, of which COUNT have been counted.
+    """
+    row = b[SIZE:]
+    events = b[SIZE + ROW_COLUMNS :]
+    outcome = run(b, b, time, False, LIVE_STEPS, row, 0, row, 1, row, events, LIVE_EVENTS)
+    if outcome == FINISHED and b[PENDING] == 0.0:
+        b[ENDS] = step(b, b)
+        b[PENDING] = 1.0
+        if b[ENDS] < 0.0:
+            outcome = STEP_TOO_SMALL
+    if outcome == FINISHED:
+        read(b, b, time, row)
+    return outcome
+
+
+def halt(b: Block, time: float) -> int:
+    """Step a live valve exactly to a time, s; returns an Outcome."""
+    row = b[SIZE:]
+    return run(b, b, time, True, LIVE_STEPS, row, 0, row, 1, row, b[SIZE + ROW_COLUMNS :], LIVE_EVENTS)
+
+
+def command(b: Block, time: float, volts: float) -> int:
+    """Command a live valve: a voltage in force from a time on, or from where it is; reads it there, see `advance`."""
+    when = max(time, b[TIME])
+    outcome = halt(b, when)
+    if outcome != FINISHED:
+        return outcome
+    set_voltage(b, b, volts)
+    return advance(b, when)
+
+
+def settle(b: Block) -> None:
+    """Make a state agree with another valve: only a contact or a blocking diode makes it jump."""
+    at_contact = b[MOVING] == 0.0 and (b[MODE] == GAP_HOLD or b[MODE] == OPEN)
+    contact = b[STROKE] if b[MODE] == OPEN else b[GAP]
+    if b[COMPLIANCE] == 0.0:
+        b[X] = min(b[X], b[STROKE])
+    if at_contact and b[X] != contact:
+        # The contact has gone: at rest between contacts, free to move off.
+        b[MODE] = MAIN if b[X] >= b[GAP] else PILOT
+    elif (b[MODE] == OPEN and b[X] < b[STROKE]) or (b[MODE] == PILOT and b[X] >= b[GAP]):
+        b[MODE] = MAIN
+    elif b[MODE] == MAIN and b[X] < b[GAP]:
+        b[MODE] = PILOT
+    if b[MODE] == MAIN and b[X] >= b[STROKE] and b[V] >= 0.0:
+        b[MODE] = OPEN
+        if b[COMPLIANCE] == 0.0:
+            b[MOVING] = 0.0
+            b[V] = 0.0
+    set_voltage(b, b, b[VOLTS])
+
+
+FUNCTIONS: Final = (
+    enter, contact_ahead, value_at, slope_at, bound, first_fall, shift, root, step, first_event, first_of_motion,
+    first_of_rest, extent, balance, commit, divided, leave, arrive, move_tangents, set_tangents, rescale_velocity,
+    unseat, log_event, come_to_rest, set_off, push_now, move_off, touch, touch_seat, touch_gap, turn_round,
+    block_diode, close_circuit, set_voltage, lag_moments, lagged, lag_tangents, before, shown_pilot, shown_main, fill,
+    fill_slopes, fill_positions, fill_rows, fill_currents, fill_whole_rows, end_step, run, drive, start, whole, batch,
+    read, advance, halt, command, settle,
+)  # fmt: skip
+"""What is compiled."""

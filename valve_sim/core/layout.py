@@ -1,0 +1,84 @@
+"""Where everything of one valve stands in its block of doubles.
+
+A block is all that a valve needs: copied it is saved, and an array of blocks is a fleet. Tangents of what stands in a
+slot stand in the slot of the same number of a second block, one for each direction.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+ORDER: Final = 14
+"""Of the Taylor series of x; that of v, and of all else, has one term less."""
+TERMS: Final = 14
+"""Coefficients of a series of anything but x: orders 0 to 13."""
+MOST_STATES: Final = 5
+"""Of the coil."""
+MOST_GUARDS: Final = 16
+
+TIME, X, V, COIL = 0, 1, 2, 3
+"""s, m, m/s, and the states of the coil."""
+END: Final = 8
+"""x, v and the states of the coil at the end of a step."""
+END_X, END_V = END, END + 1
+STEP, LONGEST, SUSPECT, DEFECT, TOLERANCE, ELAPSED = 15, 16, 17, 18, 19, 20
+"""Size of the step, s, and the longest allowed; 1 where something may happen in it; error of its series over what is
+tolerated; relative error of a step; the time since its start at which the states are asked for."""
+MODE, MOVING, DIRECTION, LIFTED, LIFTED_UP, LIFTED_DOWN, BEYOND, AHEAD, ON_SEAT, CLOSED_NOW = range(21, 31)
+"""What the plungers do: see `driver.enter`."""
+UNSEATED_TIME, VOLTS, SEEN, BLOCKED, PATH, FREEWHEELS, PEAK, END_PEAK = range(32, 40)
+"""s; V, commanded and at the terminals; whether the diode blocks; what closes the circuit; the sign of a current that
+freewheels, else 0; the largest |u| so far, and after a step."""
+GAP, STROKE, RATIO, RESTITUTION_STOP, RESTITUTION_SEAT, COMPLIANCE, DELAY, SENSOR_LAG, GAIN, RATED = range(40, 50)
+"""Numbers of the valve after its effects; RATED is the current at u = 1, A."""
+RELEASE, MAY_RISE, LAG, MAY_FALL = 50, 51, 52, 53
+ACCELERATION, NET, UP, DOWN, UP_RATE, DOWN_RATE, CURRENT, CURRENT_RATE, PULL, TERMINAL, COIL_RATES = range(54, 65)
+"""What `look` fills in: m/s², N, N, N, N/s, N/s, –, 1/s, N, V, and the rates of the states of the coil (five)."""
+MOVE, REST, AT, SPOT, ROW, ROWS_AT, LOOK, DECIDE, PREPARE = range(68, 77)
+"""Addresses of the kernels, as bits."""
+STATES, GUARDS, IS_CHECKED, HAS_PEAK, IS_FLUX, ONE_PLUNGER = range(77, 83)
+"""How many states the coil has, how many guards there are; whether series are checked; whether the peak is asked for;
+whether the coil follows its flux; whether there is one plunger only."""
+SHOWN_PILOT, SHOWN_MAIN = 83, 84
+"""m: what the sensors show, behind their low-pass, at the state's time."""
+PENDING, ENDS, CHATTER, COUNT, SAMPLED, SAMPLED_ROWS = range(85, 91)
+"""Whether a step is known and not yet committed, and what ends it; steps in a row without progress; events; samples
+of positions, and of all else, that have been written."""
+EDDY, ROW_X, ROW_V, DELTA, OUTCOME = range(91, 96)
+"""s; m and m/s of a row of output; tangents of the time of an event, s, stand in the last."""
+WIDTH: Final = 96
+"""Directions of derivatives; 0 for none."""
+LATE: Final = STEP
+"""Tangents of the sample times, s, stand in this slot of the tangents."""
+SERIES_X: Final = 97
+"""ORDER + 1 coefficients of x about the start of the step."""
+SERIES_COIL: Final = SERIES_X + ORDER + 1
+"""TERMS coefficients of each state of the coil."""
+FLAG: Final = SERIES_COIL + MOST_STATES * TERMS
+"""The flags of comparisons, 0 or 1."""
+GUARD: Final = FLAG + MOST_GUARDS
+"""TERMS coefficients of what must not become negative within the step: see `kernels`."""
+SCRATCH: Final = GUARD + (MOST_GUARDS + 3) * TERMS
+"""Room for 3 TERMS numbers of the driver."""
+ROWS_LANES: Final = 8
+ROWS: Final = SCRATCH + 3 * TERMS
+"""So many times since the start of a step, s; then as many of each: x, v, attraction, V at the terminals, u."""
+NUMBERS: Final = ROWS + 6 * ROWS_LANES
+"""The numbers that a valve gives: declared ones and those of its effects."""
+MOST_NUMBERS: Final = 128
+SIZE: Final = NUMBERS + MOST_NUMBERS
+
+HELD: Final = {
+    "time": TIME, "x": X, "v": V, "elapsed": ELAPSED, "direction": DIRECTION, "lifted": LIFTED,
+    "lifted up": LIFTED_UP, "lifted down": LIFTED_DOWN, "beyond": BEYOND, "on seat": ON_SEAT, "closed": CLOSED_NOW,
+    "unseated_time": UNSEATED_TIME, "seen": SEEN, "blocked": BLOCKED, "peak": PEAK,
+    "freewheels": FREEWHEELS, "moving": MOVING, "may rise": MAY_RISE, "may fall": MAY_FALL,
+}  # fmt: skip
+"""The slots of what the equations call by these names."""
+OF_VALVE: Final = {
+    "pilot_gap": GAP, "stroke": STROKE, "pickup_velocity_ratio": RATIO, "restitution_stop": RESTITUTION_STOP,
+    "restitution_seat": RESTITUTION_SEAT, "stop_compliance": COMPLIANCE, "sensor_delay": DELAY,
+    "sensor_time_constant": SENSOR_LAG, "sensor_gain": GAIN, "release_voltage": RELEASE, "coil_time_constant": LAG,
+    "eddy_time_constant": EDDY,
+}  # fmt: skip
+"""The slots of numbers of the valve that the driver reads."""

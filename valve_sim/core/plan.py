@@ -1,0 +1,133 @@
+"""What is compiled for a set of effects, and the blocks of valves that have them."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import struct
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valve_sim.core import driver, entries, layout
+from valve_sim.core.effects import Effect
+from valve_sim.core.entries import ENTRIES, Method
+from valve_sim.core.equations import build
+from valve_sim.core.kernels import NAMES, Kernels
+from valve_sim.core.lowering import lowered
+from valve_sim.core.machine import Library, library
+from valve_sim.model.errors import ParameterError
+from valve_sim.model.parameters import ValveParameters
+
+Array = NDArray[np.float64]
+POINTER: Final = ctypes.c_void_p
+_SLOTS: Final = {name: getattr(layout, "ROWS_AT" if name == "rows" else name.upper()) for name in NAMES}
+_POLYNOMIAL: Final = ValveParameters._fields.index("attraction_polynomial")
+"""Its place among the declared parameters, where its coefficients stand one by one."""
+_ENTRIES: Final = ("drive", "start", "batch", "settle", "whole", *ENTRIES)
+
+
+def as_double(address: int) -> float:
+    """A double of the same bits as an address."""
+    return float(struct.unpack("<d", struct.pack("<q", address))[0])
+
+
+@functools.cache
+def integrator() -> Library:
+    """The compiled integrator."""
+    entries.resolve()
+    return library("driver", lambda: lowered(driver.FUNCTIONS, _ENTRIES) + entries.text())
+
+
+@functools.cache
+def entry(name: str) -> Any:
+    """A function of the integrator that Python can call; it releases the interpreter's lock."""
+    signature: tuple[Any, ...] = {
+        "drive": (ctypes.c_int64, *[POINTER] * 3, ctypes.c_int64, ctypes.c_double, ctypes.c_int64, POINTER,
+                  ctypes.c_int64, POINTER, ctypes.c_int64, *[POINTER] * 3, ctypes.c_int64),
+        "settle": (None, POINTER),
+        "start": (None, *[POINTER] * 4, ctypes.c_int64, ctypes.c_double),
+        "batch": (ctypes.c_int64, *[POINTER] * 3, ctypes.c_int64, ctypes.c_int64, ctypes.c_double, POINTER,
+                  ctypes.c_int64, ctypes.c_double, ctypes.c_int64, POINTER, ctypes.c_int64, POINTER),
+    }[name]  # fmt: skip
+    return ctypes.CFUNCTYPE(*signature)(integrator().address(name))
+
+
+@functools.cache
+def method(name: str) -> Method:
+    """A function of the integrator as one of Python, to be bound; it lives as long as what is bound to it."""
+    return Method(name, integrator().address(f"py_{name}"))
+
+
+class Plan:
+    """The equations of a set of effects, compiled.
+
+    Args:
+        effects: in the order in which they act. shapes: values of the parameters that shape these.
+        freewheels: whether the current may freewheel.
+        free: parameters that derivatives are taken to. width: directions of derivatives; 0 for none.
+    """
+
+    def __init__(
+        self, effects: Sequence[Effect], *, shapes: Sequence[float] = (), freewheels: bool = False,
+        free: Sequence[str] = (), width: int = 0,
+    ) -> None:  # fmt: skip
+        system = build(effects, shapes=shapes, freewheels=freewheels)
+        kernels = Kernels(system, free, width)
+        if kernels.guard_count > layout.MOST_GUARDS or len(system.parameters) > layout.MOST_NUMBERS:
+            raise ParameterError(
+                f"effects {', '.join(effect.name for effect in effects)}: found {kernels.guard_count} comparisons and "
+                f"{len(system.parameters)} numbers, expected at most {layout.MOST_GUARDS} and {layout.MOST_NUMBERS}; "
+                "take one out"
+            )
+        key = f"{system.trace.digest()} {tuple(free)} {width}"
+        self.parameters, self.states = system.parameters, kernels.names
+        self._of_effects = [(effect.name, effect.names) for effect in effects]
+        self._library = library(key, kernels.text)
+        blank = np.zeros(layout.SIZE)
+        for name in NAMES:
+            blank[_SLOTS[name]] = as_double(self._library.address(name))
+        blank[layout.STATES] = len(kernels.names)
+        blank[layout.GUARDS] = kernels.guard_count
+        blank[layout.IS_CHECKED] = system.is_checked
+        blank[layout.HAS_PEAK] = system.peak is not None
+        blank[layout.IS_FLUX] = system.flux_slope is not None
+        blank[layout.WIDTH] = width
+        blank[layout.MODE] = driver.CLOSED
+        blank[layout.DIRECTION] = 1.0
+        blank[layout.LONGEST] = driver.ANY_STEP
+        self.blank = blank
+
+    def numbers(self, parameters: ValveParameters, effects: Mapping[str, Mapping[str, float]]) -> Array:
+        """The numbers of a valve in the order of `parameters`."""
+        before, polynomial, after = parameters[:_POLYNOMIAL], parameters[_POLYNOMIAL], parameters[_POLYNOMIAL + 1 :]
+        values = [*before, *polynomial, *after]  # type: ignore[misc]
+        for effect, names in self._of_effects:
+            given = effects[effect]
+            values += [given[name] for name in names]
+        return np.array(values)
+
+    def block(self, numbers: Array, tolerance: float, start: float, tangents: Array | None = None) -> Array:
+        """The block of a valve that rests closed and without current at a time, s.
+
+        Args:
+            numbers: as of `numbers`. tolerance: relative error of one step.
+            tangents: (layout.SIZE, width) those of the numbers, completed; None without derivatives.
+        """
+        block = np.empty(layout.SIZE)
+        address = block.ctypes.data
+        beside = address if tangents is None else tangents.ctypes.data
+        entry("start")(address, beside, self.blank.ctypes.data, numbers.ctypes.data, len(numbers), start)
+        block[layout.TOLERANCE] = tolerance
+        return block
+
+
+@functools.lru_cache(maxsize=512)
+def plan_of(
+    effects: tuple[Effect, ...], shapes: tuple[float, ...] = (), freewheels: bool = False, free: tuple[str, ...] = (),
+    width: int = 0,
+) -> Plan:  # fmt: skip
+    """The plan of a set of effects, made once a process."""
+    return Plan(effects, shapes=shapes, freewheels=freewheels, free=free, width=width)

@@ -1,0 +1,214 @@
+"""Simulation of one valve, or of many at once."""
+
+from __future__ import annotations
+
+import functools
+import math
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from valve_sim.core import layout
+from valve_sim.core.driver import LONGEST_RUN, MOST_STEPS, ROW_COLUMNS
+from valve_sim.core.plan import entry, method
+from valve_sim.core.valve import Valve
+from valve_sim.model.core_types import EventKind, Outcome
+from valve_sim.model.drives import Drive
+from valve_sim.model.errors import SimulationError
+from valve_sim.model.response import Event, Response
+
+Array = NDArray[np.float64]
+
+TOLERANCE: Final = 1e-8
+"""Relative error of one step. It leaves the events of random valves within 1e-10 s, and most within 1e-12 s.
+
+At 1e-10 they are within 1e-11 s, for some 40 % more steps (`python -m benchmarks.core`).
+"""
+EVENT_ROOM: Final = 256
+"""Events for which there is room at first; a run with more is repeated."""
+_KINDS: Final = tuple(EventKind)
+
+
+def most_steps(duration: float) -> int:
+    """How many steps a run of a duration, s, may take."""
+    return int(MOST_STEPS * (1.0 + max(0.0, min(duration, LONGEST_RUN))))
+
+
+def start_of(drive: Drive, times: Array) -> float:
+    """When a run begins unless it is said: at the first command or sample, s."""
+    start = min(drive.times[0] if len(drive.times) else math.inf, times[0] if len(times) else math.inf)
+    return float(start) if math.isfinite(start) else 0.0
+
+
+def simulate(
+    valve: Valve,
+    drive: Drive,
+    sample_times: ArrayLike,
+    *,
+    tolerance: float = TOLERANCE,
+    start_time: float | None = None,
+) -> Response:
+    """The response of a valve at rest to a commanded voltage.
+
+    Args:
+        valve: what is simulated.
+        drive: the commanded voltage.
+        sample_times: (n,) s, ascending.
+        tolerance: relative error of one step.
+        start_time: s; the valve rests closed until then. Default: the first command or sample.
+
+    Raises:
+        SimulationError: the run could not be carried to its end.
+    """
+    times = np.ascontiguousarray(sample_times, dtype=np.float64)
+    start = start_of(drive, times) if start_time is None else start_time
+    plan, count, room = valve.plan(), len(times), EVENT_ROOM
+    numbers, commands = plan.numbers(valve.parameters, valve.effects), commands_of(drive)
+    end = float(times[-1]) if count else -math.inf
+    while True:
+        memory = np.empty(layout.SIZE + 4 * room + ROW_COLUMNS * count)
+        outcome = _whole()(plan.blank, numbers, commands, times, memory, start, end, tolerance)
+        if outcome:
+            check_geometry(memory)
+            check_outcome(outcome)
+        found = int(memory[layout.COUNT])
+        if found <= room:
+            break
+        room = found
+    logged = memory[layout.SIZE : layout.SIZE + 4 * found].reshape(-1, 4).tolist()
+    rows = memory[layout.SIZE + 4 * room :].reshape(count, ROW_COLUMNS)
+    # A frozen dataclass sets each of its attributes by a call; all of these together take as long as the run.
+    response = Response.__new__(Response)
+    vars(response).update(
+        time=times, pilot_position=rows[:, 0], main_position=rows[:, 1], pilot_velocity=rows[:, 2],
+        coil_current=rows[:, 8], attraction=rows[:, 3], phase=rows[:, 4].astype(np.uint8),
+        events=tuple([Event(t, _KINDS[int(kind)], x, v) for t, kind, x, v in logged]), coil_voltage=rows[:, 6],
+        has_one_plunger=bool(memory[layout.ONE_PLUNGER]), outlet_pressure=None, mass_flow=None,
+    )  # fmt: skip
+    return response
+
+
+@functools.cache
+def _whole() -> Any:
+    """The run of one valve, as a function of arrays."""
+    return method("whole").bound(0)
+
+
+def commands_of(drive: Drive) -> Array:
+    """(c, 2) s and V."""
+    commands = np.empty((len(drive.times), 2))
+    commands[:, 0], commands[:, 1] = drive
+    return commands
+
+
+def check_geometry(block: Array) -> None:
+    """Check that the gap of a block is inside its stroke.
+
+    Raises:
+        SimulationError: it is not.
+    """
+    gap, stroke = float(block[layout.GAP]), float(block[layout.STROKE])
+    if not 0.0 <= gap < stroke:
+        raise SimulationError(f"the simulation cannot start: pilot_gap {gap:g} m is not inside stroke {stroke:g} m")
+
+
+def check_outcome(outcome: int, what: str = "") -> None:
+    """Check that a run was carried to its end.
+
+    Raises:
+        SimulationError: it was not; the message says why.
+    """
+    if outcome == Outcome.FINISHED:
+        return
+    why = {
+        Outcome.STEP_TOO_SMALL: "the forces change faster than error control can follow; look for a parameter that is "
+        "many orders of magnitude off, or, with motional_emf, for a flux that does not grow with the current",
+        Outcome.TOO_MANY_STEPS: f"more than {MOST_STEPS} steps a second are needed; look for a time constant that is "
+        "far below a microsecond",
+        Outcome.CHATTERING: "the plungers chatter without progress in time",
+    }
+    raise SimulationError(f"{what}the simulation stopped early: {why[Outcome(outcome)]}")
+
+
+def run_many(
+    valves: Sequence[Valve],
+    drive: Drive,
+    sample_times: ArrayLike,
+    *,
+    tolerance: float = TOLERANCE,
+    threads: int | None = None,
+) -> Array:
+    """Pilot plunger positions of many valves with the same effects under one drive, on several threads.
+
+    Args:
+        valves: any number, with one set of effects.
+        drive: the commanded voltage.
+        sample_times: (n,) s, ascending.
+        tolerance: relative error of one step.
+        threads: how many; default all processors.
+
+    Returns:
+        (k, n) m, as the position sensor shows it.
+
+    Raises:
+        SimulationError: a run could not be carried to its end; it names the valve. Or the valves have other effects.
+    """
+    if not valves:
+        return np.empty((0, np.size(sample_times)))
+    first = valves[0].plan()
+    if any(valve.plan() is not first for valve in valves):
+        raise SimulationError("the valves have different effects; simulate those apart from each other")
+    numbers = np.array([valve.numbers() for valve in valves])
+    return run_numbers(valves[0], numbers, drive, sample_times, tolerance=tolerance, threads=threads)
+
+
+def run_numbers(
+    valve: Valve,
+    numbers: Array,
+    drive: Drive,
+    sample_times: ArrayLike,
+    *,
+    tolerance: float = TOLERANCE,
+    threads: int | None = None,
+) -> Array:
+    """As `run_many`, of one valve with other numbers.
+
+    Args:
+        numbers: (k, m) the numbers of each in the order of the plan's parameters, see `Valve.numbers`.
+
+    Raises:
+        SimulationError: a run could not be carried to its end; it names the row.
+    """
+    times = np.ascontiguousarray(sample_times, dtype=np.float64)
+    numbers = np.ascontiguousarray(numbers, dtype=np.float64)
+    positions = np.empty((len(numbers), len(times)))
+    commands = commands_of(drive)
+    start = start_of(drive, times)
+    blank = valve.plan().blank.copy()
+    blank[layout.TOLERANCE] = tolerance
+    workers = threads or os.cpu_count() or 1
+    chunks = [chunk for chunk in np.array_split(np.arange(len(numbers)), workers * 4) if len(chunk)]
+    end = float(times[-1]) if len(times) else -math.inf
+
+    def work(chunk: Any) -> int:
+        own, shown, room = numbers[chunk[0] :], positions[chunk[0] :], np.empty(layout.SIZE)
+        done = entry("batch")(
+            room.ctypes.data, blank.ctypes.data, own.ctypes.data, own.shape[1], len(chunk), start,
+            commands.ctypes.data, len(commands), end, most_steps(end - start), times.ctypes.data, len(times),
+            shown.ctypes.data,
+        )  # fmt: skip
+        if done < len(chunk):
+            check_outcome(int(room[layout.OUTCOME]), f"parameter set {chunk[0] + done}: ")
+        return int(done)
+
+    if workers == 1:
+        for chunk in chunks:
+            work(chunk)
+    else:
+        with ThreadPoolExecutor(workers) as pool:
+            list(pool.map(work, chunks))
+    return positions
