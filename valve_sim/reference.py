@@ -18,7 +18,7 @@ from valve_sim.nodes import settings, topics
 from valve_sim.nodes.parameters import NodeParameter
 from valve_sim.nodes.topics import Topic
 from valve_sim.nodes.valve_parameters import table
-from valve_sim.station import dispenser_tables
+from valve_sim.station import archive_tables, dispenser_tables, opcua_tables, plc_tables
 from valve_sim.traces.layout import CHANNELS, COIL, COIL_STATE, MEASURED
 
 _TOPICS: Final = {
@@ -27,6 +27,15 @@ _TOPICS: Final = {
     "monitor_node": topics.MONITOR,
     "command_profile": topics.PROFILE,
     "dispenser_node": dispenser_tables.TOPICS,
+    "opcua_node": opcua_tables.TOPICS,
+    "plc_node": plc_tables.TOPICS,
+    "archive_node": archive_tables.TOPICS,
+}
+_STATION: Final = {
+    "dispenser_node": dispenser_tables.PARAMETERS,
+    "opcua_node": opcua_tables.PARAMETERS,
+    "plc_node": plc_tables.PARAMETERS,
+    "archive_node": archive_tables.PARAMETERS,
 }
 _LONGEST_TEXT: Final = 60
 _OF_TOPICS: Final = ("name", "type", "direction", "QoS", "unit", "what")
@@ -54,7 +63,8 @@ def _topics() -> Iterator[str]:
             yield _table(_OF_TOPICS, [_topic(entry) for entry in topics.GAS])
     yield (
         "`<valve>` and `<measured>` are parameters of monitor_node; `<sensors>` is where `<measured>` is. Of "
-        "dispenser_node `<valve>` is each of its parameter `valves`. `<end>` is inlet_pressure and demand_pressure: "
+        "the station's nodes `<valve>` is each of their parameter `valves`, and `<monitor>` of `monitors`. `<end>` is "
+        "inlet_pressure and demand_pressure: "
         "beside a simulated valve (`<sensors>` is `<valve>`) those that it obeys are heard, beside another its "
         "sensors, and where neither comes what the valve is told."
     )
@@ -106,8 +116,9 @@ def _node_parameters() -> Iterator[str]:
     yield _parameters(settings.MONITOR)
     yield "## command_profile"
     yield _parameters(settings.PROFILE)
-    yield "## dispenser_node"
-    yield _parameters(dispenser_tables.PARAMETERS)
+    for node, tables in _STATION.items():
+        yield f"## {node}"
+        yield _parameters(tables)
 
 
 def _parameters(entries: Mapping[str, NodeParameter]) -> str:

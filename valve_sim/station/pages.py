@@ -10,8 +10,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from valve_sim.nodes.parameters import Table
-from valve_sim.station import opcua_tables, plc_tables
 from valve_sim.station.figures import FIGURES
 from valve_sim.station.plc import MAP, SPACING, map_csv
 
@@ -43,7 +41,7 @@ def _opcua() -> str:
         for figure in FIGURES
     ]
     lines = [
-        "# OPC UA: variables and parameters",
+        "# OPC UA: variables",
         "",
         _MADE,
         "",
@@ -57,9 +55,7 @@ def _opcua() -> str:
         "Acknowledge, Confirm and AddComment), and the methods `Recommission` and `SelfTest`, which return `Done` and",
         "`Message`.",
         "",
-        "## Parameters of opcua_node",
-        "",
-        *_parameters(opcua_tables.PARAMETERS),
+        "Parameters and topics of opcua_node are [with those of the other nodes](parameters.md#opcua_node).",
     ]
     return "\n".join(lines) + "\n"
 
@@ -77,7 +73,7 @@ def _modbus() -> str:
         for register in MAP
     ]
     lines = [
-        "# Modbus: registers and parameters",
+        "# Modbus: registers",
         "",
         _MADE,
         "",
@@ -88,16 +84,9 @@ def _modbus() -> str:
         "",
         *rows(("register", "name", "type", "unit", "access", "meaning"), registers),
         "",
-        "## Parameters of plc_node",
-        "",
-        *_parameters(plc_tables.PARAMETERS),
+        "Parameters and topics of plc_node are [with those of the other nodes](parameters.md#plc_node).",
     ]
     return "\n".join(lines) + "\n"
-
-
-def _parameters(table: Table) -> list[str]:
-    cells = [(f"`{name}`", f"`{entry.default}`", entry.description) for name, entry in table.items()]
-    return rows(("parameter", "default", "meaning"), cells)
 
 
 def main() -> None:
