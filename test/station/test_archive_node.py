@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import signal
-from collections.abc import Iterator
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
@@ -59,16 +58,6 @@ def test_settings_are_checked_in_one_line() -> None:
         with pytest.raises(ParameterError) as refused:
             archive_settings(given, {})
         assert words in str(refused.value)
-
-
-@pytest.fixture
-def probe(in_own_domain: None) -> Iterator[Probe]:
-    rclpy = pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
-    rclpy.init()
-    probe = Probe("/valve")
-    yield probe
-    probe.close()
-    rclpy.try_shutdown()
 
 
 @pytest.mark.ros

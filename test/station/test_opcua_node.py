@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import json
 import signal
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from datetime import datetime, timezone
 from pathlib import Path
@@ -48,16 +47,6 @@ def test_a_missing_library_is_one_line_that_says_what_to_install() -> None:
 def node(folder: Path) -> tuple[str, ...]:
     """The program, whose files are in a folder."""
     return ("-m", "valve_sim.station", "opcua_node", "--ros-args", "-p", f"folder:={folder}")
-
-
-@pytest.fixture
-def probe(in_own_domain: None) -> Iterator[Probe]:
-    rclpy = pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
-    rclpy.init()
-    probe = Probe("/valve")
-    yield probe
-    probe.close()
-    rclpy.try_shutdown()
 
 
 @pytest.mark.ros

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -27,16 +26,6 @@ def test_settings_are_checked_in_one_line() -> None:
         with pytest.raises(ParameterError) as refused:
             plc_settings(given, {})
         assert words in str(refused.value)
-
-
-@pytest.fixture
-def probe(in_own_domain: None) -> Iterator[Probe]:
-    rclpy = pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
-    rclpy.init()
-    probe = Probe("/valve")
-    yield probe
-    probe.close()
-    rclpy.try_shutdown()
 
 
 @pytest.mark.ros
