@@ -17,7 +17,7 @@ ACCURATE = 1e-7
 DOUBT = 0.1
 """Of how far the quotients of two differences are apart: the error of what is extrapolated from them."""
 FINE = 1e-12
-MANY = 40
+MANY = 20
 BELOW = Drive.of([1e-3, 16e-3], [8.5, 0.0])
 """The current stays below u = 1, where residual magnetism has a corner."""
 

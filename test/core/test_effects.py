@@ -166,7 +166,7 @@ def test_any_accepted_valve_ends_finite_and_inside(valve: Valve, commands: list[
 
 
 @pytest.mark.long
-@settings(max_examples=1500, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=200, deadline=None, suppress_health_check=list(HealthCheck))
 @given(valves(3), drives)
 def test_many_accepted_valves_end_finite_and_inside(valve: Valve, commands: list[tuple[float, float]]) -> None:
     ends_inside(valve, commands)

@@ -60,7 +60,7 @@ def test_nothing_is_claimed_where_nothing_is_missing(recorder: Recorder) -> None
     ("name", "parameters"),
     [
         ("coulomb_friction", {"force": 0.05}),
-        ("constant_force", {"force": 0.1}),
+        pytest.param("constant_force", {"force": 0.1}, marks=pytest.mark.long),
         ("drive_gain", {"gain": 0.99}),
         pytest.param(
             "eddy_lag",
@@ -70,7 +70,7 @@ def test_nothing_is_claimed_where_nothing_is_missing(recorder: Recorder) -> None
             ),
         ),
         ("pressure_force", {"force": 0.5, "equalisation_time": 6e-3}),
-        ("stop_bounce", {"restitution_stop": 0.3, "restitution_seat": 0.2}),
+        pytest.param("stop_bounce", {"restitution_stop": 0.3, "restitution_seat": 0.2}, marks=pytest.mark.long),
         ("stroke_offset", {"offset": 2e-6}),
     ],
 )
@@ -116,6 +116,7 @@ def test_small_stiction_is_in_the_class_of_what_is_named() -> None:
     assert "stiction" in {name, *verdict.confusable_with[name]}
 
 
+@pytest.mark.long
 def test_two_missing_effects_are_both_named() -> None:
     effects = {"coulomb_friction": {"force": 0.1}, "gap_offset": {"offset": 5e-6}}
     diagnosis = diagnosed(effects, 11)
