@@ -113,6 +113,8 @@ def test_the_command_writes_a_unit_and_says_what_it_needs(tmp_path: Path) -> Non
 def test_what_cannot_be_written_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ValveError, match=r"x\.zip: expected a name that ends in \.fmu"):
         export.export_unit(tmp_path / "x.zip", valves()["default"], "2.0")
+    with pytest.raises(ValveError, match=r"\.: expected a name that ends in \.fmu"):
+        export.export_unit(Path(), valves()["default"], "2.0")
     monkeypatch.setitem(sys.modules, "pythonfmu3", None)
     with pytest.raises(ValveError, match=r"pythonfmu3, which is not installed; pip install 'valve_sim\[fmi\]'"):
         export.export_unit(tmp_path / "x.fmu", valves()["default"], "3.0")

@@ -44,7 +44,7 @@ def export_unit(path: Path, valve: Valve, version: str) -> None:
         ValveError: the library that writes units is not installed, or the file cannot be written.
     """
     if path.suffix != ".fmu":
-        raise ValveError(f"{path}: expected a name that ends in .fmu; call it {path.with_suffix('.fmu')}")
+        raise ValveError(f"{path}: expected a name that ends in .fmu, such as valve.fmu")
     found = VERSIONS[version]
     library = _library(found.library, version)
     with replacing(path) as partial, tempfile.TemporaryDirectory(prefix="valve_sim_fmu_") as folder:
