@@ -17,6 +17,7 @@ from plants.recording import Recorder, record, train_bags, write_bag
 from valve_sim.cli import main
 from valve_sim.files.parameter_files import default_valve, load_valve
 from valve_sim.fleet.shared import Recordings, identify_shared
+from valve_sim.identification.estimation.findings import LacksSomething
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.shared_fit import Share, as_fit, fit_shared, machine_nuisances, share_of
@@ -77,8 +78,21 @@ def test_recordings_whose_sensors_drift_and_hum_give_the_truth_and_what_errs(tmp
         assert abs(interval.value - valve[name]) < 4.0 * interval.stderr
     assert len(found.recording) == len(bags)
     assert all(bag.name in source for bag, source in zip(bags, found.recording, strict=True))
+    assert not any(isinstance(finding, LacksSomething) for finding in found.findings)
     for errors in found.recording.values():
         assert {"drift", "hum"} <= {own.error for own in errors if own.is_likely}
+
+
+def test_what_the_model_lacks_in_all_recordings_is_said_once(tmp_path: Path) -> None:
+    friction = {"coulomb_friction": {"force": 0.1}}
+    bags = [
+        write_bag(record(DeclaredPlant(friction, CAMPAIGN_VALVE), profile, Recorder(), seed), tmp_path / f"day_{seed}")
+        for seed, profile in enumerate(train_bags(2))
+    ]
+    found = identify_shared(bags, Recordings(default_valve(), DAMPINGS))
+    (lacking,) = [finding for finding in found.findings if isinstance(finding, LacksSomething)]
+    assert lacking.probability > 0.99
+    assert not found.recording
 
 
 def of_machine(result: Fit, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:

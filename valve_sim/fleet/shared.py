@@ -22,6 +22,7 @@ from valve_sim.identification.diagnosis.identify import (
     check_free,
     fit_beside_errors,
     judged_rmse,
+    lacking_by,
     rmse_of_kind,
 )
 from valve_sim.identification.estimation.declared_values import declared_values, estimated_valve
@@ -34,6 +35,7 @@ from valve_sim.identification.estimation.shared_fit import Share, as_fit, fit_sh
 from valve_sim.identification.estimation.structured_noise import StructuredNoise, structured_noise
 from valve_sim.identification.plants.protocol import judged_channels
 from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.identification.selection.posterior import Evidence
 from valve_sim.model import SimulationError, Valve, ValveError
 from valve_sim.traces import Trace, read_trace, refuse_doubtful_units
 
@@ -83,15 +85,15 @@ class Learned(NamedTuple):
         values: of its own fit, at which columns of its errors are made.
         misfit: χ² of a sample there.
         errors: sizes of its errors and modes of its mounts, without columns; None where it has none.
-        recording: the errors, by the recording's source; none where its model lacks something.
-        lacking: probability that it does, where that is likely; else 0.
+        recording: the errors, by the recording's source; none beside something unnamed.
+        evidence: of its own fit, and of something unnamed beside it.
     """
 
     values: Mapping[str, float]
     misfit: float
     errors: StructuredNoise | None
     recording: Mapping[str, tuple[RecordedError, ...]]
-    lacking: float
+    evidence: Evidence
 
 
 class Task(NamedTuple):
@@ -173,7 +175,7 @@ def learned(path: Path, recordings: Recordings) -> Learned:
     Raises:
         ValveError: it cannot be used, or the machine cannot be simulated.
     """
-    best, lacking = fit_beside_errors(
+    best, evidence = fit_beside_errors(
         [recordings.trace(path)], recordings.valve, recordings.free, lambda what, fraction: None
     )
     problem = best.problem
@@ -181,8 +183,8 @@ def learned(path: Path, recordings: Recordings) -> Learned:
         best.values,
         best.chi2 / problem.effective_samples,
         None if problem.errors is None else replace(problem.errors, columns={}),
-        {} if lacking else by_recording([best]),
-        lacking,
+        {} if lacking_by(problem.plant, evidence) else by_recording([best]),
+        evidence,
     )
 
 
@@ -260,7 +262,11 @@ def _identification(
     plant = result.problem.plant
     assert isinstance(plant, ValvePlant)
     rms = [_together(errors, index) for index in range(1, 5)]
-    lacking = max(one.lacking for one in alone)
+    # Recordings of one machine: what it lacks acts in all of them, or in none.
+    together = Evidence(
+        math.fsum(one.evidence.plain for one in alone), math.fsum(one.evidence.unnamed for one in alone)
+    )
+    lacking = lacking_by(plant, together)
     recording = {} if lacking else {source: own for one in alone for source, own in one.recording.items()}
     intervals = {name: covariance_interval(result, name) for name in result.free}
     remarks = findings(result, intervals, itertools.chain(*recording.values()), lacking)

@@ -35,6 +35,9 @@ from valve_sim.traces.checking import check_traces
 STARTS: Final = (1.0, 4.0, 0.25)
 """Factors on the declared values from which fits start."""
 
+DECIDED: Final = 100.0
+"""Difference of ln p that no prior outweighs."""
+
 Progress = Callable[[str, float], None]
 
 
@@ -107,7 +110,8 @@ def identify(
     free = dampings_of(valve) if free is None else free
     check_free(free, valve)
     say("start", 0.0)
-    best, lacking = fit_beside_errors(traces, valve, free, say)
+    best, evidence = fit_beside_errors(traces, valve, free, say)
+    lacking = lacking_by(best.problem.plant, evidence)
     best, plant = with_uncertain_sizes(best), best.problem.plant
     assert isinstance(plant, ValvePlant)
     recording = {} if lacking else by_recording([best])
@@ -129,15 +133,17 @@ def identify(
     )  # fmt: skip
 
 
-def fit_beside_errors(traces: Sequence[Trace], valve: Valve, free: Sequence[str], say: Progress) -> tuple[Fit, float]:
+def fit_beside_errors(
+    traces: Sequence[Trace], valve: Valve, free: Sequence[str], say: Progress
+) -> tuple[Fit, Evidence]:
     """The best fit, with the errors of the recordings as large as they are beside it.
 
     Args:
         traces: measured strokes. valve: the declared valve. free: parameters to refit. say: told the progress, to 0.3.
 
     Returns:
-        The fit, and the probability that the model lacks something, if that is likely: then errors are as large as
-        they are before the data are asked; else 0.
+        The fit, and the evidence of it and of something unnamed beside it. Where that is likely, errors are as large as
+        they are before the data are asked.
 
     Raises:
         SimulationError: the declared valve cannot be simulated.
@@ -152,11 +158,11 @@ def fit_beside_errors(traces: Sequence[Trace], valve: Valve, free: Sequence[str]
         return best_fit(problem, free, starts, lambda fraction: say("fit", 0.3 * fraction))
 
     problem, best = with_learned_errors(Problem(ValvePlant(traces, valve)).condensed(), fitted)
-    unnamed = unnamed_beside(best)
-    if unnamed > EVEN and problem.errors is not None:
+    evidence = evidence_beside(best)
+    if lacking_by(problem.plant, evidence) and problem.errors is not None:
         # Beside what it lacks, learned errors would imitate that.
         best = fitted(with_forgotten_errors(problem, best.values), None)
-    return best, unnamed if unnamed > EVEN else 0.0
+    return best, evidence
 
 
 def check_free(free: Sequence[str], valve: Valve | None = None) -> None:
@@ -212,17 +218,23 @@ def best_fit(
     return max(plain, timed, key=lambda found: found.log_evidence)
 
 
-def unnamed_beside(result: Fit) -> float:
-    """Probability that something that the model lacks acts, as a diagnosis has it beside its empty set.
+def evidence_beside(result: Fit) -> Evidence:
+    """Evidence of a fit, and of something unnamed beside it, as a diagnosis has it of its empty set.
 
-    Of a long recording, whose rows are not at hand, 1 where more than noise is left, else 0.
+    Of a long recording, whose rows are not at hand, it is decided by whether more than noise is left.
     """
     problem = result.problem
     if problem.is_long:
-        return float(leaves_more_than_noise(result))
+        return Evidence(0.0, DECIDED if leaves_more_than_noise(result) else -DECIDED)
     model, places = Linearised(result), problem.rows.places
     spread = Discrepancy(places, lengths_of(problem.plant, places)).spread(model)
-    return rivals_of(problem.plant).unnamed_beside((), Evidence(model.integrated, spread.log_evidence))
+    return Evidence(model.integrated, spread.log_evidence)
+
+
+def lacking_by(plant: Plant, evidence: Evidence) -> float:
+    """Probability that the model lacks something, where that is likely; else 0."""
+    unnamed = rivals_of(plant).unnamed_beside((), evidence)
+    return unnamed if unnamed > EVEN else 0.0
 
 
 def _best_of_starts(
