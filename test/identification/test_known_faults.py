@@ -153,6 +153,7 @@ def test_a_plain_error_that_is_larger_by_chance_vetoes_nothing() -> None:
     assert (found.verdict.kind, found.verdict.effects) == ("effects", ("sensor_delay",))
 
 
+@pytest.mark.long
 def test_at_its_reported_limit_an_effect_is_named_in_half_of_recordings() -> None:
     """Fault 3."""
     limits = diagnosed(recorded(COARSE), DECLARED, ["quadratic_drag"]).detection_limits

@@ -74,6 +74,7 @@ def error(result: Identification, name: str, truth: float) -> float:
     return (result.fit.values[name] - truth) / result.intervals[name].stderr
 
 
+@pytest.mark.long
 def test_the_pilot_orifice_follows_from_pressure_and_command_alone() -> None:
     declared = gas_valve(pilot_orifice_diameter=0.206e-3)
     result = identify([recorded(1)], declared, (ORIFICE,))

@@ -69,6 +69,7 @@ def test_a_diagnosis_keeps_to_its_budget_and_says_what_it_left(strokes: float, p
     assert found.after.train_rmse <= found.before.train_rmse
 
 
+@pytest.mark.long
 def test_with_work_enough_nothing_is_left_and_the_outcome_is_the_same(plant: Short, whole: Diagnosis) -> None:
     within = diagnose_plant(plant, None, budget=Budget(1e6))
     assert within.untried == ()

@@ -36,7 +36,13 @@ LABORATORIES = {
 """What is wrong in each, and the errors that are to come out."""
 
 
-@pytest.fixture(scope="module", params=LABORATORIES)
+@pytest.fixture(
+    scope="module",
+    params=[
+        pytest.param(name, marks=() if name == "drift and a mount that rings" else pytest.mark.long)
+        for name in LABORATORIES
+    ],
+)
 def laboratory(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 

@@ -61,15 +61,18 @@ def test_nothing_is_claimed_where_nothing_is_missing(recorder: Recorder) -> None
     [
         ("coulomb_friction", {"force": 0.05}),
         pytest.param("constant_force", {"force": 0.1}, marks=pytest.mark.long),
-        ("drive_gain", {"gain": 0.99}),
+        pytest.param("drive_gain", {"gain": 0.99}, marks=pytest.mark.long),
         pytest.param(
             "eddy_lag",
             {"time_constant": 3e-4},
-            marks=pytest.mark.xfail(
-                strict=True, raises=AssertionError, reason="a wrong coil time constant is named beside it"
-            ),
+            marks=[
+                pytest.mark.long,
+                pytest.mark.xfail(
+                    strict=True, raises=AssertionError, reason="a wrong coil time constant is named beside it"
+                ),
+            ],
         ),
-        ("pressure_force", {"force": 0.5, "equalisation_time": 6e-3}),
+        pytest.param("pressure_force", {"force": 0.5, "equalisation_time": 6e-3}, marks=pytest.mark.long),
         pytest.param("stop_bounce", {"restitution_stop": 0.3, "restitution_seat": 0.2}, marks=pytest.mark.long),
         ("stroke_offset", {"offset": 2e-6}),
     ],
@@ -91,6 +94,7 @@ def test_the_missing_effect_is_named_and_removes_the_residual(name: str, paramet
     }
 
 
+@pytest.mark.long
 def test_a_coil_that_cools_too_slowly_to_be_seen_is_named() -> None:
     diagnosis = diagnosed({"coil_heating": {"temperature_rate": 4.0, "cooling_time_constant": 60.0}}, 42)
     assert (diagnosis.verdict.kind, diagnosis.verdict.effects) == ("effects", ("coil_heating",))
@@ -99,6 +103,7 @@ def test_a_coil_that_cools_too_slowly_to_be_seen_is_named() -> None:
     assert cooling.unbounded is Unbounded.MAY_BE_INFINITE
 
 
+@pytest.mark.long
 @pytest.mark.xfail(
     strict=True,
     raises=AssertionError,
@@ -110,6 +115,7 @@ def test_stiction_too_small_to_be_told_from_friction_is_no_sure_friction() -> No
     assert {name, *verdict.confusable_with[name]} == {"coulomb_friction", "stiction"}
 
 
+@pytest.mark.long
 def test_small_stiction_is_in_the_class_of_what_is_named() -> None:
     verdict = diagnosed({"stiction": {"force": 0.0042, "breakaway": 0.0056, "stribeck_velocity": 0.03}}, 62).verdict
     (name,) = verdict.effects
@@ -154,6 +160,7 @@ def test_what_shows_in_held_out_data_alone_is_not_nothing() -> None:
     assert diagnose([opening], [held_out], DECLARED).verdict.kind == "unknown"
 
 
+@pytest.mark.long
 @pytest.mark.xfail(
     strict=True,
     raises=AssertionError,
@@ -166,6 +173,7 @@ def test_a_force_that_shows_at_the_seat_alone_gets_no_sure_name() -> None:
     assert diagnosis.verdict.probability < 0.9
 
 
+@pytest.mark.long
 def test_dampings_that_an_effect_can_take_over_have_intervals_that_say_so() -> None:
     friction = {"force_opening": 0.05, "force_closing": 0.09, "damping_opening": 0.6, "damping_closing": 0.3}
     diagnosis = diagnosed({"asymmetric_friction": friction}, 40)

@@ -81,6 +81,7 @@ def test_a_slice_of_the_hard_recordings(case: Case) -> None:
     assert_sound(found)
 
 
+@pytest.mark.long
 def test_strokes_are_held_out_of_bags_of_two_strokes_each() -> None:
     (case,) = (case for case in cases() if case.kind == "four bags of two strokes" and case.seed == 1)
     traces = case.make(1)
@@ -100,6 +101,7 @@ def test_a_sample_at_the_command_of_an_instant_coil_makes_no_effect() -> None:
     assert (found.verdict.kind, found.verdict.effects) == ("none", ())
 
 
+@pytest.mark.long
 @pytest.mark.xfail(
     strict=True,
     raises=AssertionError,

@@ -57,6 +57,7 @@ def test_a_healthy_valve_on_a_busy_machine_is_not_accused(commissioned: float) -
     assert reports[-1].command_scatter == pytest.approx(BUSY, rel=0.5)
 
 
+@pytest.mark.long
 def test_on_a_quiet_machine_delays_are_judged_and_a_fault_is_found_as_before() -> None:
     monitor, reports = watched(QUIET, 20)
     assert {report.state for report in reports} == {StrokeState.WATCHING}

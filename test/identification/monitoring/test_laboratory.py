@@ -56,6 +56,7 @@ def test_a_healthy_valve_that_varies_raises_no_alarm(
     assert 0.7 < spread < 1.3
 
 
+@pytest.mark.long
 def test_a_valve_that_does_not_vary_is_not_taken_to(watched: tuple[Monitor, LiveValve, list[dict[str, float]]]) -> None:
     monitor, valve = Monitor(EXACT_VALVE, refit=False), LiveValve(4, HEALTHY, rate=1000.0)
     for _ in range(COMMISSIONING + 1):
@@ -78,6 +79,7 @@ def test_where_the_zero_is_does_not_matter(watched: tuple[Monitor, LiveValve, li
         assert there[name] == pytest.approx(score, abs=0.05), name
 
 
+@pytest.mark.long
 def test_friction_is_named_beside_what_varies(watched: tuple[Monitor, LiveValve, list[dict[str, float]]]) -> None:
     monitor, valve, _ = watched
     assert monitor.stroke_monitor.baseline is not None

@@ -57,7 +57,7 @@ def test_what_commissioning_finds_is_true(commissioned: tuple[Monitor, LiveValve
     assert not commissioned[0].stroke_monitor.contradictions
 
 
-@pytest.mark.parametrize(("colour", "rate"), [(0.7, 20e3), (0.0, 500.0)])
+@pytest.mark.parametrize(("colour", "rate"), [pytest.param(0.7, 20e3, marks=pytest.mark.long), (0.0, 500.0)])
 def test_a_healthy_valve_raises_no_alarm(colour: float, rate: float) -> None:
     monitor = Monitor(EXACT_VALVE, refit=False)
     reports = strokes(monitor, LiveValve(3, HEALTHY, colour=colour, rate=rate, offset=-20e-6), 221)
@@ -127,6 +127,7 @@ def test_friction_of_five_limits_is_found_within_five_strokes(colour: float) -> 
         assert monitor.stroke_monitor.alarms > 0
 
 
+@pytest.mark.long
 def test_a_fault_is_isolated_soon_again_and_then_once_in_a_full_buffer() -> None:
     monitor, valve = Monitor(EXACT_VALVE, refit=False), LiveValve(5, HEALTHY, jitter=0.0)
     strokes(monitor, valve, 25)
@@ -166,8 +167,13 @@ def test_friction_that_grows_is_named() -> None:
             {"coulomb_friction": {"force": 0.3}}, {"coulomb_friction": {"force": 0.8}}, {},
             ("Coulomb friction 0.", " N, declared 0.300 N"),
         ),
-        ({"drive_gain": {"gain": 0.95}}, {"drive_gain": {"gain": 0.9}}, {}, ("Drive gain 0.90", ", declared 0.950")),
-        ({}, {}, {"spring_preload": 2.7}, ("Spring preload 2.70", " N, declared 2.52 N")),
+        pytest.param(
+            {"drive_gain": {"gain": 0.95}}, {"drive_gain": {"gain": 0.9}}, {}, ("Drive gain 0.90", ", declared 0.950"),
+            marks=pytest.mark.long,
+        ),
+        pytest.param(
+            {}, {}, {"spring_preload": 2.7}, ("Spring preload 2.70", " N, declared 2.52 N"), marks=pytest.mark.long
+        ),
     ],
     ids=["friction", "gain", "preload"],
 )  # fmt: skip
@@ -200,6 +206,7 @@ def test_a_bounce_between_few_samples_is_no_noise() -> None:
     assert finding.parameters["stop_bounce.restitution_stop"].value == pytest.approx(0.6, abs=0.01)
 
 
+@pytest.mark.long
 def test_a_changed_damping_is_said_to_be_one() -> None:
     monitor, valve = Monitor(EXACT_VALVE, refit=False), LiveValve(6, HEALTHY, jitter=0.0)
     strokes(monitor, valve, 25)
@@ -215,6 +222,7 @@ def test_a_changed_damping_is_said_to_be_one() -> None:
     assert finding_words(finding).endswith(" N·s/m, 3.50 N·s/m when commissioned")
 
 
+@pytest.mark.long
 def test_with_the_current_a_weaker_coil_is_told_from_a_weaker_magnet() -> None:
     """A live current: stamped 2 ms late, by an ammeter that shows a fifth too much."""
     monitor, valve = Monitor(EXACT_VALVE, refit=False), LiveValve(8, HEALTHY, jitter=0.0)

@@ -146,6 +146,7 @@ def test_a_file_without_the_force_is_refused(tmp_path: Path):
         emps.read_emps(path)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("friction", "lacks"), [(0.0, set()), (8.0, {"coulomb_friction", "stiction"})])
 def test_a_force_that_drifts_is_no_unnamed_effect_where_the_plant_says_that_it_may(friction, lacks):
     record = made_up_record(lambda v: friction, 0.0, seed=1)

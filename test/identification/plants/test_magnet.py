@@ -160,6 +160,7 @@ def test_what_a_rig_has_and_nothing_else_is_named(rig, missing):
         assert found == pytest.approx(rig.warming, rel=0.1)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("rig", [magnet.Rig(), magnet.Rig(lifting=0.0)], ids=["motional EMF", "nothing missing"])
 def test_a_current_sensor_that_drifts_is_no_unnamed_effect_where_the_plant_says_that_it_may(rig):
     records = []

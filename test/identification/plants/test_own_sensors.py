@@ -168,7 +168,7 @@ def test_errors_of_a_plant_of_ones_own_are_none_with_their_sizes_in_the_interval
 
 
 @pytest.mark.parametrize("laboratory", LABORATORIES, ids=NAMES)
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_what_such_a_plant_lacks_is_named_beside_its_errors(laboratory: Laboratory, seed: int) -> None:
     diagnosis, _ = diagnosed(laboratory, seed, radiation=1e-3)
     assert (diagnosis.verdict.kind, diagnosis.verdict.effects) == ("effects", ("radiation",))

@@ -42,6 +42,7 @@ def bench(folder: Path, seed: int, quantity: str, *, noise: float, step: float, 
     return read_trace(table, None, load_map(lab))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("quantity", "noise", "step", "current"),
     [

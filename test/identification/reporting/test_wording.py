@@ -121,6 +121,7 @@ def test_nothing_is_said_to_be_certain(probability: float, words: str) -> None:
     assert percent(probability) == words
 
 
+@pytest.mark.long
 def test_what_is_off_is_said_beside_what_was_declared() -> None:
     valve = default_valve().exact()
     trace = recorded(effects={"coulomb_friction": {"force": 0.1}})
