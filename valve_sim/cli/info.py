@@ -92,7 +92,7 @@ def _judged_words(summary: TraceSummary) -> str:
 
 
 def _print_summary(summary: TraceSummary, arrivals: Sequence[StrokeEvents]) -> None:
-    from valve_sim.traces.left_out import words_of
+    from valve_sim.signals.left_out import words_of
 
     clock = f"{summary.clock} stamps" if summary.clock in ("header", "bag") else f"its {summary.clock}"
     click.echo(shown(summary.source) + f": {summary.duration:.6g} s, timed by {clock}")

@@ -11,8 +11,8 @@ from typing import Final
 import numpy as np
 
 from valve_sim.model import Drive
+from valve_sim.signals.long_columns import places_in
 from valve_sim.traces.errors import TraceError
-from valve_sim.traces.long_columns import places_in
 from valve_sim.traces.trace import Signal, Trace
 
 SIGNALS: Final = (

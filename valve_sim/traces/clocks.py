@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from valve_sim.traces.long_columns import any_in, blocks, filled, median_of, places_in
+from valve_sim.signals.long_columns import any_in, blocks, filled, median_of, places_in
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from valve_sim.traces.voltage_steps import UNIFORM, sample_noise_of
+from valve_sim.signals.motion import sample_noise
+from valve_sim.signals.voltage_steps import UNIFORM
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -96,7 +97,7 @@ class _Step(NamedTuple):
 
 def _steps(times: Array, volts: Array, measured: Signal) -> Iterator[tuple[int, _Step]]:
     """The steps of those commands that the voltage shows, with the command's index; each differs from the last."""
-    least, before = SEEN * sample_noise_of(measured.values), -np.inf
+    least, before = SEEN * sample_noise(measured.values), -np.inf
     for place, (time, new) in enumerate(zip(times.tolist(), volts.tolist(), strict=True)):
         old = float(volts[place - 1]) if place else 0.0
         until = float(times[place + 1]) if place + 1 < len(times) else np.inf

@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from valve_sim.traces.contact_times import PositionNoise, contact_time
-from valve_sim.traces.current_bends import find_bends
-from valve_sim.traces.strokes import MAD_TO_SIGMA, find_stroke_parts, sample_noise, smallest_change
+from valve_sim.signals.contact_times import PositionNoise, contact_time
+from valve_sim.signals.current_bends import find_bends
+from valve_sim.signals.motion import sample_noise, smallest_change
+from valve_sim.signals.resting_noise import MAD_TO_SIGMA
+from valve_sim.traces.strokes import find_stroke_parts
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

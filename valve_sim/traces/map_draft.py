@@ -10,10 +10,10 @@ import numpy as np
 from valve_sim.files.data_tables import TABLE_SUFFIXES, DataTable, open_table
 from valve_sim.files.recording_map import QUANTITIES, UNITS
 from valve_sim.files.tables import TableError
+from valve_sim.signals.voltage_steps import count_levels
 from valve_sim.traces.errors import TraceError
 from valve_sim.traces.map_series import Series, bag_series, table_series
 from valve_sim.traces.trouble import MOST_AMPERES
-from valve_sim.traces.voltage_steps import count_levels
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

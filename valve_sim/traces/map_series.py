@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from valve_sim.files.recording_map import Source
+from valve_sim.signals.motion import medians_of_three
 from valve_sim.traces.message_fields import field_values, number_paths
 from valve_sim.traces.storage import read_recording
-from valve_sim.traces.strokes import medians_of_three
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from valve_sim.model.drives import Drive
-from valve_sim.traces.voltage_steps import sample_noise_of
+from valve_sim.signals.motion import sample_noise
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -69,7 +69,7 @@ def measured_input(commands: Drive, measured: Signal) -> MeasuredInput:
     Args:
         commands: when and to what the voltage was commanded. measured: samples at the coil's terminals.
     """
-    sigma = sample_noise_of(measured.values)
+    sigma = sample_noise(measured.values)
     finest = FINEST_FLUX * float(np.abs(measured.values).max(initial=0.0))
     edges = np.searchsorted(measured.times, commands.times)
     which, starts, volts = [], [], []

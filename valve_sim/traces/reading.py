@@ -11,6 +11,8 @@ import numpy as np
 from valve_sim.files.data_tables import TABLE_SUFFIXES
 from valve_sim.files.recording_map import QUANTITIES, DeclaredSensor
 from valve_sim.model.drives import Drive
+from valve_sim.signals.long_columns import any_in
+from valve_sim.signals.voltage_steps import NoStepError, find_steps
 from valve_sim.traces.clocks import SECOND, clock_offset, seconds_since
 from valve_sim.traces.command_dates import dates_by_voltage
 from valve_sim.traces.command_log import Commands, commands_by_logs
@@ -29,14 +31,12 @@ from valve_sim.traces.layout import (
     topic_of,
     valves_among,
 )
-from valve_sim.traces.long_columns import any_in
 from valve_sim.traces.message_fields import missing_field, stamps_of, values_of
 from valve_sim.traces.samples import Readings, Samples, in_order, is_broken
 from valve_sim.traces.storage import Recording, read_recording
 from valve_sim.traces.table_reading import read_table_trace, standard_map
 from valve_sim.traces.trace import DriveErrors, Signal, Trace
 from valve_sim.traces.trouble import trouble_in
-from valve_sim.traces.voltage_steps import find_steps
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -358,7 +358,10 @@ class _Assembly:
         times, volts = times[last], volts[last]
         if is_command:
             return self.dated(Commands(times, volts), offset)
-        steps = find_steps((times - times[0]) / SECOND, volts, f"{self.path}: topic {topic}")
+        try:
+            steps = find_steps((times - times[0]) / SECOND, volts)
+        except NoStepError as error:
+            raise TraceError(f"{self.path}: topic {topic}: {error}") from None
         self.findings += steps.findings(topic)
         self._levels_are_input = steps.are_input
         when = times[0] + np.rint(SECOND * steps.times).astype(np.int64)

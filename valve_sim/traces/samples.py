@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from valve_sim.signals.long_columns import blocks, filled, median_of
 from valve_sim.traces.clocks import order_samples
 from valve_sim.traces.errors import TraceError
-from valve_sim.traces.long_columns import blocks, filled, median_of
 from valve_sim.traces.packed_times import narrowed
 from valve_sim.traces.trouble import LARGEST_POSITION
 

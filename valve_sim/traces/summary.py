@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from valve_sim.signals.long_columns import filled
+from valve_sim.signals.motion import sample_noise
 from valve_sim.traces.clocks import find_gaps, intervals, usual_interval
-from valve_sim.traces.long_columns import filled
-from valve_sim.traces.strokes import find_stroke_parts, sample_noise
+from valve_sim.traces.strokes import find_stroke_parts
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -10,12 +10,12 @@ import numpy as np
 from valve_sim.files.data_tables import DataTable, open_table
 from valve_sim.files.recording_map import QUANTITIES, UNITS, RecordingMap, Source, TimeAxis
 from valve_sim.model.drives import Drive
+from valve_sim.signals.voltage_steps import NoStepError, find_steps, held_steps
 from valve_sim.traces.clocks import SECOND
 from valve_sim.traces.errors import TraceError
 from valve_sim.traces.layout import JUDGED, SIGNALS
 from valve_sim.traces.trace import DriveErrors, Signal, Trace
 from valve_sim.traces.trouble import trouble_in
-from valve_sim.traces.voltage_steps import find_steps, held_steps
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -197,7 +197,10 @@ class _TableAssembly:
             raise TraceError(f"{self.path}: {name}: holds no finite voltage; name another column")
         times, volts = times[use], volts[use]
         if self.input == "voltage":
-            steps = find_steps(times, volts, f"{self.path}: {name}")
+            try:
+                steps = find_steps(times, volts)
+            except NoStepError as error:
+                raise TraceError(f"{self.path}: {name}: {error}") from None
             self.findings += steps.findings(name)
             self.voltage = None if steps.are_input else Signal(times, volts)
             return Drive(steps.times, steps.volts), DriveErrors(steps.time_errors, steps.volt_errors)

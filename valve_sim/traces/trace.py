@@ -7,7 +7,7 @@ from dataclasses import KW_ONLY, dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
-from valve_sim.traces.left_out import LeftOut, bridged, find_left_out, usual_travel
+from valve_sim.signals.left_out import LeftOut, bridged, find_left_out, usual_travel
 from valve_sim.traces.measured_input import MeasuredInput, measured_input
 
 if TYPE_CHECKING:

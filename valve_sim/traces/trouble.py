@@ -8,17 +8,12 @@ import numpy as np
 
 from valve_sim.model.core_types import Phase
 from valve_sim.model.drives import Drive
+from valve_sim.signals.left_out import words_of
+from valve_sim.signals.long_columns import largest_size
+from valve_sim.signals.motion import SMALLEST_MOTION, largest_travel, motion_threshold
 from valve_sim.traces.clocks import find_gaps
 from valve_sim.traces.errors import TraceError
-from valve_sim.traces.left_out import words_of
-from valve_sim.traces.long_columns import largest_size
-from valve_sim.traces.strokes import (
-    FULL_TRAVEL,
-    SMALLEST_MOTION,
-    find_stroke_parts,
-    largest_travel,
-    motion_threshold,
-)
+from valve_sim.traces.strokes import FULL_TRAVEL, find_stroke_parts
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

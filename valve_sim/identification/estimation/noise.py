@@ -15,7 +15,7 @@ from scipy.signal import lfilter
 from valve_sim.identification.estimation.errors import hum
 from valve_sim.identification.plants.protocol import Channel
 from valve_sim.model.compiling import compiled
-from valve_sim.traces.long_columns import places_in, repeated_levels
+from valve_sim.signals.long_columns import places_in, repeated_levels
 
 Array = NDArray[np.float64]
 

@@ -19,9 +19,9 @@ from valve_sim.model.gas.record import is_of_gas
 from valve_sim.model.gas.step import PRESSURE_COLUMN
 from valve_sim.model.simulation import Control, Samples, new_states, rated_current, run_record
 from valve_sim.model.supplied import Supply, run_supplied, simulate_supplied
+from valve_sim.signals.long_columns import any_in, blocks, filled, largest_size, median_of, repeated_levels
 from valve_sim.traces import Signal, Trace, stroke_numbers
 from valve_sim.traces.clocks import intervals, usual_interval
-from valve_sim.traces.long_columns import any_in, blocks, filled, largest_size, median_of, repeated_levels
 from valve_sim.traces.measured_input import AT_COMMAND
 
 FIT_TOLERANCE: Final = 1e-8

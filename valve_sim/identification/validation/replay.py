@@ -24,9 +24,9 @@ from valve_sim.identification.plants.recording_errors import CLOCK_SIGMA, drive_
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.validation.motion import motion_of
 from valve_sim.model import EXACT, Event, EventKind, SimulationError, Valve, ValveError
+from valve_sim.signals.long_columns import blocks
 from valve_sim.traces import SensorEvent, Signal, StrokePart, Trace, events_from_sensors, find_stroke_parts
 from valve_sim.traces.checking import check_traces
-from valve_sim.traces.long_columns import blocks
 
 NOISE_FACTOR: Final = 3.0
 """The default tolerance, in standard deviations of what is predicted."""

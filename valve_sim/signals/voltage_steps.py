@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from valve_sim.traces.errors import TraceError
-from valve_sim.traces.strokes import MAD_TO_SIGMA
+from valve_sim.signals.motion import sample_noise
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -52,6 +51,10 @@ SMALLEST_ERROR = 1e-9
 """V: no mean is known more accurately."""
 
 
+class NoStepError(ValueError):
+    """A voltage never changes, so that there is no command in it: one line with what it shows, and the remedy."""
+
+
 class Steps(NamedTuple):
     """A voltage as commands, and standard deviations of their errors.
 
@@ -89,7 +92,7 @@ class Steps(NamedTuple):
         return found
 
 
-def find_steps(times: Array, volts: Array, source: str) -> Steps:
+def find_steps(times: Array, volts: Array) -> Steps:
     """Return when a measured voltage changed its level, and to which, piecewise constant.
 
     A level is the mean of the samples that rest at it between two steps. A step from one sample to the next is dated in
@@ -100,18 +103,17 @@ def find_steps(times: Array, volts: Array, source: str) -> Steps:
     Args:
         times: s, strictly ascending, shape (n,).
         volts: V, finite, shape (n,).
-        source: For messages: file and column or topic.
 
     Raises:
-        TraceError: The voltage never changes.
+        NoStepError: The voltage never changes.
     """
     span = float(np.ptp(volts)) if len(volts) else 0.0
-    sigma = sample_noise_of(volts)
+    sigma = sample_noise(volts)
     if span < max(SMALLEST_SPAN, 2.0 * LEVEL_SIGMAS * sigma) and span < 0.5 * float(np.abs(volts).max(initial=0.0)) + (
         SMALLEST_SPAN
     ):
-        raise TraceError(
-            f"{source}: the voltage stays between {volts.min(initial=np.inf):.4g} and {volts.max(initial=-np.inf):.4g} "
+        raise NoStepError(
+            f"the voltage stays between {volts.min(initial=np.inf):.4g} and {volts.max(initial=-np.inf):.4g} "
             "V: no step in it, so no command; name the coil's voltage, and check unit: and scale:"
         )
     level_of, levels = _all_levels(volts, sigma, span)
@@ -154,7 +156,7 @@ def held_steps(times: Array, volts: Array) -> Steps:
 
 def count_levels(volts: Array) -> int:
     """Return how many levels a voltage has; 0 where it rests nowhere."""
-    return len(_all_levels(volts, sample_noise_of(volts), float(np.ptp(volts)))[1]) if len(volts) else 0
+    return len(_all_levels(volts, sample_noise(volts), float(np.ptp(volts)))[1]) if len(volts) else 0
 
 
 def _dates(
@@ -227,13 +229,6 @@ def _offset(means: Array, errors: Array) -> tuple[float, float]:
     weights = 1.0 / np.square(np.maximum(errors, SMALLEST_ERROR))
     offset, error = float(np.sum(weights * means) / np.sum(weights)), float(1.0 / np.sqrt(np.sum(weights)))
     return (offset, error) if abs(offset) > OFFSET_SIGMAS * error else (0.0, 0.0)
-
-
-def sample_noise_of(values: Array) -> float:
-    """Standard deviation of white noise, from second differences: steps are too few to count."""
-    if len(values) < 4:
-        return 0.0
-    return float(MAD_TO_SIGMA * np.median(np.abs(np.diff(values, 2))) / np.sqrt(6.0))
 
 
 def _all_levels(volts: Array, sigma: float, span: float) -> tuple[NDArray[np.intp], Array]:

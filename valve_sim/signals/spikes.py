@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from valve_sim.traces.long_columns import blocks, extent, median_of, places_in
-from valve_sim.traces.resting_noise import ENOUGH, MAD_TO_SIGMA, SMALLEST, resting_noise
+from valve_sim.signals.long_columns import blocks, extent, median_of, places_in
+from valve_sim.signals.resting_noise import ENOUGH, MAD_TO_SIGMA, SMALLEST, resting_noise
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
 from plants.recording import Recorder, Recording, holdout_profile, record, single_opening, train_profile
 
-from valve_sim.traces.left_out import LeftOut, bridged, find_left_out, usual_travel, words_of
+from valve_sim.signals.left_out import LeftOut, bridged, find_left_out, usual_travel, words_of
 
 STROKE = CAMPAIGN_VALVE["stroke"]
 CODE = 32.767e-3

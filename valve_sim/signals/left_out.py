@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from valve_sim.traces.long_columns import blocks, extent, median_of, places_in
-from valve_sim.traces.resting_noise import RestingNoise, resting_noise, step_of
-from valve_sim.traces.spikes import FEWEST, LONGEST, find_spikes, reach
+from valve_sim.signals.long_columns import blocks, extent, median_of, places_in
+from valve_sim.signals.resting_noise import RestingNoise, resting_noise, step_of
+from valve_sim.signals.spikes import FEWEST, LONGEST, find_spikes, reach
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from valve_sim.traces.long_columns import filled
+from valve_sim.signals.long_columns import filled
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from valve_sim.signals.long_columns import BLOCK, largest_size, repeated_levels
+from valve_sim.signals.motion import largest_travel, medians_of_three, sample_noise
+from valve_sim.signals.resting_noise import MAD_TO_SIGMA
 from valve_sim.traces.clocks import find_gaps, seconds_since, usual_interval
-from valve_sim.traces.long_columns import BLOCK, largest_size, repeated_levels
-from valve_sim.traces.strokes import MAD_TO_SIGMA, largest_travel, medians_of_three, sample_noise
 
 LENGTHS = [3, 4, BLOCK - 1, BLOCK, BLOCK + 1, BLOCK + 2, BLOCK + 3, 2 * BLOCK + 5]
 
