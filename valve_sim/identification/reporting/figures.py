@@ -15,7 +15,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from valve_sim.files.whole_files import replacing
+from valve_sim.files.whole_files import atomic_write
 from valve_sim.identification.estimation.static_force import StaticForce
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.identification.reporting.units import three_digits
@@ -208,7 +208,7 @@ def save_figure(figure: Figure, path: Path) -> None:
     """
     ending = path.suffix.lstrip(".") or "png"
     try:
-        with replacing(path) as partial:
+        with atomic_write(path) as partial:
             figure.savefig(partial, dpi=130, format=ending)
     except ValueError as error:
         raise ValveError(
