@@ -187,7 +187,7 @@ def _contact(position: float, direction: float) -> Callable[[float, Array], floa
 
 
 def fit_by_scipy(problem: Problem, trace: Trace, parameters: ValveParameters, scale: Array) -> Array:
-    """The same least squares: whitened residuals and the prior of the clock offset, from the same start.
+    """SciPy's least squares on whitened residuals and the prior of the clock offset, from our start.
 
     Args:
         problem: for its noise.

@@ -129,7 +129,7 @@ def valve_of(seed: int, jitter: float, colour: float = 0.0) -> LiveValve:
 
 
 def valve_in_laboratory(seed: int, rate: float, *, is_plain: bool = False) -> LiveValve:
-    """The same valve at another sampling rate, Hz, with all that a laboratory adds, or without any of it."""
+    """The valve of a seed at another sampling rate, Hz, with all that a laboratory adds, or without any of it."""
     plain = replace(valve_of(seed, 50e-6), rate=rate)
     return plain if is_plain else replace(plain, variation=VARIATION, drift=DRIFT, hum=HUM)
 
@@ -140,7 +140,7 @@ def healthy(seed: int, strokes: int) -> HealthyRun:
 
 
 def healthy_in_laboratory(seed: int, strokes: int, rate: float, *, is_plain: bool) -> HealthyRun:
-    """The same in a laboratory, or at its sampling rate alone."""
+    """One seed without fault in a laboratory, or at its sampling rate alone."""
     return _healthy(valve_in_laboratory(seed, rate, is_plain=is_plain), strokes)
 
 

@@ -141,7 +141,7 @@ def _sundae_functions(rates: Callable[[float, Any], list[float]], contact: float
 
 
 def sundae_opening(valve: Valve) -> tuple[float, float]:
-    """The same by SUNDIALS CVODE with root finding."""
+    """t1 and t2 of the opening by SUNDIALS CVODE with root finding."""
     from sksundae.cvode import CVODE  # an optional extra of this benchmark only
 
     start, y, found = *unseating(valve), []
@@ -164,7 +164,7 @@ def event_error(valve: Valve, found: tuple[float, float]) -> float:
 
 
 def core_opening(valve: Valve) -> tuple[float, float]:
-    """The same by the model core."""
+    """t1 and t2 of the opening by the model core."""
     response = simulate(valve, DRIVE, TIMES, tolerance=TOLERANCE)
     return response.first(EventKind.PICKED_UP), response.first(EventKind.REACHED_STOP)
 

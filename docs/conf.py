@@ -30,7 +30,6 @@ extensions = [
     "sphinx.ext.viewcode",
     *(["sphinx_click"] if has["sphinx_click"] else []),
     *(["mathml"] if has["latex2mathml"] else ["sphinx.ext.mathjax"]),
-    *(["one_navigation"] if has["furo"] else []),
 ]
 exclude_patterns = ["_build", "_ext", "_templates", "examples"]
 templates_path = ["_templates"]

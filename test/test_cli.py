@@ -239,7 +239,7 @@ def test_info_tells_the_state_of_a_recording(strokes: Path):
 
 @pytest.fixture(scope="module")
 def spoilt(strokes: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The same with three spikes, a code, a reading that is held for nine samples, and a range that ends too early."""
+    """Strokes with three spikes, a code, a reading that is held for nine samples, and a range that ends too early."""
     trace = read_trace(strokes)
     position = np.minimum(trace.pilot_position, 1.2e-3)
     position[[40, 110, 1500]] += 60e-6

@@ -37,7 +37,7 @@ SERIES = {
     "UInt8": "data",
     "Bool": "data",
 }
-"""The same as PlotJuggler names it."""
+"""Fields of the messages as PlotJuggler names them."""
 
 
 @pytest.fixture(scope="module")

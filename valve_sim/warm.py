@@ -71,7 +71,7 @@ def _warm_derivatives(valve: Valve, drive: Drive) -> None:
 
 
 def warm_gas() -> None:
-    """The same of a valve with gas: whole runs, a live valve, and a line that several fill."""
+    """Compile what a valve with gas needs: whole runs, a live valve, and a line that several fill."""
     sizes = GasParameters(1e7, 1e-5, 2e-4, 3e-3, 4e-3)
     valve = replace(default_valve().with_values(seat_load=0.3), gas=sizes)
     drive = Drive.of([0.0], [valve.parameters.reference_voltage])

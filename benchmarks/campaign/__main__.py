@@ -204,7 +204,7 @@ def _limits_table() -> str:
 
 
 def _limits_within_table() -> str:
-    """The same of the valve with a data sheet: declared exactly, and within its tolerances."""
+    """Detection limits of the valve with a data sheet: declared exactly, and within its tolerances."""
     lines = [f"{'detection limit, as a size':<28}{'exact':>12}{'within':>12}{'ratio':>8}"]
     for name, scale in CATALOGUED.items():
         exact, within = (

@@ -48,9 +48,9 @@ DAMPING_FACTOR: Final = (0.7, 1.5)
 LIMITS: Final = (5.0, 40.0)
 """Amplitudes in detection limits, drawn evenly in the logarithm; cut at what is physically sensible."""
 BESIDE_LIMITS: Final = (10.0, 40.0)
-"""The same beside an imperfection of the recording: strong enough to be named where nothing is in the way."""
+"""Amplitudes beside an imperfection of the recording: strong enough to be named where nothing is in the way."""
 MISMATCHED_LIMITS: Final = (20.0, 100.0)
-"""The same on plant (b), whose own mismatch must not drown the effect."""
+"""Amplitudes on plant (b), whose own mismatch must not drown the effect."""
 NARROWEST: Final = 1.5
 """Upper over lower end of the amplitudes, where physics would leave less."""
 STRONG: Final = (2e-6, 8e-6)
@@ -133,7 +133,7 @@ class Case:
 
     @property
     def true_scalars(self) -> Numbers:
-        """The same, one number a name: the difference of the masses too, and the polynomial's coefficients."""
+        """True values, one number a name: the difference of the masses too, and the polynomial's coefficients."""
         entries = self.true_values
         scalars = {name: value for name, value in entries.items() if isinstance(value, float)}
         if scalars:

@@ -169,7 +169,7 @@ def is_confidently_wrong(outcome: Outcome) -> bool:
 
 
 def is_confidently_misnamed(outcome: Outcome) -> bool:
-    """The same where effects are named."""
+    """Whether effects are named, and the truth is not in the class of these names."""
     return _says("effects")(outcome) and is_confidently_wrong(outcome)
 
 

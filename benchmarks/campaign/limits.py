@@ -101,7 +101,7 @@ class Yardstick:
         return least
 
     def distance_of_deviation(self, name: str) -> float:
-        """The same where one declared value is off by one tolerance, by the tangents: at most 1, its prior's price."""
+        """Distance where one declared value is off by one tolerance, by the tangents: at most 1, its prior's price."""
         index = len(DAMPINGS) + len(self._delays) + self._deviating.index(name)
         change = self._tangents[:, index] / DEVIATION_STEP
         change[len(self._times) :] = 0.0

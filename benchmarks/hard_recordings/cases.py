@@ -141,7 +141,7 @@ def _late(make: Callable[[int], list[Trace]]) -> Callable[[int], list[Trace]]:
 
 
 def _in_bags(make: Callable[[int], list[Trace]]) -> Callable[[int], list[Trace]]:
-    """The same strokes in bags of two each."""
+    """The strokes of a maker, in bags of two each."""
 
     def made(seed: int) -> list[Trace]:
         (trace,) = make(seed)

@@ -67,7 +67,7 @@ class Case(NamedTuple):
     words: str
 
     def measured(self, sensors: str, seed: int) -> Case:
-        """The same strokes, recorded with these sensors."""
+        """This case's strokes, recorded with these sensors."""
         if sensors == "current":
             return self
         random = np.random.default_rng([seed, 19])

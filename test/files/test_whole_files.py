@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from valve_sim.files.whole_files import refuse_unwritable, replacing, write_whole
+from valve_sim.files.whole_files import atomic_write, refuse_unwritable, write_whole
 from valve_sim.model.errors import ValveError
 from valve_sim.traces import TraceError
 
@@ -20,7 +20,7 @@ def test_a_file_replaces_the_old_one_and_its_folder_is_made(tmp_path: Path) -> N
 def test_what_fails_half_way_leaves_the_old_file(tmp_path: Path) -> None:
     path = tmp_path / "results.txt"
     write_whole(path, "old")
-    with pytest.raises(ZeroDivisionError), replacing(path) as partial:
+    with pytest.raises(ZeroDivisionError), atomic_write(path) as partial:
         partial.write_text("half")
         1 / 0  # noqa: B018
     assert path.read_text() == "old"

@@ -20,7 +20,13 @@ from valve_sim.fleet.shared import Recordings, identify_shared
 from valve_sim.identification.estimation.findings import LacksSomething
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
-from valve_sim.identification.estimation.shared_fit import Share, as_fit, fit_shared, machine_nuisances, share_of
+from valve_sim.identification.estimation.shared_fit import (
+    ReducedNormalEquations,
+    as_fit,
+    fit_shared,
+    machine_nuisances,
+    share_of,
+)
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.valve import DAMPINGS, ValvePlant
 from valve_sim.traces import read_trace
@@ -51,7 +57,7 @@ def test_the_optimum_and_its_errors_are_those_of_one_fit_to_all_recordings(bags:
     # The noise of one sensor is estimated from all recordings or from each; here it is that of all.
     parts = [Problem(ValvePlant([trace], default_valve()), noises=whole.noises) for trace in traces]
 
-    def shares_at(values: Mapping[str, float]) -> list[Share]:
+    def shares_at(values: Mapping[str, float]) -> list[ReducedNormalEquations]:
         return [share_of(part, DAMPINGS, values, {})[0] for part in parts]
 
     shared = fit_shared(parts[0], DAMPINGS, shares_at, {})

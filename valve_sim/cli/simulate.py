@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,7 +14,7 @@ from valve_sim.cli.printing import print_json, refuse
 from valve_sim.cli.reading import declared_valve
 
 if TYPE_CHECKING:
-    from valve_sim.model import Drive, Event, Valve
+    from valve_sim.model import Drive, Event
     from valve_sim.traces.synthetic import Recording
 
 
@@ -111,7 +110,10 @@ def simulate(
     recording = record(valve, drive, duration, rate, sensor)
     _write(output, recording)
     if plot is not None:
-        _plot(plot, recording, valve, str(params or "valve.yaml"))
+        from valve_sim.identification.reporting.figures import draw_simulation, save_figure
+
+        title = str(params or "valve.yaml")
+        save_figure(draw_simulation(recording.response, recording.trace.drive, valve, title), plot)
     if as_json:
         _print_json(recording, output)
         return
@@ -145,18 +147,6 @@ def _print_json(recording: Recording, output: Path) -> None:
     t1, t2 = published_times(recording.response)
     times = {"t1_ms": 1e3 * t1, "t2_ms": 1e3 * t2}
     print_json({"output": output, "samples": len(recording.trace.sample_times), **times, "events": events})
-
-
-def _plot(path: Path, recording: Recording, valve: Valve, title: str) -> None:
-    from valve_sim.identification.reporting.figures import plot_response
-    from valve_sim.model import published_times
-
-    levels = {"stroke": valve.parameters.stroke}
-    if not valve.parameters.has_one_plunger:
-        levels["gap"] = valve.parameters.pilot_gap
-    times = zip(("t1", "t2"), published_times(recording.response), strict=True)
-    marks = {name: time for name, time in times if math.isfinite(time)}
-    plot_response(path, recording.response, recording.trace.drive, title, marks=marks, levels=levels)
 
 
 def _print_events(events: Sequence[Event]) -> None:

@@ -90,7 +90,7 @@ def _enter_ros(folder: Path) -> None:
 
 
 def _conclude(bag: Path, picture: Path, story: Story, console: Console) -> None:
-    from valve_sim.identification.reporting.figures import plot_response
+    from valve_sim.identification.reporting.figures import draw_response, save_figure
 
     parameters = default_valve().parameters
     seen = events_from_sensors(read_trace(bag), parameters.pilot_gap)
@@ -101,13 +101,13 @@ def _conclude(bag: Path, picture: Path, story: Story, console: Console) -> None:
     )
     arrivals = {event.kind: event.after_command for event in seen[0].events} if seen else {}
     names = {"pilot_reaches_main": "t1", "reaches_stop": "t2"}
-    plot_response(
-        picture,
+    figure = draw_response(
         *story.first_stroke(),
         f"valve_node at {VOLTS:g} V, as it published",
         marks={name: arrivals[kind] for kind, name in names.items() if kind in arrivals},
         levels={"gap": parameters.pilot_gap, "stroke": parameters.stroke},
     )
+    save_figure(figure, picture)
     console.print(f"recorded {bag}, drew {picture}", highlight=False, soft_wrap=True)
     console.print(f"next: {invocation()} info {shlex.quote(str(bag))}", highlight=False, soft_wrap=True)
 

@@ -55,7 +55,7 @@ def plan_files(*paths: Path) -> None:
 
 
 def note_written(path: Path) -> None:
-    """Tell the ledger that a file was written whole; `replacing` does."""
+    """Tell the ledger that a file was written whole; `atomic_write` does."""
     ledger = _LEDGER.get()
     if ledger is not None and path not in ledger.written:
         ledger.written.append(path)

@@ -13,7 +13,7 @@ from valve_sim.model.errors import ValveError
 
 
 @contextmanager
-def replacing(path: Path, refusal: type[ValveError] = ValveError) -> Iterator[Path]:
+def atomic_write(path: Path, refusal: type[ValveError] = ValveError) -> Iterator[Path]:
     """Yield a temporary name to write to; on success, move the file to its own name. Creates its folder.
 
     Args:
@@ -41,8 +41,8 @@ def replacing(path: Path, refusal: type[ValveError] = ValveError) -> Iterator[Pa
 
 
 def write_whole(path: Path, text: str, refusal: type[ValveError] = ValveError) -> None:
-    """Write a text file in UTF-8; see `replacing`."""
-    with replacing(path, refusal) as partial:
+    """Write a text file in UTF-8; see `atomic_write`."""
+    with atomic_write(path, refusal) as partial:
         partial.write_text(text, encoding="utf-8")
 
 

@@ -88,7 +88,7 @@ def estimates(result: Fit, plant: ValvePlant) -> Row:
 
 
 def with_errors_of_stamps(declared: Fit) -> Fit:
-    """The same fit with an error of each command's stamp, needed or not: so that all bags are fitted alike.
+    """A fit with an error of each command's stamp, needed or not, so that all bags are fitted alike.
 
     Stamps that are 20 µs off, which a recorder's often are, scatter what is estimated six times as much as noise does
     if they are taken as they stand.

@@ -17,7 +17,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from valve_sim import __version__
-from valve_sim.files.whole_files import replacing
+from valve_sim.files.whole_files import atomic_write
 from valve_sim.fleet.columns import COUNT, LIST, NUMBER, SCHEMA, TEXT, TIME, TRUTH, columns
 from valve_sim.fleet.units import Row
 from valve_sim.model.errors import ValveError
@@ -113,7 +113,7 @@ class Results:
 
     def _write(self, path: Path, rows: Sequence[Row]) -> None:
         table = pa.Table.from_pylist(list(rows), schema=self._schema)
-        with replacing(path) as partial:
+        with atomic_write(path) as partial:
             pq.write_table(table, partial, compression="zstd")
 
     @contextmanager

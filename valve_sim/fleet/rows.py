@@ -57,7 +57,7 @@ def row_values(trace: Trace, diagnosis: Diagnosis, followed: Fit) -> Row:
 
 
 def row_without_search(trace: Trace, followed: Fit) -> Row:
-    """The same where effects were not searched for: what the refitted declared valve leaves is tested, no more.
+    """A row where effects were not searched for: what the refitted declared valve leaves is tested, no more.
 
     Raises:
         SimulationError: the refitted valve cannot be simulated at its reference voltage.

@@ -31,7 +31,7 @@ from valve_sim.identification.estimation.intervals import covariance_interval
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.recorded_errors import RecordedError, by_recording
 from valve_sim.identification.estimation.result import Fit
-from valve_sim.identification.estimation.shared_fit import Share, as_fit, fit_shared, share_of
+from valve_sim.identification.estimation.shared_fit import ReducedNormalEquations, as_fit, fit_shared, share_of
 from valve_sim.identification.estimation.structured_noise import StructuredNoise, structured_noise
 from valve_sim.identification.plants.protocol import judged_channels
 from valve_sim.identification.plants.valve import ValvePlant
@@ -118,7 +118,7 @@ class Errors(NamedTuple):
 class Told(NamedTuple):
     """What a recording says of the machine, and how far it is missed."""
 
-    share: Share
+    share: ReducedNormalEquations
     errors: Errors
 
 
@@ -162,7 +162,7 @@ def told(task: Task, recordings: Recordings) -> Told:
     share, left = share_of(problem, recordings.free, task.values, task.own)
     plant, own = problem.plant, share.own
     # What the sensors' errors add is the same as declared and refitted.
-    added = left.errors_of(left.left.few()) if problem.errors is not None else ()
+    added = left.errors_of(left.left.condensed()) if problem.errors is not None else ()
     samples = sum(plant.channels[index].count for index in judged_channels(plant))
     now = {**task.values, **own}
     judged = judged_rmse(plant, own, added), judged_rmse(plant, now, added)
@@ -213,7 +213,7 @@ def identify_shared(
     latest: list[Errors] = []
     steps = 0
 
-    def shares_at(values: Mapping[str, float]) -> list[Share]:
+    def shares_at(values: Mapping[str, float]) -> list[ReducedNormalEquations]:
         nonlocal steps
         steps += 1
         tasks = [Task(path, one, dict(values), start) for path, one, start in zip(paths, alone, own, strict=True)]

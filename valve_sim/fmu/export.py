@@ -13,7 +13,7 @@ from typing import Any, Final, NamedTuple
 
 from valve_sim import __version__
 from valve_sim.files.parameter_files import save_valve
-from valve_sim.files.whole_files import replacing
+from valve_sim.files.whole_files import atomic_write
 from valve_sim.fmu.identity import NEEDED, PARAMETER_FILE
 from valve_sim.model import Valve, ValveError
 
@@ -47,7 +47,7 @@ def export_unit(path: Path, valve: Valve, version: str) -> None:
         raise ValveError(f"{path}: expected a name that ends in .fmu, such as valve.fmu")
     found = VERSIONS[version]
     library = _library(found.library, version)
-    with replacing(path) as partial, tempfile.TemporaryDirectory(prefix="valve_sim_fmu_") as folder:
+    with atomic_write(path) as partial, tempfile.TemporaryDirectory(prefix="valve_sim_fmu_") as folder:
         parameters = Path(folder) / PARAMETER_FILE
         save_valve(parameters, valve, f"the valve of a unit that valve_sim {__version__} wrote")
         documentation = Path(folder) / "documentation"

@@ -62,6 +62,11 @@ _MODULES: Final = {
 _HOMES: Final = {name: module for module, names in _MODULES.items() for name in names}
 
 
+def __dir__() -> list[str]:
+    """The public names, loaded or not: for completion in a shell, and for the reference."""
+    return __all__
+
+
 if not TYPE_CHECKING:  # for type checkers a name that is not listed is none
 
     def __getattr__(name: str) -> object:

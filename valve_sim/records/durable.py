@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-from valve_sim.files.whole_files import replacing
+from valve_sim.files.whole_files import atomic_write
 from valve_sim.model.errors import ValveError
 
 
@@ -19,7 +19,7 @@ def write_durably(path: Path, write: Callable[[Path], None]) -> None:
     Raises:
         ValveError: it cannot be written, as where the disk is full; the file that was there stays.
     """
-    with replacing(path) as partial:
+    with atomic_write(path) as partial:
         write(partial)
         _flush(partial)
     try:

@@ -9,7 +9,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from valve_sim.files.whole_files import replacing
+from valve_sim.files.whole_files import atomic_write
 from valve_sim.model.errors import ValveError
 from valve_sim.records.archive import Archive
 
@@ -115,7 +115,7 @@ def plot_story(path: Path, story: Story) -> None:
             if alarm["level"]:
                 axes.axvline(alarm["time"], color="#b03a2e", linewidth=0.8)
     figure.suptitle(f"{story.valve}: {len(times)} strokes; lines are alarms")
-    with replacing(path) as partial:
+    with atomic_write(path) as partial:
         figure.savefig(partial, format=path.suffix.lstrip(".") or "png", dpi=150)
 
 

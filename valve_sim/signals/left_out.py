@@ -50,7 +50,7 @@ RANGE_END: Final = 2e-6
 ONE_VALUE: Final = 0.98
 """Share of the readings there, or beyond, that are this value, where they are clipped."""
 PART_OF_THEM: Final = 0.05
-"""The same where a plunger rests so near to the end of the range that noise carries it there from time to time."""
+"""Share of the readings that are this value, where a plunger rests so near to the range's end that noise reaches it."""
 FEWEST_CLIPPED: Final = 20
 """Readings at one value, from which the former can be said, and times that it is come to, from which the latter can."""
 PASSED: Final = 0.05

@@ -27,7 +27,7 @@ FEWEST: Final = 40
 SPIKE: Final = 6.0
 """Robust standard deviations off the curve through its neighbours, beyond which a reading is a spike."""
 SUSPECT: Final = 4.5
-"""The same off a quick estimate, beyond which a reading is looked at."""
+"""Robust standard deviations off a quick estimate, beyond which a reading is looked at."""
 COARSE: Final = 0.5
 """Steps of a coarse sensor that its noise is taken to be at least: what flickers by two of them is no spike."""
 LONGEST: Final = 5
@@ -41,9 +41,9 @@ LONGEST_CROWD: Final = LONGEST + 16
 SIDE: Final = 8
 """Neighbours on either side of a spike that have to lie on one parabola."""
 LONG_SIDE: Final = 10
-"""The same on one side, where there is a contact on the other."""
+"""Neighbours that have to lie on a parabola on one side, where there is a contact on the other."""
 SHORT_SIDE: Final = 3
-"""The same on that other side."""
+"""Neighbours that have to lie on a parabola on the side of such a contact."""
 MARGIN: Final = 2
 """Readings beside a crowd that are not taken for its neighbours: they may be of the spike's foot."""
 CROWDED: Final = 4

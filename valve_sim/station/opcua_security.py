@@ -27,7 +27,7 @@ from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
-from valve_sim.files.whole_files import replacing
+from valve_sim.files.whole_files import atomic_write
 from valve_sim.model.errors import ValveError
 
 _VALID_DAYS: Final = 3650
@@ -70,10 +70,10 @@ def ensure_identity(folder: Path, application_uri: str) -> Identity:
     certificate = cert_gen.generate_self_signed_app_certificate(
         key, "valve_sim OPC UA server", {}, names, extended=[ExtendedKeyUsageOID.SERVER_AUTH], days=_VALID_DAYS
     )
-    with replacing(identity.key) as partial:
+    with atomic_write(identity.key) as partial:
         partial.touch(mode=0o600)
         partial.write_bytes(cert_gen.dump_private_key_as_pem(key))
-    with replacing(identity.certificate) as partial:
+    with atomic_write(identity.certificate) as partial:
         partial.write_bytes(certificate.public_bytes(Encoding.DER))
     return identity
 
@@ -163,7 +163,7 @@ class Gate:
 
     def _keep(self, fingerprint: str, encoded: bytes) -> None:
         if sum(1 for _ in self._rejected.iterdir()) < _MOST_REJECTED:
-            with replacing(self._rejected / f"{fingerprint}.der") as partial:
+            with atomic_write(self._rejected / f"{fingerprint}.der") as partial:
                 partial.write_bytes(encoded)
 
 

@@ -23,7 +23,7 @@ from asyncua import Server, ua, uamethod
 from asyncua.common.events import Event
 
 from valve_sim import __version__
-from valve_sim.files.whole_files import replacing
+from valve_sim.files.whole_files import atomic_write
 from valve_sim.model.errors import ValveError
 from valve_sim.station.alarms import Alarm, Refusal, load_alarms, save_alarms
 from valve_sim.station.figures import BY_PATH, FIGURES, Figure, Report, unit_id, unit_words, utc
@@ -298,7 +298,7 @@ class StationServer:
         await self._show(valve, self._alarms[valve.name])
 
     async def _write_model(self, path: Path) -> None:
-        with replacing(path) as partial:
+        with atomic_write(path) as partial:
             await self._server.export_xml_by_ns(str(partial), [self._index])
 
     # --- methods ---

@@ -36,7 +36,7 @@ from valve_sim.traces.samples import Readings, Samples, in_order, is_broken
 from valve_sim.traces.storage import Recording, read_recording
 from valve_sim.traces.table_reading import read_table_trace, standard_map
 from valve_sim.traces.trace import DriveErrors, Signal, Trace
-from valve_sim.traces.trouble import trouble_in
+from valve_sim.traces.trouble import find_problems
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -152,7 +152,7 @@ class _Assembly:
             origins={key: source.name for key, source in self.plan.sources.items()},
             **signals,  # type: ignore[arg-type] # by the names that a trace has for them
         )
-        trouble = trouble_in(trace, self.samples_topic, self.input.topic)
+        trouble = find_problems(trace, self.samples_topic, self.input.topic)
         return replace(trace, findings=(*self.findings, *trouble))
 
     def forget_positions(self) -> None:

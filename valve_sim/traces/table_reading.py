@@ -15,7 +15,7 @@ from valve_sim.traces.clocks import SECOND
 from valve_sim.traces.errors import TraceError
 from valve_sim.traces.layout import JUDGED, SIGNALS
 from valve_sim.traces.trace import DriveErrors, Signal, Trace
-from valve_sim.traces.trouble import trouble_in
+from valve_sim.traces.trouble import find_problems
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -33,7 +33,7 @@ OWN_COLUMNS = {
 }
 """Of the CSV that `valve-sim simulate` writes."""
 GAS_COLUMN = "outlet_pressure"
-"""The same of a valve with gas, beside these; the quantity has that name, too."""
+"""A further column of that CSV, of a valve with gas; the quantity has that name, too."""
 
 
 def standard_map(path: Path) -> RecordingMap:
@@ -131,7 +131,7 @@ class _TableAssembly:
             demand_pressure=signals["demand_pressure"],
             coil_temperature=signals["coil_temperature"],
         )
-        trouble = trouble_in(trace, self.sources[judged].name, self.sources[self.input].name)
+        trouble = find_problems(trace, self.sources[judged].name, self.sources[self.input].name)
         return replace(trace, findings=(*self.findings, *trouble))
 
     @property

@@ -46,7 +46,7 @@ LEAST_AMPERES = 0.01
 """Of a valve that moved, no current is below this share of it."""
 
 
-def trouble_in(trace: Trace, positions: str, voltage: str) -> list[str]:
+def find_problems(trace: Trace, positions: str, voltage: str) -> list[str]:
     """Return one sentence for each trouble.
 
     Args:

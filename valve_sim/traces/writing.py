@@ -14,7 +14,7 @@ import numpy as np
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 
 from valve_sim.files.ledger import note_written
-from valve_sim.files.whole_files import replacing
+from valve_sim.files.whole_files import atomic_write
 from valve_sim.traces.cdr import encode_messages, typestore
 from valve_sim.traces.clocks import SECOND
 from valve_sim.traces.errors import TraceError
@@ -358,7 +358,7 @@ def write_csv(path: str | PathLike[str], columns: Mapping[str, ArrayLike]) -> No
     """
     names = [*CSV_COLUMNS, *(name for name in GAS_COLUMNS if name in columns)]
     table = [np.asarray(columns[name]).tolist() for name in names]
-    with replacing(Path(path), TraceError) as partial, partial.open("w", encoding="utf-8", newline="") as stream:
+    with atomic_write(Path(path), TraceError) as partial, partial.open("w", encoding="utf-8", newline="") as stream:
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(names)
         writer.writerows(zip(*table, strict=True))

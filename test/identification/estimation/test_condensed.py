@@ -14,7 +14,7 @@ from identification.plants.test_gas import trace_of
 from identification.recordings import FINE, recorded
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.estimation.condensed import Condensed
-from valve_sim.identification.estimation.descent import Effort
+from valve_sim.identification.estimation.descent import SolverOptions
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import strokes_of_plant
@@ -61,9 +61,9 @@ def test_a_fit_to_few_rows_ends_where_one_to_all_samples_does(problem: Problem) 
 def test_a_fit_to_few_rows_is_gone_on_with(problem: Problem) -> None:
     few, afar = problem.condensed(), {"pilot_damping": 0.05, "main_damping": 20.0}
     whole = fit(few, BOTH, afar)
-    begun = fit(few, BOTH, afar, effort=Effort(most=2))
+    begun = fit(few, BOTH, afar, effort=SolverOptions(most=2))
     assert not begun.converged
-    on = fit(few, BOTH, begun, effort=Effort(made=2))
+    on = fit(few, BOTH, begun, effort=SolverOptions(made=2))
     assert on.chi2 == pytest.approx(whole.chi2, rel=1e-12)
 
 
@@ -84,7 +84,7 @@ def test_a_plunger_that_creeps_is_read_at_more_samples() -> None:
 
 def test_a_loss_that_counts_far_residuals_less_is_of_each_sample() -> None:
     problem = problem_of(FINE)
-    robust = Effort((100.0,), most=0)
+    robust = SolverOptions((100.0,), most=0)
     every, few = (fit(one, BOTH, {}, effort=robust) for one in (problem, problem.condensed()))
     assert few.values == every.values
 

@@ -16,7 +16,7 @@ from identification.recordings import TRUTH, one_opening, recorded
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.estimation import intervals
 from valve_sim.identification.estimation.budget import Budget
-from valve_sim.identification.estimation.descent import TRIAL, Descent, Effort
+from valve_sim.identification.estimation.descent import TRIAL, Descent, SolverOptions
 from valve_sim.identification.estimation.intervals import Interval, Unbounded, covariance_interval, profile_interval
 from valve_sim.identification.estimation.priors import Cauchy
 from valve_sim.identification.estimation.problem import Problem
@@ -64,15 +64,15 @@ def test_it_finds_the_optimum_that_scipy_finds(problem: Problem) -> None:
 def test_a_fit_that_cannot_reach_its_goal_is_given_up(problem: Problem) -> None:
     afar = {"pilot_damping": 0.05, "main_damping": 20.0}
     whole = fit(problem, BOTH, afar)
-    begun = fit(problem, BOTH, afar, effort=Effort(most=2))
+    begun = fit(problem, BOTH, afar, effort=SolverOptions(most=2))
     assert not begun.converged
     assert begun.chi2 > whole.chi2 + 1.0
     # What it would have to gain is a thousand times what a step would gain.
-    hopeless = fit(problem, BOTH, begun.values, effort=Effort(goal=-1e3 * begun.chi2, made=TRIAL))
+    hopeless = fit(problem, BOTH, begun.values, effort=SolverOptions(goal=-1e3 * begun.chi2, made=TRIAL))
     assert hopeless.values == pytest.approx(begun.values, rel=1e-12)
     assert not hopeless.converged
     # A goal within reach changes nothing.
-    again = fit(problem, BOTH, begun.values, effort=Effort(goal=whole.chi2, made=TRIAL))
+    again = fit(problem, BOTH, begun.values, effort=SolverOptions(goal=whole.chi2, made=TRIAL))
     assert again.converged
     assert again.chi2 == pytest.approx(whole.chi2, abs=0.02)
 
@@ -81,11 +81,11 @@ def test_a_fit_that_cannot_reach_its_goal_is_given_up(problem: Problem) -> None:
 def test_a_fit_that_ended_early_is_gone_on_with(problem: Problem, is_dropped: bool) -> None:
     afar = {"pilot_damping": 0.05, "main_damping": 20.0}
     whole = fit(problem, BOTH, afar, nuisances=problem.plant.nuisances)
-    begun = fit(problem, BOTH, afar, nuisances=problem.plant.nuisances, effort=Effort(most=2))
-    assert whole.chi2 > begun.reach
+    begun = fit(problem, BOTH, afar, nuisances=problem.plant.nuisances, effort=SolverOptions(most=2))
+    assert whole.chi2 > begun.chi2_lower_bound
     if is_dropped:
         begun.derivatives.drop()
-    on = fit(problem, BOTH, begun, nuisances=problem.plant.nuisances, effort=Effort(made=2))
+    on = fit(problem, BOTH, begun, nuisances=problem.plant.nuisances, effort=SolverOptions(made=2))
     assert on.converged
     assert on.values == pytest.approx(whole.values, rel=1e-9)
     assert on.chi2 == pytest.approx(whole.chi2, rel=1e-12)
@@ -270,7 +270,7 @@ def tolerant() -> Valve:
 
 
 def with_current(trace: Trace) -> Trace:
-    """The same recording with a coil current, from the default valve, sampled at no command's own time."""
+    """A recording with a coil current beside, from the default valve, sampled at no command's own time."""
     times = trace.times + 13e-6
     current = simulate(default_valve(), trace.drive, times).coil_current
     noise = 1e-3 * np.random.default_rng(2).standard_normal(len(current))

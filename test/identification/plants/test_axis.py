@@ -1,4 +1,4 @@
-"""The same diagnosis on another machine: a force-driven axis, made up here and measured by others (EMPS)."""
+"""A diagnosis of another machine: a force-driven axis, made up here and measured by others (EMPS)."""
 
 import math
 from dataclasses import replace

@@ -269,7 +269,7 @@ def test_the_screenshot_of_the_readme(page: Path, tmp_path: Path) -> None:
 
 @pytest.fixture
 def doubtful(diagnosis: Diagnosis) -> Diagnosis:
-    """The same with less certainty, and with more words of every kind."""
+    """A diagnosis with less certainty, and with more words of every kind."""
     every = tuple(name for name, entry in CATALOGUE.items() if entry.named and name != "coulomb_friction")
     verdict = replace(diagnosis.verdict, probability=0.38, confusable_with={"coulomb_friction": every})
     return replace(diagnosis, verdict=verdict)

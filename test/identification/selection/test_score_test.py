@@ -23,7 +23,7 @@ from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Array, EffectChoice, Nuisance
-from valve_sim.identification.selection.score_test import Outside, log_gains, moves_of
+from valve_sim.identification.selection.score_test import OrthogonalProjector, log_gains, moves_of
 from valve_sim.model import Parameter, SimulationError
 
 
@@ -114,7 +114,7 @@ def test_the_gain_of_two_switches_is_that_of_their_refit() -> None:
 def test_a_direction_that_is_rounding_gains_nothing(share: float, counts: bool, strength: float) -> None:
     """The difference of two switches that do the same is so small a share of what each does."""
     plant = LinearPlant(measured() + COLUMNS[:, 2])
-    outside = Outside(base_of(plant))
+    outside = OrthogonalProjector(base_of(plant))
     first = strength / SIGMA * COLUMNS[:, 1]
     both = np.column_stack([first, first + share * strength / SIGMA * COLUMNS[:, 2]])
     expected = gained(COLUMNS[:, 1:3] if counts else COLUMNS[:, 1:2], plant)
@@ -130,7 +130,7 @@ def test_what_changes_nothing_is_no_rival(strength: float, counts: bool) -> None
     )
     base = base_of(plant)
     (move,) = next(moves_of(base, plant.effects["e"], 1.0))
-    power, seen = Outside(base).along(move.change)
+    power, seen = OrthogonalProjector(base).along(move.change)
     if counts:
         assert seen**2 / power == pytest.approx(gained(COLUMNS[:, 1:2], plant), rel=0.01)
     else:
@@ -188,7 +188,7 @@ def test_a_switch_whose_off_is_not_0_is_moved_from_there_while_others_stay_off()
     plant = LinearPlant(measured() - 0.5 * COLUMNS[:, 1], shown, effects=[EffectChoice("e", (ratio, SWITCH))])
     base = base_of(plant)
     move, _ = next(moves_of(base, plant.effects["e"]))
-    power, along = Outside(base).along(move.change)
+    power, along = OrthogonalProjector(base).along(move.change)
     log_gains(base)
     assert set(seen) == {(1.0, 0.0), (0.98, 0.0), (1.0, 0.1), (0.6, 0.0), (1.0, 2.0)}
     assert along**2 / power == pytest.approx(gained(COLUMNS[:, 1:2], plant), rel=1e-3)

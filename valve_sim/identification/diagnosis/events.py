@@ -293,7 +293,7 @@ def _calibrated(tolerances: Tolerances, errors: Mapping[str, float]) -> Toleranc
 
 
 def _refined(plant: EventPlant, values: Mapping[str, float]) -> dict[str, float]:
-    """The same values to machine precision: a fit stops at a tenth of a standard error."""
+    """The values of a fit to machine precision: the fit itself stops at a tenth of a standard error."""
     sizes = np.array(list(values.values()))
     problem = event_problem(plant)
 

@@ -123,7 +123,7 @@ def identify(
     say("done", 1.0)
     offsets = {nuisance.name: best.values[nuisance.name] for nuisance in best.nuisances if not nuisance.is_of_machine}
     # What the sensors' errors add is the same as declared and refitted.
-    added = () if best.problem.errors is None else best.errors_of(best.left.few())
+    added = () if best.problem.errors is None else best.errors_of(best.left.condensed())
     found = findings(best, intervals, itertools.chain(*recording.values()), lacking)
     return Identification(
         best, intervals, profiles, found, judged_rmse(plant, offsets, added), judged_rmse(plant, best.values, added),
@@ -269,7 +269,7 @@ def judged_rmse(plant: Plant, values: Mapping[str, float], added: Sequence[Array
 
 
 def rmse_of_kind(plant: Plant, values: Mapping[str, float], kind: str) -> float:
-    """The same of all channels of a kind, in their unit; NaN where there are none."""
+    """Root mean square of measured less predicted of all channels of a kind, in their unit; NaN without one."""
     channels = [index for index, channel in enumerate(plant.channels) if channel.kind == kind]
     return _rmse(plant, values, channels) if channels else math.nan
 

@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from valve_sim.identification.diagnosis.identify import Identification, Progress, identify
-from valve_sim.identification.estimation.descent import Effort
+from valve_sim.identification.estimation.descent import SolverOptions
 from valve_sim.identification.estimation.errors.error import SMALLEST
 from valve_sim.identification.estimation.recorded_errors import RecordedError
 from valve_sim.identification.estimation.result import Fit
@@ -27,7 +27,7 @@ from valve_sim.traces import Trace
 
 WORTH_SAYING: Final = 1.1
 """Factor on a limit from which an error is said to hide something."""
-HERE: Final = Effort(most=0)
+HERE: Final = SolverOptions(most=0)
 """Nothing is fitted again: limits depend on what the data determine, not on where a fit ends."""
 
 

@@ -37,17 +37,17 @@ rounding, and the usual step is taken."""
 MOST_ITERATIONS: Final = 40
 TRIAL: Final = 6
 """Iterations that fits side by side make before they are compared."""
-ASKED: Final = 3
+MIN_ITERATIONS: Final = 3
 """Iterations that a fit may make before it is asked whether it can still reach its goal."""
-ASKED_OF_CURVE: Final = 6
-"""The same of a curve that begins nearly straight: within these its weights can come from there to any others."""
-CATCHES_UP: Final = 10.0
+MIN_ITERATIONS_OF_CURVE: Final = 6
+"""Iterations before a fit with a nearly straight curve is asked: within these its weights can become any others."""
+PRUNING_FACTOR: Final = 10.0
 """Times the last decrease, or the next that is promised, beyond which a goal is out of reach: each decrease is smaller
 than the one before, and where by a tenth of it, all that are left come to ten."""
 CONVERGED: Final = 1e-2
 """A fit has converged when a step would lower χ² by less than this: a tenth of a standard error."""
 CURVE_CONVERGED: Final = 0.3
-"""The same of a fit with a smooth curve, whose many columns are less exact."""
+"""A fit with a smooth curve has converged when a step would lower χ² by less than this: its columns are less exact."""
 WEIGHTS_HOLD: Final = 3.0
 """Decrease of χ² below which the weights of a curve are no longer chosen anew."""
 LARGEST_DAMPING: Final = 1e4
@@ -60,7 +60,7 @@ FEW: Final = 4
 """Up to this many nuisances, derivatives are renewed in every step; of more they are reused while they serve."""
 
 
-class Effort(NamedTuple):
+class SolverOptions(NamedTuple):
     """How far a fit is carried.
 
     Attributes:
@@ -77,7 +77,7 @@ class Effort(NamedTuple):
     is_near: bool = False
 
 
-WHOLE: Final = Effort()
+WHOLE: Final = SolverOptions()
 """Until a fit has converged."""
 
 
@@ -101,7 +101,7 @@ class End(NamedTuple):
     gradient: Array
     converged: bool
     damping: float
-    reach: float
+    chi2_lower_bound: float
 
 
 class Descent:
@@ -141,7 +141,7 @@ class Descent:
         self._curve = np.array([free.index(name) for name in smooth.names] if smooth else [], dtype=np.int64)
         self._small = CONVERGED if smooth is None else CURVE_CONVERGED
         self._weights_hold = False
-        self._asked = ASKED if smooth is None or smooth.repeats else ASKED_OF_CURVE
+        self._min_iterations = MIN_ITERATIONS if smooth is None or smooth.repeats else MIN_ITERATIONS_OF_CURVE
         if smooth is not None:
             for index in self._curve.tolist():
                 self.priors[index] = Elsewhere()
@@ -300,12 +300,12 @@ class Descent:
             raise SimulationError("the model cannot be simulated at the start of the fit")
         return residuals, self.jacobian(at, residuals)
 
-    def descend(self, at: Array, cauchy: float, effort: Effort = WHOLE, begun: Fit | None = None) -> End:
+    def descend(self, at: Array, cauchy: float, effort: SolverOptions = WHOLE, begun: Fit | None = None) -> End:
         """Gauss–Newton with Levenberg's damping, variables on a bound held while the gradient points outwards."""
         jacobian: Array | None
         residuals, jacobian = self.begin(at, begun)
         damping = FIRST_DAMPING if begun is None else begun.damping
-        converged, decrease, reach = False, 0.0, -math.inf
+        converged, decrease, chi2_lower_bound = False, 0.0, -math.inf
         # Columns that serve a fit that is gone on with may be those of some steps before.
         is_stale = begun is not None and begun.derivatives.at_hand is not None and self._reuses
         of_data = self.normal(at, residuals, jacobian, cauchy)
@@ -316,8 +316,8 @@ class Descent:
             if gain < self._small:
                 converged = True
                 break
-            reach = cost - CATCHES_UP * max(gain, decrease)
-            if iteration >= self._asked and reach > effort.goal:
+            chi2_lower_bound = cost - PRUNING_FACTOR * max(gain, decrease)
+            if iteration >= self._min_iterations and chi2_lower_bound > effort.goal:
                 break
             candidate = np.clip(at + move, self.lower, self.upper)
             there = self.residuals(candidate)
@@ -350,7 +350,7 @@ class Descent:
             of_data = self.normal(at, residuals, jacobian, cauchy)
             information, gradient = self._with_curve(at, *of_data)
             cost = self._cost(at, residuals, cauchy)
-        return End(at, cost, residuals, jacobian, information, gradient, converged, damping, reach)
+        return End(at, cost, residuals, jacobian, information, gradient, converged, damping, chi2_lower_bound)
 
     def normal(self, at: Array, residuals: Array, jacobian: Array, cauchy: float) -> tuple[Array, Array]:
         """Information matrix and half the gradient of the criterion, priors included but for that of a curve."""
@@ -364,7 +364,7 @@ class Descent:
         return self.with_priors(at, gram(weighted, jacobian), gram(weighted, residuals))
 
     def with_priors(self, at: Array, of_data: Array, pull: Array) -> tuple[Array, Array]:
-        """The same from JᵀJ and Jᵀe of the residuals and their derivatives."""
+        """Information and half the gradient with priors, from JᵀJ and Jᵀe of the residuals and their derivatives."""
         _, half_slopes, curvatures = self.pulls(at)
         information = of_data + np.diag(curvatures)
         if not np.all(np.isfinite(information)):
@@ -382,7 +382,7 @@ class Descent:
         return np.array(found, dtype=np.float64).reshape(-1, 3).T
 
     def _with_curve(self, at: Array, information: Array, gradient: Array) -> tuple[Array, Array]:
-        """The same with what says that a curve is smooth, whose weights are chosen anew until they hold."""
+        """Information and gradient with the prior of a smooth curve, whose weights are chosen anew until they hold."""
         if self.smooth is not None:
             curve = self._curve
             if not self._weights_hold:

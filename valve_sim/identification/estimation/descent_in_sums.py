@@ -23,7 +23,7 @@ class NotInPieces(Exception):  # noqa: N818 -- internal: the fit is made as that
 
 
 class DescentInSums(Descent):
-    """The same search by the same steps, but that all derivatives are those of the place.
+    """A `Descent` that sums over pieces of a recording; all its derivatives are those of the place.
 
     In place of the residuals stands one number with their sum of squares, and in place of the derivatives nothing: they
     are worked out where their products are asked for. Arguments as of `Descent`.

@@ -79,7 +79,7 @@ def profile_interval(result: Fit, name: str, *, points: int = 12) -> tuple[Inter
     spread = min(spread, 10.0 * max(natural, abs(at))) if spread > 0 else natural
     # χ² is that of known sizes of the recordings' errors.
     level = CHI2_RISE_95 * result.widening(name)
-    walk = _Walk(result, name, at, spread, level, points, _slopes_along(result, index))
+    walk = ProfileState(result, name, at, spread, level, points, _slopes_along(result, index))
     low, high = _profile_side(walk, -1.0, lower), _profile_side(walk, 1.0, upper)
     ends = sorted(from_internal(parameter, side.end) for side in (low, high))
     unbounded = None
@@ -92,7 +92,7 @@ def profile_interval(result: Fit, name: str, *, points: int = 12) -> tuple[Inter
     return Interval(result.values[name], result.stderr(name), ends[0], ends[1], unbounded), pairs
 
 
-class _Walk(NamedTuple):
+class ProfileState(NamedTuple):
     """Along a profile: whose, from which coordinate with which first guess of a standard error, up to which rise.
 
     Attributes:
@@ -132,7 +132,7 @@ class _Side(NamedTuple):
     curve: list[tuple[float, float]]
 
 
-def _profile_side(walk: _Walk, sign: float, bound: float) -> _Side:
+def _profile_side(walk: ProfileState, sign: float, bound: float) -> _Side:
     """One side of a profile: out until χ² has risen by the level, and back to where it has."""
     at, spread, level = walk.at, walk.spread, walk.level
     warm = dict(walk.result.values)
@@ -177,7 +177,7 @@ def _share(inside: float, outside: float, level: float) -> float:
     return min(max(share, 0.05), 0.95)
 
 
-def _gone_along(walk: _Walk, values: Mapping[str, float], by: float) -> dict[str, float]:
+def _gone_along(walk: ProfileState, values: Mapping[str, float], by: float) -> dict[str, float]:
     """Values a way further along a profile, where χ² is quadratic: a refit from there ends after a step or two."""
     there, plant = dict(values), walk.result.problem.plant
     for name, slope in walk.slopes.items():
@@ -192,7 +192,7 @@ def _gone_along(walk: _Walk, values: Mapping[str, float], by: float) -> dict[str
     return there
 
 
-def _rise(walk: _Walk, where: float, warm: Mapping[str, float]) -> tuple[float, dict[str, float]]:
+def _rise(walk: ProfileState, where: float, warm: Mapping[str, float]) -> tuple[float, dict[str, float]]:
     """The rise of χ² with the parameter held, and the other values; infinite where nothing can be simulated."""
     result, name = walk.result, walk.name
     others = tuple(other for other in result.free if other != name)

@@ -59,7 +59,7 @@ class Linearised:
 
     def __init__(self, result: Fit, further: Array | None = None) -> None:
         errors = result.problem.error_rows
-        jacobian, left = result.derivatives.few(), result.left.few()
+        jacobian, left = result.derivatives.condensed(), result.left.condensed()
         moved = np.empty((len(left), 0)) if further is None else further
         self._result, self._errors, self._moved = result, errors, moved.shape[1]
         self._constant = -0.5 * self._moved * math.log(2.0 * math.pi) - 0.5 * result.problem.rows.constant

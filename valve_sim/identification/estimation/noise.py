@@ -81,7 +81,7 @@ class Noise:
         return white
 
     def whiten_into(self, found: Array, columns: Array, weight: Array) -> None:
-        """The same of every column, weighted: (n, k), (n,) → `found`, (n, k), at once: they are large."""
+        """Whiten every column, weighted: (n, k), (n,) → `found`, (n, k), at once, because they are large."""
         _whiten(found, columns, np.array(self.coefficients, dtype=np.float64), weight / self.innovation)
 
     @property

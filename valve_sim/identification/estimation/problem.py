@@ -93,13 +93,13 @@ class Problem:
         self.effective_samples = float(sum(map(_effective, self._weights)))
 
     def restricted(self, takes_part: Mask) -> Problem:
-        """The same data and noise with other samples taking part."""
+        """This problem with other samples taking part; data and noise are kept."""
         same = Problem(self.plant, takes_part, self.noises, self.budget)
         same.errors = self.errors
         return same
 
     def with_errors(self, errors: StructuredNoise | None) -> Problem:
-        """The same with these errors of its recordings; without any where it is too long for their columns."""
+        """This problem with these errors of its recordings; without any where it is too long for their columns."""
         same = self._like_this()
         same.errors = None if self.is_long else errors
         return same
@@ -142,7 +142,7 @@ class Problem:
         return 0.0 if self.error_rows is None else self.error_rows.log_constant
 
     def with_noise_left_by(self, values: Mapping[str, float]) -> Problem:
-        """The same with the noise of what is never still taken from what these values leave of it."""
+        """This problem with the noise of what is never still taken from what these values leave of it."""
         shown = self.plant.predict(values)
         pieces: dict[str, list[Array]] = {kind: [] for kind, noise in self.noises.items() if noise.samples == 0}
         for index, channel in enumerate(self.plant.channels):
@@ -153,33 +153,33 @@ class Problem:
         return self.with_noises({**self.noises, **learned})
 
     def with_noises(self, noises: Mapping[str, Noise]) -> Problem:
-        """The same data and samples with other noise."""
+        """This problem with other noise; data and samples are kept."""
         same = self._like_this()
         same.noises = {kind: noises.get(kind, noise) for kind, noise in self.noises.items()}
-        same.__dict__.pop("_few", None)
+        same.__dict__.pop("_condensed_rows", None)
         return same
 
     def condensed(self) -> Problem:
-        """The same, whose fits sum up what is read while the machine is still."""
+        """This problem for fits that sum up what is read while the machine is still."""
         return self._with_rows(condenses=True)
 
     def with_every_row(self) -> Problem:
-        """The same, whose fits take each sample by itself."""
+        """This problem for fits that take each sample by itself."""
         return self._with_rows(condenses=False)
 
     def _with_rows(self, *, condenses: bool) -> Problem:
         same = self._like_this()
-        same.__dict__.pop("_few", None)
+        same.__dict__.pop("_condensed_rows", None)
         same._condenses = condenses
         return same
 
     @property
     def rows(self) -> Problem | Condensed:
         """What fits compare: this, or fewer rows that say the same."""
-        return self._few or self
+        return self._condensed_rows or self
 
     @functools.cached_property
-    def _few(self) -> Condensed | None:
+    def _condensed_rows(self) -> Condensed | None:
         plant = self.plant
         if not self._condenses or self.is_long or not (isinstance(plant, Thinnable) and plant.can_be_thinned):
             return None
@@ -187,16 +187,16 @@ class Problem:
         return Condensed(plant, self._weights, noises, self.budget)
 
     def with_whitening(self, whitening: Whitening) -> Problem:
-        """The same, whose fits compare rows that are whitened further, for what a model is known to lack."""
+        """This problem for fits of rows that are whitened further, for what a model is known to lack."""
         same = copy.copy(self)
         same.whitening = whitening
         return same
 
     def without_limit(self) -> Problem:
-        """The same without a limit of time."""
+        """This problem without a limit of work."""
         same = copy.copy(self)
         same.budget = Budget.unlimited()
-        same.__dict__.pop("_few", None)
+        same.__dict__.pop("_condensed_rows", None)
         return same
 
     @property

@@ -201,7 +201,7 @@ def _detail(group: Group, noise: StructuredNoise) -> str:
 
 
 def _pictured(entry: RecordedError, result: Fit, group: Group) -> RecordedError:
-    """The same with its picture."""
+    """An error of a recording with the picture of what it adds."""
     noise = result.problem.errors
     assert noise is not None
     if isinstance(group.key, str):

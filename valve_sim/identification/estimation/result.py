@@ -71,7 +71,7 @@ class Rows:
             self._known_every = found = self._every()
         return found
 
-    def few(self) -> Array:
+    def condensed(self) -> Array:
         """(r,) or (r, k + m) of the rows that were fitted."""
         if self._fitted is None:
             return self.array()
@@ -106,7 +106,8 @@ class Fit:
         slopes: (k + m,) half the gradient of the criterion there: not 0 where a coordinate is on the end of its range.
         room: (k + m, 2) how far the range goes on below and above.
         smooth: the curve among what was freed, with its prior, which `chi2` and `information` include.
-        damping: λ of theory, eq. (29), of the next step. reach: χ² that it can be expected to come to, at the least.
+        damping: λ of theory, eq. (29), of the next step.
+        chi2_lower_bound: χ² that it can be expected to come to, at the least.
         further: (k + m, k + m) what the uncertainty of the recordings' errors adds to the covariance; None: nothing.
     """
 
@@ -125,7 +126,7 @@ class Fit:
     room: Array = field(repr=False)
     smooth: Smoothness | None = None
     damping: float = FIRST_DAMPING
-    reach: float = -math.inf
+    chi2_lower_bound: float = -math.inf
     further: Array | None = field(default=None, repr=False)
 
     @property
@@ -155,12 +156,12 @@ class Fit:
     def recording(self) -> Mapping[int, Array]:
         """(q,) coefficients of the errors of the recordings as this fit sees them, by channel."""
         errors = self.problem.error_rows
-        return {} if errors is None else errors.estimates(self.left.few())
+        return {} if errors is None else errors.estimates(self.left.condensed())
 
     def shown(self) -> list[Array]:
         """What each channel shows by this fit: the plant's prediction, and the errors of the recordings."""
         shown = self.problem.plant.predict(self.values)
-        return [seen + own for seen, own in zip(shown, self.errors_of(self.left.few()), strict=True)]
+        return [seen + own for seen, own in zip(shown, self.errors_of(self.left.condensed()), strict=True)]
 
     def errors_of(self, residuals: Array) -> list[Array]:
         """(n,) of each channel: what the sensors' errors add to it, given (r,) residuals of the fitted rows."""
@@ -251,7 +252,7 @@ class Fit:
         of_data = self.information.copy()
         of_data[np.ix_(where, where)] -= self.smooth.precision
         pulls = [own.pull(float(at)).half_slope for own, at in zip(self.priors, self.coordinates, strict=True)]
-        rows = self.problem.whitened(np.column_stack([self.derivatives.few(), self.left.few()]))
+        rows = self.problem.whitened(np.column_stack([self.derivatives.condensed(), self.left.condensed()]))
         gradient = gram(rows[:, :-1], rows[:, -1]) + np.array(pulls)
         return self.smooth.covariance(of_data, gradient, self.coordinates, where)
 
@@ -310,7 +311,7 @@ def rmse(result: Fit) -> float:
 
 
 def effective_rmse(result: Fit) -> float:
-    """The same with each sample's weight in the fit, in its unit: to compare models of one recording.
+    """Root mean square with each sample's weight in the fit, in its unit: to compare models of one recording.
 
     A coarse sensor at rest repeats one rounding error. Where its copies counted each, a model that puts the plunger at
     the reading would have a smaller error than the true one, whatever it predicts of the motion.

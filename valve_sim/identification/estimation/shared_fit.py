@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from valve_sim.identification.estimation.descent import Descent, Effort
+from valve_sim.identification.estimation.descent import Descent, SolverOptions
 from valve_sim.identification.estimation.gram import gram, sum_squares
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit, MachineKnowledge
@@ -27,10 +27,10 @@ from valve_sim.model import SimulationError
 MOST_STEPS: Final = 60
 SMALL: Final = 1e-4
 """Promised decrease of χ² at which the fit has converged: a hundredth of a standard error."""
-_HERE: Final = Effort(most=0)
+_HERE: Final = SolverOptions(most=0)
 
 
-class Share(NamedTuple):
+class ReducedNormalEquations(NamedTuple):
     """What one recording says of its machine, at some values of that.
 
     Attributes:
@@ -55,12 +55,12 @@ class Shared(NamedTuple):
     """
 
     values: dict[str, float]
-    shares: Sequence[Share]
+    shares: Sequence[ReducedNormalEquations]
     chi2: float
     converged: bool
 
 
-SharesAt = Callable[[Mapping[str, float]], Sequence[Share]]
+SharesAt = Callable[[Mapping[str, float]], Sequence[ReducedNormalEquations]]
 """The shares of all recordings at values of the machine, wherever they are worked out."""
 
 
@@ -76,7 +76,7 @@ def machine_nuisances(plant: Plant, free: Sequence[str]) -> tuple[Nuisance, ...]
 
 def share_of(
     problem: Problem, free: Sequence[str], values: Mapping[str, float], own: Mapping[str, float]
-) -> tuple[Share, Fit]:
+) -> tuple[ReducedNormalEquations, Fit]:
     """A recording's share, and the fit from which it is: at these values, nuisances of the recording at their best.
 
     Args:
@@ -92,7 +92,7 @@ def share_of(
     shared = len(free) + len(machine)
     priors = np.array([1.0 / nuisance.sigma**2 for nuisance in (*machine, *ours)])
     off = np.array([there.values[nuisance.name] - nuisance.mean for nuisance in (*machine, *ours)])
-    rows = problem.whitened(np.column_stack([there.derivatives.few(), there.left.few()]))
+    rows = problem.whitened(np.column_stack([there.derivatives.condensed(), there.left.condensed()]))
     jacobian, residuals = rows[:, :-1], rows[:, -1]
     gradient = gram(jacobian, residuals)
     gradient[shared:] += (priors * off)[len(machine) :]
@@ -104,7 +104,7 @@ def share_of(
     # What is left of the own nuisances' gradient is a step that is taken here.
     solved = np.linalg.solve(inside, np.column_stack([gradient[shared:], between.T]))
     chi2 = sum_squares(residuals) + float(priors[len(machine) :] @ np.square(off[len(machine) :]))
-    share = Share(
+    share = ReducedNormalEquations(
         chi2 - float(gradient[shared:] @ solved[:, 0]),
         gradient[:shared] - between @ solved[:, 0],
         information[:shared, :shared] - between @ solved[:, 1:],
@@ -127,9 +127,9 @@ class DescentOverRecordings(Descent):
         # Each share is whitened for the errors of its recording; there are no rows here.
         super().__init__(problem.with_errors(None), tuple(free), machine_nuisances(problem.plant, free), {}, None)
         self._shares_at, self._small = shares_at, SMALL
-        self._shares: dict[bytes, Sequence[Share]] = {}
+        self._shares: dict[bytes, Sequence[ReducedNormalEquations]] = {}
 
-    def shares(self, at: Array) -> Sequence[Share]:
+    def shares(self, at: Array) -> Sequence[ReducedNormalEquations]:
         """Of all recordings there.
 
         Raises:
@@ -158,7 +158,7 @@ class DescentOverRecordings(Descent):
         """Information matrix and half the gradient of the criterion, priors of the machine included."""
         return self.summed(at, self.shares(at))
 
-    def summed(self, at: Array, shares: Sequence[Share]) -> tuple[Array, Array]:
+    def summed(self, at: Array, shares: Sequence[ReducedNormalEquations]) -> tuple[Array, Array]:
         """These of some of the shares."""
         information, gradient = np.zeros((len(at), len(at))), np.zeros(len(at))
         for share in shares:
@@ -178,7 +178,7 @@ def fit_shared(problem: Problem, free: Sequence[str], shares_at: SharesAt, start
         SimulationError: the declared machine cannot be simulated.
     """
     search = DescentOverRecordings(problem, free, shares_at)
-    end = search.descend(search.start(start), math.inf, Effort(most=MOST_STEPS))
+    end = search.descend(search.start(start), math.inf, SolverOptions(most=MOST_STEPS))
     return Shared(search.values(end.at), search.shares(end.at), end.cost, end.converged)
 
 

@@ -93,7 +93,7 @@ class Smoothness:
         return _Roughness.of(len(self.names), repeats=self.repeats).precision(np.array(self.weights))
 
     def chosen(self, information: Array, gradient: Array, at: Array, where: NDArray[np.int64]) -> Smoothness:
-        """The same with weights that go to those of the greatest restricted likelihood.
+        """This curve with weights that go to those of the greatest restricted likelihood.
 
         Args:
             information: (m, m) A of all that is fitted, without S. gradient: (m,) half of that of χ² where the fit is.

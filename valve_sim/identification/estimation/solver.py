@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from valve_sim.identification.estimation.descent import WHOLE, Descent, Effort, End
+from valve_sim.identification.estimation.descent import WHOLE, Descent, End, SolverOptions
 from valve_sim.identification.estimation.descent_in_sums import DescentInSums, NotInPieces
 from valve_sim.identification.estimation.gram import sum_squares
 from valve_sim.identification.estimation.problem import Problem
@@ -22,7 +22,7 @@ FAR: Final = 100.0
 """χ² of a sample, 10 σ, beyond which declared values are held at first. Of ten recordings of valves with gas every fit
 from 30 σ or more ended with declared values at their bounds; from below 10 σ holding them first changed nothing."""
 FAR_WITH_GAS: Final = 10.0
-"""The same, 3 σ, where dampings are held as well: a recording of a valve that lacks nothing began at 5.6 σ, and with
+"""χ² of a sample, 3 σ, beyond which dampings are held as well: a recording that lacks nothing began at 5.6 σ, and with
 dampings free its fit ended 240 in χ² above where it ends if they are held first."""
 
 _OfFit = tuple[tuple[str, ...], tuple[Nuisance, ...], dict[str, float], "MachineKnowledge | Smoothness | None"]
@@ -35,7 +35,7 @@ def fit(
     *,
     nuisances: Sequence[Nuisance] = (),
     fixed: Mapping[str, float] | None = None,
-    effort: Effort = WHOLE,
+    effort: SolverOptions = WHOLE,
     prior: MachineKnowledge | Smoothness | None = None,
 ) -> Fit:
     """Minimise χ² from one start.
@@ -61,7 +61,7 @@ def fit(
     return Fit(
         problem, tuple(free), estimated, values, end.cost, left, derivatives, end.information, end.converged, end.at,
         tuple(search.priors), end.gradient, np.column_stack([end.at - search.lower, search.upper - end.at]),
-        search.smooth, end.damping, end.reach,
+        search.smooth, end.damping, end.chi2_lower_bound,
     )  # fmt: skip
 
 
@@ -78,14 +78,14 @@ def _rows(
     )
     derivatives = Rows(
         lambda: Descent(whole, *of_fit).jacobian(at, left.array()),
-        (lambda: Descent(fitted, *of_fit).jacobian(at, left.few())) if has_fewer else None,
+        (lambda: Descent(fitted, *of_fit).jacobian(at, left.condensed())) if has_fewer else None,
         known[1],
     )
     return left, derivatives
 
 
 def _descended(
-    problem: Problem, of_fit: _OfFit, start: Mapping[str, float] | Fit, effort: Effort
+    problem: Problem, of_fit: _OfFit, start: Mapping[str, float] | Fit, effort: SolverOptions
 ) -> tuple[Descent, End]:
     """The search and where it ended; of many residuals without holding them, where that can be."""
     if problem.is_long and not effort.robust:
@@ -95,7 +95,7 @@ def _descended(
 
 
 def _from_start(
-    kind: type[Descent], problem: Problem, of_fit: _OfFit, start: Mapping[str, float] | Fit, effort: Effort
+    kind: type[Descent], problem: Problem, of_fit: _OfFit, start: Mapping[str, float] | Fit, effort: SolverOptions
 ) -> tuple[Descent, End]:
     # A loss that counts far residuals less is of each sample's.
     search = kind(problem.with_every_row() if effort.robust else problem, *of_fit)
@@ -108,7 +108,7 @@ def _from_start(
 
 
 def _nearer(
-    kind: type[Descent], problem: Problem, of_fit: _OfFit, start: Mapping[str, float], effort: Effort
+    kind: type[Descent], problem: Problem, of_fit: _OfFit, start: Mapping[str, float], effort: SolverOptions
 ) -> Mapping[str, float]:
     """A start, or one from which far less is left of the data.
 
@@ -124,7 +124,7 @@ def _nearer(
         return start
     plant, far, dampings, until = problem.plant, FAR, dict[str, float](), WHOLE
     if short_step_of(plant):
-        far, until = FAR_WITH_GAS, Effort(most=effort.most)
+        far, until = FAR_WITH_GAS, SolverOptions(most=effort.most)
         dampings = {name: start.get(name, plant.declared(name)) for name in plant.base}
         dampings = {name: value for name, value in dampings.items() if name in free}
     rest = tuple(name for name in free if name not in dampings)

@@ -154,7 +154,7 @@ def rings(result: Fit, channel: int, sensor: Sensor) -> bool:
         return False
     since = places.time - times[np.clip(np.searchsorted(times, places.time) - 1, 0, None)]
     own = (places.channel == channel) & (since >= 0.0) & (since < RINGS) & (places.steady > 0.0)
-    left = result.problem.without_errors(result.left.few()[:, None])[own, 0]
+    left = result.problem.without_errors(result.left.condensed()[:, None])[own, 0]
     count = len(left)
     return count > 0 and float(left @ left) > count + PLAINLY * math.sqrt(2.0 * count)
 
@@ -184,7 +184,7 @@ def _gain_of_modes(result: Fit, channel: int, sensor: Sensor) -> Callable[[Mode]
     problem, plant = result.problem, result.problem.plant
     own = plant.channels[channel]
     shown = np.zeros(len(own.times))
-    rows = problem.without_errors(np.column_stack([result.derivatives.few(), result.left.few()]))
+    rows = problem.without_errors(np.column_stack([result.derivatives.condensed(), result.left.condensed()]))
     jacobian, left = rows[:, :-1], rows[:, -1]
     roots = np.sqrt([one.pull(float(at)).curvature for one, at in zip(result.priors, result.coordinates, strict=True)])
     information = jacobian.T @ jacobian + np.diag(np.square(roots))

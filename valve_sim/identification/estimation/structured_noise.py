@@ -133,11 +133,11 @@ class StructuredNoise:
         return np.empty((0, 1))
 
     def resized(self, sizes: Array) -> StructuredNoise:
-        """The same with other sizes."""
+        """These errors with other sizes."""
         return replace(self, sizes=sizes)
 
     def as_known(self, known: StructuredNoise | None) -> StructuredNoise:
-        """The same, where errors of the machine and of its sensors' curves are as large as other recordings have them.
+        """These errors; those of the machine and of its sensors' curves are as large as other recordings have them.
 
         What is held there is held here.
 
@@ -161,19 +161,19 @@ class StructuredNoise:
         return {_known_name(own): size for own, size in zip(self.groups, self.sizes.tolist(), strict=True)}
 
     def held_at(self, known: Mapping[str, float]) -> StructuredNoise:
-        """The same with sizes that are known, by the names of `known_sizes`, and are not learned any more."""
+        """These errors with sizes that are known, by the names of `known_sizes`, and are not learned any more."""
         groups = tuple(own._replace(is_held=own.is_held or _known_name(own) in known) for own in self.groups)
         pairs = zip(self.groups, self.sizes.tolist(), strict=True)
         return replace(self, groups=groups, sizes=np.array([known.get(_known_name(own), size) for own, size in pairs]))
 
     def with_read(self, sizes: Array) -> StructuredNoise:
-        """The same with the sizes of errors that are read at rest, (g,), which are not learned any more."""
+        """These errors with the sizes, (g,), of those that are read at rest, which are not learned any more."""
         is_read = [own.error.at_rest and own.shows_rest and not own.is_held for own in self.groups]
         groups = tuple(own._replace(is_read=read) for own, read in zip(self.groups, is_read, strict=True))
         return replace(self, groups=groups, sizes=np.where(is_read, sizes, self.sizes))
 
     def unlearned(self) -> StructuredNoise:
-        """The same with sizes as they are before the data are asked, but for those that have been read or are held."""
+        """These errors as large as before the data are asked, but for those whose size has been read or is held."""
         pairs = zip(self.groups, self.sizes.tolist(), strict=True)
         return self.resized(np.array([size if own.is_read or own.is_held else own.held for own, size in pairs]))
 
@@ -307,7 +307,7 @@ class ErrorRows:
         self.log_constant = noise.log_prior - 0.5 * volume
 
     def resized(self, sizes: Array) -> ErrorRows:
-        """The same with other sizes."""
+        """These errors with other sizes."""
         return ErrorRows(self.noise.resized(sizes), self._columns)
 
     def whiten(self, rows: Array) -> Array:

@@ -81,7 +81,7 @@ class LinePressure:
         return stepper
 
     def supplied_anew(self, stepper: Stepper, time: float) -> Stepper:
-        """The same of a model that begins now, or has become another valve: with the pressures that hold."""
+        """A model that begins now, or has become another valve, with the pressures that hold."""
         if stepper.valve.gas is not None:
             for name, samples in self._ends.items():
                 past = [pressure for heard, pressure in samples if heard <= time]

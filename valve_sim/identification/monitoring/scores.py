@@ -23,7 +23,7 @@ from typing import Final
 
 import numpy as np
 
-from valve_sim.identification.estimation.descent import Effort
+from valve_sim.identification.estimation.descent import SolverOptions
 from valve_sim.identification.estimation.gram import gram
 from valve_sim.identification.estimation.intervals import Interval, covariance_interval
 from valve_sim.identification.estimation.noise import Noise
@@ -142,7 +142,7 @@ def score_stroke(trace: Trace, baseline: Baseline, jitter: float | None = None) 
 
 
 def score_at_levels(trace: Trace, baseline: Baseline, levels: Sequence[float]) -> dict[float, Scored]:
-    """The same with several standard deviations of the commands' times, s, by these.
+    """Score a stroke for several standard deviations of the commands' times, s; the scores are by these.
 
     What effects change is computed once: it depends on the stroke, and hardly on errors of its stamps.
 
@@ -326,7 +326,7 @@ class _Stroke:
             return result
         # A fault of the stroke, or a bad starting point: contacts make shallow local minima.
         again = [
-            fit(self.problem, free, other, nuisances=nuisances, fixed=self._fixed, effort=Effort(ANNEALING))
+            fit(self.problem, free, other, nuisances=nuisances, fixed=self._fixed, effort=SolverOptions(ANNEALING))
             for other in (start, {})
         ]
         return min((result, *again), key=lambda found: found.chi2)
@@ -346,7 +346,7 @@ class _Stroke:
                     )
 
     def delay_directions(self, jacobian: Array) -> Iterator[tuple[str, Array]]:
-        """The same of errors of the first and the last stamp, where these are scored; jacobian: whitened."""
+        """What errors of the first and the last stamp change, where these are scored; jacobian: whitened."""
         if self._jitter >= UNINFORMATIVE:
             return
         last = len(self._shifts()) - 1

@@ -59,7 +59,7 @@ from valve_sim.traces import Trace, events_from_sensors
 FEWEST_TO_ISOLATE: Final = 6
 """Strokes of an alarm from which the fault is first isolated."""
 FEWEST_WITH_GAS: Final = 4
-"""The same of a valve with gas, whose strokes hold each other's pressures: three to fit, one held out."""
+"""Strokes of an alarm from which a fault of a valve with gas is first isolated: three to fit, one held out."""
 ALARM_ENDS_AFTER: Final = 20
 """Scored strokes without a further alarm, after which an alarm is over."""
 

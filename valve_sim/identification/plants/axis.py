@@ -233,7 +233,7 @@ class AxisPlant:
         return np.asarray(_drive_force(self._axis(values), *(column[own] for column in columns)))
 
     def _with_friction(self, values: Mapping[str, float], factor: float) -> dict[str, float]:
-        """The same values with so many times the friction."""
+        """Values of the parameters with so many times the friction."""
         found = dict(values)
         found["viscous_friction"] = factor * values.get("viscous_friction", self._declared["viscous_friction"])
         for name in values:

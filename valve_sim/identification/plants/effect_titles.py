@@ -59,7 +59,7 @@ def inside_sentence(title: str) -> str:
 
 
 def capitalised(sentence: str) -> str:
-    """The same with a capital at its beginning."""
+    """A sentence with a capital at its beginning."""
     return sentence[:1].upper() + sentence[1:]
 
 

@@ -137,7 +137,7 @@ class ForceMap:
         return {**self.fixed, self.count: float(len(self.coefficients))}
 
     def with_period(self, period: float) -> ForceMap:
-        """The same over one period, of a curve that repeats itself."""
+        """This map over one period, of a curve that repeats itself."""
         return replace(self, high=self.low + period, fixed={**self.fixed, self.end: self.low + period})
 
 

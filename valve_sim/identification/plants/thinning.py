@@ -20,4 +20,4 @@ class Thinnable(Plant, Protocol):
         """Whether what it shows of a sample is the same whichever others it shows."""
 
     def thinned(self, kept: Sequence[NDArray[np.intp]]) -> Plant:
-        """The same with some samples of each channel, of which the first is one."""
+        """This plant with some samples of each channel, of which the first is one."""

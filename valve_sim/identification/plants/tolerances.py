@@ -71,7 +71,7 @@ EXACT_RIVALS_OF_GAS: Final = (
     "pilot_orifice_diameter", "main_orifice_diameter", "seat_diameter", "discharge_coefficient", "outlet_volume",
     "demand_orifice_diameter",
 )  # fmt: skip
-"""The same of the group `gas`; pressures are measured."""
+"""Values of the group `gas` that compete with effects where they are declared as exact; pressures are measured."""
 
 
 def of_gas(name: str) -> str:

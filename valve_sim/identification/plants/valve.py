@@ -276,7 +276,7 @@ class ValvePlant:
         return sensitivities(self._model, self.traces, values, directions, self._factors)
 
     def pieces(self, values: Mapping[str, float], directions: Sequence[Direction]) -> Iterator[Piece] | None:
-        """The same two, piece by piece; None where derivatives are not known, a gas flows, or a sensor averages.
+        """Prediction and derivatives, piece by piece; None without derivatives, with gas, or where a sensor averages.
 
         Raises:
             SimulationError: the simulation could not be carried to its end.
@@ -294,7 +294,7 @@ class ValvePlant:
         return self.valve.gas is None and not self._averages
 
     def thinned(self, kept: Sequence[NDArray[np.intp]]) -> ValvePlant:
-        """The same with some samples of each channel, of which the first is one."""
+        """This plant with some samples of each channel, of which the first is one."""
         same, numbers = copy.copy(self), iter(kept)
         same._channels = [_thinned(channel, own) for channel, own in zip(self._channels, kept, strict=True)]
         same.traces = tuple(_thinned_trace(trace, numbers) for trace in self.traces)

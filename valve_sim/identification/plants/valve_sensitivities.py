@@ -120,7 +120,7 @@ def _in_order(rows: Array, order: Any) -> Array:
 
 
 def _without_measured(tangents: Tangents, trace: Trace) -> Tangents:
-    """The same less moves of declared pressures in place of which a recording has measured ones."""
+    """Directions without moves of declared pressures in place of which a recording has measured ones."""
     measured = (trace.outlet_start is not None, trace.inlet_pressure is not None, trace.demand_pressure is not None)
     own = [place for place, is_measured in zip(PRESSURES_AT, measured, strict=True) if is_measured]
     if not own:

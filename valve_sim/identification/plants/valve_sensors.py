@@ -27,8 +27,8 @@ from valve_sim.traces.measured_input import AT_COMMAND
 FIT_TOLERANCE: Final = 1e-8
 """Of one step while fitting: a thousandth of the noise at most."""
 GAS_TOLERANCE: Final = 1e-9
-"""The same with gas. Derivatives that are difference quotients (of coils without a closed form) err by 10 to 30 % at
-1e-8, by 3 % here."""
+"""Of one step while fitting a valve with gas. Difference quotients (of coils without a closed form) err by 10 to 30 %
+at 1e-8, by 3 % here."""
 STAMPS: Final = math.sqrt(2.0) * 1e-9
 """s: a sample and the command before it are stamped in whole nanoseconds each."""
 SETTLING: Final = 0.3
@@ -46,7 +46,7 @@ LEAST_PRESSURE: Final = GAS["inlet_pressure"].lower
 STILL: Final = 6.0
 """Standard deviations within which a still sensor stays."""
 EQUAL: Final = 2.0
-"""The same of a pressure, which comes to rest slowly: what is left of its rise must not be taken for noise."""
+"""Standard deviations within which a pressure at rest stays; what is left of its slow rise is not noise."""
 
 USUAL_SPEED: Final = 0.3
 """m/s, of an impact at the stop."""
@@ -370,7 +370,7 @@ def prepared_with_pressure(
 def _predicted_with_pressure(
     record: Any, trace: Trace, pressure_times: Array, drive: Drive, offset: float
 ) -> list[Array]:
-    """The same where the outlet's pressure was recorded, of a valve with gas."""
+    """What the sensors of a valve with gas show, where the outlet's pressure was recorded."""
     state, samples, order = prepared_with_pressure(record, trace, pressure_times, drive, offset)
     _run(record, state, trace, drive, samples, offset)
     count, shown = len(trace.times), np.empty_like(samples.rows)

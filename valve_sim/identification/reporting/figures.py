@@ -5,6 +5,8 @@ Drawn without a display and without global state.
 
 from __future__ import annotations
 
+import io
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
@@ -13,12 +15,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from valve_sim.files.whole_files import replacing
+from valve_sim.files.whole_files import atomic_write
 from valve_sim.identification.estimation.static_force import StaticForce
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.identification.reporting.units import three_digits
 from valve_sim.identification.validation.replay import Replay
-from valve_sim.model import Drive, Phase, Response, ValveError
+from valve_sim.model import Drive, Phase, Response, Valve, ValveError, published_times
 
 PILOT, MAIN, SECOND, QUIET = "#0b6fa4", "#d9730d", "#7b3fa0", "#8a8f98"
 """Colours that colour-blind readers can tell apart, also printed in grey."""
@@ -26,30 +28,35 @@ _PHASE_NAMES: Final = {phase: phase.name.lower().replace("_", " ") for phase in 
 _STYLE: Final = {"linewidth": 1.6}
 
 
-def plot_response(
-    path: Path | str,
+class Picture(Figure):
+    """A figure that a notebook shows without pyplot; `savefig` writes it."""
+
+    def _repr_png_(self) -> bytes:
+        """The picture as a notebook shows it."""
+        written = io.BytesIO()
+        self.savefig(written, format="png", dpi=100)
+        return written.getvalue()
+
+
+def draw_response(
     response: Response,
     drive: Drive,
     title: str,
     *,
     marks: Mapping[str, float] | None = None,
     levels: Mapping[str, float] | None = None,
-) -> None:
+) -> Picture:
     """Draw displacement, velocity, current, phase and, of a valve with gas, pressure and flow, one above the other.
 
     Args:
-        path: of the picture; its ending says the format.
         response: what the valve did.
         drive: the commanded voltage.
         title: one line.
         marks: times to mark by a name, s.
         levels: displacements to mark by a name, m.
-
-    Raises:
-        ValveError: the picture cannot be written.
     """
     ratios = (3, 2, 2, 1.6) if response.outlet_pressure is None else (3, 2, 2, 1.6, 2, 2)
-    figure = Figure(figsize=(9.0, 8.0 if len(ratios) == 4 else 11.5), layout="constrained")
+    figure = Picture(figsize=(9.0, 8.0 if len(ratios) == 4 else 11.5), layout="constrained")
     displacement, velocity, current, phase, *of_gas = figure.subplots(len(ratios), 1, sharex=True, height_ratios=ratios)
     times = 1e3 * response.time
     displacement.plot(times, 1e6 * response.pilot_position, color=PILOT, label="pilot plunger", **_STYLE)
@@ -73,7 +80,35 @@ def plot_response(
         flow.set_ylabel("flow, g/s")
     for name, time in (marks or {}).items():
         _mark_time((displacement, velocity, current, phase, *of_gas), name, 1e3 * time)
-    _finish(figure, path, title, "time, ms")
+    _finish(figure, title, "time, ms")
+    return figure
+
+
+def draw_simulation(response: Response, drive: Drive, valve: Valve, title: str) -> Picture:
+    """Draw a simulated response, with the paper's t1 and t2, the pilot's gap and the stroke marked."""
+    levels = {"stroke": valve.parameters.stroke}
+    if not valve.parameters.has_one_plunger:
+        levels["gap"] = valve.parameters.pilot_gap
+    times = zip(("t1", "t2"), published_times(response), strict=True)
+    marks = {name: time for name, time in times if math.isfinite(time)}
+    return draw_response(response, drive, title, marks=marks, levels=levels)
+
+
+def draw_residual(times: Array, values: Array, sigma: float, scale: float, unit: str, title: str) -> Picture:
+    """Draw what a fit leaves, and the band of two standard deviations of the sensor's noise.
+
+    Args:
+        times: (n,) s. values: (n,) measured less shown, SI. sigma: standard deviation of the noise, SI.
+        scale, unit: from SI to the unit that is shown. title: one line.
+    """
+    figure = Picture(figsize=(9.0, 3.2), layout="constrained")
+    axes = figure.subplots()
+    axes.axhspan(-2.0 * scale * sigma, 2.0 * scale * sigma, color=QUIET, alpha=0.3, label="±2σ of the sensor's noise")
+    axes.plot(1e3 * times, scale * values, color=PILOT, linewidth=0.8)
+    axes.set_ylabel(f"measured − model, {unit}")
+    axes.legend(loc="upper right", frameon=False)
+    _finish(figure, title, "time, ms")
+    return figure
 
 
 def plot_replay(path: Path | str, replay: Replay) -> None:
@@ -97,7 +132,8 @@ def plot_replay(path: Path | str, replay: Replay) -> None:
     below.set_ylabel(f"measured − model, {unit}")
     verdict = "within" if replay.passed else "outside"
     title = f"{replay.trace.source}: {verdict} {three_digits(scale * replay.tolerance)} {unit} (dashed)"
-    _finish(figure, path, title, "time, ms")
+    _finish(figure, title, "time, ms")
+    save_figure(figure, Path(path))
 
 
 def plot_static_force(path: Path | str, fitted: StaticForce) -> None:
@@ -117,7 +153,8 @@ def plot_static_force(path: Path | str, fitted: StaticForce) -> None:
     below.plot(x, (fitted.force - fitted.predicted)[order], "o", color=MAIN, markersize=3.5)
     below.axhline(0.0, color=QUIET, linewidth=0.8)
     below.set_ylabel("measured − polynomial, N")
-    _finish(figure, path, f"{fitted.source}: residual {fitted.rmse:.3g} N rms", "displacement, µm")
+    _finish(figure, f"{fitted.source}: residual {fitted.rmse:.3g} N rms", "displacement, µm")
+    save_figure(figure, Path(path))
 
 
 def _draw_voltage(axes: Axes, drive: Drive, times: Array) -> None:
@@ -153,7 +190,7 @@ def _mark_time(panels: tuple[Axes, ...], name: str, time: float) -> None:
     )  # fmt: skip
 
 
-def _finish(figure: Figure, path: Path | str, title: str, unit: str) -> None:
+def _finish(figure: Figure, title: str, unit: str) -> None:
     figure.suptitle(title)
     figure.axes[0].margins(x=0.01)
     for axes in figure.axes:
@@ -161,7 +198,6 @@ def _finish(figure: Figure, path: Path | str, title: str, unit: str) -> None:
         axes.grid(visible=True, axis="x", color="#e4e6ea", linewidth=0.6)
     lowest = max((axes for axes in figure.axes), key=lambda axes: axes.get_subplotspec().rowspan.stop)  # type: ignore[union-attr]
     lowest.set_xlabel(unit)
-    save_figure(figure, Path(path))
 
 
 def save_figure(figure: Figure, path: Path) -> None:
@@ -172,7 +208,7 @@ def save_figure(figure: Figure, path: Path) -> None:
     """
     ending = path.suffix.lstrip(".") or "png"
     try:
-        with replacing(path) as partial:
+        with atomic_write(path) as partial:
             figure.savefig(partial, dpi=130, format=ending)
     except ValueError as error:
         raise ValveError(

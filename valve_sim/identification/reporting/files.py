@@ -15,7 +15,7 @@ from valve_sim.files.whole_files import write_whole
 from valve_sim.identification.diagnosis.run import Diagnosis
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.diagnosis_json import to_json
-from valve_sim.identification.reporting.html import plot_diagnosis, write_report
+from valve_sim.identification.reporting.html import draw_diagnosis, write_report
 from valve_sim.identification.reporting.recording_profile import write_record_next
 
 FILES: Final = ("report.json", "report.html", "corrected.yaml")
@@ -57,6 +57,8 @@ def write_diagnosis(
         profile = write_record_next(folder, diagnosis, provenance)
         written += [corrected] if profile is None else [corrected, profile]
     if picture is not None:
-        plot_diagnosis(diagnosis, picture)
+        from valve_sim.identification.reporting.figures import save_figure
+
+        save_figure(draw_diagnosis(diagnosis), picture)
         written.append(picture)
     return tuple(written)

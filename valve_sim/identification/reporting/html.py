@@ -47,6 +47,8 @@ from valve_sim.invocation import invocation
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from valve_sim.identification.reporting.figures import Picture
+
 SHOWN_STROKES: Final = 6
 """Strokes that are shown at once, those with the largest error of the declared model; the others unfold."""
 FIRST_STROKES: Final = 2
@@ -107,19 +109,13 @@ def _duration(diagnosis: Diagnosis) -> float:
     return duration_of(profile_to_record(diagnosis.recommendation, diagnosis.valve))
 
 
-def plot_diagnosis(diagnosis: Diagnosis, path: Path | str) -> None:
-    """Draw the strokes that the declared model misses most, their residuals, and the force maps.
-
-    Raises:
-        ValveError: the picture cannot be written.
-    """
+def draw_diagnosis(diagnosis: Diagnosis) -> Picture:
+    """Draw the strokes that the declared model misses most, their residuals, and the force maps."""
     # Loaded here because a report.html, and --help, do not need it.
-    from matplotlib.figure import Figure
-
-    from valve_sim.identification.reporting.figures import MAIN, PILOT, QUIET, save_figure
+    from valve_sim.identification.reporting.figures import MAIN, PILOT, QUIET, Picture
 
     strokes = _drawn(diagnosis, PICTURED_STROKES)[0][:PICTURED_STROKES]
-    figure = Figure(figsize=(4.6 * len(strokes) + 0.8, 8.6 if diagnosis.maps else 6.4), layout="constrained")
+    figure = Picture(figsize=(4.6 * len(strokes) + 0.8, 8.6 if diagnosis.maps else 6.4), layout="constrained")
     figure.suptitle(f"{headline(diagnosis)}\nProbability {probability_words(diagnosis.verdict)}", wrap=True)
     ratios = (5, 3) if diagnosis.maps else (1,)
     rows = list(figure.subfigures(len(ratios), 1, squeeze=False, height_ratios=ratios)[:, 0])
@@ -143,7 +139,7 @@ def plot_diagnosis(diagnosis: Diagnosis, path: Path | str) -> None:
             _draw_curve(panel, curve, PILOT, QUIET)
     for panel in [axes for row in rows for axes in row.axes]:
         panel.spines[["top", "right"]].set_visible(False)
-    save_figure(figure, Path(path))
+    return figure
 
 
 def _draw_curve(axes: Axes, curve: ForceCurve, colour: str, quiet: str) -> None:

@@ -32,7 +32,7 @@ from valve_sim.identification.plants.protocol import (
 )
 from valve_sim.identification.selection.posterior import SURE, Rivals
 from valve_sim.identification.selection.score_test import (
-    Outside,
+    OrthogonalProjector,
     log_bayes_factor,
     released_spread,
     standard_errors,
@@ -62,7 +62,7 @@ def detection_limits(result: Fit, rivals: Rivals) -> dict[str, dict[str, float]]
         By effect and parameter, SI: by how much the parameter would have to differ from where it does nothing; of one
         that does nothing at infinity, its value. inf where nothing within its range would be named.
     """
-    outside = Outside(result)
+    outside = OrthogonalProjector(result)
     found: dict[str, dict[str, float]] = {}
     for name, effect in result.problem.plant.effects.items():
         if set(effect.free_names()) & set(result.free):
@@ -82,7 +82,7 @@ def _released(result: Fit) -> dict[str, Nuisance]:
     return {name: own for own in result.nuisances if own.is_of_machine for name in (own.name, own.same_as) if name}
 
 
-def _sigmas(result: Fit, outside: Outside, effect: EffectChoice) -> dict[str, float]:
+def _sigmas(result: Fit, outside: OrthogonalProjector, effect: EffectChoice) -> dict[str, float]:
     """Standard error of each switch in its search coordinate; of a released value, its tolerance included."""
     released, found = _released(result), standard_errors(result, outside, effect)
     for switch in effect.parameters:
@@ -95,7 +95,9 @@ def _sigmas(result: Fit, outside: Outside, effect: EffectChoice) -> dict[str, fl
 class _Limit:
     """The limit of one switch of an effect, whose search coordinate has the standard error `sigma`."""
 
-    def __init__(self, result: Fit, outside: Outside, effect: EffectChoice, switch: Parameter, sigma: float) -> None:
+    def __init__(
+        self, result: Fit, outside: OrthogonalProjector, effect: EffectChoice, switch: Parameter, sigma: float
+    ) -> None:
         assert switch.off is not None
         self._result, self._outside, self._effect, self._switch = result, outside, effect, switch
         self._sigma, self._name = sigma, effect.free_name(switch)
@@ -157,7 +159,7 @@ class _Limit:
         """(r,) of the residuals, by an effect of this size; 0 where it cannot be simulated."""
         value = from_internal(self._parameter, self._off + self._sign * size)
         values = {**switched_on(self._effect, self._switch, 0.0), self._name: value}
-        left = self._result.left.few()
+        left = self._result.left.condensed()
         try:
             return self._result.problem.rows.residuals({**self._result.values, **values}) - left
         except SimulationError:

@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from valve_sim.identification.estimation.descent import WHOLE, Effort
+from valve_sim.identification.estimation.descent import WHOLE, SolverOptions
 from valve_sim.identification.estimation.parallel import run_parallel
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.smoothing import Smoothness
@@ -120,7 +120,7 @@ def _fitted_each(
 
 def _beside(
     choice: ForceMap, base: Fit, further: tuple[Nuisance, ...] = (), start: Mapping[str, float] = NOTHING,
-    effort: Effort = WHOLE,
+    effort: SolverOptions = WHOLE,
 ) -> NonparametricFit:  # fmt: skip
     """A force map beside all that a fit frees, and beside further nuisances."""
     fixed = {**_held(base), **choice.held}
@@ -145,7 +145,7 @@ def _periodic(choice: ForceMap, base: Fit, periods: Sequence[Period]) -> list[No
         )  # fmt: skip
         with contextlib.suppress(SimulationError):
             least = min((entry.fit.chi2 for entry in found), default=math.inf)
-            effort = Effort(goal=least + NEAR)
+            effort = SolverOptions(goal=least + NEAR)
             entry = _beside(choice.with_period(period.length), base, (length,), period.wave, effort)
             fitted = choice.with_period(entry.fit.values[choice.end] - choice.low)
             found.append(NonparametricFit(fitted, entry.fit))

@@ -103,7 +103,7 @@ class _Following:
     def __init__(self, there: Fit) -> None:
         self._fit, count = there, len(there.free)
         self._own = [count + at for at, nuisance in enumerate(there.nuisances) if not nuisance.is_of_machine]
-        self._whitened = there.problem.without_errors(there.derivatives.few()[:, self._own])
+        self._whitened = there.problem.without_errors(there.derivatives.condensed()[:, self._own])
         self._information = there.information[np.ix_(self._own, self._own)]
 
     def values(self, change: Array) -> dict[str, float]:
@@ -130,7 +130,7 @@ def predicted(result: Fit, there: Fit, size: float = 0.0) -> Predicted:
     problem, plant = there.problem, there.problem.plant
     shown = plant.predict(there.values)
     spread = there.variance_of_errors()
-    rows, left, follow = problem.rows, there.left.few(), _Following(there)
+    rows, left, follow = problem.rows, there.left.condensed(), _Following(there)
     of_machine = [(moved, True) for moved in axes_of(result)]
     for moved, is_followed in [*of_machine, *((moved, False) for moved in recording_axes_of(there))]:
         try:
@@ -211,7 +211,7 @@ class HeldOut:
         there = self.fit(result)
         if there is None:
             return 0.0
-        left, rows = there.left.few(), there.problem.rows
+        left, rows = there.left.condensed(), there.problem.rows
         columns = []
         for moved in axes_of(result):
             try:

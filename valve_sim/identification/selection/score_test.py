@@ -65,7 +65,7 @@ NOTHING: Final = Addition(0.0, -math.inf, math.inf)
 
 def log_gains(result: Fit) -> dict[str, float]:
     """What ln p would gain by each effect that is not in a fit, to first order; the most over sizes and shapes."""
-    outside = Outside(result)
+    outside = OrthogonalProjector(result)
     gains = {}
     for name, effect in result.problem.plant.effects.items():
         if set(effect.free_names()) & set(result.free):
@@ -81,7 +81,7 @@ def log_gains(result: Fit) -> dict[str, float]:
     return gains
 
 
-def standard_errors(result: Fit, outside: Outside, effect: EffectChoice) -> dict[str, float]:
+def standard_errors(result: Fit, outside: OrthogonalProjector, effect: EffectChoice) -> dict[str, float]:
     """Of each switch of an effect alone, while it is small, in its search coordinate; infinite of what shows nothing.
 
     Its shape is as first expected. Of the signs that it may have, and of a small move and the tangent where the plant
@@ -135,7 +135,7 @@ def moves_of(base: Fit, effect: EffectChoice, size: float = SMALL_MOVE) -> Itera
     switches = [parameter for parameter in effect.parameters if parameter.off is not None]
     # A force that opens lifts a plunger without load off its seat, and one that closes does not.
     signs = (1.0, -1.0) if _has_two_signs(effect) else (1.0,)
-    rows, left = base.problem.rows, base.left.few()
+    rows, left = base.problem.rows, base.left.condensed()
     for shape, sign in itertools.product(SHAPES if has_shape else SHAPES[:1], signs):
         found = []
         for switch in switches:
@@ -162,7 +162,7 @@ def switched_on(effect: EffectChoice, switch: Parameter, size: float, shape: flo
     return {effect.free_name(parameter): value(parameter) for parameter in effect.parameters}
 
 
-def _log_gain(result: Fit, outside: Outside, effect: EffectChoice, moves: list[Move]) -> float:
+def _log_gain(result: Fit, outside: OrthogonalProjector, effect: EffectChoice, moves: list[Move]) -> float:
     """The most that one of the switches, or all together, would gain."""
     alone = [_addition(result, outside, effect, move) for move in moves]
     most = max(one.log_gain for one in alone)
@@ -172,7 +172,7 @@ def _log_gain(result: Fit, outside: Outside, effect: EffectChoice, moves: list[M
     return max(most, 0.5 * together + sum(one.log_price for one in alone))
 
 
-def _addition(result: Fit, outside: Outside, effect: EffectChoice, move: Move) -> Addition:
+def _addition(result: Fit, outside: OrthogonalProjector, effect: EffectChoice, move: Move) -> Addition:
     power, seen = outside.along(move.change)
     if power <= MOVES_NOTHING**2:
         # What shows nothing is as probable as it was, and no rival of anything.
@@ -272,7 +272,7 @@ def _range_of(own: Nuisance, effect: EffectChoice, low: float, high: float) -> t
     return max(low, own.lower), min(high, own.upper)
 
 
-class Outside:
+class OrthogonalProjector:
     """Projection onto what is orthogonal to a fit's parameters and nuisances, with their priors.
 
     Args:
@@ -283,11 +283,11 @@ class Outside:
         pulls = [own.pull(float(at)) for own, at in zip(base.priors, base.coordinates, strict=True)]
         roots = np.sqrt([own.curvature for own in pulls])
         self._problem = base.problem
-        jacobian = base.problem.without_errors(base.derivatives.few())
+        jacobian = base.problem.without_errors(base.derivatives.condensed())
         columns = np.vstack([jacobian, np.diag(roots)])
         size = np.sqrt(np.sum(np.square(columns), axis=0))
         pulled = np.array([own.half_slope for own in pulls]) / np.where(roots > 0.0, roots, 1.0)
-        left = base.problem.without_errors(base.left.few()[:, None])[:, 0]
+        left = base.problem.without_errors(base.left.condensed()[:, None])[:, 0]
         self._residuals = np.concatenate([left, pulled])
         self._samples = len(jacobian)
         self._fitted = orthonormal(columns[:, size > 0.0] / size[size > 0.0])

@@ -29,7 +29,7 @@ from typing import Final
 import numpy as np
 
 from valve_sim.identification.estimation.budget import OutOfWorkError
-from valve_sim.identification.estimation.descent import TRIAL, Effort
+from valve_sim.identification.estimation.descent import TRIAL, SolverOptions
 from valve_sim.identification.estimation.linearised import Linearised
 from valve_sim.identification.estimation.parallel import Memo, run_parallel
 from valve_sim.identification.estimation.problem import Problem
@@ -289,7 +289,7 @@ class Search:
         def fitted(problem: Problem, begun: Fit | None) -> Fit:
             start = known if begun is None else begun
             nuisances = (*problem.nuisances, *stamps)
-            return fit(problem, known.free, start.values, nuisances=nuisances, effort=Effort(is_near=True))
+            return fit(problem, known.free, start.values, nuisances=nuisances, effort=SolverOptions(is_near=True))
 
         return with_learned_errors(self.problem, fitted, known)[1]
 
@@ -305,7 +305,7 @@ class Search:
         From its starts only the declared model is: all else is compared with it.
         """
         known = self.tried[names] if names in self.tried else self.begun[names]
-        done = self._best_of(names, [known.fit.values, *(self._starts(names) if not names else [])], Effort())
+        done = self._best_of(names, [known.fit.values, *(self._starts(names) if not names else [])], SolverOptions())
         return self._weighed(names, done) if done else known
 
     def settled(self, result: Fit, sizes: Array | None = None) -> Fit:
@@ -324,7 +324,7 @@ class Search:
         plain = [own for own in result.nuisances if not own.group]
         nuisances = (*plain, *(own for own in problem.nuisances if own.group))
         try:
-            return fit(problem, result.free, result.values, nuisances=nuisances, effort=Effort(is_near=True))
+            return fit(problem, result.free, result.values, nuisances=nuisances, effort=SolverOptions(is_near=True))
         except SimulationError:
             return result
 
@@ -366,7 +366,7 @@ class Search:
         def fitted(names: Set) -> Tried | None:
             starts = [{**values, **start} for start in effect_starts(self._cost, effects[due[names]], values)]
             # Not the nuisances of the best set: its effects may stand for declared values, which are missing there.
-            done = self._best_of(names, starts, Effort())
+            done = self._best_of(names, starts, SolverOptions())
             return self._weighed(names, done) if done else None
 
         for names, found in zip(due, run_parallel(fitted, list(due)), strict=True):
@@ -377,7 +377,7 @@ class Search:
         """Fit a set again from where a larger one ended: with more free, a fit leaves some local minima."""
         if not set(base) <= set(best):
             return
-        done = self._best_of(base, [self.tried[best].fit.values], Effort())
+        done = self._best_of(base, [self.tried[best].fit.values], SolverOptions())
         found = self._weighed(base, done) if done else self.tried[base]
         if found.plain > self.tried[base].plain + WORTH_KEEPING:
             self.tried[base] = found
@@ -391,7 +391,7 @@ class Search:
             for start in starts_of_other_shapes(self.problem.plant.effects[name])
         ]
         starts += scattered_starts(tried.fit, SCATTER)
-        found = run_parallel(lambda start: self._attempt(names, tried.fit.nuisances, start, Effort()), starts)
+        found = run_parallel(lambda start: self._attempt(names, tried.fit.nuisances, start, SolverOptions()), starts)
         fits = [one for one in found if one is not None and one.chi2 < tried.fit.chi2 - WORTH_KEEPING]
         if fits:
             self.tried[names] = self._weighed(names, [min(fits, key=lambda one: one.chi2)])
@@ -515,9 +515,9 @@ class Search:
     def _begun(self, names: Set) -> list[Fit]:
         """The best begun fit of each variant; none where the machine cannot be simulated."""
         # All else is compared with the declared model, which is worth a whole fit from each start.
-        return self._best_of(names, self._starts(names), Effort(most=TRIAL) if names else Effort())
+        return self._best_of(names, self._starts(names), SolverOptions(most=TRIAL) if names else SolverOptions())
 
-    def _best_of(self, names: Set, starts: Sequence[Mapping[str, float]], effort: Effort) -> list[Fit]:
+    def _best_of(self, names: Set, starts: Sequence[Mapping[str, float]], effort: SolverOptions) -> list[Fit]:
         """The best fit of each variant from several starts; none where the machine cannot be simulated."""
         found = []
         for nuisances in self._variants():
@@ -534,7 +534,7 @@ class Search:
             if one.converged:
                 done.append(one)
             else:
-                done.append(self._attempt(names, one.nuisances, one, Effort(made=TRIAL)) or one)
+                done.append(self._attempt(names, one.nuisances, one, SolverOptions(made=TRIAL)) or one)
         return self._weighed(names, done)
 
     def _weighed(self, names: Set, done: Sequence[Fit]) -> Tried:
@@ -576,7 +576,7 @@ class Search:
             try:
                 found = fit(
                     problem, tried.beside.free, tried.beside.values, nuisances=tried.beside.nuisances,
-                    effort=Effort(is_near=True),
+                    effort=SolverOptions(is_near=True),
                 )  # fmt: skip
             except SimulationError:
                 break
@@ -610,7 +610,7 @@ class Search:
         return self._cost_of(tuple(sorted(values.items())))
 
     def _attempt(
-        self, names: Set, nuisances: Sequence[Nuisance], start: Mapping[str, float] | Fit, effort: Effort
+        self, names: Set, nuisances: Sequence[Nuisance], start: Mapping[str, float] | Fit, effort: SolverOptions
     ) -> Fit | None:
         """A fit from one start; none where the machine cannot be simulated."""
         try:
@@ -637,7 +637,7 @@ def fit_of_declared(problem: Problem, begun: Fit | None) -> Fit:
         problem: data and noise. begun: a fit of it that ended nearby, if any.
     """
     plant = problem.plant
-    start, effort = ({}, Effort()) if begun is None else (begun.values, Effort(is_near=True))
+    start, effort = ({}, SolverOptions()) if begun is None else (begun.values, SolverOptions(is_near=True))
     best = fit(problem, plant.base, start, nuisances=problem.nuisances, effort=effort)
     if not plant.timing_errors:
         return best
@@ -658,7 +658,11 @@ def words(names: Set) -> str:
 
 def _promise(result: Fit) -> float:
     """What ln p of a fit that has not ended may come to."""
-    return result.log_evidence if result.converged else result.log_evidence + 0.5 * max(0.0, result.chi2 - result.reach)
+    return (
+        result.log_evidence
+        if result.converged
+        else result.log_evidence + 0.5 * max(0.0, result.chi2 - result.chi2_lower_bound)
+    )
 
 
 def _added(names: Set, name: str) -> Set:

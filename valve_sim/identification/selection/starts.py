@@ -25,13 +25,13 @@ from valve_sim.model.parameters import Parameter
 SMALL, LARGE = 0.05, (0.5, 1.5, 3.0)
 """Starts, in prior scales of a parameter: one near off, which follows the gradient, and some far from it."""
 FROM_DECLARED: Final = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
-"""The same where all else is as declared: a strong effect that is left out bends all else away from there."""
+"""Starts, in prior scales, with all else as declared: a strong effect that is left out bends all else away."""
 BETWEEN: Final = math.sqrt(2.0)
 """Factor by which the best of these is then refined."""
 EXPLAINS: Final = 2.0 / 3.0
 """Cost with an effect over that without, both with all else as declared, below which a fit starts from there, too."""
 SHAPES: Final = (1.0, 0.2, 5.0)
-"""Likewise for parameters that shape an effect but do not switch it."""
+"""Starts, in prior scales, of parameters that shape an effect but do not switch it."""
 ROBUST: Final = 20.0
 """σ: scale of the cost by which starts are ranked, so that one impact at another time does not decide."""
 

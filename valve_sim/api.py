@@ -1,0 +1,354 @@
+"""The front door for Python: `import valve_sim as vs`.
+
+What is called here is what the command line calls. The results are those of the rooms behind, with what a notebook
+wants of them: a table, a residual, a picture, a line to print and a page to show.
+"""
+
+from __future__ import annotations
+
+import html
+import warnings
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from valve_sim.files.parameter_files import default_valve
+from valve_sim.identification.diagnosis import identify as fitting
+from valve_sim.identification.diagnosis import outcome, run
+from valve_sim.identification.estimation.budget import Budget
+from valve_sim.identification.estimation.result import Fit
+from valve_sim.identification.plants.protocol import judged_channels
+from valve_sim.model import Drive, Response, Valve, published_times
+from valve_sim.model import simulate as run_valve
+from valve_sim.traces import Trace, another_valve, left_out_finding, refuse_doubtful_units
+
+if TYPE_CHECKING:
+    from valve_sim.identification.reporting.figures import Picture
+
+__all__ = ["Diagnosis", "Identification", "Residual", "Simulation", "diagnose", "identify", "simulate"]
+
+Progress = Callable[[str, float], None]
+Result = TypeVar("Result")
+
+
+class Residual(NamedTuple):
+    """What a model leaves of what was measured, sample by sample.
+
+    Attributes:
+        times: (n,) s, from the beginning of the recording on.
+        values: (n,) measured less shown by the model, in `unit`; errors of the recording that were estimated along,
+            such as an offset between clocks, are part of what the model shows.
+        sigma: standard deviation of the sensor's noise, in `unit`.
+        unit: SI: m where a position was recorded, else A or Pa.
+    """
+
+    times: NDArray[np.float64]
+    values: NDArray[np.float64]
+    sigma: float
+    unit: str
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the values, in `unit`."""
+        return float(np.sqrt(np.mean(np.square(self.values))))
+
+
+@dataclass(frozen=True, repr=False)
+class Simulation(Response):
+    """A simulated response: the arrays of `valve_sim.model.Response`, and what it is the response of.
+
+    Attributes:
+        valve: what was simulated. drive: the commanded voltage.
+    """
+
+    valve: Valve = field(default_factory=Valve)
+    drive: Drive = field(default_factory=lambda: Drive.of([], []))
+
+    def __repr__(self) -> str:
+        """Simulation(4000 samples, 4 events: t1 7.03 ms, t2 9.17 ms)."""
+        t1, t2 = published_times(self)
+        return f"Simulation({len(self.time)} samples, {len(self.events)} events: t1 {_ms(t1)}, t2 {_ms(t2)})"
+
+    def _repr_html_(self) -> str:
+        """The events as a table."""
+        return _html_table(repr(self), self.table_of_events())
+
+    def table(self) -> Any:
+        """The samples, SI units: a pandas DataFrame where pandas is installed, else a list of dicts."""
+        columns: dict[str, Iterable[Any]] = {
+            "time": self.time,
+            "coil_voltage": self.coil_voltage,
+            "coil_current": self.coil_current,
+            "pilot_position": self.pilot_position,
+            "main_position": self.main_position,
+            "pilot_velocity": self.pilot_velocity,
+            "attraction": self.attraction,
+            "phase": self.phase,
+        }
+        if self.outlet_pressure is not None and self.mass_flow is not None:
+            columns |= {"outlet_pressure": self.outlet_pressure, "mass_flow": self.mass_flow}
+        rows = zip(*(np.asarray(column).tolist() for column in columns.values()), strict=True)
+        return _table([dict(zip(columns, row, strict=True)) for row in rows])
+
+    def table_of_events(self) -> list[dict[str, Any]]:
+        """What happened to the plungers, in order: kind, time in s, position in m, velocity before it in m/s."""
+        return [
+            {
+                "event": event.kind.name.lower(),
+                "time": event.time,
+                "position": event.position,
+                "velocity": event.velocity,
+            }
+            for event in self.events
+        ]
+
+    def plot(self) -> Picture:
+        """Displacement, velocity, current and phase; a Matplotlib figure, which `savefig` writes."""
+        from valve_sim.identification.reporting.figures import draw_simulation
+
+        return draw_simulation(self, self.drive, self.valve, "simulated valve")
+
+
+@dataclass(frozen=True, repr=False)
+class Identification(fitting.Identification):
+    """Refitted parameters: the fields of `valve_sim.identification.diagnosis.identify.Identification`.
+
+    `print` shows what `valve-sim identify` prints.
+    """
+
+    def __str__(self) -> str:
+        """The report for a terminal."""
+        from valve_sim.identification.reporting.identification import identification_text
+
+        return identification_text(self)
+
+    def _repr_html_(self) -> str:
+        """The refitted parameters as a table, with what was found beside it."""
+        from valve_sim.identification.reporting.findings import remarks
+
+        said = "".join(f"<p>{html.escape(words)}</p>" for words in remarks(self.findings))
+        return _html_table(f"{len(self.intervals)} parameters refitted", self._rows()) + said
+
+    def _rows(self) -> list[dict[str, Any]]:
+        plant = self.fit.problem.plant
+        return [
+            {
+                "parameter": name,
+                "value": own.value,
+                "stderr": own.stderr,
+                "low": own.low,
+                "high": own.high,
+                "declared": plant.declared(name),
+                "unit": plant.parameter(name).unit,
+            }
+            for name, own in self.intervals.items()
+        ]
+
+    def table(self) -> Any:
+        """Each refitted parameter, its standard error and 95 % interval: a pandas DataFrame, or a list of dicts."""
+        return _table(self._rows())
+
+    def residual(self) -> Residual:
+        """What the refitted model leaves."""
+        return _residual(self.fit)
+
+    def plot(self) -> Picture:
+        """The residual beside the sensor's noise; a Matplotlib figure, which `savefig` writes."""
+        return _plot_of(self.fit, "refitted")
+
+
+@dataclass(frozen=True, repr=False)
+class Diagnosis(outcome.Diagnosis):
+    """A diagnosis: the fields of `valve_sim.identification.diagnosis.outcome.Diagnosis`.
+
+    `print` shows what `valve-sim diagnose` prints, and `valve` is the corrected valve.
+    """
+
+    def __str__(self) -> str:
+        """The report for a terminal."""
+        from valve_sim.identification.reporting.text import diagnosis_text
+
+        return diagnosis_text(self)
+
+    def _repr_html_(self) -> str:
+        """The verdict in a sentence, and the most probable sets of effects as a table."""
+        from valve_sim.identification.reporting.summary import summarise
+        from valve_sim.identification.reporting.wording import headline
+
+        return _html_table(headline(self), self._rows()[:5]) + f"<p>{html.escape(summarise(self))}</p>"
+
+    def _rows(self) -> list[dict[str, Any]]:
+        return [
+            {
+                "effects": " + ".join(candidate.effects),
+                "probability": candidate.probability,
+                "probability_beside_unnamed": candidate.unnamed,
+                "delta_bic": candidate.delta_bic,
+                "train_rmse": candidate.train_rmse,
+                "holdout_rmse": candidate.holdout_rmse,
+            }
+            for candidate in self.candidates
+        ]
+
+    def table(self) -> Any:
+        """Each set of effects that was fitted, the most probable first: a pandas DataFrame, or a list of dicts."""
+        return _table(self._rows())
+
+    def residual(self, *, before: bool = False) -> Residual:
+        """What the corrected model leaves of the fitted strokes; with `before`, what the refitted declared one did."""
+        return _residual((self.before if before else self.after).fit)
+
+    def plot(self) -> Picture:
+        """The strokes that the declared model misses most, before and after; a Matplotlib figure."""
+        from valve_sim.identification.reporting.html import draw_diagnosis
+
+        return draw_diagnosis(self)
+
+    def write(self, folder: Path | str) -> tuple[Path, ...]:
+        """Write report.json, report.html, corrected.yaml and, where it helps, record_next.yaml; returns their paths.
+
+        Raises:
+            ValveError: a file cannot be written.
+        """
+        from valve_sim.identification.reporting.files import write_diagnosis
+
+        return write_diagnosis(self, folder, "made in Python by valve_sim.diagnose")
+
+
+def simulate(valve: Valve, drive: Drive, times: ArrayLike, *, start_time: float | None = None) -> Simulation:
+    """Simulate a valve that rests until its first command.
+
+    Args:
+        valve: what is simulated, such as `default_valve()`.
+        drive: the commanded voltage, such as `Drive.of([0.01, 0.04], [9.0, 0.0])`: 9 V from 10 to 40 ms.
+        times: (n,) s, ascending: when the sensors are read.
+        start_time: s; the valve rests closed until then. Default: the first command or sample.
+
+    Raises:
+        SimulationError: the run could not be carried to its end.
+    """
+    found = run_valve(valve, drive, times, start_time=start_time)
+    return Simulation(**_fields_of(found), valve=valve, drive=drive)
+
+
+def identify(
+    traces: Trace | Sequence[Trace],
+    valve: Valve | None = None,
+    free: Sequence[str] | None = None,
+    *,
+    progress: Progress | None = None,
+) -> Identification:
+    """Refit parameters of a declared valve to recordings.
+
+    Args:
+        traces: one recording, or several of the same valve.
+        valve: as it is declared; default: the shipped valve.
+        free: names to refit, such as "main_damping", "gas.outlet_volume" or "stiction.force"; default: the dampings.
+        progress: told what is being done, and the fraction done.
+
+    Raises:
+        ParameterError: a name that cannot be freed.
+        SimulationError: the declared valve cannot be simulated.
+        TraceError: a recording cannot be used, say because its positions are in mm and taken for m.
+    """
+    declared = valve or default_valve()
+    found = fitting.identify(_usable(traces, declared), declared, free, progress)
+    return Identification(**_fields_of(found))
+
+
+def diagnose(
+    traces: Trace | Sequence[Trace],
+    valve: Valve | None = None,
+    holdout: Trace | Sequence[Trace] = (),
+    *,
+    budget: Budget | None = None,
+    progress: Progress | None = None,
+) -> Diagnosis:
+    """Find the effect that a declared valve lacks.
+
+    Args:
+        traces: one recording, or several of the same valve: what is fitted.
+        valve: as it is declared; default: the shipped valve.
+        holdout: recordings that are predicted and take no part in the fit; default: strokes of `traces` are held out.
+        budget: how much may be simulated, such as `Budget.of_seconds(120)`; default: as much as it takes.
+        progress: told what is being tried, and the fraction done.
+
+    Raises:
+        SimulationError: the declared valve cannot be simulated.
+        TraceError: a recording cannot be used, say because its positions are in mm and taken for m.
+    """
+    declared = valve or default_valve()
+    found = run.diagnose(_usable(traces, declared), _usable(holdout, declared), declared, progress, budget)
+    return Diagnosis(**_fields_of(found))
+
+
+def _usable(traces: Trace | Sequence[Trace], valve: Valve) -> list[Trace]:
+    """Recordings as fits take them; what makes one doubtful is a warning.
+
+    Raises:
+        TraceError: its numbers are in another unit.
+    """
+    found = []
+    for trace in [traces] if isinstance(traces, Trace) else traces:
+        refuse_doubtful_units(trace, valve.parameters)
+        for finding in (*left_out_finding(trace), *another_valve(trace, valve.parameters)):
+            warnings.warn(f"{trace.source}: {finding}", stacklevel=3)
+        # No fit asks for the main plunger, and of a long recording it is large.
+        found.append(replace(trace, main_position=None))
+    return found
+
+
+def _fields_of(result: Any) -> dict[str, Any]:
+    """The fields of a dataclass by name, as they are."""
+    return {own.name: getattr(result, own.name) for own in fields(result)}
+
+
+def _residual(found: Fit) -> Residual:
+    problem = found.problem
+    index = judged_channels(problem.plant)[0]
+    channel = problem.plant.channels[index]
+    is_fitted = problem.weight(index) > 0.0
+    if channel.left_out is not None:
+        is_fitted &= ~channel.left_out
+    left = (channel.data - found.shown()[index])[is_fitted]
+    return Residual(channel.times[is_fitted], left, problem.noise_of(index).sigma, channel.unit)
+
+
+def _plot_of(found: Fit, title: str) -> Picture:
+    from valve_sim.identification.reporting.figures import draw_residual
+
+    times, values, sigma, _ = _residual(found)
+    plant = found.problem.plant
+    scale, unit = plant.channels[judged_channels(plant)[0]].readable
+    return draw_residual(times, values, sigma, scale, unit, title)
+
+
+def _table(rows: list[dict[str, Any]]) -> Any:
+    """A pandas DataFrame where pandas is installed, else the rows."""
+    if find_spec("pandas") is None:
+        return rows
+    from pandas import DataFrame
+
+    return DataFrame(rows)
+
+
+def _html_table(title: str, rows: Sequence[Mapping[str, Any]]) -> str:
+    """Rows as a notebook shows them."""
+    head = "".join(f"<th>{html.escape(name)}</th>" for name in (rows[0] if rows else ()))
+    body = "".join(
+        "<tr>" + "".join(f"<td>{html.escape(_shown(value))}</td>" for value in row.values()) + "</tr>" for row in rows
+    )
+    return f"<p><b>{html.escape(title)}</b></p><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def _shown(value: object) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _ms(time: float) -> str:
+    return "not reached" if np.isnan(time) else f"{1e3 * time:.2f} ms"
