@@ -93,6 +93,7 @@ class MonitorNodeSettings(NamedTuple):
     map: str = ""
     frame_id: str = ""
     state: str = ""
+    calibration: str = ""
     commissioning_strokes: int = _USUAL.commissioning_strokes
     diagnosis_strokes: int = _USUAL.diagnosis_strokes
     strokes_between_false_alarms: float = _USUAL.strokes_between_false_alarms
@@ -127,6 +128,11 @@ MONITOR: Final = table_of(
     Words("map", "file that says which topics, fields and units those of the valve are; empty: those of this package"),
     Words("frame_id", "header.frame_id of the predicted joint states"),
     Words("state", "file that keeps what commissioning found, for the next start; empty: none"),
+    Words(
+        "calibration",
+        "calibration.json of `valve-sim commission`: it is said when that has expired, and what the declared valve has "
+        "otherwise is appended to its journal; empty: none",
+    ),
     Parameter("commissioning_strokes", "–", "number of first strokes, taken as the baseline", 8, 1000),
     Parameter("diagnosis_strokes", "–", "number of last strokes kept to trace a cause", 6, 200),
     Parameter("strokes_between_false_alarms", "–", "mean number of strokes of a healthy valve between alarms", 10, 1e9),
