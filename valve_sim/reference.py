@@ -14,7 +14,7 @@ from valve_sim.files.parameter_files import default_valve
 from valve_sim.fleet.columns import BEFORE, SCHEMA, columns, followed, quantities
 from valve_sim.model import CATALOGUE
 from valve_sim.model.parameters import Parameter
-from valve_sim.nodes import settings, topics
+from valve_sim.nodes import profile_playing, settings, topics
 from valve_sim.nodes.parameters import NodeParameter
 from valve_sim.nodes.topics import Topic
 from valve_sim.nodes.valve_parameters import table
@@ -115,7 +115,7 @@ def _node_parameters() -> Iterator[str]:
     )
     yield _parameters(settings.MONITOR)
     yield "## command_profile"
-    yield _parameters(settings.PROFILE)
+    yield _parameters(profile_playing.PROFILE)
     for node, tables in _STATION.items():
         yield f"## {node}"
         yield _parameters(tables)

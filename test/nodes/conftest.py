@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from own_domain import own_domain
+
+from valve_sim.nodes.dds_profiles import installed_rclpy, offer_profile
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -18,8 +21,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def in_own_domain() -> Iterator[None]:
-    """No neighbour is heard, and none hears us."""
+    """No neighbour is heard, and none hears us; nodes that begin are found at once, with the profile of the nodes."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("ROS_DOMAIN_ID", str(own_domain()))
-        patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        wanted: dict[str, str] = {}
+        offer_profile(wanted, Path.cwd(), installed_rclpy())
+        own = {"ROS_DOMAIN_ID": str(own_domain()), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+        for name, value in {**wanted, **own}.items():
+            patch.setenv(name, value)
         yield

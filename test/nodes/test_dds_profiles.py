@@ -26,13 +26,20 @@ def test_each_version_of_fast_dds_finds_its_file_and_no_other(
     environment = {"HOME": "/root"}
     offer_profile(environment, tmp_path, rclpy)
     assert set(environment) == {"HOME", variable}
-    (writer,) = ET.parse(environment[variable]).getroot()
-    assert writer.attrib["is_default_profile"] == "true"
+    participant, writer = ET.parse(environment[variable]).getroot()
+    assert [part.attrib["is_default_profile"] for part in (participant, writer)] == ["true"] * 2
     (times,) = writer
     (duration,) = times
     assert duration.tag.rpartition("}")[2] == name
+    assert seconds_of(duration) < 5e-3, "a reader asks again 5 ms after a heartbeat"
+    (announcements,) = (part for part in participant.iter() if part.tag.endswith("initialAnnouncements"))
+    count, period = (part for part in announcements if isinstance(part.tag, str))
+    assert int(count.text or "") * seconds_of(period) == 3.0, "until those begin that come every 3 s"
+
+
+def seconds_of(duration: ET.Element) -> float:
     seconds, nanoseconds = (int(number.text or "") for number in duration)
-    assert 1e9 * seconds + nanoseconds < 5e6, "a reader asks again 5 ms after a heartbeat"
+    return seconds + 1e-9 * nanoseconds
 
 
 @pytest.mark.parametrize("rclpy", [JAZZY, KILTED])

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import time
 from collections.abc import Iterator
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +17,12 @@ import pytest
 from identification.live_strokes import LiveValve
 
 from valve_sim.files.parameter_files import load_valve
+from valve_sim.records.calibration import load_changes, save_record
 
 from .dumps import TOLERATED, dump
 from .plant_on_topics import PlantOnTopics
 from .ros_process import ENDS_WITHIN, PATIENCE, Probe, piped, running
+from .test_calibration_watch import signed
 
 pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
@@ -310,3 +313,21 @@ def test_the_former_name_of_the_watched_node_counts_and_is_warned_of(ros: None, 
     with running(tmp_path, ["--ros-args", "-p", "valve:=/tank_1/valve"], "monitor_node") as process:
         assert probe.until(lambda: "hears /tank_1/valve/coil_voltage" in process.output)
         assert "parameter valve is called valve_node now" in process.output
+
+
+@pytest.mark.any_distribution
+def test_an_expired_calibration_is_a_warning_and_another_declared_value_goes_to_its_journal(
+    probe: Probe, tmp_path: Path
+) -> None:
+    path = tmp_path / "calibration.json"
+    save_record(path, signed(tmp_path, datetime(2020, 1, 1, tzinfo=timezone.utc)))
+    ears = Ears(probe)
+    with monitoring(tmp_path, calibration=path, **{"valve.spring_rate": 431.0}) as process:
+        words = "the calibration of SN-7 expired on 2020-12-31; calibrate it anew"
+        assert probe.until(lambda: ears.is_said("calibration", 1, words))
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=ENDS_WITHIN)
+        assert process.returncode == 0
+    assert said.count(words) == 1
+    assert "changed since the calibration: valve.spring_rate 428.0 → 431.0" in said
+    assert ("valve.spring_rate", 428.0, 431.0) in [change[2:] for change in load_changes(path)]

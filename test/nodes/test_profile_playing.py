@@ -7,9 +7,16 @@ from pathlib import Path
 import pytest
 
 from valve_sim.model import Drive, ParameterError, ValveError
-from valve_sim.nodes.profile_playing import Commanded, ProfileBrokenOffError, as_csv, play
+from valve_sim.nodes.profile_playing import (
+    Commanded,
+    ProfileBrokenOffError,
+    ProfileSettings,
+    as_csv,
+    checked_profile,
+    play,
+    profile_settings,
+)
 from valve_sim.nodes.realtime import NANOSECONDS, ClockReading
-from valve_sim.nodes.settings import ProfileSettings, checked_profile, profile_settings
 from valve_sim.traces.synthetic import read_profile
 
 PULSE = Drive.of([0.1, 0.104], [11.0, 0.0])

@@ -1,10 +1,18 @@
-"""What a node cannot use ends it with exit code 2 and one line that says why. Nothing is heard or sent."""
+"""What a node cannot use ends it with exit code 2 and one line that says why. Nothing is heard or sent.
+
+Of each program one case is a process of its own; of the others the program's function is called here, which returns the
+exit code.
+"""
 
 from __future__ import annotations
 
+import os
 import re
+import signal
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import pytest
 
@@ -13,17 +21,48 @@ from .ros_process import NodeProcess, own_lines
 pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
 
+from valve_sim.nodes import __main__ as programs  # noqa: E402
+
 NO_BAG = Path(__file__)
 """A file that is no recording."""
 Case = tuple[dict[str, object], str]
 
 
-def refusal(folder: Path, program: str, *arguments: str) -> str:
-    """The one line that a node says, which has ended with code 2."""
-    process = NodeProcess(folder, ["--ros-args", *arguments], program)
+@pytest.fixture
+def here(in_own_domain: None, tmp_path: Path) -> Iterator[None]:
+    """What a program changes of its process, its signals and its environment, is put back."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    with mock.patch.dict(os.environ, {"ROS_LOG_DIR": str(tmp_path)}):
+        yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+def refusal(said: pytest.CaptureFixture[str], program: str, *arguments: str) -> str:
+    """The one line that a program says, which ends with code 2."""
+    said.readouterr()
+    assert getattr(programs, program)([program, "--ros-args", *arguments]) == 2
+    (line,) = own_lines(said.readouterr().err)
+    return line
+
+
+@pytest.mark.parametrize(
+    ("program", "arguments", "says"),
+    [
+        ("valve_node", ["-p", "publish_rat:=100.0"], "did you mean publish_rate"),
+        ("identification_node", [], "bag: not given"),
+        ("monitor_node", ["-p", "commissioning_strokes:=20.5"], "a whole number"),
+        ("command_profile", [], "profile: not given"),
+    ],
+)
+def test_a_process_ends_with_code_2_and_one_line(
+    in_own_domain: None, tmp_path: Path, program: str, arguments: list[str], says: str
+) -> None:
+    process = NodeProcess(tmp_path, ["--ros-args", *arguments], program)
     assert process.exit_code() == 2, process.output
     (line,) = own_lines(process.output)
-    return line
+    assert line.startswith(f"{program}: ")
+    assert says in line
 
 
 def given(parameters: dict[str, object]) -> list[str]:
@@ -48,10 +87,12 @@ def first_everywhere(first: Case, *others: Case) -> list[Any]:
         ),
     ],
 )
-def test_a_bad_file_of_a_valve(in_own_domain: None, tmp_path: Path, content: str, says: str) -> None:
+def test_a_bad_file_of_a_valve(
+    here: None, capfd: pytest.CaptureFixture[str], tmp_path: Path, content: str, says: str
+) -> None:
     path = tmp_path / "bad.yaml"
     path.write_text(f"/**:\n  ros__parameters:\n    {content}\n")
-    assert re.match(f"valve_node: {path}: {says}", refusal(tmp_path, "valve_node", "--params-file", str(path)))
+    assert re.match(f"valve_node: {path}: {says}", refusal(capfd, "valve_node", "--params-file", str(path)))
 
 
 @pytest.mark.parametrize(
@@ -63,8 +104,10 @@ def test_a_bad_file_of_a_valve(in_own_domain: None, tmp_path: Path, content: str
         (["--nonsense"], "valve_node: ROS 2 refused to start: .*--nonsense"),
     ],
 )
-def test_a_bad_command_line_of_a_valve(in_own_domain: None, tmp_path: Path, arguments: list[str], says: str) -> None:
-    assert re.search(says, refusal(tmp_path, "valve_node", *arguments))
+def test_a_bad_command_line_of_a_valve(
+    here: None, capfd: pytest.CaptureFixture[str], arguments: list[str], says: str
+) -> None:
+    assert re.search(says, refusal(capfd, "valve_node", *arguments))
 
 
 @pytest.mark.parametrize(
@@ -81,9 +124,9 @@ def test_a_bad_command_line_of_a_valve(in_own_domain: None, tmp_path: Path, argu
     ),
 )
 def test_what_identification_cannot_use(
-    in_own_domain: None, tmp_path: Path, parameters: dict[str, object], says: str
+    here: None, capfd: pytest.CaptureFixture[str], tmp_path: Path, parameters: dict[str, object], says: str
 ) -> None:
-    assert says in refusal(tmp_path, "identification_node", *given({"output": tmp_path, **parameters}))
+    assert says in refusal(capfd, "identification_node", *given({"output": tmp_path, **parameters}))
 
 
 @pytest.mark.parametrize(
@@ -101,6 +144,6 @@ def test_what_identification_cannot_use(
     ),
 )
 def test_what_a_monitor_cannot_use(
-    in_own_domain: None, tmp_path: Path, parameters: dict[str, object], says: str
+    here: None, capfd: pytest.CaptureFixture[str], parameters: dict[str, object], says: str
 ) -> None:
-    assert says in refusal(tmp_path, "monitor_node", *given(parameters))
+    assert says in refusal(capfd, "monitor_node", *given(parameters))

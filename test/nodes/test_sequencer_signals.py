@@ -23,7 +23,6 @@ from std_msgs.msg import Bool, Float64  # noqa: E402
 HERE = Path(__file__).parent
 SEQUENCER = HERE.parents[1] / "docs" / "examples" / "sequencer.py"
 NAMES = ("quick_1", "quick_2", "quick_3")
-RUNS = 8
 
 
 class QuickValve:
@@ -51,9 +50,10 @@ def probe(in_own_domain: None) -> Iterator[Probe]:
     rclpy.try_shutdown()
 
 
-def test_a_signal_at_any_moment_closes_all_and_is_named(probe: Probe, tmp_path: Path) -> None:
+@pytest.mark.parametrize("runs", [3, pytest.param(12, marks=pytest.mark.long)])
+def test_a_signal_at_any_moment_closes_all_and_is_named(probe: Probe, tmp_path: Path, runs: int) -> None:
     valves = [QuickValve(probe.node, name) for name in NAMES]
-    program = [str(HERE / "interrupted_sequencer.py"), str(SEQUENCER), str(RUNS), "17"]
+    program = [str(HERE / "interrupted_sequencer.py"), str(SEQUENCER), str(runs), "17"]
     parameters = ["-p", f"namespaces:=[{', '.join(NAMES)}]", "-p", "cycles:=1000000", "-p", "hold:=0.01"]
     output, errors = tmp_path / "output", tmp_path / "errors"
     with (
@@ -67,12 +67,12 @@ def test_a_signal_at_any_moment_closes_all_and_is_named(probe: Probe, tmp_path: 
         ) as process,
     ):
         try:
-            assert probe.until(lambda: process.poll() is not None, RUNS * PATIENCE), output.read_text()
+            assert probe.until(lambda: process.poll() is not None, runs * PATIENCE), output.read_text()
         finally:
             process.kill()
-    assert output.read_text().split() == RUNS * ["1"], errors.read_text()
+    assert output.read_text().split() == runs * ["1"], errors.read_text()
     words = errors.read_text()
-    assert words.count("sequencer: interrupted; all valves are commanded closed\n") == RUNS
+    assert words.count("sequencer: interrupted; all valves are commanded closed\n") == runs
     assert "Traceback" not in words
     assert all(max(valve.voltages) > 0.0 for valve in valves)
     # What was sent last may be on its way when the process has ended.

@@ -94,6 +94,17 @@ def test_a_node_does_linear_algebra_in_one_thread() -> None:
     assert ran.stdout == "1\n"
 
 
+@pytest.mark.any_distribution
+@pytest.mark.parametrize("module", ["valve", "monitor", "identification", "profile"])
+def test_a_node_starts_without_what_takes_a_second_to_load(module: str) -> None:
+    heavy = ("scipy.optimize", "scipy.signal", "scipy.stats", "matplotlib")
+    script = f"import sys, valve_sim.nodes.{module}; print([name for name in {heavy} if name in sys.modules])"
+    ran = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, timeout=ENDS_WITHIN, check=True
+    )
+    assert ran.stdout == "[]\n"
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("place", ["make", "spin"])
 def test_a_node_that_reads_or_answers_without_end_ends_with_code_0_within_two_seconds(

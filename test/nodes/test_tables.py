@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.nodes import settings, topics
+from valve_sim.nodes import profile_playing, settings, topics
 from valve_sim.nodes.parameters import Table
 from valve_sim.nodes.topics import Topic
 from valve_sim.nodes.valve_parameters import table
@@ -95,7 +95,13 @@ CASES: dict[str, tuple[str, Sequence[Topic], Table, Sequence[str], Sequence[str]
         ["/valve"],
         ["-p", f"bag:={ROOT / 'bags' / 'one_opening.mcap'}", "-p", "linger:=true"],
     ),
-    "command_profile": ("command_profile", topics.PROFILE, settings.PROFILE, ["/valve"], ["-p", "patience:=600.0"]),
+    "command_profile": (
+        "command_profile",
+        topics.PROFILE,
+        profile_playing.PROFILE,
+        ["/valve"],
+        ["-p", "patience:=600.0"],
+    ),
     "dispenser_node": (
         "dispenser",
         dispenser_tables.TOPICS,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from datetime import datetime, timezone
 from html.parser import HTMLParser
 from pathlib import Path
@@ -19,10 +20,12 @@ from valve_sim.records.calibration import (
     Change,
     Record,
     Sensor,
-    append_change,
+    append_changes,
+    declared_numbers,
     journal_path,
     load_changes,
     load_record,
+    note_changes,
     read_sensors,
     save_record,
     sign,
@@ -115,7 +118,7 @@ def test_later_changes_are_appended_and_cannot_be_taken_out(files: tuple[Path, P
         Change(f"2026-12-0{day}T08:00:00Z", "Bob", "valve.spring_rate", 428.0, 428.0 + day) for day in (1, 2, 3)
     )
     for change in changes:
-        append_change(path, change)
+        append_changes(path, [change])
     assert load_changes(path) == changes
     journal = journal_path(path)
     found = json.loads(journal.read_text())
@@ -128,14 +131,58 @@ def test_later_changes_are_appended_and_cannot_be_taken_out(files: tuple[Path, P
         load_changes(path)
 
 
+def test_what_is_declared_otherwise_later_is_noted_once(files: tuple[Path, Path], tmp_path: Path) -> None:
+    path = tmp_path / "calibration.json"
+    save_record(path, signed(files))
+    valve = default_valve()
+    assert note_changes(path, declared_numbers(valve), "monitor", NOW) == ()
+    assert not journal_path(path).exists()
+    parameters = valve.parameters._replace(spring_rate=431.0, attraction_polynomial=(1.0, 2.0, 3.0, 4.0))
+    other = replace(valve, parameters=parameters, effects={"stiction": {"force": 0.2}})
+    noted = note_changes(path, declared_numbers(other), "monitor", NOW)
+    assert noted == load_changes(path)
+    found = {change.parameter: (change.before, change.after) for change in noted}
+    assert found["valve.spring_rate"] == (428.0, 431.0)
+    assert found["valve.attraction_polynomial[3]"] == (valve.parameters.attraction_polynomial[3], 4.0)
+    assert found["effects.stiction.force"] == (None, 0.2)
+    assert note_changes(path, declared_numbers(other), "monitor", NOW) == ()
+    back = note_changes(path, declared_numbers(valve), "monitor", NOW)
+    assert {change.parameter: (change.after, change.before) for change in back} == found
+    assert {(change.by, change.at) for change in back} == {("monitor", "2026-11-26T12:00:00Z")}
+
+
+def test_a_clock_before_the_signature_is_said(files: tuple[Path, Path]) -> None:
+    record = signed(files)
+    assert record.remarks(NOW) == []
+    (words,) = record.remarks(datetime(1970, 1, 1, tzinfo=timezone.utc))
+    assert words.endswith("signed at 2026-11-26T12:00:00Z, which this machine's clock has not reached: set the clock")
+
+
+def test_a_full_disk_leaves_record_and_journal_as_they_were(
+    files: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "calibration.json"
+    save_record(path, signed(files))
+    change = Change("2026-12-01T08:00:00Z", "Bob", "valve.stroke", 1.0, 2.0)
+    append_changes(path, [change])
+    with monkeypatch.context() as patch:
+        patch.setattr("os.fsync", lambda number: (_ for _ in ()).throw(OSError(28, "No space left on device")))
+        for write in (lambda: append_changes(path, [change]), lambda: save_record(path, signed(files, days=2))):
+            with pytest.raises(ValveError, match="No space left on device"):
+                write()
+    assert (load_record(path), load_changes(path)) == (signed(files), (change,))
+    assert {file.name for file in tmp_path.iterdir()} >= {"calibration.json", "calibration.journal.json"}
+    assert not list(tmp_path.glob("*.partial*"))
+
+
 def test_a_kill_while_the_journal_grows_leaves_it_whole(files: tuple[Path, Path], tmp_path: Path) -> None:
     path = tmp_path / "calibration.json"
     save_record(path, signed(files))
     program = """
 import sys; from pathlib import Path
-from valve_sim.records.calibration import Change, append_change
+from valve_sim.records.calibration import Change, append_changes
 for number in range(10_000):
-    append_change(Path(sys.argv[1]), Change("2026-12-01T08:00:00Z", "Bob", "p", float(number), None))
+    append_changes(Path(sys.argv[1]), [Change("2026-12-01T08:00:00Z", "Bob", "p", float(number), None)])
     print(number, flush=True)
 """
     reached = -1

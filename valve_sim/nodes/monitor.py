@@ -12,7 +12,8 @@ import gc
 import json
 import math
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from datetime import datetime, timezone
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -30,6 +31,7 @@ from valve_sim.identification.reporting.monitoring import stroke_json
 from valve_sim.identification.reporting.monitoring_words import told_finding
 from valve_sim.model import ParameterError, Stepper
 from valve_sim.nodes import topics
+from valve_sim.nodes.calibration_watch import CalibrationWatch
 from valve_sim.nodes.diagnostics import Level, Status
 from valve_sim.nodes.live_map import live_inputs
 from valve_sim.nodes.messages import ReadingMessages, diagnostic_array
@@ -77,7 +79,8 @@ class MonitorNode(RosNode):
         sections: (file, section) of the parameter files on the command line.
 
     Raises:
-        ParameterError: a parameter is unknown, of the wrong type or out of range, or the state file cannot be used.
+        ValveError: a parameter is unknown, of the wrong type or out of range, or the state file or the calibration
+            record cannot be used.
     """
 
     def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
@@ -92,6 +95,7 @@ class MonitorNode(RosNode):
         self._clock = NodeClock(self._node)
         self._state = Path(self._settings.state).expanduser() if self._settings.state else None
         self._kept = None if self._state is None else load_commissioning(self._state, valve)
+        self._calibration = self._load_calibration()
         take = Takers(
             self._on_command,
             self._on_position,
@@ -143,6 +147,15 @@ class MonitorNode(RosNode):
         return all(have_ended)
 
     # --- wiring ---
+
+    def _load_calibration(self) -> CalibrationWatch | None:
+        if not self._settings.calibration:
+            return None
+        path, name = Path(self._settings.calibration).expanduser(), self._node.get_fully_qualified_name()
+        found = CalibrationWatch(path, self._declared, name, datetime.now(timezone.utc))
+        for line in found.lines:
+            self._node.get_logger().warning(line)
+        return found
 
     def _wire(self) -> None:
         interface = Interface(self._node, topics.MONITOR)
@@ -290,7 +303,17 @@ class MonitorNode(RosNode):
             model_status(self._stroke_monitor),
             self._input.status(self._clock.elapsed(), self._monitor_thread.lost, waiting_for, unheard),
             isolation_status(self._isolation),
+            *self._calibration_status(),
         )
+
+    def _calibration_status(self) -> Iterator[Status]:
+        """By the system's clock, which has the date also where time is simulated."""
+        if self._calibration is None:
+            return
+        now = datetime.now(timezone.utc)
+        for line in self._calibration.new_remarks(now):
+            self._node.get_logger().warning(line)
+        yield self._calibration.status(now)
 
     # --- the monitor's thread, and that of fault isolation ---
 

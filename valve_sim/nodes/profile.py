@@ -21,10 +21,17 @@ from valve_sim.files.whole_files import write_whole
 from valve_sim.model import ValveError
 from valve_sim.nodes import topics
 from valve_sim.nodes.node_clock import NodeClock
-from valve_sim.nodes.profile_playing import Commanded, ProfileBrokenOffError, as_csv, play
-from valve_sim.nodes.realtime import NANOSECONDS
-from valve_sim.nodes.replay import LISTENERS_SECONDS
-from valve_sim.nodes.settings import PROFILE, ProfileSettings, checked_profile, profile_settings
+from valve_sim.nodes.profile_playing import (
+    PROFILE,
+    Commanded,
+    ProfileBrokenOffError,
+    ProfileSettings,
+    as_csv,
+    checked_profile,
+    play,
+    profile_settings,
+)
+from valve_sim.nodes.realtime import LISTENERS_SECONDS, NANOSECONDS
 from valve_sim.nodes.spinning import AnsweringThread, guarded, wait_until_heard
 from valve_sim.nodes.wiring import Interface, RosNode, declared, full_name
 
@@ -38,7 +45,7 @@ _PROGRESS_SECONDS: Final = 5.0
 class ProfileNode(RosNode):
     """The node `command_profile`, with the topics `topics.PROFILE`.
 
-    Parameters: `settings.PROFILE`; they are read once, at the start.
+    Parameters: `profile_playing.PROFILE`; they are read once, at the start.
 
     Args:
         sections: (file, section) of the parameter files on the command line.

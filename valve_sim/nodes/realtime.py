@@ -17,6 +17,8 @@ from valve_sim.nodes.threads import StoppableThread
 NANOSECONDS: Final = 1_000_000_000
 LAST_STAMP: Final = 2**31 * NANOSECONDS - 1
 """ns, in 2038: a stamp has 32 bits for seconds. At a thousand times real time a node reaches that in days."""
+LISTENERS_SECONDS: Final = 0.5
+"""s to wait for the discovery of subscribers, which takes up to a quarter of a second."""
 BACKLOG_SECONDS: Final = 0.5
 """s: samples that are overdue for longer are dropped; the model is stepped over them nevertheless."""
 _BETWEEN_LOOKS: Final = 20_000_000

@@ -11,12 +11,10 @@ from numpy.typing import NDArray
 from valve_sim.identification.plants.valve_sensors import response_to
 from valve_sim.model import Phase, Reading, Response, Valve
 from valve_sim.nodes.diagnostics import Level, Status
-from valve_sim.nodes.realtime import NANOSECONDS, ClockReading, PaceClock, TimingRecord, why_restart
+from valve_sim.nodes.realtime import LISTENERS_SECONDS, NANOSECONDS, ClockReading, PaceClock, TimingRecord, why_restart
 from valve_sim.nodes.threads import StoppableThread
 from valve_sim.traces import Trace
 
-LISTENERS_SECONDS: Final = 0.5
-"""s that a replay waits for the discovery of subscribers, which takes up to a quarter of a second."""
 LATE_SECONDS: Final = 0.01
 """s: lateness of published samples, 99th percentile, beyond which there is a warning."""
 _UNKNOWN: Final = math.nan

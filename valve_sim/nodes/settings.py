@@ -1,4 +1,4 @@
-"""The tables of parameters of identification_node, monitor_node and command_profile, and what holds between them.
+"""The tables of parameters of identification_node and monitor_node, and what holds between them.
 
 Needs no ROS. All are read once, at the start.
 """
@@ -7,18 +7,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Final, NamedTuple
 
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.diagnosis.identify import check_free
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.plants.valve import DAMPINGS
-from valve_sim.model import Drive, Parameter, ParameterError
+from valve_sim.model import Parameter, ParameterError
 from valve_sim.nodes.parameters import NodeParameter, Value, Words, check_given, settings_of, table_of
 from valve_sim.nodes.valve_parameters import VALVE_KEYS, check_with_valve, valve_table
 from valve_sim.nodes.valve_parameters import Settings as ValveNodeSettings
-from valve_sim.traces.synthetic import read_profile
 
 MODES: Final = ("identify", "diagnose")
 _MICRO: Final = 1e-6
@@ -95,6 +93,7 @@ class MonitorNodeSettings(NamedTuple):
     map: str = ""
     frame_id: str = ""
     state: str = ""
+    calibration: str = ""
     commissioning_strokes: int = _USUAL.commissioning_strokes
     diagnosis_strokes: int = _USUAL.diagnosis_strokes
     strokes_between_false_alarms: float = _USUAL.strokes_between_false_alarms
@@ -129,6 +128,11 @@ MONITOR: Final = table_of(
     Words("map", "file that says which topics, fields and units those of the valve are; empty: those of this package"),
     Words("frame_id", "header.frame_id of the predicted joint states"),
     Words("state", "file that keeps what commissioning found, for the next start; empty: none"),
+    Words(
+        "calibration",
+        "calibration.json of `valve-sim commission`: it is said when that has expired, and what the declared valve has "
+        "otherwise is appended to its journal; empty: none",
+    ),
     Parameter("commissioning_strokes", "–", "number of first strokes, taken as the baseline", 8, 1000),
     Parameter("diagnosis_strokes", "–", "number of last strokes kept to trace a cause", 6, 200),
     Parameter("strokes_between_false_alarms", "–", "mean number of strokes of a healthy valve between alarms", 10, 1e9),
@@ -156,59 +160,3 @@ def monitor_values(given: Mapping[str, object], sources: Mapping[str, str]) -> d
     own = {name: value for name, value in given.items() if name in MONITOR or name not in ValveNodeSettings._fields}
     places = {MONITORS_FORMER_NAMES.get(name, name): place for name, place in sources.items()}
     return check_with_valve(own, monitor_table(), places, "monitor_node")
-
-
-class ProfileSettings(NamedTuple):
-    """Of command_profile; the table says what each means."""
-
-    profile: str = ""
-    valve: str = "valve"
-    max_voltage: float = 30.0
-    patience: float = 10.0
-    output: str = "commanded.csv"
-
-
-PROFILE: Final = table_of(
-    ProfileSettings,
-    Words(
-        "profile",
-        "what to command: rows of time in s and volts, as for `valve-sim simulate --profile`, the last one 0 V",
-    ),
-    Words("valve", "the node that is commanded, on its topic ~/coil_voltage"),
-    Parameter(
-        "max_voltage", "V", "a profile with a larger voltage, of either sign, is refused before anything is commanded",
-        0.0, math.inf,
-    ),
-    Parameter("patience", "s", "to wait for a node that hears the commands", 0.0, math.inf),
-    Words("output", "CSV file of what was commanded when: ROS time in ns, s since the start, V"),
-)  # fmt: skip
-
-
-def profile_settings(given: Mapping[str, object], sources: Mapping[str, str]) -> ProfileSettings:
-    """The settings to start with; arguments and errors as of `check_given`."""
-    settings = settings_of(ProfileSettings, check_given(given, PROFILE, sources, "command_profile"))
-    if not settings.profile:
-        raise ParameterError("profile: not given; expected a file such as record_next.yaml (-p profile:=FILE)")
-    return settings
-
-
-def checked_profile(settings: ProfileSettings) -> Drive:
-    """The commands, checked: all within max_voltage, and the last one 0 V.
-
-    Raises:
-        ValveError: the file cannot be used; one line.
-    """
-    path = Path(settings.profile).expanduser()
-    drive = read_profile(path)
-    for time, volts in zip(drive.times.tolist(), drive.volts.tolist(), strict=True):
-        if not abs(volts) <= settings.max_voltage:
-            raise ParameterError(
-                f"{path}: found {volts:g} V at {time:g} s, expected at most {settings.max_voltage:g} V of either sign; "
-                "lower it, or raise max_voltage if coil and driver bear it"
-            )
-    if drive.volts[-1] != 0.0:
-        raise ParameterError(
-            f"{path}: found {drive.volts[-1]:g} V as the last command; expected 0 V, so that the coil is not left on: "
-            "add a last row, the time at which the voltage ends and 0"
-        )
-    return drive

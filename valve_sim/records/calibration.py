@@ -9,17 +9,19 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from valve_sim.files.json_text import json_text
+from valve_sim.files.json_text import finite_or_none, json_text
+from valve_sim.files.parameter_files import load_valve
 from valve_sim.files.yaml_files import read_yaml
+from valve_sim.model import Valve
 from valve_sim.model.errors import ValveError
 from valve_sim.records.durable import write_text_durably
 
-SCHEMA: Final = "valve_sim/calibration/1"
+SCHEMA: Final = "valve_sim/calibration/2"
 _JOURNAL: Final = "valve_sim/calibration_journal/1"
 _SENSOR: Final = ("name", "serial_number", "certificate", "expires")
 _SENSORS_FORM: Final = (
@@ -59,7 +61,8 @@ class Record(NamedTuple):
     Attributes:
         serial_number: of the valve. signed_by: who is answerable. signed_at: when, ISO 8601 in UTC.
         valid_until: last day, YYYY-MM-DD: of the calibration, or of the sensor that expires first.
-        sensors: that it rests on. parameters, report: the files. figures: what was found. note: of the person.
+        sensors: that it rests on. parameters, report: the files. declared: every number of the parameter file, by name.
+        figures: what was found. note: of the person.
     """
 
     serial_number: str
@@ -69,6 +72,7 @@ class Record(NamedTuple):
     sensors: tuple[Sensor, ...]
     parameters: Source
     report: Source
+    declared: dict[str, float | None]
     figures: tuple[Figure, ...]
     note: str = ""
 
@@ -87,12 +91,17 @@ class Record(NamedTuple):
         return {**self._content(), "digest": self.digest}
 
     def remarks(self, now: datetime, parameters: bytes | None = None) -> list[str]:
-        """What speaks against using it: expired, or made for other parameters; empty if nothing does.
+        """What speaks against using it: expired, signed in the future, or made for other parameters; empty if nothing.
 
         Args:
             now: in UTC. parameters: the bytes of the parameter file in use; None where that is not to be compared.
         """
         found = []
+        if f"{now:%Y-%m-%dT%H:%M:%SZ}" < self.signed_at:
+            found.append(
+                f"the calibration of {self.serial_number} was signed at {self.signed_at}, which this machine's clock "
+                "has not reached: set the clock"
+            )
         if now.date().isoformat() > self.valid_until:
             found.append(f"the calibration of {self.serial_number} expired on {self.valid_until}; calibrate it anew")
         found += [
@@ -130,7 +139,24 @@ def sign(
     until = min([last, *(sensor.expires for sensor in sensors)])
     stamp = now.astimezone(timezone.utc).strftime("%Y-%m-%dT%H:%M:%SZ")
     sources = _source(parameters), _source(report)
-    return Record(serial_number, signed_by, stamp, until, tuple(sensors), *sources, figures, note)
+    declared = declared_numbers(load_valve(parameters))
+    return Record(serial_number, signed_by, stamp, until, tuple(sensors), *sources, declared, figures, note)
+
+
+def declared_numbers(valve: Valve) -> dict[str, float | None]:
+    """Every number of a valve as a parameter file has it, by name such as effects.stiction.force; None for infinity."""
+    return {name: finite_or_none(value) for name, value in _numbers(valve.to_mapping(), "")}
+
+
+def _numbers(found: Any, name: str) -> Iterator[tuple[str, float]]:
+    if isinstance(found, Mapping):
+        for key, value in found.items():
+            yield from _numbers(value, f"{name}.{key}" if name else str(key))
+    elif isinstance(found, Sequence) and not isinstance(found, str):
+        for index, value in enumerate(found):
+            yield from _numbers(value, f"{name}[{index}]")
+    elif isinstance(found, int | float):
+        yield name, float(found)
 
 
 def save_record(path: Path, record: Record) -> None:
@@ -176,15 +202,15 @@ def journal_path(record: Path) -> Path:
     return record.with_suffix(".journal.json")
 
 
-def append_change(record: Path, change: Change) -> None:
-    """Append a change to the journal of a record, whole or not at all.
+def append_changes(record: Path, new: Sequence[Change]) -> None:
+    """Append changes to the journal of a record, all of them or none.
 
     Raises:
         ValveError: the record or its journal cannot be used or written.
     """
     base, changes = load_record(record), load_changes(record)
     entries, previous = [], base.digest
-    for entry in (*changes, change):
+    for entry in (*changes, *new):
         content = {**entry._asdict(), "previous": previous}
         previous = _digest(content)
         entries.append({**content, "digest": previous})
@@ -215,6 +241,33 @@ def load_changes(record: Path) -> tuple[Change, ...]:
         entry.pop("previous")
         changes.append(Change(**entry))
     return tuple(changes)
+
+
+def note_changes(record: Path, declared: Mapping[str, float | None], by: str, now: datetime) -> tuple[Change, ...]:
+    """Append to the journal in what a valve's declared numbers differ from the record and its journal.
+
+    Args:
+        record: the file. declared: see `declared_numbers`. by: who uses them. now: in UTC.
+
+    Returns:
+        what was appended; nothing where nothing differs.
+
+    Raises:
+        ValveError: the record or its journal cannot be used or written.
+    """
+    known = dict(load_record(record).declared)
+    for change in load_changes(record):
+        known[change.parameter] = change.after
+    names = {**known, **declared}
+    at = now.astimezone(timezone.utc).strftime("%Y-%m-%dT%H:%M:%SZ")
+    new = tuple(
+        Change(at, by, name, known.get(name), declared.get(name))
+        for name in names
+        if known.get(name) != declared.get(name)
+    )
+    if new:
+        append_changes(record, new)
+    return new
 
 
 def read_sensors(path: Path) -> tuple[Sensor, ...]:

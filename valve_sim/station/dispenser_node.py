@@ -7,7 +7,6 @@ signal.
 from __future__ import annotations
 
 import functools
-import threading
 from collections.abc import Sequence
 from typing import Final
 
@@ -19,9 +18,9 @@ from valve_sim.files.parameter_sections import Section
 from valve_sim.nodes.node_clock import NodeClock
 from valve_sim.nodes.realtime import NANOSECONDS, Arrival, Restart, Worker
 from valve_sim.nodes.receiving import Inbox
-from valve_sim.nodes.spinning import AnsweringThread, wait_until_heard
 from valve_sim.nodes.starting import STOP_SECONDS
-from valve_sim.nodes.wiring import Interface, RosNode, declared, full_name
+from valve_sim.nodes.wiring import Interface, declared, full_name
+from valve_sim.station.commanding import CommandingNode
 from valve_sim.station.dispenser import Dispensed, Dispenser
 from valve_sim.station.dispenser_tables import PARAMETERS, TOPICS, Settings, dispenser_settings
 
@@ -29,7 +28,7 @@ _BETWEEN_REMINDERS: Final = 10.0
 """s between lines that say which valve is waited for."""
 
 
-class DispenserNode(RosNode):
+class DispenserNode(CommandingNode):
     """The node `dispenser`, with the topics `TOPICS` for each of `valves`.
 
     Parameters: `PARAMETERS`; they are read once, at the start.
@@ -49,10 +48,6 @@ class DispenserNode(RosNode):
         self._inbox = Inbox(self._node, self._clock)
         self._wire()
         self._zero = 0
-        self._stop = threading.Event()
-        self._commanding = threading.Lock()
-        self._is_off = False
-        """Whether 0 V has been commanded for good; a step that is still being made then commands nothing."""
         self._worker = Worker(
             self._clock,
             self._settings.rate,
@@ -61,7 +56,6 @@ class DispenserNode(RosNode):
             step=self._step,
             fail=self._fail,
         )
-        self._answering = AnsweringThread(self._node, stop=lambda reason: self._stop.set(), fail=self._fail)
 
     def spin(self) -> None:
         """Run until a signal comes; 0 V is the last command to every valve."""
@@ -69,13 +63,7 @@ class DispenserNode(RosNode):
         self._worker.start()
         self._stop.wait()
         self._worker.stop(STOP_SECONDS)
-        with self._commanding:
-            self._is_off = True
-            if self._node.context.ok():
-                for voltage in self._voltages:
-                    voltage.publish(Float64(data=0.0))
-        if self._node.context.ok():
-            wait_until_heard(self._voltages)
+        self._switch_off()
 
     def close(self, timeout: float) -> bool:
         """Release everything; whether all threads have ended. The stepping one cannot while it compiles."""
@@ -86,7 +74,6 @@ class DispenserNode(RosNode):
 
     def _wire(self) -> None:
         interface = Interface(self._node, TOPICS)
-        self._voltages: list[Publisher] = []
         self._demands: list[Publisher] = []
         self._inlets: list[Publisher | None] = []
         for k, (given, volume) in enumerate(zip(self._settings.valves, self._settings.tank_volumes, strict=True)):
@@ -149,12 +136,6 @@ class DispenserNode(RosNode):
                 voltage.publish(Float64(data=volts))
         self._line.publish(line)
         self._vehicle.publish(_pressure(stamp, done.vehicle_pressure))
-
-    def _fail(self, error: Exception) -> None:
-        if self._node.context.ok():
-            self._exit_code = 1
-            self._node.get_logger().fatal(f"the node cannot go on: {error!r}")
-        self._stop.set()
 
 
 def _pressure(stamp: int, pressure: float) -> FluidPressure:

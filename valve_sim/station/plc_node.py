@@ -7,14 +7,12 @@ machine's own clock, also under use_sim_time: a /clock that stands still must no
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from rclpy.publisher import Publisher
 from std_msgs.msg import Float64
 
 from valve_sim.files.parameter_sections import Section
@@ -22,15 +20,15 @@ from valve_sim.files.whole_files import write_whole
 from valve_sim.nodes.node_clock import NodeClock
 from valve_sim.nodes.realtime import Arrival
 from valve_sim.nodes.receiving import Inbox
-from valve_sim.nodes.spinning import AnsweringThread, wait_until_heard
-from valve_sim.nodes.wiring import Interface, RosNode, declared, full_name
+from valve_sim.nodes.wiring import Interface, declared, full_name
+from valve_sim.station.commanding import CommandingNode
 from valve_sim.station.hearing import hear_live
 from valve_sim.station.modbus import PlcClient, PlcServer, Side, SideThread
 from valve_sim.station.plc import PlcStation, map_csv
 from valve_sim.station.plc_tables import PARAMETERS, TOPICS, PlcSettings, plc_settings
 
 
-class PlcNode(RosNode):
+class PlcNode(CommandingNode):
     """The node `plc`, with the topics `TOPICS` of each of `valves`.
 
     Parameters: `PARAMETERS`; they are read once, at the start.
@@ -48,10 +46,6 @@ class PlcNode(RosNode):
             settings: PlcSettings = declared(self._node, sections, PARAMETERS, plc_settings)
             self._settings = settings
             self._valves = [full_name(self._node, name, "valves") for name in settings.valves]
-            self._commanding = threading.Lock()
-            self._is_off = False
-            """Whether 0 V has been commanded for good."""
-            self._voltages: list[Publisher] = []
             self._inbox = Inbox(self._node, NodeClock(self._node))
             self._was_on = [False] * len(self._valves)
             self._station = PlcStation(
@@ -65,8 +59,6 @@ class PlcNode(RosNode):
         except BaseException:
             self._node.destroy_node()
             raise
-        self._stop = threading.Event()
-        self._answering = AnsweringThread(self._node, stop=lambda reason: self._stop.set(), fail=self._fail)
         place = f"{settings.plc_host or settings.address}:{settings.port}"
         role = f"polls the PLC at {place}" if settings.plc_host else f"the PLC polls {place}"
         self._node.get_logger().info(
@@ -87,13 +79,7 @@ class PlcNode(RosNode):
                 due = max(due + period, time.monotonic())
                 self._stop.wait(max(0.0, due - time.monotonic()))
         finally:
-            with self._commanding:
-                self._is_off = True
-                if self._node.context.ok():
-                    for voltage in self._voltages:
-                        voltage.publish(Float64(data=0.0))
-            if self._node.context.ok():
-                wait_until_heard(self._voltages)
+            self._switch_off()
 
     def close(self, timeout: float) -> bool:
         """Release everything; whether all threads have ended."""
@@ -139,9 +125,3 @@ class PlcNode(RosNode):
 
     def _say(self, words: str) -> None:
         self._node.get_logger().warning(words)
-
-    def _fail(self, error: Exception) -> None:
-        if self._node.context.ok():
-            self._exit_code = 1
-            self._node.get_logger().fatal(f"the node cannot go on: {error!r}")
-        self._stop.set()

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from valve_sim.identification.estimation.intervals import CHI2_RISE_95
 from valve_sim.identification.estimation.noise import Noise
@@ -294,6 +293,8 @@ def _calibrated(tolerances: Tolerances, errors: Mapping[str, float]) -> Toleranc
 
 def _refined(plant: EventPlant, values: Mapping[str, float]) -> dict[str, float]:
     """The values of a fit to machine precision: the fit itself stops at a tenth of a standard error."""
+    from scipy.optimize import least_squares
+
     sizes = np.array(list(values.values()))
     problem = event_problem(plant)
 

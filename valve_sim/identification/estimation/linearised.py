@@ -22,7 +22,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.linalg.lapack import dpotri
-from scipy.optimize import minimize
 
 from valve_sim.identification.estimation.evidence import log_volume
 from valve_sim.identification.estimation.gram import gram
@@ -273,6 +272,8 @@ class BySizes:
         learned = self.is_learned
         if not learned.any():
             return start
+
+        from scipy.optimize import minimize
 
         def by_logs(logs: Array) -> tuple[float, Array]:
             sizes = start.copy()

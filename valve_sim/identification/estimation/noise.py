@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
-from scipy.signal import lfilter
+from scipy.linalg.blas import dtbsv
 
 from valve_sim.identification.estimation.errors import hum
 from valve_sim.identification.plants.protocol import Channel
@@ -165,6 +165,16 @@ def _at_rest(windows: Sequence[Window], step: float, floor: float, *, drifts: bo
     return _with_slow_part(_unbiased(found, [len(own) for own in values], drifts=drifts), values, bases)
 
 
+def _coloured(noise: Noise, white: Array) -> Array:
+    """The noise (n,) that white noise of unit variance (n,) drives: e_t = Σ φ_k e_{t−k} + innovation · white_t.
+
+    A triangular band of ones and −φ_k, solved from its first row on; scipy.signal would take a second to load.
+    """
+    order = len(noise.coefficients)
+    bands = np.repeat(np.concatenate([[1.0], -np.array(noise.coefficients)])[:, None], len(white), axis=1)
+    return np.asarray(dtbsv(order, bands, noise.innovation * white, lower=1, diag=1))
+
+
 def _unbiased(noise: Noise, lengths: Sequence[int], *, drifts: bool) -> Noise:
     """Coloured noise as it is before means and curves of windows are taken off, which take some of what is slow along.
 
@@ -177,13 +187,9 @@ def _unbiased(noise: Noise, lengths: Sequence[int], *, drifts: bool) -> Noise:
     # Of a long recording some windows tell as much as all.
     count = 1 + int(np.searchsorted(np.cumsum(lengths), MOST_DRAWN))
     lengths = [min(length, MOST_DRAWN) for length in lengths[:count]]
-    polynomial = np.concatenate([[1.0], -np.array(noise.coefficients)])
     again = []
     for _ in range(DRAWS):
-        drawn = [
-            lfilter([noise.innovation], polynomial, random.standard_normal(SETTLES + length))[SETTLES:]
-            for length in lengths
-        ]
+        drawn = [_coloured(noise, random.standard_normal(SETTLES + length))[SETTLES:] for length in lengths]
         values = [_less(own, _drift(own) if drifts else _level(own)) for own in drawn]
         size = math.sqrt(sum(float(own @ own) for own in values) / max(1, sum(lengths) - len(values)))
         coefficients, innovation = _autoregression(values, sum(lengths), order)

@@ -14,7 +14,6 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from valve_sim.identification.monitoring.stroke_delays import crossing
 from valve_sim.identification.plants.commissioned import START, START_SHARE
@@ -91,6 +90,8 @@ class _LiftTimes:
         lower, upper = internal_bounds(parameter)
         off = to_internal(parameter, parameter.neutral)
         sign = 1.0 if off < upper else -1.0
+
+        from scipy.optimize import least_squares
 
         def values(at: Array) -> dict[str, float]:
             inside = min(max(off + sign * parameter.prior_scale * abs(float(at[0])), lower), upper)

@@ -12,7 +12,6 @@ from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from valve_sim.identification.plants.advice import Advice
 from valve_sim.identification.plants.hold_out import Condition
@@ -82,6 +81,8 @@ def commission_current(traces: Sequence[Trace], valve: Valve) -> CommissionedCur
     if not known or len(known) < len(traces):
         return None
     measured = np.concatenate([current.values for current in known])
+
+    from scipy.optimize import minimize_scalar
 
     def modelled(lateness: float) -> Array:
         return np.concatenate([

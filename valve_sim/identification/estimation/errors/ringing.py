@@ -15,7 +15,6 @@ from collections.abc import Callable, Iterator
 from typing import Any, Final
 
 import numpy as np
-from scipy.optimize import minimize
 
 from valve_sim.identification.estimation.errors.error import Mode, RecordingError, Seen
 from valve_sim.identification.plants.protocol import Array
@@ -98,6 +97,8 @@ def refined(mode: Mode, cost: Callable[[Mode], float], interval: float) -> Mode:
     Args:
         mode: of the grid. cost: of a mode. interval: of the samples, s.
     """
+    from scipy.optimize import minimize
+
     start: Any = np.log([mode.frequency, mode.decay])
     simplex = start + np.array([[0.0, 0.0], [0.03, 0.0], [0.0, 0.5]])
     limits = np.log([(LOWEST, min(HIGHEST, FASTEST / interval)), (SHORTEST_DECAY, LONGEST_DECAY)])
