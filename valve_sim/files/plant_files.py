@@ -276,9 +276,7 @@ class _Reader:
         everything = {**dimensions, **{name: unit.dimension for name, unit in shown.items()}}
         outputs = self._resolved({name: self._output(name, own, everything) for name, own in section.items()}, shown)
         equations = {name: own.value for name, own in outputs.items() if name in shown}
-        derivatives = {
-            name: inlined(own, equations) for name, own in self._derivatives(states, everything).items()
-        }
+        derivatives = {name: inlined(own, equations) for name, own in self._derivatives(states, everything).items()}
         if not outputs:
             raise self._fail("outputs", "is missing; say what is measured: outputs: {position: {value: x, unit: m}}")
         clash = next((name for name in outputs if name in derivatives and outputs[name].value.value != name), None)
@@ -314,7 +312,9 @@ class _Reader:
         if not isinstance(name, str) or not _NAME.match(name):
             raise self._fail(key, f"found the name {_short(name)}, expected letters, digits and _, a letter first")
         if name in RESERVED:
-            raise self._fail(key, f"{name} is the name of {'the time' if name in ('t', 'time') else 'a function'}; choose another")
+            raise self._fail(
+                key, f"{name} is the name of {'the time' if name in ('t', 'time') else 'a function'}; choose another"
+            )
         if len(name) > 60:
             raise self._fail(key[:60], "is longer than 60 characters; choose a shorter name")
 
@@ -337,7 +337,9 @@ class _Reader:
         if isinstance(text, int) and not isinstance(text, bool) and text == 1:
             text = "1"
         if not isinstance(text, str):
-            raise self._fail(f"{key}.unit", f"found {_short(text)}, expected a text such as N*s/m; 1 for a plain number")
+            raise self._fail(
+                f"{key}.unit", f"found {_short(text)}, expected a text such as N*s/m; 1 for a plain number"
+            )
         try:
             return parse_unit(text)
         except UnitError as error:
@@ -374,7 +376,9 @@ class _Reader:
                     self._number(f"{key}.range", end)
         lower, upper = (float(end) * unit.factor for end in found)
         if not lower < upper:
-            raise self._fail(f"{key}.range", f"found {_short(found)}, expected the lower end first, and another above it")
+            raise self._fail(
+                f"{key}.range", f"found {_short(found)}, expected the lower end first, and another above it"
+            )
         return lower, upper
 
     def _state(self, name: str, found: object) -> StateEntry:
@@ -382,7 +386,9 @@ class _Reader:
         entry = self._entry(key, found, ("unit", "start"))
         unit = self._unit(key, entry)
         start = entry.get("start", 0.0)
-        return StateEntry(unit, None if start == "free" else self._number(f"{key}.start", self._start(key, start), unit))
+        return StateEntry(
+            unit, None if start == "free" else self._number(f"{key}.start", self._start(key, start), unit)
+        )
 
     def _start(self, key: str, start: object) -> object:
         if isinstance(start, str):
@@ -426,14 +432,19 @@ class _Reader:
         if isinstance(found, int | float):
             found = repr(found)
         if not isinstance(found, str):
-            raise self._fail(key, f"found {_short(found)}, expected an expression such as (force - viscous*v)/mass; {{ }} and commas need quotes")
+            raise self._fail(
+                key,
+                f"found {_short(found)}, expected an expression such as (force - viscous*v)/mass; {{ }} and commas need quotes",
+            )
         try:
             expression = parse(found)
         except ExpressionError as error:
             raise self._fail(key, str(error)) from error
         for name in names_in(expression):
             if name not in dimensions:
-                raise self._fail(key, f"uses {name}, which is no state, input or parameter; {_expected(name, dimensions)}")
+                raise self._fail(
+                    key, f"uses {name}, which is no state, input or parameter; {_expected(name, dimensions)}"
+                )
         return expression
 
     def _dimension(self, key: str, expression: Expr, dimensions: Mapping[str, Dimension]) -> Dimension | None:
@@ -446,9 +457,7 @@ class _Reader:
         if found is not None and not same(found, expected):
             raise self._fail(key, f"is in {dimension_words(found)}, expected {dimension_words(expected)}, {what}")
 
-    def _derivatives(
-        self, states: Mapping[str, StateEntry], dimensions: Mapping[str, Dimension]
-    ) -> dict[str, Expr]:
+    def _derivatives(self, states: Mapping[str, StateEntry], dimensions: Mapping[str, Dimension]) -> dict[str, Expr]:
         found = self._section("derivatives")
         for name in found:
             if name not in states:
@@ -500,7 +509,10 @@ class _Reader:
         self._fits(f"{key}.value", self._dimension(f"{key}.value", value, dimensions), unit.dimension, "its unit")
         noise = self._number(f"{key}.noise", entry["noise"], unit) if "noise" in entry else None
         if noise is not None and noise <= 0.0:
-            raise self._fail(f"{key}.noise", f"found {entry['noise']}, expected a standard deviation above 0; leave it out where it is not known")
+            raise self._fail(
+                f"{key}.noise",
+                f"found {entry['noise']}, expected a standard deviation above 0; leave it out where it is not known",
+            )
         return OutputEntry(unit, value, noise)
 
     def _used(
@@ -553,7 +565,9 @@ class _Reader:
     ) -> dict[str, EffectParameter]:
         key = f"{key}.parameters"
         if not isinstance(found, Mapping) or not found:
-            raise self._fail(key, f"found {_short(found)}, expected at least one: {{level: {{unit: N, neutral: 0, scale: 10}}}}")
+            raise self._fail(
+                key, f"found {_short(found)}, expected at least one: {{level: {{unit: N, neutral: 0, scale: 10}}}}"
+            )
         parameters = {}
         for name, own in found.items():
             where = f"{key}.{name}"
@@ -579,7 +593,9 @@ class _Reader:
         elif math.isfinite(upper - lower):
             scale = math.sqrt(lower * upper) if neutral is None and lower > 0.0 else 0.5 * (upper - lower)
         else:
-            raise self._fail(key, "has neither scale: nor a range: of two ends; say how large it may well be: scale: 10")
+            raise self._fail(
+                key, "has neither scale: nor a range: of two ends; say how large it may well be: scale: 10"
+            )
         return EffectParameter(unit, neutral, scale, lower, upper, self._title(key, entry))
 
     def _add(
@@ -589,7 +605,10 @@ class _Reader:
         derivatives, outputs, dimensions = known
         key = f"{key}.add"
         if not isinstance(found, Mapping) or not found:
-            raise self._fail(key, f"found {_short(found)}, expected what it adds to which derivative or output: {{v: -level*sign(v)/mass}}")
+            raise self._fail(
+                key,
+                f"found {_short(found)}, expected what it adds to which derivative or output: {{v: -level*sign(v)/mass}}",
+            )
         add = {}
         for target, own in found.items():
             where = f"{key}.{target}"
@@ -626,7 +645,11 @@ def _expected(name: object, known: Iterable[str]) -> str:
     listed = list(known)
     alike = difflib.get_close_matches(str(name), listed, n=1, cutoff=0.6)
     mend = f"did you mean {alike[0]}? " if alike else ""
-    return f"{mend}expected one of {', '.join(listed[:12])}{', ...' if len(listed) > 12 else ''}" if listed else "there is none"
+    return (
+        f"{mend}expected one of {', '.join(listed[:12])}{', ...' if len(listed) > 12 else ''}"
+        if listed
+        else "there is none"
+    )
 
 
 def _short(value: object) -> str:

@@ -151,7 +151,9 @@ class _Reading:
         entries = {name: own for name, own in self._found.items() if name not in ("time", "use")}
         for name in entries:
             if not isinstance(name, str):
-                raise self._fail(str(name), "expected the name of an input or output (YAML reads on, off, yes, no as true or false)")
+                raise self._fail(
+                    str(name), "expected the name of an input or output (YAML reads on, off, yes, no as true or false)"
+                )
         if not entries:
             raise self._fail("", "names no input and no output; add force: {column: F, unit: N}")
         kept, times = self._times()
@@ -185,7 +187,9 @@ class _Reading:
             raise self._fail(key, f"found {_short(name)}, expected the name of a column")
         names = self._table.names
         if text not in names and not (text.isdigit() and 1 <= int(text) <= len(names)):
-            raise self._fail(key, f"column {text} is not in {self._path}; it has {', '.join(names[:20])}; name one of these")
+            raise self._fail(
+                key, f"column {text} is not in {self._path}; it has {', '.join(names[:20])}; name one of these"
+            )
         return text
 
     def _times(self) -> tuple[Mask, Array]:
@@ -215,7 +219,9 @@ class _Reading:
             )
         if (np.diff(times) < 0.0).any():
             row = int(np.argmax(np.diff(times) < 0.0)) + 1
-            raise TraceError(f"{self._path}: {self._table.place(row)}: its time is before that of the row above; sort the rows by time")
+            raise TraceError(
+                f"{self._path}: {self._table.place(row)}: its time is before that of the row above; sort the rows by time"
+            )
         kept = np.diff(times, prepend=-np.inf) > 0.0
         if not kept.all():
             self._findings.append(f"dropped {int((~kept).sum())} rows with the time of the row before")
@@ -253,7 +259,9 @@ class _Reading:
         if "column" not in entry:
             raise self._fail(name, "names no column; add column:")
         label = self._named(f"{name}.column", entry["column"])
-        scale, offset = (self._number(f"{name}.{key}", entry.get(key, off)) for key, off in (("scale", 1.0), ("offset", 0.0)))
+        scale, offset = (
+            self._number(f"{name}.{key}", entry.get(key, off)) for key, off in (("scale", 1.0), ("offset", 0.0))
+        )
         sign = self._choice(f"{name}.sign", entry.get("sign", 1), (1, -1))  # type: ignore[arg-type]
         readings = float(sign) * scale * self._table.column(label) + offset
         times, readings = times[kept], readings[kept]
@@ -261,7 +269,9 @@ class _Reading:
         if not used.any():
             raise TraceError(f"{self._path}: column {label}: holds no finite number; name another column")
         if not used.all():
-            self._findings.append(f"column {label}: {int((~used).sum())} of {len(used)} cells are empty and were left out")
+            self._findings.append(
+                f"column {label}: {int((~used).sum())} of {len(used)} cells are empty and were left out"
+            )
             readings = np.interp(times, times[used], readings[used])
         unit = self._unit(name, entry)
         low_pass, every, order = self._filter(name, entry, times)
@@ -271,7 +281,9 @@ class _Reading:
             readings = np.gradient(readings, times)
         if order:
             unit = None if unit is None else _over_time(unit, order)
-        between = None if "between" not in entry else self._choice(f"{name}.between", entry["between"], ("held", "straight"))
+        between = (
+            None if "between" not in entry else self._choice(f"{name}.between", entry["between"], ("held", "straight"))
+        )
         gain, zero = self._tolerance(name, entry)
         return Column(
             name, label, times, readings, unit, used, math.inf if order else low_pass, every,
@@ -287,14 +299,19 @@ class _Reading:
         if not 0.0 < low_pass and low_pass < 0.5 * rate:
             raise self._fail(f"{name}.low_pass", f"found {low_pass:g}, expected a frequency in Hz above 0")
         if low_pass < math.inf and low_pass >= 0.45 * rate:
-            raise self._fail(f"{name}.low_pass", f"found {low_pass:g}, expected below {0.45 * rate:.4g} Hz, as {rate:.4g} rows a second have it")
+            raise self._fail(
+                f"{name}.low_pass",
+                f"found {low_pass:g}, expected below {0.45 * rate:.4g} Hz, as {rate:.4g} rows a second have it",
+            )
         every = entry.get("every", 1 if low_pass == math.inf or order else max(1, int(0.5 * rate / low_pass)))
         if isinstance(every, bool) or not isinstance(every, int) or not 1 <= every <= len(times) // 3:
             raise self._fail(f"{name}.every", f"found {_short(every)}, expected a whole number of samples from 1 on")
         if low_pass < math.inf:
             steps = np.diff(times)
             if np.ptp(steps) > 0.2 * np.median(steps):
-                raise self._fail(f"{name}.low_pass", "needs samples at a steady rate; take it out, or give time: {rate: ...}")
+                raise self._fail(
+                    f"{name}.low_pass", "needs samples at a steady rate; take it out, or give time: {rate: ...}"
+                )
         return low_pass, every, int(order)
 
     def _tolerance(self, name: str, entry: Mapping[str, Any]) -> tuple[float, float]:
@@ -375,7 +392,10 @@ _OF_ARRAYS: Final[Mapping[str, Any]] = {
     "where": lambda _, c, a, b: np.where(c, a, b),
     "min": lambda _, *a: np.minimum.reduce(np.broadcast_arrays(*a)),
     "max": lambda _, *a: np.maximum.reduce(np.broadcast_arrays(*a)),
-    **{name: lambda _, a, name=name: getattr(np, name)(a) for name in ("sign", "abs", "sqrt", "exp", "log", "sin", "cos", "tan", "tanh")},
+    **{
+        name: lambda _, a, name=name: getattr(np, name)(a)
+        for name in ("sign", "abs", "sqrt", "exp", "log", "sin", "cos", "tan", "tanh")
+    },
 }
 
 
@@ -407,7 +427,9 @@ def _thinned(values: Array, every: int) -> Array:
 
 def _over_time(unit: Unit, order: int) -> Unit:
     length, mass, time, current, temperature = unit.dimension
-    return Unit(unit.factor, (length, mass, time - order, current, temperature), f"{unit.si}/s{'²' if order == 2 else ''}")
+    return Unit(
+        unit.factor, (length, mass, time - order, current, temperature), f"{unit.si}/s{'²' if order == 2 else ''}"
+    )
 
 
 def _with(column: Column, used: Mask) -> Column:

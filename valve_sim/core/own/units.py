@@ -275,22 +275,21 @@ def same(a: Dimension, b: Dimension) -> bool:
 
 def written(expression: Expr) -> str:
     """An expression as text again, cut where it is long."""
-    text = _text(expression)
+    text = text_of(expression)
     return text if len(text) <= 40 else f"{text[:37]}..."
 
 
-def _text(expression: Expr) -> str:
-    op, args = expression.op, [_text(own) for own in expression.args]
-    if op == "number":
-        return f"{expression.value:g}"
-    if op == "name":
-        return str(expression.value)
+def text_of(expression: Expr) -> str:
+    """An expression as text that reads as the same expression."""
+    op, args = expression.op, [text_of(own) for own in expression.args]
+    if op in ("number", "name"):
+        return f"{expression.value!r}" if op == "number" else str(expression.value)
     if op == "neg":
-        return f"-{args[0]}"
+        return f"(-{args[0]})"
     if op == "**":
-        return f"{args[0]}**{expression.value:g}"
-    if op in ("+", "-"):
+        return f"({args[0]})**{expression.value!r}" if expression.value >= 0 else f"({args[0]})**({expression.value!r})"
+    if op in ("+", "-", "*", "/"):
         return f"({args[0]} {op} {args[1]})"
-    if op in ("*", "/", ">"):
-        return f"{args[0]}{op}{args[1]}"
+    if op == ">":
+        return f"{args[0]} > {args[1]}"
     return f"{op}({', '.join(args)})"

@@ -94,9 +94,7 @@ class OwnPlant:
             self._runs += self._runs_of(index, recording)
         self._channels = tuple(channels)
         self._nuisances = (*self._of_machine(), *self._of_starts(), *self._of_columns())
-        self._corrected = frozenset(
-            own.name for own in self._nuisances if own.name.startswith(("gain[", "offset["))
-        )
+        self._corrected = frozenset(own.name for own in self._nuisances if own.name.startswith(("gain[", "offset[")))
         self._choices = self._effect_choices()
         self.machine(())
 
@@ -156,7 +154,9 @@ class OwnPlant:
         effect, dot, own = name.partition(".")
         if not dot:
             entry = self.file.parameters[name]
-            size = abs(entry.value) or (0.25 * (entry.upper - entry.lower) if math.isfinite(entry.upper - entry.lower) else 1.0)
+            size = abs(entry.value) or (
+                0.25 * (entry.upper - entry.lower) if math.isfinite(entry.upper - entry.lower) else 1.0
+            )
             scale = entry.tolerance or size
             title = entry.title or name.replace("_", " ")
             return Parameter(name, entry.unit.si, title, entry.lower, entry.upper, scale)
@@ -216,7 +216,9 @@ class OwnPlant:
             if name in self.file.inputs:
                 # The machine is driven by the true input, of which the column shows this much.
                 hidden = f"{name} recorded"
-                true = Expr("+", (Expr("*", (Expr("name", (), hidden), Expr("name", (), gain))), Expr("name", (), offset)))
+                true = Expr(
+                    "+", (Expr("*", (Expr("name", (), hidden), Expr("name", (), gain))), Expr("name", (), offset))
+                )
                 derivatives = {key: _replaced(own, name, true) for key, own in derivatives.items()}
                 outputs = {key: _replaced(own, name, true) for key, own in outputs.items()}
             else:
@@ -227,7 +229,11 @@ class OwnPlant:
 
     def _shown(self, values: Mapping[str, float], directions: Sequence[Direction]) -> tuple[list[Array], list[Array]]:
         """What each channel would show, and (n, k) derivatives."""
-        on = {name.partition(".")[0] for name in values if "." in name and not name.startswith(("start[", "gain[", "offset["))}
+        on = {
+            name.partition(".")[0]
+            for name in values
+            if "." in name and not name.startswith(("start[", "gain[", "offset["))
+        }
         on -= {VALUE.rstrip(".")}
         effects = tuple(name for name in self.file.effects if name in on)
         machine = self.machine(effects)
@@ -352,27 +358,8 @@ class OwnPlant:
                 f"{recording.source}: the map names no column for an output; add one of {', '.join(self.file.outputs)}"
             )
 
-    def _inputs_of(self, recording: Columns) -> Inputs:
-        """All inputs of a recording at the times of each of them."""
-        entries = self.file.inputs
-        if not entries:
-            return Inputs(np.empty(0), np.empty((0, 0)), np.empty(0, dtype=bool))
-        columns = [recording[name] for name in entries]
-        held = np.array(
-            [own.held if column.held is None else column.held for own, column in zip(entries.values(), columns, strict=True)]
-        )
-        times = np.unique(np.concatenate([column.times for column in columns]))
-        levels = np.empty((len(times), len(columns)))
-        for place, (column, own) in enumerate(zip(columns, entries.values(), strict=True)):
-            values = column.si(own.unit)
-            if held[place]:
-                levels[:, place] = values[np.maximum(np.searchsorted(column.times, times, side="right") - 1, 0)]
-            else:
-                levels[:, place] = np.interp(times, column.times, values)
-        return without_straight(Inputs(times, levels, held))
-
     def _runs_of(self, index: int, recording: Columns) -> list[Run]:
-        inputs = self._inputs_of(recording)
+        inputs = without_straight(inputs_of(self.file, recording))
         present = [name for name in self.file.outputs if name in recording.columns]
         samples = np.unique(np.concatenate([recording[name].times for name in present]))
         begins = min(samples[0], inputs.times[0]) if len(inputs.times) else samples[0]
@@ -407,8 +394,16 @@ class OwnPlant:
             self._of_channel.append((index, name))
             channels.append(
                 Channel(
-                    f"{recording.source}: {name}", name, times, data, quiet, self._groups(times), entry.unit.si,
-                    recording=index, left_out=left_out if left_out.any() else None, noise=noise,
+                    f"{recording.source}: {name}",
+                    name,
+                    times,
+                    data,
+                    quiet,
+                    self._groups(times),
+                    entry.unit.si,
+                    recording=index,
+                    left_out=left_out if left_out.any() else None,
+                    noise=noise,
                 )  # fmt: skip
             )
         return channels
@@ -432,14 +427,22 @@ class OwnPlant:
                 step = min(own.tolerance, 1e-3 * abs(own.value) or own.tolerance)
                 found.append(
                     Nuisance(
-                        name, own.tolerance, own.unit.si, step=1e-2 * step, mean=own.value, lower=own.lower,
-                        upper=own.upper, is_of_machine=True,
+                        name,
+                        own.tolerance,
+                        own.unit.si,
+                        step=1e-2 * step,
+                        mean=own.value,
+                        lower=own.lower,
+                        upper=own.upper,
+                        is_of_machine=True,
                     )  # fmt: skip
                 )
             if own.varies:
                 for index in range(len(self.recordings)):
                     channels = self._channels_in(index)
-                    found.append(Nuisance(f"{name}[{index}]", own.varies, own.unit.si, channels, step=1e-2 * own.varies))
+                    found.append(
+                        Nuisance(f"{name}[{index}]", own.varies, own.unit.si, channels, step=1e-2 * own.varies)
+                    )
         return found
 
     def _channels_in(self, index: int) -> tuple[int, ...]:
@@ -477,7 +480,11 @@ class OwnPlant:
             rate = self.file.derivatives[shown] if shown in self.file.derivatives else None
             if rate is not None and rate.op == "name" and rate.value == state:
                 slopes = np.gradient(values, column.times)
-                line = np.polyfit(column.times[few] - column.times[begin], values[few], 1)[0] if begin + 5 <= len(values) else 0.0
+                line = (
+                    np.polyfit(column.times[few] - column.times[begin], values[few], 1)[0]
+                    if begin + 5 <= len(values)
+                    else 0.0
+                )
                 return float(line), 2.0 * float(np.percentile(np.abs(slopes), 99)) or 1.0
         entry = self.file.states[state]
         return entry.start or 0.0, max(abs(entry.start or 0.0), entry.unit.factor)
@@ -518,11 +525,7 @@ class OwnPlant:
         for name, own in entry.parameters.items():
             if own.neutral is not None:
                 continue
-            seen = [
-                self._seen(acted)
-                for added in entry.add.values()
-                for acted in _compared_with(added, name)
-            ]
+            seen = [self._seen(acted) for added in entry.add.values() for acted in _compared_with(added, name)]
             values = [one for one in seen if one is not None]
             if values:
                 places = np.quantile(np.concatenate(values), QUANTILES)
@@ -540,6 +543,25 @@ class OwnPlant:
         if name in self.file.inputs:
             return np.concatenate([own[name].si(self.file.inputs[name].unit) for own in self.recordings])
         return None
+
+
+def inputs_of(file: PlantFile, recording: Columns | None) -> Inputs:
+    """All inputs of a recording, at the times of each of them."""
+    entries = file.inputs
+    if not entries or recording is None:
+        return Inputs(np.empty(0), np.empty((0, 0)), np.empty(0, dtype=bool))
+    columns = [recording[name] for name in entries]
+    pairs = list(zip(columns, entries.values(), strict=True))
+    held = np.array([own.held if column.held is None else column.held for column, own in pairs])
+    times = np.unique(np.concatenate([column.times for column in columns]))
+    levels = np.empty((len(times), len(columns)))
+    for place, (column, own) in enumerate(pairs):
+        values = column.si(own.unit)
+        if held[place]:
+            levels[:, place] = values[np.maximum(np.searchsorted(column.times, times, side="right") - 1, 0)]
+        else:
+            levels[:, place] = np.interp(times, column.times, values)
+    return Inputs(times, levels, held)
 
 
 def _compared_with(expression: Expr, name: str) -> list[str]:
@@ -598,4 +620,3 @@ def quiet_samples(times: Array, data: Array, inputs: Sequence[Column]) -> NDArra
     for i in first[still]:
         quiet[i : i + QUIET] = True
     return quiet
-
