@@ -117,8 +117,8 @@ def validate(
     pressure_tolerance = None if tolerance_kpa is None else 1e3 * tolerance_kpa
     with progress_bar() as progress:
         result = replay(
-            traces, valve, position_tolerance, current_tolerance=current_tolerance, pressure_tolerance=pressure_tolerance,
-            progress=progress,
+            traces, valve, position_tolerance, current_tolerance=current_tolerance,
+            pressure_tolerance=pressure_tolerance, progress=progress,
         )  # fmt: skip
     if junit is not None:
         write_whole(junit, shown(validation_junit(result)))  # XML has no place for control characters

@@ -222,9 +222,9 @@ def _from_template(found: Mapping[Any, Any], kind: str, path: str) -> Mapping[An
         raise PlantFileError(f"{path}: rotary: is of an axis; take it out")
     name = f"{'rotary_' if rotary else ''}{kind}.yaml"
     text = (resources.files("valve_sim.files") / "plant_templates" / name).read_text(encoding="utf-8")
-    template = yaml.safe_load(text)
+    template: dict[str, Any] = yaml.safe_load(text)
     _set_values(template, found, path)
-    return template  # type: ignore[no-any-return]
+    return template
 
 
 def _set_values(template: dict[str, Any], found: Mapping[Any, Any], path: str) -> None:
@@ -249,6 +249,8 @@ def _set_values(template: dict[str, Any], found: Mapping[Any, Any], path: str) -
             if name not in template["effects"]:
                 raise PlantFileError(f"{path}: effects: found {_short(name)}; {_expected(name, template['effects'])}")
         template["effects"] = {name: template["effects"][name] for name in chosen}
+        for own in template["effects"].values():
+            own["confused_with"] = [other for other in own.get("confused_with", []) if other in chosen]
     else:
         raise PlantFileError(f"{path}: effects: found {_short(chosen)}, expected a list of names, or names and effects")
     if "window" in found:
@@ -269,8 +271,9 @@ class _Reader:
         parameters = {name: self._parameter(name, own) for name, own in self._section("parameters").items()}
         self._once({"states": states, "inputs": inputs, "parameters": parameters})
         dimensions: dict[str, Dimension] = {"t": (0, 0, 1, 0, 0), "time": (0, 0, 1, 0, 0)}
-        for group in (states, inputs, parameters):
-            dimensions.update({name: own.unit.dimension for name, own in group.items()})  # type: ignore[attr-defined]
+        groups: tuple[Mapping[str, StateEntry | InputEntry | ParameterEntry], ...] = (states, inputs, parameters)
+        for group in groups:
+            dimensions.update({name: own.unit.dimension for name, own in group.items()})
         section = self._section("outputs")
         shown = {name: self._output_unit(name, own) for name, own in section.items() if name not in dimensions}
         everything = {**dimensions, **{name: unit.dimension for name, unit in shown.items()}}
@@ -282,7 +285,8 @@ class _Reader:
         clash = next((name for name in outputs if name in derivatives and outputs[name].value.value != name), None)
         if clash:
             raise self._fail(f"outputs.{clash}", "has the name of a state that it does not show; choose another name")
-        self._used(derivatives, outputs, parameters, inputs)
+        if self._kind == "equations":  # of a template a user leaves effects out, and what they alone use
+            self._used(derivatives, outputs, parameters, inputs)
         effects = self._effects(derivatives, outputs, everything)
         effects = {
             name: replace(own, add={key: inlined(added, equations) for key, added in own.add.items()})

@@ -13,6 +13,12 @@ from valve_sim.core.own import layout as at
 
 Block = Any
 
+
+def invoke(address: float, b: Block, t: Block) -> None:
+    """Call a kernel, whose address stands in a block as bits: the compiled driver has it as an instruction."""
+    raise NotImplementedError("kernels exist as machine code only")
+
+
 LOOKS: Final = 16
 """Places of a step at which a guard is looked at, where its terms do not tell that it keeps its sign."""
 HALVINGS: Final = 60
@@ -71,10 +77,11 @@ def slider_of(b: Block, guard: int) -> int:
 def is_sliding(b: Block) -> bool:
     """Whether the state slides along any switch."""
     count = int(b[at.SLIDING])
+    slides = False
     for k in range(count):
         if b[at.SLIDES + k] > 0.5:
-            return True
-    return False
+            slides = True
+    return slides
 
 
 def snap(b: Block, t: Block) -> None:
@@ -95,7 +102,7 @@ def settle(b: Block, t: Block) -> None:
     for _ in range(ROUNDS):
         if not is_sliding(b):
             return
-        invoke(b[at.LOOK], b, t)  # type: ignore[name-defined]  # noqa: F821
+        invoke(b[at.LOOK], b, t)
         worst = 0.0
         which = -1
         for k in range(count):
@@ -111,61 +118,76 @@ def settle(b: Block, t: Block) -> None:
         b[at.FLAG + int(b[at.SLIDE_GUARD + which])] = 1.0 if b[at.ALPHA + which] > 1.0 else 0.0
 
 
+def flag_of(b: Block, guard: int) -> float:
+    """Whether a comparison holds, 0 or 1, by what it compares and, where that is equal, by what it comes to."""
+    k = slider_of(b, guard)
+    now = b[at.EXCESS + guard]
+    flag = 1.0 if now > 0.0 else 0.0
+    if now == 0.0:
+        flag = 1.0 if b[at.EXCESS_RATE + guard] > 0.0 else 0.0
+        if k >= 0:
+            flag = b[at.FLAG + guard]
+    if k >= 0 and b[at.SLIDES + k] > 0.5:
+        flag = b[at.FLAG + guard]
+    return flag * 1.0
+
+
 def decide(b: Block, t: Block) -> None:
     """Decide all comparisons by what they compare, as where an input jumps."""
     guards = int(b[at.GUARDS])
     for _ in range(ROUNDS):
         changed = 0
-        invoke(b[at.LOOK], b, t)  # type: ignore[name-defined]  # noqa: F821
+        invoke(b[at.LOOK], b, t)
         for j in range(guards):
-            k = slider_of(b, j)
-            slides = False
-            if k >= 0:
-                slides = b[at.SLIDES + k] > 0.5
-            if not slides:
-                now = b[at.EXCESS + j]
-                flag = 1.0 if now > 0.0 else 0.0
-                if now == 0.0:
-                    flag = 1.0 if b[at.EXCESS_RATE + j] > 0.0 else 0.0
-                    if k >= 0:
-                        flag = b[at.FLAG + j]
-                if flag != b[at.FLAG + j]:
-                    b[at.FLAG + j] = flag
-                    changed = 1
+            flag = flag_of(b, j)
+            if flag != b[at.FLAG + j]:
+                b[at.FLAG + j] = flag
+                changed = 1
         if changed == 0:
             for j in range(guards):
-                k = slider_of(b, j)
-                if k >= 0:
-                    if b[at.SLIDES + k] < 0.5 and b[at.EXCESS + j] == 0.0:
-                        if stand(b, t, j, k):
-                            changed = 1
+                if meets(b, t, j):
+                    changed = 1
             settle(b, t)
             if changed == 0:
                 return
+
+
+def meets(b: Block, t: Block, guard: int) -> bool:
+    """Whether the state stands exactly on a switch along which it may slide, and that is decided anew."""
+    k = slider_of(b, guard)
+    if k < 0:
+        return False
+    if b[at.SLIDES + k] > 0.5 or b[at.EXCESS + guard] != 0.0:
+        return False
+    return stand(b, t, guard, k)
 
 
 def stand(b: Block, t: Block, guard: int, k: int) -> bool:
     """Decide a switch on which the state stands exactly: slide along it, or leave it; True if that is new."""
     was = b[at.FLAG + guard]
     b[at.FLAG + guard] = 1.0
-    invoke(b[at.LOOK], b, t)  # type: ignore[name-defined]  # noqa: F821
+    invoke(b[at.LOOK], b, t)
     above = b[at.EXCESS_RATE + guard]
     b[at.FLAG + guard] = 0.0
-    invoke(b[at.LOOK], b, t)  # type: ignore[name-defined]  # noqa: F821
+    invoke(b[at.LOOK], b, t)
     below = b[at.EXCESS_RATE + guard]
     if above < below and above <= 0.0 and below >= 0.0:
         b[at.SLIDES + k] = 1.0
         return True
-    b[at.FLAG + guard] = 1.0 if above > 0.0 else 0.0
-    invoke(b[at.LOOK], b, t)  # type: ignore[name-defined]  # noqa: F821
-    return b[at.FLAG + guard] != was
+    now = 1.0 if above > 0.0 else 0.0
+    b[at.FLAG + guard] = now
+    invoke(b[at.LOOK], b, t)
+    is_new = True
+    if now == was:
+        is_new = False
+    return is_new
 
 
 def cross(b: Block, t: Block, guard: int) -> None:
     """A comparison changes: the other side, or sliding; tangents jump by what the time of the event changes."""
     states = int(b[at.STATES])
     width = int(b[at.WIDTH])
-    invoke(b[at.LOOK], b, t)  # type: ignore[name-defined]  # noqa: F821
+    invoke(b[at.LOOK], b, t)
     rate = b[at.EXCESS_RATE + guard]
     for i in range(states):
         b[at.BEFORE + i] = b[at.RATE + i]
@@ -173,12 +195,12 @@ def cross(b: Block, t: Block, guard: int) -> None:
     b[at.FLAG + guard] = 1.0 - old
     k = slider_of(b, guard)
     if k >= 0:
-        invoke(b[at.LOOK], b, t)  # type: ignore[name-defined]  # noqa: F821
+        invoke(b[at.LOOK], b, t)
         beyond = b[at.EXCESS_RATE + guard]
         if (old > 0.5 and beyond > 0.0) or (old < 0.5 and beyond < 0.0):
             b[at.FLAG + guard] = 0.0
             b[at.SLIDES + k] = 1.0
-    invoke(b[at.LOOK], b, t)  # type: ignore[name-defined]  # noqa: F821
+    invoke(b[at.LOOK], b, t)
     if rate != 0.0:
         for i in range(states):
             jump = (b[at.RATE + i] - b[at.BEFORE + i]) / rate
@@ -207,7 +229,7 @@ def show(b: Block, t: Block, out: Block, slopes: Block, sample: int) -> None:
     """One row of outputs, of the states in END."""
     outputs = int(b[at.OUTPUTS])
     width = int(b[at.WIDTH])
-    invoke(b[at.ROW], b, t)  # type: ignore[name-defined]  # noqa: F821
+    invoke(b[at.ROW], b, t)
     for i in range(outputs):
         out[sample * outputs + i] = b[at.OUT + i]
         for w in range(width):
@@ -224,8 +246,7 @@ def commit(b: Block, t: Block) -> bool:
         b[at.STATE + i] = value
         if not abs(value) < 1e200:
             sound = False
-        if abs(value) > b[at.PEAK + i]:
-            b[at.PEAK + i] = abs(value)
+        b[at.PEAK + i] = max(b[at.PEAK + i], abs(value))
         for w in range(width):
             t[(at.STATE + i) * width + w] = t[(at.END + i) * width + w]
     return sound
@@ -242,7 +263,7 @@ def hold(b: Block, t: Block) -> None:
             t[(at.END + i) * width + w] = t[(at.STATE + i) * width + w]
 
 
-def run(
+def run(  # noqa: PLR0912, PLR0915 -- one loop: what it is made of is in the functions above
     b: Block, t: Block, knots: Block, levels: Block, held: Block, samples: Block, out: Block, slopes: Block,
     knot_count: int, sample_count: int, most: int,
 ) -> int:  # fmt: skip
@@ -282,9 +303,9 @@ def run(
         sliding = is_sliding(b)
         for _ in range(ROUNDS):
             if sliding:
-                invoke(b[at.SLIDE], b, t)  # type: ignore[name-defined]  # noqa: F821
+                invoke(b[at.SLIDE], b, t)
             else:
-                invoke(b[at.MOVE], b, t)  # type: ignore[name-defined]  # noqa: F821
+                invoke(b[at.MOVE], b, t)
             if not b[at.DEFECT] > 1.0:
                 break
             b[at.LONGEST] = 0.5 * b[at.STEP]
@@ -323,11 +344,11 @@ def run(
             ends = stop
         while sample < sample_count and samples[sample] < ends:
             b[at.ELAPSED] = samples[sample] - time
-            invoke(b[at.AT], b, t)  # type: ignore[name-defined]  # noqa: F821
+            invoke(b[at.AT], b, t)
             show(b, t, out, slopes, sample)
             sample += 1
         b[at.ELAPSED] = h
-        invoke(b[at.AT], b, t)  # type: ignore[name-defined]  # noqa: F821
+        invoke(b[at.AT], b, t)
         if not commit(b, t):
             return NOT_FINITE
         snap(b, t)
@@ -350,7 +371,7 @@ def run(
 
 
 FUNCTIONS: Final = (
-    polynomial, first_below, slider_of, is_sliding, snap, settle, decide, stand, cross, set_inputs, show, commit, hold,
+    polynomial, first_below, slider_of, is_sliding, snap, settle, flag_of, decide, meets, stand, cross, set_inputs, show, commit, hold,
     run,
 )  # fmt: skip
 """All of them, for `lowering`."""

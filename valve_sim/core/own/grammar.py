@@ -106,7 +106,8 @@ def evaluate(expression: Expr, values: Mapping[str, tracer.Expression]) -> trace
         if isinstance(a, float) and isinstance(b, float):
             return chosen[0] if a > b else chosen[1]
         return tracer.where(_node(a, b) > _node(b, a), *chosen)
-    return _MADE[expression.op](expression, *(evaluate(own, values) for own in expression.args))
+    made: tracer.Expression = _MADE[expression.op](expression, *(evaluate(own, values) for own in expression.args))
+    return made
 
 
 def _node(value: tracer.Expression, beside: tracer.Expression) -> tracer.Node:
@@ -143,13 +144,15 @@ def _of_nodes(name: str, values: tuple[tracer.Expression, ...]) -> tracer.Expres
         return tracer.where(a > 0.0, a, -a)  # the switch of sign(a), so that both change at once
     if name == "tan":
         return tracer.sin(a) / tracer.cos(a)
-    return getattr(tracer, name)(a)  # type: ignore[no-any-return]
+    found: tracer.Expression = getattr(tracer, name)(a)
+    return found
 
 
 def _quotient(_: Expr, a: tracer.Expression, b: tracer.Expression) -> tracer.Expression:
     if isinstance(b, float) and b == 0.0:
-        return a * math.inf
-    return a / b
+        return math.nan if isinstance(a, float) else a * math.inf
+    found: tracer.Expression = a / b
+    return found
 
 
 def _power(expression: Expr, a: tracer.Expression) -> tracer.Expression:

@@ -133,9 +133,9 @@ class Machine:
         block[at.STATES], block[at.GUARDS] = len(system.states), len(system.guards)
         block[at.OUTPUTS], block[at.INPUTS] = len(system.outputs), len(system.inputs)
         block[at.SLIDING], block[at.WIDTH] = len(system.sliding), width
-        for k, (guard, name) in enumerate(zip(system.sliding, system.snaps, strict=True)):
+        for k, (guard, snap) in enumerate(zip(system.sliding, system.snaps, strict=True)):
             block[at.SLIDE_GUARD + k] = guard
-            block[at.SNAP + k] = -1 if name is None else system.states.index(name)
+            block[at.SNAP + k] = -1 if snap is None else system.states.index(snap)
         slots = {name: at.STATE + i for i, name in enumerate(system.states)}
         slots |= {name: at.NUMBERS + i for i, name in enumerate(system.parameters)}
         for name, slot in slots.items():

@@ -11,7 +11,7 @@ and leaves it where α reaches 0 or 1. Several switches that slide at once have 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -20,6 +20,7 @@ from valve_sim.core.tracer import (
     Node,
     Trace,
     ancestors,
+    cos,
     derivative,
     exp,
     log,
@@ -28,7 +29,6 @@ from valve_sim.core.tracer import (
     tanh,
     where,
 )
-from valve_sim.core.tracer import cos as cosine
 from valve_sim.model.errors import ValveError
 
 MOST_STATES: Final = 12
@@ -199,23 +199,18 @@ def substituted(nodes: Iterable[Node], decided: Mapping[Node, bool]) -> list[Nod
 
 def _rebuilt(node: Node, args: list[Node], decided: Mapping[Node, bool]) -> Node:
     if node.op == "pick":
-        excess, if_so, if_not = node.args
+        excess = node.args[0]
         if excess in decided:
             return args[1] if decided[excess] else args[2]
-        del if_so, if_not
-        return where(args[0] > 0.0, args[1], args[2]) if args[0] is not node.args[0] else _same(node, args)
+        if args[0] is not excess:
+            return where(args[0] > 0.0, args[1], args[2])
     if all(new is old for new, old in zip(args, node.args, strict=True)):
         return node
     return _OPERATIONS[node.op](node, args)
 
 
-def _same(node: Node, args: list[Node]) -> Node:
-    if all(new is old for new, old in zip(args, node.args, strict=True)):
-        return node
-    return node.trace.node("pick", *args) if args[1] is not args[2] else args[1]
-
-
-_OPERATIONS = {
+_OPERATIONS: Final[Mapping[str, Callable[[Node, list[Node]], Node]]] = {
+    "pick": lambda node, a: a[1] if a[1] is a[2] else node.trace.node("pick", *a),
     "add": lambda node, a: a[0] + a[1],
     "sub": lambda node, a: a[0] - a[1],
     "neg": lambda node, a: -a[0],
@@ -226,6 +221,7 @@ _OPERATIONS = {
     "exp": lambda node, a: exp(a[0]),
     "log": lambda node, a: log(a[0]),
     "sin": lambda node, a: sin(a[0]),
-    "cos": lambda node, a: cosine(a[0]),
+    "cos": lambda node, a: cos(a[0]),
     "tanh": lambda node, a: tanh(a[0]),
 }
+"""What makes each operation again, of other arguments."""

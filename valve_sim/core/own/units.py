@@ -51,8 +51,10 @@ _BASE: Final[Mapping[str, tuple[float, Dimension, str]]] = {
 }  # fmt: skip
 _ALONE: Final[Mapping[str, tuple[float, Dimension, str]]] = {
     "deg": (math.pi / 180.0, NONE, "rad"), "°": (math.pi / 180.0, NONE, "rad"), "rev": (2.0 * math.pi, NONE, "rad"),
-    "rpm": (2.0 * math.pi / 60.0, (0, 0, -1, 0, 0), "rad/s"), "%": (0.01, NONE, "1"), "min": (60.0, (0, 0, 1, 0, 0), "s"),
-    "h": (3600.0, (0, 0, 1, 0, 0), "s"), "in": (0.0254, (1, 0, 0, 0, 0), "m"), "psi": (6894.757293168, (-1, 1, -2, 0, 0), "Pa"),
+    "rpm": (2.0 * math.pi / 60.0, (0, 0, -1, 0, 0), "rad/s"),
+    "%": (0.01, NONE, "1"), "min": (60.0, (0, 0, 1, 0, 0), "s"),
+    "h": (3600.0, (0, 0, 1, 0, 0), "s"), "in": (0.0254, (1, 0, 0, 0, 0), "m"),
+    "psi": (6894.757293168, (-1, 1, -2, 0, 0), "Pa"),
     "kgf": (9.80665, (1, 1, -2, 0, 0), "N"), "lbf": (4.4482216152605, (1, 1, -2, 0, 0), "N"),
 }  # fmt: skip
 _PREFIX: Final = {
@@ -215,7 +217,9 @@ class _Fit(NamedTuple):
     dimension: Dimension | None
 
 
-def dimension_of(expression: Expr, names: Mapping[str, Dimension]) -> Dimension | None:
+def dimension_of(  # noqa: PLR0911 -- one for each kind of operation
+    expression: Expr, names: Mapping[str, Dimension]
+) -> Dimension | None:
     """The dimension of an expression; None where it is 0, which has any.
 
     Raises:

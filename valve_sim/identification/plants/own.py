@@ -20,7 +20,7 @@ from valve_sim.core.own.grammar import Expr, names_in
 from valve_sim.core.own.simulation import Inputs, Machine, without_straight
 from valve_sim.core.own.system import Equations, EquationsError
 from valve_sim.core.own.units import dimension_words, same
-from valve_sim.files.plant_files import PlantFile, PlantFileError
+from valve_sim.files.plant_files import InputEntry, OutputEntry, PlantFile, PlantFileError
 from valve_sim.files.recording_map import MapError
 from valve_sim.identification.plants.advice import Advice
 from valve_sim.identification.plants.protocol import (
@@ -268,9 +268,9 @@ class OwnPlant:
                     slopes[key][into, column] = changes[rows, place, k]
         found, columns = [], []
         for index, name in self._of_channel:
-            column = self.recordings[index][name]
-            found.append(column.filtered(full[index, name]))
-            columns.append(column.filtered(slopes[index, name]))
+            measured = self.recordings[index][name]
+            found.append(measured.filtered(full[index, name]))
+            columns.append(measured.filtered(slopes[index, name]))
         return found, columns
 
     def _samples_of(self, run: Run, name: str) -> slice:
@@ -335,7 +335,7 @@ class OwnPlant:
     # -- the recordings ------------------------------------------------------------------------------------------------
 
     def _check(self, recording: Columns) -> None:
-        known = {**self.file.inputs, **self.file.outputs}
+        known: dict[str, InputEntry | OutputEntry] = {**self.file.inputs, **self.file.outputs}
         for name, column in recording.columns.items():
             if name not in known:
                 raise MapError(
@@ -414,9 +414,9 @@ class OwnPlant:
         window = self.file.window
         if math.isinf(window):
             share = (times - times[0]) / (span or 1.0)
-            return np.minimum((GROUPS * share).astype(np.int64), GROUPS - 1)
+            return np.asarray(np.minimum((GROUPS * share).astype(np.int64), GROUPS - 1))
         count = max(1, round(span / window))
-        return np.minimum(((times - times[0]) / window).astype(np.int64), count - 1)
+        return np.asarray(np.minimum(((times - times[0]) / window).astype(np.int64), count - 1))
 
     # -- nuisances and effects -----------------------------------------------------------------------------------------
 
@@ -491,7 +491,7 @@ class OwnPlant:
 
     def _of_columns(self) -> list[Nuisance]:
         found = []
-        known = {**self.file.inputs, **self.file.outputs}
+        known: dict[str, InputEntry | OutputEntry] = {**self.file.inputs, **self.file.outputs}
         for index, recording in enumerate(self.recordings):
             for name, column in recording.columns.items():
                 channels = self._channels_in(index)
