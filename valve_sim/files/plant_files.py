@@ -1,4 +1,4 @@
-"""A plant of a user's own, in a file: states, inputs, parameters, equations, outputs and effects, read and checked once.
+"""A plant of a user's own, in a file: states, inputs, parameters, equations, outputs, effects, read and checked once.
 
     plant: equations
     states: {x: {unit: m, start: 0}, v: {unit: m/s, start: 0}}
@@ -44,6 +44,7 @@ _SLOPE: Final[Dimension] = (0, 0, -1, 0, 0)
 MOST_EFFECTS: Final = 40
 LARGEST: Final = 5000
 """Operations of an output with all that it uses."""
+LONGEST_MESSAGE: Final = 480
 LONGEST_FILE: Final = 200_000
 """Bytes."""
 
@@ -232,15 +233,21 @@ def _set_values(template: dict[str, Any], found: Mapping[Any, Any], path: str) -
         entries = found.get(section, {})
         if not isinstance(entries, Mapping):
             raise PlantFileError(f"{path}: {section}: found {_short(entries)}, expected names of the {found['plant']}")
-        for name, entry in entries.items():
+        for name, own in entries.items():
             known = template.get(section, {})
             if name not in known:
                 raise PlantFileError(f"{path}: {section}.{name}: unknown; {_expected(name, known)}")
-            if not isinstance(entry, Mapping):
-                entry = {"value": entry} if section == "parameters" else entry
+            entry = {"value": own} if section == "parameters" and not isinstance(own, Mapping) else own
             if not isinstance(entry, Mapping):
                 raise PlantFileError(f"{path}: {section}.{name}: found {_short(entry)}, expected keys such as unit:")
             known[name] = {**known[name], **entry}
+    _choose_effects(template, found, path)
+    if "window" in found:
+        template["window"] = found["window"]
+
+
+def _choose_effects(template: dict[str, Any], found: Mapping[Any, Any], path: str) -> None:
+    """Of a template's effects those that a user's file lists; or all of them, and the user's own."""
     chosen = found.get("effects", list(template["effects"]))
     if isinstance(chosen, Mapping):
         template["effects"] = {**template["effects"], **chosen}
@@ -253,8 +260,6 @@ def _set_values(template: dict[str, Any], found: Mapping[Any, Any], path: str) -
             own["confused_with"] = [other for other in own.get("confused_with", []) if other in chosen]
     else:
         raise PlantFileError(f"{path}: effects: found {_short(chosen)}, expected a list of names, or names and effects")
-    if "window" in found:
-        template["window"] = found["window"]
 
 
 class _Reader:
@@ -300,7 +305,8 @@ class _Reader:
         )  # fmt: skip
 
     def _fail(self, key: str, words: str) -> PlantFileError:
-        return PlantFileError(f"{self._path}: {key}: {words}")
+        # Keys and values are whatever stands in a file: they may be long, and of several lines.
+        return PlantFileError(one_line(f"{self._path}: {key}: {words}"))
 
     def _section(self, key: str) -> Mapping[str, Any]:
         found = self._found.get(key, {})
@@ -438,7 +444,8 @@ class _Reader:
         if not isinstance(found, str):
             raise self._fail(
                 key,
-                f"found {_short(found)}, expected an expression such as (force - viscous*v)/mass; {{ }} and commas need quotes",
+                f"found {_short(found)}, expected an expression such as (force - viscous*v)/mass; "
+                "in { } commas need quotes",
             )
         try:
             expression = parse(found)
@@ -611,7 +618,7 @@ class _Reader:
         if not isinstance(found, Mapping) or not found:
             raise self._fail(
                 key,
-                f"found {_short(found)}, expected what it adds to which derivative or output: {{v: -level*sign(v)/mass}}",
+                f"found {_short(found)}, expected what it adds to derivatives or outputs: {{v: -level*sign(v)/mass}}",
             )
         add = {}
         for target, own in found.items():
@@ -630,6 +637,12 @@ class _Reader:
         return add
 
 
+def one_line(message: str) -> str:
+    """A message without line breaks, cut where it is too long to read."""
+    text = " ".join(message.split())
+    return text if len(text) <= LONGEST_MESSAGE else f"{text[: LONGEST_MESSAGE - 3]}..."
+
+
 def check_keys(found: Mapping[Any, Any], known: Sequence[str], path: str, prefix: str) -> None:
     """Refuse keys that are not known.
 
@@ -642,7 +655,7 @@ def check_keys(found: Mapping[Any, Any], known: Sequence[str], path: str, prefix
                 f"{path}: {prefix}{key}: found {key} for a key: YAML reads on, off, yes and no so; write it in quotes"
             )
         if key not in known:
-            raise PlantFileError(f"{path}: {prefix}{key}: unknown key; {_expected(key, known)}")
+            raise PlantFileError(one_line(f"{path}: {prefix}{str(key)[:80]}: unknown key; {_expected(key, known)}"))
 
 
 def _expected(name: object, known: Iterable[str]) -> str:

@@ -263,7 +263,7 @@ def hold(b: Block, t: Block) -> None:
             t[(at.END + i) * width + w] = t[(at.STATE + i) * width + w]
 
 
-def run(  # noqa: PLR0912, PLR0915 -- one loop: what it is made of is in the functions above
+def run(  # noqa: PLR0912, PLR0915 -- one loop, whose parts are the functions above
     b: Block, t: Block, knots: Block, levels: Block, held: Block, samples: Block, out: Block, slopes: Block,
     knot_count: int, sample_count: int, most: int,
 ) -> int:  # fmt: skip
@@ -371,7 +371,7 @@ def run(  # noqa: PLR0912, PLR0915 -- one loop: what it is made of is in the fun
 
 
 FUNCTIONS: Final = (
-    polynomial, first_below, slider_of, is_sliding, snap, settle, flag_of, decide, meets, stand, cross, set_inputs, show, commit, hold,
-    run,
+    polynomial, first_below, slider_of, is_sliding, snap, settle, flag_of, decide, meets, stand, cross,
+    set_inputs, show, commit, hold, run,
 )  # fmt: skip
 """All of them, for `lowering`."""

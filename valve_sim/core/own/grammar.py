@@ -144,8 +144,8 @@ def _of_nodes(name: str, values: tuple[tracer.Expression, ...]) -> tracer.Expres
         return tracer.where(a > 0.0, a, -a)  # the switch of sign(a), so that both change at once
     if name == "tan":
         return tracer.sin(a) / tracer.cos(a)
-    found: tracer.Expression = getattr(tracer, name)(a)
-    return found
+    made: tracer.Expression = getattr(tracer, name)(a)
+    return made
 
 
 def _quotient(_: Expr, a: tracer.Expression, b: tracer.Expression) -> tracer.Expression:
@@ -157,12 +157,12 @@ def _quotient(_: Expr, a: tracer.Expression, b: tracer.Expression) -> tracer.Exp
 
 def _power(expression: Expr, a: tracer.Expression) -> tracer.Expression:
     if isinstance(a, tracer.Node):
-        return a**expression.value
+        return a ** float(expression.value)
     try:
         found = a**expression.value
     except (ZeroDivisionError, OverflowError):
         return math.nan
-    return found if isinstance(found, float) else math.nan
+    return float(found) if isinstance(found, float) else math.nan
 
 
 _MADE: Final[Mapping[str, Callable[..., tracer.Expression]]] = {

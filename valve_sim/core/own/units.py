@@ -197,7 +197,8 @@ def _tidy(shown: str) -> str:
 
 def dimension_words(dimension: Dimension) -> str:
     """A dimension as a unit of SI: kg·m/s²."""
-    parts = [(name, power) for name, power in zip(_NAMES, dimension, strict=True) if power]
+    powers = dict(zip(_NAMES, dimension, strict=True))
+    parts = [(name, powers[name]) for name in ("kg", "m", "s", "A", "K") if powers[name]]
     if not parts:
         return "a plain number"
 

@@ -117,7 +117,7 @@ def _check_free(plant: OwnPlant, names: Sequence[str]) -> None:
     for name in names:
         if name not in known:
             raise ParameterError(
-                f"{name}: cannot be freed, {plant.file.path} has no such parameter; did you mean {closest(name, known)}?"
+                f"{name}: cannot be freed, {plant.file.path} has no such name; did you mean {closest(name, known)}?"
             )
 
 

@@ -345,13 +345,15 @@ class OwnPlant:
             unit = known[name].unit
             if column.unit is not None and not same(column.unit.dimension, unit.dimension):
                 raise MapError(
-                    f"{recording.source}: {name}: column {column.source} is in {dimension_words(column.unit.dimension)}, "
-                    f"expected {dimension_words(unit.dimension)}; correct its unit in the map"
+                    f"{recording.source}: {name}: column {column.source} is in "
+                    f"{dimension_words(column.unit.dimension)}, expected {dimension_words(unit.dimension)}; "
+                    "correct its unit in the map"
                 )
         for name in self.file.inputs:
             if name not in recording.columns:
                 raise MapError(
-                    f"{recording.source}: the map names no column for the input {name}; add {name}: {{column: ..., unit: ...}}"
+                    f"{recording.source}: the map names no column for the input {name}; add "
+                    f"{name}: {{column: ..., unit: ...}}"
                 )
         if not any(name in recording.columns for name in self.file.outputs):
             raise MapError(
@@ -404,7 +406,7 @@ class OwnPlant:
                     recording=index,
                     left_out=left_out if left_out.any() else None,
                     noise=noise,
-                )  # fmt: skip
+                )
             )
         return channels
 
@@ -435,7 +437,7 @@ class OwnPlant:
                         lower=own.lower,
                         upper=own.upper,
                         is_of_machine=True,
-                    )  # fmt: skip
+                    )
                 )
             if own.varies:
                 for index in range(len(self.recordings)):
@@ -466,7 +468,7 @@ class OwnPlant:
         return found
 
     def _first(self, run: Run, state: str) -> tuple[float, float]:
-        """Where a state probably starts, and how well that is known: from an output that shows it, or its derivative."""
+        """Where a state probably starts, and how well that is known: by an output that shows it, or what it changes."""
         recording = self.recordings[run.recording]
         for name, output in self.file.outputs.items():
             if name not in recording.columns or output.value.op != "name":
@@ -477,7 +479,7 @@ class OwnPlant:
             few = slice(begin, begin + 5)
             if shown == state:
                 return float(np.median(values[few])), SPAN * float(np.ptp(values)) or 1.0
-            rate = self.file.derivatives[shown] if shown in self.file.derivatives else None
+            rate = self.file.derivatives.get(shown)
             if rate is not None and rate.op == "name" and rate.value == state:
                 slopes = np.gradient(values, column.times)
                 line = (
@@ -519,7 +521,7 @@ class OwnPlant:
         return found
 
     def _places(self, effect: str) -> dict[str, tuple[float, ...]]:
-        """Where thresholds of an effect may lie: at quantiles of what they are compared with, where that is measured."""
+        """Where thresholds of an effect may lie: at quantiles of what they are compared with, if that is measured."""
         found: dict[str, tuple[float, ...]] = {}
         entry = self.file.effects[effect]
         for name, own in entry.parameters.items():

@@ -136,7 +136,9 @@ def corrected_plant(diagnosis: Diagnosis) -> dict[str, Any]:
     return changed_plant(plant.file, result, names if diagnosis.verdict.kind == "effects" else ())
 
 
-def changed_plant(file: PlantFile, result: Fit, effects: Sequence[str] = ()) -> dict[str, Any]:
+def changed_plant(  # noqa: PLR0912 -- one for each part of a file
+    file: PlantFile, result: Fit, effects: Sequence[str] = ()
+) -> dict[str, Any]:
     """The content of a plant's file with the values of a fit, and some of its effects among the equations.
 
     A value with a tolerance has its standard error for the new one.
