@@ -22,6 +22,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage, signal
+from scipy.interpolate import interp1d
 
 from valve_sim.core.own.grammar import Expr, ExpressionError, names_in, parse
 from valve_sim.core.own.units import Unit, UnitError, parse_unit
@@ -42,6 +43,10 @@ FILTER_ORDER: Final = 4
 """Of the Butterworth low-pass, which is passed forwards and backwards, so that nothing is delayed."""
 REST: Final = 0.1
 """s over which a signal must stand still, or eleven samples where that is longer."""
+UNEVEN: Final = 1e-3
+"""Of a step: steps that differ by more are brought to a steady rate before they are filtered."""
+LONGEST_STEP: Final = 20.0
+"""Usual steps that a filter bridges."""
 STILL: Final = 6.0
 """Standard deviations of the noise between neighbours, within which a signal stands."""
 _COMPARED: Final = re.compile(r"(<=|>=|<|>)")
@@ -276,10 +281,7 @@ class _Reading:
             readings = np.interp(times, times[used], readings[used])
         unit = self._unit(name, entry)
         low_pass, every, order = self._filter(name, entry, times)
-        if order or (low_pass < math.inf and not order):
-            readings = _low_passed(readings, times, low_pass, 0)
-        for _ in range(order):
-            readings = np.gradient(readings, times)
+        readings = _low_passed(readings, times, low_pass, 0, order)
         if order:
             unit = None if unit is None else _over_time(unit, order)
         between = (
@@ -309,9 +311,10 @@ class _Reading:
             raise self._fail(f"{name}.every", f"found {_short(every)}, expected a whole number of samples from 1 on")
         if low_pass < math.inf:
             steps = np.diff(times)
-            if np.ptp(steps) > 0.2 * np.median(steps):
+            if np.max(steps) > LONGEST_STEP * np.median(steps):
                 raise self._fail(
-                    f"{name}.low_pass", "needs samples at a steady rate; take it out, or give time: {rate: ...}"
+                    f"{name}.low_pass",
+                    f"found a gap of {np.max(steps):.4g} s, which no filter bridges; cut the file there",
                 )
         return low_pass, every, int(order)
 
@@ -414,12 +417,26 @@ def at_rest(times: Array, readings: Array) -> Mask:
     return np.asarray(ndimage.binary_dilation(still, iterations=span // 2) if still.any() else still)
 
 
-def _low_passed(values: Array, times: Array, low_pass: float, axis: int) -> Array:
+def _low_passed(values: Array, times: Array, low_pass: float, axis: int, order: int = 0) -> Array:
+    """Values behind a zero-phase low-pass, or their derivatives behind it, at the times of the samples.
+
+    Filters know a steady rate. Samples whose steps vary are brought to one, on straight lines, and back again.
+    """
     if not low_pass < math.inf:
+        for _ in range(order):
+            values = np.gradient(values, times, axis=axis)
         return values
-    rate = (len(times) - 1) / (times[-1] - times[0])
+    grid, rate = times, (len(times) - 1) / (times[-1] - times[0])
+    steps = np.diff(times)
+    varies = float(np.ptp(steps)) > UNEVEN * float(np.median(steps))
+    if varies:
+        grid = np.linspace(times[0], times[-1], len(times))
+        values = interp1d(times, values, axis=axis)(grid)
     numerator, denominator = signal.butter(FILTER_ORDER, low_pass / (0.5 * rate))
-    return np.asarray(signal.filtfilt(numerator, denominator, values, axis=axis))
+    found = np.asarray(signal.filtfilt(numerator, denominator, values, axis=axis))
+    for _ in range(order):
+        found = np.gradient(found, grid, axis=axis)
+    return np.asarray(interp1d(grid, found, axis=axis)(times)) if varies else found
 
 
 def _thinned(values: Array, every: int) -> Array:
