@@ -88,6 +88,7 @@ setup(
     packages=find_packages(include=["valve_sim", "valve_sim.*"]),
     package_data={
         NAME: ["py.typed"],
+        f"{NAME}.files": ["plant_templates/*.yaml"],
         f"{NAME}.fleet": ["templates/*.j2"],
         f"{NAME}.records": ["templates/*.j2"],
         f"{NAME}.identification.reporting": ["templates/*.j2"],

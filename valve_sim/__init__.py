@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from valve_sim.identification.estimation.budget import Budget
     from valve_sim.model.drives import Drive
     from valve_sim.model.simulation import Valve
+    from valve_sim.traces.columns import read
 
 __version__ = "0.2.0"
 
@@ -44,6 +45,7 @@ __all__ = [
     "identify",
     "load_map",
     "load_valve",
+    "read",
     "simulate",
 ]
 
@@ -54,6 +56,7 @@ _MODULES: Final = {
     "identification.estimation.budget": ("Budget",),
     "model.drives": ("Drive",),
     "model.simulation": ("Valve",),
+    "traces.columns": ("read",),
 }
 _HOMES: Final = {name: module for module, names in _MODULES.items() for name in names}
 

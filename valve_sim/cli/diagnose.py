@@ -14,8 +14,10 @@ from valve_sim.cli.options import (
     json_option,
     map_option,
     params_option,
+    plant_option,
     valve_option,
 )
+from valve_sim.cli.own_plant import chosen_params, diagnose_own, is_own
 from valve_sim.cli.printing import print_report, progress_bar, provenance, say_when_compiling
 from valve_sim.cli.reading import declared_valve, read_recordings
 from valve_sim.files.ledger import plan_files
@@ -40,6 +42,7 @@ from valve_sim.files.ledger import plan_files
 )
 @click.option("--plot", metavar="PNG", type=FILE, help="Draw the plots of report.html as a picture, too (bags only).")
 @params_option
+@plant_option
 @valve_option
 @map_option
 @folder_option
@@ -52,6 +55,7 @@ def diagnose(
     budget: float,
     plot: Path | None,
     params: Path | None,
+    plant: Path | None,
     name: str | None,
     output: Path,
     as_json: bool,
@@ -67,6 +71,7 @@ def diagnose(
 
       valve-sim diagnose strokes.mcap --output results
       valve-sim diagnose day_1 day_2 --holdout day_3 --params my_valve.yaml --output results
+      valve-sim diagnose log.csv --plant my_axis.yaml --map map.yaml --output results
       valve-sim diagnose --events config/paper_events.yaml --output results
     """
     if (events is None) == (not bags):
@@ -77,6 +82,10 @@ def diagnose(
                 "--plot is for bags; --events always leaves its pictures in DIR", click.get_current_context()
             )
         _diagnose_events(events, output, as_json)
+        return
+    params = chosen_params(plant, params)
+    if plant is not None and is_own(plant):
+        diagnose_own(plant, bags, holdout, budget, output, plot, as_json=as_json)
         return
     from valve_sim.files.whole_files import refuse_unwritable
     from valve_sim.identification.diagnosis.run import diagnose as trace_residual

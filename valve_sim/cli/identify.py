@@ -9,7 +9,16 @@ import click
 
 from valve_sim.cli.cluster import chosen_cluster, cluster_options, refuse_without_fleet
 from valve_sim.cli.command_line import Command
-from valve_sim.cli.options import bags_argument, folder_option, json_option, map_option, params_option, valve_option
+from valve_sim.cli.options import (
+    bags_argument,
+    folder_option,
+    json_option,
+    map_option,
+    params_option,
+    plant_option,
+    valve_option,
+)
+from valve_sim.cli.own_plant import chosen_params, identify_own, is_own
 from valve_sim.cli.printing import print_report, progress_bar, provenance, refuse
 from valve_sim.cli.reading import chosen_map, declared_valve, read_recordings
 from valve_sim.files.json_text import json_text
@@ -23,6 +32,7 @@ if TYPE_CHECKING:
 @click.command(cls=Command)
 @bags_argument
 @params_option
+@plant_option
 @click.option(
     "--free",
     metavar="A,B",
@@ -42,6 +52,7 @@ def identify(
     *,
     bags: tuple[Path, ...],
     params: Path | None,
+    plant: Path | None,
     free: str | None,
     shared: bool,
     name: str | None,
@@ -56,6 +67,7 @@ def identify(
       valve-sim identify strokes.mcap --output results
       valve-sim identify day_1 day_2 --free pilot_damping,main_damping,a0 --params my_valve.yaml --output results
       valve-sim identify bags/* --shared --workers 4 --output results
+      valve-sim identify log.csv --plant my_axis.yaml --map map.yaml --output results
       valve-sim validate tomorrow.mcap --params results/identified.yaml
     """
     from valve_sim.files.parameter_files import save_valve
@@ -67,6 +79,12 @@ def identify(
     cluster = chosen_cluster()
     if not shared and cluster != (None, None):
         raise click.UsageError("--scheduler and --workers are for --shared", click.get_current_context())
+    params = chosen_params(plant, params)
+    if plant is not None and is_own(plant):
+        if shared:
+            refuse("--shared: is for valves; give all recordings of a plant to one identify")
+        identify_own(plant, bags, free, output, as_json=as_json)
+        return
     written = (output / "identify.json", output / "identified.yaml")
     plan_files(*written)
     refuse_unwritable(*written)

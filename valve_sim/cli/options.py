@@ -45,5 +45,11 @@ map_option = click.option(
     callback=lambda context, _, path: context.meta.__setitem__(MAP_KEY, path),
     help="Map: which topic or column is which quantity; valve-sim map drafts that of a recording.",
 )
+plant_option = click.option(
+    "--plant",
+    metavar="FILE",
+    type=FILE,
+    help="A machine of your own, plant: equations, coil or axis, in place of the valve.",
+)
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON in place of text.")
 folder_option = click.option("--output", metavar="DIR", type=FILE, required=True, help="Folder for the results.")

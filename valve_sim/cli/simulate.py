@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import click
 
 from valve_sim.cli.command_line import Command
-from valve_sim.cli.options import FILE, finite_number, json_option, params_option
+from valve_sim.cli.options import FILE, finite_number, json_option, map_option, params_option, plant_option
+from valve_sim.cli.own_plant import chosen_params, is_own, simulate_own
 from valve_sim.cli.printing import print_json, refuse
 from valve_sim.cli.reading import declared_valve
 
@@ -19,10 +20,13 @@ if TYPE_CHECKING:
 
 
 @click.command(cls=Command)
+@click.argument("log", metavar="[LOG]", type=FILE, required=False)
 @params_option
+@plant_option
+@map_option
 @click.option("--voltage", metavar="V", type=finite_number(), help="Constant voltage from time 0 on.")
 @click.option("--profile", metavar="FILE", type=FILE, help="Voltage over time: see below.")
-@click.option("--duration", metavar="S", type=finite_number(0.0, is_open=True), required=True, help="Duration, s.")
+@click.option("--duration", metavar="S", type=finite_number(0.0, is_open=True), help="Duration, s.")
 @click.option("--rate", metavar="HZ", type=finite_number(0.0, is_open=True), default=20000.0, help="Sample rate, Hz.")
 @click.option(
     "--noise-um", metavar="UM", type=finite_number(0.0), default=0.0, help="Noise of the positions, µm (std. dev.)."
@@ -50,6 +54,7 @@ if TYPE_CHECKING:
     default=0.0,
     help="Noise of the outlet's pressure, kPa, of a valve with gas.",
 )
+@click.option("--with-noise", is_flag=True, help="With --plant: the outputs' declared noise, drawn with --seed.")
 @click.option("--without-position", is_flag=True, help="Record no position, as where none can be measured.")
 @click.option(
     "--seed", type=click.IntRange(min=0), default=0, help="Seed of the noise; the same seed gives the same recording."
@@ -59,16 +64,19 @@ if TYPE_CHECKING:
 @json_option
 def simulate(
     *,
+    log: Path | None,
     params: Path | None,
+    plant: Path | None,
     voltage: float | None,
     profile: Path | None,
-    duration: float,
+    duration: float | None,
     rate: float,
     noise_um: float,
     quantisation_um: float,
     current_noise_ma: float | None,
     voltage_noise_mv: float | None,
     pressure_noise_kpa: float,
+    with_noise: bool,
     without_position: bool,
     seed: int,
     output: Path,
@@ -81,6 +89,9 @@ def simulate(
       valve-sim simulate --voltage 9 --duration 0.02 --output opening.csv --plot opening.png
     Strokes with a noisy sensor, as a bag that identify reads back:
       valve-sim simulate --profile strokes.csv --duration 0.5 --noise-um 1 --output strokes.mcap
+
+    The outputs of a machine of your own, driven by the inputs of a table:
+      valve-sim simulate log.csv --plant my_axis.yaml --map map.yaml --output shown.csv
 
     A profile is a CSV file with the columns time (s) and volts (V), each voltage held until the next row:
       time,volts
@@ -97,6 +108,16 @@ def simulate(
     """
     from valve_sim.traces.synthetic import Sensor, record
 
+    params = chosen_params(plant, params)
+    if plant is not None and is_own(plant):
+        if voltage is not None or profile is not None or plot is not None:
+            refuse("--voltage, --profile and --plot: are for valves; with --plant give a LOG that holds its inputs")
+        simulate_own(plant, log, (duration, rate), seed if with_noise else None, output, as_json=as_json)
+        return
+    if log is not None:
+        refuse(f"{log}: a LOG of inputs is for --plant; a valve takes --voltage or --profile")
+    if duration is None:
+        raise click.UsageError("Missing option '--duration'.", click.get_current_context())
     drive = _drive(voltage, profile)
     if output.suffix not in (".csv", ".mcap", ""):
         refuse(f"--output {output}: expected x.mcap, x.csv, or a name without ending for a rosbag2 folder")

@@ -8,8 +8,17 @@ from typing import Final
 import click
 
 from valve_sim.cli.command_line import Command
-from valve_sim.cli.options import FILE, bags_argument, finite_number, json_option, map_option, valve_option
-from valve_sim.cli.printing import print_report, progress_bar, shown
+from valve_sim.cli.options import (
+    FILE,
+    bags_argument,
+    finite_number,
+    json_option,
+    map_option,
+    plant_option,
+    valve_option,
+)
+from valve_sim.cli.own_plant import chosen_params, is_own, validate_own
+from valve_sim.cli.printing import print_report, progress_bar, refuse, shown
 from valve_sim.cli.reading import declared_valve, read_recordings
 from valve_sim.files.ledger import plan_files
 
@@ -19,7 +28,14 @@ OUTSIDE: Final = 1
 
 @click.command(cls=Command)
 @bags_argument
-@click.option("--params", metavar="FILE", type=FILE, required=True, help="Parameter file of the valve to check.")
+@click.option("--params", metavar="FILE", type=FILE, help="Parameter file of the valve to check.")
+@plant_option
+@click.option(
+    "--tolerance",
+    metavar="SI",
+    type=finite_number(0.0, is_open=True),
+    help="With --plant: largest rms error of its first output, in its SI unit.",
+)
 @click.option(
     "--tolerance-um",
     metavar="UM",
@@ -51,7 +67,9 @@ OUTSIDE: Final = 1
 def validate(
     *,
     bags: tuple[Path, ...],
-    params: Path,
+    params: Path | None,
+    plant: Path | None,
+    tolerance: float | None,
     tolerance_um: float | None,
     tolerance_ma: float | None,
     tolerance_kpa: float | None,
@@ -69,8 +87,20 @@ def validate(
     times the standard deviation that is predicted, by the sensor's noise and by the tolerances in the file.
 
       valve-sim validate strokes.mcap --params config/valve.yaml
+      valve-sim validate log.csv --plant results/corrected.yaml --map map.yaml
       valve-sim validate tests/*.mcap --params results/identified.yaml --tolerance-um 17 --junit replay.xml
     """
+    params = chosen_params(plant, params)
+    if plant is not None and is_own(plant):
+        given = (("--tolerance-um", tolerance_um), ("--tolerance-ma", tolerance_ma), ("--tolerance-kpa", tolerance_kpa))
+        for option, value in (*given, ("--plot", plot)):
+            if value is not None:
+                refuse(f"{option}: is for valves; with --plant give --tolerance, in SI")
+        return validate_own(plant, bags, tolerance, junit, as_json=as_json)
+    if params is None:
+        raise click.UsageError("Missing option '--params' or '--plant'.", click.get_current_context())
+    if tolerance is not None:
+        refuse("--tolerance: is for --plant; give --tolerance-um, --tolerance-ma or --tolerance-kpa")
     if plot is not None and len(bags) > 1:
         raise click.UsageError("--plot draws one recording; give one BAG", click.get_current_context())
     from valve_sim.files.whole_files import refuse_unwritable, write_whole
@@ -82,13 +112,13 @@ def validate(
     refuse_unwritable(*planned)
     valve = declared_valve(params)
     traces = read_recordings(bags, name, valve)
-    tolerance = None if tolerance_um is None else 1e-6 * tolerance_um
+    position_tolerance = None if tolerance_um is None else 1e-6 * tolerance_um
     current_tolerance = None if tolerance_ma is None else 1e-3 * tolerance_ma
     pressure_tolerance = None if tolerance_kpa is None else 1e3 * tolerance_kpa
     with progress_bar() as progress:
         result = replay(
-            traces, valve, tolerance, current_tolerance=current_tolerance, pressure_tolerance=pressure_tolerance,
-            progress=progress,
+            traces, valve, position_tolerance, current_tolerance=current_tolerance,
+            pressure_tolerance=pressure_tolerance, progress=progress,
         )  # fmt: skip
     if junit is not None:
         write_whole(junit, shown(validation_junit(result)))  # XML has no place for control characters

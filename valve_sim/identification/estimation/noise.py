@@ -119,6 +119,9 @@ def estimate_noise(channels: Sequence[Channel], *, may_hum: bool = False) -> Noi
         channels: of one kind; at least one with samples.
         may_hum: whether hum of the mains is estimated along with their model: what plainly shows of it is no noise.
     """
+    if all(channel.noise > 0.0 for channel in channels):
+        known = max(channel.noise for channel in channels)
+        return Noise(known, known, (), 0.0, sum(channel.count for channel in channels))
     windows = [window for channel in channels for window in quiet_windows(channel)]
     shows_colour = bool(windows)
     if not shows_colour:

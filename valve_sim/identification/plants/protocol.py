@@ -78,6 +78,8 @@ class EffectChoice:
         is_declared_value: whether it is a declared value.
         is_on: whether it is an effect that is declared already, and may be of another size.
         start: values, of its parameters and beside them, that a fit starts from, too; none where none are known.
+        places: by free name, values that a threshold among its parameters is started from: quantiles of what it acts
+            on, since a fit that starts beyond all data has no slope that would lead it among them.
     """
 
     name: str
@@ -86,6 +88,7 @@ class EffectChoice:
     is_declared_value: bool = False
     is_on: bool = False
     start: Mapping[str, float] = field(default_factory=dict, compare=False)
+    places: Mapping[str, Sequence[float]] = field(default_factory=dict, compare=False)
 
     @property
     def is_declared(self) -> bool:
@@ -170,6 +173,7 @@ class Channel:
             current while its coil heats, a position while its sensor warms up.
         resolution: by how much data and prediction differ for numerical reasons alone: rounded stamps, rounded values,
             the tolerance of an integrator. No noise is taken to be smaller.
+        noise: standard deviation of its white noise where that is known beforehand, in `unit`; 0: the data show it.
         left_out: (n,) True where a reading is no measurement and takes part in nothing; None where all are.
     """
 
@@ -184,6 +188,7 @@ class Channel:
     recording: int = 0
     drifts: bool = False
     resolution: float = 0.0
+    noise: float = 0.0
     left_out: NDArray[np.bool_] | None = None
 
     @property

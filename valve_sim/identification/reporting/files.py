@@ -13,9 +13,11 @@ from valve_sim.files.json_text import json_text
 from valve_sim.files.parameter_files import save_valve
 from valve_sim.files.whole_files import write_whole
 from valve_sim.identification.diagnosis.run import Diagnosis
+from valve_sim.identification.plants.own import OwnPlant
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.diagnosis_json import to_json
 from valve_sim.identification.reporting.html import draw_diagnosis, write_report
+from valve_sim.identification.reporting.own_plant import corrected_plant, save_plant
 from valve_sim.identification.reporting.recording_profile import write_record_next
 
 FILES: Final = ("report.json", "report.html", "corrected.yaml")
@@ -56,6 +58,9 @@ def write_diagnosis(
         save_valve(corrected, diagnosis.valve, provenance)
         profile = write_record_next(folder, diagnosis, provenance)
         written += [corrected] if profile is None else [corrected, profile]
+    if isinstance(diagnosis.plant, OwnPlant):
+        save_plant(corrected, corrected_plant(diagnosis), provenance)
+        written.append(corrected)
     if picture is not None:
         from valve_sim.identification.reporting.figures import save_figure
 

@@ -15,6 +15,7 @@ _PREFIXES: Final[Mapping[str, tuple[tuple[float, str], ...]]] = {
     "A": ((1.0, "mA"), (math.inf, "A")),
     "Hz": ((1e3, "Hz"), (math.inf, "kHz")),
     "Pa": ((1e6, "kPa"), (math.inf, "MPa")),
+    "H": ((1e-3, "µH"), (1.0, "mH"), (math.inf, "H")),
     "m²": ((math.inf, "mm²"),),
     "m³": ((math.inf, "cm³"),),
 }
@@ -28,6 +29,8 @@ _FACTORS: Final = {
     "kHz": 1e-3,
     "kPa": 1e-3,
     "MPa": 1e-6,
+    "µH": 1e6,
+    "mH": 1e3,
     "mm²": 1e6,
     "cm³": 1e6,
 }

@@ -177,7 +177,8 @@ def meanings(diagnosis: Diagnosis) -> list[Meaning]:
         )
         values = {name.partition(".")[2]: one.value for name, one in own.items()}
         others = verdict.confusable_with.get(effect, ())
-        entry = CATALOGUE.get(effect)
+        # What the catalogue says of an effect is about a valve; an effect of a user's own may share its name.
+        entry = CATALOGUE.get(effect) if isinstance(plant, ValvePlant) else None
         found.append(
             Meaning(
                 effect, title_of(effect), amounts, _severity(entry, values, plant),

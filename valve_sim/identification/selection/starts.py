@@ -35,6 +35,8 @@ SHAPES: Final = (1.0, 0.2, 5.0)
 ROBUST: Final = 20.0
 """σ: scale of the cost by which starts are ranked, so that one impact at another time does not decide."""
 
+Shape = float | Mapping[str, float]
+"""Of an effect: a factor on the prior scales of what shapes it, or values of its thresholds by free name."""
 Cost = Callable[[Mapping[str, float]], float]
 """By which starts are ranked, as `robust_cost`."""
 
@@ -44,7 +46,7 @@ def effect_starts(cost: Cost, effect: EffectChoice, warm: Mapping[str, float]) -
     if effect.is_declared_value:
         # Its tolerance has let it move already; there the smaller hypothesis has left it.
         return [{}]
-    near = [] if _is_saddle(effect) else [start_near_off(effect)]
+    near = [] if _is_saddle(effect) else [_nearest_off(cost, effect, warm)]
     amplitudes = [parameter.off is not None for parameter in effect.parameters]
     choices = [
         _sizes(parameter) if is_amplitude else (1.0,)
@@ -53,7 +55,7 @@ def effect_starts(cost: Cost, effect: EffectChoice, warm: Mapping[str, float]) -
     combinations = (
         list(itertools.product(*choices)) if sum(amplitudes) <= 2 else [(size,) * len(choices) for size in LARGE]
     )
-    shapes = SHAPES if not all(amplitudes) else SHAPES[:1]
+    shapes = _shapes(effect)
     far = [_start(effect, sizes, shape) for sizes in combinations for shape in shapes]
     return near + sorted(far, key=lambda start: cost({**warm, **start}))[: 1 if near and sum(amplitudes) == 1 else 2]
 
@@ -71,19 +73,20 @@ def starts_from_declared(cost: Cost, effect: EffectChoice, known: Mapping[str, f
     if effect.is_declared or not switches:
         return []
     has_two_signs = len(switches) == 1 and is_two_sided(switches[0])
-    shapes = SHAPES if len(switches) < len(effect.parameters) else SHAPES[:1]
+    shapes = _shapes(effect)
 
-    def start(size: float, shape: float) -> dict[str, float]:
+    def start(size: float, shape: Shape) -> dict[str, float]:
         return {**known, **_start(effect, [size] * len(effect.parameters), shape)}
 
-    def best_of(choices: Iterable[tuple[float, float]]) -> tuple[float, tuple[float, float]]:
-        return min((cost(start(*choice)), choice) for choice in choices)
+    def best_of(choices: Iterable[tuple[float, Shape]]) -> tuple[float, tuple[float, Shape]]:
+        return min(((cost(start(*choice)), choice) for choice in choices), key=lambda found: found[0])
 
     signs = (1.0, -1.0) if has_two_signs else (1.0,)
     coarse = best_of(itertools.product([sign * size for sign in signs for size in FROM_DECLARED], shapes))
     most = EXPLAINS * cost(known)
     size, shape = coarse[1]
-    least, choice = min(coarse, best_of([(size / BETWEEN, shape), (size * BETWEEN, shape)]))
+    finer = best_of([(size / BETWEEN, shape), (size * BETWEEN, shape)])
+    least, choice = min(coarse, finer, key=lambda found: found[0])
     return [start(*choice)] if least < most else []
 
 
@@ -105,7 +108,26 @@ def start_near_off(effect: EffectChoice) -> dict[str, float]:
 
 def starts_of_other_shapes(effect: EffectChoice) -> list[dict[str, float]]:
     """Its parameters near off, in each shape."""
-    return [_start(effect, [SMALL] * len(effect.parameters), shape) for shape in SHAPES]
+    shapes = SHAPES if not effect.places else _shapes(effect)
+    return [_start(effect, [SMALL] * len(effect.parameters), shape) for shape in shapes]
+
+
+def _nearest_off(cost: Cost, effect: EffectChoice, warm: Mapping[str, float]) -> dict[str, float]:
+    """Its parameters where the effect is all but off; a threshold where that changes most for the better."""
+    if not effect.places:
+        return start_near_off(effect)
+    return min(starts_of_other_shapes(effect), key=lambda start: cost({**warm, **start}))
+
+
+def _shapes(effect: EffectChoice) -> tuple[Shape, ...]:
+    """The shapes from which an effect is started: factors of prior scales, or places of its thresholds."""
+    if effect.places:
+        most = max(len(places) for places in effect.places.values())
+        return tuple(
+            {name: places[min(index, len(places) - 1)] for name, places in effect.places.items()}
+            for index in range(most)
+        )
+    return SHAPES if any(parameter.off is None for parameter in effect.parameters) else SHAPES[:1]
 
 
 def scattered_starts(best: Fit, spreads: Sequence[float]) -> list[dict[str, float]]:
@@ -136,11 +158,13 @@ def _sizes(parameter: Parameter) -> list[float]:
     return [sign * size for size in LARGE for sign in ((1.0, -1.0) if is_two_sided(parameter) else (1.0,))]
 
 
-def _start(effect: EffectChoice, sizes: Sequence[float], shape: float) -> dict[str, float]:
-    return {
-        effect.free_name(parameter): _start_value(parameter, size, shape)
+def _start(effect: EffectChoice, sizes: Sequence[float], shape: Shape) -> dict[str, float]:
+    places, factor = (shape, 1.0) if isinstance(shape, Mapping) else ({}, shape)
+    found = {
+        effect.free_name(parameter): _start_value(parameter, size, factor)
         for parameter, size in zip(effect.parameters, sizes, strict=True)
     }
+    return {**found, **places}
 
 
 def _start_value(parameter: Parameter, size: float, shape: float) -> float:

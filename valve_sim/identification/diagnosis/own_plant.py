@@ -1,0 +1,215 @@
+"""Refit and check a plant of a user's own equations."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from valve_sim.identification.estimation.intervals import Interval, profile_interval
+from valve_sim.identification.estimation.problem import Problem
+from valve_sim.identification.estimation.result import Fit
+from valve_sim.identification.estimation.solver import fit
+from valve_sim.identification.plants.check import check_plant
+from valve_sim.identification.plants.own import OwnPlant
+from valve_sim.identification.plants.protocol import Array, Direction
+from valve_sim.identification.plants.root_mean_square import root_mean_square
+from valve_sim.model.errors import ParameterError, SimulationError
+from valve_sim.model.parameters import closest
+
+STARTS: Final = (1.0, 4.0, 0.25)
+"""Factors on the declared values from which fits start."""
+TIMES_PREDICTED: Final = 3.0
+"""Standard deviations that are predicted, within which a recording is by default."""
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class OutputError:
+    """How far off one output of one recording is, SI.
+
+    Attributes:
+        channel: its name. unit: its SI unit. before: rms of measured less declared; after: less refitted. noise: of the
+            sensor, standard deviation.
+    """
+
+    channel: str
+    unit: str
+    before: float
+    after: float
+    noise: float
+
+
+@dataclass(frozen=True)
+class PlantIdentification:
+    """A refitted plant: the fit, intervals of what was freed, errors by output, and what was freed in vain."""
+
+    fit: Fit
+    intervals: Mapping[str, Interval]
+    errors: tuple[OutputError, ...]
+
+    @property
+    def plant(self) -> OwnPlant:
+        """What was refitted."""
+        plant = self.fit.problem.plant
+        assert isinstance(plant, OwnPlant)
+        return plant
+
+
+def identify_plant(
+    plant: OwnPlant, free: Sequence[str] | None = None, progress: Progress | None = None
+) -> PlantIdentification:
+    """Refit parameters of a plant to its recordings.
+
+    Args:
+        plant: with its recordings. free: parameters, or `<effect>.<parameter>`; default: those declared `free`.
+        progress: told what is being done, and the fraction done.
+
+    Raises:
+        ParameterError: a name that cannot be freed, or none.
+        SimulationError: the declared plant cannot be simulated.
+    """
+    say = progress or (lambda what, fraction: None)
+    names = tuple(plant.base if free is None else free)
+    _check_free(plant, names)
+    check_plant(plant)
+    say("fit", 0.0)
+    problem = Problem(plant)
+    found = _best(problem, names)
+    if any(noise.samples == 0 for noise in problem.noises.values()):
+        problem = problem.with_noise_left_by(found.values)
+        found = fit(problem, names, found.values, nuisances=plant.nuisances)
+    intervals = {}
+    for index, name in enumerate(names):
+        say(f"interval of {name}", 0.4 + 0.6 * index / len(names))
+        intervals[name] = profile_interval(found, name)[0]
+    own = {nuisance.name: found.values[nuisance.name] for nuisance in found.nuisances if not nuisance.is_of_machine}
+    return PlantIdentification(found, intervals, _errors(found, own))
+
+
+def _errors(found: Fit, declared: Mapping[str, float]) -> tuple[OutputError, ...]:
+    plant = found.problem.plant
+    before, after = plant.predict(declared), plant.predict(found.values)
+    return tuple(
+        OutputError(
+            channel.name, channel.unit, _rms(channel.kept(channel.data - before[index])),
+            _rms(channel.kept(channel.data - after[index])), found.problem.noise_of(index).sigma,
+        )
+        for index, channel in enumerate(plant.channels)
+    )  # fmt: skip
+
+
+def _rms(left: Array) -> float:
+    return root_mean_square(left) if len(left) else math.nan
+
+
+def _check_free(plant: OwnPlant, names: Sequence[str]) -> None:
+    known = [*plant.file.parameters]
+    known += [f"{name}.{own}" for name, effect in plant.file.effects.items() for own in effect.parameters]
+    if not names:
+        raise ParameterError(
+            f"{plant.file.path}: frees nothing; write free: true beside a parameter, or give --free NAME"
+        )
+    for name in names:
+        if name not in known:
+            raise ParameterError(
+                f"{name}: cannot be freed, {plant.file.path} has no such name; did you mean {closest(name, known)}?"
+            )
+
+
+def _best(problem: Problem, names: Sequence[str]) -> Fit:
+    """The best of fits from several starts."""
+    plant, best, last = problem.plant, None, None
+    for factor in STARTS:
+        start = {name: _started(plant, name, factor) for name in names}
+        try:
+            found = fit(problem, names, start, nuisances=plant.nuisances)
+        except SimulationError as error:
+            last = error
+            continue
+        best = found if best is None or found.chi2 < best.chi2 else best
+    if best is None:
+        assert last is not None
+        raise last
+    return best
+
+
+def _started(plant: object, name: str, factor: float) -> float:
+    assert isinstance(plant, OwnPlant)
+    parameter, declared = plant.parameter(name), plant.declared(name)
+    if "." in name and parameter.off is not None:
+        at = parameter.off + 0.1 * factor * parameter.prior_scale
+    else:
+        at = declared * factor if declared else parameter.prior_scale * (factor - 1.0)
+    return min(max(at, parameter.lower), parameter.upper)
+
+
+@dataclass(frozen=True)
+class PartChecked:
+    """One part of a recording: its rms error and what was allowed, SI."""
+
+    channel: str
+    unit: str
+    group: int
+    rmse: float
+    allowed: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether it is within what was allowed."""
+        return self.rmse <= self.allowed
+
+
+@dataclass(frozen=True)
+class PlantValidation:
+    """A declared plant beside recordings, part by part."""
+
+    plant: OwnPlant
+    parts: tuple[PartChecked, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether all parts are within what was allowed."""
+        return all(part.passed for part in self.parts)
+
+
+def validate_plant(plant: OwnPlant, tolerance: float | None = None) -> PlantValidation:
+    """Check a declared plant against recordings: nothing of the machine is estimated.
+
+    Starts that are free, and errors of each recording that its map declares, are estimated.
+
+    Args:
+        plant: with its recordings. tolerance: largest rms error of the first output, SI; default three times what noise
+            and tolerances let expect.
+
+    Raises:
+        SimulationError: the declared plant cannot be simulated.
+    """
+    check_plant(plant)
+    own = [nuisance for nuisance in plant.nuisances if not nuisance.is_of_machine]
+    problem = Problem(plant)
+    found = fit(problem, (), {}, nuisances=own)
+    shown = plant.predict(found.values)
+    known = [nuisance for nuisance in plant.nuisances if nuisance.is_of_machine]
+    directions = [Direction({nuisance.name: nuisance.sigma}, 1e-3) for nuisance in known]
+    values = {**found.values, **{nuisance.name: nuisance.mean for nuisance in known}}
+    columns = plant.sensitivities(values, directions).columns if directions else [np.zeros((len(s), 0)) for s in shown]
+    first = plant.channels[0].kind
+    parts = []
+    for index, channel in enumerate(plant.channels):
+        noise = problem.noise_of(index).sigma
+        for group in np.unique(channel.group):
+            chosen = (channel.group == group) & (True if channel.left_out is None else ~channel.left_out)
+            if not chosen.any():
+                continue
+            spread = float(np.mean(np.sum(np.square(columns[index][chosen]), axis=1)))
+            allowed = TIMES_PREDICTED * math.sqrt(noise**2 + spread)
+            if tolerance is not None and channel.kind == first:
+                allowed = tolerance
+            error = root_mean_square((channel.data - shown[index])[chosen])
+            parts.append(PartChecked(channel.name, channel.unit, int(group), error, allowed))
+    return PlantValidation(plant, tuple(parts))
