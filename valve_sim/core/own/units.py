@@ -1,7 +1,7 @@
 """Units as people write them, and whether those of an equation fit.
 
-A unit is a product of named units with whole powers: `N*s/m`, `N·s²/m²`, `kg*m^2`, `V/(rad/s)`, `1/s`, `mm`. Angles are
-plain numbers, as in SI: N m/rad is N m.
+A unit is a product of named units with powers: `N*s/m`, `N·s²/m²`, `kg*m^2`, `V/(rad/s)`, `1/s`, `mm`, `m^0.5/s`.
+Angles are plain numbers, as in SI: N m/rad is N m.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ _PREFIX: Final = {
 _SUPERSCRIPT: Final = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 _RAISED: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _PART: Final = re.compile(
-    r"\s*(?:(?P<name>[A-Za-zµμΩ°%]+)|(?P<one>1)(?![0-9])|(?P<mark>\*\*|[*·/()^ ])|(?P<power>-?\d+|[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+))"
+    r"\s*(?:(?P<name>[A-Za-zµμΩ°%]+)|(?P<one>1)(?![0-9.])|(?P<mark>\*\*|[*·/()^ ])|(?P<power>-?\d+(?:\.\d+)?|[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+))"
 )
 
 
@@ -161,17 +161,16 @@ class _Reader:
         if self._place < len(self._parts) and self._parts[self._place][1] in ("^", "**"):
             self._place += 1
             if self._place >= len(self._parts) or self._parts[self._place][0] not in ("power", "one"):
-                raise UnitError(f"found {self._text!r}, expected a whole number after ^")
+                raise UnitError(f"found {self._text!r}, expected a number such as 2 or 0.5 after ^")
         if self._place < len(self._parts) and (
             self._parts[self._place][0] == "power"
             or (self._parts[self._place][0] == "one" and self._parts[self._place - 1][1] in ("^", "**"))
         ):
-            power = int(self._parts[self._place][1].translate(_SUPERSCRIPT))
+            power = float(self._parts[self._place][1].translate(_SUPERSCRIPT))
             self._place += 1
             if not 0 < abs(power) <= 9:
-                raise UnitError(f"found the power {power} in {self._text!r}, expected one from -9 to 9")
-            shown = found[2] if power == 1 else f"{found[2]}{str(power).translate(_RAISED)}"
-            return found[0] ** power, tuple(power * own for own in found[1]), shown
+                raise UnitError(f"found the power {power:g} in {self._text!r}, expected one from -9 to 9")
+            return found[0] ** power, tuple(power * own for own in found[1]), _with_power(found[2], power)
         return found
 
     def _named(self, text: str) -> tuple[float, Dimension, str]:
@@ -191,6 +190,13 @@ class _Reader:
         raise self._unknown(text)
 
 
+def _with_power(name: str, power: float) -> str:
+    """A unit with its power, as people write it: m², m^0.5."""
+    if power == 1:
+        return name
+    return f"{name}{str(int(power)).translate(_RAISED)}" if power == int(power) else f"{name}^{power:g}"
+
+
 def _tidy(shown: str) -> str:
     return shown.replace("·1", "").removeprefix("1·")
 
@@ -202,13 +208,8 @@ def dimension_words(dimension: Dimension) -> str:
     if not parts:
         return "a plain number"
 
-    def one(name: str, power: float) -> str:
-        if power == 1:
-            return name
-        return f"{name}{str(int(power)).translate(_RAISED)}" if power == int(power) else f"{name}^{power:g}"
-
-    above = "·".join(one(name, power) for name, power in parts if power > 0) or "1"
-    below = "·".join(one(name, -power) for name, power in parts if power < 0)
+    above = "·".join(_with_power(name, power) for name, power in parts if power > 0) or "1"
+    below = "·".join(_with_power(name, -power) for name, power in parts if power < 0)
     return f"{above}/({below})" if "·" in below else f"{above}/{below}" if below else above
 
 

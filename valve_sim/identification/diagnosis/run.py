@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Final, NamedTuple
 
@@ -59,6 +59,8 @@ __all__ = ["Candidate", "Diagnosis", "DiagnosisSession", "State", "Verdict", "be
 
 SAMPLES_EACH: Final = 10
 """Samples for each parameter, below which a model with all effects would explain noise, too."""
+NOISIER: Final = 1.5
+"""Times what the best model leaves, beyond which the noise that was taken from the largest one is too much of it."""
 LISTED: Final = 30
 """Most candidates in the report."""
 
@@ -154,11 +156,13 @@ def _begun(
 ) -> DiagnosisSession:
     """The declared model, refitted, of a plant that keeps to its protocol."""
     least, known, held = given
+    say = progress or (lambda what, fraction: None)
     train_mask, holdout_mask = _split(plant) if holdout is None else (None, None)
     problem = Problem(plant, train_mask, budget=budget)
     never_still = [kind for kind, noise in problem.noises.items() if noise.samples == 0]
     problem = _with_least(problem.with_noises({kind: known[kind] for kind in never_still if kind in known}), least)
-    if any(kind not in known for kind in never_still):
+    unknown = [kind for kind in never_still if kind not in known]
+    if unknown:
         problem = problem.with_noise_left_by(_largest_fit(problem).values)
     held_out = None
     if holdout is not None:
@@ -170,7 +174,11 @@ def _begun(
     learned, _ = with_learned_errors(problem.condensed(), fit_of_declared, held=held, reads_at_rest=reads_at_rest)
     search = Search(learned, progress)
     search.fit_declared()
-    return DiagnosisSession(search, HeldOut(held_out), progress or (lambda what, fraction: None))
+
+    def again(noises: Mapping[str, Noise]) -> DiagnosisSession:
+        return _begun(plant, holdout, progress, budget, (least, {**known, **noises}, held))
+
+    return DiagnosisSession(search, HeldOut(held_out), say, again if unknown else None)
 
 
 class VerdictWithIntervals(NamedTuple):
@@ -185,10 +193,17 @@ class DiagnosisSession:
 
     Args:
         search: of the training data. held_out: what is predicted. say: told what is being done, and the fraction done.
+        again: begins anew with this noise by kind of channel; None where the data themselves have shown the noise.
     """
 
-    def __init__(self, search: Search, held_out: HeldOut, say: Progress) -> None:
-        self._search, self._held_out, self._say = search, held_out, say
+    def __init__(
+        self,
+        search: Search,
+        held_out: HeldOut,
+        say: Progress,
+        again: Callable[[Mapping[str, Noise]], DiagnosisSession] | None = None,
+    ) -> None:
+        self._search, self._held_out, self._say, self._again = search, held_out, say, again
         self._plant = search.problem.plant
         self._strokes = len(strokes_of_plant(self._plant))
 
@@ -199,7 +214,7 @@ class DiagnosisSession:
 
     def name(self) -> VerdictWithIntervals:
         """Search, and decide: what a diagnosis names, and nothing of what a report has beside."""
-        self._search.run()
+        self._run(is_full=False)
         decision = self._decided().decision
         result = self._fit_of(decision)
         exact = covariance_interval if decision.unnamed > PROMISING else _profile
@@ -211,7 +226,7 @@ class DiagnosisSession:
             return self._ended(is_full=is_full)
 
     def _ended(self, *, is_full: bool) -> Diagnosis:
-        self._search.run(is_full=is_full)
+        self._run(is_full=is_full)
         grounds = self._decided()
         posterior, decision = grounds.posterior, grounds.decision
         self._say("intervals", 0.95)
@@ -241,6 +256,25 @@ class DiagnosisSession:
             tuple(map(words, [*self._search.untried, *self._search.impossible])), budget.spent, budget.strokes, limits,
             self._rivals(posterior, decision, result), grounds=grounds,
         )  # fmt: skip
+
+    def _run(self, *, is_full: bool) -> None:
+        """Search; where the best model leaves far less than was taken for noise, once more with that as noise.
+
+        Of a machine that is never still the noise is what the largest model leaves. A fit of all effects at once may
+        end far from where one of them alone does, and its noise then hides whatever else is missing.
+        """
+        self._search.run(is_full=is_full)
+        while self._again is not None and not self._search.problem.budget.is_used_up:
+            problem = self._search.problem
+            best = max(self._search.tried.values(), key=lambda entry: entry.plain).fit
+            left = problem.with_noise_left_by(best.values).noises
+            quieter = {kind: own for kind, own in left.items() if NOISIER * own.sigma < problem.noises[kind].sigma}
+            if not quieter:
+                break
+            known = {kind: own for kind, own in problem.noises.items() if own.samples == 0}
+            anew = self._again({**known, **quieter})
+            self._search, self._held_out = anew._search, anew._held_out
+            self._search.run(is_full=is_full)
 
     # -- what is claimed -----------------------------------------------------------------------------------------------
 

@@ -489,6 +489,13 @@ class OwnPlant:
                 )
                 return float(line), 2.0 * float(np.percentile(np.abs(slopes), 99)) or 1.0
         entry = self.file.states[state]
+        if entry.start is None:
+            # What no sensor shows is probably about as large as what one shows of its kind: the level of another tank.
+            for name, output in self.file.outputs.items():
+                if name in recording.columns and same(output.unit.dimension, entry.unit.dimension):
+                    values = recording[name].si(output.unit)
+                    middle = float(np.median(values))
+                    return middle, max(abs(middle), float(np.ptp(values))) or 1.0
         return entry.start or 0.0, max(abs(entry.start or 0.0), entry.unit.factor)
 
     def _of_columns(self) -> list[Nuisance]:
