@@ -240,6 +240,9 @@ def _set_values(template: dict[str, Any], found: Mapping[Any, Any], path: str) -
             entry = {"value": own} if section == "parameters" and not isinstance(own, Mapping) else own
             if not isinstance(entry, Mapping):
                 raise PlantFileError(f"{path}: {section}.{name}: found {_short(entry)}, expected keys such as unit:")
+            if entry.get("tolerance") and "free" not in entry:
+                # Who says how well a value is known wants no value that is free.
+                known[name] = {key: value for key, value in known[name].items() if key != "free"}
             known[name] = {**known[name], **entry}
     _choose_effects(template, found, path)
     if "window" in found:
