@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import json
 import re
 from collections.abc import Iterator
@@ -139,22 +138,6 @@ def test_the_notebook_is_kept_without_what_it_printed() -> None:
     cells = [cell for cell in json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"] if cell["cell_type"] == "code"]
     assert len(cells) >= 5
     assert all(cell["outputs"] == [] and cell["execution_count"] is None for cell in cells)
-
-
-def test_no_signature_prints_the_environment_of_who_builds_the_documentation() -> None:
-    functions = (
-        (path, node)
-        for path in (ROOT / "valve_sim").rglob("*.py")
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
-    )
-    printed = [
-        f"{path.relative_to(ROOT)}: {node.name}"
-        for path, node in functions
-        for default in (*node.args.defaults, *filter(None, node.args.kw_defaults))
-        if "environ" in ast.unparse(default)
-    ]
-    assert printed == []
 
 
 def test_the_citation_is_of_this_version() -> None:
