@@ -48,9 +48,7 @@ GROUPS: Final[dict[str, tuple[Benchmark, ...]]] = {
         Benchmark("energy_consistent", "", "minutes"),
     ),
     "Fit and diagnosis, by independent plants": (
-        Benchmark("coverage", "", "a second a seed", "--seeds 200"),
-        Benchmark("tolerances", "", "minutes", "--seeds 100 --diagnoses 20"),
-        Benchmark("curve_bands", "", "minutes"),
+        Benchmark("coverage", "", "minutes", "--seeds 200"),
         Benchmark("identify_speed", "", "minutes"),
         Benchmark("long_recordings", "4 GB of temporary files", "minutes", "--strokes 100 1000 10000"),
         Benchmark("campaign", "", "minutes", "--slice"),
@@ -78,7 +76,6 @@ GROUPS: Final[dict[str, tuple[Benchmark, ...]]] = {
         Benchmark("busy_station", ROS, "an hour", "--strokes 1000 --runs 5"),
         Benchmark("live_recording", ROS, "minutes", "--strokes 40"),
         Benchmark("gas_node", ROS, "minutes"),
-        Benchmark("publishing", ROS, "a minute"),
         Benchmark("stalled_listener", f"{ROS} with Fast DDS 2", "minutes"),
         Benchmark("soak", ROS, "five minutes", "--hours 24"),
         Benchmark("plc_latency", f"{ROS}, the extra modbus", "a minute", "--strokes 100"),
