@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import re
 from collections.abc import Iterator
@@ -147,3 +148,11 @@ def test_the_citation_is_of_this_version() -> None:
     assert citation["version"] == manifest.findtext("version")
     assert citation["license"] == manifest.findtext("license")
     assert {"cff-version", "message", "authors"} <= citation.keys()
+
+
+@pytest.mark.parametrize("name", ["rooms.svg", "identification.svg"])
+def test_the_pictures_of_rooms_are_drawn_from_the_code(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "docs" / "_ext"))
+    rooms = importlib.import_module("rooms")
+    kept = (ROOT / "docs" / "images" / name).read_text(encoding="utf-8")
+    assert kept == rooms.drawn(rooms.PICTURES[name]), "draw it again: python docs/_ext/rooms.py docs/images"
