@@ -9,7 +9,7 @@ import pytest
 from benchmarks.__main__ import GROUPS, HERE, Benchmark
 
 LISTED = [own for members in GROUPS.values() for own in members]
-ANOTHERS = {"posterior_figure"}
+OF_A_FIGURE = {"posterior_figure"}
 """Draws a figure of the documentation; measures nothing."""
 
 
@@ -25,7 +25,7 @@ def modules_that_run() -> set[str]:
 
 def test_every_benchmark_is_listed_once() -> None:
     names = [own.module for own in LISTED]
-    assert sorted(names) == sorted(modules_that_run() - ANOTHERS)
+    assert sorted(names) == sorted(modules_that_run() - OF_A_FIGURE)
 
 
 @pytest.mark.parametrize("own", LISTED, ids=lambda own: own.module)

@@ -97,7 +97,7 @@ class Plan(NamedTuple):
 
     @property
     def judged(self) -> str:
-        """By what the valve is judged."""
+        """The quantity by which the valve is judged."""
         return next((key for key in JUDGED if key in self.sources), JUDGED[-1])
 
     @property

@@ -125,7 +125,7 @@ class Trace:
 
     @property
     def judged(self) -> str:
-        """By what the valve is judged: "position", or where none was recorded "current", or else "outlet_pressure"."""
+        """The signal by which a valve is judged: "position", else "current", else "outlet_pressure"."""
         if self.has_positions:
             return "position"
         return "outlet_pressure" if self.coil_current is None else "current"
@@ -148,7 +148,7 @@ class Trace:
 
     @property
     def judged_signal(self) -> Signal:
-        """That signal; of a position as `usable_position` has it."""
+        """The signal by which a valve is judged; a position is `usable_position`."""
         signal = self._other_signal
         return Signal(self.times, self.usable_position) if self.has_positions or signal is None else signal
 
@@ -160,5 +160,5 @@ class Trace:
 
     @property
     def _other_signal(self) -> Signal | None:
-        """By what the valve is judged without positions."""
+        """The signal by which a valve is judged without positions."""
         return self.outlet_pressure if self.coil_current is None else self.coil_current

@@ -24,7 +24,7 @@ def objection_to(diagnosis: Diagnosis) -> str:
 
 
 def what_is_left(diagnosis: Diagnosis) -> str:
-    """In a clause, by how much the error is larger than the posterior predicts; empty where it is not."""
+    """A clause that says how much larger the error is than the posterior predicts; empty where it is not."""
     error, expected = _compared(diagnosis.after)
     if not error > AS_PREDICTED * expected:
         return ""

@@ -192,7 +192,7 @@ class Channel:
         return len(self.data) - (0 if self.left_out is None else int(np.count_nonzero(self.left_out)))
 
     def kept(self, values: Array, samples: slice = slice(None)) -> Array:
-        """Of one value for each of these samples, (m,), those of measurements."""
+        """Those of measurements among one value for each of these samples, (m,)."""
         return values if self.left_out is None else values[~self.left_out[samples]]
 
     @property

@@ -107,7 +107,7 @@ def _edges(trace: Trace, times: Array) -> NDArray[np.intp]:
 
 
 def stroke_kinds(trace: Trace) -> list[Kind]:
-    """Of each stroke of a recording: its voltages, V, and how long each but the last was held, in steps of `SAME`."""
+    """The kind of each stroke: its voltages, V, and how long each but the last was held, in steps of `SAME`."""
     drive, starts = trace.drive, stroke_starts(trace.drive).tolist()
     kinds = []
     for first, stop in zip(starts, [*starts[1:], len(drive.times)], strict=True):

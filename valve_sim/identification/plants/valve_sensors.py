@@ -94,7 +94,7 @@ def still_mask(
 
 
 def _position_resolution(trace: Trace) -> float:
-    """By how much a position and its prediction differ for numerical reasons alone, m.
+    """Difference of a position and its prediction for numerical reasons alone, m.
 
     Stamps of samples and of commands are whole nanoseconds, and a plunger moves on meanwhile; a step of the integrator
     is accurate to its tolerance, of a full stroke; a float has 16 digits.
@@ -265,7 +265,7 @@ def _run(record: Any, state: Any, trace: Trace, drive: Drive, samples: Samples, 
 
 
 def tolerance_of(record: Any) -> float:
-    """Of a run in a fit: relative error of a step."""
+    """Relative error of a step of a run in a fit."""
     return GAS_TOLERANCE if is_of_gas(record) else FIT_TOLERANCE
 
 
@@ -351,7 +351,7 @@ def amperes(record: Any, trace: Trace, currents: Array) -> list[Array]:
 def prepared_with_pressure(
     record: Any, trace: Trace, pressure_times: Array, drive: Drive, offset: float
 ) -> tuple[Any, Samples, NDArray[np.int64]]:
-    """As `prepared` where the outlet's pressure was recorded, of a valve with gas; and the order of the rows.
+    """What `prepared` returns, where the outlet's pressure was recorded of a valve with gas; and the order of the rows.
 
     That is of first the positions', then the pressure's times.
     """

@@ -105,7 +105,7 @@ def _typed(diagnosis: Diagnosis, folder: Path) -> dict[str, Any]:
 
 
 def _duration(diagnosis: Diagnosis) -> float:
-    """Of the recommended recording, s."""
+    """Duration of the recommended recording, s."""
     return duration_of(profile_to_record(diagnosis.recommendation, diagnosis.valve))
 
 
@@ -265,7 +265,7 @@ def _comparison(diagnosis: Diagnosis, scale: float, unit: str) -> list[tuple[str
 
 
 def _predicted(state: State, scale: float, unit: str) -> str:
-    """Of fitted, and of held-out strokes."""
+    """What the posterior predicts of the errors of fitted and of held-out strokes."""
     fitted, held_out = (_number(scale * found, unit) for found in (state.train_predicted, state.holdout_predicted))
     return f"{fitted}; held out {held_out}"
 
@@ -277,7 +277,7 @@ def _inclusion_rows(diagnosis: Diagnosis) -> list[tuple[str, str]]:
 
 
 def _declared_row(diagnosis: Diagnosis, scale: float, unit: str) -> dict[str, Any]:
-    """Of the declared model among the hypotheses."""
+    """The row of the declared model in the table of hypotheses."""
     verdict, before = diagnosis.verdict, diagnosis.before
     return {
         "title": "nothing: the declared model, refitted",
@@ -353,7 +353,7 @@ def _is_drawn(name: str) -> bool:
 
 
 def _gain_rows(diagnosis: Diagnosis) -> list[str]:
-    """By how much the recommended recording is expected to separate each pair of candidates."""
+    """How far the recommended recording is expected to separate each pair of candidates."""
     if diagnosis.recommendation is None:
         return []
     return [

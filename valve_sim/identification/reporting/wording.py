@@ -77,7 +77,7 @@ def probability_words(verdict: Verdict) -> str:
 
 
 def percent(probability: float) -> str:
-    """Of a probability; never 0 or 100."""
+    """A probability in percent; never 0 or 100."""
     if probability >= 0.995:
         return "> 99 %"
     return f"{100 * probability:.0f} %" if probability >= 0.005 else "< 1 %"

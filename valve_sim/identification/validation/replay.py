@@ -130,7 +130,7 @@ class Replay:
 
     @property
     def tolerance(self) -> float:
-        """Of the recording as a whole; by default each stroke has its own."""
+        """The tolerance of the recording as a whole; by default each stroke has its own."""
         return self.errors.tolerance
 
 
@@ -247,7 +247,7 @@ class Allowed(NamedTuple):
     finest: float
 
     def of(self, chosen: slice, moving: NDArray[np.bool_]) -> float:
-        """For some samples: NOISE_FACTOR standard deviations, over all of them or those that move."""
+        """The tolerance of some samples: NOISE_FACTOR standard deviations, over all of them or those that move."""
         variances, largest = self.variance[chosen], 0.0
         for own in (variances, variances[moving[chosen]]):
             largest = max(largest, float(np.mean(own)) if len(own) else 0.0)
@@ -340,7 +340,7 @@ def _errors(
 
 
 def _root(squares: float, samples: int) -> float:
-    """Of the mean of squares; nan where there are none."""
+    """Square root of the mean of squares; nan where there are none."""
     return math.sqrt(squares / samples) if samples else math.nan
 
 
