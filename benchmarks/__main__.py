@@ -82,9 +82,8 @@ GROUPS: Final[dict[str, tuple[Benchmark, ...]]] = {
         Benchmark("opcua_server", "the extra opcua", "minutes"),
     ),
     "Hard use": (
-        Benchmark("fuzz", "", "as many inputs as --count says"),
+        Benchmark("fuzz", "", "minutes for each --share 0.01", "--share 0.01"),
         Benchmark("topic_fuzz", ROS, "minutes", "--messages 200000"),
-        Benchmark("broken_plants", "", "minutes", "--plants 1000 --recordings 300"),
     ),
     "Fleet": (
         Benchmark("fleet", FLEET, "two minutes a seed", "--seeds 10"),
