@@ -96,7 +96,7 @@ class Plan(NamedTuple):
         return "position" in self.sources
 
     @property
-    def judged(self) -> str:
+    def primary_signal(self) -> str:
         """The quantity by which the valve is judged."""
         return next((key for key in JUDGED if key in self.sources), JUDGED[-1])
 

@@ -102,7 +102,7 @@ class Trace:
     def __repr__(self) -> str:
         """Trace('train.mcap', 16 commands, 10000 samples of the position)."""
         count = len(self.sample_times)
-        return f"Trace({self.source!r}, {len(self.drive.times)} commands, {count} samples of the {self.judged})"
+        return f"Trace({self.source!r}, {len(self.drive.times)} commands, {count} samples of the {self.primary_signal})"
 
     @cached_property
     def measured_input(self) -> MeasuredInput | None:
@@ -124,7 +124,7 @@ class Trace:
         return len(self.times) > 0
 
     @property
-    def judged(self) -> str:
+    def primary_signal(self) -> str:
         """The signal by which a valve is judged: "position", else "current", else "outlet_pressure"."""
         if self.has_positions:
             return "position"
@@ -147,7 +147,7 @@ class Trace:
         return self.pilot_position[~left_out] if left_out.any() else self.pilot_position
 
     @property
-    def judged_signal(self) -> Signal:
+    def primary_samples(self) -> Signal:
         """The signal by which a valve is judged; a position is `usable_position`."""
         signal = self._other_signal
         return Signal(self.times, self.usable_position) if self.has_positions or signal is None else signal

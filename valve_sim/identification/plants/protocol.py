@@ -216,7 +216,7 @@ class Experiment:
     commands: tuple[tuple[float, float], ...] = ()
 
 
-def judged_channels(plant: Plant) -> list[int]:
+def primary_channels(plant: Plant) -> list[int]:
     """Indices of the channels in which errors are reported: responses, of the first one's kind and so of one unit."""
     responses = [index for index, channel in enumerate(plant.channels) if channel.role == "response"]
     indices = responses or list(range(len(plant.channels)))

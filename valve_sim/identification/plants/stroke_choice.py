@@ -160,9 +160,9 @@ def _rests(trace: Trace) -> list[tuple[int, int]]:
 
     The first third of an interval between commands is never taken for noise; here it may be left out.
     """
-    times, data = trace.judged_signal
+    times, data = trace.primary_samples
     left_out = trace.left_out.any if trace.has_positions else None
-    is_still = still_mask(trace.drive, trace.judged_signal, left_out=left_out).astype(np.int8)
+    is_still = still_mask(trace.drive, trace.primary_samples, left_out=left_out).astype(np.int8)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], is_still, [0]]))).reshape(-1, 2)
     commands = np.searchsorted(times, trace.drive.times)
     rests = []

@@ -167,7 +167,7 @@ class ValvePlant:
 
         None by the outlet's pressure alone: it shows when the plungers have moved, and nothing of how.
         """
-        if all(trace.judged == "outlet_pressure" for trace in self.traces):
+        if all(trace.primary_signal == "outlet_pressure" for trace in self.traces):
             return []
         declared = self.valve.parameters
         fastest = max(fastest_motion(trace) for trace in self.traces)
@@ -219,7 +219,7 @@ class ValvePlant:
         drive = Drive.of([PULSE_START, PULSE_START + duration], [volts, 0.0])
         nothing = np.zeros_like(times)
         if not self.traces[0].has_positions:
-            seen = SIGNALS[self.traces[0].judged]
+            seen = SIGNALS[self.traces[0].primary_signal]
             blank = Trace("an experiment", drive, times[:0], times[:0])
             trace = replace(blank, **{seen: Signal(times, nothing)})  # type: ignore[arg-type] # by name
             plant = ValvePlant([trace], self.valve)

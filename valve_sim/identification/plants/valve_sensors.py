@@ -139,7 +139,7 @@ def without_pressure(trace: Trace) -> Trace:
     Raises:
         ParameterError: nothing else was recorded of it.
     """
-    if trace.judged == "outlet_pressure":
+    if trace.primary_signal == "outlet_pressure":
         raise ParameterError(
             f"{trace.source}: holds the outlet's pressure alone, and the valve declares no gas; give a parameter file "
             "with the group gas"
@@ -165,7 +165,7 @@ def channels_of(index: int, trace: Trace) -> list[Channel]:
     found = []
     if trace.has_positions:
         left_out = trace.left_out.any if trace.left_out.any.any() else None
-        still = still_mask(trace.drive, trace.judged_signal, left_out=left_out)
+        still = still_mask(trace.drive, trace.primary_samples, left_out=left_out)
         found.append(
             Channel(
                 f"{trace.source}: pilot_position", "position", trace.times, trace.usable_position, still,
