@@ -73,6 +73,7 @@ docs: $(ENVIRONMENT)/.ready-to-test
 lint:
 	$(PYTHON) -m ruff check .
 	$(PYTHON) -m ruff format --check .
+	$(PYTHON) -m codespell_lib
 
 types:
 	$(PYTHON) -m mypy

@@ -59,7 +59,17 @@ OPCUA = ["asyncua>=2.1,<3"]
 MODBUS = ["pymodbus>=3.16,<4"]
 FMI = ["pythonfmu>=0.7", "pythonfmu3>=0.3.4", "fmpy>=0.3.20"]
 S3_SERVER = ["flask", "flask-cors", "moto"]
-CHECKS = ["hypothesis", "import-linter", "mypy", "pytest", "pytest-xdist", "ruff", "scipy-stubs", "types-PyYAML"]
+CHECKS = [
+    "codespell>=2.2",
+    "hypothesis",
+    "import-linter",
+    "mypy",
+    "pytest",
+    "pytest-xdist",
+    "ruff",
+    "scipy-stubs",
+    "types-PyYAML",
+]
 DOCUMENTATION = ["furo", "ipykernel", "latex2mathml", "myst-nb", "sphinx>=7.3", "sphinx-click"]
 
 

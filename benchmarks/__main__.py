@@ -1,5 +1,106 @@
-"""`python -m benchmarks`: the speed table."""
+"""`python -m benchmarks`: what can be measured, by which command, and what each takes.
 
-from benchmarks.speed import main
+What each takes is an order of magnitude on two cores, with the options that are printed.
+"""
 
-main()
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+from typing import Final, NamedTuple
+
+HERE: Final = Path(__file__).parent
+ROS: Final = "ROS 2"
+FLEET: Final = "the extra fleet"
+
+
+class Benchmark(NamedTuple):
+    """One command: its module and options, what it needs beside the package, and what it costs on two cores."""
+
+    module: str
+    needs: str
+    cost: str
+    options: str = ""
+
+    @property
+    def command(self) -> str:
+        """What is typed."""
+        return f"python -m benchmarks.{self.module} {self.options}".rstrip()
+
+    @property
+    def question(self) -> str:
+        """The first line of the module's docstring, without its command."""
+        path = HERE / f"{self.module.replace('.', '/')}"
+        text = (path / "__main__.py" if path.is_dir() else path.with_suffix(".py")).read_text(encoding="utf-8")
+        words = (ast.get_docstring(ast.parse(text)) or "").split("\n\n")[0].replace("\n", " ")
+        without_command = re.sub(r"`python -m[^`]*`", "", words).replace("`", "").strip(" :.,")
+        return re.split(r"(?<=\?) |\. |, or with|:  ", without_command)[0].rstrip(" :")
+
+
+GROUPS: Final[dict[str, tuple[Benchmark, ...]]] = {
+    "Model": (
+        Benchmark("speed", "", "minutes"),
+        Benchmark("accuracy", "", "minutes", "--sets 100"),
+        Benchmark("derivatives", "", "minutes"),
+        Benchmark("core", "", "minutes"),
+        Benchmark("gas", "", "minutes"),
+        Benchmark("energy_consistent", "", "minutes"),
+    ),
+    "Fit and diagnosis, by independent plants": (
+        Benchmark("coverage", "", "minutes", "--seeds 200"),
+        Benchmark("identify_speed", "", "minutes"),
+        Benchmark("long_recordings", "4 GB of temporary files", "minutes", "--strokes 100 1000 10000"),
+        Benchmark("campaign", "", "minutes", "--slice"),
+        Benchmark("hard_recordings", "", "up to 60 s a case"),
+        Benchmark("record_well", "", "minutes"),
+        Benchmark("sensorless", "", "up to 2 minutes a case with an effect", "--cases 16"),
+        Benchmark("sensorless.limits", "", "a minute"),
+        Benchmark("gas_recordings", "", "up to 2 minutes a case with an effect", "--cases 40"),
+    ),
+    "Recordings of others": (
+        Benchmark("emps", "DATA_EMPS.mat", "seconds"),
+        Benchmark("maglev", "the records of the magnet", "seconds"),
+        Benchmark("real_recordings", "both of these", "a minute"),
+    ),
+    "Monitor": (
+        Benchmark("monitoring", "", "hours", "--strokes 10000 --seeds 10"),
+        Benchmark("monitoring_sweep", "", "an hour"),
+        Benchmark("gas_monitoring", "", "minutes", "--seeds 12"),
+        Benchmark("sensorless.monitor", "", "minutes"),
+        Benchmark("shadow", ROS, "hours", "--strokes 10000 --seeds 10"),
+    ),
+    "Nodes": (
+        Benchmark("node_timing", f"{ROS}, a quiet machine", "minutes"),
+        Benchmark("station", f"{ROS}, a quiet machine", "minutes", "--seconds 60"),
+        Benchmark("busy_station", ROS, "an hour", "--strokes 1000 --runs 5"),
+        Benchmark("live_recording", ROS, "minutes", "--strokes 40"),
+        Benchmark("gas_node", ROS, "minutes"),
+        Benchmark("stalled_listener", f"{ROS} with Fast DDS 2", "minutes"),
+        Benchmark("soak", ROS, "five minutes", "--hours 24"),
+        Benchmark("plc_latency", f"{ROS}, the extra modbus", "a minute", "--strokes 100"),
+        Benchmark("opcua_server", "the extra opcua", "minutes"),
+    ),
+    "Hard use": (
+        Benchmark("fuzz", "", "minutes for each --share 0.01", "--share 0.01"),
+        Benchmark("topic_fuzz", ROS, "minutes", "--messages 200000"),
+    ),
+    "Fleet": (
+        Benchmark("fleet", FLEET, "two minutes a seed", "--seeds 10"),
+        Benchmark("fleet_kills", FLEET, "minutes", "--kills 20"),
+    ),
+}
+"""What can be run; `test_benchmarks.py` holds that nothing is left out."""
+
+
+def main() -> None:
+    """Print the list."""
+    for group, members in GROUPS.items():
+        print(f"\n{group}")
+        for own in members:
+            needs = f"; needs {own.needs}" if own.needs else ""
+            print(f"  {own.command}\n      {own.question} ({own.cost}{needs})")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,16 +1,14 @@
-"""Plants and recordings with a slip in them: each must end in one typed error of one line that says what is wrong.
+"""Plants and recordings with a slip in them, two surfaces of `benchmarks.fuzz`.
+
+Each must end in one typed error of one line that says what is wrong.
 
 A plant of a user's own gets one slip (a NaN, a wrong shape, name or type, an exception, a complex number), a recording
 that was put together in Python one defect. A number gives a case again. A plant that never returns is interrupted as by
 Ctrl-C, once while it is checked and once in the search, and must end with a line that names it.
-
-    python -m benchmarks.broken_plants --plants 1000 --recordings 300
 """
 
 from __future__ import annotations
 
-import argparse
-import collections
 import os
 import signal
 import subprocess
@@ -526,36 +524,3 @@ def interrupt_endless(*, in_search: bool) -> Interrupted:
             _, errors = process.communicate()
     lines = errors.strip().splitlines() or [""]
     return Interrupted(lines[-1], time.monotonic() - begun, process.returncode)
-
-
-def _print_counts(title: str, outcomes: Sequence[Outcome]) -> int:
-    """A line for each kind and for each fault; returns how many faults there are."""
-    print(f"{title}: {len(outcomes)}")
-    for kind in dict.fromkeys(outcome.kind for outcome in outcomes):
-        own = [outcome for outcome in outcomes if outcome.kind == kind]
-        errors = collections.Counter(outcome.error or "no error" for outcome in own)
-        good = sum(not outcome.fault for outcome in own)
-        print(f"  {kind:<14}{good} of {len(own)} as they should be; {dict(errors)}")
-    faults = [(number, outcome) for number, outcome in enumerate(outcomes) if outcome.fault]
-    for number, outcome in faults[:20]:
-        print(f"  FAULT {number} {outcome.kind}: {outcome.fault}: {outcome.error}: {outcome.message[:200]}")
-    return len(faults)
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Print all; 1 if anything is not as it should be."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.broken_plants", description=__doc__)
-    parser.add_argument("--plants", type=int, default=1000, help="plants with a slip (default: 1000)")
-    parser.add_argument("--recordings", type=int, default=300, help="recordings with a defect (default: 300)")
-    chosen = parser.parse_args(arguments)
-    faults = _print_counts("plants", [try_plant(number) for number in range(chosen.plants)])
-    faults += _print_counts("recordings", [try_recording(number) for number in range(chosen.recordings)])
-    for in_search in (False, True):
-        found = interrupt_endless(in_search=in_search)
-        print(f"never returns, {'in the search' if in_search else 'when checked'}: {found.seconds:.2f} s, {found.line}")
-        faults += "Endless" not in found.line or found.code == -signal.SIGKILL
-    return 1 if faults else 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

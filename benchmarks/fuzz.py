@@ -1,9 +1,9 @@
 """Inputs that nobody would send on purpose: `python -m benchmarks.fuzz` counts what becomes of them.
 
 Bags are flipped, cut, spliced and repeated; parameter files get wrong values, lines and characters; valves get any
-parameters that are accepted; command lines get all of it, and options that make no sense. Each input must be taken,
-or refused in one line: anything else, and whatever takes longer than ten seconds of computing, is a finding, and makes
-the exit code 1. A surface and a number give an input again.
+parameters that are accepted; command lines get all of it, and options that make no sense; a plant or a recording of a
+user's own gets one slip. Each input must be taken, or refused in one line: anything else, and whatever takes longer
+than ten seconds of computing, is a finding, and makes the exit code 1. A surface and a number give an input again.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from typing import Final
 
 import numpy as np
 
+from benchmarks.broken_plants import Outcome, try_plant, try_recording
 from benchmarks.command_lines import try_command_line
 from valve_sim.files.parameter_files import load_valve
 from valve_sim.model import CATALOGUE, DECLARED, Drive, Parameter, ParameterError, SimulationError, Valve, simulate
@@ -38,6 +39,8 @@ NASTY: Final = (
     "'unclosed", "\t", "9" * 400, "é", "\x00",
 )  # fmt: skip
 """Values that a parameter file may hold where a number is meant."""
+MOST_SLIPS: Final = 1_000_000
+"""Plants and recordings with a slip that can be drawn."""
 GENTLE: Final = 1e-9
 """m: how far beyond its contacts a valve may be."""
 
@@ -235,6 +238,12 @@ def try_valve(random: Random, folder: Path) -> str:
     return "taken"
 
 
+def try_slip(outcome: Outcome) -> str:
+    """What became of a plant or a recording with a slip."""
+    assert not outcome.fault, f"{outcome.kind}: {outcome.fault}: {outcome.error}: {outcome.message[:200]}"
+    return "refused" if outcome.error else "taken"
+
+
 def _refused(error: ValveError) -> str:
     assert "\n" not in str(error), f"more than one line: {error}"
     return "refused"
@@ -245,6 +254,8 @@ SURFACES: Final[dict[str, tuple[Callable[[Random, Path], str], int]]] = {
     "parameter files": (try_file, 10_000),
     "valves": (try_valve, 100_000),
     "command lines": (lambda random, folder: try_command_line(random, folder, bad_bag, bad_file), 10_000),
+    "plants": (lambda random, folder: try_slip(try_plant(int(random.integers(MOST_SLIPS)))), 1_000),
+    "recordings": (lambda random, folder: try_slip(try_recording(int(random.integers(MOST_SLIPS)))), 300),
 }
 """What tries one input, and how many are tried; a new one comes last, for the place is a seed."""
 

@@ -17,14 +17,13 @@ import argparse
 import math
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
+from benchmarks.blind import Answer, Study, run
 from valve_sim.identification.diagnosis.run import DiagnosisSession, begin
 from valve_sim.identification.estimation.budget import Budget
 from valve_sim.identification.plants.valve import ValvePlant
@@ -75,11 +74,7 @@ class Case(NamedTuple):
 class Found(NamedTuple):
     """What a diagnosis made of a case."""
 
-    kind: str
-    effects: tuple[str, ...]
-    probability: float
-    is_right: bool
-    is_wrong: bool
+    answer: Answer
     error: float
     seconds: float
     falls: float
@@ -171,20 +166,12 @@ def examined(case: Case, seconds_given: float) -> Found:
     begun = begin(ValvePlant(case.training, case.declared), ValvePlant(case.held_out, case.declared), budget=budget)
     result = begun.end()
     seconds = time.process_time() - started
-    verdict = result.verdict
-    names = {*verdict.effects, *(name for others in verdict.confusable_with.values() for name in others)}
-    is_right = case.missing in names if case.missing else verdict.kind == "none"
-    is_wrong = verdict.kind == "effects" and not is_right and verdict.probability >= 0.9
     times = np.arange(3000) * 1e-3
     shown = simulate(result.valve, Drive.of([0.0], [9.0]), times, start_time=0.0).outlet_pressure
     assert shown is not None and case.declared.gas is not None
     equalises = _first_near(times, shown, case.declared.gas.inlet_pressure)
     return Found(
-        verdict.kind,
-        verdict.effects,
-        verdict.probability,
-        is_right,
-        is_wrong,
+        Answer.of(result.verdict, case.missing),
         equalises / case.equalises - 1.0,
         seconds,
         _falls(begun, case.missing) if case.missing else 0.0,
@@ -197,50 +184,25 @@ def _falls(begun: DiagnosisSession, missing: str) -> float:
     return search.fit(()).chi2 - search.fit((missing,)).chi2
 
 
-def main() -> None:
-    """Run and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--cases", type=int, default=40)
-    parser.add_argument("--first", type=int, default=0, help="seed of the first case")
-    parser.add_argument("--effects", action="store_true", help="only cases in which something is missing")
+def _options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--budget", type=float, default=120.0, help="of a diagnosis, as of valve-sim diagnose")
-    options = parser.parse_args()
-    headings = ("case", "", "missing", "χ² falls by", "verdict", "right", "equalises, %", "CPU, s")
-    table = Table(*headings, title="Outlet pressure alone")
-    outcomes = []
-    for number in range(options.cases):
-        seed = options.first + number
-        is_none = not options.effects and number < options.cases // 2
-        case = drawn(seed, "" if is_none else list(EFFECTS)[seed % len(EFFECTS)])
-        found = examined(case, options.budget)
-        outcomes.append((case, found))
-        verdict = f"{found.kind} {' + '.join(found.effects)} {found.probability:.2f}"
-        row = (
-            f"{seed}", case.words, case.missing or "–", f"{found.falls:.1f}" if case.missing else "–", verdict,
-            "yes" if found.is_right else "WRONG" if found.is_wrong else "no", f"{100.0 * found.error:+.2f}",
-            f"{found.seconds:.0f}",
-        )  # fmt: skip
-        print(" | ".join(row), flush=True)
-        table.add_row(*row)
-    Console(width=160).print(table)
-    for words, is_missing in (("nothing missing", False), ("one effect missing", True)):
-        chosen = [found for case, found in outcomes if bool(case.missing) == is_missing]
-        if chosen:
-            print(f"{words}: {_summary(chosen)}")
-    told = [found for case, found in outcomes if case.missing and found.falls >= TELLS]
-    if told:
-        print(f"one effect missing by which χ² falls by {TELLS:g} or more: {_summary(told)}")
 
 
-def _summary(chosen: list[Found]) -> str:
-    """Counts of what is asked for."""
-    counts: Mapping[str, int] = {
-        "right": sum(found.is_right for found in chosen),
-        "confidently wrong": sum(found.is_wrong for found in chosen),
-        "equalises within 2 %": sum(abs(found.error) <= 0.02 for found in chosen),
-    }
-    return ", ".join(f"{words} {count} of {len(chosen)}" for words, count in counts.items())
+STUDY: Final = Study(
+    "Outlet pressure alone",
+    ("χ² falls by", "equalises, %", "CPU, s"),
+    tuple(EFFECTS),
+    lambda seed, missing, options: drawn(seed, missing),
+    lambda case, options: examined(case, options.budget),
+    lambda found: (f"{found.falls:.1f}", f"{100.0 * found.error:+.2f}", f"{found.seconds:.0f}"),
+    {
+        "equalises within 2 %": lambda found: abs(found.error) <= 0.02,
+        f"right where χ² falls by {TELLS:g} or more": lambda found: found.falls >= TELLS and found.answer.is_right,
+        f"χ² falls by {TELLS:g} or more": lambda found: found.falls >= TELLS,
+    },
+    _options,
+)
 
 
 if __name__ == "__main__":
-    main()
+    run(STUDY, __doc__ or "", 40)

@@ -23,7 +23,7 @@ from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.estimation.state_of_recording import with_learned_errors
 from valve_sim.identification.plants.axis import AxisPlant
 from valve_sim.identification.plants.effect_titles import titles_of
-from valve_sim.identification.plants.protocol import Plant, Sensor, judged_channels
+from valve_sim.identification.plants.protocol import Plant, Sensor, primary_channels
 from valve_sim.identification.reporting.recording_state import size_words, title_words
 from valve_sim.model import ValveError
 
@@ -125,7 +125,7 @@ def _together(entries: Sequence[RecordedError]) -> str:
 
 def _errors(diagnosis: Diagnosis, names: Sequence[str]) -> str:
     """Fitted and held out, of the refitted declared model or of names, in a readable unit."""
-    factor, unit = diagnosis.plant.channels[judged_channels(diagnosis.plant)[0]].readable
+    factor, unit = diagnosis.plant.channels[primary_channels(diagnosis.plant)[0]].readable
     of_names = [(set(one.effects), one.train_rmse, one.holdout_rmse) for one in diagnosis.candidates]
     before = set[str](), diagnosis.before.train_rmse, diagnosis.before.holdout_rmse
     fitted, held_out = next(errors for own, *errors in (before, *of_names) if own == set(names))

@@ -1,4 +1,4 @@
-"""How fast is the model core? `python -m benchmarks` prints the table; everything is measured in that one run.
+"""How fast is the model core? `python -m benchmarks.speed` prints the table; everything is measured in that one run.
 
 One opening: 15 ms at 9 V, 150 outputs, relative tolerance 1e-8, against SciPy RK45 with events and, where it is
 installed, scikit-sundae CVODE with root finding. Ours twice: in the core, as a fit or a batch runs it (per valve of
@@ -217,3 +217,7 @@ def main() -> None:
     add_openings(table, "five effects", FIVE, 150.0)
     add_many(table)
     Console().print(table)
+
+
+if __name__ == "__main__":
+    main()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import ast
+import importlib
 import json
 import re
 from collections.abc import Iterator
@@ -141,22 +141,6 @@ def test_the_notebook_is_kept_without_what_it_printed() -> None:
     assert all(cell["outputs"] == [] and cell["execution_count"] is None for cell in cells)
 
 
-def test_no_signature_prints_the_environment_of_who_builds_the_documentation() -> None:
-    functions = (
-        (path, node)
-        for path in (ROOT / "valve_sim").rglob("*.py")
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
-    )
-    printed = [
-        f"{path.relative_to(ROOT)}: {node.name}"
-        for path, node in functions
-        for default in (*node.args.defaults, *filter(None, node.args.kw_defaults))
-        if "environ" in ast.unparse(default)
-    ]
-    assert printed == []
-
-
 def test_the_citation_is_of_this_version() -> None:
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     manifest = ElementTree.parse(ROOT / "package.xml").getroot()
@@ -164,3 +148,11 @@ def test_the_citation_is_of_this_version() -> None:
     assert citation["version"] == manifest.findtext("version")
     assert citation["license"] == manifest.findtext("license")
     assert {"cff-version", "message", "authors"} <= citation.keys()
+
+
+@pytest.mark.parametrize("name", ["rooms.svg", "identification.svg"])
+def test_the_pictures_of_rooms_are_drawn_from_the_code(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "docs" / "_ext"))
+    rooms = importlib.import_module("rooms")
+    kept = (ROOT / "docs" / "images" / name).read_text(encoding="utf-8")
+    assert kept == rooms.drawn(rooms.PICTURES[name]), "draw it again: python docs/_ext/rooms.py docs/images"

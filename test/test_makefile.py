@@ -11,7 +11,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 OLD, NEW = 1_000_000_000, 2_000_000_000
-NEEDED = ("Makefile", "setup.py", "setup.cfg", "package.xml", "pyproject.toml", "tools/environment", ".ci/run")
+NEEDED = ("Makefile", "setup.py", "setup.cfg", "package.xml", "pyproject.toml", "tools/environment")
 
 pytestmark = pytest.mark.skipif(shutil.which("make") is None, reason="there is no make here")
 
@@ -51,70 +51,3 @@ def test_the_model_is_compiled_before_first_use_where_its_sources_are_others(che
 def test_an_environment_is_made_anew_where_what_it_needs_is_declared_otherwise(checkout: Path) -> None:
     os.utime(checkout / "setup.py", (NEW, NEW))
     assert "tools/environment make .venv" in planned(checkout, "run")
-
-
-STAND_IN = """#!/bin/sh
-echo "$(basename "$0") $*" >> done.txt
-case "$(basename "$0") $*" in *"$FAILS"*) exit 3;; esac
-"""
-PARTS = {
-    "lint": "-m ruff check", "types": "-m mypy", "layers": "lint-imports", "docs": "-m sphinx",
-    "tests": "not ros and not long", "nodes": "-m ros and not long",
-}  # fmt: skip
-"""Of make test: its name, and words of its command."""
-LONG = {"long-tests": "not ros and long", "long-nodes": "-m ros and long", "campaign": "-m benchmarks.campaign"}
-KILTED = {"kilted": "test/nodes/test_messages.py"}
-
-
-def outcome(folder: Path, command: str, fails: str) -> tuple[subprocess.CompletedProcess[str], str, str]:
-    """How a command ends where a program that is given these words fails, and what ran on Jazzy and on Kilted."""
-    for environment in (".venv", ".venv-kilted"):
-        (folder / environment / "bin").mkdir(parents=True, exist_ok=True)
-        for mark in (".ready-to-test", ".warm"):
-            (folder / environment / mark).touch()
-        for program in ("python", "lint-imports"):
-            stand_in = folder / environment / "bin" / program
-            stand_in.write_text(STAND_IN.replace("done.txt", f"{environment}.txt"))
-            stand_in.chmod(0o755)
-    browser = folder / "bin" / "chromium"  # or .ci/run would install one
-    browser.parent.mkdir()
-    browser.touch(mode=0o755)
-    given = {name: value for name, value in os.environ.items() if name not in ("ROS_DISTRO", "MAKEFLAGS")}
-    given["PATH"] = f"{browser.parent}{os.pathsep}{given['PATH']}"
-    ran = subprocess.run(
-        command.split(), cwd=folder, env={**given, "FAILS": fails}, capture_output=True, text=True, check=False
-    )
-    jazzy, kilted = (folder / ".venv.txt", folder / ".venv-kilted.txt")
-    return ran, *(log.read_text() if log.exists() else "" for log in (jazzy, kilted))
-
-
-def test_what_is_long_has_a_command_of_its_own(checkout: Path) -> None:
-    ran, jazzy, kilted = outcome(checkout, "make test", "nothing")
-    assert ran.returncode == 0
-    assert all(words in jazzy for words in PARTS.values())
-    assert not any(words in jazzy for words in LONG.values())
-    assert kilted == ""
-
-
-def test_ci_runs_both(checkout: Path) -> None:
-    ran, jazzy, kilted = outcome(checkout, "bash .ci/run", "nothing")
-    assert ran.returncode == 0
-    assert all(words in jazzy for words in (*PARTS.values(), *LONG.values()))
-    assert KILTED["kilted"] in kilted
-
-
-@pytest.mark.parametrize("part", [*PARTS, *LONG, *KILTED])
-def test_a_part_that_fails_is_named_and_hides_no_other(checkout: Path, part: str) -> None:
-    command = "make test" if part in PARTS else "make test-long"
-    parts = PARTS if part in PARTS else LONG | KILTED
-    ran, *logs = outcome(checkout, command, parts[part])
-    assert ran.returncode != 0
-    assert all(words in "".join(logs) for words in parts.values())
-    named = {name for name in parts if f"Target '{name}' not remade" in ran.stderr or f": {name}]" in ran.stderr}
-    assert named == {part}
-
-
-def test_ci_fails_where_either_fails(checkout: Path) -> None:
-    ran, jazzy, _ = outcome(checkout, "bash .ci/run", PARTS["types"])
-    assert ran.returncode != 0
-    assert LONG["campaign"] in jazzy

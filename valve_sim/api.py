@@ -22,7 +22,7 @@ from valve_sim.identification.diagnosis import identify as fitting
 from valve_sim.identification.diagnosis import outcome, run
 from valve_sim.identification.estimation.budget import Budget
 from valve_sim.identification.estimation.result import Fit
-from valve_sim.identification.plants.protocol import judged_channels
+from valve_sim.identification.plants.protocol import primary_channels
 from valve_sim.model import Drive, Response, Valve, published_times
 from valve_sim.model import simulate as run_valve
 from valve_sim.traces import Trace, another_valve, left_out_finding, refuse_doubtful_units
@@ -310,7 +310,7 @@ def _fields_of(result: Any) -> dict[str, Any]:
 
 def _residual(found: Fit) -> Residual:
     problem = found.problem
-    index = judged_channels(problem.plant)[0]
+    index = primary_channels(problem.plant)[0]
     channel = problem.plant.channels[index]
     is_fitted = problem.weight(index) > 0.0
     if channel.left_out is not None:
@@ -324,7 +324,7 @@ def _plot_of(found: Fit, title: str) -> Picture:
 
     times, values, sigma, _ = _residual(found)
     plant = found.problem.plant
-    scale, unit = plant.channels[judged_channels(plant)[0]].readable
+    scale, unit = plant.channels[primary_channels(plant)[0]].readable
     return draw_residual(times, values, sigma, scale, unit, title)
 
 

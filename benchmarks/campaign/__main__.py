@@ -1,4 +1,4 @@
-"""`python -m benchmarks.campaign`: the whole campaign, a slice of it for CI, or one case again."""
+"""What a diagnosis says of blind recordings: `python -m benchmarks.campaign` runs all, a slice for CI, or one case."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`python -m benchmarks.hard_recordings`: diagnose them all, or the first of each kind, and judge."""
+"""Recordings that are hard on a diagnosis, all or the first of each kind: `python -m benchmarks.hard_recordings`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`python -m benchmarks.maglev`: the whole page."""
+"""A real electromagnet and its ball through the same diagnosis: `python -m benchmarks.maglev`."""
 
 import sys
 

@@ -19,9 +19,8 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 from plants import coil_alone, tolerances
-from rich.console import Console
-from rich.table import Table
 
+from benchmarks.blind import Answer, Study, run
 from valve_sim.identification.diagnosis.run import diagnose
 from valve_sim.identification.estimation.followed_positions import followed_positions
 from valve_sim.identification.estimation.result import Fit
@@ -158,10 +157,7 @@ def _recorded(
 class Found(NamedTuple):
     """What a diagnosis made of a case."""
 
-    kind: str
-    effects: tuple[str, ...]
-    in_class: bool
-    is_wrong: bool
+    answer: Answer
     x_error: float
     opening_error: float
     covered: float
@@ -175,10 +171,6 @@ def examined(case: Case) -> Found:
     started = time.process_time()
     result = diagnose([case.traces[0]], [case.traces[1]], case.declared)
     seconds = time.process_time() - started
-    verdict = result.verdict
-    names = {*verdict.effects, *(name for others in verdict.confusable_with.values() for name in others)}
-    in_class = case.missing in names if case.missing else verdict.kind == "none"
-    is_wrong = verdict.kind == "effects" and not in_class and verdict.probability >= 0.9
     error = _positions(result.after.holdout)[0] - case.positions[1]
     position, stderr = _positions(result.after.fit, [(rival.fit, rival.weight) for rival in result.rivals])
     moves, opens = (_moves(case, part) for part in (0, 1))
@@ -188,7 +180,7 @@ def examined(case: Case) -> Found:
     corrected = replace(result.valve, parameters=result.valve.parameters)
     t1, t2 = published_times(simulate(corrected, Drive.of([0.0], [9.0]), [0.0, 0.04]))
     return Found(
-        verdict.kind, verdict.effects, in_class, is_wrong, _rms(error), _rms(error[opens]), float(covered),
+        Answer.of(result.verdict, case.missing), _rms(error), _rms(error[opens]), float(covered),
         t1 - case.times[0], t2 - case.times[1], seconds,
     )  # fmt: skip
 
@@ -212,55 +204,33 @@ def _positions(found: Fit | None, rivals: Sequence[tuple[Fit, float]] = ()) -> t
     return position, np.full(len(position), np.nan)
 
 
-def main() -> None:
-    """Run and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--cases", type=int, default=16)
-    parser.add_argument("--first", type=int, default=0, help="seed of the first case")
-    parser.add_argument("--effects", action="store_true", help="only cases in which something is missing")
-    parser.add_argument("--missing", choices=EFFECTS, help="what is missing in every case")
+def _options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--measured", choices=MEASURED, default="current", help="what is recorded (default: current)")
-    options = parser.parse_args()
-    columns = (
-        "case", "", "missing", "verdict", "class", "x, µm rms", "opening", "in 95 %", "t1, µs", "t2, µs", "CPU, s",
+
+
+def _row(found: Found) -> tuple[str, ...]:
+    return (
+        f"{1e6 * found.x_error:.2f}", f"{1e6 * found.opening_error:.2f}", f"{found.covered:.2f}",
+        f"{1e6 * found.t1_error:+.1f}", f"{1e6 * found.t2_error:+.1f}", f"{found.seconds:.1f}",
     )  # fmt: skip
-    table = Table(*columns, title=f"Measured: {options.measured}, independent plant")
-    outcomes = []
-    for number in range(options.cases):
-        seed = options.first + number
-        is_none = not options.effects and number < options.cases // 2
-        missing = options.missing or ("" if is_none else list(EFFECTS)[seed % len(EFFECTS)])
-        case = drawn(seed, missing).measured(options.measured, seed)
-        found = examined(case)
-        outcomes.append((case, found))
-        row = (
-            f"{seed}", case.words, case.missing or "–", f"{found.kind} {' + '.join(found.effects)}".strip(),
-            "yes" if found.in_class else "WRONG" if found.is_wrong else "no", f"{1e6 * found.x_error:.2f}",
-            f"{1e6 * found.opening_error:.2f}", f"{found.covered:.2f}", f"{1e6 * found.t1_error:+.1f}",
-            f"{1e6 * found.t2_error:+.1f}",
-            f"{found.seconds:.1f}",
-        )  # fmt: skip
-        print(" | ".join(row), flush=True)
-        table.add_row(*row)
-    Console(width=170).print(table)
-    for words, is_missing in (("nothing missing", False), ("one effect missing", True)):
-        chosen = [found for case, found in outcomes if bool(case.missing) == is_missing]
-        if chosen:
-            print(f"{words}: {_summary(chosen)}")
 
 
-def _summary(chosen: list[Found]) -> str:
-    """Counts of what is asked for."""
-    counts = {
-        "right": sum(found.in_class for found in chosen),
-        "confidently wrong": sum(found.is_wrong for found in chosen),
-        "x within 10 µm": sum(found.x_error <= 10e-6 for found in chosen),
-        "opening within 3 µm": sum(found.opening_error <= 3e-6 for found in chosen),
-        "t1 within 40 µs": sum(abs(found.t1_error) <= 40e-6 for found in chosen),
-        "t2 within 15 µs": sum(abs(found.t2_error) <= 15e-6 for found in chosen),
-    }
-    return ", ".join(f"{words} {count} of {len(chosen)}" for words, count in counts.items())
+STUDY: Final = Study(
+    "Seen through the current alone, or as --measured says; independent plant",
+    ("x, µm rms", "opening", "in 95 %", "t1, µs", "t2, µs", "CPU, s"),
+    tuple(EFFECTS),
+    lambda seed, missing, options: drawn(seed, missing).measured(options.measured, seed),
+    lambda case, options: examined(case),
+    _row,
+    {
+        "x within 10 µm": lambda found: found.x_error <= 10e-6,
+        "opening within 3 µm": lambda found: found.opening_error <= 3e-6,
+        "t1 within 40 µs": lambda found: abs(found.t1_error) <= 40e-6,
+        "t2 within 15 µs": lambda found: abs(found.t2_error) <= 15e-6,
+    },
+    _options,
+)
 
 
 if __name__ == "__main__":
-    main()
+    run(STUDY, __doc__ or "", 16)

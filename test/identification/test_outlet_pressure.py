@@ -165,7 +165,7 @@ def test_pressure_beside_positions_is_judged_by_itself() -> None:
     positions, _ = shown()
     trace = replace(recorded(5), times=TIMES, pilot_position=positions)
     right = validate([trace], gas_valve())
-    assert [replay.trace.judged for replay in right.replays] == ["position", "outlet_pressure"]
+    assert [replay.trace.primary_signal for replay in right.replays] == ["position", "outlet_pressure"]
     # 20 % more volume: the plungers wait longer for another pressure.
     wrong = validate([trace], gas_valve(outlet_volume=1.2e-5))
     assert [replay.passed for replay in wrong.replays] == [False, False]
@@ -222,12 +222,12 @@ def test_a_recording_of_command_and_pressure_alone_is_read_back(tmp_path: Path) 
     trace = recorded(7)
     write_bag(tmp_path / "outlet.mcap", trace)
     found = read_trace(tmp_path / "outlet.mcap")
-    assert found.judged == "outlet_pressure"
+    assert found.primary_signal == "outlet_pressure"
     assert found.outlet_pressure is not None
-    np.testing.assert_array_equal(found.outlet_pressure.values, trace.judged_signal.values)
+    np.testing.assert_array_equal(found.outlet_pressure.values, trace.primary_samples.values)
     np.testing.assert_allclose(found.outlet_pressure.times, TIMES, atol=1e-9)
     summary = describe(found)
-    assert summary.judged == "outlet_pressure"
+    assert summary.primary_signal == "outlet_pressure"
     assert summary.noise == pytest.approx(NOISE, rel=0.2)
     assert summary.signals["outlet_pressure"].rate == pytest.approx(1000.0)
 

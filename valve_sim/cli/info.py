@@ -84,7 +84,7 @@ def _print_state(state: RecordingState) -> None:
 
 def _judged_words(summary: TraceSummary) -> str:
     if summary.position_range is None:
-        is_current = summary.judged == "current"
+        is_current = summary.primary_signal == "current"
         noise = f"current {1e3 * summary.noise:.3g} mA" if is_current else f"pressure {1e-3 * summary.noise:.3g} kPa"
         return f"no position; noise of the {noise}"
     low, high = (1e6 * position for position in summary.position_range)

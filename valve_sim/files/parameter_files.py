@@ -156,7 +156,7 @@ def off_value(parameter: Parameter) -> float:
 
 
 def check_with_off(parameter: Parameter, value: object, where: str) -> float:
-    """As `Parameter.check`, but the off-value passes too, which may be infinite.
+    """Check a value like `Parameter.check`, and accept the off-value too, which may be infinite.
 
     Raises:
         ParameterError: not a number, or neither the off-value nor in range.

@@ -131,7 +131,7 @@ class Source:
 
     @property
     def name(self) -> str:
-        """For messages: where it is."""
+        """Where this entry is, for messages."""
         if self.column:
             return f"column {self.column}"
         what = self.joint or self.field

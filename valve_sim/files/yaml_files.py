@@ -43,7 +43,7 @@ def read_yaml(path: Path | str, expected: str, refusal: type[ValveError]) -> obj
         ValveError: it cannot be read, or is not YAML; of the type `refusal`; one line that names file and line.
     """
     try:
-        return yaml.load(Path(path).read_text(encoding="utf-8"), Loader=_Loader)
+        return yaml.load(Path(path).read_text(encoding="utf-8"), Loader=_Loader)  # noqa: S506 -- it is a SafeLoader
     except OSError as error:
         raise refusal(f"{path}: cannot be read ({error.strerror}); {expected}") from error
     except UnicodeDecodeError as error:

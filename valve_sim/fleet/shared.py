@@ -21,8 +21,8 @@ from valve_sim.identification.diagnosis.identify import (
     Identification,
     check_free,
     fit_beside_errors,
-    judged_rmse,
     lacking_by,
+    primary_rmse,
     rmse_of_kind,
 )
 from valve_sim.identification.estimation.declared_values import declared_values, estimated_valve
@@ -33,7 +33,7 @@ from valve_sim.identification.estimation.recorded_errors import RecordedError, b
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.shared_fit import ReducedNormalEquations, as_fit, fit_shared, share_of
 from valve_sim.identification.estimation.structured_noise import StructuredNoise, structured_noise
-from valve_sim.identification.plants.protocol import judged_channels
+from valve_sim.identification.plants.protocol import primary_channels
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.selection.posterior import Evidence
 from valve_sim.model import SimulationError, Valve, ValveError
@@ -163,9 +163,9 @@ def told(task: Task, recordings: Recordings) -> Told:
     plant, own = problem.plant, share.own
     # What the sensors' errors add is the same as declared and refitted.
     added = left.errors_of(left.left.condensed()) if problem.errors is not None else ()
-    samples = sum(plant.channels[index].count for index in judged_channels(plant))
+    samples = sum(plant.channels[index].count for index in primary_channels(plant))
     now = {**task.values, **own}
-    judged = judged_rmse(plant, own, added), judged_rmse(plant, now, added)
+    judged = primary_rmse(plant, own, added), primary_rmse(plant, now, added)
     return Told(share, Errors(samples, *judged, *(rmse_of_kind(plant, values, "current") for values in (own, now))))
 
 

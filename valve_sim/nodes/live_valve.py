@@ -250,7 +250,7 @@ class LiveValve:
 
     @property
     def can_rest(self) -> bool:
-        """Whether it goes without saying that the valve rests until something is asked of it."""
+        """Whether the valve is known to rest, without a simulation, until something is asked of it."""
         return reading_at_rest(self._valve, 0.0) is not None
 
     def rests_until(self, clock: int) -> bool:

@@ -299,7 +299,7 @@ def _but_no_habit(is_fault: Mask, moves: int) -> Mask:
 
 
 def _changes(positions: Array, own: slice) -> Array:
-    """By how much each of these readings is off the next one, m."""
+    """Distance of each of these readings from the next one, m."""
     return np.asarray(np.abs(np.diff(positions[own.start : own.stop + 1])))
 
 

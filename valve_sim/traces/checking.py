@@ -60,7 +60,9 @@ def _check_trace(trace: Trace) -> None:
     if not trace.has_positions and trace.coil_current is None and trace.outlet_pressure is None:
         raise TraceError(f"{where}found neither positions nor coil_current nor outlet_pressure, expected one of them")
     if len(trace.sample_times) < FEWEST:
-        raise TraceError(f"{where}found {len(trace.sample_times)} samples of the {trace.judged}, expected {FEWEST}")
+        raise TraceError(
+            f"{where}found {len(trace.sample_times)} samples of the {trace.primary_signal}, expected {FEWEST}"
+        )
 
 
 def _check_series(of_times: str, times: object, of_values: str, values: object, *, rises: bool = False) -> None:

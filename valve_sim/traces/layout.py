@@ -96,8 +96,8 @@ class Plan(NamedTuple):
         return "position" in self.sources
 
     @property
-    def judged(self) -> str:
-        """By what the valve is judged."""
+    def primary_signal(self) -> str:
+        """The quantity by which the valve is judged."""
         return next((key for key in JUDGED if key in self.sources), JUDGED[-1])
 
     @property

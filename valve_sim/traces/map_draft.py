@@ -51,7 +51,7 @@ class Guess(NamedTuple):
 
     @property
     def lines(self) -> list[str]:
-        """As YAML on one line, after the reasons as comments, of which the first names it as a guess."""
+        """This entry as YAML on one line, after its reasons as comments; the first of them calls it a guess."""
         inside = ", ".join(f"{key}: {_yaml(value)}" for key, value in {**self.series.place, **self.settings}.items())
         first, *others = self.reasons
         comments = [f"# {self.quantity} is a guess: {first}", *(f"# {reason}" for reason in others)]

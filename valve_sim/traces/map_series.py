@@ -55,7 +55,7 @@ class Series:
 
     @property
     def name(self) -> str:
-        """For people."""
+        """The name of this series for people."""
         return " ".join(self.place.values())
 
     @property

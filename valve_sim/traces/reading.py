@@ -117,11 +117,11 @@ class _Assembly:
         self.findings = list(recording.findings)
         self._reported: set[str] = set()
         self._levels_are_input = True
-        self.samples_topic = plan.sources[plan.judged].topic
+        self.samples_topic = plan.sources[plan.primary_signal].topic
 
     def trace(self) -> Trace:
         """Put the trace together."""
-        samples, clock = self.samples() if self.plan.has_positions else self.in_their_place(self.plan.judged)
+        samples, clock = self.samples() if self.plan.has_positions else self.in_their_place(self.plan.primary_signal)
         self.forget_positions()
         samples, shift, findings = in_order(samples, f"{self.path}: topic {self.samples_topic}", self.samples_topic)
         self.findings += findings
@@ -137,7 +137,7 @@ class _Assembly:
         # Of a node's output nothing has to be estimated; a sensor's first sample would be an error of the start.
         start = None if outlet is None or not self.plan.is_live else float(outlet.values[0])
         if not self.plan.has_positions:
-            signals[SIGNALS[self.plan.judged]] = Signal(times, pilot)
+            signals[SIGNALS[self.plan.primary_signal]] = Signal(times, pilot)
             times, pilot, main = np.empty((3, 0))
         trace = Trace(
             source=f"{self.path} ({self.plan.valve})",

@@ -64,7 +64,7 @@ class TraceSummary:
         position_range: Lowest and highest position of the pilot plunger, m; None where none was recorded.
         noise: Standard deviation of the noise from sample to sample: of the position, m, or without any of the
             current, A, or else of the outlet's pressure, Pa.
-        judged: Which of them, as `Trace.judged`.
+        primary_signal: Which of them, as `Trace.primary_signal`.
         input: What drives a model, in words: a measured voltage and where it is recorded, its levels, or the commands.
         strokes: What the commands did: the parts of its strokes.
         findings: What reading the trace found.
@@ -84,7 +84,7 @@ class TraceSummary:
     noise: float
     strokes: tuple[StrokePart, ...]
     findings: tuple[str, ...]
-    judged: str = "position"
+    primary_signal: str = "position"
     input: str = ""
     left_out: dict[str, int] = field(default_factory=dict)
 
@@ -104,10 +104,10 @@ def describe(trace: Trace) -> TraceSummary:
         commands=len(trace.drive.times),
         voltages=tuple(np.unique(trace.drive.volts).tolist()),
         position_range=_position_range(trace),
-        noise=sample_noise(trace.kept_position if trace.has_positions else trace.judged_signal.values),
+        noise=sample_noise(trace.kept_position if trace.has_positions else trace.primary_samples.values),
         strokes=find_stroke_parts(trace),
         findings=trace.findings,
-        judged=trace.judged,
+        primary_signal=trace.primary_signal,
         left_out=trace.left_out.counts if trace.has_positions else {},
         input=_input(trace),
     )

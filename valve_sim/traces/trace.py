@@ -102,7 +102,7 @@ class Trace:
     def __repr__(self) -> str:
         """Trace('train.mcap', 16 commands, 10000 samples of the position)."""
         count = len(self.sample_times)
-        return f"Trace({self.source!r}, {len(self.drive.times)} commands, {count} samples of the {self.judged})"
+        return f"Trace({self.source!r}, {len(self.drive.times)} commands, {count} samples of the {self.primary_signal})"
 
     @cached_property
     def measured_input(self) -> MeasuredInput | None:
@@ -124,8 +124,8 @@ class Trace:
         return len(self.times) > 0
 
     @property
-    def judged(self) -> str:
-        """By what the valve is judged: "position", or where none was recorded "current", or else "outlet_pressure"."""
+    def primary_signal(self) -> str:
+        """The signal by which a valve is judged: "position", else "current", else "outlet_pressure"."""
         if self.has_positions:
             return "position"
         return "outlet_pressure" if self.coil_current is None else "current"
@@ -147,8 +147,8 @@ class Trace:
         return self.pilot_position[~left_out] if left_out.any() else self.pilot_position
 
     @property
-    def judged_signal(self) -> Signal:
-        """That signal; of a position as `usable_position` has it."""
+    def primary_samples(self) -> Signal:
+        """The signal by which a valve is judged; a position is `usable_position`."""
         signal = self._other_signal
         return Signal(self.times, self.usable_position) if self.has_positions or signal is None else signal
 
@@ -160,5 +160,5 @@ class Trace:
 
     @property
     def _other_signal(self) -> Signal | None:
-        """By what the valve is judged without positions."""
+        """The signal by which a valve is judged without positions."""
         return self.outlet_pressure if self.coil_current is None else self.coil_current

@@ -106,4 +106,4 @@ def test_a_stroke_begins_with_its_rest_however_soon_it_follows(closed: float, *,
     _, second = segmenter.take_finished()
     before = second.trace.sample_times < second.trace.drive.times[0]
     assert np.count_nonzero(before) > 20
-    assert np.max(np.abs(second.trace.judged_signal.values[before])) < (1e-3 if by_current else 1e-5)
+    assert np.max(np.abs(second.trace.primary_samples.values[before])) < (1e-3 if by_current else 1e-5)

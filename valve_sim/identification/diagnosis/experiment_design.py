@@ -40,7 +40,7 @@ class Recommendation:
 
     @property
     def separation(self) -> float:
-        """Of the least separated pair by one such experiment, standard deviations."""
+        """Separation of the least separated pair by one such experiment, standard deviations."""
         return self.separations[self.pair]
 
     @property

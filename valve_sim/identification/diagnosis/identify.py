@@ -19,7 +19,7 @@ from valve_sim.identification.estimation.recorded_errors import RecordedError, b
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.estimation.state_of_recording import with_forgotten_errors, with_learned_errors
-from valve_sim.identification.plants.protocol import Array, Channel, InPieces, Nuisance, Plant, judged_channels
+from valve_sim.identification.plants.protocol import Array, Channel, InPieces, Nuisance, Plant, primary_channels
 from valve_sim.identification.plants.root_mean_square import root_mean_square
 from valve_sim.identification.plants.stroke_choice import choose_strokes
 from valve_sim.identification.plants.valve import ValvePlant, dampings_of
@@ -80,10 +80,10 @@ class Identification:
         return f"Identification({', '.join(found)})"
 
     @property
-    def judged(self) -> Channel:
+    def primary_channel(self) -> Channel:
         """One of the channels by which the errors are meant."""
         plant = self.fit.problem.plant
-        return plant.channels[judged_channels(plant)[0]]
+        return plant.channels[primary_channels(plant)[0]]
 
 
 def identify(
@@ -126,7 +126,7 @@ def identify(
     added = () if best.problem.errors is None else best.errors_of(best.left.condensed())
     found = findings(best, intervals, itertools.chain(*recording.values()), lacking)
     return Identification(
-        best, intervals, profiles, found, judged_rmse(plant, offsets, added), judged_rmse(plant, best.values, added),
+        best, intervals, profiles, found, primary_rmse(plant, offsets, added), primary_rmse(plant, best.values, added),
         estimated_valve(best, plant), tuple(trace.source for trace in traces), declared_values(best),
         rmse_of_kind(plant, offsets, "current"), rmse_of_kind(plant, best.values, "current"),
         rmse_of_kind(plant, offsets, "pressure"), rmse_of_kind(plant, best.values, "pressure"), recording,
@@ -258,14 +258,14 @@ def _best_of_starts(
     return fit(problem, free, {**best.values, **without_influence}, nuisances=nuisances)
 
 
-def judged_rmse(plant: Plant, values: Mapping[str, float], added: Sequence[Array] = ()) -> float:
+def primary_rmse(plant: Plant, values: Mapping[str, float], added: Sequence[Array] = ()) -> float:
     """Root mean square of measured less predicted over the measurements of the channels by which a model is judged.
 
     Args:
         plant: the machine and its data. values: by which it is simulated.
         added: (n,) by channel what the errors of its sensors add to what they show; empty: nothing.
     """
-    return _rmse(plant, values, judged_channels(plant), added)
+    return _rmse(plant, values, primary_channels(plant), added)
 
 
 def rmse_of_kind(plant: Plant, values: Mapping[str, float], kind: str) -> float:

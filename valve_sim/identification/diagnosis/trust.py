@@ -6,7 +6,7 @@ import math
 from typing import Final
 
 from valve_sim.identification.diagnosis.outcome import Diagnosis, State
-from valve_sim.identification.plants.protocol import judged_channels
+from valve_sim.identification.plants.protocol import primary_channels
 
 PREDICTS_BETTER: Final = 10.0
 """Ln of how much more probable held-out strokes must be: odds of 22,000 to 1."""
@@ -24,11 +24,11 @@ def objection_to(diagnosis: Diagnosis) -> str:
 
 
 def what_is_left(diagnosis: Diagnosis) -> str:
-    """In a clause, by how much the error is larger than the posterior predicts; empty where it is not."""
+    """A clause that says how much larger the error is than the posterior predicts; empty where it is not."""
     error, expected = _compared(diagnosis.after)
     if not error > AS_PREDICTED * expected:
         return ""
-    scale, unit = diagnosis.plant.channels[judged_channels(diagnosis.plant)[0]].readable
+    scale, unit = diagnosis.plant.channels[primary_channels(diagnosis.plant)[0]].readable
     return f"the error is {scale * error:.3g} {unit} where {scale * expected:.3g} {unit} is predicted"
 
 

@@ -37,7 +37,7 @@ from valve_sim.identification.plants.protocol import (
     InPieces,
     Nuisance,
     Plant,
-    judged_channels,
+    primary_channels,
     strokes_of_plant,
 )
 from valve_sim.identification.plants.thinning import Thinnable
@@ -202,7 +202,7 @@ class Problem:
     @property
     def noise(self) -> Noise:
         """The noise of the response in which errors are reported."""
-        return self.noise_of(judged_channels(self.plant)[0])
+        return self.noise_of(primary_channels(self.plant)[0])
 
     def prior(self, name: str) -> Prior:
         """The prior of a freed parameter, in the coordinate in which it is searched."""

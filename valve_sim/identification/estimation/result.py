@@ -22,7 +22,7 @@ from valve_sim.identification.plants.protocol import (
     internal_bounds,
     internal_scale,
     internal_slope,
-    judged_channels,
+    primary_channels,
 )
 
 FIRST_DAMPING: Final = 1e-4
@@ -323,7 +323,7 @@ def _root_mean_square(result: Fit, share: Callable[[Array], Array]) -> float:
     plant, problem = result.problem.plant, result.problem
     squares, total = 0.0, 0.0
     predictions = result.shown()
-    for index in judged_channels(plant):
+    for index in primary_channels(plant):
         shares = share(problem.weight(index))
         squares += float(shares @ np.square(plant.channels[index].data - predictions[index]))
         total += float(np.sum(shares))

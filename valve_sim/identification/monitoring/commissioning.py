@@ -83,7 +83,7 @@ class Commissioning:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of all scores."""
+        """The names of all scores."""
         return tuple(
             dict.fromkeys(name for score_baselines in self.score_baselines.values() for name in score_baselines)
         )

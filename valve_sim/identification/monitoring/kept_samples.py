@@ -79,7 +79,7 @@ class KeptSamples:
         return self.times[index]
 
     def _size(self, index: int) -> float:
-        """Of a position, which may lie below its zero at rest, or of a current of either sign."""
+        """Size of a position, which may lie below its zero at rest, or of a current of either sign."""
         return abs(self.values[index]) if self.by_current else self.values[index]
 
     def highest_since(self, time: float) -> float:

@@ -102,7 +102,7 @@ class LinePressure:
         self._since, self._begun = min(self._begun, time - LONGEST), time
 
     def before(self, trace: Trace, opening: float) -> Trace:
-        """That stroke's trace with the pressure at its beginning, given when its first command was, s.
+        """A stroke's trace with the pressure at its beginning, given when its first command was, s.
 
         And with those at the ends of the valve, from the beginning of the stroke before it on.
         """

@@ -81,7 +81,7 @@ def _digest(body: Any) -> str:
 
 
 def _round_trip(value: Any) -> Any:
-    """As it is when read again: tuples are lists."""
+    """A value as it is when read again: tuples are lists."""
     return json.loads(json.dumps(value))
 
 

@@ -33,29 +33,29 @@ class Monitor:
         self._is_handed_over = False
 
     def command(self, time: float, volts: float) -> list[StrokeReport]:
-        """As `StrokeSegmenter.command`; reports of the strokes that it ended."""
+        """Take a command, like `StrokeSegmenter.command`; return reports of the strokes that it ended."""
         self.segmenter.command(time, volts)
         return self._reports()
 
     def measure(self, time: float, position: float, arrival: float = math.nan) -> list[StrokeReport]:
-        """As `StrokeSegmenter.measure`."""
+        """Take a sample of the positions, like `StrokeSegmenter.measure`."""
         self.segmenter.measure(time, position, arrival)
         return self._reports()
 
     def measure_many(self, times: Array, positions: Array) -> list[StrokeReport]:
-        """As `StrokeSegmenter.measure_many`."""
+        """Take samples of the positions, like `StrokeSegmenter.measure_many`."""
         self.segmenter.measure_many(times, positions)
         return self._reports()
 
     def measure_current(
         self, time: float, current: float, voltage: float = math.nan, arrival: float = math.nan
     ) -> list[StrokeReport]:
-        """As `StrokeSegmenter.measure_current`."""
+        """Take a sample of the current, like `StrokeSegmenter.measure_current`."""
         self.segmenter.measure_current(time, current, voltage, arrival)
         return self._reports()
 
     def measure_currents(self, times: Array, currents: Array, voltages: Array) -> list[StrokeReport]:
-        """As `StrokeSegmenter.measure_currents`."""
+        """Take samples of the current, like `StrokeSegmenter.measure_currents`."""
         self.segmenter.measure_currents(times, currents, voltages)
         return self._reports()
 

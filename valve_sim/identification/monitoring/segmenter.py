@@ -343,7 +343,7 @@ class StrokeSegmenter:
                 stroke.closed, stroke.fault = closed, stroke.fault or (None if closed else self.fault)
 
     def _is_closed(self, position: float) -> bool:
-        """For the valve, and for the model, which without seat load rests some picometres above its seat."""
+        """Whether valve or model is closed; without seat load the model rests some picometres above its seat."""
         return position <= CLOSED * self._valve.parameters.stroke
 
     def _judge_opening(self, stroke: StrokeInProgress) -> None:
@@ -354,7 +354,7 @@ class StrokeSegmenter:
         self.fault = stroke.fault = opening_fault(stroke.highest, self._valve)
 
     def _judge_late(self, stroke: StrokeInProgress) -> TimingTooUncertain | None:
-        """Of a stroke that ended before `patience` had passed; why it cannot be judged, None if it can.
+        """Judge a stroke that ended before `patience` had passed; return why it cannot be judged, None if it can.
 
         A valve that may have received its opening command together with the closing one need not have opened. What
         timing alone may explain counts as a fault when it happens `CONFIRMED` times in a row.

@@ -101,7 +101,7 @@ class Motion:
 
     @classmethod
     def of(cls, record: AxisRecord) -> Motion:
-        """By zero-phase filtering and central differences."""
+        """Motion of a record by zero-phase filtering and central differences."""
         numerator, denominator = signal.butter(4, LOW_PASS / (0.5 * record.rate))
         position = signal.filtfilt(numerator, denominator, record.position)
         velocity = np.gradient(position) * record.rate
@@ -171,12 +171,12 @@ class AxisPlant:
         return self._varying
 
     def sensors(self, values: Mapping[str, float]) -> Mapping[int, Sensor]:
-        """That of the force, where its errors were said."""
+        """The sensor of the force, where its errors were said."""
         return self._sensors
 
     @property
     def effects(self) -> Mapping[str, EffectChoice]:
-        """Those of the catalogue that any axis can have; a gain of the drive would be mass."""
+        """Effects of the catalogue that any axis can have; a gain of the drive would be mass."""
         return {
             entry.name: EffectChoice(entry.name, tuple(map(self._scaled, entry.parameters)), entry.confused_with)
             for entry in CATALOGUE.tagged(Tag.ANY_AXIS)

@@ -166,7 +166,7 @@ class CommissionedPlant:
 
     @property
     def channels(self) -> Sequence[Channel]:
-        """Those of the trace."""
+        """The channels of the trace."""
         return self._plant.channels
 
     @property
@@ -230,7 +230,7 @@ class CommissionedPlant:
 
     @property
     def force_maps(self) -> Sequence[ForceMap]:
-        """As of any valve; none with gas, where each of their many derivatives takes another simulation of all."""
+        """Force maps of any valve; none with gas, where each of many derivatives takes another simulation of all."""
         return self._plant.force_maps if self._plant.valve.gas is None else ()
 
     @property
@@ -244,7 +244,7 @@ class CommissionedPlant:
         return self._plant.advice
 
     def parameter(self, name: str) -> Parameter:
-        """As of any valve's plant, and of the dampings, which are off where they were."""
+        """Parameter of any valve's plant, or a damping, which is off where it was."""
         effect = name.partition(".")[0]
         return self._dampings[effect] if effect in self._dampings else self._plant.parameter(name)
 
@@ -272,7 +272,7 @@ class CommissionedPlant:
         return self._plant.sensitivities(plain, along)
 
     def _plain_slopes(self, slopes: Mapping[str, float], plain: Mapping[str, float]) -> dict[str, float]:
-        """By the plain names, how values change along a direction."""
+        """How values change along a direction, by their plain names."""
         found = {name: slope for name, slope in slopes.items() if name in plain and name not in self._errors}
         errors = self._spread @ np.array([slopes.get(name, 0.0) for name in self._errors])
         for name, error in zip(self._estimated, errors.tolist(), strict=True):

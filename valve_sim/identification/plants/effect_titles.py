@@ -34,7 +34,7 @@ def named(effects: Sequence[str], last: str = "and") -> str:
 
 
 def what_is_missing(effects: Sequence[str], declared: Collection[str] = ()) -> str:
-    """Of a model, within a sentence: lacks Coulomb friction and has a wrong spring rate; some effects are declared."""
+    """What a model lacks, in a sentence: "lacks Coulomb friction and has a wrong spring rate"; some may be declared."""
     wrong = [effect for effect in effects if effect.startswith(WRONG)]
     grown = [effect for effect in effects if effect in declared and effect not in wrong]
     lacks = [effect for effect in effects if effect not in wrong and effect not in grown]

@@ -53,7 +53,7 @@ SUPPLY_SCALE: Final = 0.1
 def variations(
     valve: Valve, trace: Trace, index: int, channels: tuple[int, ...], part_of: int | None = None
 ) -> list[Nuisance]:
-    """For each stroke and each number that varies, by how much it differs in it.
+    """How much each number that varies differs in each stroke.
 
     There are none of a recording of one stroke that is no part of another, and none where the motion is not seen, or is
     of a measured voltage, whose steps are not the commands'.

@@ -197,7 +197,7 @@ class Channel:
         return len(self.data) - (0 if self.left_out is None else int(np.count_nonzero(self.left_out)))
 
     def kept(self, values: Array, samples: slice = slice(None)) -> Array:
-        """Of one value for each of these samples, (m,), those of measurements."""
+        """Those of measurements among one value for each of these samples, (m,)."""
         return values if self.left_out is None else values[~self.left_out[samples]]
 
     @property
@@ -221,7 +221,7 @@ class Experiment:
     commands: tuple[tuple[float, float], ...] = ()
 
 
-def judged_channels(plant: Plant) -> list[int]:
+def primary_channels(plant: Plant) -> list[int]:
     """Indices of the channels in which errors are reported: responses, of the first one's kind and so of one unit."""
     responses = [index for index, channel in enumerate(plant.channels) if channel.role == "response"]
     indices = responses or list(range(len(plant.channels)))

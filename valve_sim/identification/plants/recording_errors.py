@@ -34,7 +34,7 @@ def clock_offset(index: int, channels: Channels) -> Nuisance:
 
 
 def stamp_errors(trace: Trace, index: int, channels: Channels) -> list[Nuisance]:
-    """For each command that was recorded as it was sent, how much later than stamped the voltage changes."""
+    """How much later than stamped the voltage changes, for each command that was recorded as it was sent."""
     if trace.drive_errors is not None:
         return []
     return [
@@ -51,7 +51,7 @@ def _is_sampled(trace: Trace, since: float, until: float) -> bool:
 
 
 def reading_errors(trace: Trace, index: int, channels: Channels) -> list[Nuisance]:
-    """Of commands that were read from a voltage, their times and levels; the zero of a position sensor.
+    """Errors of times and levels of commands that were read from a voltage, and the zero of a position sensor.
 
     Args:
         trace: the recording. index: of it.
@@ -82,7 +82,7 @@ def reading_errors(trace: Trace, index: int, channels: Channels) -> list[Nuisanc
 
 
 def clock_rate(index: int, channels: Channels) -> Nuisance:
-    """By how much faster the clock of the commands runs than that of the samples."""
+    """How much faster the clock of the commands runs than that of the samples."""
     return Nuisance(f"clock_rate[{index}]", RATE_SIGMA, "–", channels, step=1e-7, error="clock_rate")
 
 
@@ -125,7 +125,7 @@ def zero_with(index: int, values: Mapping[str, float]) -> float:
 
 
 def lateness_with(index: int, values: Mapping[str, float]) -> float:
-    """By how much the samples of a recording are stamped late, s."""
+    """How late the samples of a recording are stamped, s."""
     return values.get(f"clock_offset[{index}]", 0.0)
 
 

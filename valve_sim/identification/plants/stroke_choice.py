@@ -107,7 +107,7 @@ def _edges(trace: Trace, times: Array) -> NDArray[np.intp]:
 
 
 def stroke_kinds(trace: Trace) -> list[Kind]:
-    """Of each stroke of a recording: its voltages, V, and how long each but the last was held, in steps of `SAME`."""
+    """The kind of each stroke: its voltages, V, and how long each but the last was held, in steps of `SAME`."""
     drive, starts = trace.drive, stroke_starts(trace.drive).tolist()
     kinds = []
     for first, stop in zip(starts, [*starts[1:], len(drive.times)], strict=True):
@@ -160,9 +160,9 @@ def _rests(trace: Trace) -> list[tuple[int, int]]:
 
     The first third of an interval between commands is never taken for noise; here it may be left out.
     """
-    times, data = trace.judged_signal
+    times, data = trace.primary_samples
     left_out = trace.left_out.any if trace.has_positions else None
-    is_still = still_mask(trace.drive, trace.judged_signal, left_out=left_out).astype(np.int8)
+    is_still = still_mask(trace.drive, trace.primary_samples, left_out=left_out).astype(np.int8)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], is_still, [0]]))).reshape(-1, 2)
     commands = np.searchsorted(times, trace.drive.times)
     rests = []

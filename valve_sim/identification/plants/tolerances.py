@@ -242,7 +242,7 @@ class ToleratedValues:
         return found
 
     def _coordinate(self, name: str) -> str:
-        """By what a declared value with a tolerance is estimated: of two masses, by the main plunger's own."""
+        """The coordinate in which a value with a tolerance is estimated: of two masses the main plunger's own."""
         return MAIN_MASS if name == "moving_mass" and self._has_masses else name
 
     def _coordinates(self) -> dict[str, tuple[str, ...]]:
@@ -279,7 +279,7 @@ def _effect_like(name: str) -> str:
 
 
 def _slope_of_effect(name: str, declared: float) -> float:
-    """By how much the parameter of the effect that is the same thing as a declared value changes with that value.
+    """Slope of the parameter of the effect that is the same thing as a declared value, over that value.
 
     A gain of the drive is what the declared voltage is divided by: V/(V_ref) · gain. All others are in the value's
     unit.

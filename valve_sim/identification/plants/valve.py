@@ -79,7 +79,7 @@ takes to open: a clogged orifice was given a twentieth of its standard error."""
 
 
 def dampings_of(valve: Valve) -> tuple[str, ...]:
-    """Those of `DAMPINGS` that a valve uses: one plunger has no Phase 1."""
+    """The names of the dampings that a valve uses: one plunger has no Phase 1."""
     return DAMPINGS[1:] if valve.parameters.has_one_plunger else DAMPINGS
 
 
@@ -117,7 +117,7 @@ class ValvePlant:
 
     @property
     def short_step(self) -> float | None:
-        """Of a valve with gas: see `GAS_STEP`."""
+        """Step of difference quotients of a valve with gas: see `GAS_STEP`."""
         return None if self.valve.gas is None else GAS_STEP
 
     @property
@@ -167,7 +167,7 @@ class ValvePlant:
 
         None by the outlet's pressure alone: it shows when the plungers have moved, and nothing of how.
         """
-        if all(trace.judged == "outlet_pressure" for trace in self.traces):
+        if all(trace.primary_signal == "outlet_pressure" for trace in self.traces):
             return []
         declared = self.valve.parameters
         fastest = max(fastest_motion(trace) for trace in self.traces)
@@ -219,7 +219,7 @@ class ValvePlant:
         drive = Drive.of([PULSE_START, PULSE_START + duration], [volts, 0.0])
         nothing = np.zeros_like(times)
         if not self.traces[0].has_positions:
-            seen = SIGNALS[self.traces[0].judged]
+            seen = SIGNALS[self.traces[0].primary_signal]
             blank = Trace("an experiment", drive, times[:0], times[:0])
             trace = replace(blank, **{seen: Signal(times, nothing)})  # type: ignore[arg-type] # by name
             plant = ValvePlant([trace], self.valve)
@@ -251,7 +251,7 @@ class ValvePlant:
         return self._model.with_values(values)
 
     def propagated(self, names: Sequence[str], covariance: Array) -> tuple[tuple[str, ...], Array]:
-        """As of its model: declared scalars, and their covariance, for those of what was estimated."""
+        """Declared scalars and their covariance, from those of what was estimated."""
         return self._model.propagated(names, covariance)
 
     def followed_positions(self, values: Mapping[str, float]) -> dict[int, Array]:

@@ -94,7 +94,7 @@ def still_mask(
 
 
 def _position_resolution(trace: Trace) -> float:
-    """By how much a position and its prediction differ for numerical reasons alone, m.
+    """Difference of a position and its prediction for numerical reasons alone, m.
 
     Stamps of samples and of commands are whole nanoseconds, and a plunger moves on meanwhile; a step of the integrator
     is accurate to its tolerance, of a full stroke; a float has 16 digits.
@@ -139,7 +139,7 @@ def without_pressure(trace: Trace) -> Trace:
     Raises:
         ParameterError: nothing else was recorded of it.
     """
-    if trace.judged == "outlet_pressure":
+    if trace.primary_signal == "outlet_pressure":
         raise ParameterError(
             f"{trace.source}: holds the outlet's pressure alone, and the valve declares no gas; give a parameter file "
             "with the group gas"
@@ -165,7 +165,7 @@ def channels_of(index: int, trace: Trace) -> list[Channel]:
     found = []
     if trace.has_positions:
         left_out = trace.left_out.any if trace.left_out.any.any() else None
-        still = still_mask(trace.drive, trace.judged_signal, left_out=left_out)
+        still = still_mask(trace.drive, trace.primary_samples, left_out=left_out)
         found.append(
             Channel(
                 f"{trace.source}: pilot_position", "position", trace.times, trace.usable_position, still,
@@ -265,7 +265,7 @@ def _run(record: Any, state: Any, trace: Trace, drive: Drive, samples: Samples, 
 
 
 def tolerance_of(record: Any) -> float:
-    """Of a run in a fit: relative error of a step."""
+    """Relative error of a step of a run in a fit."""
     return GAS_TOLERANCE if is_of_gas(record) else FIT_TOLERANCE
 
 
@@ -351,7 +351,7 @@ def amperes(record: Any, trace: Trace, currents: Array) -> list[Array]:
 def prepared_with_pressure(
     record: Any, trace: Trace, pressure_times: Array, drive: Drive, offset: float
 ) -> tuple[Any, Samples, NDArray[np.int64]]:
-    """As `prepared` where the outlet's pressure was recorded, of a valve with gas; and the order of the rows.
+    """What `prepared` returns, where the outlet's pressure was recorded of a valve with gas; and the order of the rows.
 
     That is of first the positions', then the pressure's times.
     """

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from valve_sim.identification.diagnosis.run import Diagnosis
 from valve_sim.identification.estimation.result import Fit
-from valve_sim.identification.plants.protocol import Array, Channel, judged_channels
+from valve_sim.identification.plants.protocol import Array, Channel, primary_channels
 from valve_sim.identification.plants.root_mean_square import root_mean_square
 
 DRAWN_POINTS: Final = 450
@@ -87,7 +87,7 @@ def strokes_of(diagnosis: Diagnosis) -> list[StrokeCurves]:
 def _strokes(before: Fit, after: Fit, bands: Mapping[int, Array], *, is_held_out: bool) -> Iterator[StrokeCurves]:
     problem = before.problem
     shown_before, shown_after = (fitted.shown() for fitted in (before, after))
-    judged = judged_channels(problem.plant)
+    judged = primary_channels(problem.plant)
     fitted = [index for index in range(len(problem.plant.channels)) if np.any(problem.weight(index) > 0.0)]
     for index in [*judged, *(index for index in fitted if index not in judged)]:
         channel, first, second = problem.plant.channels[index], shown_before[index], shown_after[index]

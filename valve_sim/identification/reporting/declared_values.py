@@ -137,7 +137,7 @@ def _row(found: DeclaredValue, at: Callable[[float], float]) -> dict[str, Any]:
 
 
 def _half_width(found: DeclaredValue) -> float:
-    """Of the 95 % interval, in tolerances."""
+    """Half the width of the 95 % interval, in tolerances."""
     return NORMAL_95 * found.spread
 
 

@@ -8,7 +8,7 @@ from typing import Any
 from valve_sim.files.json_text import plain_mapping
 from valve_sim.identification.diagnosis.experiment_design import Recommendation
 from valve_sim.identification.diagnosis.run import Diagnosis, State
-from valve_sim.identification.plants.protocol import KEY_OF_UNIT, judged_channels
+from valve_sim.identification.plants.protocol import KEY_OF_UNIT, primary_channels
 from valve_sim.identification.plants.tolerances import GROUP
 from valve_sim.identification.reporting.declared_values import declared_json
 from valve_sim.identification.reporting.followed_positions import strokes_followed, strokes_json
@@ -28,7 +28,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
     """
     motion = motion_of(diagnosis)
     problem = diagnosis.before.fit.problem
-    scale, unit = problem.plant.channels[judged_channels(problem.plant)[0]].readable
+    scale, unit = problem.plant.channels[primary_channels(problem.plant)[0]].readable
     report = {
         "schema": "valve_sim/diagnosis/2",
         "sources": list(diagnosis.sources),

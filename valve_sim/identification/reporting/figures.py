@@ -124,7 +124,7 @@ def plot_replay(path: Path | str, replay: Replay) -> None:
     above.plot(times, scale * measured, color=QUIET, linewidth=2.6, label="measured")
     above.plot(times, scale * replay.predicted, color=PILOT, linewidth=1.0, label="model")
     words = {"position": "pilot plunger", "current": "coil current", "outlet_pressure": "outlet pressure"}
-    above.set_ylabel(f"{words[replay.trace.judged]}, {unit}")
+    above.set_ylabel(f"{words[replay.trace.primary_signal]}, {unit}")
     above.legend(loc="upper right", frameon=False)
     below.plot(times, scale * (measured - replay.predicted), color=MAIN, linewidth=0.7)
     for sign in (-1.0, 1.0):

@@ -50,7 +50,7 @@ def _strokes(found: FollowedPosition) -> Iterator[Stroke]:
 
 
 def strokes_json(strokes: list[Stroke]) -> list[dict[str, Any]]:
-    """For report.json: times in s, lengths in µm."""
+    """Strokes as report.json has them: times in s, lengths in µm."""
     return [
         {
             "source": stroke.source,

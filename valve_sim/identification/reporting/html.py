@@ -20,7 +20,7 @@ from valve_sim.files.json_text import finite_or_none
 from valve_sim.files.whole_files import write_whole
 from valve_sim.identification.diagnosis.run import Candidate, Diagnosis, State
 from valve_sim.identification.plants.effect_titles import named_value, title_of, titles_of
-from valve_sim.identification.plants.protocol import judged_channels
+from valve_sim.identification.plants.protocol import primary_channels
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.curves import StrokeCurves, strokes_of
 from valve_sim.identification.reporting.declared_values import declared_section, plain_name
@@ -105,7 +105,7 @@ def _typed(diagnosis: Diagnosis, folder: Path) -> dict[str, Any]:
 
 
 def _duration(diagnosis: Diagnosis) -> float:
-    """Of the recommended recording, s."""
+    """Duration of the recommended recording, s."""
     return duration_of(profile_to_record(diagnosis.recommendation, diagnosis.valve))
 
 
@@ -162,7 +162,7 @@ def _wrapped(title: str) -> str:
 def _content(diagnosis: Diagnosis) -> dict[str, Any]:
     """The other variables of the template."""
     verdict = diagnosis.verdict
-    channel = diagnosis.plant.channels[judged_channels(diagnosis.plant)[0]]
+    channel = diagnosis.plant.channels[primary_channels(diagnosis.plant)[0]]
     judged, others = _drawn(diagnosis, SHOWN_STROKES)
     strokes = [*judged, *others]
     scale, unit = channel.readable
@@ -218,7 +218,7 @@ def _drawn(diagnosis: Diagnosis, most: int) -> tuple[list[StrokeCurves], list[St
     Of the first, those that the declared model misses most come before the others; either in the order of recording.
     """
     strokes = strokes_of(diagnosis)
-    kind = diagnosis.plant.channels[judged_channels(diagnosis.plant)[0]].kind
+    kind = diagnosis.plant.channels[primary_channels(diagnosis.plant)[0]].kind
     judged = [stroke for stroke in strokes if stroke.quantity == kind]
     worst = sorted(range(len(judged)), key=lambda index: -judged[index].root_mean_squares[0])
     names = [stroke.title.partition(", stroke ")[0] for stroke in judged]
@@ -265,7 +265,7 @@ def _comparison(diagnosis: Diagnosis, scale: float, unit: str) -> list[tuple[str
 
 
 def _predicted(state: State, scale: float, unit: str) -> str:
-    """Of fitted, and of held-out strokes."""
+    """What the posterior predicts of the errors of fitted and of held-out strokes."""
     fitted, held_out = (_number(scale * found, unit) for found in (state.train_predicted, state.holdout_predicted))
     return f"{fitted}; held out {held_out}"
 
@@ -277,7 +277,7 @@ def _inclusion_rows(diagnosis: Diagnosis) -> list[tuple[str, str]]:
 
 
 def _declared_row(diagnosis: Diagnosis, scale: float, unit: str) -> dict[str, Any]:
-    """Of the declared model among the hypotheses."""
+    """The row of the declared model in the table of hypotheses."""
     verdict, before = diagnosis.verdict, diagnosis.before
     return {
         "title": "nothing: the declared model, refitted",
@@ -353,7 +353,7 @@ def _is_drawn(name: str) -> bool:
 
 
 def _gain_rows(diagnosis: Diagnosis) -> list[str]:
-    """By how much the recommended recording is expected to separate each pair of candidates."""
+    """How far the recommended recording is expected to separate each pair of candidates."""
     if diagnosis.recommendation is None:
         return []
     return [

@@ -17,8 +17,8 @@ from valve_sim.identification.reporting.units import limits, measured, quantity,
 
 def identification_json(result: Identification) -> dict[str, Any]:
     """The content of identify.json."""
-    noise = result.fit.problem.noises[result.judged.kind]
-    scale, unit = result.judged.readable
+    noise = result.fit.problem.noises[result.primary_channel.kind]
+    scale, unit = result.primary_channel.readable
     key = KEY_OF_UNIT[unit]
     errors = {f"rmse_{key}": {"before": scale * result.rmse_before, "after": scale * result.rmse_after}}
     if not math.isnan(result.current_after):
@@ -65,15 +65,15 @@ def identification_text(result: Identification) -> str:
         if remark := remark_on(interval):
             lines.append(f"  {remark}.")
     lines += declared_lines(result.declared)
-    noise = result.fit.problem.noises[result.judged.kind]
-    scale, unit = result.judged.readable
+    noise = result.fit.problem.noises[result.primary_channel.kind]
+    scale, unit = result.primary_channel.readable
     lines.append(
         f"{_change('residual', scale * result.rmse_before, scale * result.rmse_after, unit)}; "
         f"sensor noise {three_digits(scale * noise.sigma)} {unit}"
     )
-    if result.judged.kind != "current" and not math.isnan(result.current_after):
+    if result.primary_channel.kind != "current" and not math.isnan(result.current_after):
         lines.append(_change("residual of the current", 1e3 * result.current_before, 1e3 * result.current_after, "mA"))
-    if result.judged.kind != "pressure" and not math.isnan(result.pressure_after):
+    if result.primary_channel.kind != "pressure" and not math.isnan(result.pressure_after):
         before, after = 1e-3 * result.pressure_before, 1e-3 * result.pressure_after
         lines.append(_change("residual of the outlet's pressure", before, after, "kPa"))
     return "\n".join([*lines, *recording_lines(result.recording), *remarks(result.findings)])

@@ -23,5 +23,5 @@ def interval_json(found: Interval) -> dict[str, Any]:
 
 
 def intervals_json(intervals: Mapping[str, Interval]) -> dict[str, dict[str, Any]]:
-    """By name."""
+    """Intervals by name, each as `interval_json` has it."""
     return {name: interval_json(found) for name, found in intervals.items()}

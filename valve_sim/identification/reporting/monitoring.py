@@ -63,7 +63,7 @@ def _errors(report: StrokeReport) -> dict[str, float]:
 
 
 def finding_json(finding: FaultFinding, occasion: Occasion) -> dict[str, Any]:
-    """As on ~/finding; `occasion` is that of the last of the strokes that it rests on."""
+    """A finding as ~/finding has it; `occasion` is that of the last of the strokes that it rests on."""
     verdict = finding.verdict
     plain = {
         "schema": "valve_sim/finding/1",

@@ -66,7 +66,7 @@ def stroke_name(report: StrokeReport) -> str:
 
 
 def state_words(state: StrokeState) -> str:
-    """As in the report on a stroke."""
+    """The state of a monitor in the words of the report on a stroke."""
     return _STATES[state]
 
 

@@ -122,7 +122,7 @@ def state_lines(state: RecordingState) -> list[str]:
     """Lines for a terminal: each error with its size and what it hides, and what can be named in the recording."""
     found = state.identification
     (source,) = found.sources
-    noise, unit = found.fit.problem.noise.sigma, found.judged.unit
+    noise, unit = found.fit.problem.noise.sigma, found.primary_channel.unit
     if not state.errors:
         why = "its errors cannot be told from what the declared model lacks; valve-sim diagnose looks for that"
         return [f"State of {source}: {why}.", *remarks(found.findings)]

@@ -34,7 +34,7 @@ def static_force_json(result: StaticForce) -> dict[str, Any]:
 
 
 def static_force_text(result: StaticForce) -> str:
-    """For the terminal."""
+    """The report of a static force for the terminal."""
     lines = [f"{result.source}: {len(result.force)} points at {result.voltage:g} V"]
     lines.append(f"{'':<5}{'value':>12} {'± std. error':>14}   95 % interval")
     for name, interval in result.intervals.items():

@@ -7,7 +7,7 @@ import textwrap
 
 from valve_sim.identification.diagnosis.run import Diagnosis, Verdict
 from valve_sim.identification.plants.effect_titles import capitalised, named_value, title_of
-from valve_sim.identification.plants.protocol import judged_channels
+from valve_sim.identification.plants.protocol import primary_channels
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.declared_values import summary_words
 from valve_sim.identification.reporting.detection_limits import limit_rows
@@ -83,5 +83,5 @@ def _certainty(verdict: Verdict) -> str:
 
 
 def _unit_and_noise(diagnosis: Diagnosis) -> tuple[str, float]:
-    channel = diagnosis.plant.channels[judged_channels(diagnosis.plant)[0]]
+    channel = diagnosis.plant.channels[primary_channels(diagnosis.plant)[0]]
     return channel.unit, diagnosis.before.fit.problem.noises[channel.kind].sigma

@@ -65,7 +65,7 @@ def _replay_json(replay: Replay) -> dict[str, Any]:
 
 
 def _errors_json(errors: Errors, scale: float, key: str) -> dict[str, Any]:
-    """In the unit that the names end with; the moving error is nan where the model does not move."""
+    """Errors in the unit that their names end with; the moving error is nan where the model does not move."""
     return {
         "samples": errors.samples,
         f"rmse_{key}": scale * errors.rmse,
@@ -75,7 +75,7 @@ def _errors_json(errors: Errors, scale: float, key: str) -> dict[str, Any]:
 
 
 def _arrival_json(arrival: Arrival) -> dict[str, Any]:
-    """In ms."""
+    """An arrival in ms."""
     return {
         "kind": arrival.kind,
         "sensor": arrival.sensor,

@@ -8,7 +8,7 @@ from typing import Any, Final, NamedTuple
 from valve_sim.identification.diagnosis.run import Diagnosis, Verdict
 from valve_sim.identification.estimation.result import effective_rmse
 from valve_sim.identification.plants.effect_titles import capitalised, named, title_of, what_is_missing
-from valve_sim.identification.plants.protocol import Plant, judged_channels
+from valve_sim.identification.plants.protocol import Plant, primary_channels
 from valve_sim.identification.plants.tolerances import GROUP
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.declared_values import amount_words, plain_name
@@ -77,7 +77,7 @@ def probability_words(verdict: Verdict) -> str:
 
 
 def percent(probability: float) -> str:
-    """Of a probability; never 0 or 100."""
+    """A probability in percent; never 0 or 100."""
     if probability >= 0.995:
         return "> 99 %"
     return f"{100 * probability:.0f} %" if probability >= 0.005 else "< 1 %"
@@ -142,7 +142,7 @@ def rounding_words(diagnosis: Diagnosis) -> str:
     pairs = [(before.fit, after.fit, before.train_rmse, after.train_rmse)]
     if before.holdout is not None and after.holdout is not None:
         pairs.append((before.holdout, after.holdout, before.holdout_rmse, after.holdout_rmse))
-    unit = diagnosis.plant.channels[judged_channels(diagnosis.plant)[0]].unit
+    unit = diagnosis.plant.channels[primary_channels(diagnosis.plant)[0]].unit
     falls = [
         f"{quantity(effective_rmse(first), unit)} to {quantity(effective_rmse(second), unit)}"
         for first, second, least, most in pairs

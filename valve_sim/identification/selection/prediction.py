@@ -22,7 +22,7 @@ from valve_sim.identification.estimation.linearised import Linearised, bounded_s
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.recording import fit_recording
 from valve_sim.identification.estimation.result import Fit, rmse
-from valve_sim.identification.plants.protocol import Array, from_internal, judged_channels, varying_of
+from valve_sim.identification.plants.protocol import Array, from_internal, primary_channels, varying_of
 from valve_sim.identification.selection.discrepancy import Discrepancy, lengths_of
 from valve_sim.model import SimulationError
 
@@ -149,7 +149,7 @@ def predicted(result: Fit, there: Fit, size: float = 0.0) -> Predicted:
         noise = problem.noise_of(index).sigma ** 2 * (1.0 + size**2 * ~channel.quiet)
         bands[index] = np.sqrt(spread[index] + noise)
     squares, count = 0.0, 0.0
-    for index in judged_channels(plant):
+    for index in primary_channels(plant):
         weights = problem.weight(index) > 0.0
         squares += float(np.sum(np.square(bands[index])[weights]))
         count += float(np.count_nonzero(weights))

@@ -50,7 +50,7 @@ def motion_of(valve: Valve, trace: Trace, drive: Drive, times: Array, start: flo
 
     record = valve.record()
     if is_of_gas(record) or record[0]["sensor_delay"]:
-        return _whole(response_to(valve, trace, drive, taken(slice(None)), start, offset), trace.judged)
+        return _whole(response_to(valve, trace, drive, taken(slice(None)), start, offset), trace.primary_signal)
     state, shown, is_moving = new_states(record, start), np.empty(len(times)), np.empty(len(times), dtype=bool)
     events: list[Event] = []
     for cut in cuts(times, times, drive, (offset, 0.0)):
@@ -58,7 +58,7 @@ def motion_of(valve: Valve, trace: Trace, drive: Drive, times: Array, start: flo
         samples = Samples(own, np.empty((len(own), columns_of(record))), own, np.empty(len(own)))
         events += _run(record, state, drive, cut, samples)
         is_moving[cut.positions] = np.abs(samples.rows[:, 2]) > STILL_SPEED
-        is_position = trace.judged == "position"
+        is_position = trace.primary_signal == "position"
         shown[cut.positions] = samples.rows[:, 0] if is_position else samples.currents * rated_current(record)
     return Motion(shown, is_moving, tuple(events))
 

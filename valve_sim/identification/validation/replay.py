@@ -121,7 +121,7 @@ class Replay:
     @property
     def readable(self) -> tuple[float, str]:
         """Factor from SI and name of the unit in which people read the errors."""
-        return READABLE_UNITS[_JUDGED[self.trace.judged].unit]
+        return READABLE_UNITS[_JUDGED[self.trace.primary_signal].unit]
 
     @property
     def passed(self) -> bool:
@@ -130,7 +130,7 @@ class Replay:
 
     @property
     def tolerance(self) -> float:
-        """Of the recording as a whole; by default each stroke has its own."""
+        """The tolerance of the recording as a whole; by default each stroke has its own."""
         return self.errors.tolerance
 
 
@@ -191,7 +191,7 @@ def validate(
         if progress is not None:
             progress(f"replaying {trace.source}", index / len(traces))
         for part in _parts(trace, valve):
-            replays.append(replay_trace(part, valve, given[part.judged]))
+            replays.append(replay_trace(part, valve, given[part.primary_signal]))
     return Validation(tuple(replays))
 
 
@@ -210,8 +210,8 @@ def replay_trace(trace: Trace, valve: Valve, tolerance: float | None = None) -> 
     drive = drive_with(trace, 0, nuisances, valve)
     times = trace.sample_times
     start = min(float(drive.times.min(initial=math.inf)), float(times[0])) - CLOCK_SIGMA
-    kind, _, finest = _JUDGED[trace.judged]
-    noise, measured = problem.noises[kind].sigma, trace.judged_signal
+    kind, _, finest = _JUDGED[trace.primary_signal]
+    noise, measured = problem.noises[kind].sigma, trace.primary_samples
     del problem  # of a long recording what they hold is large
     motion = motion_of(replace(valve, tolerances=EXACT), trace, drive, times, start, offset)
     shown, variance = motion.shown, np.full(len(times), noise**2)
@@ -247,7 +247,7 @@ class Allowed(NamedTuple):
     finest: float
 
     def of(self, chosen: slice, moving: NDArray[np.bool_]) -> float:
-        """For some samples: NOISE_FACTOR standard deviations, over all of them or those that move."""
+        """The tolerance of some samples: NOISE_FACTOR standard deviations, over all of them or those that move."""
         variances, largest = self.variance[chosen], 0.0
         for own in (variances, variances[moving[chosen]]):
             largest = max(largest, float(np.mean(own)) if len(own) else 0.0)
@@ -271,7 +271,7 @@ _JUDGED: Final = {
 
 def _parts(trace: Trace, valve: Valve) -> list[Trace]:
     """The trace as it is judged: by positions or current, and beside these by the outlet's pressure."""
-    if valve.gas is None or trace.outlet_pressure is None or trace.judged == "outlet_pressure":
+    if valve.gas is None or trace.outlet_pressure is None or trace.primary_signal == "outlet_pressure":
         return [trace]
     nothing = np.empty(0)
     pressure = replace(
@@ -340,7 +340,7 @@ def _errors(
 
 
 def _root(squares: float, samples: int) -> float:
-    """Of the mean of squares; nan where there are none."""
+    """Square root of the mean of squares; nan where there are none."""
     return math.sqrt(squares / samples) if samples else math.nan
 
 
