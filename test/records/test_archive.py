@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import random
 import subprocess
 import sys
@@ -104,6 +105,33 @@ while True:
         found = [row["number"] for row in Archive(tmp_path).read("strokes", VALVE)]
         assert found == list(range(len(found))) and len(found) >= number + lines
         number = len(found)
+
+
+def test_two_writers_at_once_lose_nothing(tmp_path: Path) -> None:
+    program = """
+import sys; from pathlib import Path; from datetime import timedelta
+sys.path.insert(0, sys.argv[2])
+from records.test_archive import START, VALVE, Archive
+archive, first = Archive(Path(sys.argv[1])), int(sys.argv[3])
+for number in range(first, first + 100):
+    archive.add("strokes", VALVE, START + timedelta(seconds=number), {"number": number}, 0.0)
+    archive.flush()
+"""
+    arguments = [sys.executable, "-c", program, str(tmp_path), str(Path(__file__).parents[1])]
+    processes = [subprocess.Popen([*arguments, str(first)]) for first in (0, 100)]
+    assert [process.wait(600) for process in processes] == [0, 0]
+    assert [row["number"] for row in Archive(tmp_path).read("strokes", VALVE)] == list(range(200))
+
+
+def test_who_holds_the_lock_for_long_is_said_and_rows_wait(tmp_path: Path) -> None:
+    archive = filled(tmp_path, 1)
+    archive.add("strokes", VALVE, START + timedelta(minutes=5), {"number": 2}, 0.0)
+    with (tmp_path / ".lock").open("w") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        with pytest.raises(ValveError, match="another program has been writing"):
+            archive.flush()
+    archive.flush()
+    assert [row["number"] for row in archive.read("strokes", VALVE)] == [0, 1, 2]
 
 
 def test_a_disk_that_is_full_loses_nothing_once_there_is_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,12 +5,16 @@
 A file's name says which writes it holds, by number. Rows are kept in memory for a minute at most and then written as
 one small file, whole or not at all; each 32 files of a size become one. A file whose numbers another one holds too is
 left over from a merger that was cut off, and is passed over. So a kill or a power cut loses what was not written yet
-and nothing else.
+and nothing else. Whoever writes holds the lock of the file `.lock`, so that archive_node and a fleet share an archive.
 """
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
+import os
 import re
+import time
 import urllib.parse
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
@@ -21,7 +25,7 @@ from typing import Any, Final, Literal, NamedTuple, get_args
 from valve_sim.model.errors import ValveError
 from valve_sim.records.durable import write_durably
 
-Kind = Literal["strokes", "findings", "alarms"]
+Kind = Literal["strokes", "findings", "alarms", "recordings"]
 Row = Mapping[str, object]
 
 COLUMNS: Final[dict[Kind, dict[str, str]]] = {
@@ -40,6 +44,13 @@ COLUMNS: Final[dict[Kind, dict[str, str]]] = {
         "level": "int8", "alarm_class": "word", "message": "string", "user": "word", "comment": "string",
         "is_shelved": "bool", "strokes_since_service": "int32",
     },
+    "recordings": {
+        "key": "string", "source": "string", "strokes": "int32", "verdict": "word", "effects": "string",
+        "probability": "float32", "summary": "string", "opening_delay": "float32", "opening_delay_stderr": "float32",
+        "t1": "float32", "t1_stderr": "float32", "t2": "float32", "t2_stderr": "float32", "closing_time": "float32",
+        "closing_time_stderr": "float32", "pilot_damping": "float32", "pilot_damping_stderr": "float32",
+        "main_damping": "float32", "main_damping_stderr": "float32",
+    },
 }  # fmt: skip
 """Columns of each kind beside time, in SI; a word is one of few, of which each is kept once."""
 _NAME: Final = re.compile(r"(\d{8})-(\d{8})\.parquet")
@@ -48,6 +59,8 @@ _MERGED: Final = 32
 _LONGEST: Final = 60.0
 """s that rows wait in memory."""
 _MOST_WAITING: Final = 10_000
+_LOCK_SECONDS: Final = 2.0
+"""s that another writer is waited for, which takes some milliseconds to write."""
 
 
 class _File(NamedTuple):
@@ -64,7 +77,7 @@ class _File(NamedTuple):
 
 
 class Archive:
-    """One archive, for one writer and any number of readers.
+    """One archive, for any number of writers and readers on one machine.
 
     Args:
         folder: of the archive. years: that are kept. most_bytes: beyond which the oldest months go, of all valves.
@@ -84,11 +97,12 @@ class Archive:
         self._waiting: dict[tuple[Kind, str, str], list[dict[str, object]]] = defaultdict(list)
         self._since: float | None = None
 
-    def add(self, kind: Kind, valve: str, time: datetime, row: Row, now: float) -> None:
+    def add(self, kind: Kind, valve: str, at: datetime, row: Row, now: float) -> None:
         """Take a row; it is on the disk a minute later at most, if `tick` is called.
 
         Args:
-            kind: of the row. valve: full name of its node. time: of it, in UTC. row: values by column; others are null.
+            kind: of the row. valve: full name of its node. at: its time, in UTC.
+            row: values by column; others are null.
             now: s of a clock that does not go back, for the minute.
 
         Raises:
@@ -96,8 +110,8 @@ class Archive:
         """
         if unknown := set(row) - set(COLUMNS[kind]):
             raise ValueError(f"{kind} have no column {', '.join(sorted(unknown))}")
-        month = time.astimezone(timezone.utc).strftime("%Y-%m")
-        self._waiting[kind, valve, month].append({"time": time, **row})
+        month = at.astimezone(timezone.utc).strftime("%Y-%m")
+        self._waiting[kind, valve, month].append({"time": at, **row})
         self._since = now if self._since is None else self._since
 
     def tick(self, now: float) -> None:
@@ -114,8 +128,15 @@ class Archive:
         """Write all that waits.
 
         Raises:
-            ValveError: it cannot be written, as where the disk is full; what was not written waits on.
+            ValveError: it cannot be written, as where the disk is full or another writer does not end; what was not
+                written waits on.
         """
+        if self._waiting:
+            with self._locked():
+                self._write_waiting()
+        self._since = None
+
+    def _write_waiting(self) -> None:
         for place in list(self._waiting):
             kind, valve, month = place
             folder = self._place(kind, valve) / f"month={month}"
@@ -124,7 +145,29 @@ class Archive:
             self._write(kind, folder, number, number, self._table(kind, self._waiting[place]))
             del self._waiting[place]
             self._merge(kind, folder)
-        self._since = None
+
+    @contextlib.contextmanager
+    def _locked(self) -> Iterator[None]:
+        """While no other writer writes; the kernel lets go of the lock of a process that ends."""
+        path = self._folder / ".lock"
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+            lock = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        except OSError as error:
+            raise ValveError(f"{path}: cannot be written ({error.strerror}); choose another folder") from error
+        try:
+            latest = time.monotonic() + _LOCK_SECONDS
+            while True:
+                try:
+                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    break
+                except BlockingIOError as error:
+                    if time.monotonic() > latest:
+                        raise ValveError(f"{path}: another program has been writing for seconds; end it") from error
+                    time.sleep(0.02)
+            yield
+        finally:
+            os.close(lock)
 
     def valves(self) -> list[str]:
         """Full names of all valves of which there is something."""
@@ -164,7 +207,14 @@ class Archive:
 
         Returns:
             the months that went, such as 2016-11.
+
+        Raises:
+            ValveError: another writer does not end.
         """
+        with self._locked():
+            return self._prune(now)
+
+    def _prune(self, now: datetime) -> list[str]:
         oldest = (now - timedelta(days=365.25 * self._years)).strftime("month=%Y-%m")
         months = sorted({path.name for path in self._folder.glob("*/valve=*/month=*")})
         gone = [month for month in months if month < oldest]
