@@ -12,13 +12,14 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import math
 import os
 import re
 import time
 import urllib.parse
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from datetime import datetime, timedelta, timezone
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple, get_args
 
@@ -80,7 +81,8 @@ class Archive:
     """One archive, for any number of writers and readers on one machine.
 
     Args:
-        folder: of the archive. years: that are kept. most_bytes: beyond which the oldest months go, of all valves.
+        folder: of the archive. years: of which as many months are kept as they have, and the present one.
+        most_bytes: beyond which the oldest months go, of all valves.
 
     Raises:
         ValveError: pyarrow is not installed.
@@ -164,7 +166,7 @@ class Archive:
                 except BlockingIOError as error:
                     if time.monotonic() > latest:
                         raise ValveError(f"{path}: another program has been writing for seconds; end it") from error
-                    time.sleep(0.02)
+                    time.sleep(0.005)
             yield
         finally:
             os.close(lock)
@@ -214,8 +216,10 @@ class Archive:
         """Bytes of all files."""
         return sum(path.stat().st_size for path in self._folder.rglob("*.parquet"))
 
-    def prune(self, now: datetime) -> list[str]:
-        """Take out months that are older than what is kept, and the oldest ones of what is too much.
+    def prune(self) -> list[str]:
+        """Take out months beyond those that are kept, the oldest ones, and of what is too much.
+
+        Months are counted, and no clock is asked: one that is wrong by decades would take out all of them.
 
         Returns:
             the months that went, such as 2016-11.
@@ -224,12 +228,12 @@ class Archive:
             ValveError: another writer does not end.
         """
         with self._locked():
-            return self._prune(now)
+            return self._prune()
 
-    def _prune(self, now: datetime) -> list[str]:
-        oldest = (now - timedelta(days=365.25 * self._years)).strftime("month=%Y-%m")
+    def _prune(self) -> list[str]:
         months = sorted({path.name for path in self._folder.glob("*/valve=*/month=*")})
-        gone = [month for month in months if month < oldest]
+        kept = 1 + math.ceil(12.0 * self._years)  # that of today has just begun
+        gone = months[: max(0, len(months) - kept)]
         size = self.size()
         for month in months:
             files = [path for path in self._folder.glob(f"*/valve=*/{month}/*.parquet") if path.is_file()]

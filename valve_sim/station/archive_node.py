@@ -91,7 +91,7 @@ class ArchiveNode(RosNode):
             self._archive.tick(now)
             if now >= self._prune_at:
                 self._prune_at = now + _BETWEEN_PRUNINGS
-                for month in self._archive.prune(datetime.now(timezone.utc)):
+                for month in self._archive.prune():
                     self._node.get_logger().info(f"{month} has been taken out of the archive")
         except ValveError as error:
             self._node.get_logger().error(f"{error}; rows wait", throttle_duration_sec=10.0)
