@@ -1,4 +1,7 @@
-"""The station's files for other programs: SROS 2, Foxglove, PlotJuggler. Well formed, and true to the nodes' topics."""
+"""The station's files for other programs: SROS 2, Foxglove, PlotJuggler, the diagnostic aggregator.
+
+They are well formed, and true to the nodes' topics.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,7 @@ from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 import pytest
+import yaml
 from identification.live_strokes import LiveValve, feed
 
 from valve_sim.files.parameter_files import default_valve
@@ -21,6 +25,8 @@ from valve_sim.nodes.monitor_status import stroke_status
 CONFIG = Path(__file__).parents[1] / "config"
 TANKS = ("tank_1", "tank_2", "tank_3")
 NODES = {"valve": tables.VALVE, "monitor": tables.MONITOR}
+OF_ALL = ("/opcua", "/plc", "/archive")
+"""Nodes of the whole station."""
 FIELDS = {
     "BatteryState": "current|voltage",
     "JointState": r"position\[[01]\]",
@@ -201,5 +207,32 @@ def test_each_node_has_an_enclave_of_its_own_name() -> None:
         ]
         for enclave in root.iter("enclave")
     }
-    wanted = [f"/{tank}/{node}" for tank in TANKS for node in NODES] + ["/sequencer", "/dispenser"]
+    wanted = [f"/{tank}/{node}" for tank in TANKS for node in NODES] + ["/sequencer", "/dispenser", *OF_ALL]
     assert enclaves == {path: [path] for path in wanted}
+
+
+# --- diagnostic aggregator ---
+
+
+def places_of(name: str) -> list[str]:
+    """Where a status of this name is shown, as GenericAnalyzer documents it.
+
+    It takes names that begin with a word of `startswith`, and shows them without the words of `remove_prefix`.
+    """
+    (node,) = yaml.safe_load((CONFIG / "diagnostic_aggregator.yaml").read_text(encoding="utf-8")).values()
+    parameters = node["ros__parameters"]
+    found = []
+    for entry in (entry for entry in parameters.values() if isinstance(entry, dict)):
+        assert entry["type"] == "diagnostic_aggregator/GenericAnalyzer"
+        if any(name.startswith(word) for word in entry["startswith"]):
+            prefix = next((word for word in entry["remove_prefix"] if name.startswith(word)), "")
+            found.append(f"/{parameters['path']}/{entry['path']}/{name.removeprefix(prefix).lstrip(': ')}")
+    return found
+
+
+@pytest.mark.parametrize("tank", TANKS)
+@pytest.mark.parametrize("node", NODES)
+def test_the_aggregator_shows_each_status_once_below_its_node(tank: str, node: str) -> None:
+    assert "/diagnostics" in {entry.name for entry in NODES[node]}
+    assert places_of(f"{tank}/{node}: timing") == [f"/Station/{tank} {node}/timing"]
+    assert places_of(f"{tank}0/{node}: timing") == [], "another tank is none of these"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import runpy
 import sys
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
@@ -64,6 +64,8 @@ class Node(NamedTuple):
     parameters: list[list[str | IfElseSubstitution] | dict[str, Any]]
     condition: IfCondition | None = None
     output: str = ""
+    remappings: Sequence[tuple[str, Sequence[str | LaunchConfiguration]]] = ()
+    arguments: Sequence[str] = ()
 
     @property
     def full_name(self) -> str:

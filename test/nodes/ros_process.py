@@ -21,6 +21,8 @@ ENDS_WITHIN = 600.0
 """Seconds after which a process that should end counts as hanging."""
 ASK_AGAIN = 5.0
 """Seconds after which a question, or a message that has no effect, counts as lost."""
+NODES = ("valve_node", "monitor_node", "identification_node", "command_profile")
+"""Programs of `valve_sim.nodes`; the others are of `valve_sim.station`."""
 _MIDDLEWARE = re.compile(r"^\d{4}-\d\d-\d\d [\d:.]+ \[\w+ (Error|Warning)\] ")
 _COLOUR = re.compile(r"\x1b\[[\d;]*m")
 
@@ -77,7 +79,7 @@ class NodeProcess:
         self, folder: Path, arguments: Sequence[str] = (), program: str = "valve_node", **environment: str
     ) -> None:
         self._log = folder / f"stderr-{time.monotonic_ns()}.txt"
-        package = "station" if program == "dispenser_node" else "nodes"
+        package = "nodes" if program in NODES else "station"
         command = [sys.executable, "-m", f"valve_sim.{package}", program, *arguments]
         with self._log.open("w") as log:
             self.process = subprocess.Popen(

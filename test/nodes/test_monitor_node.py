@@ -148,6 +148,7 @@ def test_a_valve_with_topics_and_units_of_its_own_is_watched_by_a_map(probe: Pro
         assert process.wait(ENDS_WITHIN) == 0
 
 
+@pytest.mark.long
 @pytest.mark.any_distribution
 def test_friction_that_appears_in_a_real_valve_is_warned_of_and_named(probe: Probe, tmp_path: Path) -> None:
     plant = PlantOnTopics(probe, LiveValve(seed=5, rate=5e3, jitter=0.0))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -13,7 +14,7 @@ from xml.etree import ElementTree
 import pytest
 
 from .launch_plan import read_launch_file
-from .ros_process import Probe
+from .ros_process import Probe, running
 
 pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
@@ -93,3 +94,36 @@ def test_the_other_tanks_have_the_same_rights() -> None:
         first = allowed[f"/tank_1/{name}"]
         for tank in ("tank_2", "tank_3"):
             assert allowed[f"/{tank}/{name}"] == {(right, where.replace("tank_1", tank)) for right, where in first}
+
+
+VALVES = "valves:=[tank_1/valve, tank_2/valve, tank_3/valve]"
+MONITORS = ("-p", "monitors:=[tank_1/monitor, tank_2/monitor, tank_3/monitor]")
+
+
+@pytest.mark.parametrize(
+    ("name", "extra", "arguments"),
+    [("opcua", "asyncua", MONITORS), ("plc", "pymodbus", ()), ("archive", "pyarrow", MONITORS)],
+)
+def test_the_nodes_of_the_whole_station_too(
+    in_own_domain: None, tmp_path: Path, name: str, extra: str, arguments: tuple[str, ...]
+) -> None:
+    pytest.importorskip(extra, reason=f"{extra} is not installed")
+    words = ["--ros-args", "-p", VALVES, *arguments, "-p", "use_sim_time:=true"]
+    words += ["-p", f"port:={free_port()}"] if name != "archive" else []
+    words += ["-p", f"folder:={tmp_path / name}"] if name != "plc" else []
+    allowed = rights_by_policy()[f"/{name}"]
+    rclpy.init()
+    probe = Probe(f"/{name}")
+    try:
+        with running(tmp_path, words, f"{name}_node") as process:
+            probe.until(lambda: rights_in_use(probe.node, f"/{name}") == allowed)
+            assert rights_in_use(probe.node, f"/{name}") == allowed, process.output
+    finally:
+        probe.close()
+        rclpy.try_shutdown()
+
+
+def free_port() -> int:
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        return int(found.getsockname()[1])

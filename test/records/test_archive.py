@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import random
 import subprocess
 import sys
@@ -106,6 +107,41 @@ while True:
         number = len(found)
 
 
+def test_two_writers_at_once_lose_nothing(tmp_path: Path) -> None:
+    program = """
+import sys; from pathlib import Path; from datetime import timedelta
+sys.path.insert(0, sys.argv[2])
+from records.test_archive import START, VALVE, Archive, ValveError
+archive, first = Archive(Path(sys.argv[1])), int(sys.argv[3])
+for number in range(first, first + 100):
+    archive.add("strokes", VALVE, START + timedelta(seconds=number), {"number": number}, 0.0)
+    try:
+        archive.flush()
+    except ValveError:  # the other one had the lock for long: what waits is written with the next
+        pass
+while archive._waiting:
+    try:
+        archive.flush()
+    except ValveError:
+        pass
+"""
+    arguments = [sys.executable, "-c", program, str(tmp_path), str(Path(__file__).parents[1])]
+    processes = [subprocess.Popen([*arguments, str(first)]) for first in (0, 100)]
+    assert [process.wait(600) for process in processes] == [0, 0]
+    assert [row["number"] for row in Archive(tmp_path).read("strokes", VALVE)] == list(range(200))
+
+
+def test_who_holds_the_lock_for_long_is_said_and_rows_wait(tmp_path: Path) -> None:
+    archive = filled(tmp_path, 1)
+    archive.add("strokes", VALVE, START + timedelta(minutes=5), {"number": 2}, 0.0)
+    with (tmp_path / ".lock").open("w") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        with pytest.raises(ValveError, match="another program has been writing"):
+            archive.flush()
+    archive.flush()
+    assert [row["number"] for row in archive.read("strokes", VALVE)] == [0, 1, 2]
+
+
 def test_a_disk_that_is_full_loses_nothing_once_there_is_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     archive = filled(tmp_path, 1)
     archive.add("strokes", VALVE, START + timedelta(minutes=5), {"number": 2}, 0.0)
@@ -122,12 +158,25 @@ def test_it_stays_within_its_years_and_bytes(tmp_path: Path) -> None:
     filled(tmp_path, 36, step=timedelta(days=31))
     months = sorted({path.name for path in tmp_path.glob("strokes/*/*")})
     archive = Archive(tmp_path, years=1.0)
-    gone = archive.prune(START + timedelta(days=36 * 31))
+    gone = archive.prune()
     assert [f"month={month}" for month in gone] == months[: len(gone)] and 20 < len(gone) < 26
     size = archive.size()
     bounded = Archive(tmp_path, most_bytes=size // 2)
-    assert bounded.prune(START) and bounded.size() <= size // 2
-    assert Archive(tmp_path, most_bytes=0).prune(START) and len(list(tmp_path.glob("strokes/*/*"))) == 1
+    assert bounded.prune() and bounded.size() <= size // 2
+    assert Archive(tmp_path, most_bytes=0).prune() and len(list(tmp_path.glob("strokes/*/*"))) == 1
+
+
+@pytest.mark.parametrize(
+    "wrong", [datetime(1970, 1, 1, tzinfo=timezone.utc), datetime(2106, 1, 1, tzinfo=timezone.utc)]
+)
+def test_a_wrong_clock_costs_no_month_but_what_it_made(tmp_path: Path, wrong: datetime) -> None:
+    archive = filled(tmp_path, 6, step=timedelta(days=31))
+    archive.add("strokes", VALVE, wrong, {"number": -1}, 0.0)
+    archive.flush()
+    assert Archive(tmp_path, years=0.5).prune() == []
+    rows = archive.read("strokes", VALVE)
+    assert {row["number"] for row in rows} == set(range(-1, 12))
+    assert [row["number"] for row in archive.read("strokes", VALVE, START, START + timedelta(days=1))] == [0, 1]
 
 
 def test_a_damaged_file_is_named(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from valve_sim.model import ValveError
-from valve_sim.station.alarms import Alarm, Refusal, load_alarms, save_alarms
+from valve_sim.station.alarms import LONGEST_SHELVED, Alarm, Refusal, Shelving, load_alarms, save_alarms
 
 
 def raised() -> Alarm:
@@ -62,6 +62,37 @@ def test_answers_that_do_not_count_say_why() -> None:
     assert isinstance(noted, Alarm) and noted.comment == "spring ordered"
 
 
+def test_an_alarm_is_shelved_for_a_time() -> None:
+    shelved = raised().shelve(60.0, "Ada", 11.0, "b")
+    assert isinstance(shelved, Alarm) and shelved.is_shelved
+    assert (shelved.shelved_until, shelved.user, shelved.event, shelved.active) == (71.0, "Ada", "b", True)
+    assert shelved.shelve(60.0, "Ada", 12.0, "c") is Refusal.ALREADY_SHELVED
+    worse = shelved.reported(2, "did not open", 20.0, "c")
+    assert worse is not None and worse.is_shelved and not worse.acknowledged
+    assert shelved.expired(70.9, "c") is None
+    over = shelved.expired(71.0, "c")
+    assert over is not None and not over.is_shelved and over.active and over.expired(72.0, "d") is None
+    gone = shelved.reported(0, "as commissioned", 20.0, "c")
+    assert gone is not None and gone.is_shelved, "it is shelved for a time, whatever happens meanwhile"
+
+
+def test_an_alarm_is_shelved_until_it_is_inactive_or_a_person_takes_it_back() -> None:
+    shelved = raised().shelve(None, "Ada", 11.0, "b")
+    assert isinstance(shelved, Alarm) and shelved.shelving is Shelving.ONE_SHOT
+    assert shelved.shelve(None, "Ada", 12.0, "c") is Refusal.ALREADY_SHELVED
+    assert shelved.expired(1e12, "c") is None
+    gone = shelved.reported(0, "as commissioned", 12.0, "c")
+    assert gone is not None and not gone.is_shelved
+    back = shelved.unshelve("Bob", 12.0, "c")
+    assert isinstance(back, Alarm) and not back.is_shelved and back.user == "Bob"
+    assert back.unshelve("Bob", 13.0, "d") is Refusal.NOT_SHELVED
+
+
+@pytest.mark.parametrize("seconds", [0.0, -1.0, float("nan"), 2 * LONGEST_SHELVED])
+def test_a_time_that_is_none_shelves_nothing(seconds: float) -> None:
+    assert raised().shelve(seconds, "Ada", 11.0, "b") is Refusal.TIME_OUT_OF_RANGE
+
+
 def test_the_events_of_an_occurrence_are_bounded() -> None:
     alarm = raised()
     for count in range(100):
@@ -74,8 +105,11 @@ def test_the_events_of_an_occurrence_are_bounded() -> None:
 def test_alarms_are_kept_whole_or_refused(tmp_path: Path) -> None:
     path = tmp_path / "alarms.json"
     assert load_alarms(path) == {}
-    save_alarms(path, {"/tank_1/valve": raised(), "/tank_2/valve": Alarm()})
-    assert load_alarms(path) == {"/tank_1/valve": raised(), "/tank_2/valve": Alarm()}
+    shelved = raised().shelve(60.0, "Ada", 11.0, "b")
+    assert isinstance(shelved, Alarm)
+    alarms = {"/tank_1/valve": raised(), "/tank_2/valve": Alarm(), "/tank_3/valve": shelved}
+    save_alarms(path, alarms)
+    assert load_alarms(path) == alarms
     path.write_text(path.read_text()[:-30])
     with pytest.raises(ValveError, match="is no file of alarms"):
         load_alarms(path)

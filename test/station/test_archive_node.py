@@ -44,7 +44,46 @@ def test_each_thing_is_kept_once(tmp_path: Path) -> None:
     assert (finding["effect"], finding["value"], finding["unit"]) == ("coulomb_friction", 0.31, "N")
     alarms = archive.read("alarms", VALVE)
     assert [(row["level"], row["message"]) for row in alarms] == [(1, "changed"), (0, "fine")]
-    assert {row["strokes_since_service"] for row in alarms} == {31}
+    assert {row["strokes_since_service"] for row in alarms} == {1}
+    assert {row["alarm_class"] for row in alarms} == {"health"}
+
+
+def test_strokes_count_since_the_last_service_over_restarts(tmp_path: Path) -> None:
+    def stroke(number: int) -> Report:
+        return stroke_report(json.dumps({**STROKE, "stroke": number}))._replace(
+            valve=VALVE, time=START + timedelta(minutes=number)
+        )
+
+    for first in (0, 4):
+        archive = Archive(tmp_path)
+        keeper = Keeper(archive)
+        for number in range(first, first + 4):
+            keeper.take(stroke(number), 0.0)
+        assert keeper.strokes_since_service(VALVE) == first + 4
+        archive.flush()
+    assert keeper.note_service(VALVE, START + timedelta(minutes=7.5), 0.0) == "serviced after 8 strokes"
+    keeper.take(stroke(8), 0.0)
+    archive.flush()
+    again = Keeper(Archive(tmp_path))
+    assert again.strokes_since_service(VALVE) == 1
+    (row,) = archive.read("alarms", VALVE)
+    assert (row["alarm_class"], row["level"], row["strokes_since_service"]) == ("service", 0, 8)
+    next(tmp_path.glob("strokes/*/*/*.parquet")).write_bytes(b"damaged")
+    damaged = Keeper(Archive(tmp_path))
+    damaged.take(stroke(9), 0.0)
+    assert damaged.strokes_since_service(VALVE) is None
+
+
+def test_what_a_valves_own_node_says_is_a_class_of_its_own(tmp_path: Path) -> None:
+    archive = Archive(tmp_path)
+    keeper = Keeper(archive)
+    for level in (1, 1, 0):
+        keeper.take(Report(VALVE, START, {"Driver.Level": level, "Driver.Message": "too busy"}), 0.0)
+    archive.flush()
+    assert [(row["alarm_class"], row["level"]) for row in archive.read("alarms", VALVE)] == [
+        ("driver", 1),
+        ("driver", 0),
+    ]
 
 
 def test_settings_are_checked_in_one_line() -> None:
@@ -65,6 +104,7 @@ def test_what_a_monitor_said_is_read_after_the_node_has_gone(probe: Probe, tmp_p
     from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
     from rclpy.qos import DurabilityPolicy, QoSProfile
     from std_msgs.msg import String
+    from std_srvs.srv import Trigger
 
     entries = [KeyValue(key=key, value=value) for key, value in FINDING.items()]
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -79,6 +119,8 @@ def test_what_a_monitor_said_is_read_after_the_node_has_gone(probe: Probe, tmp_p
         strokes.publish(String(data="nonsense"))
         finding.publish(DiagnosticArray(status=[DiagnosticStatus(message=SUMMARY, values=entries)]))
         probe.spin_for(2.0)  # both are in the node's queues; the next look takes them
+        answer = probe.call("serviced", Trigger)
+        assert answer.success and answer.message == "/valve: serviced after 3 strokes; they count from 0 again"
         process.send_signal(signal.SIGINT)
         _, said = process.communicate(timeout=ENDS_WITHIN)
     assert process.returncode == 0, said

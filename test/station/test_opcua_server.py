@@ -93,6 +93,56 @@ def test_browse_subscribe_alarm_acknowledge_history_method(served: Served, tmp_p
     asyncio.run(operate())
 
 
+def test_an_alarm_is_shelved_and_comes_back_and_a_refresh_on_the_type_shows_it(served: Served, tmp_path: Path) -> None:
+    identity = Identity(tmp_path / "client").trusted_by(served.folder)
+
+    async def operate() -> None:
+        client = await connected(served.endpoint, identity)
+        shelf = await place(client, "Alarm.ShelvingState")
+        noted = Noted()
+        subscription = await client.create_subscription(50, noted)
+        await subscription.subscribe_alarms_and_conditions(client.nodes.server, ALARM)
+        served.put("/tank_1/valve", NOW, Health__Level=1, Health__Message="has changed")
+        await noted.until(lambda noted: noted.events)
+        await shelf.call_method(ua.NodeId(ua.ObjectIds.ShelvedStateMachineType_OneShotShelve))
+        await noted.until(lambda noted: noted.events[-1].SuppressedOrShelved)
+        state = await shelf.get_child("0:CurrentState")
+        assert (await state.read_value()).Text == "OneShotShelved"
+        assert await (await state.get_child("0:Id")).read_value() == ua.NodeId(2933)
+        with pytest.raises(ua.uaerrors.BadConditionAlreadyShelved):
+            await shelf.call_method("0:OneShotShelve")
+        await shelf.call_method("0:Unshelve")
+        await noted.until(lambda noted: not noted.events[-1].SuppressedOrShelved)
+        for refused in (0.0, 1e12):
+            with pytest.raises(ua.uaerrors.BadShelvingTimeOutOfRange):
+                await shelf.call_method("0:TimedShelve", ua.Variant(refused, ua.VariantType.Double))
+        await shelf.call_method("0:TimedShelve", ua.Variant(1500.0, ua.VariantType.Double))
+        await noted.until(lambda noted: noted.events[-1].SuppressedOrShelved)
+        assert 0.0 < await (await shelf.get_child("0:UnshelveTime")).read_value() <= 1500.0
+        await noted.until(lambda noted: not noted.events[-1].SuppressedOrShelved)
+        with pytest.raises(ua.uaerrors.BadConditionNotShelved):
+            await shelf.call_method("0:Unshelve")
+        await subscription.delete()
+        refresh = ua.NodeId(ua.ObjectIds.ConditionType_ConditionRefresh)
+        for source in (client.nodes.server, await place(client, "")):
+            fresh = Noted()
+            later = await client.create_subscription(50, fresh)
+            await later.subscribe_events(source, ALARM)
+            number = ua.Variant(later.subscription_id, ua.VariantType.UInt32)
+            await client.get_node(ua.ObjectIds.ConditionType).call_method(refresh, number)
+            await fresh.until(lambda fresh: any(event.Message.Text == "has changed" for event in fresh.events))
+            assert len([event for event in fresh.events if event.Message.Text == "has changed"]) == 1
+            await later.delete()
+        with pytest.raises(ua.uaerrors.BadSubscriptionIdInvalid):
+            await client.get_node(ua.ObjectIds.ConditionType).call_method(
+                refresh, ua.Variant(9999, ua.VariantType.UInt32)
+            )
+        await client.disconnect()
+
+    asyncio.run(operate())
+    assert not load_alarms(served.folder / "alarms.json")["/tank_1/valve"].is_shelved
+
+
 def test_who_is_not_trusted_is_refused_and_a_person_lets_him_in(served: Served, tmp_path: Path) -> None:
     stranger = Identity(tmp_path / "stranger")
 

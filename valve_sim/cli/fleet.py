@@ -46,6 +46,7 @@ if TYPE_CHECKING:
 @click.option(
     "--largest-bag", metavar="GB", type=finite_number(0.0, is_open=True), default=4.0, help="Larger bags are not read."
 )
+@click.option("--archive", metavar="DIR", type=FILE, help="Archive of monitors that keeps each bag's result, too.")
 @click.option("--dry-run", is_flag=True, help="Say what would be done, and how long it should take; open no bag.")
 @json_option
 def fleet(
@@ -58,6 +59,7 @@ def fleet(
     no_search: bool,
     budget: float,
     largest_bag: float,
+    archive: Path | None,
     dry_run: bool,
     as_json: bool,
 ) -> None:
@@ -86,7 +88,13 @@ def fleet(
 
         _print_forecast(forecast(sources, output, chosen, options), cluster[1] or os.cpu_count() or 1, as_json=as_json)
         return
-    _print_outcome(_examined(sources, output, cluster, chosen, options), as_json=as_json)
+    found = _examined(sources, output, cluster, chosen, options)
+    kept = None
+    if archive is not None:
+        from valve_sim.fleet.archiving import archive_rows
+
+        kept = f"{archive_rows(archive, found.rows)} results are new in {archive}"
+    _print_outcome(found, kept, as_json=as_json)
 
 
 def _examined(
@@ -133,13 +141,14 @@ def _duration(seconds: float) -> str:
     return f"{seconds / 60.0:.0f} min" if seconds < 7200.0 else f"{seconds / 3600.0:.1f} h"
 
 
-def _print_outcome(found: Outcome, *, as_json: bool) -> None:
+def _print_outcome(found: Outcome, kept: str | None, *, as_json: bool) -> None:
     states, verdicts = found.states, found.verdicts
     listed = ", ".join(f"{count} {words}" for words, count in sorted(states.items()))
     lines = [f"{len(found.rows)} rows ({listed}), {found.done} of them new"]
     if verdicts:
         lines.append("verdicts: " + ", ".join(f"{count} {words}" for words, count in sorted(verdicts.items())))
     lines += [f"drifts: {valve}" for valve in found.drifting]
+    lines += [kept] if kept else []
     report = {
         "rows": len(found.rows), "new": found.done, "states": states, "verdicts": verdicts, "drifting": found.drifting,
     }  # fmt: skip

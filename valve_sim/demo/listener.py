@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import queue
 import threading
 import time
@@ -36,7 +35,7 @@ class Listener:
     """This process's ROS node: hears the valve's topics in a thread of its own, commands its coil."""
 
     def __init__(self) -> None:
-        from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+        from rclpy.executors import SingleThreadedExecutor
         from rclpy.node import Node
         from rclpy.qos import DurabilityPolicy, QoSProfile
 
@@ -52,9 +51,14 @@ class Listener:
         self._executor.add_node(self.node)
 
         def spin() -> None:
-            with contextlib.suppress(ExternalShutdownException):
+            try:
                 self._executor.spin()
+            except Exception:
+                # A signal or `close` shuts ROS down while it waits, which may then fail with any exception.
+                if self.node.context.ok() and not self._is_closing:
+                    raise
 
+        self._is_closing = False
         self._thread = threading.Thread(target=spin, daemon=True)
         self._thread.start()
 
@@ -100,6 +104,7 @@ class Listener:
         """Shut down the node."""
         from rclpy.utilities import try_shutdown
 
+        self._is_closing = True
         self._executor.shutdown()
         self._thread.join(STOP_LIMIT)
         self.node.destroy_node()

@@ -155,10 +155,10 @@ class Interface:
         topic = self._topics[name, "in"]
         return inbox.subscribe(kind_of(topic.type), self._filled(name, places), take, profile(topic.qos), raw=raw)
 
-    def serve(self, name: str, answer: Callable[..., Any], group: CallbackGroup | None = None) -> None:
-        """Answer a service."""
+    def serve(self, name: str, answer: Callable[..., Any], group: CallbackGroup | None = None, **places: str) -> None:
+        """Answer a service; `places` as of the class."""
         kind = kind_of(self._topics[name, "service"].type)
-        self._node.create_service(kind, self._filled(name, {}), answer, callback_group=group)
+        self._node.create_service(kind, self._filled(name, places), answer, callback_group=group)
 
     def _filled(self, name: str, places: Mapping[str, str]) -> str:
         return name.format(**self._places, **places)

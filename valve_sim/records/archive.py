@@ -5,23 +5,28 @@
 A file's name says which writes it holds, by number. Rows are kept in memory for a minute at most and then written as
 one small file, whole or not at all; each 32 files of a size become one. A file whose numbers another one holds too is
 left over from a merger that was cut off, and is passed over. So a kill or a power cut loses what was not written yet
-and nothing else.
+and nothing else. Whoever writes holds the lock of the file `.lock`, so that archive_node and a fleet share an archive.
 """
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
+import math
+import os
 import re
+import time
 import urllib.parse
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from datetime import datetime, timedelta, timezone
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple, get_args
 
 from valve_sim.model.errors import ValveError
 from valve_sim.records.durable import write_durably
 
-Kind = Literal["strokes", "findings", "alarms"]
+Kind = Literal["strokes", "findings", "alarms", "recordings"]
 Row = Mapping[str, object]
 
 COLUMNS: Final[dict[Kind, dict[str, str]]] = {
@@ -40,6 +45,13 @@ COLUMNS: Final[dict[Kind, dict[str, str]]] = {
         "level": "int8", "alarm_class": "word", "message": "string", "user": "word", "comment": "string",
         "is_shelved": "bool", "strokes_since_service": "int32",
     },
+    "recordings": {
+        "key": "string", "source": "string", "strokes": "int32", "verdict": "word", "effects": "string",
+        "probability": "float32", "summary": "string", "opening_delay": "float32", "opening_delay_stderr": "float32",
+        "t1": "float32", "t1_stderr": "float32", "t2": "float32", "t2_stderr": "float32", "closing_time": "float32",
+        "closing_time_stderr": "float32", "pilot_damping": "float32", "pilot_damping_stderr": "float32",
+        "main_damping": "float32", "main_damping_stderr": "float32",
+    },
 }  # fmt: skip
 """Columns of each kind beside time, in SI; a word is one of few, of which each is kept once."""
 _NAME: Final = re.compile(r"(\d{8})-(\d{8})\.parquet")
@@ -48,6 +60,8 @@ _MERGED: Final = 32
 _LONGEST: Final = 60.0
 """s that rows wait in memory."""
 _MOST_WAITING: Final = 10_000
+_LOCK_SECONDS: Final = 2.0
+"""s that another writer is waited for, which takes some milliseconds to write."""
 
 
 class _File(NamedTuple):
@@ -64,10 +78,11 @@ class _File(NamedTuple):
 
 
 class Archive:
-    """One archive, for one writer and any number of readers.
+    """One archive, for any number of writers and readers on one machine.
 
     Args:
-        folder: of the archive. years: that are kept. most_bytes: beyond which the oldest months go, of all valves.
+        folder: of the archive. years: of which as many months are kept as they have, and the present one.
+        most_bytes: beyond which the oldest months go, of all valves.
 
     Raises:
         ValveError: pyarrow is not installed.
@@ -84,11 +99,12 @@ class Archive:
         self._waiting: dict[tuple[Kind, str, str], list[dict[str, object]]] = defaultdict(list)
         self._since: float | None = None
 
-    def add(self, kind: Kind, valve: str, time: datetime, row: Row, now: float) -> None:
+    def add(self, kind: Kind, valve: str, at: datetime, row: Row, now: float) -> None:
         """Take a row; it is on the disk a minute later at most, if `tick` is called.
 
         Args:
-            kind: of the row. valve: full name of its node. time: of it, in UTC. row: values by column; others are null.
+            kind: of the row. valve: full name of its node. at: its time, in UTC.
+            row: values by column; others are null.
             now: s of a clock that does not go back, for the minute.
 
         Raises:
@@ -96,8 +112,8 @@ class Archive:
         """
         if unknown := set(row) - set(COLUMNS[kind]):
             raise ValueError(f"{kind} have no column {', '.join(sorted(unknown))}")
-        month = time.astimezone(timezone.utc).strftime("%Y-%m")
-        self._waiting[kind, valve, month].append({"time": time, **row})
+        month = at.astimezone(timezone.utc).strftime("%Y-%m")
+        self._waiting[kind, valve, month].append({"time": at, **row})
         self._since = now if self._since is None else self._since
 
     def tick(self, now: float) -> None:
@@ -114,8 +130,15 @@ class Archive:
         """Write all that waits.
 
         Raises:
-            ValveError: it cannot be written, as where the disk is full; what was not written waits on.
+            ValveError: it cannot be written, as where the disk is full or another writer does not end; what was not
+                written waits on.
         """
+        if self._waiting:
+            with self._locked():
+                self._write_waiting()
+        self._since = None
+
+    def _write_waiting(self) -> None:
         for place in list(self._waiting):
             kind, valve, month = place
             folder = self._place(kind, valve) / f"month={month}"
@@ -124,7 +147,29 @@ class Archive:
             self._write(kind, folder, number, number, self._table(kind, self._waiting[place]))
             del self._waiting[place]
             self._merge(kind, folder)
-        self._since = None
+
+    @contextlib.contextmanager
+    def _locked(self) -> Iterator[None]:
+        """While no other writer writes; the kernel lets go of the lock of a process that ends."""
+        path = self._folder / ".lock"
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+            lock = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        except OSError as error:
+            raise ValveError(f"{path}: cannot be written ({error.strerror}); choose another folder") from error
+        try:
+            latest = time.monotonic() + _LOCK_SECONDS
+            while True:
+                try:
+                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    break
+                except BlockingIOError as error:
+                    if time.monotonic() > latest:
+                        raise ValveError(f"{path}: another program has been writing for seconds; end it") from error
+                    time.sleep(0.005)
+            yield
+        finally:
+            os.close(lock)
 
     def valves(self) -> list[str]:
         """Full names of all valves of which there is something."""
@@ -143,7 +188,20 @@ class Archive:
         Raises:
             ValveError: a file is damaged; the message names it.
         """
-        rows: list[dict[str, Any]] = []
+        rows = [row for table in self._tables(kind, valve, since, until) for row in table.to_pylist()]
+        return sorted(rows, key=lambda row: row["time"])
+
+    def count(self, kind: Kind, valve: str, since: datetime | None = None) -> int:
+        """How many rows of a valve there are on the disk, from a time on (that one too).
+
+        Raises:
+            ValveError: a file is damaged; the message names it.
+        """
+        return sum(len(table) for table in self._tables(kind, valve, since, None, ["time"]))
+
+    def _tables(
+        self, kind: Kind, valve: str, since: datetime | None, until: datetime | None, columns: list[str] | None = None
+    ) -> Iterator[Any]:
         months = sorted(self._place(kind, valve).glob("month=*"))
         first = None if since is None else since.astimezone(timezone.utc).strftime("month=%Y-%m")
         last = None if until is None else until.astimezone(timezone.utc).strftime("month=%Y-%m")
@@ -152,22 +210,30 @@ class Archive:
         for month in months:
             if (first is None or month.name >= first) and (last is None or month.name <= last):
                 for file in _held(month):
-                    rows += self._load(file, wanted or None).to_pylist()
-        return sorted(rows, key=lambda row: row["time"])
+                    yield self._load(file, wanted or None, columns)
 
     def size(self) -> int:
         """Bytes of all files."""
         return sum(path.stat().st_size for path in self._folder.rglob("*.parquet"))
 
-    def prune(self, now: datetime) -> list[str]:
-        """Take out months that are older than what is kept, and the oldest ones of what is too much.
+    def prune(self) -> list[str]:
+        """Take out months beyond those that are kept, the oldest ones, and of what is too much.
+
+        Months are counted, and no clock is asked: one that is wrong by decades would take out all of them.
 
         Returns:
             the months that went, such as 2016-11.
+
+        Raises:
+            ValveError: another writer does not end.
         """
-        oldest = (now - timedelta(days=365.25 * self._years)).strftime("month=%Y-%m")
+        with self._locked():
+            return self._prune()
+
+    def _prune(self) -> list[str]:
         months = sorted({path.name for path in self._folder.glob("*/valve=*/month=*")})
-        gone = [month for month in months if month < oldest]
+        kept = 1 + math.ceil(12.0 * self._years)  # that of today has just begun
+        gone = months[: max(0, len(months) - kept)]
         size = self.size()
         for month in months:
             files = [path for path in self._folder.glob(f"*/valve=*/{month}/*.parquet") if path.is_file()]
@@ -213,9 +279,9 @@ class Archive:
             self._write(kind, folder, last[0].first, last[-1].last, whole)
         _sweep(folder)
 
-    def _load(self, file: _File, wanted: Any = None) -> Any:
+    def _load(self, file: _File, wanted: Any = None, columns: list[str] | None = None) -> Any:
         try:
-            return self._parquet.read_table(file.path, partitioning=None, filters=wanted)
+            return self._parquet.read_table(file.path, partitioning=None, filters=wanted, columns=columns)
         except (OSError, self._arrow.ArrowException) as error:
             raise ValveError(
                 f"{file.path}: cannot be read ({' '.join(str(error).split())[:120]}); restore it, or take it away: "

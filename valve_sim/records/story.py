@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -28,12 +28,13 @@ class Month(NamedTuple):
 
 
 class Story(NamedTuple):
-    """What happened to a valve: strokes by month, then findings and alarms as rows of the archive, in order of time."""
+    """What happened to a valve: strokes by month, and rows of findings, alarms and examined recordings, by time."""
 
     valve: str
     months: tuple[Month, ...]
     findings: Rows
     alarms: Rows
+    recordings: Rows
     strokes: Rows
 
 
@@ -59,9 +60,10 @@ def tell(archive: Archive, valve: str, since: datetime | None, until: datetime |
         Month(month, len(rows), {figure: _median(rows, figure) for figure in _FIGURES})
         for month, rows in by_month.items()
     )
-    return Story(
-        name, months, archive.read("findings", name, since, until), archive.read("alarms", name, since, until), strokes
+    findings, alarms, recordings = (
+        archive.read(kind, name, since, until) for kind in ("findings", "alarms", "recordings")
     )
+    return Story(name, months, findings, alarms, recordings, strokes)
 
 
 def story_json(story: Story) -> dict[str, Any]:
@@ -72,6 +74,7 @@ def story_json(story: Story) -> dict[str, Any]:
         "months": [{"month": month.month, "strokes": month.strokes, **month.medians} for month in story.months],
         "findings": [_dated(row) for row in story.findings],
         "alarms": [_dated(row) for row in story.alarms],
+        "recordings": [_dated(row) for row in story.recordings],
     }
 
 
@@ -85,7 +88,12 @@ def story_text(story: Story) -> str:
             f"{month.month}{month.strokes:10d}{_scaled(t1, 1e3):>10}{_scaled(t2, 1e3):>10}{_scaled(closing, 1e3):>14}"
             f"{_scaled(damping, 1.0):>12}{_scaled(residual, 1e6):>15}"
         )
-    for name, rows, words in (("findings", story.findings, _finding), ("alarms", story.alarms, _alarm)):
+    listed: tuple[tuple[str, Rows, Callable[[Mapping[str, Any]], str]], ...] = (
+        ("findings", story.findings, _finding),
+        ("alarms", story.alarms, _alarm),
+        ("recordings", story.recordings, _recording),
+    )
+    for name, rows, words in listed:
         if rows:
             left = f", the last {_SHOWN} of {len(rows)}" if len(rows) > _SHOWN else ""
             lines += ["", f"{name}{left}:"]
@@ -134,6 +142,10 @@ def _dated(row: Mapping[str, Any]) -> dict[str, Any]:
 
 def _finding(row: Mapping[str, Any]) -> str:
     return row["summary"] or f"{row['effect']} {row['parameter']} {row['value']} {row['unit'] or ''}".strip()
+
+
+def _recording(row: Mapping[str, Any]) -> str:
+    return f"{row['summary'] or row['verdict']} ({row['source']})"
 
 
 def _alarm(row: Mapping[str, Any]) -> str:

@@ -1,7 +1,8 @@
 """The alarm of one valve as OPC UA has it (Part 9): active, acknowledged, confirmed; plain data, without OPC UA.
 
 An alarm becomes active when the monitor of its valve says WARN or ERROR. A person acknowledges that it was seen and
-confirms that it was dealt with; it is shown (retained) until it is inactive, acknowledged and confirmed.
+confirms that it was dealt with; it is shown (retained) until it is inactive, acknowledged and confirmed. A person may
+shelve it, for a time or until it is inactive: it is then known, and clients do not ask for attention.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ SEVERITIES: Final = {0: 1, 1: 500, 2: 800, 3: 300}
 _ALARMING: Final = (1, 2)
 _MOST_EVENTS: Final = 32
 """Events of one occurrence by which it can be acknowledged: a client may hold one that is not the last."""
+LONGEST_SHELVED: Final = 30 * 86400.0
+"""s that an alarm may be shelved: what is to be ignored for longer is to be repaired, or commissioned anew."""
 _SCHEMA: Final = "valve_sim/alarms/1"
 
 
@@ -31,6 +34,17 @@ class Refusal(enum.Enum):
     ALREADY_ACKNOWLEDGED = "the alarm is acknowledged already"
     NOT_ACKNOWLEDGED = "the alarm is not acknowledged yet"
     ALREADY_CONFIRMED = "the alarm is confirmed already"
+    ALREADY_SHELVED = "the alarm is shelved like this already"
+    NOT_SHELVED = "the alarm is not shelved"
+    TIME_OUT_OF_RANGE = "the time is not above 0, or longer than an alarm may be shelved"
+
+
+class Shelving(enum.Enum):
+    """Whether an alarm is shelved, as OPC UA names it; the value is the state's number."""
+
+    UNSHELVED = 1
+    TIMED = 2
+    ONE_SHOT = 3
 
 
 @dataclass(frozen=True)
@@ -42,6 +56,7 @@ class Alarm:
         level: of the last report. severity, last_severity: of now and of before, 1 to 1000.
         message: of the last report. comment, user: of the person who answered last.
         time: of the last change, s since 1970. event: of the last change. events: of this occurrence, the last 32.
+        shelving: whether a person has shelved it. shelved_until: s since 1970; 0 where that is not for a time.
     """
 
     active: bool = False
@@ -56,6 +71,13 @@ class Alarm:
     time: float = 0.0
     event: str = ""
     events: tuple[str, ...] = ()
+    shelving: Shelving = Shelving.UNSHELVED
+    shelved_until: float = 0.0
+
+    @property
+    def is_shelved(self) -> bool:
+        """Whether clients are not to ask for attention."""
+        return self.shelving is not Shelving.UNSHELVED
 
     @property
     def is_retained(self) -> bool:
@@ -81,6 +103,8 @@ class Alarm:
         if is_active and (not self.active or severity > self.severity):
             # What has become worse than what a person has seen is to be seen anew.
             changed = replace(changed, acknowledged=False, confirmed=False, comment="", user="", events=())
+        if not is_active and self.shelving is Shelving.ONE_SHOT:
+            changed = replace(changed, shelving=Shelving.UNSHELVED)
         return changed._at(time, event)
 
     def acknowledge(self, seen: str, comment: str, user: str, time: float, event: str) -> Alarm | Refusal:
@@ -112,6 +136,34 @@ class Alarm:
             return Refusal.UNKNOWN_EVENT
         return replace(self, comment=comment, user=user)._at(time, event)
 
+    def shelve(self, seconds: float | None, user: str, time: float, event: str) -> Alarm | Refusal:
+        """The alarm after a person has shelved it; or why that does not count.
+
+        Args:
+            seconds: for which; None: until it is inactive. user, time, event: as `acknowledge`.
+        """
+        if seconds is None:
+            if self.shelving is Shelving.ONE_SHOT:
+                return Refusal.ALREADY_SHELVED
+            return replace(self, shelving=Shelving.ONE_SHOT, shelved_until=0.0, user=user)._at(time, event)
+        if self.shelving is Shelving.TIMED:
+            return Refusal.ALREADY_SHELVED
+        if not 0.0 < seconds <= LONGEST_SHELVED:
+            return Refusal.TIME_OUT_OF_RANGE
+        return replace(self, shelving=Shelving.TIMED, shelved_until=time + seconds, user=user)._at(time, event)
+
+    def unshelve(self, user: str, time: float, event: str) -> Alarm | Refusal:
+        """The alarm after a person has taken it from the shelf; or why that does not count; as `acknowledge`."""
+        if not self.is_shelved:
+            return Refusal.NOT_SHELVED
+        return replace(self, shelving=Shelving.UNSHELVED, shelved_until=0.0, user=user)._at(time, event)
+
+    def expired(self, time: float, event: str) -> Alarm | None:
+        """The alarm once the time for which it was shelved is over; None where it is not."""
+        if self.shelving is not Shelving.TIMED or time < self.shelved_until:
+            return None
+        return replace(self, shelving=Shelving.UNSHELVED, shelved_until=0.0)._at(time, event)
+
     def _at(self, time: float, event: str) -> Alarm:
         return replace(self, time=time, event=event, events=(*self.events, event)[-_MOST_EVENTS:])
 
@@ -122,7 +174,8 @@ def save_alarms(path: Path, alarms: Mapping[str, Alarm]) -> None:
     Raises:
         ValveError: the file cannot be written.
     """
-    content = {"schema": _SCHEMA, "alarms": {valve: asdict(alarm) for valve, alarm in alarms.items()}}
+    found = {valve: {**asdict(alarm), "shelving": alarm.shelving.name} for valve, alarm in alarms.items()}
+    content = {"schema": _SCHEMA, "alarms": found}
     write_whole(path, json.dumps(content, indent=1, ensure_ascii=False) + "\n")
 
 
@@ -149,4 +202,5 @@ def load_alarms(path: Path) -> dict[str, Alarm]:
 def _alarm(found: Mapping[str, Any]) -> Alarm:
     known = {entry.name for entry in fields(Alarm)}
     values = {name: value for name, value in found.items() if name in known}
-    return Alarm(**{**values, "events": tuple(found["events"])})
+    shelving = Shelving[found.get("shelving", Shelving.UNSHELVED.name)]
+    return Alarm(**{**values, "events": tuple(found["events"]), "shelving": shelving})

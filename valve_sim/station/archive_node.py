@@ -5,17 +5,19 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from datetime import datetime, timezone
+from functools import partial
 from pathlib import Path
 from typing import Final
 
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from std_srvs.srv import Trigger
 
 from valve_sim.files.parameter_sections import Section
 from valve_sim.files.whole_files import refuse_unwritable
 from valve_sim.model.errors import ValveError
 from valve_sim.nodes.spinning import guarded
-from valve_sim.nodes.wiring import RosNode, declared, full_name
+from valve_sim.nodes.wiring import Interface, RosNode, declared, full_name
 from valve_sim.records.archive import Archive
 from valve_sim.station.archive_tables import PARAMETERS, TOPICS, ArchiveSettings, archive_settings
 from valve_sim.station.figures import Report
@@ -28,7 +30,7 @@ _BETWEEN_PRUNINGS: Final = 6.0 * 3600.0
 
 
 class ArchiveNode(RosNode):
-    """The node `archive`, with the topics `TOPICS` of each of `monitors`.
+    """The node `archive`, with the topics and services `TOPICS` of each of `valves` and `monitors`.
 
     Parameters: `PARAMETERS`; they are read once, at the start. What cannot be written waits.
 
@@ -50,6 +52,9 @@ class ArchiveNode(RosNode):
             valves = [full_name(self._node, name, "valves") for name in settings.valves]
             monitors = [full_name(self._node, name, "monitors") for name in settings.monitors]
             self._ear = StationEar(self._node, TOPICS, valves, monitors, self._take, is_live=False)
+            interface = Interface(self._node, TOPICS)
+            for valve in valves:
+                interface.serve("{valve}/serviced", guarded(partial(self._note_service, valve)), valve=valve)
             self._node.create_timer(_PERIOD, guarded(self._look), clock=Clock(clock_type=ClockType.STEADY_TIME))
         except BaseException:
             self._node.destroy_node()
@@ -68,6 +73,17 @@ class ArchiveNode(RosNode):
     def _take(self, report: Report) -> None:
         self._keeper.take(report, time.monotonic())
 
+    def _note_service(self, valve: str, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._ear.look()  # strokes that came before
+        try:
+            words = self._keeper.note_service(valve, datetime.now(timezone.utc), time.monotonic())
+            self._archive.flush()
+        except ValveError as error:
+            response.success, response.message = False, f"{error}; it is kept when that is possible again"
+        else:
+            response.success, response.message = True, f"{valve}: {words}; they count from 0 again"
+        return response
+
     def _look(self) -> None:
         self._ear.look()
         now = time.monotonic()
@@ -75,7 +91,7 @@ class ArchiveNode(RosNode):
             self._archive.tick(now)
             if now >= self._prune_at:
                 self._prune_at = now + _BETWEEN_PRUNINGS
-                for month in self._archive.prune(datetime.now(timezone.utc)):
+                for month in self._archive.prune():
                     self._node.get_logger().info(f"{month} has been taken out of the archive")
         except ValveError as error:
             self._node.get_logger().error(f"{error}; rows wait", throttle_duration_sec=10.0)

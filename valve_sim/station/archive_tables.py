@@ -7,9 +7,16 @@ from typing import Final, NamedTuple
 
 from valve_sim.model import Parameter
 from valve_sim.nodes.parameters import Words, check_given, settings_of, table_of
+from valve_sim.nodes.topics import Topic
 from valve_sim.station.hearing_tables import SAID, check_filled, check_one_each
 
-TOPICS: Final = SAID
+TOPICS: Final = (
+    *SAID,
+    Topic(
+        "{valve}/serviced", "std_srvs/srv/Trigger", "service", "keep that it was serviced: its strokes count anew",
+        qos=None,
+    ),
+)  # fmt: skip
 
 
 class ArchiveSettings(NamedTuple):

@@ -1,4 +1,4 @@
-"""An OPC UA server of valves: variables, alarms with acknowledge and confirm, history, methods. Knows no ROS.
+"""An OPC UA server of valves: variables, alarms with acknowledge, confirm and shelving, history, methods. Knows no ROS.
 
     Objects / Station / <valve> / Health, Driver, Live, Stroke, Finding (the table of `figures`)
                                 / Alarm, Recommission, SelfTest, SerialNumber
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import asyncio
 import concurrent.futures
+import contextlib
 import math
 import socket
 import threading
@@ -25,7 +26,7 @@ from asyncua.common.events import Event
 from valve_sim import __version__
 from valve_sim.files.whole_files import atomic_write
 from valve_sim.model.errors import ValveError
-from valve_sim.station.alarms import Alarm, Refusal, load_alarms, save_alarms
+from valve_sim.station.alarms import SEVERITIES, Alarm, Refusal, Shelving, load_alarms, save_alarms
 from valve_sim.station.figures import BY_PATH, FIGURES, Figure, Report, unit_id, unit_words, utc
 from valve_sim.station.opcua_history import History
 from valve_sim.station.opcua_security import Gate, NamingServer, Rules, caller, ensure_identity
@@ -38,9 +39,22 @@ _REFUSALS: Final = {
     Refusal.ALREADY_ACKNOWLEDGED: ua.StatusCodes.BadConditionBranchAlreadyAcked,
     Refusal.NOT_ACKNOWLEDGED: ua.StatusCodes.BadInvalidState,
     Refusal.ALREADY_CONFIRMED: ua.StatusCodes.BadConditionBranchAlreadyConfirmed,
+    Refusal.ALREADY_SHELVED: ua.StatusCodes.BadConditionAlreadyShelved,
+    Refusal.NOT_SHELVED: ua.StatusCodes.BadConditionNotShelved,
+    Refusal.TIME_OUT_OF_RANGE: ua.StatusCodes.BadShelvingTimeOutOfRange,
 }
 _ANSWERS: Final = {"Acknowledge": 9111, "Confirm": 9113, "AddComment": 9029}
 """Methods by which a person answers an alarm, and the node of each in the alarm's type, which clients call, too."""
+_SHELVES: Final = {"TimedShelve": 2949, "OneShotShelve": 2948, "Unshelve": 2947}
+"""Methods by which a person shelves an alarm, as `_ANSWERS`."""
+_SHELVED: Final = {
+    Shelving.UNSHELVED: ("Unshelved", 2930),
+    Shelving.TIMED: ("TimedShelved", 2932),
+    Shelving.ONE_SHOT: ("OneShotShelved", 2933),
+}
+"""Name and node of each state of shelving."""
+_BETWEEN_LOOKS: Final = 1.0
+"""s from one look for alarms that were shelved for long enough to the next."""
 
 Action = Callable[[str], Awaitable[tuple[bool, str]]]
 """What a method does, given the valve: whether it was done, and what to say."""
@@ -94,6 +108,7 @@ class StationServer:
         self._server: Any = None
         self._history: Any = None
         self._writing = asyncio.Lock()
+        self._watching: asyncio.Task[None] | None = None
 
     @property
     def endpoint(self) -> str:
@@ -117,6 +132,7 @@ class StationServer:
         self._alarms = {valve.name: kept.get(valve.name, Alarm()) for valve in self._valves}
         gate = Gate(settings.folder, allows_anonymous=settings.allows_anonymous)
         self._server = server = Server(iserver=NamingServer(user_manager=gate))
+        server.iserver.bind_condition_methods = SEVERITIES[0]  # of the events before and after a refresh
         await server.init()
         server.name, server.manufacturer_name = "valve_sim station", "valve_sim"
         server.set_endpoint(f"opc.tcp://{settings.address}:{settings.port}/valve_sim/")
@@ -152,9 +168,12 @@ class StationServer:
         for valve in self._valves:
             if self._alarms[valve.name].is_retained:
                 await self._tell(valve, self._alarms[valve.name], is_new=False)
+        self._watching = asyncio.create_task(self._watch_shelves())
 
     async def stop(self) -> None:
         """Say goodbye to the clients and close all files."""
+        if self._watching is not None:
+            self._watching.cancel()
         async with self._writing:
             await self._server.stop()
 
@@ -197,6 +216,8 @@ class StationServer:
     async def _make_nodes(self) -> None:
         kind = await self._make_type()
         objects, server = self._server.nodes.objects, self._server.nodes.server
+        refresh = self._server.get_node(ua.ObjectIds.ConditionType_ConditionRefresh)
+        self._server.link_method(refresh, self._refresh())
         station = await objects.add_folder(ua.NodeId("Station", self._index), self._name("Station"))
         for valve in self._valves:
             node = await station.add_object(
@@ -295,7 +316,30 @@ class StationServer:
         for name, of_type in _ANSWERS.items():
             for place in (self._node_id(valve, f"Alarm.{name}"), ua.NodeId(of_type)):
                 self._server.link_method(self._server.get_node(place), self._answer(name))
+        await alarm.add_object(
+            self._node_id(valve, "Alarm.ShelvingState"), ua.QualifiedName("ShelvingState", 0),
+            objecttype=ua.ObjectIds.ShelvedStateMachineType, instantiate_optional=False,
+        )  # fmt: skip
+        for name, of_type in _SHELVES.items():
+            for place in (self._node_id(valve, f"Alarm.ShelvingState.{name}"), ua.NodeId(of_type)):
+                self._server.link_method(self._server.get_node(place), self._shelve(name))
         await self._show(valve, self._alarms[valve.name])
+
+    async def _watch_shelves(self) -> None:
+        """Take alarms from the shelf when their time is over, as long as the server runs."""
+        while True:
+            await asyncio.sleep(_BETWEEN_LOOKS)
+            now = datetime.now(timezone.utc).timestamp()
+            for valve in self._valves:
+                async with self._writing:
+                    alarm = self._alarms[valve.name]
+                    if alarm.shelving is not Shelving.TIMED:
+                        continue
+                    if (found := alarm.expired(now, _new_event())) is None:
+                        await self._show(valve, alarm)  # how long it is still shelved
+                        continue
+                    with contextlib.suppress(ValveError):  # a full disk, say: tried again at the next look
+                        await self._change(valve, found)
 
     async def _write_model(self, path: Path) -> None:
         with atomic_write(path) as partial:
@@ -319,21 +363,70 @@ class StationServer:
             if valve is None:
                 return ua.StatusCode(ua.StatusCodes.BadNodeIdInvalid)
             words = comment.Value.Text if comment.Value is not None else None
-            async with self._writing:
-                alarm = self._alarms[valve.name]
+            event = (seen.Value or b"").decode("ascii", "replace")
+
+            def answered(alarm: Alarm, now: float) -> Alarm | Refusal:
                 answers = {"Acknowledge": alarm.acknowledge, "Confirm": alarm.confirm, "AddComment": alarm.commented}
-                event = (seen.Value or b"").decode("ascii", "replace")
-                now = datetime.now(timezone.utc).timestamp()
-                found = answers[name](event, words or "", caller(), now, _new_event())
-                if isinstance(found, Refusal):
-                    return ua.StatusCode(_REFUSALS[found])
-                try:
-                    await self._change(valve, found)
-                except ValveError:
-                    return ua.StatusCode(ua.StatusCodes.BadResourceUnavailable)
-            return []
+                return answers[name](event, words or "", caller(), now, _new_event())
+
+            return await self._told_by_a_person(valve, answered)
 
         return answer
+
+    def _shelve(self, name: str) -> Callable[..., Coroutine[Any, Any, Any]]:
+        async def shelve(parent: Any, *given: Any) -> Any:
+            valve = next(
+                (valve for valve in self._valves if self._node_id(valve, "Alarm.ShelvingState") == parent), None
+            )
+            if valve is None:
+                return ua.StatusCode(ua.StatusCodes.BadNodeIdInvalid)
+
+            def shelved(alarm: Alarm, now: float) -> Alarm | Refusal:
+                if name == "Unshelve":
+                    return alarm.unshelve(caller(), now, _new_event())
+                seconds = 1e-3 * given[0].Value if name == "TimedShelve" else None
+                return alarm.shelve(seconds, caller(), now, _new_event())
+
+            return await self._told_by_a_person(valve, shelved)
+
+        return shelve
+
+    def _refresh(self) -> Callable[..., Coroutine[Any, Any, Any]]:
+        """Sends a subscription every alarm that is retained, whether it listens to the server or to a valve.
+
+        asyncua's own sends what was last sent to the server's listeners alone.
+        """
+
+        @uamethod
+        async def refresh(parent: Any, subscription: int) -> Any:
+            service = self._server.iserver.subscription_service
+            if subscription not in service.subscriptions:
+                return ua.StatusCode(ua.StatusCodes.BadSubscriptionIdInvalid)
+            begin, end = (
+                service.standard_events[kind]
+                for kind in (ua.ObjectIds.RefreshStartEventType, ua.ObjectIds.RefreshEndEventType)
+            )
+            async with self._writing:
+                await begin.trigger(subscription_id=subscription)
+                for valve in self._valves:
+                    if self._alarms[valve.name].is_retained:
+                        await self._send(valve, self._alarms[valve.name], subscription)
+                await end.trigger(subscription_id=subscription)
+            return None
+
+        return refresh  # type: ignore[no-any-return]
+
+    async def _told_by_a_person(self, valve: ServedValve, change: Callable[[Alarm, float], Alarm | Refusal]) -> Any:
+        """What a method that changes an alarm returns; the change is kept before it is shown."""
+        async with self._writing:
+            found = change(self._alarms[valve.name], datetime.now(timezone.utc).timestamp())
+            if isinstance(found, Refusal):
+                return ua.StatusCode(_REFUSALS[found])
+            try:
+                await self._change(valve, found)
+            except ValveError:
+                return ua.StatusCode(ua.StatusCodes.BadResourceUnavailable)
+        return []
 
     # --- alarms ---
 
@@ -356,11 +449,15 @@ class StationServer:
         event = self._event(valve, alarm)
         if is_new:
             await self._history.save_alarm(self._node_id(valve), event)
+        await self._send(valve, alarm, None)
+
+    async def _send(self, valve: ServedValve, alarm: Alarm, subscription: int | None) -> None:
+        """Send an alarm's event to one subscription, or to all."""
         service = self._server.iserver.subscription_service
         for emitter in (self._node_id(valve), ua.NodeId(ua.ObjectIds.Server)):
             sent = self._event(valve, alarm)
             sent.emitting_node = emitter
-            await service.trigger_event(sent)
+            await service.trigger_event(sent, subscription)
 
     def _event(self, valve: ServedValve, alarm: Alarm) -> Any:
         event = Event(self._node_id(valve))
@@ -441,7 +538,10 @@ def _fields(alarm: Alarm) -> Mapping[str, Any]:
         "Quality": ua.Variant(ua.StatusCode(ua.StatusCodes.Good), ua.VariantType.StatusCode),
         "Comment": ua.Variant(ua.LocalizedText(alarm.comment), texts),
         "ClientUserId": ua.Variant(alarm.user, ua.VariantType.String),
-        "SuppressedOrShelved": ua.Variant(False, flags),
+        "SuppressedOrShelved": ua.Variant(alarm.is_shelved, flags),
+        "ShelvingState/CurrentState": ua.Variant(ua.LocalizedText(_SHELVED[alarm.shelving][0]), texts),
+        "ShelvingState/CurrentState/Id": ua.Variant(ua.NodeId(_SHELVED[alarm.shelving][1]), ua.VariantType.NodeId),
+        "ShelvingState/UnshelveTime": ua.Variant(_left(alarm), ua.VariantType.Double),
     }
     for name, is_so, words in (
         ("EnabledState", True, ("Enabled", "Disabled")),
@@ -452,6 +552,13 @@ def _fields(alarm: Alarm) -> Mapping[str, Any]:
         fields[name] = ua.Variant(ua.LocalizedText(words[0] if is_so else words[1]), texts)
         fields[f"{name}/Id"] = ua.Variant(is_so, flags)
     return fields
+
+
+def _left(alarm: Alarm) -> float:
+    """Ms for which an alarm is still shelved, as OPC UA has it; the longest duration where that is not for a time."""
+    if alarm.shelving is Shelving.ONE_SHOT:
+        return float(2**53)
+    return max(0.0, 1e3 * (alarm.shelved_until - datetime.now(timezone.utc).timestamp())) if alarm.is_shelved else 0.0
 
 
 _FIELDS: Final = ("NodeId", "SourceNode", "SourceName", "ReceiveTime", *_fields(Alarm()))
