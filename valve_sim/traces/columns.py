@@ -424,7 +424,7 @@ def _low_passed(values: Array, times: Array, low_pass: float, axis: int, order: 
     """
     if not low_pass < math.inf:
         for _ in range(order):
-            values = np.gradient(values, times, axis=axis)
+            values = np.asarray(np.gradient(values, times, axis=axis), dtype=np.float64)
         return values
     grid, rate = times, (len(times) - 1) / (times[-1] - times[0])
     steps = np.diff(times)
