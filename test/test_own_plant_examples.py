@@ -1,4 +1,4 @@
-"""Machines that others have measured, by files alone: docs/examples/own_plants on data that are not in the repository."""
+"""Machines that others have measured, by files alone, on data that are not in the repository."""
 
 import json
 import os
