@@ -1,4 +1,5 @@
-"""Two hundred made-up actuators of ten kinds, each lacking one effect or none: `python -m benchmarks.actuators COUNT SEED`.
+# ruff: noqa: D103, E501 -- the rates of each kind are a line of physics, and the plants are YAML as users write it
+"""Made-up actuators of ten kinds, each lacking one effect or none: `python -m benchmarks.actuators COUNT SEED`.
 
 The truth comes from small steps written here (midpoint rule, dry friction as what takes a velocity towards 0), not from
 the package. Declared values are off as their tolerances allow. What is printed: class, unique, missed, confidently
@@ -139,7 +140,9 @@ def motor_rubs(s, p, e):  # type: ignore[no-untyped-def]
 def voice_rates(s, u, p, e):  # type: ignore[no-untyped-def]
     i, x, v = s[0], s[1], s[2]
     pull = p[1] * (1.0 - e[1] * x * x) * i
-    return np.array([(u - p[0] * i - p[1] * (1.0 - e[1] * x * x) * v) / p[2], v, (pull - p[3] * v - p[4] * x + e[2]) / p[5]])
+    return np.array(
+        [(u - p[0] * i - p[1] * (1.0 - e[1] * x * x) * v) / p[2], v, (pull - p[3] * v - p[4] * x + e[2]) / p[5]]
+    )
 
 
 @njit
@@ -373,7 +376,9 @@ def recorded(name: str, effect: str | None, seed: int, folder: Path) -> tuple[Ow
         own["noise"] = float(f"{sigma:.6g}")
         columns[key] = shown + sigma * random.standard_normal(len(times))
     path = folder / f"{name}_{seed}.csv"
-    np.savetxt(path, np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns), comments="", fmt="%.10g")
+    np.savetxt(
+        path, np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns), comments="", fmt="%.10g"
+    )
     read_map = {"time": {"column": "t"}, driven: {"column": driven}}
     read_map |= {key: {"column": key} for key in content["outputs"]}
     return OwnPlant(plant_from(content, f"{name}.yaml"), [read(path, read_map)]), effect or "none"

@@ -1,3 +1,4 @@
+# ruff: noqa: E501 -- YAML and messages as they are
 """Files of plants: what is read from them, and one line that names key, value and mend for whatever is wrong."""
 
 import copy
@@ -24,7 +25,7 @@ effects:
   coulomb_friction: {add: {v: -level*sign(v)/mass}, parameters: {level: {unit: N, neutral: 0, scale: 10, range: [0, 200]}}, confused_with: [offset]}
   offset: {add: {v: load/mass}, parameters: {load: {unit: N, neutral: 0, scale: 10}}}
   overflow: {add: {x: '-rate*max(0, x - level)'}, parameters: {rate: {unit: 1/s, neutral: 0, scale: 1, range: [0, 10]}, level: {unit: m, range: [0, 0.1]}}}
-"""  # noqa: E501 -- as MODEL.md writes it
+"""
 
 
 READ: dict[str, Any] = yaml.safe_load(AXIS.replace("1e-3", "1.0e-3"))
@@ -150,7 +151,7 @@ def places(node: Any, way: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
 
 def damaged(seed: int) -> tuple[Any, tuple[Any, ...]]:
     """A file with one thing wrong, perhaps: and where."""
-    chance = random.Random(seed)  # noqa: S311 -- a test
+    chance = random.Random(seed)
     found = content()
     way = chance.choice(list(places(found)))
     parent = found

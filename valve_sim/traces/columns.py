@@ -424,19 +424,19 @@ def _low_passed(values: Array, times: Array, low_pass: float, axis: int, order: 
     """
     if not low_pass < math.inf:
         for _ in range(order):
-            values = np.gradient(values, times, axis=axis)
+            values = np.asarray(np.gradient(values, times, axis=axis), dtype=np.float64)
         return values
     grid, rate = times, (len(times) - 1) / (times[-1] - times[0])
     steps = np.diff(times)
     varies = float(np.ptp(steps)) > UNEVEN * float(np.median(steps))
     if varies:
         grid = np.linspace(times[0], times[-1], len(times))
-        values = interp1d(times, values, axis=axis)(grid)
+        values = np.asarray(interp1d(times, values, axis=axis)(grid), dtype=np.float64)
     numerator, denominator = signal.butter(FILTER_ORDER, low_pass / (0.5 * rate))
-    found = np.asarray(signal.filtfilt(numerator, denominator, values, axis=axis))
+    found: Array = np.asarray(signal.filtfilt(numerator, denominator, values, axis=axis), dtype=np.float64)
     for _ in range(order):
-        found = np.gradient(found, grid, axis=axis)
-    return np.asarray(interp1d(grid, found, axis=axis)(times)) if varies else found
+        found = np.asarray(np.gradient(found, grid, axis=axis), dtype=np.float64)
+    return np.asarray(interp1d(grid, found, axis=axis)(times), dtype=np.float64) if varies else found
 
 
 def _thinned(values: Array, every: int) -> Array:

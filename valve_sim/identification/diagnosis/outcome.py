@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from valve_sim.identification.diagnosis.experiment_design import Recommendation
 from valve_sim.identification.estimation.declared_values import DeclaredValue, declared_values, estimated_valve
@@ -21,9 +22,22 @@ from valve_sim.identification.selection.residual_tests import Adequacy
 from valve_sim.model import Valve
 
 
+class Worth(NamedTuple):
+    """What one of several named effects is worth.
+
+    Attributes:
+        improvement: its share of what all named effects together explain of the squared error, 0 to 1: the mean of what
+            it explains as the first and as the last of them (of two names their Shapley values), so that all sum to 1.
+        remaining: of the squared error of the refitted declared model beyond noise, what is left with it alone.
+    """
+
+    improvement: float
+    remaining: float
+
+
 @dataclass(frozen=True)
 class Verdict:
-    """What is claimed; the fields but the last three are those of report.json.
+    """What is claimed; the fields but the last four are those of report.json.
 
     Attributes:
         kind: "none", "effects", "unknown" or "insufficient".
@@ -34,6 +48,7 @@ class Verdict:
         unnamed: posterior probability that something without a name acts.
         share: of the squared error of the refitted declared model beyond noise, what the named effects explain, 0 to 1.
         strokes: how many were recorded.
+        worth: of each of the named effects, where what it needs was fitted.
     """
 
     kind: str
@@ -43,6 +58,7 @@ class Verdict:
     unnamed: float
     share: float
     strokes: int
+    worth: Mapping[str, Worth] = field(default_factory=dict)
 
     @property
     def is_open(self) -> bool:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.identification.diagnosis.experiment_design import Recommendation, recommend
-from valve_sim.identification.diagnosis.outcome import Candidate, Diagnosis, Rival, State, Verdict
+from valve_sim.identification.diagnosis.outcome import Candidate, Diagnosis, Rival, State, Verdict, Worth
 from valve_sim.identification.estimation.budget import Budget
 from valve_sim.identification.estimation.followed_positions import follows_positions
 from valve_sim.identification.estimation.intervals import Interval, covariance_interval, profile_interval
@@ -309,10 +309,34 @@ class DiagnosisSession:
         before, after = (max(rmse(one) ** 2 - noise, 0.0) for one in (self.declared, result))
         return min(1.0, max(0.0, 1.0 - after / before)) if before > 0.0 else 0.0
 
+    def _left(self, result: Fit) -> float:
+        """The squared error of a fit beyond noise."""
+        return max(float(rmse(result)) ** 2 - float(self._search.problem.noise.sigma) ** 2, 0.0)
+
+    def _worth(self, names: Set) -> dict[str, Worth]:
+        """What each of some named effects is worth."""
+        left = {frozenset(key): self._left(tried.fit) for key, tried in self._search.tried.items()}
+        declared, whole = left[frozenset()], left[frozenset(names)]
+        gains: dict[str, float] = {}
+        for name in names:
+            alone, without = left.get(frozenset([name])), left.get(frozenset(names) - {name})
+            orders = [declared - alone] if alone is not None else []
+            orders += [without - whole] if without is not None else []
+            if not orders:
+                return {}
+            gains[name] = max(0.0, sum(orders) / len(orders))
+        total = sum(gains.values())
+        if declared <= 0.0 or total <= 0.0:
+            return {}
+        return {
+            name: Worth(gain / total, min(1.0, left.get(frozenset([name]), math.nan) / declared))
+            for name, gain in gains.items()
+        }
+
     def _verdict(self, decision: Decision) -> Verdict:
         return Verdict(
             decision.kind, decision.names, decision.others, decision.probability, decision.unnamed,
-            self._share(self._search.tried[decision.names].fit), self._strokes,
+            self._share(self._search.tried[decision.names].fit), self._strokes, self._worth(decision.names),
         )  # fmt: skip
 
     # -- what a report has beside --------------------------------------------------------------------------------------

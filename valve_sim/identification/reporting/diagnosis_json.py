@@ -42,6 +42,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
             "probability": diagnosis.verdict.probability,
             "unnamed": diagnosis.verdict.unnamed,
             "share": diagnosis.verdict.share,
+            "worth": {name: worth._asdict() for name, worth in diagnosis.verdict.worth.items()},
             "summary": summarise(diagnosis),
             "headline": headline(diagnosis),
         },

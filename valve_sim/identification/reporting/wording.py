@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
@@ -175,6 +176,7 @@ def meanings(diagnosis: Diagnosis) -> list[Meaning]:
             )
             for name in own
         )
+        amounts += _worth_words(diagnosis, effect)
         values = {name.partition(".")[2]: one.value for name, one in own.items()}
         others = verdict.confusable_with.get(effect, ())
         # What the catalogue says of an effect is about a valve; an effect of a user's own may share its name.
@@ -187,6 +189,17 @@ def meanings(diagnosis: Diagnosis) -> list[Meaning]:
             )
         )  # fmt: skip
     return found
+
+
+def _worth_words(diagnosis: Diagnosis, effect: str) -> tuple[tuple[str, str], ...]:
+    """What a name is worth beside others; nothing where it stands alone."""
+    worth = diagnosis.verdict.worth.get(effect)
+    if worth is None or len(diagnosis.verdict.effects) < 2:
+        return ()
+    left = (
+        "" if math.isnan(worth.remaining) else f"; with it alone {percent(worth.remaining)} of the error would be left"
+    )
+    return (("share of the improvement", f"{percent(worth.improvement)}{left}"),)
 
 
 def declared_effects(plant: Plant) -> list[str]:
