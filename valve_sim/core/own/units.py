@@ -72,7 +72,8 @@ _PREFIX: Final = {
 _SUPERSCRIPT: Final = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 _RAISED: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _PART: Final = re.compile(
-    r"\s*(?:(?P<name>[A-Za-zµμΩ°%]+)|(?P<one>1)(?![0-9.])|(?P<mark>\*\*|[*·/()^ ])|(?P<power>-?\d+(?:\.\d+)?|[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+))"
+    r"\s*(?:(?P<name>[A-Za-zµμΩ°%]+)|(?P<one>1)(?![0-9.])|(?P<mark>\*\*|[*·/()^ ])"
+    r"|(?P<power>-?\d+(?:\.\d+)?|[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+))"
 )
 
 

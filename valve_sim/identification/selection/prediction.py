@@ -68,7 +68,7 @@ def recording_axes_of(result: Fit) -> list[dict[str, float]]:
         return []
     information = result.information[np.ix_(own, own)]
     scale = 1.0 / np.sqrt(np.diag(information))
-    # Pseudo-inverse: a path that runs away from its start shows one direction so sharply that rounding hides the others.
+    # A path that runs away from its start shows one direction so sharply that rounding hides the others.
     inverse = np.linalg.pinv(information * np.outer(scale, scale), hermitian=True) * np.outer(scale, scale)
     return _axes(result, own, values, inverse)
 
