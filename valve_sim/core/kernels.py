@@ -8,6 +8,7 @@
     row       what a row of output shows at some time within the step
     rows      likewise, at ROWS_LANES times side by side
     look      forces, rates and currents at the state
+    place     where a curve of splines is read
     decide    which comparisons of the equations hold at the state
 
 With directions of derivatives each carries the tangents of what it computes along.
@@ -40,9 +41,9 @@ NOT_COMPARED: Final = 3
 """Places among what is held that are of no comparison: velocity, or forces upwards and downwards; and the current."""
 CHECKED_AT: Final = (0.5, 1.0)
 """Fractions of a step at which its series is compared with the equation."""
-DYNAMIC: Final = ("unseated_time", "seen", "peak")
+DYNAMIC: Final = ("unseated_time", "seen", "peak", *(f"curve {power}" for power in range(4)))
 """Numbers that events change, and their tangents with them."""
-NAMES: Final = ("move", "rest", "at", "spot", "row", "rows", "look", "decide", "prepare")
+NAMES: Final = ("move", "rest", "at", "spot", "row", "rows", "look", "place", "decide", "prepare")
 
 
 class Kernels:
@@ -50,11 +51,10 @@ class Kernels:
 
     Args:
         system: the equations.
-        free: names of the parameters that derivatives are taken to.
-        width: directions of derivatives; 0 for none.
+        width: directions of derivatives, to any parameters; 0 for none.
     """
 
-    def __init__(self, system: System, free: Sequence[str] = (), width: int = 0) -> None:
+    def __init__(self, system: System, width: int = 0) -> None:
         self.system, self.width = system, width
         self.names = tuple(system.states)
         self._slots = {**at.HELD, **{name: at.NUMBERS + i for i, name in enumerate(system.parameters)}}
@@ -67,7 +67,7 @@ class Kernels:
         if width:
             for name in ("x", "v", *self.names):
                 self._seeds[trace.state(name)] = trace.state(f"d {name}")
-            for name in (*free, *DYNAMIC, *(f"{name} at start" for name in self.names)):
+            for name in (*system.parameters, *DYNAMIC, *(f"{name} at start" for name in self.names)):
                 self._seeds[trace.number(name)] = trace.number(f"d {name}")
         self._guards = trace.guards()
         # Where something is read from the series of a current, these must hold even if the forces do not feel it.
@@ -80,6 +80,15 @@ class Kernels:
     def guard_count(self) -> int:
         """How many comparisons there are."""
         return len(self._guards)
+
+    @property
+    def curve(self) -> tuple[int, bool, int, int] | None:
+        """Of a curve of splines: the slot of its first coefficient, whether it repeats, and its two guards."""
+        found = self.system.trace.curve
+        if found is None:
+            return None
+        low, high = (self._guards.index(guard) for guard in (found.low, found.high))
+        return self._slots[found.first], found.periodic, low, high
 
     def text(self) -> str:
         """All kernels, as text of LLVM."""
@@ -443,6 +452,14 @@ class Kernels:
         }  # fmt: skip
         for slot, node in values.items():
             code.store(slot, series.value(zero if node is None else node))
+        return code
+
+    def _place(self) -> Code:
+        code, curve = Code(), self.system.trace.curve
+        if curve is not None:
+            series = self._series(code, {}, {})
+            code.store(at.CURVE_PLACE, series.value(curve.place))
+            code.store(at.CURVE_INTERVALS, series.value(curve.intervals))
         return code
 
     def _decide(self) -> Code:
