@@ -39,12 +39,15 @@ def read_plant(plant: Path, logs: Sequence[Path]) -> OwnPlant:
     """A plant with its recordings; what was dropped on reading is said on stderr."""
     from valve_sim.files.plant_files import load_plant
     from valve_sim.identification.plants.own import OwnPlant
-    from valve_sim.traces.columns import read
+    from valve_sim.traces.columns import Columns, read
 
     file = load_plant(plant)
     recordings = []
     for log in logs:
         recording = read(log, chosen_map_file())
+        if chosen_map_file() is None:  # a table whose columns have the plant's names, and perhaps others beside them
+            own = {name: own for name, own in recording.columns.items() if name in {**file.inputs, **file.outputs}}
+            recording = Columns(recording.source, own, recording.findings)
         for finding in recording.findings:
             click.echo(shown(f"valve-sim: {log}: {finding}"), err=True)
         recordings.append(recording)

@@ -27,6 +27,7 @@ from scipy.interpolate import interp1d
 from valve_sim.core.own.grammar import Expr, ExpressionError, names_in, parse
 from valve_sim.core.own.units import Unit, UnitError, parse_unit
 from valve_sim.files.data_tables import TABLE_SUFFIXES, open_table
+from valve_sim.files.plant_files import one_line
 from valve_sim.files.recording_map import MapError
 from valve_sim.files.yaml_files import read_yaml
 from valve_sim.traces.errors import TraceError
@@ -179,7 +180,7 @@ class _Reading:
         return Columns(str(self._path), whole, tuple(self._findings))
 
     def _fail(self, key: str, words: str) -> MapError:
-        return MapError(f"{self._where}: {key}: {words}" if key else f"{self._where}: {words}")
+        return MapError(one_line(f"{self._where}: {key}: {words}" if key else f"{self._where}: {words}"))
 
     def _check_keys(self, key: str, entry: Mapping[Any, Any], known: Sequence[str]) -> None:
         for own in entry:

@@ -352,12 +352,13 @@ class OwnPlant:
         for name in self.file.inputs:
             if name not in recording.columns:
                 raise MapError(
-                    f"{recording.source}: the map names no column for the input {name}; add "
+                    f"{recording.source}: no column is named for the input {name}; add to the map "
                     f"{name}: {{column: ..., unit: ...}}"
                 )
         if not any(name in recording.columns for name in self.file.outputs):
             raise MapError(
-                f"{recording.source}: the map names no column for an output; add one of {', '.join(self.file.outputs)}"
+                f"{recording.source}: no column is named for an output; add to the map one of "
+                f"{', '.join(self.file.outputs)}"
             )
 
     def _runs_of(self, index: int, recording: Columns) -> list[Run]:
