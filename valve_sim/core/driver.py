@@ -30,6 +30,13 @@ from valve_sim.core.layout import (
     COUNT,
     CURRENT,
     CURRENT_RATE,
+    CURVE,
+    CURVE_C,
+    CURVE_HIGH,
+    CURVE_INDEX,
+    CURVE_INTERVALS,
+    CURVE_LOW,
+    CURVE_PLACE,
     DECIDE,
     DEFECT,
     DELAY,
@@ -51,8 +58,10 @@ from valve_sim.core.layout import (
     GUARD,
     GUARDS,
     HAS_PEAK,
+    HIGH_GUARD,
     IS_CHECKED,
     IS_FLUX,
+    IS_PERIODIC,
     LAG,
     LATE,
     LIFTED,
@@ -60,6 +69,7 @@ from valve_sim.core.layout import (
     LIFTED_UP,
     LONGEST,
     LOOK,
+    LOW_GUARD,
     MAY_FALL,
     MAY_RISE,
     MODE,
@@ -74,6 +84,7 @@ from valve_sim.core.layout import (
     PATH,
     PEAK,
     PENDING,
+    PLACE,
     PREPARE,
     PULL,
     RATED,
@@ -177,6 +188,8 @@ LIVE_STEPS: Final = 4_000_000
 """Steps of a live valve between two looks, after which it ends with an error."""
 SPACING: Final = 1.2e-16
 """Half of the relative distance between doubles, and a little more: rounding takes less than that to the next one."""
+FAR: Final = 1e30
+"""Intervals from the ends of a curve beyond which nothing changes."""
 NEGLIGIBLE: Final = 1e-17
 """Of a sum: a term that ends its series."""
 
@@ -205,9 +218,74 @@ def enter(b: Block, t: Block) -> None:
         b[AHEAD] = 0.0
     else:
         b[AHEAD] = b[contact_ahead(b)]
+    if b[CURVE] > 0.0:
+        invoke(b[PLACE], b, t)
+        place_curve(b, t, whole_below(b[CURVE_PLACE]))
     if b[GUARDS] > 0.0:
         invoke(b[DECIDE], b, t)
+    if b[CURVE] > 0.0:
+        b[FLAG + int(b[LOW_GUARD])] = 1.0
+        b[FLAG + int(b[HIGH_GUARD])] = 1.0
     b[PENDING] = 0.0
+
+
+def whole_below(a: float) -> float:
+    """The largest whole number that is not above a number."""
+    return float(math.floor(a))
+
+
+def place_curve(b: Block, t: Block, index: float) -> None:
+    """Put the cubic of an interval of the curve of splines into the equations; beyond its ends a constant."""
+    last = b[CURVE_INTERVALS] - 1.0
+    b[CURVE_INDEX] = index
+    b[CURVE_LOW] = index
+    b[CURVE_HIGH] = index + 1.0
+    first = index
+    at = 0.0
+    varies = 1.0
+    if b[IS_PERIODIC] > 0.0:
+        first = index - (last + 1.0) * whole_below(index / (last + 1.0))
+    elif index < 0.0:
+        b[CURVE_LOW] = -FAR
+        b[CURVE_HIGH] = 0.0
+        first = 0.0
+        varies = 0.0
+    elif index > last:
+        b[CURVE_LOW] = last + 1.0
+        b[CURVE_HIGH] = FAR
+        first = last
+        at = 1.0
+        varies = 0.0
+    width = int(b[WIDTH])
+    set_cubic(b, 1, b, first, at, varies)
+    for k in range(width):
+        set_cubic(t[k:], width, b, first, at, varies)
+
+
+def set_cubic(own: Block, stride: int, b: Block, first: float, at: float, varies: float) -> None:
+    """The coefficients of the cubic of four B-splines, of values or of their tangents in one direction.
+
+    Args:
+        own: the values, or the tangents. stride: from one slot to the next. first: number of the first B-spline.
+        at, varies: 0 and 1; beyond an end the place where the curve stays, and 0.
+    """
+    slot = int(b[CURVE]) + int(first)
+    beyond = int(b[CURVE]) + int(b[CURVE_INTERVALS])
+    back = int(b[CURVE_INTERVALS]) if b[IS_PERIODIC] > 0.0 else 0
+    c0 = own[slot * stride]
+    slot += 1
+    c1 = own[(slot if slot < beyond else slot - back) * stride]
+    slot += 1
+    c2 = own[(slot if slot < beyond else slot - back) * stride]
+    slot += 1
+    c3 = own[(slot if slot < beyond else slot - back) * stride]
+    d1 = 0.5 * (c2 - c0)
+    d2 = 0.5 * (c0 - 2.0 * c1 + c2)
+    d3 = (c3 - 3.0 * c2 + 3.0 * c1 - c0) / 6.0
+    own[CURVE_C * stride] = (c0 + 4.0 * c1 + c2) / 6.0 + at * (d1 + d2 + d3)
+    own[(CURVE_C + 1) * stride] = varies * d1
+    own[(CURVE_C + 2) * stride] = varies * d2
+    own[(CURVE_C + 3) * stride] = varies * d3
 
 
 def contact_ahead(b: Block) -> int:
@@ -1001,6 +1079,10 @@ def end_step(b: Block, t: Block, ends: int, events: Block, room: int) -> None:
     elif ends == CURRENT_GONE:
         block_diode(b, t)
         log_event(b, events, room, GONE, b[V])
+    elif b[CURVE] > 0.0 and ends - FLAGGED == b[LOW_GUARD]:
+        place_curve(b, t, b[CURVE_INDEX] - 1.0)
+    elif b[CURVE] > 0.0 and ends - FLAGGED == b[HIGH_GUARD]:
+        place_curve(b, t, b[CURVE_INDEX] + 1.0)
     else:
         b[FLAG + ends - FLAGGED] = 1.0 - b[FLAG + ends - FLAGGED]
     arrive(b, t)
@@ -1210,7 +1292,7 @@ def settle(b: Block) -> None:
 
 
 FUNCTIONS: Final = (
-    enter, contact_ahead, value_at, slope_at, bound, first_fall, shift, root, step, first_event, first_of_motion,
+    enter, whole_below, place_curve, set_cubic, contact_ahead, value_at, slope_at, bound, first_fall, shift, root, step, first_event, first_of_motion,
     first_of_rest, extent, balance, commit, divided, leave, arrive, move_tangents, set_tangents, rescale_velocity,
     unseat, log_event, come_to_rest, set_off, push_now, move_off, touch, touch_seat, touch_gap, turn_round,
     block_diode, close_circuit, set_voltage, lag_moments, lagged, lag_tangents, before, shown_pilot, shown_main, fill,

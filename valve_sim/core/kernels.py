@@ -8,6 +8,7 @@
     row       what a row of output shows at some time within the step
     rows      likewise, at ROWS_LANES times side by side
     look      forces, rates and currents at the state
+    place     where a curve of splines is read
     decide    which comparisons of the equations hold at the state
 
 With directions of derivatives each carries the tangents of what it computes along.
@@ -40,9 +41,9 @@ NOT_COMPARED: Final = 3
 """Places among what is held that are of no comparison: velocity, or forces upwards and downwards; and the current."""
 CHECKED_AT: Final = (0.5, 1.0)
 """Fractions of a step at which its series is compared with the equation."""
-DYNAMIC: Final = ("unseated_time", "seen", "peak")
+DYNAMIC: Final = ("unseated_time", "seen", "peak", *(f"curve {power}" for power in range(4)))
 """Numbers that events change, and their tangents with them."""
-NAMES: Final = ("move", "rest", "at", "spot", "row", "rows", "look", "decide", "prepare")
+NAMES: Final = ("move", "rest", "at", "spot", "row", "rows", "look", "place", "decide", "prepare")
 
 
 class Kernels:
@@ -80,6 +81,15 @@ class Kernels:
     def guard_count(self) -> int:
         """How many comparisons there are."""
         return len(self._guards)
+
+    @property
+    def curve(self) -> tuple[int, bool, int, int] | None:
+        """Of a curve of splines: the slot of its first coefficient, whether it repeats, and its two guards."""
+        found = self.system.trace.curve
+        if found is None:
+            return None
+        low, high = (self._guards.index(guard) for guard in (found.low, found.high))
+        return self._slots[found.first], found.periodic, low, high
 
     def text(self) -> str:
         """All kernels, as text of LLVM."""
@@ -443,6 +453,14 @@ class Kernels:
         }  # fmt: skip
         for slot, node in values.items():
             code.store(slot, series.value(zero if node is None else node))
+        return code
+
+    def _place(self) -> Code:
+        code, curve = Code(), self.system.trace.curve
+        if curve is not None:
+            series = self._series(code, {}, {})
+            code.store(at.CURVE_PLACE, series.value(curve.place))
+            code.store(at.CURVE_INTERVALS, series.value(curve.intervals))
         return code
 
     def _decide(self) -> Code:

@@ -50,7 +50,13 @@ WIDTH: Final = 96
 """Directions of derivatives; 0 for none."""
 LATE: Final = STEP
 """Tangents of the sample times, s, stand in this slot of the tangents."""
-SERIES_X: Final = 97
+PLACE, CURVE, IS_PERIODIC, LOW_GUARD, HIGH_GUARD = range(97, 102)
+"""Of a curve of splines: address of the kernel of its place; the slot of its first coefficient, 0 where there is no
+curve; whether it repeats itself; the numbers of the comparisons with the ends of its interval."""
+CURVE_PLACE, CURVE_INTERVALS, CURVE_INDEX, CURVE_LOW, CURVE_HIGH, CURVE_C = range(102, 108)
+"""Its place, in intervals from its first knot; how many intervals; which one it is in, and where that begins and ends;
+the four coefficients of its cubic there."""
+SERIES_X: Final = 112
 """ORDER + 1 coefficients of x about the start of the step."""
 SERIES_COIL: Final = SERIES_X + ORDER + 1
 """TERMS coefficients of each state of the coil."""
@@ -72,6 +78,8 @@ HELD: Final = {
     "time": TIME, "x": X, "v": V, "elapsed": ELAPSED, "direction": DIRECTION, "lifted": LIFTED,
     "lifted up": LIFTED_UP, "lifted down": LIFTED_DOWN, "beyond": BEYOND, "on seat": ON_SEAT, "closed": CLOSED_NOW,
     "unseated_time": UNSEATED_TIME, "seen": SEEN, "blocked": BLOCKED, "peak": PEAK,
+    "curve at": CURVE_INDEX, "curve low": CURVE_LOW, "curve high": CURVE_HIGH,
+    **{f"curve {power}": CURVE_C + power for power in range(4)},
     "freewheels": FREEWHEELS, "moving": MOVING, "may rise": MAY_RISE, "may fall": MAY_FALL,
 }  # fmt: skip
 """The slots of what the equations call by these names."""

@@ -95,6 +95,9 @@ class Plan:
         blank[layout.HAS_PEAK] = system.peak is not None
         blank[layout.IS_FLUX] = system.flux_slope is not None
         blank[layout.WIDTH] = width
+        if kernels.curve is not None:
+            slots = (layout.CURVE, layout.IS_PERIODIC, layout.LOW_GUARD, layout.HIGH_GUARD)
+            blank[list(slots)] = kernels.curve
         blank[layout.MODE] = driver.CLOSED
         blank[layout.DIRECTION] = 1.0
         blank[layout.LONGEST] = driver.ANY_STEP

@@ -169,12 +169,35 @@ def _made(node: Node) -> int:
     return node.index
 
 
+class Curve(NamedTuple):
+    """A curve of uniform cubic B-splines, of which one interval at a time is in the equations.
+
+    Attributes:
+        place: where it is read, in intervals from its first knot. intervals: how many there are.
+        first: the name of its first coefficient; the others follow it among the parameters.
+        periodic: whether it repeats itself; otherwise it keeps its value beyond its ends.
+        low, high: what is above 0 within the interval: the place less its beginning, and its end less the place.
+    """
+
+    place: Node
+    intervals: Node
+    first: str
+    periodic: bool
+    low: Node
+    high: Node
+
+
 class Trace:
-    """A graph: every distinct expression in it is one node."""
+    """A graph: every distinct expression in it is one node.
+
+    Attributes:
+        nodes: in the order of making. curve: the curve of splines in it, if there is one.
+    """
 
     def __init__(self) -> None:
         self._known: dict[tuple[object, ...], Node] = {}
         self.nodes: list[Node] = []
+        self.curve: Curve | None = None
 
     def node(self, op: str, *args: Node, payload: object = None) -> Node:
         """The node of an operation, made if it is new."""
@@ -294,6 +317,23 @@ def polynomial(a: Node, *coefficients: Expression) -> Node:
     if len(lifted) == 2:
         return lifted[0] + lifted[1] * a
     return a.trace.node("polynomial", a, *lifted)
+
+
+def spline(place: Node, intervals: Node, first: str, *, periodic: bool) -> Node:
+    """A curve of uniform cubic B-splines; the knots are events. See `Curve` for the arguments.
+
+    Raises:
+        ParameterError: there is a curve of another place already.
+    """
+    trace = place.trace
+    if trace.curve is not None and trace.curve.place is not place:
+        raise ParameterError(f"{first}: found a second curve of splines, expected one; take one of the two out")
+    low, high = place - trace.number("curve low"), trace.number("curve high") - place
+    trace.curve = Curve(place, intervals, first, periodic, low, high)
+    c = [trace.number(f"curve {power}") for power in range(4)]
+    within = polynomial(place - trace.number("curve at"), *c)
+    # The integrator exchanges the coefficients where either comparison ceases to hold, so that it always does.
+    return where(Condition(low), where(Condition(high), within, c[0]), c[0])
 
 
 def running_maximum(a: Node, so_far: Node) -> Node:

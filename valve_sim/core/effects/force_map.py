@@ -1,13 +1,14 @@
 """A force of unknown origin, as a curve that is fitted: uniform cubic B-splines (Eilers and Marx 1996; de Boor 1978).
 
-With knots every h from `low` to `high` and s = (y − low)/h, the curve is a cubic in s whose third derivative jumps at
-each knot k, by what the third differences of the coefficients c differ there:
+With knots every h from `low` to `high`, z = (y − low)/h, i = ⌊z⌋ and d = z − i, of the coefficients c four act at a
+place y of the variable:
 
-    f(s) = P(s) + Σ_k j_k max(0, s − k)³,
-    P(s) = [(1 − s)³ c1 + (3 s³ − 6 s² + 4) c2 + (1 + 3 s + 3 s² − 3 s³) c3 + s³ c4]/6
+    f = [c_i + 4 c_{i+1} + c_{i+2}]/6 + [c_{i+2} − c_i]/2 d + [c_i − 2 c_{i+1} + c_{i+2}]/2 d²
+        + [c_{i+3} − 3 c_{i+2} + 3 c_{i+1} − c_i]/6 d³
 
-Each knot is a comparison, so that a step ends there. Beyond `low` and `high` f keeps its value. Over x and t the force
-is f, over x·u² it is f(x) u². Over v, x·v and t·v f is a damping, and the force is −f v.
+Each knot is a comparison, so that a step ends there. Beyond `low` and `high` f keeps its value, or repeats itself over
+a period of x or t. Over x and t the force is f, over x·u² it is f(x) u². Over v, x·v and t·v f is a damping, and the
+force is −f v.
 """
 
 from __future__ import annotations
@@ -16,40 +17,30 @@ from collections.abc import Mapping
 from typing import Final
 
 from valve_sim.core.effects.entry import Effect, Motion, Own
-from valve_sim.core.tracer import Node, maximum, minimum, where
+from valve_sim.core.tracer import Node, spline
 from valve_sim.model.errors import ParameterError
 from valve_sim.model.parameters import Parameter
 
-VARIABLES: Final = ("x", "v", "t", "x·v", "x·u²", "t·v")
-"""What the map is a function of; a second factor multiplies it."""
-MOST: Final = 14
+VARIABLES: Final = ("x", "v", "t", "x·v", "x·u²", "t·v", "x, periodic", "t, periodic")
+"""What the map is a function of; a second factor multiplies it, and a periodic one repeats from low to high."""
+MOST: Final = 40
 FEWEST: Final = 4
 NAMES: Final = tuple(f"c{number}" for number in range(1, MOST + 1))
 
 
 def curve(m: Motion, own: Own) -> Node:
     """The force, N."""
-    variable, count = VARIABLES[int(own.variable.value or 0.0)], int(own.count.value or 0.0)
-    place = {"x": m.x, "v": m.v, "t": m.t}[variable[0]]
-    intervals = float(count - 3)
-    s = minimum(maximum((place - own.low) * (intervals / (own.high - own.low)), 0.0), intervals)
-    value = spline(s, [own.named(name) for name in NAMES[:count]])
+    variable = VARIABLES[int(own.variable.value or 0.0)]
+    periodic = "periodic" in variable
+    if "v" in variable and m.v.value == 0.0:
+        return m.v  # a damping, of plungers at rest
+    y = {"x": m.x, "v": m.v, "t": m.t}[variable[0]]
+    intervals = own.count if periodic else own.count - 3.0
+    place = (y - own.low) * (intervals / (own.high - own.low))
+    value = spline(place, intervals, "force_map.c1", periodic=periodic)
     if variable == "x·u²":
         return value * m.u * m.u
     return -value * m.v if "v" in variable else value
-
-
-def spline(s: Node, c: list[Node]) -> Node:
-    """The curve at s, in intervals from the first knot."""
-    third = [c[i + 3] - 3.0 * c[i + 2] + 3.0 * c[i + 1] - c[i] for i in range(len(c) - 3)]
-    powers = [
-        (c[0] + 4.0 * c[1] + c[2]) / 6.0, (c[2] - c[0]) / 2.0, (c[0] - 2.0 * c[1] + c[2]) / 2.0, third[0] / 6.0,
-    ]  # fmt: skip
-    for k in range(1, len(third)):
-        jump = (third[k] - third[k - 1]) / 6.0
-        for power, share in enumerate((-(k**3), 3 * k**2, -3 * k, 1)):
-            powers[power] = powers[power] + where(s > float(k), jump * float(share), 0.0)
-    return powers[0] + s * (powers[1] + s * (powers[2] + s * powers[3]))
 
 
 def unpack(found: Mapping[str, object], where_found: str) -> Mapping[str, object]:
@@ -84,6 +75,6 @@ EFFECT = Effect(
     on_a_real_valve="A force that no effect of the catalogue explains acts on the plungers.",
     what_to_do="Look at where it acts, and compare it with what is known of the valve there.",
     force=curve,
-    shapes=("variable", "count"),
+    shapes=("variable",),
     unpack=unpack,
 )
