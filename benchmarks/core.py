@@ -1,8 +1,7 @@
-"""How fast is the traced core, beside the model's? `python -m benchmarks.core` prints the tables.
+"""How fast is the core? `python -m benchmarks.core` prints the tables.
 
-Both run in turn in one process, at a tolerance of 1e-8, and a ratio is the median of those of each turn: machines
-change their speed by two within seconds. The time that is shown is the best of the turns. Then follow derivatives, the
-live stepper, the start, and how far events of random valves are off those at 1e-13.
+At a tolerance of 1e-8; the time that is shown is the best of the turns, as machines change their speed by two within
+seconds. Then follow the live stepper, the start, and how far events of random valves are off those at 1e-13.
 """
 
 from __future__ import annotations
@@ -21,11 +20,10 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.speed import DECLARED, DRIVE, FIVE, TIMES, times_in_turn
-from valve_sim import core
-from valve_sim import model as old
-from valve_sim.model.drives import Drive
-from valve_sim.model.sensitivities import Tangents, numbers_of, run_tangents
-from valve_sim.model.simulation import Samples, new_states
+from valve_sim.core.live import Live
+from valve_sim.core.runs import Directions, run_sloped
+from valve_sim.core.simulation import run_numbers
+from valve_sim.model import Drive, Valve, simulate
 
 TOLERANCE: Final = 1e-8
 ROW: Final = 200
@@ -34,12 +32,10 @@ MANY: Final = 10_000
 STROKE: Final = Drive.of([0.0, 15e-3], [9.0, 0.0])
 STROKES: Final = Drive.of(np.arange(16) * 20e-3, [9.0, 0.0] * 8)
 SAMPLES: Final = np.arange(1, 601) * 5e-5
-FLUX: Final = old.Valve(
+FLUX: Final = Valve(
     DECLARED.with_values(a0=6.0, coil_time_constant=2.5e-3).parameters, {"motional_emf": {"share": 1.0}}
 )
-HEATING: Final = old.Valve(
-    DECLARED.parameters, {"coil_heating": {"temperature_rate": 100.0, "cooling_time_constant": 1.0}}
-)
+HEATING: Final = Valve(DECLARED.parameters, {"coil_heating": {"temperature_rate": 100.0, "cooling_time_constant": 1.0}})
 SIXTEEN: Final = (
     "pilot_damping", "main_damping", "spring_rate", "spring_preload", "a0", "a1", "a2", "a3", "pilot_mass",
     "moving_mass", "pilot_gap", "stroke", "coil_time_constant", "reference_voltage", "pickup_velocity_ratio",
@@ -49,86 +45,51 @@ BY_HAND: Final = 2.5
 """µs that hand-written C takes for the opening: the scale of the targets."""
 
 
-def ours(valve: old.Valve) -> core.Valve:
-    """The same valve for the traced core."""
-    return core.Valve(valve.parameters, valve.effects)
+def batch(valve: Valve, drive: Drive, times: Any) -> Callable[[], object]:
+    """A run of `ROW` equal valves on one thread."""
+    numbers = np.tile(valve.numbers(), (ROW, 1))
+    return lambda: run_numbers(valve, numbers, drive, times, tolerance=TOLERANCE, threads=1)
 
 
-def batch(valve: old.Valve, drive: Drive, times: Any) -> tuple[Callable[[], object], Callable[[], object]]:
-    """The model's and the core's run of `ROW` equal valves on one thread."""
-    records = np.repeat(valve.record(), ROW)
-    numbers = np.tile(ours(valve).numbers(), (ROW, 1))
-    return (
-        lambda: old.simulate_many(records, drive, times, tolerance=TOLERANCE, threads=1),
-        lambda: core.run_numbers(ours(valve), numbers, drive, times, tolerance=TOLERANCE, threads=1),
-    )
-
-
-def calls(valve: old.Valve) -> tuple[Callable[[], object], Callable[[], object]]:
-    """Calls of `simulate`, with all that it shows."""
-    new = ours(valve)
-    return (
-        lambda: [old.simulate(valve, DRIVE, TIMES, tolerance=TOLERANCE) for _ in range(ROW)],
-        lambda: [core.simulate(new, DRIVE, TIMES, tolerance=TOLERANCE) for _ in range(ROW)],
-    )
-
-
-def derivatives(count: int, samples: int) -> tuple[Callable[[], object], Callable[[], object]]:
+def derivatives(count: int, samples: int) -> Callable[[], object]:
     """Eight strokes with derivatives by so many parameters, once."""
-    times = np.linspace(1e-4, 0.32, samples)
-    new = ours(DECLARED.with_values(seat_load=0.3))
-    valve = DECLARED.with_values(seat_load=0.3)
-    directions = core.Directions.of(new, STROKES, SIXTEEN[:count])
-    record = valve.record()
-    numbers = np.zeros((count, len(numbers_of(record))))
-    for row, name in enumerate(SIXTEEN[:count]):
-        numbers[row, list(record.dtype.names).index(name)] = 1.0
-    nothing = np.zeros((count, len(STROKES.times)))
-    tangents = Tangents(numbers, nothing, nothing, np.zeros(count))
-    rows, empty = np.empty((samples, 1)), np.empty(0)
-
-    def before() -> None:
-        run_tangents(record, new_states(record, 0.0), STROKES, Samples(times, rows, empty, empty), tangents, TOLERANCE)
-
-    return before, lambda: core.run_sloped(new, STROKES, times, directions, tolerance=TOLERANCE)
-
-
-def strokes_alone(samples: int) -> tuple[Callable[[], object], Callable[[], object]]:
-    """Eight strokes without derivatives."""
-    return batch(DECLARED.with_values(seat_load=0.3), STROKES, np.linspace(1e-4, 0.32, samples))
+    times, valve = np.linspace(1e-4, 0.32, samples), DECLARED.with_values(seat_load=0.3)
+    directions = Directions.of(valve, STROKES, SIXTEEN[:count])
+    return lambda: run_sloped(valve, STROKES, times, directions, tolerance=TOLERANCE)
 
 
 def measure(turns: int) -> Table:
-    """The table of both cores in turn."""
-    cases: Mapping[str, tuple[tuple[Callable[[], object], Callable[[], object]], int, str]] = {
+    """The times of runs, one after the other."""
+    eight = batch(DECLARED.with_values(seat_load=0.3), STROKES, np.linspace(1e-4, 0.32, 100))
+    cases: Mapping[str, tuple[Callable[[], object], int, str]] = {
         "opening, 150 samples": (batch(DECLARED, DRIVE, TIMES), ROW, "5"),
-        "simulate(), all outputs": (calls(DECLARED), ROW, "15"),
+        "simulate(), all outputs": (
+            lambda: [simulate(DECLARED, DRIVE, TIMES, tolerance=TOLERANCE) for _ in range(ROW)], ROW, "15",
+        ),
         "five effects": (batch(FIVE, DRIVE, TIMES), ROW, "6.5"),
         "flux": (batch(FLUX, DRIVE, TIMES), ROW, "9.5"),
         "heating": (batch(HEATING, DRIVE, TIMES), ROW, ""),
         "stroke, 600 samples": (batch(DECLARED, STROKE, SAMPLES), ROW, "12"),
-        "eight strokes, 100 samples": (strokes_alone(100), ROW, ""),
+        "eight strokes, 100 samples": (eight, ROW, ""),
         "  with 4 derivatives": (derivatives(4, 100), 1, "250"),
         "  with 16 derivatives": (derivatives(16, 100), 1, "350"),
-    }
-    table = Table("what", "model, µs", "core, µs", "ratio", "wanted, µs", title="at 1e-8, in turn, one thread")
-    for name, (works, count, wanted) in cases.items():
-        durations = times_in_turn(works, turns) / count * 1e6
-        ratio = float(np.median(durations[:, 0] / durations[:, 1]))
-        best = durations.min(axis=0)
-        table.add_row(name, f"{best[0]:.2f}", f"{best[1]:.2f}", f"{ratio:.2f}", wanted)
+    }  # fmt: skip
+    table = Table("what", "µs", "wanted, µs", title="at 1e-8, one thread")
+    durations = times_in_turn([work for work, _, _ in cases.values()], turns)
+    for (name, (_, count, wanted)), own in zip(cases.items(), durations.T, strict=True):
+        table.add_row(name, f"{own.min() / count * 1e6:.2f}", wanted)
     return table
 
 
 def many(turns: int) -> Table:
     """Ten thousand valves on one and two threads."""
     random = np.random.default_rng(1)
-    valve = ours(DECLARED)
+    valve = DECLARED
     names = valve.plan().parameters
     numbers = np.tile(valve.numbers(), (MANY, 1))
     numbers[:, names.index("pilot_damping")] = random.uniform(0.5, 2.0, MANY)
     numbers[:, names.index("main_damping")] = random.uniform(2.0, 8.0, MANY)
-    works = [lambda n=n: core.run_numbers(valve, numbers, DRIVE, TIMES, tolerance=TOLERANCE, threads=n) for n in (1, 2)]
+    works = [lambda n=n: run_numbers(valve, numbers, DRIVE, TIMES, tolerance=TOLERANCE, threads=n) for n in (1, 2)]
     durations = times_in_turn(works, turns) / MANY * 1e6
     table = Table("10,000 openings", "µs each", "ratio", "wanted", title="batch")
     table.add_row("one thread", f"{durations[:, 0].min():.2f}", "", "2 µs")
@@ -148,8 +109,8 @@ def live(steps: int) -> Table:
     ):
         best = float("inf")
         for _ in range(7):
-            stepper, volts = core.Stepper(ours(DECLARED), tolerance=TOLERANCE), 0.0
-            advance, command = stepper.step, stepper._live.command
+            valve, volts = Live.at_rest(DECLARED, 0.0, TOLERANCE), 0.0
+            advance, command = valve.advance, valve._command
             start = time.perf_counter()
             for step in range(steps):
                 if every and step % every == 0:
@@ -165,11 +126,10 @@ def live(steps: int) -> Table:
 START: Final = """
 import time
 begin = time.process_time()
-from valve_sim import core
-imported = time.process_time()
-valve = core.Valve(effects={effects})
+from valve_sim.model import Valve, simulate
 from valve_sim.model.drives import step
-core.simulate(valve, step(9.0), [0.01])
+imported = time.process_time()
+simulate(Valve(effects={effects}), step(9.0), [0.01])
 print(imported - begin, time.process_time() - imported)
 """
 
@@ -207,7 +167,7 @@ def accuracy(count: int) -> Table:
         worst, events, other = [], 0, 0
         for seed in range(count):
             valve, drive, _ = drawn(kind, seed)
-            found, exact = (core.simulate(valve, drive, [0.05], tolerance=t).events for t in (TOLERANCE, 1e-13))
+            found, exact = (simulate(valve, drive, [0.05], tolerance=t).events for t in (TOLERANCE, 1e-13))
             if [event.kind for event in found] != [event.kind for event in exact]:
                 other += 1
                 continue

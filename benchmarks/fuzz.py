@@ -226,8 +226,7 @@ def try_valve(random: Random, folder: Path) -> str:
     except SimulationError as error:
         _refused(error)
         return "given up"
-    stroke = float(valve.record()[0]["stroke"])
-    gain = float(valve.record()[0]["sensor_gain"])
+    stroke, gain = valve.after_effects("stroke", "sensor_gain")
     assert np.isfinite(response.pilot_velocity).all()
     assert np.all(
         (response.pilot_position >= -GENTLE) & (response.pilot_position <= (stroke + GENTLE) * max(1.0, gain))

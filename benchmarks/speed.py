@@ -21,7 +21,8 @@ from rich.console import Console
 from rich.table import Table
 from scipy.integrate import solve_ivp
 
-from valve_sim.model import Drive, EventKind, Valve, simulate, simulate_many
+from valve_sim.core.simulation import run_numbers
+from valve_sim.model import Drive, EventKind, Valve, simulate
 
 TIMES: Final = np.linspace(1e-4, 15e-3, 150)
 DRIVE: Final = Drive.of([0.0], [9.0])
@@ -175,9 +176,9 @@ def add_openings(table: Table, name: str, valve: Valve, wanted: float) -> None:
     They are timed in turns, and a ratio is the median of those of each turn: machines change their speed by two within
     seconds.
     """
-    records = np.repeat(valve.record(), ROW)
+    numbers = np.tile(valve.numbers(), (ROW, 1))
     works: dict[str, Callable[[], object]] = {
-        "valve_sim, core": lambda: simulate_many(records, DRIVE, TIMES, tolerance=TOLERANCE, threads=1),
+        "valve_sim, core": lambda: run_numbers(valve, numbers, DRIVE, TIMES, tolerance=TOLERANCE, threads=1),
         "valve_sim, simulate()": lambda: [simulate(valve, DRIVE, TIMES, tolerance=TOLERANCE) for _ in range(CALLS)],
         "SciPy RK45": lambda: scipy_opening(valve),
     }
@@ -196,11 +197,11 @@ def add_openings(table: Table, name: str, valve: Valve, wanted: float) -> None:
 def add_many(table: Table) -> None:
     """Two rows: ten thousand valves on one and two threads."""
     random = np.random.default_rng(1)
-    records = np.repeat(DECLARED.record(), MANY)
-    records["pilot_damping"] = random.uniform(0.5, 2.0, MANY)
-    records["main_damping"] = random.uniform(2.0, 8.0, MANY)
+    names, numbers = DECLARED.plan().parameters, np.tile(DECLARED.numbers(), (MANY, 1))
+    numbers[:, names.index("pilot_damping")] = random.uniform(0.5, 2.0, MANY)
+    numbers[:, names.index("main_damping")] = random.uniform(2.0, 8.0, MANY)
     durations = [
-        median_time(lambda n=n: simulate_many(records, DRIVE, TIMES, tolerance=TOLERANCE, threads=n), 5)  # type: ignore[misc]
+        median_time(lambda n=n: run_numbers(DECLARED, numbers, DRIVE, TIMES, tolerance=TOLERANCE, threads=n), 5)  # type: ignore[misc]
         for n in (1, 2)
     ]
     for threads, duration, wanted in zip((1, 2), durations, ("", "≥ 1.8"), strict=True):

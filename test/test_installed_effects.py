@@ -85,7 +85,7 @@ def test_a_node_has_its_parameters(installed: Installed) -> None:
         ("import no_such_module\n", "magnet_drag:EFFECT", ("cannot be loaded", "no_such_module")),
         (MAGNET_DRAG, "magnet_drag:EFFEKT", ("cannot be loaded", "EFFEKT")),
         ("EFFECT = 3\n", "magnet_drag:EFFECT", ("found int", "expected an Effect")),
-        (MAGNET_DRAG.replace("term=drag,", ""), "magnet_drag:EFFECT", ("neither a term nor a rewrite",)),
+        (MAGNET_DRAG.replace("term=drag,", ""), "magnet_drag:EFFECT", ("has no expression",)),
         (MAGNET_DRAG.replace('"magnet_drag"', '"coil_lag"'), "magnet_drag:EFFECT", ("coil_lag", "registered already")),
         (MAGNET_DRAG.replace("return -force", "return no_such_name"), "magnet_drag:EFFECT", ("cannot be compiled",)),
     ],

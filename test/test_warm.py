@@ -48,7 +48,7 @@ stepper.advance(3e-3)
 
 
 def compiled_code(folder: Path) -> dict[str, int]:
-    return {str(file): file.stat().st_mtime_ns for file in folder.rglob("*.nb?")}
+    return {str(file): file.stat().st_mtime_ns for kind in ("*.nb?", "*.o") for file in folder.rglob(kind)}
 
 
 @pytest.mark.parametrize(("version", "is_tried"), [((0, 57), False), ((0, 58), True), ((0, 68), True), ((1, 0), False)])
@@ -61,22 +61,19 @@ def test_what_is_warm_compiles_nothing_and_what_is_not_says_so(tmp_path: Path) -
     cache = tmp_path / "cache"
 
     def python(*words: str) -> subprocess.CompletedProcess[str]:
-        environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache)}
+        environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache), "VALVE_SIM_CACHE": str(cache)}
         return subprocess.run(
             [sys.executable, *words], env=environment, capture_output=True, text=True, timeout=300, check=True
         )
 
-    first = python(*SIMULATE, str(tmp_path / "first.csv"))
-    assert first.stderr == f"valve-sim: {COMPILING}\n"
-    assert python("-m", "valve_sim.warm").stdout.count("\n") == 1
+    assert python(*SIMULATE, str(tmp_path / "first.csv")).stderr == "", "what a simulation needs takes a second"
+    assert python("-m", "valve_sim.warm").stdout == f"{COMPILING}\n"
     warmed = compiled_code(cache)
     assert python("-m", "valve_sim.warm").stdout == ""
     assert python(*SIMULATE, str(tmp_path / "second.csv")).stderr == ""
     python("-c", USE_ALL, str(Path(__file__).parents[1] / "bags" / "friction"))
     assert compiled_code(cache) == warmed
     assert len(warmed) > 10
-    runs = [name for name in warmed if "driver.run-" in name and name.endswith(".nbc")]
-    assert len(runs) == 2, "one plain run of the core and one with derivatives, not another for each type of a count"
 
 
 @pytest.mark.long

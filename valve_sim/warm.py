@@ -14,6 +14,7 @@ from typing import Final
 
 import numpy as np
 
+from valve_sim.core.runs import WIDTHS
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.estimation.budget import Budget
 from valve_sim.identification.estimation.condensed import Condensed
@@ -22,7 +23,6 @@ from valve_sim.identification.plants.protocol import Direction
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import CATALOGUE, Drive, Stepper, Valve, ValveError, simulate, simulate_many
 from valve_sim.model.compiling import COMPILING, announce_compiling
-from valve_sim.model.flux import flux_slope
 from valve_sim.model.gas import GasParameters
 from valve_sim.model.gas.line import Gas, Line
 from valve_sim.model.sensitivities import Tangents, numbers_of, run_tangents
@@ -34,19 +34,19 @@ NO_NOISE: Final = Noise(1.0, 1.0, (), 0.0, 0)
 
 
 def warm() -> None:
-    """Have every compiled function at hand: whole runs, derivatives, many at once, a live valve, terms of effects."""
+    """Have compiled code at hand: of a valve with each effect alone, with derivatives, live, and of a fit."""
     valve = default_valve()
     drive = Drive.of([0.0], [valve.parameters.reference_voltage])
     simulate(valve, drive, [0.0, 1e-3])
     simulate_many([valve], drive, [0.0, 1e-3], threads=1)
-    _warm_derivatives(valve, drive)
+    alone = [name for name, effect in CATALOGUE.items() if effect.named and effect.is_of(has_gas=False)]
+    for effects in ({}, *({name: CATALOGUE[name].neutral_values()} for name in alone)):
+        for width in WIDTHS:
+            replace(valve, effects=effects).plan(width)
     stepper = Stepper(valve)
     stepper.command(1e-3, valve.parameters.reference_voltage)
     stepper.set_valve(valve, 2e-3)
     stepper.advance(3e-3)
-    for effect in CATALOGUE.values():
-        effect.compile_ahead()
-    flux_slope(valve.record())
     _warm_fits(valve, drive)
 
 
@@ -71,7 +71,9 @@ def _warm_derivatives(valve: Valve, drive: Drive) -> None:
 
 
 def warm_gas() -> None:
-    """Compile what a valve with gas needs: whole runs, a live valve, and a line that several fill."""
+    """Compile what a valve with gas needs: whole runs, a live valve, terms of effects, a line that several fill."""
+    for effect in CATALOGUE.values():
+        effect.compile_ahead()
     sizes = GasParameters(1e7, 1e-5, 2e-4, 3e-3, 4e-3)
     valve = replace(default_valve().with_values(seat_load=0.3), gas=sizes)
     drive = Drive.of([0.0], [valve.parameters.reference_voltage])

@@ -11,7 +11,7 @@ from model.flux_cases import TIMES as FLUX_TIMES
 from model.flux_cases import random_case, random_release
 from model.random_valves import TIMES, random_valve
 
-from valve_sim.core import Valve
+from valve_sim.model import Valve
 from valve_sim.model.drives import Drive
 
 CALIBRATED = Valve().with_values(a0=3.0336, coil_time_constant=0.9934e-3)

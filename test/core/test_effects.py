@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from types import MappingProxyType
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -13,20 +13,23 @@ from hypothesis import strategies as st
 from model.random_valves import RANGES
 
 from core.cases import CALIBRATED, STROKE
-from valve_sim.core import Directions, Effect, Motion, Own, Valve, run_sloped, shipped, simulate
+from valve_sim.core.runs import Directions, run_sloped
+from valve_sim.core.symbols import Motion, Own
 from valve_sim.core.tracer import Node, exp, maximum, sin
+from valve_sim.model import CATALOGUE, Effect, Valve, simulate
 from valve_sim.model.drives import Drive
 from valve_sim.model.errors import ParameterError, SimulationError
 from valve_sim.model.parameters import DECLARED, Parameter
 
 TIMES = np.linspace(1e-3, 0.03, 80)
+SHIPPED = {name: entry for name, entry in CATALOGUE.items() if entry.is_of(has_gas=False)}
 NEVER_OFF = ("motional_emf",)
 """Whose declaration alone changes the coil."""
 
 
-@pytest.mark.parametrize("name", [name for name in shipped() if name not in NEVER_OFF])
+@pytest.mark.parametrize("name", [name for name in SHIPPED if name not in NEVER_OFF])
 def test_an_effect_that_is_off_changes_nothing(name: str) -> None:
-    finite = {p.name: p.neutral if math.isfinite(p.neutral) else p.upper for p in shipped()[name].parameters}
+    finite = {p.name: p.neutral if math.isfinite(p.neutral) else p.upper for p in SHIPPED[name].parameters}
     plain = simulate(CALIBRATED, STROKE, TIMES)
     off = simulate(Valve(CALIBRATED.parameters, {name: finite}), STROKE, TIMES)
     # Where it is never quite off, the largest value stands for that: 1e3 for u_s, 1 GHz for the sensor.
@@ -36,12 +39,12 @@ def test_an_effect_that_is_off_changes_nothing(name: str) -> None:
     assert [event.kind for event in off.events] == [event.kind for event in plain.events]
 
 
-@pytest.mark.parametrize("name", shipped())
+@pytest.mark.parametrize("name", SHIPPED)
 def test_every_entry_is_whole(name: str) -> None:
-    entry = shipped()[name]
+    entry = SHIPPED[name]
     assert entry.name == name and entry.title and entry.summary and entry.source
     assert entry.on_a_real_valve.endswith(".") and entry.what_to_do.endswith(".")
-    assert set(entry.confused_with) <= set(shipped())
+    assert set(entry.confused_with) <= set(SHIPPED)
     assert all(p.unit and p.description for p in entry.parameters)
     assert entry.force or entry.friction or entry.square or entry.changes
 
@@ -94,11 +97,19 @@ OWN_EFFECT = Effect(
 )  # fmt: skip
 
 
+@pytest.fixture
+def catch() -> Iterator[None]:
+    """The effect of this test in the catalogue."""
+    CATALOGUE.register(OWN_EFFECT)
+    yield
+    CATALOGUE.unregister("catch")
+
+
+@pytest.mark.usefixtures("catch")
 def test_an_effect_of_one_s_own_gets_series_events_and_derivatives() -> None:
-    catalogue = MappingProxyType({**shipped(), "catch": OWN_EFFECT})
     values = {"stiffness": 2e3, "place": 7e-4, "ripple": 0.05}
     mapping = {"valve": CALIBRATED.parameters._asdict(), "effects": {"catch": values}}
-    valve = Valve.from_mapping(mapping, "own.yaml", catalogue)
+    valve = Valve.from_mapping(mapping, "own.yaml")
     exact = simulate(valve, STROKE, TIMES, tolerance=1e-13)
     found = simulate(valve, STROKE, TIMES)
     assert found.pilot_position == pytest.approx(exact.pilot_position, abs=2e-12)
@@ -108,7 +119,7 @@ def test_an_effect_of_one_s_own_gets_series_events_and_derivatives() -> None:
         h = 1e-5 * values[name]
         above, below = (
             simulate(
-                Valve(valve.parameters, {"catch": {**values, name: values[name] + d}}, catalogue), STROKE, TIMES,
+                Valve(valve.parameters, {"catch": {**values, name: values[name] + d}}), STROKE, TIMES,
                 tolerance=1e-12,
             ).pilot_position
             for d in (h, -h)
@@ -131,8 +142,8 @@ def valves(draw: st.DrawFn, most_effects: int) -> Valve:
     declared: dict[str, Any] = CALIBRATED.parameters._asdict()
     for name in draw(st.lists(st.sampled_from([name for name in DECLARED if name in declared]), max_size=5)):
         declared[name] = draw(values(DECLARED[name], declared[name]))
-    chosen = draw(st.lists(st.sampled_from(sorted(shipped())), max_size=most_effects, unique=True))
-    effects = {name: {p.name: draw(values(p, p.prior_scale)) for p in shipped()[name].parameters} for name in chosen}
+    chosen = draw(st.lists(st.sampled_from(sorted(SHIPPED)), max_size=most_effects, unique=True))
+    effects = {name: {p.name: draw(values(p, p.prior_scale)) for p in SHIPPED[name].parameters} for name in chosen}
     try:
         return Valve.from_mapping({"valve": declared, "effects": effects}, "drawn")
     except ParameterError as error:
@@ -173,7 +184,7 @@ def test_many_accepted_valves_end_finite_and_inside(valve: Valve, commands: list
 
 
 def test_the_sizes_of_the_random_valves_are_of_the_catalogue() -> None:
-    assert set(RANGES) <= set(shipped())
+    assert set(RANGES) <= set(SHIPPED)
 
 
 MAP = {"low": 1e-4, "high": 1.1e-3, "coefficients": [0.3, -0.2, 0.4, 0.1, -0.3, 0.2, 0.35, -0.1]}

@@ -10,7 +10,8 @@ from model.test_one_plunger import EFFECTS, KINDS, STROKES, TIMES
 from plants.single_plunger import SINGLE_VALVE, SinglePlungerPlant
 
 from core.test_derivatives import ACCURATE, quotient
-from valve_sim.core import Directions, Valve, run_sloped, simulate
+from valve_sim.core.runs import Directions, run_sloped
+from valve_sim.model import Valve, simulate
 
 
 def one_plunger(effects: Mapping[str, Mapping[str, float]], seat_load: float) -> Valve:

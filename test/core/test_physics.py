@@ -12,7 +12,7 @@ from model.flux_reference import FluxReference
 from model.reference import reference
 
 from core.cases import CALIBRATED, STROKE, drawn
-from valve_sim.core import Valve, run_many, simulate
+from valve_sim.model import Valve, simulate, simulate_many
 from valve_sim.model.core_types import EventKind, Phase
 from valve_sim.model.drives import Drive, peak_and_hold, step
 
@@ -151,7 +151,7 @@ def test_many_valves_are_each_simulated_alone() -> None:
     times = np.linspace(1e-3, 30e-3, 100)
     valves = [CALIBRATED.with_values(main_damping=c) for c in np.linspace(0.0, 8.0, 40)]
     for threads in (1, 2):
-        shown = run_many(valves, STROKE, times, threads=threads)
+        shown = simulate_many(valves, STROKE, times, threads=threads)
         for valve, row in zip(valves, shown, strict=True):
             assert np.array_equal(row, simulate(valve, STROKE, times).pilot_position)
 

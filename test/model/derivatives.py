@@ -9,10 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from model.random_valves import random_valve
+from valve_sim.core.runs import Directions, Run
+from valve_sim.core.simulation import commands_of
 from valve_sim.model import Drive, Event, Valve, simulate
-from valve_sim.model.effects import new_record
-from valve_sim.model.sensitivities import Tangents, has_sensitivities, numbers_of, run_tangents
-from valve_sim.model.simulation import Samples, new_states
 
 TIGHT, TIGHTEST = 1e-11, 1e-13
 """Of a step: of the derivatives, whose steps are those of the plain trace, and of what they are held against."""
@@ -21,8 +20,8 @@ ACCURACY = 1e-6
 TIMES = np.arange(1.0, 600.0) * 1e-4
 """s: a stroke up, and down to the seat."""
 PULSE = Drive.of([1e-3, 26e-3], [11.0, 0.0])
-BY_QUOTIENT = {"coil_heating", "motional_emf", "release_voltage"}
-"""Effects and declared values whose derivatives are not known."""
+BY_QUOTIENT = {"release_voltage"}
+"""Declared values that are off, and whose derivatives are not known."""
 SIZES = {"a0": 1.0, "coil_time_constant": 1e-4, "seat_load": 0.1, "pilot_damping": 0.1, "main_damping": 0.1}
 """Of numbers that may be 0."""
 
@@ -57,9 +56,6 @@ class Case(NamedTuple):
         value = self.valve.effects[kind][which] if which else self.valve.declared()[name]
         return max(abs(value), SIZES.get(name, 0.0))
 
-    def record(self) -> np.ndarray:
-        return np.asarray(new_record(self.valve.declared(), self.valve.effects))
-
     def names(self) -> list[str]:
         """Everything that the trace depends on, and whose derivative is known."""
         effects = [f"{name}.{parameter}" for name, values in self.valve.effects.items() for parameter in values]
@@ -69,10 +65,10 @@ class Case(NamedTuple):
     def shown(self) -> tuple[np.ndarray, np.ndarray, tuple[Event, ...]]:
         """Pilot position, normalised current, events."""
         response = simulate(self.valve, self.drive, self.times, tolerance=TIGHTEST, start_time=0.0)
-        rated = self.valve.record()[0]["reference_voltage"] / self.valve.record()[0]["coil_resistance"]
+        rated = self.valve.parameters.reference_voltage / self.valve.parameters.coil_resistance
         return response.pilot_position, response.coil_current / rated, response.events
 
-    def tangents(self, names: list[str]) -> Tangents:
+    def directions(self, names: list[str]) -> Directions:
         steps = [1e-6 * self.size(name) for name in names]
         above = [self.moved(name, step) for name, step in zip(names, steps, strict=True)]
         below = [self.moved(name, -step) for name, step in zip(names, steps, strict=True)]
@@ -81,8 +77,8 @@ class Case(NamedTuple):
         def slopes(of: Callable[[Case], np.ndarray]) -> np.ndarray:
             return (np.array([of(case) for case in above]) - np.array([of(case) for case in below])) / width
 
-        return Tangents(
-            slopes(lambda case: numbers_of(case.record())),
+        return Directions(
+            slopes(lambda case: case.valve.numbers()),
             slopes(lambda case: case.drive.times),
             slopes(lambda case: case.drive.volts),
             slopes(lambda case: case.times[:1])[:, 0],
@@ -90,13 +86,9 @@ class Case(NamedTuple):
 
     def derivatives(self, names: list[str]) -> tuple[np.ndarray, np.ndarray]:
         """Of positions and of normalised currents, by variational equations."""
-        times = self.times
-        samples = Samples(times, np.empty((len(times), 1)), times, np.empty(len(times)))
-        tangents = self.tangents(names)
-        record = self.record()
-        assert has_sensitivities(record, tangents.numbers).all()
-        positions, currents, _ = run_tangents(record, new_states(record, 0.0), self.drive, samples, tangents, TIGHT)
-        return positions, currents
+        run = Run(self.valve, 0.0, tolerance=TIGHT, directions=self.directions(names))
+        shown = run.piece(commands_of(self.drive), float(self.times[-1]), self.times, self.times)
+        return shown.of_positions, shown.of_currents
 
 
 def quotient(case: Case, name: str, step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
@@ -108,7 +100,7 @@ def quotient(case: Case, name: str, step: float) -> tuple[np.ndarray, np.ndarray
     position, current = (
         (8.0 * (shown[1][of] - shown[-1][of]) - (shown[2][of] - shown[-2][of])) / (12.0 * step) for of in (0, 1)
     )
-    delay = case.record()["sensor_delay"].item()
+    (delay,) = case.valve.after_effects("sensor_delay")
     first, last = ([event.time for event in shown[by][2]] + list(case.drive.times) for by in (-2, 2))
     is_clear = np.ones(len(case.times), dtype=bool)
     reach = 1e-9 + 4.0 * step * (name.startswith(("clock", "command")) or name.endswith("delay"))

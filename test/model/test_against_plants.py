@@ -40,8 +40,8 @@ EFFECTS = {
 
 
 def test_every_effect_is_compared() -> None:
-    """Here, or where a flux is integrated (test_flux), or with gas (gas/test_effects)."""
-    elsewhere = {"motional_emf", "seat_leak", "pilot_clogging"}
+    """Here, or where a flux is integrated (test_flux), with gas (gas/test_effects), or in core/test_physics."""
+    elsewhere = {"motional_emf", "seat_leak", "pilot_clogging", "stop_compliance"}
     assert {*EFFECTS, *elsewhere} == {name for name, effect in CATALOGUE.items() if effect.named}
 
 

@@ -8,10 +8,12 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from valve_sim.model import CATALOGUE, Drive, Effect, EventKind, Parameter, Phase, Stepper, Valve, driver, simulate
+from valve_sim.core.plan import entry
+from valve_sim.core.symbols import Motion, Own
+from valve_sim.core.tracer import Node, where
+from valve_sim.model import CATALOGUE, Drive, Effect, EventKind, Parameter, Phase, Stepper, Valve, simulate
 from valve_sim.model.core_types import Outcome
-from valve_sim.model.response import event_log
-from valve_sim.model.simulation import TOLERANCE, new_states
+from valve_sim.model.simulation import TOLERANCE
 
 HOUR = 3600.0
 MOST = 100_000
@@ -27,15 +29,17 @@ RESTING = {
 }
 
 
-def steps(valve: Valve, until: float, *, in_series: bool = False) -> int:
+def steps(valve: Valve, until: float) -> int:
     """The fewest steps between two commands with which a pulse, and the rest after it, can be simulated."""
+    plan, commands = valve.plan(), np.column_stack(PULSE)
 
     def suffice(most: int) -> bool:
-        record = valve.record()
-        samples = (np.array([until]), np.empty((1, 1)), np.empty(0), np.empty(0))
-        control = (TOLERANCE, most, in_series)
-        course = (PULSE.times, PULSE.volts, until)
-        _, outcome = driver.run_drive(record, new_states(record, 0.0), course, samples, event_log(), control, None)
+        block = plan.block(valve.numbers(), TOLERANCE, 0.0)
+        own, none = block.ctypes.data, block.ctypes.data
+        outcome = entry("drive")(
+            own, none, commands.ctypes.data, len(commands), until, most, none, 0, none, 1, none, none, 0, none, none,
+            none, none, 0,
+        )  # fmt: skip
         return bool(outcome == Outcome.FINISHED)
 
     return bisect.bisect_left(range(MOST), True, key=suffice)
@@ -70,7 +74,6 @@ def test_an_hour_of_rest_takes_no_more_steps_than_a_few_strokes(name: str) -> No
     stroke = steps(valve, 0.1)
     assert 20 < stroke < 500
     assert steps(valve, HOUR) < 3 * stroke
-    assert steps(valve, HOUR, in_series=True) <= steps(valve, HOUR)
 
 
 @pytest.mark.parametrize("name", RESTING)
@@ -103,10 +106,10 @@ def test_what_lifts_after_minutes_does_so_to_the_nanosecond(force: float, equali
 
 
 def test_a_term_of_time_is_watched_all_through_a_rest() -> None:
-    def knock(x: float, v: float, u: float, t: float, force: float) -> float:
-        return force if 599.0 < t < 599.005 else 0.0
+    def knock(m: Motion, own: Own) -> Node:
+        return where(m.t > 599.0, where(m.t < 599.005, own.force, 0.0), 0.0)
 
-    CATALOGUE.register(Effect("knock", "a force for 5 ms", (Parameter("force", "N", "up"),), "test", term=knock))
+    CATALOGUE.register(Effect("knock", "a force for 5 ms", (Parameter("force", "N", "up"),), "test", force=knock))
     try:
         valve = Valve(CALIBRATED.parameters, {"knock": {"force": 1.0}})
         response = simulate(valve, Drive.of([0.0], [0.0]), [600.0])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +11,8 @@ from hypothesis import strategies as st
 
 from model.derivatives import ACCURACY, BY_QUOTIENT, PULSE, Case, errors_of, random_case
 from model.random_valves import RANGES
+from valve_sim.core.symbols import Motion, Own
+from valve_sim.core.tracer import Node, tanh
 from valve_sim.model import CATALOGUE, Drive, Effect, EventKind, Parameter, Valve
 
 
@@ -77,14 +78,14 @@ def test_any_valve(seed: int) -> None:
     check(*found)
 
 
-def leaning(x: float, v: float, u: float, t: float, force: float, width: float) -> float:
-    """A user's term: a force that fades with speed and grows with current."""
-    return -force * math.tanh(u * x / width) / (1.0 + (v / 0.1) ** 2)
+def leaning(m: Motion, own: Own) -> Node:
+    """A user's force, which fades with speed and grows with current."""
+    return -own.force * tanh(m.u * m.x / own.width) / (1.0 + (m.v / 0.1) ** 2)
 
 
-def test_a_users_term_needs_no_derivative() -> None:
+def test_a_users_force_needs_no_derivative() -> None:
     force, width = Parameter("force", "N", "of a test"), Parameter("width", "m", "of a test")
-    CATALOGUE.register(Effect("leaning", "of a test", (force, width), "a test", term=leaning))
+    CATALOGUE.register(Effect("leaning", "of a test", (force, width), "a test", force=leaning))
     try:
         valve = Valve().with_values(a0=3.0, coil_time_constant=8e-4, seat_load=0.2)
         case = Case(replace(valve, effects={"leaning": {"force": 0.3, "width": 2e-4}}), PULSE)

@@ -76,6 +76,7 @@ from valve_sim.core.layout import (
     MOVE,
     MOVING,
     NET,
+    NUMBER_COUNT,
     NUMBERS,
     ON_SEAT,
     ONE_PLUNGER,
@@ -121,6 +122,7 @@ from valve_sim.core.layout import (
     UP,
     UP_RATE,
     VOLTS,
+    WARM,
     WIDTH,
     V,
     X,
@@ -190,6 +192,8 @@ SPACING: Final = 1.2e-16
 """Half of the relative distance between doubles, and a little more: rounding takes less than that to the next one."""
 FAR: Final = 1e30
 """Intervals from the ends of a curve beyond which nothing changes."""
+NO_CURRENT: Final = 1e-12
+"""Of the reference current: less is none, where there is no voltage."""
 NEGLIGIBLE: Final = 1e-17
 """Of a sum: a term that ends its series."""
 
@@ -245,7 +249,7 @@ def place_curve(b: Block, t: Block, index: float) -> None:
     varies = 1.0
     if b[IS_PERIODIC] > 0.0:
         first = index - (last + 1.0) * whole_below(index / (last + 1.0))
-    elif index < 0.0:
+    elif not (index >= 0.0):
         b[CURVE_LOW] = -FAR
         b[CURVE_HIGH] = 0.0
         first = 0.0
@@ -256,6 +260,8 @@ def place_curve(b: Block, t: Block, index: float) -> None:
         first = last
         at = 1.0
         varies = 0.0
+    if not (0.0 <= first <= last):
+        first = 0.0  # of a place that is no number, with which the step fails
     width = int(b[WIDTH])
     set_cubic(b, 1, b, first, at, varies)
     for k in range(width):
@@ -413,6 +419,8 @@ def root(b: Block, c: int, h: float, target: float, way: float, terms: int) -> f
 def step(b: Block, t: Block) -> int:
     """Find the next step from the state: its series, its size, and what ends it. −1 if it cannot be found."""
     if b[MOVING] == 0.0:
+        if b[WARM] >= 0.0 and b[VOLTS] == 0.0:
+            settle_coil(b, t)
         invoke(b[REST], b, t)
     else:
         invoke(b[MOVE], b, t)
@@ -431,6 +439,19 @@ def step(b: Block, t: Block) -> int:
         b[ELAPSED] = b[STEP]
         invoke(b[AT], b, t)
     return ends
+
+
+def settle_coil(b: Block, t: Block) -> None:
+    """Set negligible currents of a coil without voltage to 0: while they fade, an hour takes a million steps."""
+    states = int(b[STATES])
+    warm = int(b[WARM])
+    for i in range(states):
+        if i != warm and abs(b[COIL + i]) > NO_CURRENT:
+            return
+    for i in range(states):
+        if i != warm:
+            b[COIL + i] = 0.0
+            set_tangents(b, t, COIL + i, COIL + i, 0.0)
 
 
 def first_event(b: Block, t: Block) -> int:
@@ -535,9 +556,10 @@ def commit(b: Block, t: Block, time: float) -> None:
     """Make the end of the step, which is in the block, the state."""
     if b[SENSOR_LAG] > 0.0:
         h = time - b[TIME]
-        for k in range(int(b[WIDTH])):
-            lag_tangents(b, t, h, k)
         pilot = lagged(b, h, b[SHOWN_PILOT], 0.0)
+        if h > 0.0:
+            for k in range(int(b[WIDTH])):
+                lag_tangents(b, t, h, k)
         b[SHOWN_MAIN] = shown_main(b, h)
         b[SHOWN_PILOT] = pilot
     b[TIME] = time
@@ -879,14 +901,12 @@ def lagged(b: Block, h: float, shown: float, offset: float) -> float:
 def lag_tangents(b: Block, t: Block, h: float, k: int) -> None:
     """Advance the tangents, in direction k, of what the sensors show to h since the start of the step.
 
-    By M_k' = 1 − M_k (1 + k/b), the derivative of a moment by the time constants b that have passed.
+    The moments must be those of h, as `lagged` leaves them, and h above 0. By M_k' = 1 − M_k (1 + k/b), the derivative
+    of a moment by the time constants b that have passed.
     """
     width = int(b[WIDTH])
     moments = b[SCRATCH + TERMS :]
     rate = h / b[SENSOR_LAG]
-    if rate == 0.0:
-        return
-    lag_moments(rate, moments)
     left = math.exp(-rate)
     moved = 0.0
     slope = 0.0
@@ -929,7 +949,10 @@ def before(time: float) -> float:
     return time - SPACING * abs(time) - 1e-300
 
 
-def fill(b: Block, t: Block, last: float, times: Block, count: int, rows: Block, columns: int, slopes: Block) -> None:
+def fill(
+    b: Block, t: Block, last: float, times: Block, count: int, rows: Block, columns: int, slopes: Block,
+    current_times: Block, current_count: int, currents: Block, current_slopes: Block,
+) -> None:  # fmt: skip
     """Write the samples of the step up to `last`, s: positions late by the sensor's delay, all else not."""
     start = b[TIME]
     delay = b[DELAY]
@@ -948,21 +971,41 @@ def fill(b: Block, t: Block, last: float, times: Block, count: int, rows: Block,
                 if columns == ROW_COLUMNS:
                     row[1] = b[GAIN] * shown_main(b, h)
         if b[WIDTH] > 0.0:
-            fill_slopes(b, t, times, first, end, columns, slopes)
+            fill_slopes(b, t, times, first, end, slopes)
         b[SAMPLED] = end
-    if columns > 1:
-        fill_rows(b, t, last, times, count, rows, columns, slopes)
+    if columns == ROW_COLUMNS or current_count > 0:
+        fill_others(b, t, last, times, count, rows, columns, current_times, current_count, currents, current_slopes)
 
 
-def fill_slopes(b: Block, t: Block, times: Block, first: int, end: int, columns: int, slopes: Block) -> None:
+def fill_others(
+    b: Block, t: Block, last: float, times: Block, count: int, rows: Block, columns: int, current_times: Block,
+    current_count: int, currents: Block, current_slopes: Block,
+) -> None:  # fmt: skip
+    """Write all but positions of the samples up to `last`: whole rows, or the current."""
+    first = int(b[SAMPLED_ROWS])
+    end = first
+    if columns == ROW_COLUMNS:
+        while end < count and times[end] <= last:
+            end += 1
+        fill_whole_rows(b, t, times, first, end, rows)
+    else:
+        while end < current_count and current_times[end] <= last:
+            end += 1
+        if b[WIDTH] > 0.0:
+            fill_sloped_currents(b, t, current_times, first, end, currents, current_slopes)
+        else:
+            fill_currents(b, t, current_times, first, end, currents)
+    b[SAMPLED_ROWS] = end
+
+
+def fill_slopes(b: Block, t: Block, times: Block, first: int, end: int, slopes: Block) -> None:
     """Write the tangents of the positions of some samples, as the sensor shows them."""
     width = int(b[WIDTH])
     start = b[TIME]
     delay = b[DELAY]
-    stride = width if columns == 1 else 2 * width
     lag = b[SENSOR_LAG]
     for i in range(first, end):
-        out = slopes[i * stride :]
+        out = slopes[i * width :]
         h = max(0.0, times[i] - delay - start)
         b[ELAPSED] = h
         shown = b[X]
@@ -980,7 +1023,8 @@ def fill_slopes(b: Block, t: Block, times: Block, first: int, end: int, columns:
             for k in range(width):
                 before = t[SHOWN_PILOT * width + k]
                 main = t[SHOWN_MAIN * width + k]
-                lag_tangents(b, t, h, k)
+                if h > 0.0:
+                    lag_tangents(b, t, h, k)
                 t[ROW_X * width + k] = t[SHOWN_PILOT * width + k]
                 t[SHOWN_PILOT * width + k] = before
                 t[SHOWN_MAIN * width + k] = main
@@ -1021,31 +1065,28 @@ def fill_positions(b: Block, times: Block, first: int, end: int, rows: Block) ->
         rows[i] = gain * (c0 + h * (c1 + h * (c2 + h * (c3 + h * (c4 + h * (c5 + h * (c6 + h * high)))))))
 
 
-def fill_rows(
-    b: Block, t: Block, last: float, times: Block, count: int, rows: Block, columns: int, slopes: Block
+def fill_sloped_currents(
+    b: Block, t: Block, times: Block, first: int, end: int, currents: Block, slopes: Block
 ) -> None:
-    """Write all but positions of the samples before `last`: the current, or whole rows."""
-    first = int(b[SAMPLED_ROWS])
-    end = first
-    while end < count and times[end] <= last:
-        end += 1
-    if columns == ROW_COLUMNS:
-        fill_whole_rows(b, t, times, first, end, rows)
-    else:
-        fill_currents(b, t, times, first, end, rows, slopes)
-    b[SAMPLED_ROWS] = end
-
-
-def fill_currents(b: Block, t: Block, times: Block, first: int, end: int, rows: Block, slopes: Block) -> None:
-    """Write the currents of some samples, and their tangents."""
+    """Write the currents u of some samples, and their tangents."""
     width = int(b[WIDTH])
     for i in range(first, end):
         b[ELAPSED] = max(0.0, times[i] - b[TIME])
         invoke(b[ROW], b, t)
-        rows[2 * i + 1] = b[CURRENT]
-        out = slopes[(2 * i + 1) * width :]
+        currents[i] = b[CURRENT]
+        out = slopes[i * width :]
         for k in range(width):
             out[k] = t[CURRENT * width + k] + b[CURRENT_RATE] * t[LATE * width + k]
+
+
+def fill_currents(b: Block, t: Block, times: Block, first: int, end: int, currents: Block) -> None:
+    """Write the currents u of some samples, ROWS_LANES of them at once; what is left over of these is the last one."""
+    for i in range(first, end, ROWS_LANES):
+        for lane in range(ROWS_LANES):
+            b[ROWS + lane] = max(0.0, times[min(i + lane, end - 1)] - b[TIME])
+        invoke(b[ROWS_AT], b, t)
+        for lane in range(min(ROWS_LANES, end - i)):
+            currents[i + lane] = b[ROWS + 5 * ROWS_LANES + lane]
 
 
 def fill_whole_rows(b: Block, t: Block, times: Block, first: int, end: int, rows: Block) -> None:
@@ -1090,7 +1131,8 @@ def end_step(b: Block, t: Block, ends: int, events: Block, room: int) -> None:
 
 def run(
     b: Block, t: Block, end: float, cuts: bool, most: int, times: Block, count: int, rows: Block,
-    columns: int, slopes: Block, events: Block, room: int,
+    columns: int, slopes: Block, current_times: Block, current_count: int, currents: Block, current_slopes: Block,
+    events: Block, room: int,
 ) -> int:  # fmt: skip
     """Step a valve from its state to a time under one voltage; returns an Outcome.
 
@@ -1098,14 +1140,16 @@ def run(
         b, t: see the module.
         end: s. cuts: whether to stop exactly there, before a command, or at the last whole step.
         most: steps, after which the run ends with an error.
-        times: s, ascending, of `count` samples. rows: what they show, `columns` numbers each: the pilot plunger as
-            shown; that and u; or ROW_COLUMNS.
-        slopes: with derivatives, those of the first one or two columns: (samples, 1 or 2, directions).
+        times: s, ascending, of `count` samples. rows: what they show, `columns` numbers each: 1, the pilot plunger as
+            shown, or ROW_COLUMNS.
+        current_times: s, ascending, of `current_count` samples of the current u, unless whole rows are asked for.
+        slopes, current_slopes: with derivatives, those of the pilot plunger and of u: (samples, directions).
         events: four numbers each, time, kind, position and the velocity before, for `room` of them.
     """
+    others = count if columns == ROW_COLUMNS else current_count
     for _ in range(most):
         if b[PENDING] == 0.0:
-            if b[TIME] >= end and b[SAMPLED] >= count and (columns == 1 or b[SAMPLED_ROWS] >= count):
+            if b[TIME] >= end and b[SAMPLED] >= count and b[SAMPLED_ROWS] >= others:
                 return FINISHED
             ends = step(b, t)
             if ends < 0:
@@ -1113,9 +1157,12 @@ def run(
             b[ENDS] = ends
             b[PENDING] = 1.0
         following = b[TIME] + b[STEP]
-        if count > 0:
+        if count + others > 0:
             # A sample at the very end of a step is of the next one, as it is live: that has what happens there.
-            fill(b, t, end if following > end else before(following), times, count, rows, columns, slopes)
+            last = end if following > end else before(following)
+            fill(
+                b, t, last, times, count, rows, columns, slopes, current_times, current_count, currents, current_slopes
+            )
         if following > end:
             if cuts:
                 if end > b[TIME]:
@@ -1136,7 +1183,8 @@ def run(
 
 def drive(
     b: Block, t: Block, commands: Block, command_count: int, end: float, most: int, times: Block,
-    count: int, rows: Block, columns: int, slopes: Block, moves: Block, events: Block, room: int,
+    count: int, rows: Block, columns: int, slopes: Block, current_times: Block, current_count: int, currents: Block,
+    current_slopes: Block, moves: Block, events: Block, room: int,
 ) -> int:  # fmt: skip
     """Step a valve through a whole drive; arguments as for `run`.
 
@@ -1148,7 +1196,10 @@ def drive(
         when = commands[2 * command]
         if when > end:
             break
-        outcome = run(b, t, when, True, most, times, count, rows, columns, slopes, events, room)
+        outcome = run(
+            b, t, when, True, most, times, count, rows, columns, slopes, current_times, current_count, currents,
+            current_slopes, events, room,
+        )  # fmt: skip
         if outcome != FINISHED:
             return outcome
         change = moves[2 * command * width :]
@@ -1158,7 +1209,28 @@ def drive(
         leave(b, t, NO_EVENT)
         set_voltage(b, t, commands[2 * command + 1])
         arrive(b, t)
-    return run(b, t, end, False, most, times, count, rows, columns, slopes, events, room)
+    return run(
+        b, t, end, False, most, times, count, rows, columns, slopes, current_times, current_count, currents,
+        current_slopes, events, room,
+    )  # fmt: skip
+
+
+def renumber(b: Block, t: Block, numbers: Block, slopes: Block) -> None:
+    """Go on with other numbers of the same valve, from the state's time, that of the last command, on.
+
+    Args:
+        numbers: of the valve. slopes: with derivatives, the tangents of these: (numbers, directions).
+    """
+    leave(b, t, NO_EVENT)
+    width = int(b[WIDTH])
+    count = int(b[NUMBER_COUNT])
+    for i in range(count):
+        b[NUMBERS + i] = numbers[i]
+    for i in range(count * width):
+        t[NUMBERS * width + i] = slopes[i]
+    invoke(b[PREPARE], b, t)
+    enter(b, t)
+    arrive(b, t)
 
 
 def start(b: Block, t: Block, blank: Block, numbers: Block, count: int, time: float) -> None:
@@ -1197,7 +1269,7 @@ def whole(
     most = int(MOST_STEPS * (1.0 + min(max(0.0, end - time), LONGEST_RUN)))
     return drive(
         memory, memory, commands, command_doubles // 2, end, most, times, count, memory[rows:], ROW_COLUMNS,
-        memory, memory, memory[SIZE:], room,
+        memory, times, 0, memory, memory, memory, memory[SIZE:], room,
     )  # fmt: skip
 
 
@@ -1212,7 +1284,9 @@ def batch(
     """
     for valve in range(valves):
         start(b, b, blank, numbers[valve * number_count :], number_count, time)
-        outcome = drive(b, b, commands, command_count, end, most, times, count, rows[valve * count :], 1, b, b, b, 0)
+        outcome = drive(
+            b, b, commands, command_count, end, most, times, count, rows[valve * count :], 1, b, times, 0, b, b, b, b, 0
+        )
         if outcome != FINISHED:
             b[OUTCOME] = outcome
             return valve
@@ -1243,7 +1317,7 @@ def advance(b: Block, time: float) -> int:
     """
     row = b[SIZE:]
     events = b[SIZE + ROW_COLUMNS :]
-    outcome = run(b, b, time, False, LIVE_STEPS, row, 0, row, 1, row, events, LIVE_EVENTS)
+    outcome = run(b, b, time, False, LIVE_STEPS, row, 0, row, 1, row, row, 0, row, row, events, LIVE_EVENTS)
     if outcome == FINISHED and b[PENDING] == 0.0:
         b[ENDS] = step(b, b)
         b[PENDING] = 1.0
@@ -1257,7 +1331,8 @@ def advance(b: Block, time: float) -> int:
 def halt(b: Block, time: float) -> int:
     """Step a live valve exactly to a time, s; returns an Outcome."""
     row = b[SIZE:]
-    return run(b, b, time, True, LIVE_STEPS, row, 0, row, 1, row, b[SIZE + ROW_COLUMNS :], LIVE_EVENTS)
+    events = b[SIZE + ROW_COLUMNS :]
+    return run(b, b, time, True, LIVE_STEPS, row, 0, row, 1, row, row, 0, row, row, events, LIVE_EVENTS)
 
 
 def command(b: Block, time: float, volts: float) -> int:
@@ -1292,11 +1367,12 @@ def settle(b: Block) -> None:
 
 
 FUNCTIONS: Final = (
-    enter, whole_below, place_curve, set_cubic, contact_ahead, value_at, slope_at, bound, first_fall, shift, root, step, first_event, first_of_motion,
-    first_of_rest, extent, balance, commit, divided, leave, arrive, move_tangents, set_tangents, rescale_velocity,
-    unseat, log_event, come_to_rest, set_off, push_now, move_off, touch, touch_seat, touch_gap, turn_round,
-    block_diode, close_circuit, set_voltage, lag_moments, lagged, lag_tangents, before, shown_pilot, shown_main, fill,
-    fill_slopes, fill_positions, fill_rows, fill_currents, fill_whole_rows, end_step, run, drive, start, whole, batch,
-    read, advance, halt, command, settle,
+    enter, whole_below, place_curve, set_cubic, contact_ahead, value_at, slope_at, bound, first_fall, shift, root,
+    step, settle_coil, first_event, first_of_motion, first_of_rest, extent, balance, commit, divided, leave, arrive,
+    move_tangents, set_tangents, rescale_velocity, unseat, log_event, come_to_rest, set_off, push_now, move_off,
+    touch, touch_seat, touch_gap, turn_round, block_diode, close_circuit, set_voltage, lag_moments, lagged,
+    lag_tangents, before, shown_pilot, shown_main, fill, fill_others, fill_slopes, fill_positions, fill_sloped_currents,
+    fill_currents, fill_whole_rows, end_step, run, drive, renumber, start, whole, batch, read, advance, halt,
+    command, settle,
 )  # fmt: skip
 """What is compiled."""

@@ -29,7 +29,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
-from valve_sim.core.effects.entry import Effect, Motion, Own
+from valve_sim.core.symbols import Effect, Motion, Own
 from valve_sim.core.tracer import (
     Condition,
     Node,

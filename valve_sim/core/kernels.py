@@ -51,11 +51,10 @@ class Kernels:
 
     Args:
         system: the equations.
-        free: names of the parameters that derivatives are taken to.
-        width: directions of derivatives; 0 for none.
+        width: directions of derivatives, to any parameters; 0 for none.
     """
 
-    def __init__(self, system: System, free: Sequence[str] = (), width: int = 0) -> None:
+    def __init__(self, system: System, width: int = 0) -> None:
         self.system, self.width = system, width
         self.names = tuple(system.states)
         self._slots = {**at.HELD, **{name: at.NUMBERS + i for i, name in enumerate(system.parameters)}}
@@ -68,7 +67,7 @@ class Kernels:
         if width:
             for name in ("x", "v", *self.names):
                 self._seeds[trace.state(name)] = trace.state(f"d {name}")
-            for name in (*free, *DYNAMIC, *(f"{name} at start" for name in self.names)):
+            for name in (*system.parameters, *DYNAMIC, *(f"{name} at start" for name in self.names)):
                 self._seeds[trace.number(name)] = trace.number(f"d {name}")
         self._guards = trace.guards()
         # Where something is read from the series of a current, these must hold even if the forces do not feel it.

@@ -56,7 +56,10 @@ curve; whether it repeats itself; the numbers of the comparisons with the ends o
 CURVE_PLACE, CURVE_INTERVALS, CURVE_INDEX, CURVE_LOW, CURVE_HIGH, CURVE_C = range(102, 108)
 """Its place, in intervals from its first knot; how many intervals; which one it is in, and where that begins and ends;
 the four coefficients of its cubic there."""
-SERIES_X: Final = 112
+NUMBER_COUNT, WARM = 111, 112
+"""How many numbers the valve gives; the place of the temperature among the states of a coil whose currents are
+integrated, as many as there are states where there is none, and −1 of any other coil."""
+SERIES_X: Final = 113
 """ORDER + 1 coefficients of x about the start of the step."""
 SERIES_COIL: Final = SERIES_X + ORDER + 1
 """TERMS coefficients of each state of the coil."""

@@ -5,28 +5,26 @@ from __future__ import annotations
 import ctypes
 import functools
 import struct
-from collections.abc import Mapping, Sequence
+import threading
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.core import driver, entries, layout
-from valve_sim.core.effects import Effect
 from valve_sim.core.entries import ENTRIES, Method
 from valve_sim.core.equations import build
 from valve_sim.core.kernels import NAMES, Kernels
 from valve_sim.core.lowering import lowered
 from valve_sim.core.machine import Library, library
+from valve_sim.core.symbols import Effect
 from valve_sim.model.errors import ParameterError
-from valve_sim.model.parameters import ValveParameters
 
 Array = NDArray[np.float64]
 POINTER: Final = ctypes.c_void_p
 _SLOTS: Final = {name: getattr(layout, "ROWS_AT" if name == "rows" else name.upper()) for name in NAMES}
-_POLYNOMIAL: Final = ValveParameters._fields.index("attraction_polynomial")
-"""Its place among the declared parameters, where its coefficients stand one by one."""
-_ENTRIES: Final = ("drive", "start", "batch", "settle", "whole", *ENTRIES)
+_ENTRIES: Final = ("drive", "renumber", "start", "batch", "settle", "whole", *ENTRIES)
 
 
 def as_double(address: int) -> float:
@@ -46,7 +44,9 @@ def entry(name: str) -> Any:
     """A function of the integrator that Python can call; it releases the interpreter's lock."""
     signature: tuple[Any, ...] = {
         "drive": (ctypes.c_int64, *[POINTER] * 3, ctypes.c_int64, ctypes.c_double, ctypes.c_int64, POINTER,
-                  ctypes.c_int64, POINTER, ctypes.c_int64, *[POINTER] * 3, ctypes.c_int64),
+                  ctypes.c_int64, POINTER, ctypes.c_int64, *[POINTER] * 2, ctypes.c_int64, *[POINTER] * 4,
+                  ctypes.c_int64),
+        "renumber": (None, *[POINTER] * 4),
         "settle": (None, POINTER),
         "start": (None, *[POINTER] * 4, ctypes.c_int64, ctypes.c_double),
         "batch": (ctypes.c_int64, *[POINTER] * 3, ctypes.c_int64, ctypes.c_int64, ctypes.c_double, POINTER,
@@ -67,24 +67,22 @@ class Plan:
     Args:
         effects: in the order in which they act. shapes: values of the parameters that shape these.
         freewheels: whether the current may freewheel.
-        free: parameters that derivatives are taken to. width: directions of derivatives; 0 for none.
+        width: directions of derivatives, to any parameters; 0 for none.
     """
 
     def __init__(
-        self, effects: Sequence[Effect], *, shapes: Sequence[float] = (), freewheels: bool = False,
-        free: Sequence[str] = (), width: int = 0,
-    ) -> None:  # fmt: skip
+        self, effects: Sequence[Effect], *, shapes: Sequence[float] = (), freewheels: bool = False, width: int = 0
+    ) -> None:
         system = build(effects, shapes=shapes, freewheels=freewheels)
-        kernels = Kernels(system, free, width)
+        kernels = Kernels(system, width)
         if kernels.guard_count > layout.MOST_GUARDS or len(system.parameters) > layout.MOST_NUMBERS:
             raise ParameterError(
                 f"effects {', '.join(effect.name for effect in effects)}: found {kernels.guard_count} comparisons and "
                 f"{len(system.parameters)} numbers, expected at most {layout.MOST_GUARDS} and {layout.MOST_NUMBERS}; "
                 "take one out"
             )
-        key = f"{system.trace.digest()} {tuple(free)} {width}"
+        key = f"{system.trace.digest()} {width}"
         self.parameters, self.states = system.parameters, kernels.names
-        self._of_effects = [(effect.name, effect.names) for effect in effects]
         self._library = library(key, kernels.text)
         blank = np.zeros(layout.SIZE)
         for name in NAMES:
@@ -95,6 +93,10 @@ class Plan:
         blank[layout.HAS_PEAK] = system.peak is not None
         blank[layout.IS_FLUX] = system.flux_slope is not None
         blank[layout.WIDTH] = width
+        blank[layout.NUMBER_COUNT] = len(system.parameters)
+        is_integrated = any(state.after is None for state in system.states.values())
+        warm = kernels.names.index("temperature") if "temperature" in kernels.names else len(kernels.names)
+        blank[layout.WARM] = warm if is_integrated else -1.0
         if kernels.curve is not None:
             slots = (layout.CURVE, layout.IS_PERIODIC, layout.LOW_GUARD, layout.HIGH_GUARD)
             blank[list(slots)] = kernels.curve
@@ -103,20 +105,11 @@ class Plan:
         blank[layout.LONGEST] = driver.ANY_STEP
         self.blank = blank
 
-    def numbers(self, parameters: ValveParameters, effects: Mapping[str, Mapping[str, float]]) -> Array:
-        """The numbers of a valve in the order of `parameters`."""
-        before, polynomial, after = parameters[:_POLYNOMIAL], parameters[_POLYNOMIAL], parameters[_POLYNOMIAL + 1 :]
-        values = [*before, *polynomial, *after]  # type: ignore[misc]
-        for effect, names in self._of_effects:
-            given = effects[effect]
-            values += [given[name] for name in names]
-        return np.array(values)
-
     def block(self, numbers: Array, tolerance: float, start: float, tangents: Array | None = None) -> Array:
         """The block of a valve that rests closed and without current at a time, s.
 
         Args:
-            numbers: as of `numbers`. tolerance: relative error of one step.
+            numbers: in the order of `parameters`. tolerance: relative error of one step.
             tangents: (layout.SIZE, width) those of the numbers, completed; None without derivatives.
         """
         block = np.empty(layout.SIZE)
@@ -127,10 +120,20 @@ class Plan:
         return block
 
 
-@functools.lru_cache(maxsize=512)
+_LOCK: Final = threading.Lock()
+
+
 def plan_of(
-    effects: tuple[Effect, ...], shapes: tuple[float, ...] = (), freewheels: bool = False, free: tuple[str, ...] = (),
-    width: int = 0,
-) -> Plan:  # fmt: skip
-    """The plan of a set of effects, made once a process."""
-    return Plan(effects, shapes=shapes, freewheels=freewheels, free=free, width=width)
+    effects: tuple[Effect, ...], shapes: tuple[float, ...] = (), freewheels: bool = False, width: int = 0
+) -> Plan:
+    """The plan of a set of effects, made once a process, by one thread at a time.
+
+    Whoever keeps a block keeps its plan, too: the block calls code that goes with it.
+    """
+    with _LOCK:
+        return _kept_plan(effects, shapes, freewheels, width)
+
+
+@functools.lru_cache(maxsize=512)
+def _kept_plan(effects: tuple[Effect, ...], shapes: tuple[float, ...], freewheels: bool, width: int) -> Plan:
+    return Plan(effects, shapes=shapes, freewheels=freewheels, width=width)

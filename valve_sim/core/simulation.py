@@ -67,7 +67,7 @@ def simulate(
     times = np.ascontiguousarray(sample_times, dtype=np.float64)
     start = start_of(drive, times) if start_time is None else start_time
     plan, count, room = valve.plan(), len(times), EVENT_ROOM
-    numbers, commands = plan.numbers(valve.parameters, valve.effects), commands_of(drive)
+    numbers, commands = valve.numbers(), commands_of(drive)
     end = float(times[-1]) if count else -math.inf
     while True:
         memory = np.empty(layout.SIZE + 4 * room + ROW_COLUMNS * count)
@@ -127,43 +127,13 @@ def check_outcome(outcome: int, what: str = "") -> None:
     why = {
         Outcome.STEP_TOO_SMALL: "the forces change faster than error control can follow; look for a parameter that is "
         "many orders of magnitude off, or, with motional_emf, for a flux that does not grow with the current",
+        Outcome.FLUX_FOLDS: "motional_emf: no current follows from the flux, which must grow with it; look for a coil "
+        "time constant that is too short, or for a saturation that is too strong",
         Outcome.TOO_MANY_STEPS: f"more than {MOST_STEPS} steps a second are needed; look for a time constant that is "
         "far below a microsecond",
         Outcome.CHATTERING: "the plungers chatter without progress in time",
     }
     raise SimulationError(f"{what}the simulation stopped early: {why[Outcome(outcome)]}")
-
-
-def run_many(
-    valves: Sequence[Valve],
-    drive: Drive,
-    sample_times: ArrayLike,
-    *,
-    tolerance: float = TOLERANCE,
-    threads: int | None = None,
-) -> Array:
-    """Pilot plunger positions of many valves with the same effects under one drive, on several threads.
-
-    Args:
-        valves: any number, with one set of effects.
-        drive: the commanded voltage.
-        sample_times: (n,) s, ascending.
-        tolerance: relative error of one step.
-        threads: how many; default all processors.
-
-    Returns:
-        (k, n) m, as the position sensor shows it.
-
-    Raises:
-        SimulationError: a run could not be carried to its end; it names the valve. Or the valves have other effects.
-    """
-    if not valves:
-        return np.empty((0, np.size(sample_times)))
-    first = valves[0].plan()
-    if any(valve.plan() is not first for valve in valves):
-        raise SimulationError("the valves have different effects; simulate those apart from each other")
-    numbers = np.array([valve.numbers() for valve in valves])
-    return run_numbers(valves[0], numbers, drive, sample_times, tolerance=tolerance, threads=threads)
 
 
 def run_numbers(
@@ -174,11 +144,21 @@ def run_numbers(
     *,
     tolerance: float = TOLERANCE,
     threads: int | None = None,
+    names: Sequence[int] | None = None,
 ) -> Array:
-    """As `run_many`, of one valve with other numbers.
+    """Pilot plunger positions of one valve with other numbers under one drive, on several threads.
 
     Args:
+        valve: whose effects all have.
         numbers: (k, m) the numbers of each in the order of the plan's parameters, see `Valve.numbers`.
+        drive: the commanded voltage.
+        sample_times: (n,) s, ascending.
+        tolerance: relative error of one step.
+        threads: how many; default all processors.
+        names: (k,) numbers by which messages call these; default from 0 on.
+
+    Returns:
+        (k, n) m, as the position sensor shows it.
 
     Raises:
         SimulationError: a run could not be carried to its end; it names the row.
@@ -188,7 +168,8 @@ def run_numbers(
     positions = np.empty((len(numbers), len(times)))
     commands = commands_of(drive)
     start = start_of(drive, times)
-    blank = valve.plan().blank.copy()
+    plan = valve.plan()
+    blank = plan.blank.copy()
     blank[layout.TOLERANCE] = tolerance
     workers = threads or os.cpu_count() or 1
     chunks = [chunk for chunk in np.array_split(np.arange(len(numbers)), workers * 4) if len(chunk)]
@@ -202,7 +183,8 @@ def run_numbers(
             shown.ctypes.data,
         )  # fmt: skip
         if done < len(chunk):
-            check_outcome(int(room[layout.OUTCOME]), f"parameter set {chunk[0] + done}: ")
+            failed = int(chunk[0]) + done
+            check_outcome(int(room[layout.OUTCOME]), f"parameter set {failed if names is None else names[failed]}: ")
         return int(done)
 
     if workers == 1:

@@ -153,6 +153,9 @@ class Condition(NamedTuple):
 
     excess: Node
 
+    def __bool__(self) -> bool:
+        return bool(self.excess)  # refused, with the reason
+
 
 Expression: TypeAlias = Node | float
 """What an equation may combine: nodes, and plain numbers."""

@@ -14,16 +14,6 @@ import numpy as np
 
 from valve_sim.model.compiling import compiled, inlined, inner, taken_in
 from valve_sim.model.core_types import EVENT_RECORD, Outcome
-from valve_sim.model.dormand_prince import (
-    ALL_STATES,
-    FIRST,
-    FLUX_STATES,
-    LAST,
-    MECHANICAL_STATES,
-    SMALLEST_SCALE,
-    WORK_RECORD,
-    step_factor,
-)
 from valve_sim.model.equations import coil_now
 from valve_sim.model.flux import (
     FREEWHEELING,
@@ -59,7 +49,15 @@ from valve_sim.model.location import (
     polish,
 )
 from valve_sim.model.sampling import fill_until, is_filled, show_main, show_pilot
-from valve_sim.model.taylor_series import expand, has_effects, is_series, series_step
+from valve_sim.model.step_memory import (
+    ALL_STATES,
+    FIRST,
+    FLUX_STATES,
+    LAST,
+    MECHANICAL_STATES,
+    WORK_RECORD,
+    step_factor,
+)
 from valve_sim.model.transitions import end_current, move_off, push_now, set_voltage, switch_flow, touch, turn
 from valve_sim.model.variational import (
     enter_segment,
@@ -127,32 +125,12 @@ def _integrated_step(p, s, work, tolerance, longest):
 
 
 @inner
-def _series_step(p, s, work, tolerance, longest):
-    """`_integrated_step` whose size the last terms of a series give, so that none is tried twice."""
-    expand(p, s, work)
-    longest = min(longest, _longest_step(p, s, work))
-    of_x, of_v = max(abs(work.y[0]), SMALLEST_SCALE[0]), max(abs(work.y[1]), SMALLEST_SCALE[1])
-    h = series_step(work, tolerance * of_x, tolerance * of_v, longest)
-    if not h >= SHORTEST_STEP:
-        return h, NO_EVENT, h, STEP_TOO_SMALL
-    work.in_series = 1
-    try_step(p, s, work, h)
-    fraction, ends = first_event(p, s, work, h, tolerance)
-    if ends != NO_EVENT:
-        h = polish(p, s, work, h * fraction, ends)
-    return h, ends, s.step, FINISHED
-
-
-@inner
 def _next_step(p, s, work, tolerance):
     """Find the next committed step from the state. Arguments and result as for `_integrated_step`."""
     is_integrated = _is_integrated(p, s, work)
     longest = current_lasts(p, s, work)
     h, ends, following, outcome = min(_rest(p, s), longest), NO_EVENT, s.step, FINISHED
-    work.in_series = 0
-    if work.is_series and s.moving:
-        h, ends, following, outcome = _series_step(p, s, work, tolerance, longest)
-    elif is_integrated:
+    if is_integrated:
         h, ends, following, outcome = _integrated_step(p, s, work, tolerance, longest)
     else:
         for j in range(work.states):
@@ -324,8 +302,7 @@ def run(valve, state, until, samples, log, control, vary):
         samples: (times, rows, current_times, currents): (i,) ascending times of position samples, s; (i, 1) or
             (i, ROW) their output, see `sample`; (j,) ascending times of current samples, s; (j,) u there, written.
         log: (events, count): (e,) event log; events noted so far.
-        control: (tolerance, most_steps, in_series): relative error of a step; the steps after which a run ends with an
-            error; whether motion may go in series, which derivatives cannot follow to the last digit.
+        control: (tolerance, most_steps): relative error of a step; the steps after which a run ends with an error.
         vary: what derivatives are carried along, see `variational`, or None.
 
     Returns:
@@ -342,12 +319,10 @@ def run_on(valve, state, works, limits, samples, log, vary):
     loop only kept the element would be freed while the loop goes on, and other threads would write into it.
     """
     p, s, work = valve[0], state[0], works[0]
-    t_end, commit_end, tolerance, most_steps, in_series = limits
+    t_end, commit_end, tolerance, most_steps = limits
     tolerance = tolerance_of(p, tolerance)
     events, count = log
     work.states = _states(p)
-    work.is_series = in_series and work.states == MECHANICAL_STATES and not has_gas(p) and is_series(p)
-    work.has_effects = has_effects(p)
     done, chatter, last_event = (NONE, NONE), 0, s.segment_time
     for _ in range(most_steps):
         _settle_coil(p, s, work)

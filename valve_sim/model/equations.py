@@ -318,14 +318,6 @@ def mechanical_rates(p, s, t, x, v, u, w):
     return v, acceleration(p, phase_of(p, s.mode), t, (x, v), (u, pull2), (s.mode, s.direction, s.unseated_time), False)
 
 
-@inlined
-def flux_rates(p, s, t, x, v, w):
-    """Rates x', v' and w' of (3), (4) and (C4) where the current follows the flux and the coil does not heat."""
-    u = terminal_current(p, s, w, 1.0)
-    dx, dv = mechanical_rates(p, s, t, x, v, u, w)
-    return dx, dv, current_rate(p, x, dx, w, flux_rate(p, s, u, w, 1.0))
-
-
 @inner
 def coil_rates(p, s, motion, u, w, temperature):
     """Rates of the integrated states of the coil: u', w' and T' of (1), (9) and (10), or w', nothing and T'.

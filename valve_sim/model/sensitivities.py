@@ -16,7 +16,7 @@ from valve_sim.model.gas.record import GAS_FIELDS, GAS_NUMBERS, GAS_VALVE_RECORD
 from valve_sim.model.gas.step import PRESSURE_COLUMN
 from valve_sim.model.gas.variational import INLET
 from valve_sim.model.linearised import FIRST_CONDITION, OF_EFFECTS, PARAMETERS, SHAPES, SLOPES_RECORD
-from valve_sim.model.simulation import Array, Control, Samples, delay_and_end, run_course
+from valve_sim.model.simulation import Array, Samples, delay_and_end, run_course
 from valve_sim.model.supplied import SuppliedCourse, Supply, course_of, run_changes
 from valve_sim.model.variational_steps import CONTACTS, LANES, NODES, SLOPES, TILE_RECORD
 
@@ -168,7 +168,7 @@ class Variations:
         own = slice(first, first + len(course[0]))
         changes = (self._tangents.command_times[:, own], self._tangents.command_volts[:, own])
         vary, shown = self._prepared(samples, changes)
-        run_course(record, state, course, samples, _NO_EVENTS, Control(tolerance), vary)
+        run_course(record, state, course, samples, _NO_EVENTS, tolerance, vary)
         return shown
 
     def run_supplied(

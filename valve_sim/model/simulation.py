@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
@@ -13,12 +14,19 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from valve_sim.core import simulation as core
+from valve_sim.core.equations import NEUTRAL
+from valve_sim.core.live import Live
+from valve_sim.core.plan import Plan, plan_of
+from valve_sim.core.symbols import Own
+from valve_sim.core.tracer import Trace
+from valve_sim.core.valve import why_no_flux
 from valve_sim.model import driver
 from valve_sim.model.core_types import STATE_RECORD, Outcome, Phase
 from valve_sim.model.drives import Drive
-from valve_sim.model.effects import CATALOGUE, check_effects
+from valve_sim.model.effects import CATALOGUE, Effect, check_effects
 from valve_sim.model.errors import ParameterError, SimulationError
-from valve_sim.model.flux import why_no_flux
+from valve_sim.model.flux import why_no_flux as why_no_flux_beside_gas
 from valve_sim.model.gas import GasParameters, check_gas
 from valve_sim.model.gas.boundary import fill_outlets
 from valve_sim.model.gas.record import GAS_COLUMNS, GAS_STATE_RECORD, is_of_gas, record_of
@@ -38,6 +46,24 @@ times as much leaves them within 6e-11 s (`python -m benchmarks.accuracy`)."""
 
 OF_TWO_PLUNGERS: Final = ("gap_offset", "pickup_impact")
 """Effects that a valve with one plunger cannot have."""
+
+
+_POLYNOMIAL: Final = ValveParameters._fields.index("attraction_polynomial")
+"""Its place among the declared parameters, where its coefficients stand one by one."""
+
+
+ALWAYS: Final = (
+    "coil_lag", "drive_gain", "gap_offset", "rest_attraction", "sensor_bandwidth", "sensor_delay", "sensor_gain",
+    "stop_bounce", "stroke_offset",
+)  # fmt: skip
+"""Effects that only change numbers, and at their neutral values none: every valve's equations have them, so that
+valves with and without share compiled code."""
+_NOTHING: Final[Mapping[str, float]] = {}
+
+
+@functools.cache
+def _neutral(effect: Effect) -> dict[str, float]:
+    return effect.neutral_values()
 
 
 class Samples(NamedTuple):
@@ -97,12 +123,57 @@ class Valve:
         else:
             _check_without_gas(effects, source)
         valve = cls(parameters, effects, tolerances, gas)
-        record = valve.record()[0]
-        gap, stroke = float(record["pilot_gap"]), float(record["stroke"])
+        gap, stroke = valve.after_effects("pilot_gap", "stroke")
         check_geometry(gap, stroke, f"{source} (with effects)", has_one_plunger=parameters.has_one_plunger)
-        if why_not := why_no_flux(valve.record()):
+        if why_not := valve.why_no_flux():
             raise ParameterError(f"{source}: effects.{why_not}")
         return valve
+
+    def plan(self, width: int = 0) -> Plan:
+        """What is compiled for its effects, with so many directions of derivatives; of a valve without gas."""
+        effects = tuple([CATALOGUE[name] for name in (*self._own_effects(), *ALWAYS)])
+        return plan_of(effects, self._shapes(), self.parameters.release_voltage > 0.0, width)
+
+    def _own_effects(self) -> list[str]:
+        """The effects for which equations are compiled."""
+        return [name for name in self.effects if name not in ALWAYS]
+
+    def numbers(self) -> Array:
+        """Its numbers in the order of its plan's parameters; a parameter of an effect that is not given is neutral."""
+        before, polynomial, after = (
+            self.parameters[:_POLYNOMIAL], self.parameters[_POLYNOMIAL], self.parameters[_POLYNOMIAL + 1 :],
+        )  # fmt: skip
+        values = [*before, *polynomial, *after]  # type: ignore[misc]
+        for name in (*self._own_effects(), *ALWAYS):
+            # In the order of the parameters.
+            values += {**_neutral(CATALOGUE[name]), **self.effects.get(name, _NOTHING)}.values()
+        return np.array(values)
+
+    def after_effects(self, *names: str) -> list[float]:
+        """Numbers of a valve without gas as its effects leave them, by their names in `core.equations`."""
+        trace, declared = Trace(), {**NEUTRAL, **self.declared()}
+        found = [trace.constant(declared[name]) for name in names]
+        for effect, given in self.effects.items():
+            entry = CATALOGUE[effect]
+            own = Own(**{name: trace.constant(value) for name, value in {**_neutral(entry), **given}.items()})
+            for place, name in enumerate(names):
+                if name in entry.changes:
+                    found[place] = trace.lift(entry.changes[name](found[place], own))
+        return [float(node.value or 0.0) for node in found]
+
+    def _shapes(self) -> tuple[float, ...]:
+        """The values of the parameters that shape its effects."""
+        entries = [CATALOGUE[name] for name in self._own_effects()]
+        return tuple(
+            [{**_neutral(entry), **self.effects[entry.name]}[name] for entry in entries for name in entry.shapes]
+        )
+
+    def why_no_flux(self) -> str:
+        """Why no current follows from its flux, for a message; empty where it does, or is not modelled."""
+        if self.gas is not None:
+            return why_no_flux_beside_gas(self.record())
+        effects = [CATALOGUE[name] for name in (*self._own_effects(), *ALWAYS)]
+        return why_no_flux(effects, self._shapes(), self.numbers().tolist())
 
     def to_mapping(self) -> dict[str, dict[str, Any]]:
         """The plain mapping that `from_mapping` takes back."""
@@ -148,10 +219,17 @@ class Valve:
 
     def can_open(self) -> bool:
         """Whether the reference voltage, held without end, would lift the pilot plunger off its seat."""
+        if self.gas is None:
+            voltage, *lags = self.after_effects("reference_voltage", "coil_time_constant", "eddy_time_constant")
+            settled = 50.0 * sum(lags) + 1e-3
+            valve = Live.at_rest(self, 0.0, TOLERANCE)
+            valve.command(voltage)
+            valve.step(settled, commit=True)
+            return bool(valve.row[4] != Phase.CLOSED)
         record = self.record()
+        settled = 50.0 * float(record[0]["coil_time_constant"] + record[0]["eddy_time_constant"]) + 1e-3
         state = new_states(record, 0.0)
         set_voltage(record, state, float(record[0]["reference_voltage"]))
-        settled = 50.0 * float(record[0]["coil_time_constant"] + record[0]["eddy_time_constant"]) + 1e-3
         live = new_live(record, state, TOLERANCE)
         check_outcome(step_live(live, settled, True)[1])
         return bool(live[0]["state"]["mode"] != Phase.CLOSED)
@@ -177,8 +255,8 @@ def _check_beside_gas(parameters: ValveParameters, effects: Mapping[str, Mapping
     for name in effects:
         if not CATALOGUE[name].is_of(has_gas=True):
             raise ParameterError(
-                f"{source}: effects.{name}: found beside gas, which has the pressure across the main plunger itself; "
-                "take one of the two out"
+                f"{source}: effects.{name}: found beside gas, with which it cannot act: gas has the pressure across "
+                "the main plunger itself, its stop is rigid, and it reads no expressions; take one of the two out"
             )
     if not parameters.seat_load > 0.0:
         raise ParameterError(
@@ -234,11 +312,13 @@ def simulate(
     Raises:
         SimulationError: the run could not be carried to its end.
     """
+    if valve.gas is None:
+        return core.simulate(valve, drive, sample_times, tolerance=tolerance, start_time=start_time)
     times = np.ascontiguousarray(sample_times, dtype=np.float64)
     if start_time is None:
         start_time = float(min(np.min(drive.times, initial=math.inf), np.min(times, initial=math.inf)))
         start_time = start_time if math.isfinite(start_time) else 0.0
-    run = partial(run_record, drive=drive, control=Control(tolerance, in_series=True))
+    run = partial(run_record, drive=drive, tolerance=tolerance)
     return response_of(valve.record(), times, start_time, run)
 
 
@@ -273,23 +353,6 @@ def response_of(record: Any, times: Array, start_time: float, run: Callable[...,
     )  # fmt: skip
 
 
-class Control(NamedTuple):
-    """How a run is stepped.
-
-    Attributes:
-        tolerance: relative error of one step.
-        in_series: whether motion goes in Taylor series where it can, see `taylor_series`. Derivatives follow the short
-            steps of the pair, and what a fit compares is to be to the last digit what its derivatives are of, so it
-            does not.
-    """
-
-    tolerance: float = TOLERANCE
-    in_series: bool = False
-
-
-FOR_FITS: Final = Control()
-
-
 def rated_current(record: Any) -> float:
     """The coil current at u = 1, A, of a (1,) VALVE_RECORD."""
     return float(record[0]["reference_voltage"] / record[0]["coil_resistance"])
@@ -301,7 +364,7 @@ def run_record(
     drive: Drive,
     samples: Samples,
     events: Any,
-    control: Control = FOR_FITS,
+    tolerance: float = TOLERANCE,
     vary: Any = None,
 ) -> int:
     """Run the compiled core on prepared arrays, for callers that run it ten thousand times.
@@ -310,7 +373,7 @@ def run_record(
         record: (1,) VALVE_RECORD. state: (1,) STATE_RECORD, advanced. drive: the commanded voltage.
         samples: what is written down.
         events: (e,) EVENT_RECORD array for the first e events.
-        control: of the steps.
+        tolerance: relative error of one step.
         vary: what derivatives are carried along, see `sensitivities`; default none.
 
     Returns:
@@ -320,17 +383,17 @@ def run_record(
         SimulationError: the run could not be carried to its end.
     """
     course = (drive.times, drive.volts, delay_and_end(record, samples)[1])
-    return run_course(record, state, course, samples, events, control, vary)
+    return run_course(record, state, course, samples, events, tolerance, vary)
 
 
 def run_course(
     record: Any, state: Any, course: tuple[Array, Array, float], samples: Samples, events: Any,
-    control: Control = FOR_FITS, vary: Any = None,
+    tolerance: float = TOLERANCE, vary: Any = None,
 ) -> int:  # fmt: skip
     """The same up to a given time: a long run is made of such pieces, each of which ends with a command.
 
     Args:
-        record, state, samples, events, control, vary: as of `run_record`.
+        record, state, samples, events, tolerance, vary: as of `run_record`.
         course: times, s, and voltages, V, of the commands; the time of the end, s, of which a command stops the run
             exactly there, so that the next piece goes on as if there were no pieces.
 
@@ -342,7 +405,7 @@ def run_course(
     run = (
         record, state, course,
         (times - delay if delay else times, rows, current_times, currents),
-        events, (control.tolerance, most_steps(course[2] - state["time"].item()), control.in_series),
+        events, (tolerance, most_steps(course[2] - state["time"].item())),
     )  # fmt: skip
     count, outcome = driver.run_drive(*run, vary)
     check_outcome(outcome)
@@ -364,7 +427,7 @@ def delay_and_end(record: Any, samples: Samples) -> tuple[float, float]:
 
 
 def simulate_many(
-    valves: Any,
+    valves: Sequence[Valve],
     drive: Drive,
     sample_times: ArrayLike,
     *,
@@ -374,7 +437,7 @@ def simulate_many(
     """Pilot plunger positions of many valves under one drive, on several threads.
 
     Args:
-        valves: (k,) VALVE_RECORD array, or a sequence of `Valve`.
+        valves: (k,), all of them with gas, or none.
         drive: the commanded voltage.
         sample_times: (n,) s, ascending.
         tolerance: relative error of one step.
@@ -386,10 +449,27 @@ def simulate_many(
     Raises:
         SimulationError: a run could not be carried to its end; it names the set. Or some valves have gas, some none.
     """
-    records = valves if isinstance(valves, np.ndarray) else _records_of(valves)
+    if len({valve.gas is None for valve in valves}) > 1:
+        raise SimulationError("some of the valves have gas and some have none; simulate these apart from those")
     times = np.ascontiguousarray(sample_times, dtype=np.float64)
-    positions = np.empty((len(records), len(times)))
-    states = new_states(records, float(min(np.min(drive.times, initial=math.inf), np.min(times, initial=math.inf))))
+    positions = np.empty((len(valves), len(times)))
+    if valves and valves[0].gas is None:
+        plans = [valve.plan() for valve in valves]
+        for plan in dict.fromkeys(plans):
+            rows = [row for row, own in enumerate(plans) if own is plan]
+            numbers = np.array([valves[row].numbers() for row in rows])
+            positions[rows] = core.run_numbers(
+                valves[rows[0]], numbers, drive, times, tolerance=tolerance, threads=threads, names=rows
+            )
+    elif valves:
+        _run_gas(np.concatenate([valve.record() for valve in valves]), drive, times, positions, (tolerance, threads))
+    return positions
+
+
+def _run_gas(records: Any, drive: Drive, times: Array, positions: Array, how: tuple[float, int | None]) -> None:
+    """Positions of many valves with gas; arguments as of `simulate_many`."""
+    tolerance, threads = how
+    states = new_states(records, core.start_of(drive, times))
     workers = threads or os.cpu_count() or 1
     chunks = [chunk for chunk in np.array_split(np.arange(len(records)), workers * 4) if len(chunk)]
 
@@ -397,28 +477,21 @@ def simulate_many(
         first, last = int(chunk[0]), int(chunk[-1]) + 1
         return driver.run_batch(  # type: ignore[no-any-return]
             records[first:last], states[first:last], (drive.times, drive.volts), times, positions[first:last],
-            (tolerance, most_steps(float(np.ptp(times))), True),
+            (tolerance, most_steps(float(np.ptp(times)))),
         )  # fmt: skip
 
     with ThreadPoolExecutor(workers) as pool:
         for chunk, (failed, outcome) in zip(chunks, pool.map(work, chunks), strict=True):
             check_outcome(outcome, f"parameter set {int(chunk[0]) + failed}: ")
-    return positions
 
 
-def _records_of(valves: Sequence[Valve]) -> Any:
-    if len({valve.gas is None for valve in valves}) > 1:
-        raise SimulationError("some of the valves have gas and some have none; simulate these apart from those")
-    return np.concatenate([valve.record() for valve in valves])
-
-
-def check_flux(record: Any) -> None:
-    """Check that a current follows from the flux of a (1,) VALVE_RECORD, if its flux is modelled.
+def check_flux(valve: Valve) -> None:
+    """Check that a current follows from the flux of a valve, if its flux is modelled.
 
     Raises:
         SimulationError: it does not; the message says why.
     """
-    if why_not := why_no_flux(record):
+    if why_not := valve.why_no_flux():
         raise SimulationError(f"the simulation cannot start: {why_not}")
 
 

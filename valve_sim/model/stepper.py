@@ -6,17 +6,20 @@ import copy
 import math
 from collections import deque
 from collections.abc import Callable
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeAlias
 
+import numpy as np
 from numba import boolean, float64, typeof
 
-from valve_sim.model.core_types import STATE_RECORD, Phase
+from valve_sim.core.live import Live
+from valve_sim.model.core_types import Phase
+from valve_sim.model.errors import SimulationError
 from valve_sim.model.gas.boundary import keep_pressure, set_demand, set_inlet
-from valve_sim.model.gas.record import is_of_gas
 from valve_sim.model.live_record import new_live, step_live
 from valve_sim.model.response import EVENT_ROOM, Event, event_tuple
 from valve_sim.model.simulation import (
     TOLERANCE,
+    Array,
     Valve,
     check_flux,
     check_outcome,
@@ -70,8 +73,8 @@ def reading_at_rest(valve: Valve, time: float) -> Reading | None:
     return Reading(time, *(0.0,) * 7, Phase.CLOSED, (), 0.0)
 
 
-class _Live:
-    """A record that is stepped, and views of what is read of it: to look up a field takes longer than to read it.
+class _GasLive:
+    """A valve with gas that is stepped, and views of what is read of it: to look up a field takes longer than to read.
 
     Args:
         record: (1,) of the valve. state: (1,) of its state. tolerance: relative error of one step.
@@ -81,15 +84,26 @@ class _Live:
         self.whole = live = new_live(record, state, tolerance)
         self.valve, self.state = live["valve"], live["state"]
         self._time = self.state["time"]
-        self.current, self.row = live["current"][0], live["row"][0, 0]
+        self._rated = rated_current(record)
+        self._current, self._row = live["current"][0], live["row"][0, 0]
         self._events = live["events"][0]
         self.call: Any = None
-        self.phase = -1
 
     @property
     def reached(self) -> float:
         """The time of the state, s."""
         return float(self._time.item())
+
+    @property
+    def delay(self) -> float:
+        """How late the position sensor shows what there is, s."""
+        return float(self.valve["sensor_delay"].item())
+
+    @property
+    def row(self) -> Array:
+        """What was read last, as `core.driver.ROW_COLUMNS` says, then outlet pressure, Pa, and mass flow, kg/s."""
+        current = self._current.item()
+        return np.array([*self._row[:7].tolist(), current, current * self._rated, *self._row[7:].tolist()])
 
     def step(self, time: float, *, commit: bool) -> tuple[Event, ...]:
         """Step to a time, s; the events on the way, mostly none."""
@@ -98,25 +112,36 @@ class _Live:
             # a function takes longer than a step.
             types = (typeof(self.whole), float64, boolean)
             self.call = step_live.compile(types)
-        count, outcome, self.phase = self.call(self.whole, time, commit)
+        count, outcome, _ = self.call(self.whole, time, commit)
         if outcome:
             check_outcome(outcome)
-        return self.events(count)
-
-    def events(self, count: int) -> tuple[Event, ...]:
-        """The events of the last step, given how many were counted."""
         return event_tuple(self._events, min(count, EVENT_ROOM)) if count else ()
 
-    def as_valve(self, record: Any) -> _Live:
-        """This state, stepped on as another valve, whose (1,) record this is."""
+    def command(self, volts: float) -> None:
+        """A voltage in force from the state's time on; reads the valve there."""
+        set_voltage(self.valve, self.state, volts)
+
+    def as_valve(self, valve: Valve, tolerance: float) -> _GasLive:
+        """This state, stepped on as another valve with gas."""
+        record = valve.record()
         set_voltage(self.valve, self.state, self.state["volts"].item())  # the current so far belongs to the old coil
         state = _state_of(record, self.state, self.valve)
         settle(record, state)
-        return _Live(record, state, self.whole["tolerance"].item())
+        return _GasLive(record, state, tolerance)
 
-    def copy(self) -> _Live:
+    def copy(self) -> _GasLive:
         """The same valve in the same state, stepped on its own."""
-        return _Live(self.valve, self.state, self.whole["tolerance"].item())
+        return _GasLive(self.valve, self.state, self.whole["tolerance"].item())
+
+
+_Live: TypeAlias = Live | _GasLive
+
+
+def _at_rest(valve: Valve, time: float, tolerance: float) -> _Live:
+    if valve.gas is None:
+        return Live.at_rest(valve, time, tolerance)
+    record = valve.record()
+    return _GasLive(record, new_states(record, time), tolerance)
 
 
 _Change = Callable[[_Live], _Live]
@@ -134,8 +159,7 @@ class Stepper:
 
     def __init__(self, valve: Valve, start_time: float = 0.0, *, tolerance: float = TOLERANCE) -> None:
         self._tolerance = tolerance
-        self._record = valve.record()
-        check_flux(self._record)
+        check_flux(valve)
         self._valve = valve
         self._changes: deque[tuple[float, _Change]] = deque()
         self.reset(start_time)
@@ -152,9 +176,9 @@ class Stepper:
 
     def reset(self, time: float) -> None:
         """Rest closed and without current at `time`, s."""
-        self._live = _Live(self._record, new_states(self._record, time), self._tolerance)
+        self._live: _Live = _at_rest(self._valve, time, self._tolerance)
         self._delay = 0.0
-        self._become(self._valve, self._record, time)
+        self._become(self._valve, time)
         self._volts = 0.0
         self._pending: tuple[Event, ...] = ()
 
@@ -172,7 +196,12 @@ class Stepper:
         """
         time = self._commit(time)
         before = self._coil(time)
-        self._set(time, set_voltage, volts)
+
+        def change(live: _Live) -> _Live:
+            live.command(volts)
+            return live
+
+        self._change(time, change)
         self._volts = float(volts)
         self._pending += self._live.step(time, commit=False)
         return before, self._coil(time)
@@ -193,6 +222,7 @@ class Stepper:
 
     def _set(self, time: float, setter: Setter, value: float) -> None:
         def change(live: _Live) -> _Live:
+            assert isinstance(live, _GasLive)
             setter(live.valve, live.state, value)
             return live
 
@@ -211,15 +241,15 @@ class Stepper:
             SimulationError: the step could not be carried to its end.
         """
         self._pending += self._live.step(time, commit=False)
-        pilot, main, velocity, attraction, number, x, volts, *of_gas = self._live.row.tolist()
+        pilot, main, velocity, attraction, number, x, volts, _, current, *of_gas = self._live.row.tolist()
         phase = _PHASES[int(number)]
         if self._delay:
             pilot, main = self._delayed(time - self._delay)
         effort = -(self._preload + self._rate * x) if phase >= _MAIN else 0.0
         events, self._pending = self._pending, ()
         return Reading(
-            time, pilot, main, velocity, velocity if phase is _MAIN else 0.0, self._live.current.item() * self._rated,
-            attraction, effort, phase, events, volts, *of_gas,
+            time, pilot, main, velocity, velocity if phase >= _MAIN else 0.0, current, attraction, effort, phase,
+            events, volts, *of_gas,
         )  # fmt: skip
 
     def set_valve(self, valve: Valve, time: float) -> None:
@@ -234,27 +264,27 @@ class Stepper:
         Raises:
             SimulationError: no current follows from the flux of the valve; nothing has changed.
         """
-        record = valve.record()
-        check_flux(record)
+        if (valve.gas is None) != (self._valve.gas is None):
+            raise SimulationError("a valve that is stepped cannot get gas, or lose it; start a new one")
+        check_flux(valve)
         time = self._commit(time)
-        self._change(time, lambda live: live.as_valve(record))
-        self._become(valve, record, time)
+        self._change(time, lambda live: live.as_valve(valve, self._tolerance))
+        self._become(valve, time)
 
-    def _become(self, valve: Valve, record: Any, time: float) -> None:
+    def _become(self, valve: Valve, time: float) -> None:
         """Read this valve from `time` on, s, whose sensor may be late where it was not, or no longer."""
         was_late = self._delay > 0.0
-        self._valve, self._record = valve, record
-        self._rated = rated_current(record)
-        self._delay, self._preload, self._rate = (
-            float(record[0][name]) for name in ("sensor_delay", "spring_preload", "spring_rate")
-        )
+        self._valve = valve
+        self._delay = self._live.delay
+        self._preload, self._rate = valve.parameters.spring_preload, valve.parameters.spring_rate
         if not (was_late and self._delay):
             self._changes.clear()
             self._late, self._shown_until = self._live.copy(), time
 
     def _coil(self, time: float) -> CoilReading:
         """The coil as it was shown last."""
-        return CoilReading(time, self._live.current.item() * self._rated, float(self._live.row[6]))
+        row = self._live.row
+        return CoilReading(time, float(row[8]), float(row[6]))
 
     def _delayed(self, time: float) -> tuple[float, float]:
         """The positions as a late sensor shows them: a second state follows the first by the delay.
@@ -275,7 +305,7 @@ def _set_inlet(record: Any, state: Any, pressure: float) -> None:
 
 
 def _state_of(record: Any, state: Any, before: Any) -> Any:
-    """A state with what another valve's record asks for: gas as declared where there was none, or no gas.
+    """A state with what another record of a valve with gas asks for.
 
     Args:
         record: of the other valve; where it declares another pressure than before, that one counts from now on.
@@ -287,14 +317,8 @@ def _state_of(record: Any, state: Any, before: Any) -> Any:
         state["shown_main"] = state["x"] - was["pilot_gap"] if state["mode"] >= _MAIN else 0.0
     if not will_be["temperature_rate"]:
         state["temperature"] = 0.0
-    following = new_states(record, float(state[0]["time"]))
-    if following.dtype != state.dtype:
-        for name in STATE_RECORD.names or ():
-            following[name] = state[name]
-        return following
-    if is_of_gas(record):
-        keep_pressure(record, state, before)
-        for name, setter in (("inlet_pressure", _set_inlet), ("demand_pressure", set_demand)):
-            if will_be[name] != was[name]:
-                setter(record, state, float(will_be[name]))
+    keep_pressure(record, state, before)
+    for name, setter in (("inlet_pressure", _set_inlet), ("demand_pressure", set_demand)):
+        if will_be[name] != was[name]:
+            setter(record, state, float(will_be[name]))
     return state

@@ -111,7 +111,7 @@ def run_changes(
     times, rows, current_times, currents = samples
     delay, _ = delay_and_end(record, samples)
     shown = (times - delay if delay else times, rows, current_times, currents)
-    control = (tolerance, most_steps(course.end - state["time"].item()), False)
+    control = (tolerance, most_steps(course.end - state["time"].item()))
     count, outcome = _run(record, state, (*course.changes, course.end), shown, events, control, vary)
     check_outcome(outcome)
     return int(count)

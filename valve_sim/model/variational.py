@@ -37,7 +37,6 @@ import numpy as np
 
 from valve_sim.model.compiling import inlined, inner
 from valve_sim.model.core_types import MAIN, PILOT
-from valve_sim.model.dormand_prince import LAST, POSITION, VELOCITY, interpolate
 from valve_sim.model.equations import coil_decay, coil_now, has_one_plunger
 from valve_sim.model.gas.variational import add_gas_force, gather_gas_force, show_pressures
 from valve_sim.model.linearised import (
@@ -54,6 +53,7 @@ from valve_sim.model.linearised import (
 )
 from valve_sim.model.location import CONTACT, TURN
 from valve_sim.model.sampling import lag_moments
+from valve_sim.model.step_memory import LAST, POSITION, VELOCITY, interpolate
 from valve_sim.model.variational_steps import LANES, OF_U, OF_W, SCRATCH, gather
 
 LEAST_CHANGE: Final = 1e-3

@@ -67,7 +67,7 @@ def test_shipped_files_are_the_default_valve_before_a_tank(file: str, pressure: 
         ({"valve.seat_load": 0.0}, "here: valve.seat_load: found 0 N beside gas, expected above 0 N"),
         (
             {"effects.pressure_force.force": 1.0},
-            "here: effects.pressure_force: found beside gas, which has the pressure across the main plunger itself",
+            "here: effects.pressure_force: found beside gas, with which it cannot act",
         ),
         (
             {"tolerances.gas.outlet_volum": 1e-7},

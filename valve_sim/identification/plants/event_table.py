@@ -227,8 +227,10 @@ class EventPlant:
             SimulationError: the gap is not inside the stroke, or the simulation could not be carried to its end.
         """
         valve = self.with_values(values)
-        record = valve.record()[0]
-        if not 0.0 < record["pilot_gap"] < record["stroke"]:
+        gap, stroke = (valve.parameters.pilot_gap, valve.parameters.stroke)
+        if valve.gas is None:
+            gap, stroke = valve.after_effects("pilot_gap", "stroke")
+        if not 0.0 < gap < stroke:
             raise SimulationError(f"{self.table.source}: a valve whose gap is not inside its stroke cannot move")
         return simulate(valve, self.table.drive, self._grid)
 

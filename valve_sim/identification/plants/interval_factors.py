@@ -17,8 +17,8 @@ import numpy as np
 
 from valve_sim.identification.plants.protocol import Array, Nuisance
 from valve_sim.identification.plants.variation import variation, variation_name
-from valve_sim.model import Valve
-from valve_sim.model.sensitivities import PLACES
+from valve_sim.model import CATALOGUE, Valve
+from valve_sim.model.simulation import ALWAYS
 from valve_sim.traces import Trace
 from valve_sim.traces.strokes import command_strokes, stroke_starts
 
@@ -133,5 +133,12 @@ class IntervalFactors:
         return found
 
 
-FIELD_PLACES: Final = np.array([PLACES[name] for name in FIELDS])
-"""Of `FIELDS` among the numbers of a record."""
+def places_of_fields(valve: Valve) -> list[list[int]]:
+    """Of each of `FIELDS` where it is among the numbers of a valve: the declared one, and what effects add to it."""
+    names = valve.plan().parameters
+    added = [
+        (f"{effect}.{parameter}", number)
+        for effect in dict.fromkeys((*valve.effects, *ALWAYS))
+        for parameter, number in CATALOGUE[effect].adds_to.items()
+    ]
+    return [[names.index(field), *(names.index(name) for name, to in added if to == field)] for field in FIELDS]

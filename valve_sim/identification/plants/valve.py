@@ -260,7 +260,7 @@ class ValvePlant:
         Raises:
             SimulationError: the simulation could not be carried to its end.
         """
-        record = self._model.record(values)
+        record = self._model.simulated(values)
         return {
             index: followed(record, trace, drive_with(trace, index, values, self.valve), lateness_with(index, values))
             for index, trace in enumerate(self.traces)
@@ -327,7 +327,7 @@ class ValvePlant:
             SimulationError: the simulation could not be carried to its end.
         """
         found: dict[int, Sensor] = {}
-        record, own_sheet = self._model.record(values), self.valve.tolerances.sensor
+        record, own_sheet = self._model.simulated(values), self.valve.tolerances.sensor
         shares = {"scale": own_sheet.gain, "bend": own_sheet.linearity}
         if self._is_watched:
             shares = dict.fromkeys(shares, 0.0)
@@ -350,7 +350,7 @@ class ValvePlant:
         Raises:
             SimulationError: the simulation could not be carried to its end.
         """
-        record = self._model.record(values)
+        record = self._model.simulated(values)
         shown: list[Array] = []
         for index, trace in enumerate(self.traces):
             drive, late = drive_with(trace, index, values, self.valve), lateness_with(index, values)

@@ -8,9 +8,10 @@ from typing import Any, Final
 
 from valve_sim.identification.plants.protocol import Array, EffectChoice, Nuisance
 from valve_sim.identification.plants.tolerances import ToleratedValues, of_gas
-from valve_sim.model import CATALOGUE, DECLARED, Parameter, Valve
+from valve_sim.model import CATALOGUE, DECLARED, Parameter, Valve, ValveParameters
 from valve_sim.model.gas import GAS, GasParameters
 from valve_sim.model.gas.record import record_of
+from valve_sim.model.parameters import POLYNOMIAL_NAMES
 from valve_sim.model.simulation import OF_TWO_PLUNGERS
 
 GAS_NAMES: Final[Mapping[str, str]] = {of_gas(name): name for name in GAS}
@@ -106,8 +107,11 @@ class ValveModel:
         """
         return self._tolerated.propagated(names, covariance)
 
-    def record(self, values: Mapping[str, float]) -> Any:
-        """The compiled core's record of the valve that freed values describe."""
+    def simulated(self, values: Mapping[str, float]) -> Any:
+        """What is simulated where freed values describe the valve: a `Valve`, or with gas a (1,) GAS_VALVE_RECORD.
+
+        Nothing is checked, and parameters of effects that are not given are neutral.
+        """
         effects = {name: dict(parameters) for name, parameters in self.valve.effects.items()}
         declared = dict(self._declared)
         for name, value in self._tolerated.as_declared(values).items():
@@ -116,7 +120,10 @@ class ValveModel:
                 declared[name] = value
             elif dot and name not in self._gas:
                 effects.setdefault(effect, {})[parameter] = value
-        return record_of(declared, effects, self._gas_with(values))
+        if self.valve.gas is not None:
+            return record_of(declared, effects, self._gas_with(values))
+        polynomial = tuple(declared.pop(name) for name in POLYNOMIAL_NAMES)
+        return Valve(ValveParameters(**declared, attraction_polynomial=polynomial), effects)  # type: ignore[arg-type]
 
 
 def declared_effect(name: str, values: Mapping[str, float]) -> EffectChoice:

@@ -8,16 +8,17 @@ are what one run would give, to the last digit.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, Final, NamedTuple
+from dataclasses import replace
+from typing import Final, NamedTuple
 
 import numpy as np
 
-from valve_sim.identification.plants.interval_factors import FIELD_PLACES, FIELDS
+from valve_sim.core.runs import Directions, Shown
+from valve_sim.core.simulation import commands_of
+from valve_sim.identification.plants.interval_factors import places_of_fields
 from valve_sim.identification.plants.protocol import Array
-from valve_sim.identification.plants.valve_sensors import FIT_TOLERANCE, NO_EVENTS, NO_TIMES, state_before
-from valve_sim.model import Drive
-from valve_sim.model.sensitivities import Variations
-from valve_sim.model.simulation import Control, Samples, run_course
+from valve_sim.identification.plants.valve_sensors import NO_TIMES, run_from_rest
+from valve_sim.model import Drive, Valve
 from valve_sim.traces import Trace
 
 SAMPLES: Final = 8192
@@ -29,15 +30,12 @@ class RunPiece(NamedTuple):
 
     Attributes:
         positions, currents: which samples of the recording, of either kind.
-        samples: what was shown, the current normalised.
-        of_positions, of_currents: (n, k) derivatives; none where none were asked.
+        shown: at these, the current normalised.
     """
 
     positions: slice
     currents: slice
-    samples: Samples
-    of_positions: Array
-    of_currents: Array
+    shown: Shown
 
 
 class WholeRun(NamedTuple):
@@ -62,10 +60,10 @@ def whole_run(pieces: Iterator[RunPiece]) -> WholeRun:
     """
     found = list(pieces)
     return WholeRun(
-        np.concatenate([piece.samples.rows[:, 0] for piece in found]),
-        np.concatenate([piece.samples.currents for piece in found]),
-        np.concatenate([piece.of_positions for piece in found]),
-        np.concatenate([piece.of_currents for piece in found]),
+        np.concatenate([piece.shown.positions for piece in found]),
+        np.concatenate([piece.shown.currents for piece in found]),
+        np.concatenate([piece.shown.of_positions for piece in found]),
+        np.concatenate([piece.shown.of_currents for piece in found]),
     )
 
 
@@ -84,7 +82,7 @@ class Intervals(NamedTuple):
     Attributes:
         factors: (c + 1, f) of `FIELDS`, before the first command and after each.
         slopes: (k, c + 1, f) derivatives of these along k directions; None where no derivatives are asked for.
-        numbers: (k, n) derivatives of the record's numbers along the directions, or None.
+        numbers: (k, n) derivatives of the valve's numbers along the directions, or None.
     """
 
     factors: Array
@@ -99,60 +97,60 @@ class Intervals(NamedTuple):
             found |= np.any(self.slopes[:, 1:] != self.slopes[:, :-1], axis=(0, 2))
         return set(np.flatnonzero(found).tolist())
 
-    def record(self, record: Any, interval: int) -> Any:
-        """The valve in an interval."""
-        there = record.copy()
-        for name, factor in zip(FIELDS, self.factors[interval].tolist(), strict=True):
-            there[name] *= factor
-        return there
+    def values(self, valve: Valve, interval: int) -> Array:
+        """(n,) the numbers of a valve in an interval."""
+        found = valve.numbers()
+        for places, factor in zip(places_of_fields(valve), self.factors[interval].tolist(), strict=True):
+            found[places] *= factor
+        return found
 
-    def moved(self, record: Any, interval: int) -> Array:
-        """(k, n) derivatives of that valve's numbers."""
-        assert self.numbers is not None
-        assert self.slopes is not None
-        own = np.array([record[name].item() for name in FIELDS])
-        found = self.numbers.copy()
-        found[:, FIELD_PLACES] *= self.factors[interval]
-        found[:, FIELD_PLACES] += own * self.slopes[:, interval]
+    def moved(self, valve: Valve, interval: int) -> Array | None:
+        """(k, n) derivatives of these."""
+        if self.numbers is None or self.slopes is None:
+            return None
+        own, found = valve.numbers(), self.numbers.copy()
+        for field, places in enumerate(places_of_fields(valve)):
+            found[:, places] *= self.factors[interval, field]
+            found[:, places] += own[places] * self.slopes[:, interval, field, None]
         return found
 
 
 def run_in_pieces(
-    record: Any,
+    valve: Valve,
     trace: Trace,
     drive: Drive,
     offset: float,
-    variations: Variations | None = None,
+    directions: Directions | None = None,
     intervals: Intervals | None = None,
 ) -> Iterator[RunPiece]:
     """Run a recorded drive.
 
     Args:
-        record: (1,) VALVE_RECORD. trace: whose sample times count. drive: when the voltage changes, s.
-        offset: s by which samples are stamped late. variations: derivatives carried along.
+        valve: without gas. trace: whose sample times count. drive: when the voltage changes, s.
+        offset: s by which samples are stamped late. directions: along which derivatives are carried.
         intervals: what differs of the valve from interval to interval.
 
     Raises:
         SimulationError: the simulation could not be carried to its end.
     """
     current_times = trace.coil_current.times if trace.coil_current is not None else NO_TIMES
-    state = state_before(record, trace, drive, trace.sample_times[:1] - offset)
     ends = None if intervals is None else intervals.changes
-    declared = record
-    for cut in cuts(trace.times, current_times, drive, (offset, record["sensor_delay"].item()), ends):
-        if intervals is not None:
-            record = intervals.record(declared, cut.commands.start)
-            if variations is not None:
-                variations.turn(intervals.moved(declared, cut.commands.start))
+    numbers = None
+    if intervals is not None:
+        numbers = intervals.values(valve, 0)
+        if directions is not None:
+            moved = intervals.moved(valve, 0)
+            assert moved is not None
+            directions = replace(directions, numbers=moved)
+    run = run_from_rest(valve, trace, drive, offset, directions, numbers)
+    commands = commands_of(drive)
+    (delay,) = valve.after_effects("sensor_delay")
+    for cut in cuts(trace.times, current_times, drive, (offset, delay), ends):
+        if intervals is not None and cut.commands.start:
+            run.become(intervals.values(valve, cut.commands.start), intervals.moved(valve, cut.commands.start))
         times, late = trace.times[cut.positions] - offset, current_times[cut.currents] - offset
-        samples = Samples(times, np.empty((len(times), 1)), late, np.empty(len(late)))
-        course = (drive.times[cut.commands], drive.volts[cut.commands], cut.end)
-        if variations is None:
-            run_course(record, state, course, samples, NO_EVENTS, Control(FIT_TOLERANCE))
-            found = np.empty((len(times), 0)), np.empty((len(late), 0))
-        else:
-            found = variations.run(record, state, course, samples, FIT_TOLERANCE, cut.commands.start)[:2]
-        yield RunPiece(cut.positions, cut.currents, samples, *found)
+        shown = run.piece(commands[cut.commands], cut.end, times, late, first=cut.commands.start)
+        yield RunPiece(cut.positions, cut.currents, shown)
 
 
 def cuts(

@@ -9,35 +9,36 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from valve_sim.core.runs import Directions, Shown
 from valve_sim.identification.plants.interval_factors import IntervalFactors
 from valve_sim.identification.plants.protocol import Array, Direction, Piece, Sensitivities
 from valve_sim.identification.plants.recording_errors import drive_with, is_of_recording, lateness_with, zero_with
 from valve_sim.identification.plants.valve_model import ValveModel
-from valve_sim.identification.plants.valve_pieces import Intervals, run_in_pieces, whole_run
+from valve_sim.identification.plants.valve_pieces import Intervals, WholeRun, run_in_pieces, whole_run
 from valve_sim.identification.plants.valve_sensors import (
+    GAS_TOLERANCE,
     amperes,
     averaged,
     prepared,
     prepared_with_pressure,
+    rated_current_of,
+    shown_by,
     supply_of,
-    tolerance_of,
 )
 from valve_sim.model import Drive, Valve
-from valve_sim.model.gas.record import is_of_gas
 from valve_sim.model.sensitivities import (
     PRESSURES_AT,
     Tangents,
-    Variations,
     has_sensitivities,
     numbers_of,
     rated_slopes,
     run_tangents,
 )
-from valve_sim.model.simulation import rated_current
 from valve_sim.traces import Trace
 
 
@@ -66,7 +67,9 @@ def sensitivities(
     Raises:
         SimulationError: the simulation could not be carried to its end.
     """
-    record = model.record(values)
+    if model.valve.gas is None:
+        return _without_gas(model, traces, values, directions, differing)
+    record = model.simulated(values)
     moved = [_moved(values, direction) for direction in directions]
     slopes = _record_slopes(model, record, moved, directions)
     known = has_sensitivities(record, slopes)
@@ -74,40 +77,108 @@ def sensitivities(
     if not known.any():
         return Sensitivities([], known)
     for index, trace in enumerate(traces):
-        at, tangents, zeros = _moving_recording((trace, index), (values, moved), directions, (slopes, model.valve))
-        factors = differing[index].of(values)
-        if factors is not None:
-            by = np.zeros((len(directions), *factors.shape))
-            for row, (there, own) in enumerate(zip(moved, directions, strict=True)):
-                changed = differing[index].of(there) if any(map(is_of_recording, own.slopes)) else None
-                if changed is not None:
-                    by[row] = (changed - factors) / own.step
-            intervals = Intervals(factors, by, tangents.numbers)
-            run = whole_run(run_in_pieces(record, trace, at.drive, at.lateness, Variations(tangents), intervals))
-            if trace.has_positions:
-                columns.append(averaged(trace, run.of_positions) + zeros)
-            if trace.coil_current is not None:
-                columns.append(_rated(record, run.currents, run.of_currents, rated_slopes(record, slopes)))
-            continue
-        tangents = _without_measured(tangents, trace) if is_of_gas(record) else tangents
+        at, moving, zeros = _moving_recording((trace, index), (values, moved), directions, (slopes, model.valve))
+        tangents = _without_measured(Tangents(*moving), trace)
         order: Any = slice(None)
         if trace.outlet_pressure is None:
             state, samples = prepared(record, trace, at.drive, at.lateness)
         else:
             times = trace.outlet_pressure.times
             state, samples, order = prepared_with_pressure(record, trace, times, at.drive, at.lateness)
-        supply, tolerance = supply_of(record, trace, at.lateness), tolerance_of(record)
-        positions, currents, pressures = run_tangents(record, state, at.drive, samples, tangents, tolerance, supply)
+        supply = supply_of(trace, at.lateness)
+        found = run_tangents(record, state, at.drive, samples, tangents, GAS_TOLERANCE, supply)
+        positions, currents, pressures = found
         count = len(trace.times)
         if trace.has_positions:
-            positions = _in_order(positions, order)[:count]
-            positions = averaged(trace, positions)
+            positions = averaged(trace, _in_order(positions, order)[:count])
             columns.append(positions + zeros if zeros.any() else positions)
         if trace.coil_current is not None:
-            columns.append(_rated(record, samples.currents, currents, rated_slopes(record, slopes)))
+            rated = rated_current_of(record), rated_slopes(record, slopes)
+            columns.append(_rated(rated, samples.currents, currents))
         if trace.outlet_pressure is not None:
             columns.append(_in_order(pressures, order)[count:])
     return Sensitivities(columns, known)
+
+
+def _without_gas(
+    model: ValveModel,
+    traces: Sequence[Trace],
+    values: Mapping[str, float],
+    directions: Sequence[Direction],
+    differing: Sequence[IntervalFactors],
+) -> Sensitivities:
+    """`sensitivities` of a valve without gas."""
+    values, moved = _with_all(model, values, directions)
+    valve, slopes, rated, known = _slopes_of(model, values, moved, directions)
+    columns: list[Array] = []
+    if not known.any():
+        return Sensitivities([], known)
+    for index, trace in enumerate(traces):
+        at, moving, zeros = _moving_recording((trace, index), (values, moved), directions, (slopes, model.valve))
+        along = Directions(*moving)
+        factors = differing[index].of(values)
+        if factors is None:
+            shown: Shown | WholeRun = shown_by(valve, trace, at.drive, at.lateness, along)
+        else:
+            by = np.zeros((len(directions), *factors.shape))
+            for row, (there, own) in enumerate(zip(moved, directions, strict=True)):
+                changed = differing[index].of(there) if any(map(is_of_recording, own.slopes)) else None
+                if changed is not None:
+                    by[row] = (changed - factors) / own.step
+            intervals = Intervals(factors, by, slopes)
+            shown = whole_run(run_in_pieces(valve, trace, at.drive, at.lateness, along, intervals))
+        if trace.has_positions:
+            positions = averaged(trace, shown.of_positions)
+            columns.append(positions + zeros if zeros.any() else positions)
+        if trace.coil_current is not None:
+            columns.append(_rated(rated, shown.currents, shown.of_currents))
+    return Sensitivities(columns, known)
+
+
+def _with_all(
+    model: ValveModel, values: Mapping[str, float], directions: Sequence[Direction]
+) -> tuple[dict[str, float], list[dict[str, float]]]:
+    """The values with neutral ones of effects that only directions have, and these a step along each direction."""
+    asked = {name for direction in directions for name in direction.slopes if "." in name and not is_of_recording(name)}
+    whole = {**values, **{name: model.declared(name) for name in sorted(asked - values.keys())}}
+    return whole, [_moved(whole, direction) for direction in directions]
+
+
+_SWITCHES: Final = (
+    "coil_time_constant", "eddy_time_constant", "residual_current", "restitution_stop", "restitution_seat",
+    "stop_compliance", "sensor_time_constant", "release_voltage",
+)  # fmt: skip
+"""Numbers that are off at 0 and act differently on either side of it: difference quotients are needed there."""
+
+
+def _slopes_of(
+    model: ValveModel,
+    values: Mapping[str, float],
+    moved: Sequence[Mapping[str, float]],
+    directions: Sequence[Direction],
+) -> tuple[Valve, Array, tuple[float, Array], NDArray[np.bool_]]:
+    """The valve, and how it moves along directions.
+
+    Returns:
+        the valve; (k, n) derivatives of its numbers; its rated current, A, and (k,) derivatives of that; (k,) whether
+        each direction has derivatives.
+    """
+    valve: Valve = model.simulated(values)
+    numbers, switches, rated = valve.numbers(), np.array(valve.after_effects(*_SWITCHES)), rated_current_of(valve)
+    slopes, of_rated = np.zeros((len(directions), len(numbers))), np.zeros(len(directions))
+    known = np.ones(len(directions), dtype=bool)
+    for row, (there, direction) in enumerate(zip(moved, directions, strict=True)):
+        if all(map(is_of_recording, direction.slopes)):
+            continue
+        other: Valve = model.simulated(there)
+        there_numbers = other.numbers()
+        differs = there_numbers != numbers  # otherwise both may be infinite, while their effect is off
+        slopes[row, differs] = (there_numbers[differs] - numbers[differs]) / direction.step
+        of_rated[row] = (rated_current_of(other) - rated) / direction.step
+        is_switched = (switches == 0.0) & (np.array(other.after_effects(*_SWITCHES)) != 0.0)
+        known[row] = np.isfinite(slopes[row]).all() and not is_switched.any()
+    slopes[~known] = 0.0
+    return valve, slopes, (rated, of_rated), known
 
 
 def _in_order(rows: Array, order: Any) -> Array:
@@ -141,33 +212,32 @@ def pieces(
     Raises:
         SimulationError: the simulation could not be carried to its end.
     """
-    record = model.record(values)
-    moved = [_moved(values, direction) for direction in directions]
-    slopes = _record_slopes(model, record, moved, directions)
-    if is_of_gas(record):
+    if model.valve.gas is not None:
         return None  # its pressures are recorded, too, and one of them may drive it
-    if directions and not has_sensitivities(record, slopes).all():
+    values, moved = _with_all(model, values, directions)
+    valve, slopes, rated, known = _slopes_of(model, values, moved, directions)
+    if not known.all():
         return None
-    return _pieces(record, traces, (values, moved), directions, (slopes, model.valve))
+    return _pieces(valve, traces, (values, moved), directions, (slopes, model.valve, rated))
 
 
 def _pieces(
-    record: Any,
+    valve: Valve,
     traces: Sequence[Trace],
     places: tuple[Mapping[str, float], Sequence[Mapping[str, float]]],
     directions: Sequence[Direction],
-    slopes_and_valve: tuple[Array, Valve],
+    moving: tuple[Array, Valve, tuple[float, Array]],
 ) -> Iterator[Piece]:
-    channel, rated = 0, rated_slopes(record, slopes_and_valve[0])
+    channel, (slopes, declared, rated) = 0, moving
     for index, trace in enumerate(traces):
-        at, tangents, zeros = _moving_recording((trace, index), places, directions, slopes_and_valve)
-        variations = Variations(tangents) if directions else None
-        for piece in run_in_pieces(record, trace, at.drive, at.lateness, variations):
+        at, recording, zeros = _moving_recording((trace, index), places, directions, (slopes, declared))
+        along = Directions(*recording) if directions else None
+        for piece in run_in_pieces(valve, trace, at.drive, at.lateness, along):
             if trace.has_positions:
-                shown, columns = piece.samples.rows[:, 0] + at.zero, piece.of_positions + zeros
+                shown, columns = piece.shown.positions + at.zero, piece.shown.of_positions + zeros
                 yield Piece(channel, piece.positions.start, shown, columns)
-            for shown in amperes(record, trace, piece.samples.currents):
-                columns = _rated(record, piece.samples.currents, piece.of_currents, rated)
+            for shown in amperes(valve, trace, piece.shown.currents):
+                columns = _rated(rated, piece.shown.currents, piece.shown.of_currents)
                 yield Piece(channel + trace.has_positions, piece.currents.start, shown, columns)
         channel += trace.has_positions + (trace.coil_current is not None)
 
@@ -177,7 +247,7 @@ def _moving_recording(
     places: tuple[Mapping[str, float], Sequence[Mapping[str, float]]],
     directions: Sequence[Direction],
     slopes_and_valve: tuple[Array, Valve],
-) -> tuple[_Recording, Tangents, Array]:
+) -> tuple[_Recording, tuple[Array, Array, Array, Array], Array]:
     """What a recording adds to a run, and how that and the run's input move along directions; (k,) the sensor's zero.
 
     Args:
@@ -190,24 +260,31 @@ def _moving_recording(
         _recording(trace, index, there, valve) if any(map(is_of_recording, direction.slopes)) else None
         for direction, there in zip(directions, moved, strict=True)
     ]
-    return (at, *_tangents(slopes, at, theirs, directions))
+    return (at, *_moving_run(slopes, at, theirs, directions))
 
 
-def _rated(record: Any, currents: Array, derivatives: Array, rated: Array) -> Array:
+def _rated(rated: tuple[float, Array], currents: Array, derivatives: Array) -> Array:
     """(m, k) derivatives of currents in A, from those of normalised ones, which are overwritten.
 
     A new array this large would take as long as the model does.
+
+    Args:
+        rated: the current at u = 1, A, and (k,) its derivatives.
     """
-    derivatives *= rated_current(record)
-    for column in np.flatnonzero(rated):
-        derivatives[:, column] += rated[column] * currents
+    derivatives *= rated[0]
+    for column in np.flatnonzero(rated[1]):
+        derivatives[:, column] += rated[1][column] * currents
     return derivatives
 
 
-def _tangents(
+def _moving_run(
     slopes: Array, at: _Recording, theirs: Sequence[_Recording | None], directions: Sequence[Direction]
-) -> tuple[Tangents, Array]:
-    """How a run moves along directions, and (k,) how its sensor's zero does; None where no recording changes."""
+) -> tuple[tuple[Array, Array, Array, Array], Array]:
+    """How a run moves along directions, as `Directions` has it, and (k,) how its sensor's zero does.
+
+    Args:
+        theirs: None where no recording changes.
+    """
     count, commands = len(directions), len(at.drive.times)
     times, volts = np.zeros((2, count, commands))
     late, zeros = np.zeros((2, count))
@@ -217,7 +294,7 @@ def _tangents(
             volts[row] = (there.drive.volts - at.drive.volts) / direction.step
             late[row] = (there.lateness - at.lateness) / direction.step
             zeros[row] = (there.zero - at.zero) / direction.step
-    return Tangents(slopes, times, volts, -late), zeros
+    return (slopes, times, volts, -late), zeros
 
 
 def _record_slopes(
@@ -228,7 +305,7 @@ def _record_slopes(
     slopes = np.zeros((len(directions), len(numbers)))
     for row, (values, direction) in enumerate(zip(moved, directions, strict=True)):
         if not all(map(is_of_recording, direction.slopes)):
-            slopes[row] = (numbers_of(model.record(values)) - numbers) / direction.step
+            slopes[row] = (numbers_of(model.simulated(values)) - numbers) / direction.step
     return slopes
 
 

@@ -11,13 +11,14 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from valve_sim.core.runs import Directions, Run, Shown
+from valve_sim.core.simulation import commands_of
 from valve_sim.identification.plants.protocol import Array, Channel, Contacts, Role
 from valve_sim.model import Drive, ParameterError, Response, SimulationError, Valve, simulate
 from valve_sim.model.core_types import EVENT_RECORD, EventKind
 from valve_sim.model.gas.parameters import GAS
-from valve_sim.model.gas.record import is_of_gas
 from valve_sim.model.gas.step import PRESSURE_COLUMN
-from valve_sim.model.simulation import Control, Samples, new_states, rated_current, run_record
+from valve_sim.model.simulation import Samples, new_states, run_record
 from valve_sim.model.supplied import Supply, run_supplied, simulate_supplied
 from valve_sim.signals.long_columns import any_in, blocks, filled, largest_size, median_of, repeated_levels
 from valve_sim.traces import Signal, Trace, stroke_numbers
@@ -205,8 +206,36 @@ def _current_channel(index: int, trace: Trace, strokes: NDArray[np.integer]) -> 
     )  # fmt: skip
 
 
+def run_from_rest(
+    valve: Valve, trace: Trace, drive: Drive, offset: float, directions: Directions | None = None,
+    numbers: Array | None = None,
+) -> Run:  # fmt: skip
+    """A run of a valve without gas that rests until the first command or sample; arguments as of `predicted`.
+
+    Args:
+        directions: along which derivatives are carried. numbers: of the valve, in place of its own.
+    """
+    start = min(float(drive.times[0]), float(trace.sample_times[0]) - offset)
+    return Run(valve, start, tolerance=FIT_TOLERANCE, directions=directions, numbers=numbers)
+
+
+def shown_by(
+    valve: Valve, trace: Trace, drive: Drive, offset: float, directions: Directions | None = None, room: int = 0
+) -> Shown:
+    """What the sensors of a valve without gas show at the samples of a trace; arguments as of `run_from_rest`.
+
+    Raises:
+        SimulationError: the simulation could not be carried to its end.
+    """
+    times = trace.times - offset
+    current_times = trace.coil_current.times - offset if trace.coil_current is not None else NO_TIMES
+    end = max(float(own[-1]) for own in (times, current_times) if len(own))
+    run = run_from_rest(valve, trace, drive, offset, directions)
+    return run.piece(commands_of(drive), end, times, current_times, room=room)
+
+
 def prepared(record: Any, trace: Trace, drive: Drive, offset: float) -> tuple[Any, Samples]:
-    """A state from which to run, and room for what is shown; arguments as of `predicted`."""
+    """A state of a valve with gas from which to run, and room for what is shown; arguments as of `predicted`."""
     times = trace.times - offset
     current_times = trace.coil_current.times - offset if trace.coil_current is not None else NO_TIMES
     samples = Samples(times, np.empty((len(times), 1)), current_times, np.empty(len(current_times)))
@@ -214,9 +243,9 @@ def prepared(record: Any, trace: Trace, drive: Drive, offset: float) -> tuple[An
 
 
 def state_before(record: Any, trace: Trace, drive: Drive, times: Array) -> Any:
-    """A valve at rest at the first command or sample; with gas before the line as it then was, where that is known."""
+    """A valve with gas at rest at the first command or sample, before the line as it then was if that is known."""
     start = min(float(drive.times[0]), float(times.min()))
-    if trace.outlet_start is None or not is_of_gas(record):
+    if trace.outlet_start is None:
         return new_states(record, start)
     filled = record.copy()
     filled["outlet_pressure"] = max(trace.outlet_start, LEAST_PRESSURE)
@@ -238,41 +267,39 @@ def as_it_began(valve: Valve, trace: Trace) -> Valve:
     return replace(valve, gas=valve.gas._replace(**least)) if least else valve
 
 
-def predicted(record: Any, trace: Trace, drive: Drive, offset: float) -> list[Array]:
-    """What the channels of a trace would show: positions (none where none were recorded), currents, pressures.
+def predicted(simulated: Any, trace: Trace, drive: Drive, offset: float) -> list[Array]:
+    """What the sensors show at the samples of a trace: positions, then current and outlet pressure where recorded.
 
     Args:
-        record: (1,) VALVE_RECORD. trace: whose sample times count. drive: when the voltage changes, s.
-        offset: s by which samples are stamped late.
+        simulated: a valve without gas, or a (1,) GAS_VALVE_RECORD. trace: whose sample times count.
+        drive: when the voltage changes, s. offset: s by which samples are stamped late.
 
     Raises:
         SimulationError: the simulation could not be carried to its end.
     """
+    if isinstance(simulated, Valve):
+        shown = shown_by(simulated, trace, drive, offset)
+        return [shown.positions, *amperes(simulated, trace, shown.currents)]
     if trace.outlet_pressure is not None:
-        return _predicted_with_pressure(record, trace, trace.outlet_pressure.times, drive, offset)
-    state, samples = prepared(record, trace, drive, offset)
-    _run(record, state, trace, drive, samples, offset)
-    return [samples.rows[:, 0], *amperes(record, trace, samples.currents)]
+        return _predicted_with_pressure(simulated, trace, trace.outlet_pressure.times, drive, offset)
+    state, samples = prepared(simulated, trace, drive, offset)
+    _run_gas(simulated, state, trace, drive, samples, offset)
+    return [samples.rows[:, 0], *amperes(simulated, trace, samples.currents)]
 
 
-def _run(record: Any, state: Any, trace: Trace, drive: Drive, samples: Samples, offset: float) -> None:
-    """Run the model; with gas from the pressures of tank and demand as they were measured, if they were."""
-    supply = supply_of(record, trace, offset)
+def _run_gas(record: Any, state: Any, trace: Trace, drive: Drive, samples: Samples, offset: float) -> None:
+    """Run a valve with gas, from the pressures of tank and demand as they were measured, if they were."""
+    supply = supply_of(trace, offset)
     if supply is None:
-        run_record(record, state, drive, samples, NO_EVENTS, Control(tolerance_of(record)))
+        run_record(record, state, drive, samples, NO_EVENTS, GAS_TOLERANCE)
     else:
         run_supplied(record, state, drive, supply, samples, NO_EVENTS, GAS_TOLERANCE)
 
 
-def tolerance_of(record: Any) -> float:
-    """Of a run in a fit: relative error of a step."""
-    return GAS_TOLERANCE if is_of_gas(record) else FIT_TOLERANCE
-
-
-def supply_of(record: Any, trace: Trace, offset: float) -> Supply | None:
+def supply_of(trace: Trace, offset: float) -> Supply | None:
     """The measured pressures of tank and demand of a valve with gas; None where there are none."""
     inlet, demand = trace.inlet_pressure or NO_SIGNAL, trace.demand_pressure or NO_SIGNAL
-    if not (len(inlet.times) or len(demand.times)) or not is_of_gas(record):
+    if not (len(inlet.times) or len(demand.times)):
         return None
     return Supply(
         inlet.times - offset,
@@ -292,7 +319,7 @@ def response_to(valve: Valve, trace: Trace, drive: Drive, times: Array, start: f
     Raises:
         SimulationError: the valve cannot be simulated.
     """
-    supply = supply_of(valve.record(), trace, offset)
+    supply = None if valve.gas is None else supply_of(trace, offset)
     valve = as_it_began(valve, trace)
     if supply is None:
         return simulate(valve, drive, times, start_time=start)
@@ -335,17 +362,28 @@ def averaged(trace: Trace, positions: Array) -> Array:
     return np.asarray((sums[count:] - sums[:-count]) / count)
 
 
-def amperes(record: Any, trace: Trace, currents: Array) -> list[Array]:
+def rated_current_of(simulated: Any) -> float:
+    """The coil current at u = 1, A, of a valve without gas, or of a (1,) GAS_VALVE_RECORD.
+
+    Raises:
+        SimulationError: the coil has no resistance.
+    """
+    if isinstance(simulated, Valve):
+        voltage, resistance = simulated.after_effects("reference_voltage", "coil_resistance")
+    else:
+        voltage, resistance = (simulated[name].item() for name in ("reference_voltage", "coil_resistance"))
+    if resistance <= 0.0:
+        raise SimulationError("coil_resistance: found 0 Ω, which leaves the current infinite")
+    return float(voltage / resistance)
+
+
+def amperes(simulated: Any, trace: Trace, currents: Array) -> list[Array]:
     """Currents as a trace has them, from normalised ones; none where it has none.
 
     Raises:
         SimulationError: the coil has no resistance.
     """
-    if trace.coil_current is None:
-        return []
-    if record[0]["coil_resistance"] <= 0.0:
-        raise SimulationError("coil_resistance: found 0 Ω, which leaves the current infinite")
-    return [currents * rated_current(record)]
+    return [] if trace.coil_current is None else [currents * rated_current_of(simulated)]
 
 
 def prepared_with_pressure(
@@ -372,49 +410,51 @@ def _predicted_with_pressure(
 ) -> list[Array]:
     """What the sensors of a valve with gas show, where the outlet's pressure was recorded."""
     state, samples, order = prepared_with_pressure(record, trace, pressure_times, drive, offset)
-    _run(record, state, trace, drive, samples, offset)
+    _run_gas(record, state, trace, drive, samples, offset)
     count, shown = len(trace.times), np.empty_like(samples.rows)
     shown[order] = samples.rows
     return [shown[:count, 0], *amperes(record, trace, samples.currents), shown[count:, PRESSURE_COLUMN]]
 
 
-def contacts(record: Any, trace: Trace, drive: Drive, offset: float) -> Contacts:
-    """When plungers meet the body, and with which momentum; arguments as of `predicted`.
+def contacts(valve: Valve, trace: Trace, drive: Drive, offset: float) -> Contacts:
+    """When plungers of a valve without gas meet the body, and with which momentum; arguments as of `predicted`.
 
     Raises:
         SimulationError: the simulation could not be carried to its end.
     """
-    _, samples = prepared(record, trace, drive, offset)
-    events = np.zeros(EVENTS_EACH * (len(drive.times) + 1), EVENT_RECORD)
-    state = state_before(record, trace, drive, trace.sample_times - offset)
-    count = run_record(record, state, drive, samples, events, Control(tolerance_of(record)))
-    pilot, moving = float(record[0]["pilot_mass"]), float(record[0]["moving_mass"])
+    room = EVENTS_EACH * (len(drive.times) + 1)
+    times, numbers, _, speeds = shown_by(valve, trace, drive, offset, room=room).events.T
+    kinds = numbers.astype(np.intp)
+    pilot, moving, at_stop, at_seat = valve.after_effects(
+        "pilot_mass", "moving_mass", "restitution_stop", "restitution_seat"
+    )
     masses = np.zeros(len(EventKind))
     masses[[EventKind.REACHED_STOP, EventKind.BOUNCED_AT_STOP]] = moving
     masses[[EventKind.SEATED, EventKind.BOUNCED_AT_SEAT]] = pilot or moving
     masses[EventKind.MAIN_SEATED], masses[EventKind.HELD_AT_GAP] = moving - pilot, pilot
     bounce = np.zeros(len(EventKind))
-    bounce[EventKind.BOUNCED_AT_STOP] = record[0]["restitution_stop"]
-    bounce[EventKind.BOUNCED_AT_SEAT] = record[0]["restitution_seat"]
-    own = events[:count]
-    momenta = masses[own["kind"]] * np.abs(own["v"]) * (1.0 + bounce[own["kind"]]) / (moving * USUAL_SPEED)
+    bounce[EventKind.BOUNCED_AT_STOP], bounce[EventKind.BOUNCED_AT_SEAT] = at_stop, at_seat
+    momenta = masses[kinds] * np.abs(speeds) * (1.0 + bounce[kinds]) / (moving * USUAL_SPEED)
     places = np.zeros(len(EventKind), dtype=np.int64)
     places[[EventKind.REACHED_STOP, EventKind.BOUNCED_AT_STOP]] = 1
     places[[EventKind.MAIN_SEATED, EventKind.HELD_AT_GAP]] = 2
     felt = momenta > FAINTEST
-    return Contacts(own["time"][felt] + offset, momenta[felt], places[own["kind"]][felt])
+    return Contacts(times[felt] + offset, momenta[felt], places[kinds][felt])
 
 
-def followed(record: Any, trace: Trace, drive: Drive, offset: float) -> Array:
+def followed(simulated: Any, trace: Trace, drive: Drive, offset: float) -> Array:
     """The pilot plunger's positions at the samples by which a trace is judged, m; arguments as of `predicted`.
 
     Raises:
         SimulationError: the simulation could not be carried to its end.
     """
     times = trace.sample_times - offset
+    if isinstance(simulated, Valve):
+        run = run_from_rest(simulated, trace, drive, offset)
+        return run.piece(commands_of(drive), float(times[-1]), times).positions
     samples = Samples(times, np.empty((len(times), 1)), NO_TIMES, NO_TIMES)
-    state = state_before(record, trace, drive, times)
-    _run(record, state, trace, drive, samples, offset)
+    state = state_before(simulated, trace, drive, times)
+    _run_gas(simulated, state, trace, drive, samples, offset)
     return samples.rows[:, 0]
 
 

@@ -5,22 +5,23 @@ It is simulated in pieces: a whole row of what the model has at each sample woul
 
 from __future__ import annotations
 
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from valve_sim.core.runs import Run
+from valve_sim.core.simulation import commands_of
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.identification.plants.valve_pieces import Cut, cuts
 from valve_sim.identification.plants.valve_sensors import response_to
-from valve_sim.model import Drive, Event, Response, Valve
-from valve_sim.model.gas.record import is_of_gas
-from valve_sim.model.response import event_log, event_tuple
-from valve_sim.model.simulation import Control, Samples, columns_of, new_states, rated_current, run_course
+from valve_sim.model import Drive, EventKind, Response, Valve
+from valve_sim.model.response import Event
 from valve_sim.traces import Trace
 
 STILL_SPEED: Final = 1e-5
 """m/s: below it the model rests; a pilot plunger that nothing holds down creeps at nanometres a second."""
+_KINDS: Final = tuple(EventKind)
 EVENTS: Final = 256
 """Room for those of a piece, which is made larger where there are more."""
 
@@ -48,30 +49,28 @@ def motion_of(valve: Valve, trace: Trace, drive: Drive, times: Array, start: flo
     def taken(own: slice) -> Array:
         return np.maximum(times[own] - offset, start)
 
-    record = valve.record()
-    if is_of_gas(record) or record[0]["sensor_delay"]:
+    if valve.gas is not None or valve.after_effects("sensor_delay")[0]:
         return _whole(response_to(valve, trace, drive, taken(slice(None)), start, offset), trace.judged)
-    state, shown, is_moving = new_states(record, start), np.empty(len(times)), np.empty(len(times), dtype=bool)
-    events: list[Event] = []
+    shown, is_moving = np.empty(len(times)), np.empty(len(times), dtype=bool)
+    stepped, events, commands = Run(valve, start), list[Event](), commands_of(drive)
+    is_position = trace.judged == "position"
     for cut in cuts(times, times, drive, (offset, 0.0)):
-        own = taken(cut.positions)
-        samples = Samples(own, np.empty((len(own), columns_of(record))), own, np.empty(len(own)))
-        events += _run(record, state, drive, cut, samples)
-        is_moving[cut.positions] = np.abs(samples.rows[:, 2]) > STILL_SPEED
-        is_position = trace.judged == "position"
-        shown[cut.positions] = samples.rows[:, 0] if is_position else samples.currents * rated_current(record)
+        rows, new = _rows(stepped, commands[cut.commands], cut, taken(cut.positions))
+        events += new
+        is_moving[cut.positions] = np.abs(rows[:, 2]) > STILL_SPEED
+        shown[cut.positions] = rows[:, 0 if is_position else 8]
     return Motion(shown, is_moving, tuple(events))
 
 
-def _run(record: Any, state: Any, drive: Drive, cut: Cut, samples: Samples) -> tuple[Event, ...]:
-    """Run a piece; its events."""
-    course, before, room = (drive.times[cut.commands], drive.volts[cut.commands], cut.end), state.copy(), EVENTS
+def _rows(stepped: Run, commands: Array, cut: Cut, times: Array) -> tuple[Array, list[Event]]:
+    """Run a piece: its rows, and its events."""
+    before, room = stepped.save(), EVENTS
     while True:
-        events = event_log(room)
-        count = run_course(record, state, course, samples, events, Control(in_series=True))
+        rows, events, count = stepped.rows(commands, cut.end, times, room=room)
         if count <= room:
-            return event_tuple(events, count)
-        state[:], room = before, count
+            return rows, [Event(t, _KINDS[int(kind)], x, v) for t, kind, x, v in events.tolist()]
+        stepped.restore(before)
+        room = count
 
 
 def _whole(response: Response, judged: str) -> Motion:

@@ -12,7 +12,7 @@ group `valve_sim.effects`, and what a program registers.
 """
 
 from valve_sim.model.effects.catalogue import CATALOGUE, ENTRY_POINTS, Catalogue, check_effects
-from valve_sim.model.effects.entry import Effect, Form, Severity, Tag, Term, compile_term
+from valve_sim.model.effects.entry import Effect, Severity, Tag, Term, compile_term
 from valve_sim.model.effects.force_map import (
     FORCE_MAP_COEFFICIENTS,
     FORCE_MAP_VARIABLES,
@@ -30,7 +30,6 @@ __all__ = [
     "VALVE_RECORD",
     "Catalogue",
     "Effect",
-    "Form",
     "Severity",
     "Tag",
     "Term",

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+from valve_sim.core.symbols import Motion, Own
+from valve_sim.core.tracer import Node, where
 from valve_sim.model.compiling import inlined
-from valve_sim.model.effects.entry import Effect, Form, Severity, Tag, Values, share
+from valve_sim.model.effects.entry import Effect, Severity, Tag, Values, share
 from valve_sim.model.parameters import Parameter
 
 
@@ -37,6 +39,16 @@ def damping_slopes(p: Any, g: Any, t: float, motion: Any, coil: Any, condition: 
     g.damping_closing = 0.0 if opens else -motion[1]
 
 
+def dry_friction(m: Motion, own: Own) -> Node:
+    """F_±, N."""
+    return where(m.direction > 0.0, own.force_opening, own.force_closing)
+
+
+def damping_force(m: Motion, own: Own) -> Node:
+    """−c_± v, N."""
+    return -where(m.direction > 0.0, own.damping_opening, own.damping_closing) * m.v
+
+
 EFFECT = Effect(
     "asymmetric_friction",
     "friction and extra damping that differ by direction",
@@ -55,8 +67,9 @@ EFFECT = Effect(
     rewrite=_rewrite,
     core_force=damping,
     core_force_slopes=damping_slopes,
-    form=Form.OF_V,
     fields={"friction_opening": 0.0, "friction_closing": 0.0, "damping_opening": 0.0, "damping_closing": 0.0},
     confused_with=("squeeze_film",),
     tags=(Tag.DISSIPATIVE, Tag.ANY_AXIS),
+    force=damping_force,
+    friction=dry_friction,
 )

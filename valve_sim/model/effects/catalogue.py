@@ -122,10 +122,14 @@ class Catalogue(Mapping[str, Effect]):
         if effect.name in self._declared:
             raise ParameterError(f"{where}: an effect named {effect.name} is registered already")
         if effect.changes_nothing:
-            raise ParameterError(f"{where}: has neither a term nor a rewrite, so it would change nothing")
-        if effect.fields or any(part is not None for part in (effect.core_force, effect.core_pull, effect.form)):
             raise ParameterError(
-                f"{where}: a part of the compiled core, or a form, can only ship with it; use a term without"
+                f"{where}: has no expression (force, friction, square, changes, adds_to or a term), so it would change "
+                "nothing"
+            )
+        if effect.fields or effect.core_force is not None or effect.core_pull is not None:
+            raise ParameterError(
+                f"{where}: what a valve with gas is compiled of can only ship with valve_sim; write expressions "
+                "(force, friction, square or changes), or a term"
             )
         self._declared[effect.name] = effect
 
@@ -163,6 +167,11 @@ def check_effects(values: Mapping[str, object], source: str) -> dict[str, dict[s
             expected = ", ".join(CATALOGUE[name].given_names)
             raise ParameterError(f"{where}: found {found!r}, expected {{{expected}}}")
         checked[name] = _check_effect(CATALOGUE[name], found, where)
+        for other in CATALOGUE[name].stands_alone:
+            if other in values:
+                raise ParameterError(
+                    f"{where}: found beside effects.{other}, whose place it takes; take one of the two out"
+                )
     return checked
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from valve_sim.core.symbols import replaced
 from valve_sim.model.effects.entry import Effect, Severity, Tag, Values, set_fields
 from valve_sim.model.parameters import Parameter
 
@@ -30,4 +31,8 @@ EFFECT = Effect(
     rewrite=set_fields(temperature_rate="temperature_rate", cooling_time_constant="cooling_time_constant"),
     fields={"temperature_rate": 0.0, "cooling_time_constant": 1.0},
     tags=(Tag.COIL,),
+    changes={
+        "temperature_rate": replaced("temperature_rate"),
+        "cooling_time_constant": replaced("cooling_time_constant"),
+    },
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from valve_sim.model.effects.entry import Effect, Form, Tag, share_of_preload
+from valve_sim.model.effects.entry import Effect, Tag, share_of_preload
 from valve_sim.model.parameters import Parameter
 
 
@@ -22,6 +22,5 @@ EFFECT = Effect(
     what_to_do="Check the mounting position, the spring's preload and the zero of the load cell.",
     severity=share_of_preload("force"),
     term=constant_force,
-    form=Form.CONSTANT,
     tags=(Tag.FORCE, Tag.ANY_AXIS),
 )

@@ -29,4 +29,5 @@ EFFECT = Effect(
     fields={"friction_opening": 0.0, "friction_closing": 0.0},
     confused_with=("stiction", "asymmetric_friction", "squeeze_film"),
     tags=(Tag.DISSIPATIVE, Tag.LIKE_DAMPING, Tag.ANY_AXIS),
+    friction=lambda m, own: own.force,
 )

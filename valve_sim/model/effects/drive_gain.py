@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from valve_sim.core.symbols import replaced
 from valve_sim.model.effects.entry import Effect, Severity, Tag, Values
 from valve_sim.model.parameters import Parameter
 
@@ -33,4 +34,5 @@ EFFECT = Effect(
     fields={"drive_gain": 1.0},
     confused_with=("rest_attraction", "magnetic_saturation", "coil_heating"),
     tags=(Tag.COIL,),
+    changes={"drive_gain": replaced("gain")},
 )

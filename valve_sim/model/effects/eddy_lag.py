@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from valve_sim.core.symbols import replaced
 from valve_sim.model.effects.entry import Effect, Severity, Tag, Values, set_fields, share
 from valve_sim.model.parameters import Parameter
 
@@ -24,4 +25,5 @@ EFFECT = Effect(
     fields={"eddy_time_constant": 0.0},
     confused_with=("coil_lag", "residual_magnetism"),
     tags=(Tag.COIL,),
+    changes={"eddy_time_constant": replaced("time_constant")},
 )

@@ -14,6 +14,8 @@ from numba import carray, types  # type: ignore[attr-defined]
 from numba.core.errors import NumbaError
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
+from valve_sim.core.symbols import Change, Force, Motion, Own, added
+from valve_sim.core.tracer import Node, where
 from valve_sim.model.compiling import compiled, compiled_callback, compiled_once
 from valve_sim.model.core_types import MAXIMUM_TERM_PARAMETERS, MAXIMUM_TERMS
 from valve_sim.model.errors import ParameterError
@@ -49,21 +51,6 @@ class Tag(enum.Enum):
     """Needs no coil, seat or stop: any driven axis can have it."""
     BUILT_IN = "built in"
     """Belongs to how a machine is built: it neither comes nor goes while the machine is in service."""
-
-
-class Form(enum.IntEnum):
-    """How a force varies while the plungers move one way in one phase, where `taylor_series` knows that."""
-
-    CONSTANT = 1
-    """Not at all."""
-    OF_V = 2
-    """It is so much for each m/s."""
-    OF_V_SQUARED = 3
-    """The same for each m²/s², with a sign that may be that of v."""
-    OF_X_CUBED = 4
-    """The same for each m³."""
-    DECAYING = 5
-    """It decays exponentially, whatever moves."""
 
 
 class Severity(NamedTuple):
@@ -158,11 +145,14 @@ class Effect(_Words):
             stand by name, see `linearised`; it writes those to its own `fields`.
         core_pull_slope: the derivative of `core_pull`, f(p, g, squared, per_pull); it writes that to its own field,
             times the force `per_pull` that one unit of it makes.
-        form: how the force of `term` or `core_force` varies, if that is one of the forms that `taylor_series` knows.
-            With any other force a valve moves by the pair of Dormand and Prince.
-        decays_over: the field that holds the time constant, s, of a force that decays.
-        saturates_by: the field that holds k of a `core_pull` that is s (1 + k)/(1 + k s), which the series knows.
         adds_to: parameter of the effect → declared parameter that it is added to.
+        force: (motion, own) → a force, N, + opens, as an expression; made of `term` where that is given alone.
+        friction: (motion, own) → the level of a dry friction, N, against the motion, as an expression.
+        square: (s, own) → what becomes of the square of the current that pulls, as an expression.
+        changes: numbers of the valve that are others while the effect is on: (its value before, own) → its value, as
+            expressions; see `valve_sim.core.symbols`.
+        shapes: parameters whose values decide which expressions it has; they are constants there.
+        stands_alone: names of effects that cannot be declared beside it.
         origin: where an installed package names it, for messages.
     """
 
@@ -190,10 +180,13 @@ class Effect(_Words):
     core_pull: Any = None
     core_force_slopes: Any = None
     core_pull_slope: Any = None
-    form: Form | None = None
-    decays_over: str = ""
-    saturates_by: str = ""
     adds_to: Mapping[str, str] = field(default_factory=dict, hash=False)
+    force: Force | None = None
+    friction: Force | None = None
+    square: Change | None = None
+    changes: Mapping[str, Change] = field(default_factory=dict)
+    shapes: tuple[str, ...] = ()
+    stands_alone: tuple[str, ...] = ()
     origin: str = field(default="", compare=False)
     _compiled: list[Any] = field(default_factory=list, repr=False, compare=False)
 
@@ -207,14 +200,47 @@ class Effect(_Words):
         for attribute, default in defaults.items():
             if not getattr(self, attribute):
                 object.__setattr__(self, attribute, default)
+        if self.force is None and self.term is not None and self.term_numbers is None:
+            object.__setattr__(self, "force", self._force_of_term)
+        if self.adds_to:
+            more = {declared: added(parameter) for parameter, declared in self.adds_to.items()}
+            object.__setattr__(self, "changes", {**self.changes, **more})
+
+    def __hash__(self) -> int:
+        return hash(self.name)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of its parameters."""
+        return tuple([parameter.name for parameter in self.parameters])
+
+    def _force_of_term(self, m: Motion, own: Own) -> Node:
+        """The force of `term` as an expression: its arithmetic is that of expressions, too.
+
+        Raises:
+            ParameterError: it is more than arithmetic.
+        """
+        assert self.term is not None
+        numbers = [own.named(name) for name in self.names] + [m.p.named(name) for name in self.also_reads]
+        try:
+            force: Any = self.term(m.x, m.v, m.u, m.t, *numbers)
+        except (TypeError, ParameterError) as error:
+            where_from = f"effects.{self.name}" + (f" ({self.origin})" if self.origin else "")
+            raise ParameterError(
+                f"{where_from}: its term is no expression, {error}; write arithmetic, or `force` with the functions of "
+                "valve_sim.core.tracer (exp, sin, maximum, where) in place of those of math"
+            ) from error
+        return where(m.lifted, force, 0.0) if self.phase_2_only else m.x.trace.lift(force)
 
     @property
     def changes_nothing(self) -> bool:
         """Whether it has no way into the model."""
-        return self.rewrite is None and self.term is None and not self.adds_to
+        return not (self.force or self.friction or self.square or self.changes or self.with_gas)
 
     def is_of(self, *, has_gas: bool) -> bool:
         """Whether a valve with gas, or one without, can have it."""
+        if has_gas and self.rewrite is None and self.term is None and not self.adds_to:
+            return False  # what is an expression alone is unknown to the integrator of valves with gas
         return self.with_gas is None or self.with_gas is has_gas
 
     def parameter(self, name: str) -> Parameter:
@@ -305,7 +331,6 @@ class Effect(_Words):
             raise ParameterError(f"effects.{self.name}: at most {MAXIMUM_TERMS} compiled force terms can be on at once")
         record["term_address"][slot] = self.address(len(numbers))
         record["term_in_phase_2_only"][slot] = int(self.phase_2_only)
-        record["term_form"][slot] = self.form or 0
         record["term_parameters"][slot, : len(numbers)] = numbers
         record["term_count"] = slot + 1
         may_change = reads_time(self.term) if self.changes_at_rest is None else self.changes_at_rest(values)

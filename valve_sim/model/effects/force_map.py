@@ -18,6 +18,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from valve_sim.core.symbols import Motion, Own
+from valve_sim.core.tracer import Node, spline
 from valve_sim.model.effects.entry import Effect, ListOfParameters, Tag, Values
 from valve_sim.model.parameters import Parameter
 
@@ -144,6 +146,22 @@ _COEFFICIENTS: Final = ListOfParameters(
     FEWEST_COEFFICIENTS,
 )  # fmt: skip
 
+
+def curve(m: Motion, own: Own) -> Node:
+    """The force, N."""
+    variable = FORCE_MAP_VARIABLES[int(own.variable.value or 0.0)]
+    periodic = "periodic" in variable
+    if "v" in variable and m.v.value == 0.0:
+        return m.v  # a damping, of plungers at rest
+    y = {"x": m.x, "v": m.v, "t": m.t}[variable[0]]
+    intervals = own.count if periodic else own.count - 3.0
+    place = (y - own.low) * (intervals / (own.high - own.low))
+    value = spline(place, intervals, "force_map.c1", periodic=periodic)
+    if variable == "x·u²":
+        return value * m.u * m.u
+    return -value * m.v if "v" in variable else value
+
+
 EFFECT = Effect(
     "force_map",
     "a force of unknown origin, as a smooth curve of cubic B-splines",
@@ -169,4 +187,6 @@ EFFECT = Effect(
     retired={f"f{knot}": "one of the eight knots of earlier versions" for knot in range(1, 9)},
     named=False,
     tags=(Tag.FORCE,),
+    force=curve,
+    shapes=("variable",),
 )

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from valve_sim.core.symbols import Own
+from valve_sim.core.tracer import Node
 from valve_sim.model.compiling import inlined
 from valve_sim.model.effects.entry import Effect, Severity, Tag, Values
 from valve_sim.model.parameters import Parameter
@@ -45,6 +47,12 @@ def _rewrite(record: Any, values: Values) -> None:
     record["saturation"] = values["current"] ** -2
 
 
+def saturated_square(s: Node, own: Own) -> Node:
+    """S (1 + k)/(1 + k s), k = 1/u_s²."""
+    k = own.current**-2
+    return s * (1.0 + k) / (1.0 + k * s)
+
+
 EFFECT = Effect(
     "magnetic_saturation",
     "the pull grows more slowly than u² at high current",
@@ -58,7 +66,7 @@ EFFECT = Effect(
     rewrite=_rewrite,
     core_pull=saturated,
     core_pull_slope=saturated_slope,
-    saturates_by="saturation",
     fields={"saturation": 0.0},
     tags=(Tag.COIL,),
+    square=saturated_square,
 )

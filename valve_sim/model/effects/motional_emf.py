@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from valve_sim.core.symbols import replaced
 from valve_sim.model.effects.entry import Effect, Severity, Tag, Values
 from valve_sim.model.parameters import Parameter
 
@@ -36,4 +37,5 @@ EFFECT = Effect(
     needs_inductance=True,
     confused_with=("eddy_lag", "coil_lag", "coil_heating", "drive_gain"),
     tags=(Tag.COIL, Tag.BUILT_IN),
+    changes={"motional_share": replaced("share")},
 )

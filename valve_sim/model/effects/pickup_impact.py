@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from valve_sim.core.symbols import replaced
 from valve_sim.model.effects.entry import Effect, Severity, Tag, Values, set_fields
 from valve_sim.model.parameters import Parameter
 
@@ -21,4 +22,5 @@ EFFECT = Effect(
     severity=_severity,
     rewrite=set_fields(pickup_velocity_ratio="velocity_ratio"),
     tags=(Tag.CONTACT,),
+    changes={"pickup_velocity_ratio": replaced("velocity_ratio")},
 )

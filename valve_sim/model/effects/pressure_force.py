@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from valve_sim.core.symbols import Motion, Own
+from valve_sim.core.tracer import Node, exp, where
 from valve_sim.model.compiling import inlined
 from valve_sim.model.core_types import MAIN
-from valve_sim.model.effects.entry import Effect, Form, Tag, set_fields, share_of_preload
+from valve_sim.model.effects.entry import Effect, Tag, set_fields, share_of_preload
 from valve_sim.model.parameters import Parameter
 
 
@@ -32,6 +34,11 @@ def pressure_slopes(p: Any, g: Any, t: float, motion: Any, coil: Any, condition:
         g.equalisation_time = g.unseated_time * elapsed
 
 
+def pressure_of(m: Motion, own: Own) -> Node:
+    """−F_p exp(−(t − t_o)/τ_p) in Phase 2, N."""
+    return where(m.lifted, -own.force * exp(-m.since / own.equalisation_time), 0.0)
+
+
 EFFECT = Effect(
     "pressure_force",
     "pressure across the main plunger until the pilot orifice has equalised it",
@@ -50,9 +57,8 @@ EFFECT = Effect(
     rewrite=set_fields(pressure_force="force", equalisation_time="equalisation_time"),
     core_force=pressure,
     core_force_slopes=pressure_slopes,
-    form=Form.DECAYING,
-    decays_over="equalisation_time",
     fields={"pressure_force": 0.0, "equalisation_time": 1.0},
     with_gas=False,
     tags=(Tag.FORCE,),
+    force=pressure_of,
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from valve_sim.model.effects.entry import FASTEST, Effect, Form, Severity, Tag, Values, share
+from valve_sim.model.effects.entry import FASTEST, Effect, Severity, Tag, Values, share
 from valve_sim.model.parameters import Parameter
 
 
@@ -27,7 +27,7 @@ EFFECT = Effect(
     what_to_do="Check which fluid is in the valve and how dense it is, and whether bores that let it pass are free.",
     severity=_severity,
     term=quadratic_drag,
-    form=Form.OF_V_SQUARED,
     confused_with=("squeeze_film",),
     tags=(Tag.DISSIPATIVE, Tag.LIKE_DAMPING, Tag.ANY_AXIS),
+    force=lambda m, own: -own.coefficient * m.direction * m.v**2,
 )

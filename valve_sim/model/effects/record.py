@@ -35,7 +35,6 @@ VALVE_RECORD: Final = np.dtype(
         ("terms_read_time", "i8"),  # 1 where one of them may change while nothing else does
         ("term_address", "i8", (MAXIMUM_TERMS,)),
         ("term_in_phase_2_only", "i8", (MAXIMUM_TERMS,)),
-        ("term_form", "i8", (MAXIMUM_TERMS,)),  # a `Form`, or 0
         ("term_parameters", "f8", (MAXIMUM_TERMS, MAXIMUM_TERM_PARAMETERS)),
     ],
     align=True,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from valve_sim.core.symbols import replaced
 from valve_sim.model.effects.entry import Effect, Severity, Tag, Values, set_fields
 from valve_sim.model.parameters import Parameter
 
@@ -23,4 +24,5 @@ EFFECT = Effect(
     rewrite=set_fields(residual_current="current"),
     fields={"residual_current": 0.0},
     tags=(Tag.COIL,),
+    changes={"residual_current": replaced("current")},
 )

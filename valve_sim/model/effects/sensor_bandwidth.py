@@ -26,4 +26,5 @@ EFFECT = Effect(
     rewrite=_rewrite,
     fields={"sensor_time_constant": 0.0},
     tags=(Tag.SENSOR,),
+    changes={"sensor_time_constant": lambda _before, own: 1.0 / (2.0 * math.pi * own.cutoff_frequency)},
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from valve_sim.core.symbols import replaced
 from valve_sim.model.effects.entry import Effect, Tag, set_fields
 from valve_sim.model.parameters import Parameter
 
@@ -18,4 +19,5 @@ EFFECT = Effect(
     fields={"sensor_delay": 0.0},
     confused_with=("sensor_bandwidth",),
     tags=(Tag.SENSOR,),
+    changes={"sensor_delay": replaced("delay")},
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from valve_sim.model.effects.entry import Effect, Form, Severity, Tag, Values, share
+from valve_sim.model.effects.entry import Effect, Severity, Tag, Values, share
 from valve_sim.model.parameters import Parameter
 
 
@@ -29,6 +29,5 @@ EFFECT = Effect(
     severity=_severity,
     term=spring_hardening,
     phase_2_only=True,
-    form=Form.OF_X_CUBED,
     tags=(Tag.FORCE,),
 )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from valve_sim.core.symbols import Motion, Own
+from valve_sim.core.tracer import Node, where
 from valve_sim.model.effects.entry import Effect, Severity, Tag, Values, share
 from valve_sim.model.parameters import Parameter
 
@@ -17,6 +19,13 @@ def squeeze_film(
 
 def _severity(values: Values, declared: Values) -> Severity | None:
     return share(values["coefficient"], declared["main_damping"], "the declared main damping, at contact")
+
+
+def squeezed(m: Motion, own: Own) -> Node:
+    """−B v [(h/(x + h))³ + (h/(stroke − x + h))³], N; beyond a compliant stop the film is as thin as at contact."""
+    h = own.film_thickness
+    at_stop = where(m.beyond, 1.0, h / (m.p.stroke - m.x + h))
+    return -own.coefficient * m.v * ((h / (m.x + h)) ** 3 + at_stop**3)
 
 
 EFFECT = Effect(
@@ -36,4 +45,5 @@ EFFECT = Effect(
     term=squeeze_film,
     also_reads=("stroke",),
     tags=(Tag.DISSIPATIVE, Tag.LIKE_DAMPING),
+    force=squeezed,
 )

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from valve_sim.core.symbols import Motion, Own
+from valve_sim.core.tracer import Node, exp
 from valve_sim.model.effects.entry import Effect, Severity, Tag, Values, share
 from valve_sim.model.parameters import Parameter
 
@@ -17,6 +19,11 @@ def _rewrite(record: Any, values: Values) -> None:
     record["friction_closing"] += values["force"]
     record["breakaway"] = values["breakaway"]
     record["stribeck_velocity"] = values["stribeck_velocity"]
+
+
+def friction(m: Motion, own: Own) -> Node:
+    """F + F_b exp(−(v/v_s)²), N."""
+    return own.force + own.breakaway * exp(-((m.v / own.stribeck_velocity) ** 2))
 
 
 EFFECT = Effect(
@@ -37,4 +44,5 @@ EFFECT = Effect(
     fields={"friction_opening": 0.0, "friction_closing": 0.0, "breakaway": 0.0, "stribeck_velocity": 1.0},
     confused_with=("asymmetric_friction", "squeeze_film"),
     tags=(Tag.DISSIPATIVE, Tag.ANY_AXIS),
+    friction=friction,
 )

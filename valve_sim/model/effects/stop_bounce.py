@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from valve_sim.core.symbols import replaced
 from valve_sim.model.effects.entry import Effect, Severity, Tag, Values, set_fields
 from valve_sim.model.parameters import Parameter
 
@@ -26,4 +27,6 @@ EFFECT = Effect(
     rewrite=set_fields(restitution_stop="restitution_stop", restitution_seat="restitution_seat"),
     fields={"restitution_stop": 0.0, "restitution_seat": 0.0},
     tags=(Tag.CONTACT,),
+    changes={"restitution_stop": replaced("restitution_stop"), "restitution_seat": replaced("restitution_seat")},
+    stands_alone=("stop_compliance",),
 )

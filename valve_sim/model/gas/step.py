@@ -10,7 +10,7 @@ pressures are equal: each stage is one equation in the outlet pressure p_o,
 whose left side only grows with p_o. It is solved by Newton's method in √|p_o − p_i|, in which the flow is smooth, or
 in √|p_o − p_d| where that is nearer.
 
-Without gas, each function here is that of `dormand_prince`.
+Without gas, each function here is that of `step_memory`.
 """
 
 from __future__ import annotations
@@ -20,10 +20,9 @@ from typing import Final
 
 import numpy as np
 
-from valve_sim.model import dormand_prince as plain
+from valve_sim.model import step_memory as plain
 from valve_sim.model.compiling import inlined, inner
 from valve_sim.model.core_types import MAIN, EventKind
-from valve_sim.model.dormand_prince import LAST, MECHANICAL_STATES, SMALLEST_SCALE
 from valve_sim.model.gas.flow import (
     SAME,
     closing_force,
@@ -37,6 +36,7 @@ from valve_sim.model.gas.flow import (
     pressure_at,
 )
 from valve_sim.model.gas.record import for_gas
+from valve_sim.model.step_memory import LAST, MECHANICAL_STATES, SMALLEST_SCALE
 
 # NumPy's numbers: Numba compiles a function once for all of them, but anew for each of Python's literals.
 FLOW_CHOKED, FLOW_SUBSONIC, FLOW_REVERSED = np.array(list(EventKind)[14:])
@@ -162,7 +162,7 @@ def _rates_with_gas(p, s, work, t, y, stage, difference):
         work.k[stage, 1] -= closing_force(p, s.mode, y[0], difference) / mass
 
 
-@for_gas(plain.rates)
+@inner
 def rates(p, s, work, t, y, stage):
     """Write y' at the start of a step into row `stage` of work.k."""
     _rates_with_gas(p, s, work, t, y, stage, inlet_pressure(s, t) - pressure_at(p, work.gas[DENSITY]))
@@ -224,7 +224,7 @@ def _gas_stage(p, s, work, h, stage, pressure):
     return pressure
 
 
-@for_gas(plain.try_step)
+@inner
 def try_step(p, s, work, h):
     """One trial step of size h, s, from work.y and work.gas; work.k[0] holds y' there."""
     k, y, y_stage, y_new = work.k, work.y, work.y_stage, work.y_new
@@ -253,12 +253,7 @@ def try_step(p, s, work, h):
     _rates_with_gas(p, s, work, t, y_new, LAST, inlet_pressure(s, t) - pressure_at(p, work.gas_new[DENSITY]))
 
 
-@inlined
-def _plain_norm(p, work, h, tolerance):
-    return plain.error_norm(work, h, tolerance)
-
-
-@for_gas(_plain_norm)
+@inner
 def norm_of_error(p, work, h, tolerance):
     """Root mean square of the error in units of the tolerance; above 1 the step is refused."""
     total = 0.0
@@ -277,12 +272,7 @@ def norm_of_error(p, work, h, tolerance):
     return math.sqrt(total / (work.states + 1))
 
 
-@inlined
-def _plain_dense(p, work):
-    plain.fill_dense(work)
-
-
-@for_gas(_plain_dense)
+@inner
 def fill_dense(p, work):
     """Work out the dense-output coefficients of the step just taken."""
     for power in range(3):
@@ -316,12 +306,7 @@ def density_within(work, h, theta):
     return density
 
 
-@inlined
-def _plain_shorten(p, s, work, h, fraction):
-    plain.shorten(work, h, fraction)
-
-
-@for_gas(_plain_shorten)
+@inner
 def shorten(p, s, work, h, fraction):
     """End a step at a fraction of it."""
     try_step(p, s, work, h * fraction)

@@ -22,7 +22,6 @@ import numpy as np
 
 from valve_sim.model.compiling import inlined, inner
 from valve_sim.model.core_types import MAIN
-from valve_sim.model.dormand_prince import POSITION, VELOCITY, interpolate
 from valve_sim.model.gas.flow import density_slope, flux, inlet_pressure, pressure_at
 from valve_sim.model.gas.record import GAS_NUMBERS, for_gas
 from valve_sim.model.gas.step import (
@@ -39,8 +38,8 @@ from valve_sim.model.gas.step import (
     density_within,
 )
 from valve_sim.model.linearised import force_slopes
+from valve_sim.model.step_memory import POSITION, VELOCITY, interpolate
 from valve_sim.model.variational_steps import LANES, SCRATCH, gather
-from valve_sim.model.variational_steps import vary_step as plain_step
 
 (
     INLET, TEMPERATURE, VOLUME, PILOT_ORIFICE, MAIN_ORIFICE, SEAT, DEMAND_PRESSURE, DISCHARGE, CLOGGING, LEAK,
@@ -198,7 +197,7 @@ def gather_gas_force(p, tile, g):
                 tile.total[lane] += g.force_by[number] * tile.gas[number, lane]
 
 
-@for_gas(plain_step)
+@inner
 def vary_step(p, s, work, h, vary):
     """Carry δ through a step of size h that the plain trace takes, by (V1) and (V5)."""
     if vary is None:

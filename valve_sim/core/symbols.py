@@ -1,4 +1,4 @@
-"""What an entry of the catalogue says about its effect: words for people, parameters, and its expressions.
+"""What the expressions of an effect are made of.
 
 An effect enters the equations by one or more of
 
@@ -13,12 +13,11 @@ arithmetic and the functions of `valve_sim.core.tracer`.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from typing import TypeAlias
+from dataclasses import dataclass
+from typing import Protocol, TypeAlias
 
 from valve_sim.core.tracer import Condition, Node
 from valve_sim.model.errors import ParameterError
-from valve_sim.model.parameters import Parameter
 
 
 class Own:
@@ -64,42 +63,26 @@ class Motion:
     p: Own
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Effect:
-    """One named effect.
+Force: TypeAlias = Callable[[Motion, Own], Node]
 
-    Attributes:
-        name: as in parameter files, reports and `effects.<name>`. title: plain name. summary: one line for a person.
-        parameters: what it needs; all of them are given when it is on.
-        source: where its form, and its size, are documented.
-        on_a_real_valve: what it is on a real valve. what_to_do: what to check or do.
-        confused_with: names of effects that data often cannot tell from this one, the closest first.
-        force, friction, square, changes: its expressions, see the module.
-        stands_alone: names of effects that cannot be declared beside it.
-        shapes: parameters whose values decide which expressions it has; they are constants there.
-        unpack: (what a file has, where) → its parameters one by one, where a file gives them in another form.
-    """
 
-    name: str
-    title: str
-    summary: str
-    parameters: tuple[Parameter, ...]
-    source: str
-    on_a_real_valve: str
-    what_to_do: str
-    confused_with: tuple[str, ...] = ()
-    force: Callable[[Motion, Own], Node] | None = None
-    friction: Callable[[Motion, Own], Node] | None = None
-    square: Callable[[Node, Own], Node] | None = None
-    changes: Mapping[str, Change] = field(default_factory=dict)
-    stands_alone: tuple[str, ...] = ()
-    shapes: tuple[str, ...] = ()
-    unpack: Callable[[Mapping[str, object], str], Mapping[str, object]] | None = None
+class Effect(Protocol):
+    """What the equations ask of an effect: its names, and its expressions; see the module."""
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """The names of its parameters."""
-        return tuple(parameter.name for parameter in self.parameters)
+    def name(self) -> str: ...  # noqa: D102
+    @property
+    def names(self) -> tuple[str, ...]: ...  # noqa: D102
+    @property
+    def shapes(self) -> tuple[str, ...]: ...  # noqa: D102
+    @property
+    def force(self) -> Force | None: ...  # noqa: D102
+    @property
+    def friction(self) -> Force | None: ...  # noqa: D102
+    @property
+    def square(self) -> Change | None: ...  # noqa: D102
+    @property
+    def changes(self) -> Mapping[str, Change]: ...  # noqa: D102
 
 
 def added(parameter: str) -> Change:
