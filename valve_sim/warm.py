@@ -71,7 +71,7 @@ def _warm_derivatives(valve: Valve, drive: Drive) -> None:
 
 
 def warm_gas() -> None:
-    """Compile what a valve with gas needs: whole runs, a live valve, terms of effects, and a line that several fill."""
+    """Compile what a valve with gas needs: whole runs, a live valve, terms of effects, a line that several fill."""
     for effect in CATALOGUE.values():
         effect.compile_ahead()
     sizes = GasParameters(1e7, 1e-5, 2e-4, 3e-3, 4e-3)

@@ -50,12 +50,14 @@ def quotient(
 def test_derivatives_are_those_of_central_differences(kind: str, seed: int) -> None:
     valve, drive, times = drawn(kind, seed)
     values = dict(zip(valve.plan().parameters, valve.numbers().tolist(), strict=True))
+    values = {name: value for name, value in values.items() if "." not in name or name.split(".")[0] in valve.effects}
     names = [name for name, value in values.items() if value != 0.0]
     if seed < 4:
         names = [str(name) for name in np.random.default_rng(seed).choice(names, 6, replace=False)]
     base = simulate(valve, drive, times, tolerance=1e-10)
     sloped = run_sloped(valve, drive, times, Directions.of(valve, drive, names), tolerance=1e-10, with_currents=True)
-    assert np.array_equal(sloped.positions, base.pilot_position)
+    # Steps follow the current that tangents feel, too, and are others than those of a run without derivatives.
+    assert sloped.positions == pytest.approx(base.pilot_position, abs=1e-9)
     edges = np.array([*(event.time for event in base.events), *drive.times])
     away = np.abs(times[:, None] - edges[None, :]).min(axis=1) > 2e-6
     for column, name in enumerate(names):

@@ -264,7 +264,7 @@ def test_a_flux_that_folds_is_refused_and_the_bound_said() -> None:
     with pytest.raises(ParameterError, match=rf"expected above {bound:.6g} s"):
         Valve.from_mapping(below.to_mapping(), "mine.yaml")
     with pytest.raises(SimulationError, match="flux"):
-        simulate(below, PULSE, TIMES)
+        Stepper(below)
     Valve.from_mapping(above.to_mapping(), "mine.yaml")
     simulate(above, PULSE, TIMES)
 

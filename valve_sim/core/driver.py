@@ -419,7 +419,7 @@ def root(b: Block, c: int, h: float, target: float, way: float, terms: int) -> f
 def step(b: Block, t: Block) -> int:
     """Find the next step from the state: its series, its size, and what ends it. −1 if it cannot be found."""
     if b[MOVING] == 0.0:
-        if b[WARM] >= 0.0 and b[VOLTS] == 0.0:
+        if b[WARM] >= 0.0 and b[VOLTS] == 0.0 and b[WIDTH] == 0.0:
             settle_coil(b, t)
         invoke(b[REST], b, t)
     else:

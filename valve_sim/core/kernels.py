@@ -71,7 +71,8 @@ class Kernels:
                 self._seeds[trace.number(name)] = trace.number(f"d {name}")
         self._guards = trace.guards()
         # Where something is read from the series of a current, these must hold even if the forces do not feel it.
-        self._is_watched = bool(self._guards) or system.current_left is not None
+        # Tangents feel a current that the forces, which go with its square, do not feel any more.
+        self._is_watched = bool(self._guards) or system.current_left is not None or width > 0
         self._flags = {guard: at.FLAG + i for i, guard in enumerate(self._guards)}
         self._moving_rates = self._with_tangents({"x": self._v, "v": system.acceleration, **self._coil})
         self._resting_rates = self._with_tangents(self._coil)
@@ -221,6 +222,10 @@ class Kernels:
                 least = exponent if least is None else code.smaller(exponent, least)
         assert least is not None
         step = code.smaller(code.rough_exp2(least), code.load(at.LONGEST))
+        if self.width and any(state.after is None for state in self.system.states.values()):
+            # Tangents of a current that is integrated fade with its time constant, even when it has gone.
+            lag = code.load(at.LAG)
+            step = code.select(code.compare("ogt", lag, code.constant(0.0)), code.smaller(step, lag), step)
         code.store(at.STEP, step)
         return step
 

@@ -62,7 +62,12 @@ def why_no_flux(effects: Sequence[Effect], shapes: Sequence[float], numbers: Seq
     currents = np.concatenate([[0.0], _CURRENTS])[None, :]
     values: dict[str, Any] = dict(zip(system.parameters, numbers, strict=True))
     (slopes,) = evaluate([system.flux_slope], {**values, "x": x, "w": currents})
-    smallest = float(np.min(slopes))
+    slopes = np.broadcast_to(slopes, (len(x), currents.size))
+    # Once more around the smallest, between its neighbours.
+    at = int(np.argmin(np.min(slopes, axis=0)))
+    near = np.linspace(currents[0, max(at - 1, 0)], currents[0, min(at + 1, currents.size - 1)], len(_CURRENTS))
+    (finer,) = evaluate([system.flux_slope], {**values, "x": x, "w": near[None, :]})
+    smallest = min(float(np.min(slopes)), float(np.min(finer)))
     if smallest > 0.0:
         return ""
     return (

@@ -227,7 +227,8 @@ def test_any_parameter_of_an_effect_can_be_freed_alone(name: str) -> None:
     for parameter in CATALOGUE[name].parameters:
         alone = f"{name}.{parameter.name}"
         for shown, expected in zip(plant.predict({alone: parameter.neutral}), declared, strict=True):
-            np.testing.assert_array_equal(shown, expected)
+            # Compiled of other equations, and a heated coil's current is integrated: to the tolerance of a step.
+            np.testing.assert_allclose(shown, expected, rtol=0.0, atol=1e-8 * float(np.max(np.abs(expected))))
         effects = plant.with_values({alone: parameter.prior_scale}).effects
         assert set(effects[name]) == {own.name for own in CATALOGUE[name].parameters}
 

@@ -15,7 +15,7 @@ from valve_sim.core.simulation import commands_of
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.identification.plants.valve_pieces import Cut, cuts
 from valve_sim.identification.plants.valve_sensors import response_to
-from valve_sim.model import Drive, EventKind, Response, Valve
+from valve_sim.model import TOLERANCE, Drive, EventKind, Response, Valve
 from valve_sim.model.response import Event
 from valve_sim.traces import Trace
 
@@ -52,7 +52,8 @@ def motion_of(valve: Valve, trace: Trace, drive: Drive, times: Array, start: flo
     if valve.gas is not None or valve.after_effects("sensor_delay")[0]:
         return _whole(response_to(valve, trace, drive, taken(slice(None)), start, offset), trace.primary_signal)
     shown, is_moving = np.empty(len(times)), np.empty(len(times), dtype=bool)
-    stepped, events, commands = Run(valve, start), list[Event](), commands_of(drive)
+    events, commands = list[Event](), commands_of(drive)
+    stepped = Run(valve, start, tolerance=TOLERANCE)  # as `simulate` has it
     is_position = trace.primary_signal == "position"
     for cut in cuts(times, times, drive, (offset, 0.0)):
         rows, new = _rows(stepped, commands[cut.commands], cut, taken(cut.positions))
