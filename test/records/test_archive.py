@@ -179,6 +179,14 @@ def test_a_wrong_clock_costs_no_month_but_what_it_made(tmp_path: Path, wrong: da
     assert [row["number"] for row in archive.read("strokes", VALVE, START, START + timedelta(days=1))] == [0, 1]
 
 
+def test_rows_are_counted_from_a_time_on(tmp_path: Path) -> None:
+    archive = filled(tmp_path, 70, step=timedelta(days=1))
+    assert archive.count("strokes", VALVE) == 140 and archive.count("alarms", VALVE) == 0
+    for days in (0, 1, 31, 40, 69, 90):
+        since = START + timedelta(days=days)
+        assert archive.count("strokes", VALVE, since) == len(archive.read("strokes", VALVE, since)), days
+
+
 def test_a_damaged_file_is_named(tmp_path: Path) -> None:
     archive = filled(tmp_path, 1)
     (path,) = tmp_path.rglob("*.parquet")

@@ -11,7 +11,7 @@ import array
 import math
 import struct
 from collections.abc import Callable, Sequence
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -22,8 +22,9 @@ from std_msgs.msg import Bool, Float64, UInt8
 from valve_sim.model import Phase, Reading
 from valve_sim.nodes.diagnostics import Status
 from valve_sim.nodes.realtime import LAST_STAMP, NANOSECONDS
-from valve_sim.traces.batches import Field, Layout
-from valve_sim.traces.cdr import MalformedMessage, find_layout
+
+if TYPE_CHECKING:
+    from valve_sim.traces.batches import Field, Layout
 
 JOINT_NAMES: Final = ("pilot_plunger", "main_plunger")
 _STAMP_MARKS: Final = (1_234_567_891, 123_456_789)
@@ -200,6 +201,9 @@ class EncodedReader:
         return (seconds * NANOSECONDS + nanoseconds, *numbers)
 
     def _parsed(self, encoded: bytes) -> _Places:
+        # Libraries that read bags take 8 MB; a node that hears no sensors does without.
+        from valve_sim.traces.cdr import MalformedMessage, find_layout
+
         try:
             layout = find_layout(encoded, self._type)
         except MalformedMessage:
@@ -242,6 +246,8 @@ def pressures() -> EncodedReader:
 
 
 def _position(layout: Layout) -> Sequence[Field]:
+    from valve_sim.traces.batches import Field
+
     names, positions = layout.texts["name"], layout.fields["position"]
     if JOINT_NAMES[0] not in names:
         raise UnusableMessageError(f"joints {list(names)}, expected {JOINT_NAMES[0]} among them")
