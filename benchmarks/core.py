@@ -20,10 +20,10 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.speed import DECLARED, DRIVE, FIVE, TIMES, times_in_turn
-from valve_sim.core.live import Live
-from valve_sim.core.runs import Directions, run_sloped
-from valve_sim.core.simulation import run_numbers
 from valve_sim.model import Drive, Valve, simulate
+from valve_sim.model.core.live import Live
+from valve_sim.model.core.runs import Directions, run_sloped
+from valve_sim.model.core.simulation import run_numbers
 
 TOLERANCE: Final = 1e-8
 ROW: Final = 200
@@ -158,7 +158,7 @@ def starts() -> Table:
 def accuracy(count: int) -> Table:
     """How far events of random valves are off those at 1e-13, at the default tolerance."""
     sys.path.insert(0, "test")
-    from core.cases import drawn
+    from model.core.cases import drawn
 
     table = Table(
         "random valves", "events", "worst, s", "median of the worst, s", "other events", title="accuracy at 1e-8"

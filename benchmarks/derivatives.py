@@ -17,10 +17,10 @@ from pathlib import Path
 from typing import Final
 
 from benchmarks.coverage import as_trace, true_dampings
-from valve_sim.core import runs
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.plants.protocol import Direction
 from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.model.core import runs
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "test"))
 from plants.declared import CAMPAIGN_VALVE, DeclaredPlant

@@ -21,8 +21,8 @@ from rich.console import Console
 from rich.table import Table
 from scipy.integrate import solve_ivp
 
-from valve_sim.core.simulation import run_numbers
 from valve_sim.model import Drive, EventKind, Valve, simulate
+from valve_sim.model.core.simulation import run_numbers
 
 TIMES: Final = np.linspace(1e-4, 15e-3, 150)
 DRIVE: Final = Drive.of([0.0], [9.0])

@@ -14,7 +14,6 @@ from typing import Final
 
 import numpy as np
 
-from valve_sim.core.runs import WIDTHS
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.estimation.budget import Budget
 from valve_sim.identification.estimation.condensed import Condensed
@@ -23,6 +22,7 @@ from valve_sim.identification.plants.protocol import Direction
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import CATALOGUE, Drive, Stepper, Valve, ValveError, simulate, simulate_many
 from valve_sim.model.compiling import COMPILING, announce_compiling
+from valve_sim.model.core.runs import WIDTHS
 from valve_sim.model.gas import GasParameters
 from valve_sim.model.gas.line import Gas, Line
 from valve_sim.model.sensitivities import Tangents, numbers_of, run_tangents

@@ -8,10 +8,10 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from valve_sim.core.plan import entry
-from valve_sim.core.symbols import Motion, Own
-from valve_sim.core.tracer import Node, where
 from valve_sim.model import CATALOGUE, Drive, Effect, EventKind, Parameter, Phase, Stepper, Valve, simulate
+from valve_sim.model.core.plan import entry
+from valve_sim.model.core.symbols import Motion, Own
+from valve_sim.model.core.tracer import Node, where
 from valve_sim.model.core_types import Outcome
 from valve_sim.model.simulation import TOLERANCE
 

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from model.derivatives import ACCURACY, BY_QUOTIENT, PULSE, Case, errors_of, random_case
 from model.random_valves import RANGES
-from valve_sim.core.symbols import Motion, Own
-from valve_sim.core.tracer import Node, tanh
 from valve_sim.model import CATALOGUE, Drive, Effect, EventKind, Parameter, Valve
+from valve_sim.model.core.symbols import Motion, Own
+from valve_sim.model.core.tracer import Node, tanh
 
 
 def check(case: Case, names: list[str]) -> None:

@@ -28,10 +28,10 @@ from typing import Any, Final
 
 import yaml
 
-from valve_sim.core.own.grammar import FUNCTIONS, Expr, ExpressionError, names_in, parse, walk
-from valve_sim.core.own.system import Equations
-from valve_sim.core.own.units import Dimension, Unit, UnitError, dimension_of, dimension_words, parse_unit, same
 from valve_sim.files.yaml_files import read_yaml
+from valve_sim.model.core.own.grammar import FUNCTIONS, Expr, ExpressionError, names_in, parse, walk
+from valve_sim.model.core.own.system import Equations
+from valve_sim.model.core.own.units import Dimension, Unit, UnitError, dimension_of, dimension_words, parse_unit, same
 from valve_sim.model.errors import ValveError
 
 KINDS: Final = ("equations", "coil", "axis", "valve")

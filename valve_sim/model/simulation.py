@@ -14,14 +14,14 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from valve_sim.core import simulation as core
-from valve_sim.core.equations import NEUTRAL
-from valve_sim.core.live import Live
-from valve_sim.core.plan import Plan, plan_of
-from valve_sim.core.symbols import Own
-from valve_sim.core.tracer import Trace
-from valve_sim.core.valve import why_no_flux
 from valve_sim.model import driver
+from valve_sim.model.core import simulation as core
+from valve_sim.model.core.equations import NEUTRAL
+from valve_sim.model.core.live import Live
+from valve_sim.model.core.plan import Plan, plan_of
+from valve_sim.model.core.symbols import Own
+from valve_sim.model.core.tracer import Trace
+from valve_sim.model.core.valve import why_no_flux
 from valve_sim.model.core_types import STATE_RECORD, Outcome, Phase
 from valve_sim.model.drives import Drive
 from valve_sim.model.effects import CATALOGUE, Effect, check_effects

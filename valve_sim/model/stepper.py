@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple, TypeAlias
 import numpy as np
 from numba import boolean, float64, typeof
 
-from valve_sim.core.live import Live
+from valve_sim.model.core.live import Live
 from valve_sim.model.core_types import Phase
 from valve_sim.model.errors import SimulationError
 from valve_sim.model.gas.boundary import keep_pressure, set_demand, set_inlet

@@ -24,12 +24,12 @@ from numpy.typing import NDArray
 from scipy import ndimage, signal
 from scipy.interpolate import interp1d
 
-from valve_sim.core.own.grammar import Expr, ExpressionError, names_in, parse
-from valve_sim.core.own.units import Unit, UnitError, parse_unit
 from valve_sim.files.data_tables import TABLE_SUFFIXES, open_table
 from valve_sim.files.plant_files import one_line
 from valve_sim.files.recording_map import MapError
 from valve_sim.files.yaml_files import read_yaml
+from valve_sim.model.core.own.grammar import Expr, ExpressionError, names_in, parse
+from valve_sim.model.core.own.units import Unit, UnitError, parse_unit
 from valve_sim.traces.errors import TraceError
 
 Array = NDArray[np.float64]

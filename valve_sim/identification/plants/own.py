@@ -16,10 +16,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.core.own.grammar import Expr, names_in
-from valve_sim.core.own.simulation import Inputs, Machine, without_straight
-from valve_sim.core.own.system import Equations, EquationsError
-from valve_sim.core.own.units import dimension_words, same
 from valve_sim.files.plant_files import InputEntry, OutputEntry, PlantFile, PlantFileError
 from valve_sim.files.recording_map import MapError
 from valve_sim.identification.plants.advice import Advice
@@ -33,6 +29,10 @@ from valve_sim.identification.plants.protocol import (
     Nuisance,
     Sensitivities,
 )
+from valve_sim.model.core.own.grammar import Expr, names_in
+from valve_sim.model.core.own.simulation import Inputs, Machine, without_straight
+from valve_sim.model.core.own.system import Equations, EquationsError
+from valve_sim.model.core.own.units import dimension_words, same
 from valve_sim.model.errors import SimulationError
 from valve_sim.model.parameters import Parameter
 from valve_sim.traces.columns import Column, Columns

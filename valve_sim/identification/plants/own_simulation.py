@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from valve_sim.core.own.simulation import Machine, without_straight
-from valve_sim.core.own.system import EquationsError
 from valve_sim.files.plant_files import PlantFile, PlantFileError
 from valve_sim.files.recording_map import MapError
 from valve_sim.identification.plants.own import inputs_of
 from valve_sim.identification.plants.protocol import Array
+from valve_sim.model.core.own.simulation import Machine, without_straight
+from valve_sim.model.core.own.system import EquationsError
 from valve_sim.model.errors import SimulationError
 from valve_sim.traces.columns import Columns
 

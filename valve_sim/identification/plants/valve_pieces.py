@@ -13,12 +13,12 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from valve_sim.core.runs import Directions, Shown
-from valve_sim.core.simulation import commands_of
 from valve_sim.identification.plants.interval_factors import places_of_fields
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.identification.plants.valve_sensors import NO_TIMES, run_from_rest
 from valve_sim.model import Drive, Valve
+from valve_sim.model.core.runs import Directions, Shown
+from valve_sim.model.core.simulation import commands_of
 from valve_sim.traces import Trace
 
 SAMPLES: Final = 8192

@@ -14,7 +14,6 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.core.runs import Directions, Shown
 from valve_sim.identification.plants.interval_factors import IntervalFactors
 from valve_sim.identification.plants.protocol import Array, Direction, Piece, Sensitivities
 from valve_sim.identification.plants.recording_errors import drive_with, is_of_recording, lateness_with, zero_with
@@ -31,6 +30,7 @@ from valve_sim.identification.plants.valve_sensors import (
     supply_of,
 )
 from valve_sim.model import Drive, Valve
+from valve_sim.model.core.runs import Directions, Shown
 from valve_sim.model.sensitivities import (
     PRESSURES_AT,
     Tangents,

@@ -11,10 +11,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.core.runs import Directions, Run, Shown
-from valve_sim.core.simulation import commands_of
 from valve_sim.identification.plants.protocol import Array, Channel, Contacts, Role
 from valve_sim.model import Drive, ParameterError, Response, SimulationError, Valve, simulate
+from valve_sim.model.core.runs import Directions, Run, Shown
+from valve_sim.model.core.simulation import commands_of
 from valve_sim.model.core_types import EVENT_RECORD, EventKind
 from valve_sim.model.gas.parameters import GAS
 from valve_sim.model.gas.step import PRESSURE_COLUMN

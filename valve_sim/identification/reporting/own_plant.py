@@ -10,8 +10,6 @@ from xml.sax.saxutils import escape, quoteattr
 
 import yaml
 
-from valve_sim.core.own.grammar import Expr
-from valve_sim.core.own.units import text_of
 from valve_sim.files.json_text import plain_mapping
 from valve_sim.files.plant_files import PlantFile, renamed
 from valve_sim.files.whole_files import write_whole
@@ -23,6 +21,8 @@ from valve_sim.identification.plants.own import OwnPlant
 from valve_sim.identification.reporting.findings import remark_on
 from valve_sim.identification.reporting.interval_json import intervals_json
 from valve_sim.identification.reporting.units import limits, measured, quantity
+from valve_sim.model.core.own.grammar import Expr
+from valve_sim.model.core.own.units import text_of
 
 
 def plant_identification_json(result: PlantIdentification) -> dict[str, Any]:

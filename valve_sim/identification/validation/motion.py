@@ -10,12 +10,12 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.core.runs import Run
-from valve_sim.core.simulation import commands_of
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.identification.plants.valve_pieces import Cut, cuts
 from valve_sim.identification.plants.valve_sensors import response_to
 from valve_sim.model import TOLERANCE, Drive, EventKind, Response, Valve
+from valve_sim.model.core.runs import Run
+from valve_sim.model.core.simulation import commands_of
 from valve_sim.model.response import Event
 from valve_sim.traces import Trace
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from valve_sim.core.symbols import Motion, Own
-from valve_sim.core.tracer import Node, where
 from valve_sim.model.compiling import inlined
+from valve_sim.model.core.symbols import Motion, Own
+from valve_sim.model.core.tracer import Node, where
 from valve_sim.model.effects.entry import Effect, Severity, Tag, Values, share
 from valve_sim.model.parameters import Parameter
 

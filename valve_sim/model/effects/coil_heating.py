@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from valve_sim.core.symbols import replaced
+from valve_sim.model.core.symbols import replaced
 from valve_sim.model.effects.entry import Effect, Severity, Tag, Values, set_fields
 from valve_sim.model.parameters import Parameter
 

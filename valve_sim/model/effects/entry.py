@@ -14,9 +14,9 @@ from numba import carray, types  # type: ignore[attr-defined]
 from numba.core.errors import NumbaError
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
-from valve_sim.core.symbols import Change, Force, Motion, Own, added
-from valve_sim.core.tracer import Node, where
 from valve_sim.model.compiling import compiled, compiled_callback, compiled_once
+from valve_sim.model.core.symbols import Change, Force, Motion, Own, added
+from valve_sim.model.core.tracer import Node, where
 from valve_sim.model.core_types import MAXIMUM_TERM_PARAMETERS, MAXIMUM_TERMS
 from valve_sim.model.errors import ParameterError
 from valve_sim.model.parameters import Parameter
@@ -150,7 +150,7 @@ class Effect(_Words):
         friction: (motion, own) → the level of a dry friction, N, against the motion, as an expression.
         square: (s, own) → what becomes of the square of the current that pulls, as an expression.
         changes: numbers of the valve that are others while the effect is on: (its value before, own) → its value, as
-            expressions; see `valve_sim.core.symbols`.
+            expressions; see `valve_sim.model.core.symbols`.
         shapes: parameters whose values decide which expressions it has; they are constants there.
         stands_alone: names of effects that cannot be declared beside it.
         origin: where an installed package names it, for messages.
@@ -228,7 +228,7 @@ class Effect(_Words):
             where_from = f"effects.{self.name}" + (f" ({self.origin})" if self.origin else "")
             raise ParameterError(
                 f"{where_from}: its term is no expression, {error}; write arithmetic, or `force` with the functions of "
-                "valve_sim.core.tracer (exp, sin, maximum, where) in place of those of math"
+                "valve_sim.model.core.tracer (exp, sin, maximum, where) in place of those of math"
             ) from error
         return where(m.lifted, force, 0.0) if self.phase_2_only else m.x.trace.lift(force)
 

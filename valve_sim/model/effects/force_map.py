@@ -18,8 +18,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.core.symbols import Motion, Own
-from valve_sim.core.tracer import Node, spline
+from valve_sim.model.core.symbols import Motion, Own
+from valve_sim.model.core.tracer import Node, spline
 from valve_sim.model.effects.entry import Effect, ListOfParameters, Tag, Values
 from valve_sim.model.parameters import Parameter
 

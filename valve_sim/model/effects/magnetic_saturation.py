@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from valve_sim.core.symbols import Own
-from valve_sim.core.tracer import Node
 from valve_sim.model.compiling import inlined
+from valve_sim.model.core.symbols import Own
+from valve_sim.model.core.tracer import Node
 from valve_sim.model.effects.entry import Effect, Severity, Tag, Values
 from valve_sim.model.parameters import Parameter
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from valve_sim.core.symbols import replaced
+from valve_sim.model.core.symbols import replaced
 from valve_sim.model.effects.entry import Effect, Severity, Tag, Values
 from valve_sim.model.parameters import Parameter
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from valve_sim.core.symbols import Motion, Own
-from valve_sim.core.tracer import Node, exp, where
 from valve_sim.model.compiling import inlined
+from valve_sim.model.core.symbols import Motion, Own
+from valve_sim.model.core.tracer import Node, exp, where
 from valve_sim.model.core_types import MAIN
 from valve_sim.model.effects.entry import Effect, Tag, set_fields, share_of_preload
 from valve_sim.model.parameters import Parameter

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from valve_sim.core.symbols import replaced
+from valve_sim.model.core.symbols import replaced
 from valve_sim.model.effects.entry import Effect, Severity, Tag, Values, set_fields
 from valve_sim.model.parameters import Parameter
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from valve_sim.core.symbols import Motion, Own, replaced
-from valve_sim.core.tracer import Node, maximum, sqrt, where
+from valve_sim.model.core.symbols import Motion, Own, replaced
+from valve_sim.model.core.tracer import Node, maximum, sqrt, where
 from valve_sim.model.effects.entry import Effect, Tag
 from valve_sim.model.parameters import Parameter
 

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
-from model.random_valves import RANGES
 
-from core.cases import CALIBRATED, STROKE
-from valve_sim.core.runs import Directions, run_sloped
-from valve_sim.core.symbols import Motion, Own
-from valve_sim.core.tracer import Node, exp, maximum, sin
+from model.core.cases import CALIBRATED, STROKE
+from model.random_valves import RANGES
 from valve_sim.model import CATALOGUE, Effect, Valve, simulate
+from valve_sim.model.core.runs import Directions, run_sloped
+from valve_sim.model.core.symbols import Motion, Own
+from valve_sim.model.core.tracer import Node, exp, maximum, sin
 from valve_sim.model.drives import Drive
 from valve_sim.model.errors import ParameterError, SimulationError
 from valve_sim.model.parameters import DECLARED, Parameter

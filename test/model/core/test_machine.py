@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from valve_sim.core import machine
+from valve_sim.model.core import machine
 
 TEXT = "define double @twice(double %x) {\n  %y = fadd double %x, %x\n  ret double %y\n}\n"
 

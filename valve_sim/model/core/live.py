@@ -7,12 +7,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.core import layout
-from valve_sim.core.driver import LIVE_EVENTS, ROW_COLUMNS
-from valve_sim.core.entries import ENTRIES
-from valve_sim.core.plan import Plan, entry, method
-from valve_sim.core.simulation import check_geometry, check_outcome
-from valve_sim.core.valve import Valve
+from valve_sim.model.core import layout
+from valve_sim.model.core.driver import LIVE_EVENTS, ROW_COLUMNS
+from valve_sim.model.core.entries import ENTRIES
+from valve_sim.model.core.plan import Plan, entry, method
+from valve_sim.model.core.simulation import check_geometry, check_outcome
+from valve_sim.model.core.valve import Valve
 from valve_sim.model.core_types import EventKind, Phase
 from valve_sim.model.response import Event
 

@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from typing import Any, Final, TypeAlias
 
-from valve_sim.core.layout import (
+from valve_sim.model.core.layout import (
     ACCELERATION,
     AHEAD,
     AT,

@@ -12,8 +12,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from valve_sim.core.code import Code, Value
-from valve_sim.core.tracer import Node, polynomial_slope
+from valve_sim.model.core.code import Code, Value
+from valve_sim.model.core.tracer import Node, polynomial_slope
 
 FLAG_IS_SET = 0.5
 """Between the two values of a flag, 0 and 1."""

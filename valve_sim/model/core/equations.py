@@ -29,8 +29,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
-from valve_sim.core.symbols import Effect, Motion, Own
-from valve_sim.core.tracer import (
+from valve_sim.model.core.symbols import Effect, Motion, Own
+from valve_sim.model.core.tracer import (
     Condition,
     Node,
     Trace,

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from plants.rubbing import rubbing_axis
 from scipy.integrate import solve_ivp
 
-from valve_sim.core.own.grammar import ExpressionError, parse
-from valve_sim.core.own.simulation import Inputs, Machine, without_straight
-from valve_sim.core.own.system import Equations, EquationsError
-from valve_sim.core.own.units import UnitError, dimension_of, parse_unit
+from valve_sim.model.core.own.grammar import ExpressionError, parse
+from valve_sim.model.core.own.simulation import Inputs, Machine, without_straight
+from valve_sim.model.core.own.system import Equations, EquationsError
+from valve_sim.model.core.own.units import UnitError, dimension_of, parse_unit
 from valve_sim.model.errors import SimulationError
 
 Array = NDArray[np.float64]

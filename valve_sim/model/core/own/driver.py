@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-from valve_sim.core.own import layout as at
+from valve_sim.model.core.own import layout as at
 
 Block = Any
 

@@ -6,12 +6,12 @@ from collections.abc import Mapping
 
 import numpy as np
 import pytest
-from model.test_one_plunger import EFFECTS, KINDS, STROKES, TIMES
 from plants.single_plunger import SINGLE_VALVE, SinglePlungerPlant
 
-from core.test_derivatives import ACCURATE, quotient
-from valve_sim.core.runs import Directions, run_sloped
+from model.core.test_derivatives import ACCURATE, quotient
+from model.test_one_plunger import EFFECTS, KINDS, STROKES, TIMES
 from valve_sim.model import Valve, simulate
+from valve_sim.model.core.runs import Directions, run_sloped
 
 
 def one_plunger(effects: Mapping[str, Mapping[str, float]], seat_load: float) -> Valve:

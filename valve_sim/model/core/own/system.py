@@ -15,8 +15,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
-from valve_sim.core.own.grammar import Expr, evaluate
-from valve_sim.core.tracer import (
+from valve_sim.model.core.own.grammar import Expr, evaluate
+from valve_sim.model.core.tracer import (
     Node,
     Trace,
     ancestors,

@@ -7,7 +7,7 @@ An effect enters the equations by one or more of
 * `changes`: numbers of the valve that are others while the effect is on, each (its value before, own) → its value.
 
 `own` has the effect's parameters by name, `m` is the `Motion` with the symbols of the equations. All are expressions:
-arithmetic and the functions of `valve_sim.core.tracer`.
+arithmetic and the functions of `valve_sim.model.core.tracer`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol, TypeAlias
 
-from valve_sim.core.tracer import Condition, Node
+from valve_sim.model.core.tracer import Condition, Node
 from valve_sim.model.errors import ParameterError
 
 

@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from valve_sim.core import driver, layout
-from valve_sim.core.driver import Block
-from valve_sim.core.lowering import lowered
-from valve_sim.core.machine import Library, compiled
+from valve_sim.model.core import driver, layout
+from valve_sim.model.core.driver import Block
+from valve_sim.model.core.lowering import lowered
+from valve_sim.model.core.machine import Library, compiled
 
 NUMBER = 3
 HALF = 0.5

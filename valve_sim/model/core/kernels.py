@@ -20,11 +20,11 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
-from valve_sim.core import layout as at
-from valve_sim.core.code import Code, Value
-from valve_sim.core.equations import System
-from valve_sim.core.series import Series
-from valve_sim.core.tracer import Node, ancestors, derivative
+from valve_sim.model.core import layout as at
+from valve_sim.model.core.code import Code, Value
+from valve_sim.model.core.equations import System
+from valve_sim.model.core.series import Series
+from valve_sim.model.core.tracer import Node, ancestors, derivative
 
 SIZE_OF_X: Final = 1e-5
 SIZE_OF_V: Final = 1e-2

@@ -10,11 +10,11 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.core import layout
-from valve_sim.core.driver import ROW_COLUMNS
-from valve_sim.core.plan import Plan, entry
-from valve_sim.core.simulation import TOLERANCE, check_geometry, check_outcome, commands_of, most_steps, start_of
-from valve_sim.core.valve import Valve
+from valve_sim.model.core import layout
+from valve_sim.model.core.driver import ROW_COLUMNS
+from valve_sim.model.core.plan import Plan, entry
+from valve_sim.model.core.simulation import TOLERANCE, check_geometry, check_outcome, commands_of, most_steps, start_of
+from valve_sim.model.core.valve import Valve
 from valve_sim.model.drives import Drive
 from valve_sim.model.errors import ParameterError
 from valve_sim.model.parameters import closest

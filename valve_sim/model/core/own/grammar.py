@@ -17,7 +17,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final, NamedTuple
 
-from valve_sim.core import tracer
+from valve_sim.model.core import tracer
 from valve_sim.model.errors import ValveError
 
 LONGEST: Final = 2000

@@ -12,10 +12,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from valve_sim.core import layout
-from valve_sim.core.driver import LONGEST_RUN, MOST_STEPS, ROW_COLUMNS
-from valve_sim.core.plan import entry, method
-from valve_sim.core.valve import Valve
+from valve_sim.model.core import layout
+from valve_sim.model.core.driver import LONGEST_RUN, MOST_STEPS, ROW_COLUMNS
+from valve_sim.model.core.plan import entry, method
+from valve_sim.model.core.valve import Valve
 from valve_sim.model.core_types import EventKind, Outcome
 from valve_sim.model.drives import Drive
 from valve_sim.model.errors import SimulationError

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from core.cases import CALIBRATED, STROKE, drawn, with_value
-from valve_sim.core.runs import Directions, run_sloped
+from model.core.cases import CALIBRATED, STROKE, drawn, with_value
 from valve_sim.model import Valve, simulate
+from valve_sim.model.core.runs import Directions, run_sloped
 from valve_sim.model.drives import Drive
 from valve_sim.model.errors import ParameterError
 

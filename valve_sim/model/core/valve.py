@@ -8,10 +8,10 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.core.equations import System, build
-from valve_sim.core.plan import Plan
-from valve_sim.core.symbols import Effect
-from valve_sim.core.tracer import evaluate
+from valve_sim.model.core.equations import System, build
+from valve_sim.model.core.plan import Plan
+from valve_sim.model.core.symbols import Effect
+from valve_sim.model.core.tracer import evaluate
 from valve_sim.model.parameters import ValveParameters
 
 _PLACES: Final = 65

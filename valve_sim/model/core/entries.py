@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import llvmlite.binding as llvm
 
-from valve_sim.core.code import POINTER
+from valve_sim.model.core.code import POINTER
 
 ENTRIES: Final = {"advance": 1, "command": 2, "halt": 1}
 """Functions of a block and of so many doubles, which return an integer."""

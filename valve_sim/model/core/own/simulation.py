@@ -10,12 +10,12 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.core import machine
-from valve_sim.core.lowering import lowered
-from valve_sim.core.own import driver
-from valve_sim.core.own import layout as at
-from valve_sim.core.own.kernels import Kernels
-from valve_sim.core.own.system import Equations, EquationsError, System, build
+from valve_sim.model.core import machine
+from valve_sim.model.core.lowering import lowered
+from valve_sim.model.core.own import driver
+from valve_sim.model.core.own import layout as at
+from valve_sim.model.core.own.kernels import Kernels
+from valve_sim.model.core.own.system import Equations, EquationsError, System, build
 from valve_sim.model.errors import SimulationError
 
 Array = NDArray[np.float64]

@@ -12,7 +12,7 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Final, NamedTuple
 
-from valve_sim.core.own.grammar import Expr
+from valve_sim.model.core.own.grammar import Expr
 from valve_sim.model.errors import ValveError
 
 Dimension = tuple[float, ...]

@@ -12,13 +12,13 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.core import driver, entries, layout
-from valve_sim.core.entries import ENTRIES, Method
-from valve_sim.core.equations import build
-from valve_sim.core.kernels import NAMES, Kernels
-from valve_sim.core.lowering import lowered
-from valve_sim.core.machine import Library, library
-from valve_sim.core.symbols import Effect
+from valve_sim.model.core import driver, entries, layout
+from valve_sim.model.core.entries import ENTRIES, Method
+from valve_sim.model.core.equations import build
+from valve_sim.model.core.kernels import NAMES, Kernels
+from valve_sim.model.core.lowering import lowered
+from valve_sim.model.core.machine import Library, library
+from valve_sim.model.core.symbols import Effect
 from valve_sim.model.errors import ParameterError
 
 Array = NDArray[np.float64]

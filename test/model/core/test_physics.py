@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from model import energy
+from model.core.cases import CALIBRATED, STROKE, drawn
 from model.flux_reference import FluxReference
 from model.reference import reference
-
-from core.cases import CALIBRATED, STROKE, drawn
 from valve_sim.model import Valve, simulate, simulate_many
 from valve_sim.model.core_types import EventKind, Phase
 from valve_sim.model.drives import Drive, peak_and_hold, step

@@ -7,10 +7,10 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+
 from model.flux_cases import TIMES as FLUX_TIMES
 from model.flux_cases import random_case, random_release
 from model.random_valves import TIMES, random_valve
-
 from valve_sim.model import Valve
 from valve_sim.model.drives import Drive
 

@@ -11,11 +11,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from valve_sim.core import layout
-from valve_sim.core.code import Code
-from valve_sim.core.machine import Library, compiled
-from valve_sim.core.series import Series
-from valve_sim.core.tracer import (
+from valve_sim.model.core import layout
+from valve_sim.model.core.code import Code
+from valve_sim.model.core.machine import Library, compiled
+from valve_sim.model.core.series import Series
+from valve_sim.model.core.tracer import (
     Node,
     Trace,
     cos,

@@ -14,11 +14,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Final
 
-from valve_sim.core.code import Code, Value
-from valve_sim.core.own import layout as at
-from valve_sim.core.own.system import TIME, System, rate_of
-from valve_sim.core.series import Series
-from valve_sim.core.tracer import Node, derivative
+from valve_sim.model.core.code import Code, Value
+from valve_sim.model.core.own import layout as at
+from valve_sim.model.core.own.system import TIME, System, rate_of
+from valve_sim.model.core.series import Series
+from valve_sim.model.core.tracer import Node, derivative
 
 SAFETY: Final = 0.1
 """Of the tolerance: many steps add up."""

@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 from types import FunctionType
 from typing import Any, Final, NamedTuple
 
-from valve_sim.core.code import POINTER, literal
+from valve_sim.model.core.code import POINTER, literal
 
 _TYPES: Final = {"float": "double", "int": "i64", "bool": "i1", "Block": POINTER, "None": "void"}
 _ARITHMETIC: Final = {
