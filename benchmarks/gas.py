@@ -21,8 +21,8 @@ from rich.table import Table
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.model import Drive, EventKind, SimulationError, Valve
 from valve_sim.model.gas import GasParameters
+from valve_sim.model.gas.sampling import ROW
 from valve_sim.model.response import event_log, event_tuple
-from valve_sim.model.sampling import ROW
 from valve_sim.model.simulation import Samples, columns_of, new_states, run_record
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "test"))

@@ -11,9 +11,9 @@ import pytest
 
 from valve_sim.files.parameter_files import load_valve
 from valve_sim.files.resources import config_path
-from valve_sim.model import Stepper, live_record, transitions
+from valve_sim.model import Stepper
 from valve_sim.model.compiling import COMPILING, linked
-from valve_sim.model.gas import boundary
+from valve_sim.model.gas import boundary, live_record, transitions
 from valve_sim.warm import warm_gas
 
 SIMULATE = ("-m", "valve_sim", "simulate", "--voltage", "9", "--duration", "0.02", "--output")

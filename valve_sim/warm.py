@@ -25,7 +25,7 @@ from valve_sim.model.compiling import COMPILING, announce_compiling
 from valve_sim.model.core.runs import WIDTHS
 from valve_sim.model.gas import GasParameters
 from valve_sim.model.gas.line import Gas, Line
-from valve_sim.model.sensitivities import Tangents, numbers_of, run_tangents
+from valve_sim.model.gas.sensitivities import Tangents, numbers_of, run_tangents
 from valve_sim.model.simulation import TOLERANCE, Samples, new_states
 from valve_sim.traces import Trace
 

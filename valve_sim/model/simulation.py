@@ -14,7 +14,6 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from valve_sim.model import driver
 from valve_sim.model.core import simulation as core
 from valve_sim.model.core.equations import NEUTRAL
 from valve_sim.model.core.live import Live
@@ -26,16 +25,16 @@ from valve_sim.model.core_types import STATE_RECORD, Outcome, Phase
 from valve_sim.model.drives import Drive
 from valve_sim.model.effects import CATALOGUE, Effect, check_effects
 from valve_sim.model.errors import ParameterError, SimulationError
-from valve_sim.model.flux import why_no_flux as why_no_flux_beside_gas
-from valve_sim.model.gas import GasParameters, check_gas
+from valve_sim.model.gas import GasParameters, check_gas, driver
 from valve_sim.model.gas.boundary import fill_outlets
+from valve_sim.model.gas.flux import why_no_flux as why_no_flux_beside_gas
+from valve_sim.model.gas.live_record import MOST_STEPS_PER_SECOND, most_steps, new_live, step_live
 from valve_sim.model.gas.record import GAS_COLUMNS, GAS_STATE_RECORD, is_of_gas, record_of
-from valve_sim.model.live_record import MOST_STEPS_PER_SECOND, most_steps, new_live, step_live
+from valve_sim.model.gas.sampling import ROW
+from valve_sim.model.gas.transitions import FIRST_STEP, set_voltage
 from valve_sim.model.parameters import POLYNOMIAL_NAMES, ValveParameters, check_declared, check_geometry
 from valve_sim.model.response import EVENT_ROOM, Response, event_log, event_tuple
-from valve_sim.model.sampling import ROW
 from valve_sim.model.tolerances import EXACT, Tolerances
-from valve_sim.model.transitions import FIRST_STEP, set_voltage
 
 Array = NDArray[np.float64]
 

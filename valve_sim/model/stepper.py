@@ -15,7 +15,8 @@ from valve_sim.model.core.live import Live
 from valve_sim.model.core_types import Phase
 from valve_sim.model.errors import SimulationError
 from valve_sim.model.gas.boundary import keep_pressure, set_demand, set_inlet
-from valve_sim.model.live_record import new_live, step_live
+from valve_sim.model.gas.live_record import new_live, step_live
+from valve_sim.model.gas.transitions import set_voltage, settle
 from valve_sim.model.response import EVENT_ROOM, Event, event_tuple
 from valve_sim.model.simulation import (
     TOLERANCE,
@@ -26,7 +27,6 @@ from valve_sim.model.simulation import (
     new_states,
     rated_current,
 )
-from valve_sim.model.transitions import set_voltage, settle
 
 _PHASES: Final = tuple(Phase)
 _MAIN: Final = Phase.MAIN

@@ -9,9 +9,9 @@ import pytest
 
 from valve_sim.model import CATALOGUE, Drive, simulate
 from valve_sim.model.gas.step import FIRST_COLUMN
+from valve_sim.model.gas.supplied import Supply, run_supplied
 from valve_sim.model.response import event_log
 from valve_sim.model.simulation import Samples, columns_of, new_states
-from valve_sim.model.supplied import Supply, run_supplied
 
 from .cases import gas_valve, independent
 

@@ -39,7 +39,7 @@ from valve_sim.identification.plants.variation import group_variations, variatio
 from valve_sim.model import CATALOGUE, DECLARED, Parameter, Phase, Tag
 from valve_sim.model.compiling import compiled
 from valve_sim.model.effects import new_record
-from valve_sim.model.equations import dry_friction, force_without_dry_friction
+from valve_sim.model.gas.equations import dry_friction, force_without_dry_friction
 
 LOW_PASS: Final = 100.0
 """Hz, of the fourth-order Butterworth filter that position passes forwards and backwards."""

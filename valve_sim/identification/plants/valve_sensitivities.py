@@ -31,7 +31,7 @@ from valve_sim.identification.plants.valve_sensors import (
 )
 from valve_sim.model import Drive, Valve
 from valve_sim.model.core.runs import Directions, Shown
-from valve_sim.model.sensitivities import (
+from valve_sim.model.gas.sensitivities import (
     PRESSURES_AT,
     Tangents,
     has_sensitivities,

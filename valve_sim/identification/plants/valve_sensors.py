@@ -18,8 +18,8 @@ from valve_sim.model.core.simulation import commands_of
 from valve_sim.model.core_types import EVENT_RECORD, EventKind
 from valve_sim.model.gas.parameters import GAS
 from valve_sim.model.gas.step import PRESSURE_COLUMN
+from valve_sim.model.gas.supplied import Supply, run_supplied, simulate_supplied
 from valve_sim.model.simulation import Samples, new_states, run_record
-from valve_sim.model.supplied import Supply, run_supplied, simulate_supplied
 from valve_sim.signals.long_columns import any_in, blocks, filled, largest_size, median_of, repeated_levels
 from valve_sim.traces import Signal, Trace, stroke_numbers
 from valve_sim.traces.clocks import intervals, usual_interval

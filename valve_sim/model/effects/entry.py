@@ -142,7 +142,7 @@ class Effect(_Words):
             that asks for more than a term is told; reads its `fields`; see `force_without_dry_friction`.
         core_pull: likewise, what becomes of the square of the current that pulls, f(p, squared).
         core_force_slopes: f(p, g, t, motion, coil, condition) adds the derivatives of `core_force` to g, where they
-            stand by name, see `linearised`; it writes those to its own `fields`.
+            stand by name, see `gas.linearised`; it writes those to its own `fields`.
         core_pull_slope: the derivative of `core_pull`, f(p, g, squared, per_pull); it writes that to its own field,
             times the force `per_pull` that one unit of it makes.
         adds_to: parameter of the effect → declared parameter that it is added to.

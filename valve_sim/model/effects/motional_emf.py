@@ -1,4 +1,4 @@
-"""The voltage that motion induces in the coil: a mechanism of the core, (C1) to (C4) of `flux`."""
+"""The voltage that motion induces in the coil: a mechanism of the core, (C1) to (C4) of `gas.flux`."""
 
 from __future__ import annotations
 

@@ -20,9 +20,9 @@ from typing import Final
 
 import numpy as np
 
-from valve_sim.model import step_memory as plain
 from valve_sim.model.compiling import inlined, inner
 from valve_sim.model.core_types import MAIN, EventKind
+from valve_sim.model.gas import step_memory as plain
 from valve_sim.model.gas.flow import (
     SAME,
     closing_force,
@@ -36,7 +36,7 @@ from valve_sim.model.gas.flow import (
     pressure_at,
 )
 from valve_sim.model.gas.record import for_gas
-from valve_sim.model.step_memory import LAST, MECHANICAL_STATES, SMALLEST_SCALE
+from valve_sim.model.gas.step_memory import LAST, MECHANICAL_STATES, SMALLEST_SCALE
 
 # NumPy's numbers: Numba compiles a function once for all of them, but anew for each of Python's literals.
 FLOW_CHOKED, FLOW_SUBSONIC, FLOW_REVERSED = np.array(list(EventKind)[14:])

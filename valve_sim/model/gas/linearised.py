@@ -14,11 +14,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from valve_sim.model import calls
 from valve_sim.model.compiling import inlined, inner
 from valve_sim.model.core_types import MAIN, MAXIMUM_TERM_PARAMETERS, MAXIMUM_TERMS
 from valve_sim.model.effects.record import VALVE_RECORD
-from valve_sim.model.equations import (
+from valve_sim.model.gas import calls
+from valve_sim.model.gas.equations import (
     FORCES,
     PULLS,
     acceleration,

@@ -9,10 +9,10 @@ import numpy as np
 
 from valve_sim.model.compiling import inlined, inner
 from valve_sim.model.core_types import MAIN
-from valve_sim.model.equations import attraction, coil_decay, pull_squared
-from valve_sim.model.flux import terminal_voltage
+from valve_sim.model.gas.equations import attraction, coil_decay, pull_squared
+from valve_sim.model.gas.flux import terminal_voltage
 from valve_sim.model.gas.step import PRESSURE_COLUMN, sample_gas, sample_pressure
-from valve_sim.model.step_memory import MECHANICAL_STATES, POSITION, VELOCITY, coil_within, interpolate
+from valve_sim.model.gas.step_memory import MECHANICAL_STATES, POSITION, VELOCITY, coil_within, interpolate
 
 ROW: Final = 7
 """Columns of a whole row of output: pilot and main plunger as shown, velocity, attraction, phase, the pilot itself, and

@@ -12,10 +12,10 @@ from typing import Final
 
 from valve_sim.model.compiling import inlined, inner
 from valve_sim.model.core_types import MAIN
-from valve_sim.model.equations import coil_now, residual_floor
-from valve_sim.model.flux import DRIVEN, FREEWHEELING, follows_flux, freewheels_for, last_pulling_current
+from valve_sim.model.gas.equations import coil_now, residual_floor
+from valve_sim.model.gas.flux import DRIVEN, FREEWHEELING, follows_flux, freewheels_for, last_pulling_current
 from valve_sim.model.gas.step import difference_within, regime_change, try_step
-from valve_sim.model.step_memory import (
+from valve_sim.model.gas.step_memory import (
     CURRENT,
     FIRST,
     LAST,
@@ -27,7 +27,7 @@ from valve_sim.model.step_memory import (
     dense_slope,
     interpolate,
 )
-from valve_sim.model.transitions import push_at_rest
+from valve_sim.model.gas.transitions import push_at_rest
 
 NO_EVENT, CONTACT, TURN, PULL_SWITCH, MOVED_OFF, CURRENT_GONE, CURRENT_PEAK, FLOW_SWITCH = 0, 1, 2, 3, 4, 5, 6, 7
 """What ends a step."""

@@ -8,15 +8,15 @@ import numpy as np
 
 from valve_sim.model.compiling import compiled, inner
 from valve_sim.model.core_types import CLOSED, GAP_HOLD, MAIN, OPEN, PILOT, EventKind
-from valve_sim.model.equations import (
+from valve_sim.model.gas.equations import (
     coil_now,
     force_without_dry_friction,
     has_one_plunger,
     pull_squared,
     residual_floor,
 )
-from valve_sim.model.flux import block, close_circuit
 from valve_sim.model.gas.flow import closing_force, pressure_difference
+from valve_sim.model.gas.flux import block, close_circuit
 from valve_sim.model.gas.record import has_gas
 from valve_sim.model.gas.step import switch_regime
 

@@ -12,13 +12,13 @@ from valve_sim.model.core_types import EVENT_RECORD
 from valve_sim.model.drives import Drive
 from valve_sim.model.effects.record import VALVE_RECORD
 from valve_sim.model.gas.flow import density_slope, pressure_at
+from valve_sim.model.gas.linearised import FIRST_CONDITION, OF_EFFECTS, PARAMETERS, SHAPES, SLOPES_RECORD
 from valve_sim.model.gas.record import GAS_FIELDS, GAS_NUMBERS, GAS_VALVE_RECORD, is_of_gas
 from valve_sim.model.gas.step import PRESSURE_COLUMN
-from valve_sim.model.gas.variational import INLET
-from valve_sim.model.linearised import FIRST_CONDITION, OF_EFFECTS, PARAMETERS, SHAPES, SLOPES_RECORD
+from valve_sim.model.gas.supplied import SuppliedCourse, Supply, course_of, run_changes
+from valve_sim.model.gas.variational_pressure import INLET
+from valve_sim.model.gas.variational_steps import CONTACTS, LANES, NODES, SLOPES, TILE_RECORD
 from valve_sim.model.simulation import Array, Samples, delay_and_end, run_course
-from valve_sim.model.supplied import SuppliedCourse, Supply, course_of, run_changes
-from valve_sim.model.variational_steps import CONTACTS, LANES, NODES, SLOPES, TILE_RECORD
 
 PLACES: Final = {name: place for place, name in enumerate(PARAMETERS)}
 """Of the numbers of a valve's record among those that derivatives can be taken to."""

@@ -9,13 +9,15 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from valve_sim.model import driver
 from valve_sim.model.compiling import compiled
-from valve_sim.model.driver import FINISHED, NONE
 from valve_sim.model.drives import Drive
+from valve_sim.model.gas import driver
 from valve_sim.model.gas.boundary import set_demand, set_inlet
-from valve_sim.model.gas.variational import enter_demand, leave_demand, vary_inlet
-from valve_sim.model.live_record import most_steps
+from valve_sim.model.gas.driver import FINISHED, NONE
+from valve_sim.model.gas.live_record import most_steps
+from valve_sim.model.gas.transitions import set_voltage
+from valve_sim.model.gas.variational import enter_segment, leave_segment
+from valve_sim.model.gas.variational_pressure import enter_demand, leave_demand, vary_inlet
 from valve_sim.model.response import Response
 from valve_sim.model.simulation import (
     TOLERANCE,
@@ -26,8 +28,6 @@ from valve_sim.model.simulation import (
     delay_and_end,
     response_of,
 )
-from valve_sim.model.transitions import set_voltage
-from valve_sim.model.variational import enter_segment, leave_segment
 
 _NONE: Final = np.empty(0)
 

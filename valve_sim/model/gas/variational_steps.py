@@ -7,8 +7,8 @@ from typing import Final
 import numpy as np
 
 from valve_sim.model.compiling import inlined, inner
+from valve_sim.model.gas.linearised import CONDITIONS, FIRST_CONDITION
 from valve_sim.model.gas.record import GAS_NUMBERS
-from valve_sim.model.linearised import CONDITIONS, FIRST_CONDITION
 
 LANES: Final = 4
 """Parameters of one tile."""

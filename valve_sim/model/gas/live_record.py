@@ -13,12 +13,12 @@ from numba.extending import register_jitable
 
 from valve_sim.model.compiling import compiled
 from valve_sim.model.core_types import EVENT_RECORD, STATE_RECORD
-from valve_sim.model.driver import NONE, run_on
 from valve_sim.model.effects.record import VALVE_RECORD
+from valve_sim.model.gas.driver import NONE, run_on
 from valve_sim.model.gas.record import GAS_COLUMNS, GAS_STATE_RECORD, GAS_VALVE_RECORD, is_of_gas
+from valve_sim.model.gas.sampling import ROW
+from valve_sim.model.gas.step_memory import WORK_RECORD
 from valve_sim.model.response import EVENT_ROOM
-from valve_sim.model.sampling import ROW
-from valve_sim.model.step_memory import WORK_RECORD
 
 MOST_STEPS_PER_SECOND: Final = 1_000_000
 """Steps for each second of a run, and for one second more, after which it ends with an error."""

@@ -29,12 +29,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from valve_sim.model.calls import call_term
 from valve_sim.model.compiling import inlined, inner
 from valve_sim.model.core_types import MAIN
 from valve_sim.model.effects.catalogue import shipped
 from valve_sim.model.effects.entry import Effect
-from valve_sim.model.flux import (
+from valve_sim.model.gas.calls import call_term
+from valve_sim.model.gas.flux import (
     COPPER_TEMPERATURE_COEFFICIENT,
     SHORTEST_INTEGRATED,
     current_rate,

@@ -14,27 +14,15 @@ import numpy as np
 
 from valve_sim.model.compiling import compiled, inlined, inner, taken_in
 from valve_sim.model.core_types import EVENT_RECORD, Outcome
-from valve_sim.model.equations import coil_now
-from valve_sim.model.flux import (
+from valve_sim.model.gas.equations import coil_now
+from valve_sim.model.gas.flux import (
     FREEWHEELING,
     follows_flux,
     is_linear_at_rest,
     resting_current,
     smallest_flux_slope,
 )
-from valve_sim.model.gas.record import has_gas
-from valve_sim.model.gas.step import (
-    commit_gas,
-    fill_dense,
-    norm_of_error,
-    rates,
-    shorten,
-    start_gas,
-    tolerance_of,
-    try_step,
-)
-from valve_sim.model.gas.variational import vary_step
-from valve_sim.model.location import (
+from valve_sim.model.gas.location import (
     CONTACT,
     CURRENT_GONE,
     FLOW_SWITCH,
@@ -48,8 +36,19 @@ from valve_sim.model.location import (
     moved_off,
     polish,
 )
-from valve_sim.model.sampling import fill_until, is_filled, show_main, show_pilot
-from valve_sim.model.step_memory import (
+from valve_sim.model.gas.record import has_gas
+from valve_sim.model.gas.sampling import fill_until, is_filled, show_main, show_pilot
+from valve_sim.model.gas.step import (
+    commit_gas,
+    fill_dense,
+    norm_of_error,
+    rates,
+    shorten,
+    start_gas,
+    tolerance_of,
+    try_step,
+)
+from valve_sim.model.gas.step_memory import (
     ALL_STATES,
     FIRST,
     FLUX_STATES,
@@ -58,8 +57,8 @@ from valve_sim.model.step_memory import (
     WORK_RECORD,
     step_factor,
 )
-from valve_sim.model.transitions import end_current, move_off, push_now, set_voltage, switch_flow, touch, turn
-from valve_sim.model.variational import (
+from valve_sim.model.gas.transitions import end_current, move_off, push_now, set_voltage, switch_flow, touch, turn
+from valve_sim.model.gas.variational import (
     enter_segment,
     leave_segment,
     show_variations,
@@ -67,7 +66,8 @@ from valve_sim.model.variational import (
     vary_release,
     vary_sensor,
 )
-from valve_sim.model.variational_steps import commit_variations
+from valve_sim.model.gas.variational_pressure import vary_step
+from valve_sim.model.gas.variational_steps import commit_variations
 
 FINISHED, STEP_TOO_SMALL, TOO_MANY_STEPS, CHATTERING, FLUX_FOLDS = (int(outcome) for outcome in Outcome)
 

@@ -12,13 +12,13 @@ from typing import Final
 import numpy as np
 
 from valve_sim.model.compiling import inlined, inner
-from valve_sim.model.equations import (
+from valve_sim.model.gas.equations import (
     acceleration_at,
     coil_rates,
     coil_state,
     mechanical_rates,
 )
-from valve_sim.model.flux import resting_current
+from valve_sim.model.gas.flux import resting_current
 
 STAGES: Final = 7
 """Stages of the pair; the seventh is the first of the next step."""
