@@ -13,7 +13,7 @@ import pytest
 
 import valve_sim as vs
 from valve_sim.model import ValveError
-from valve_sim.traces import Trace, read_trace
+from valve_sim.traces import Trace
 
 BAG = Path(__file__).parents[1] / "bags" / "friction"
 DRIVE = vs.Drive.of([0.01, 0.04], [9.0, 0.0])
@@ -21,7 +21,9 @@ DRIVE = vs.Drive.of([0.01, 0.04], [9.0, 0.0])
 
 @pytest.fixture(scope="module")
 def trace() -> Trace:
-    return read_trace(BAG)
+    recording = vs.read(BAG)
+    assert isinstance(recording, Trace)
+    return recording
 
 
 def test_every_public_name_is_there_and_completed() -> None:
@@ -97,3 +99,64 @@ def test_another_valve_is_a_warning_and_another_unit_an_error(trace: Trace) -> N
     in_mm = replace(trace, pilot_position=1e3 * trace.pilot_position)
     with pytest.raises(ValveError, match="unit"):
         vs.identify(in_mm)
+
+
+OVEN = """
+plant: equations
+states: {warmth: {unit: K, start: 0}}
+inputs: {power: {unit: W, between: held}}
+parameters:
+  capacity: {value: 60.0, unit: J/K, free: true, range: [1, 1000]}
+  loss: {value: 0.5, unit: W/K, free: true, range: [0, 10]}
+derivatives: {warmth: (power - loss*warmth)/capacity}
+outputs: {reading: {value: warmth, unit: K, noise: 0.05}}
+effects:
+  radiation:
+    add: {warmth: -coefficient*warmth**2/capacity}
+    parameters: {coefficient: {unit: W/K^2, neutral: 0, scale: 0.01}}
+"""
+
+
+def test_another_machine_is_read_refitted_and_diagnosed_by_the_same_calls(tmp_path: Path) -> None:
+    (tmp_path / "oven.yaml").write_text(OVEN)
+    times, rng = np.arange(0.0, 600.0, 2.0), np.random.default_rng(3)
+    power, warmth, seen = np.where(times % 200.0 < 120.0, 40.0, 5.0), 0.0, []
+    for watts in power:
+        seen.append(warmth)
+        for _ in range(200):
+            warmth += 0.01 * (watts - 0.4 * warmth - 0.004 * warmth**2) / 55.0
+    log = np.c_[times, power, np.array(seen) + rng.normal(0.0, 0.05, len(times))]
+    np.savetxt(tmp_path / "log.csv", log, delimiter=",", header="time,power,reading", comments="")
+    oven, recording = vs.load_plant(tmp_path / "oven.yaml"), vs.read(tmp_path / "log.csv")
+    assert not isinstance(recording, Trace)
+    refitted = vs.identify(recording, oven)
+    assert set(refitted.intervals) == {"capacity", "loss"}
+    assert "capacity" in str(refitted)
+    assert refitted.residual().unit == "K"
+    found = vs.diagnose(recording, oven)
+    assert found.verdict.effects == ("radiation",)
+    assert abs(found.after.intervals["loss"].value - 0.4) < 4.0 * found.after.intervals["loss"].stderr
+    assert found.residual().rms == pytest.approx(0.05, rel=0.15)
+    written = {path.name for path in found.write(tmp_path / "results")}
+    assert written == {"report.json", "report.html", "corrected.yaml"}
+
+
+def test_a_recording_of_the_other_kind_of_machine_is_refused_in_one_line(tmp_path: Path, trace: Trace) -> None:
+    (tmp_path / "oven.yaml").write_text(OVEN)
+    np.savetxt(
+        tmp_path / "log.csv", np.tri(9, 3, -1).cumsum(axis=0), delimiter=",", header="time,power,reading", comments=""
+    )
+    with pytest.raises(ValveError, match=r"was read as a valve's; read it with vs\.read"):
+        vs.diagnose(trace, vs.load_plant(tmp_path / "oven.yaml"))  # type: ignore[arg-type]
+    with pytest.raises(ValveError, match="is not read as a valve's; read it with a map, or give its machine"):
+        vs.identify(vs.read(tmp_path / "log.csv"))  # type: ignore[call-overload]
+
+
+def test_a_map_says_whose_recording_it_is(tmp_path: Path) -> None:
+    np.savetxt(
+        tmp_path / "log.csv", np.c_[np.arange(50.0), np.ones((50, 2))], delimiter=",", header="t,a,b", comments=""
+    )
+    of_machine = {"time": {"column": "t"}, "torque": {"column": "a"}, "angle": {"column": "b"}}
+    assert set(vs.read(tmp_path / "log.csv", of_machine).columns) == {"torque", "angle"}
+    of_valve = {"time": {"column": "t"}, "command": {"column": "a"}, "current": {"column": "b"}}
+    assert isinstance(vs.read(tmp_path / "log.csv", of_valve), Trace)

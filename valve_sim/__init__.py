@@ -4,6 +4,7 @@
 
     valve = vs.load_valve("my_valve.yaml")     # or vs.default_valve()
     run = vs.simulate(valve, vs.Drive.of([0.01, 0.04], [9.0, 0.0]), times)
+    trace = vs.read("bags/friction")           # or of any log: vs.read("scope.csv", "map.yaml")
     fitted = vs.identify(trace, valve)         # dampings, or what `free` names
     found = vs.diagnose(trace, valve)          # which effect the valve lacks
     print(found), found.table(), found.residual(), found.plot()
@@ -22,13 +23,23 @@ from typing import TYPE_CHECKING, Final
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 if TYPE_CHECKING:
-    from valve_sim.api import Diagnosis, Identification, Residual, Simulation, diagnose, identify, simulate
+    from valve_sim.api import (
+        Diagnosis,
+        Identification,
+        PlantIdentification,
+        Residual,
+        Simulation,
+        diagnose,
+        identify,
+        read,
+        simulate,
+    )
     from valve_sim.files.parameter_files import default_valve, load_valve
+    from valve_sim.files.plant_files import load_plant
     from valve_sim.files.recording_map import load_map
     from valve_sim.identification.estimation.budget import Budget
     from valve_sim.model.drives import Drive
     from valve_sim.model.simulation import Valve
-    from valve_sim.traces.columns import read
 
 __version__ = "0.2.0"
 
@@ -37,6 +48,7 @@ __all__ = [
     "Diagnosis",
     "Drive",
     "Identification",
+    "PlantIdentification",
     "Residual",
     "Simulation",
     "Valve",
@@ -44,19 +56,30 @@ __all__ = [
     "diagnose",
     "identify",
     "load_map",
+    "load_plant",
     "load_valve",
     "read",
     "simulate",
 ]
 
 _MODULES: Final = {
-    "api": ("Diagnosis", "Identification", "Residual", "Simulation", "diagnose", "identify", "simulate"),
+    "api": (
+        "Diagnosis",
+        "Identification",
+        "PlantIdentification",
+        "Residual",
+        "Simulation",
+        "diagnose",
+        "identify",
+        "read",
+        "simulate",
+    ),
     "files.parameter_files": ("default_valve", "load_valve"),
+    "files.plant_files": ("load_plant",),
     "files.recording_map": ("load_map",),
     "identification.estimation.budget": ("Budget",),
     "model.drives": ("Drive",),
     "model.simulation": ("Valve",),
-    "traces.columns": ("read",),
 }
 _HOMES: Final = {name: module for module, names in _MODULES.items() for name in names}
 

@@ -1,7 +1,8 @@
 """The front door for Python: `import valve_sim as vs`.
 
 What is called here is what the command line calls. The results are those of the rooms behind, with what a notebook
-wants of them: a table, a residual, a picture, a line to print and a page to show.
+wants of them: a table, a residual, a picture, a line to print and a page to show. The machine is the valve, or one that
+a plant file describes (`load_plant`).
 """
 
 from __future__ import annotations
@@ -11,26 +12,52 @@ import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from importlib.util import find_spec
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from valve_sim.files.parameter_files import default_valve
+from valve_sim.files.plant_files import PlantFile
+from valve_sim.files.recording_map import MapError, RecordingMap, is_of_valve, map_from
+from valve_sim.files.yaml_files import read_yaml
 from valve_sim.identification.diagnosis import identify as fitting
-from valve_sim.identification.diagnosis import outcome, run
+from valve_sim.identification.diagnosis import outcome, own_plant, run
 from valve_sim.identification.estimation.budget import Budget
+from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.identification.estimation.result import Fit
+from valve_sim.identification.plants.own import OwnPlant
 from valve_sim.identification.plants.protocol import primary_channels
 from valve_sim.model import Drive, Response, Valve, published_times
 from valve_sim.model import simulate as run_valve
-from valve_sim.traces import Trace, another_valve, left_out_finding, refuse_doubtful_units
+from valve_sim.traces import (
+    Trace,
+    TraceError,
+    another_valve,
+    columns,
+    left_out_finding,
+    read_trace,
+    refuse_doubtful_units,
+)
+from valve_sim.traces.columns import Columns
+from valve_sim.traces.table_reading import has_own_columns, is_table
 
 if TYPE_CHECKING:
     from valve_sim.identification.reporting.figures import Picture
 
-__all__ = ["Diagnosis", "Identification", "Residual", "Simulation", "diagnose", "identify", "simulate"]
+__all__ = [
+    "Diagnosis",
+    "Identification",
+    "PlantIdentification",
+    "Residual",
+    "Simulation",
+    "diagnose",
+    "identify",
+    "read",
+    "simulate",
+]
 
 Progress = Callable[[str, float], None]
 Result = TypeVar("Result")
@@ -114,25 +141,15 @@ class Simulation(Response):
         return draw_simulation(self, self.drive, self.valve, "simulated valve")
 
 
-@dataclass(frozen=True, repr=False)
-class Identification(fitting.Identification):
-    """Refitted parameters: the fields of `valve_sim.identification.diagnosis.identify.Identification`.
+class _Refitted:
+    """What every identification shows of its fit."""
 
-    `print` shows what `valve-sim identify` prints.
-    """
-
-    def __str__(self) -> str:
-        """The report for a terminal."""
-        from valve_sim.identification.reporting.identification import identification_text
-
-        return identification_text(self)
+    fit: Fit
+    intervals: Mapping[str, Interval]
 
     def _repr_html_(self) -> str:
-        """The refitted parameters as a table, with what was found beside it."""
-        from valve_sim.identification.reporting.findings import remarks
-
-        said = "".join(f"<p>{html.escape(words)}</p>" for words in remarks(self.findings))
-        return _html_table(f"{len(self.intervals)} parameters refitted", self._rows()) + said
+        """The refitted parameters as a table."""
+        return _html_table(f"{len(self.intervals)} parameters refitted", self._rows())
 
     def _rows(self) -> list[dict[str, Any]]:
         plant = self.fit.problem.plant
@@ -160,6 +177,41 @@ class Identification(fitting.Identification):
     def plot(self) -> Picture:
         """The residual beside the sensor's noise; a Matplotlib figure, which `savefig` writes."""
         return _plot_of(self.fit, "refitted")
+
+
+@dataclass(frozen=True, repr=False)
+class Identification(_Refitted, fitting.Identification):
+    """Refitted parameters: the fields of `valve_sim.identification.diagnosis.identify.Identification`.
+
+    `print` shows what `valve-sim identify` prints.
+    """
+
+    def __str__(self) -> str:
+        """The report for a terminal."""
+        from valve_sim.identification.reporting.identification import identification_text
+
+        return identification_text(self)
+
+    def _repr_html_(self) -> str:
+        """The refitted parameters as a table, with what was found beside it."""
+        from valve_sim.identification.reporting.findings import remarks
+
+        said = "".join(f"<p>{html.escape(words)}</p>" for words in remarks(self.findings))
+        return super()._repr_html_() + said
+
+
+@dataclass(frozen=True, repr=False)
+class PlantIdentification(_Refitted, own_plant.PlantIdentification):
+    """Refitted parameters of a machine of a plant file: `fit`, `intervals` and `errors` before and after by output.
+
+    `print` shows what `valve-sim identify --plant` prints.
+    """
+
+    def __str__(self) -> str:
+        """The report for a terminal."""
+        from valve_sim.identification.reporting.own_plant import plant_identification_text
+
+        return plant_identification_text(self)
 
 
 @dataclass(frozen=True, repr=False)
@@ -236,65 +288,149 @@ def simulate(valve: Valve, drive: Drive, times: ArrayLike, *, start_time: float 
     return Simulation(**_fields_of(found), valve=valve, drive=drive)
 
 
+def read(
+    path: PathLike[str] | str,
+    recording_map: RecordingMap | Mapping[str, Any] | PathLike[str] | str | None = None,
+    plant: PlantFile | None = None,
+    *,
+    valve: str | None = None,
+) -> Trace | Columns:
+    """Read a recording: of a valve as a `Trace`, of another machine as `Columns`.
+
+    Args:
+        path: a rosbag2 folder, an .mcap or .db3 file, or a table (CSV, Parquet, MATLAB).
+        recording_map: what is where: a file, its content, or what `load_map` returns; default: the topics of this
+            package, or a table's columns by their own names.
+        plant: the machine, from `load_plant`; default: the valve, unless the map names what no valve has.
+        valve: its name where several were recorded ("/tank_1/valve").
+
+    Raises:
+        ValveError: the recording or the map cannot be used; one line says why and what to do.
+    """
+    if isinstance(recording_map, RecordingMap):
+        if plant is not None:
+            raise MapError(f"{recording_map.path}: was loaded as a valve's map; give its path with a plant")
+        return read_trace(path, valve, recording_map)
+    if plant is not None:
+        return columns.read(path, recording_map)
+    if recording_map is None:
+        return (
+            read_trace(path, valve) if not is_table(Path(path)) or has_own_columns(Path(path)) else columns.read(path)
+        )
+    where = "map" if isinstance(recording_map, Mapping) else str(recording_map)
+    found = recording_map if isinstance(recording_map, Mapping) else read_yaml(where, "expected a map", MapError)
+    if isinstance(found, Mapping) and not is_of_valve(found):
+        return columns.read(path, recording_map)
+    return read_trace(path, valve, map_from(found, where))
+
+
+@overload
 def identify(
-    traces: Trace | Sequence[Trace],
-    valve: Valve | None = None,
+    recordings: Trace | Sequence[Trace],
+    machine: Valve | None = None,
     free: Sequence[str] | None = None,
     *,
     progress: Progress | None = None,
-) -> Identification:
-    """Refit parameters of a declared valve to recordings.
+) -> Identification: ...
+
+
+@overload
+def identify(
+    recordings: Columns | Sequence[Columns],
+    machine: PlantFile,
+    free: Sequence[str] | None = None,
+    *,
+    progress: Progress | None = None,
+) -> PlantIdentification: ...
+
+
+def identify(
+    recordings: Trace | Columns | Sequence[Trace] | Sequence[Columns],
+    machine: Valve | PlantFile | None = None,
+    free: Sequence[str] | None = None,
+    *,
+    progress: Progress | None = None,
+) -> Identification | PlantIdentification:
+    """Refit parameters of a declared machine to recordings.
 
     Args:
-        traces: one recording, or several of the same valve.
-        valve: as it is declared; default: the shipped valve.
-        free: names to refit, such as "main_damping", "gas.outlet_volume" or "stiction.force"; default: the dampings.
+        recordings: from `read`: one, or several of the same machine.
+        machine: as it is declared: a valve, or what `load_plant` returns; default: the shipped valve.
+        free: names to refit, such as "main_damping", "gas.outlet_volume" or "stiction.force"; default: the dampings of
+            a valve, and of a plant file what it declares `free`.
         progress: told what is being done, and the fraction done.
 
     Raises:
         ParameterError: a name that cannot be freed.
-        SimulationError: the declared valve cannot be simulated.
+        SimulationError: the declared machine cannot be simulated.
         TraceError: a recording cannot be used, say because its positions are in mm and taken for m.
     """
-    declared = valve or default_valve()
-    found = fitting.identify(_usable(traces, declared), declared, free, progress)
+    if isinstance(machine, PlantFile):
+        refitted = own_plant.identify_plant(OwnPlant(machine, _columns(recordings, machine)), free, progress)
+        return PlantIdentification(**_fields_of(refitted))
+    declared = machine or default_valve()
+    found = fitting.identify(_usable(recordings, declared), declared, free, progress)
     return Identification(**_fields_of(found))
 
 
 def diagnose(
-    traces: Trace | Sequence[Trace],
-    valve: Valve | None = None,
-    holdout: Trace | Sequence[Trace] = (),
+    recordings: Trace | Columns | Sequence[Trace] | Sequence[Columns],
+    machine: Valve | PlantFile | None = None,
+    holdout: Trace | Columns | Sequence[Trace] | Sequence[Columns] = (),
     *,
     budget: Budget | None = None,
     progress: Progress | None = None,
 ) -> Diagnosis:
-    """Find the effect that a declared valve lacks.
+    """Find the effect that a declared machine lacks.
 
     Args:
-        traces: one recording, or several of the same valve: what is fitted.
-        valve: as it is declared; default: the shipped valve.
-        holdout: recordings that are predicted and take no part in the fit; default: strokes of `traces` are held out.
+        recordings: from `read`: one, or several of the same machine: what is fitted.
+        machine: as it is declared: a valve, or what `load_plant` returns; default: the shipped valve.
+        holdout: recordings that are predicted and take no part in the fit; default: parts of `recordings` are held out.
         budget: how much may be simulated, such as `Budget.of_seconds(120)`; default: as much as it takes.
         progress: told what is being tried, and the fraction done.
 
     Raises:
-        SimulationError: the declared valve cannot be simulated.
+        SimulationError: the declared machine cannot be simulated.
         TraceError: a recording cannot be used, say because its positions are in mm and taken for m.
     """
-    declared = valve or default_valve()
-    found = run.diagnose(_usable(traces, declared), _usable(holdout, declared), declared, progress, budget)
+    if isinstance(machine, PlantFile):
+        others = _columns(holdout, machine)
+        plants = OwnPlant(machine, _columns(recordings, machine)), OwnPlant(machine, others) if others else None
+        return Diagnosis(**_fields_of(run.diagnose_plant(*plants, progress, budget)))
+    declared = machine or default_valve()
+    found = run.diagnose(_usable(recordings, declared), _usable(holdout, declared), declared, progress, budget)
     return Diagnosis(**_fields_of(found))
 
 
-def _usable(traces: Trace | Sequence[Trace], valve: Valve) -> list[Trace]:
-    """Recordings as fits take them; what makes one doubtful is a warning.
+def _columns(recordings: Trace | Columns | Sequence[Trace] | Sequence[Columns], plant: PlantFile) -> list[Columns]:
+    """Recordings of a machine that is no valve.
 
     Raises:
-        TraceError: its numbers are in another unit.
+        TraceError: one was read as that of a valve.
     """
     found = []
-    for trace in [traces] if isinstance(traces, Trace) else traces:
+    for recording in [recordings] if isinstance(recordings, (Trace, Columns)) else recordings:
+        if isinstance(recording, Trace):
+            raise TraceError(
+                f"{recording.source}: was read as a valve's; read it with vs.read(path, map, plant) for {plant.path}"
+            )
+        found.append(recording)
+    return found
+
+
+def _usable(traces: Trace | Columns | Sequence[Trace] | Sequence[Columns], valve: Valve) -> list[Trace]:
+    """Recordings of a valve as fits take them; what makes one doubtful is a warning.
+
+    Raises:
+        TraceError: its numbers are in another unit, or it is another machine's.
+    """
+    found = []
+    for trace in [traces] if isinstance(traces, (Trace, Columns)) else traces:
+        if isinstance(trace, Columns):
+            raise TraceError(
+                f"{trace.source}: is not read as a valve's; read it with a map, or give its machine, from vs.load_plant"
+            )
         refuse_doubtful_units(trace, valve.parameters)
         for finding in (*left_out_finding(trace), *another_valve(trace, valve.parameters)):
             warnings.warn(f"{trace.source}: {finding}", stacklevel=3)

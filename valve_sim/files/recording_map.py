@@ -100,6 +100,7 @@ MOST_AVERAGED: Final = 1000
 """Readings: a sensor that averages more shows no stroke."""
 CLOCKS: Final = ("header", "bag")
 DEFAULT_VALVE: Final = "/valve"
+_OTHER_KEYS: Final = ("sensor", "clock", "time", "valve", "valves")
 _TEXTS: Final = ("topic", "field", "joint", "column", "type", "unit", "clock")
 
 
@@ -211,6 +212,11 @@ def load_map(path: Path | str) -> RecordingMap:
     return map_from(found, str(path))
 
 
+def is_of_valve(found: Mapping[Any, Any]) -> bool:
+    """Whether all that a map names is recorded of a valve; else it is the map of another machine."""
+    return all(name in QUANTITIES or name in _OTHER_KEYS for name in found)
+
+
 def map_from(found: object, path: str) -> RecordingMap:
     """Check what a map's YAML holds; errors as `load_map`."""
     if not isinstance(found, Mapping) or not found:
@@ -218,7 +224,7 @@ def map_from(found: object, path: str) -> RecordingMap:
             f"{path}: found {_short(found)}; expected keys such as position: {{topic: ..., unit: mm}}; "
             "valve-sim map RECORDING writes a first one"
         )
-    _check_keys(found, [*QUANTITIES, "sensor", "clock", "time", "valve", "valves"], path, "")
+    _check_keys(found, [*QUANTITIES, *_OTHER_KEYS], path, "")
     clock = _clock(found.get("clock", ""), f"{path}: clock")
     time = _time_axis(found["time"], f"{path}: time") if "time" in found else None
     if "valves" in found:

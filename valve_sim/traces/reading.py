@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from valve_sim.files.data_tables import TABLE_SUFFIXES
 from valve_sim.files.recording_map import QUANTITIES, DeclaredSensor
 from valve_sim.model.drives import Drive
 from valve_sim.signals.long_columns import any_in
@@ -34,7 +33,7 @@ from valve_sim.traces.layout import (
 from valve_sim.traces.message_fields import missing_field, stamps_of, values_of
 from valve_sim.traces.samples import Readings, Samples, in_order, is_broken
 from valve_sim.traces.storage import Recording, read_recording
-from valve_sim.traces.table_reading import read_table_trace, standard_map
+from valve_sim.traces.table_reading import is_table, read_table_trace, standard_map
 from valve_sim.traces.trace import DriveErrors, Signal, Trace
 from valve_sim.traces.trouble import find_problems
 
@@ -62,7 +61,7 @@ def list_valves(path: str | PathLike[str], recording_map: RecordingMap | None = 
     """
     if recording_map is not None:
         return tuple(sorted(recording_map.valves))
-    if _is_table(Path(path)):
+    if is_table(Path(path)):
         return tuple(standard_map(Path(path)).valves)
     return valves_among(read_recording(Path(path), lambda _: {}).types)
 
@@ -87,7 +86,7 @@ def read_trace(path: str | PathLike[str], valve: str | None = None, recording_ma
 
 
 def _read(path: Path, valve: str | None, recording_map: RecordingMap | None) -> Trace:
-    if _is_table(path):
+    if is_table(path):
         return read_table_trace(path, valve, standard_map(path) if recording_map is None else recording_map)
     plans: list[Plan] = []
 
@@ -101,10 +100,6 @@ def _read(path: Path, valve: str | None, recording_map: RecordingMap | None) -> 
     named = {} if recording_map is None else recording_map.choose(valve)[1]
     recording = read_recording(path, select, frozenset(source.topic for source in named.values()))
     return _Assembly(path, plans[0], recording).trace()
-
-
-def _is_table(path: Path) -> bool:
-    return path.suffix.lower() in TABLE_SUFFIXES and path.is_file()
 
 
 class _Assembly:

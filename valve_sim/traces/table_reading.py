@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from valve_sim.files.data_tables import DataTable, open_table
+from valve_sim.files.data_tables import TABLE_SUFFIXES, DataTable, open_table
 from valve_sim.files.recording_map import QUANTITIES, UNITS, RecordingMap, Source, TimeAxis
 from valve_sim.model.drives import Drive
 from valve_sim.signals.voltage_steps import NoStepError, find_steps, held_steps
@@ -36,6 +36,20 @@ GAS_COLUMN = "outlet_pressure"
 """A further column of that CSV, of a valve with gas; the quantity has that name, too."""
 
 
+def is_table(path: Path) -> bool:
+    """Whether a path is that of a table, by its suffix."""
+    return path.suffix.lower() in TABLE_SUFFIXES and path.is_file()
+
+
+def has_own_columns(path: Path) -> bool:
+    """Whether a table has the columns of `valve-sim simulate`.
+
+    Raises:
+        ValveError: it cannot be read.
+    """
+    return {"time", *OWN_COLUMNS.values()} <= set(open_table(path).names)
+
+
 def standard_map(path: Path) -> RecordingMap:
     """The map of a table with the columns of `valve-sim simulate`.
 
@@ -43,7 +57,7 @@ def standard_map(path: Path) -> RecordingMap:
         ValveError: It is a table of other columns: nobody knows which is what.
     """
     names = open_table(path).names
-    if not {"time", *OWN_COLUMNS.values()} <= set(names):
+    if not has_own_columns(path):
         listed = ", ".join(names[:12])
         raise TraceError(
             f"{path}: is not a recording of ROS topics but a table ({listed}); say with --map which column is what, "
