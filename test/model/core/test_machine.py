@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import ctypes
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
 from valve_sim.model.core import machine
+from valve_sim.model.core.machine import made_once
 
 TEXT = "define double @twice(double %x) {\n  %y = fadd double %x, %x\n  ret double %y\n}\n"
 
@@ -64,3 +68,23 @@ def test_every_source_of_the_core_is_part_of_the_key(tmp_path: Path, monkeypatch
         known.add(digest())
     machine.sources.cache_clear()
     assert len(known) == 1 + len(list(copy.rglob("*.py")))
+
+
+def test_what_threads_ask_for_at_once_is_made_once_and_kept() -> None:
+    """A second one would take the first one's place, whose code is then freed while a thread runs it."""
+    made, together = [], threading.Barrier(8)
+
+    @made_once
+    def slow(number: int) -> object:
+        made.append(number)
+        time.sleep(0.02)  # not to be right: so that threads which do not wait for each other would be seen
+        return object()
+
+    def ask(number: int) -> object:
+        together.wait()
+        return slow(number % 2)
+
+    with ThreadPoolExecutor(8) as threads:
+        found = list(threads.map(ask, range(8)))
+    assert sorted(made) == [0, 1]
+    assert len({id(one) for one in found}) == 2

@@ -13,6 +13,7 @@ from valve_sim.identification.diagnosis.run import Diagnosis
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.plants.protocol import Array, Channel, primary_channels
 from valve_sim.identification.plants.root_mean_square import root_mean_square
+from valve_sim.identification.plants.valve import ValvePlant
 
 DRAWN_POINTS: Final = 450
 """Most points drawn of a stroke: 100 strokes then make a report of some 2 MB."""
@@ -96,17 +97,23 @@ def _strokes(before: Fit, after: Fit, bands: Mapping[int, Array], *, is_held_out
         for group in np.unique(channel.group[takes_part]):
             chosen = takes_part & (channel.group == group)
             shown = first[chosen], second[chosen], bands[index][chosen]
-            yield _stroke(channel, chosen, shown, sigma, is_held_out=is_held_out)
+            part = "stroke" if isinstance(problem.plant, ValvePlant) else "part"
+            title = f"{channel.name}, {part} {int(group) + 1}" + (", held out" if is_held_out else "")
+            yield _stroke(title, channel, chosen, shown, sigma, is_held_out=is_held_out)
 
 
 def _stroke(
-    channel: Channel, chosen: NDArray[np.bool_], shown: tuple[Array, Array, Array], sigma: float, *, is_held_out: bool
+    title: str,
+    channel: Channel,
+    chosen: NDArray[np.bool_],
+    shown: tuple[Array, Array, Array],
+    sigma: float,
+    *,
+    is_held_out: bool,
 ) -> StrokeCurves:
     scale, unit = channel.readable
     measured = scale * channel.data[chosen]
     before, after, band = (scale * curve for curve in shown)
-    number = int(channel.group[chosen][0]) + 1
-    title = f"{channel.name}, stroke {number}" + (", held out" if is_held_out else "")
     errors = (root_mean_square(measured - before), root_mean_square(measured - after))
     return StrokeCurves(
         title, is_held_out, channel.kind, unit, 1e3 * channel.times[chosen], measured, before, after, scale * sigma,

@@ -19,8 +19,9 @@ from valve_sim import __version__
 from valve_sim.files.json_text import finite_or_none
 from valve_sim.files.whole_files import write_whole
 from valve_sim.identification.diagnosis.run import Candidate, Diagnosis, State
+from valve_sim.identification.estimation.noise import Noise
 from valve_sim.identification.plants.effect_titles import named_value, title_of, titles_of
-from valve_sim.identification.plants.protocol import primary_channels
+from valve_sim.identification.plants.protocol import Channel, primary_channels
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.curves import StrokeCurves, strokes_of
 from valve_sim.identification.reporting.declared_values import declared_section, plain_name
@@ -171,7 +172,8 @@ def _content(diagnosis: Diagnosis) -> dict[str, Any]:
         for index, stroke in enumerate(strokes)
     ]
     held_out = sum(stroke.is_held_out for stroke in judged)
-    sigma = scale * diagnosis.before.fit.problem.noises[channel.kind].sigma
+    noise = diagnosis.before.fit.problem.noises[channel.kind]
+    sigma, source = scale * noise.sigma, _source_of_noise(noise, channel)
     words, is_sure = kind_words(verdict)
     candidates = [_candidate_row(candidate, diagnosis, scale, unit) for candidate in diagnosis.candidates]
     candidates.insert(0, _declared_row(diagnosis, scale, unit))
@@ -205,9 +207,9 @@ def _content(diagnosis: Diagnosis) -> dict[str, Any]:
         "held_out": holdout_words(diagnosis),
         "version": __version__,
         "sources": diagnosis.sources,
-        "noise": f"{three_digits(sigma)} {unit} rms of the {channel.kind} sensor, read where the machine is still",
+        "noise": f"{three_digits(sigma)} {unit} rms of the {channel.kind} sensor, {source}",
         "strokes": f"{len(judged) - held_out} fitted, {held_out} held out. Errors are over all samples; drawn are, of "
-        "equal bins of each stroke, the samples at which a curve or a residual is lowest or highest.",
+        "equal bins of each part, the samples at which a curve or a residual is lowest or highest.",
         "strokes_data": [_stroke_plot(stroke.thinned()) for stroke in strokes],
     }
 
@@ -230,11 +232,18 @@ def _drawn(diagnosis: Diagnosis, most: int) -> tuple[list[StrokeCurves], list[St
     return [judged[index] for index in order], [stroke for stroke in strokes if stroke.quantity != kind]
 
 
+def _source_of_noise(noise: Noise, channel: Channel) -> str:
+    """From what the noise of a sensor is known."""
+    if channel.noise > 0.0:
+        return "as declared"
+    return "read where the machine is still" if noise.samples else "which the best model leaves: it is never still"
+
+
 def _improvement(diagnosis: Diagnosis, scale: float, unit: str, sigma: float) -> str:
     before, after = diagnosis.before, diagnosis.after
-    words = f"On fitted strokes: {_change(scale * before.train_rmse, scale * after.train_rmse, unit)}."
+    words = f"On fitted data: {_change(scale * before.train_rmse, scale * after.train_rmse, unit)}."
     if math.isfinite(before.holdout_rmse):
-        words += f" On held-out strokes: {_change(scale * before.holdout_rmse, scale * after.holdout_rmse, unit)}."
+        words += f" On held-out data: {_change(scale * before.holdout_rmse, scale * after.holdout_rmse, unit)}."
     words += f" The sensor's noise is {three_digits(sigma)} {unit}. {rounding_words(diagnosis)}"
     return f"Root-mean-square error before → after. {words.rstrip()}"
 
@@ -251,8 +260,8 @@ def _comparison(diagnosis: Diagnosis, scale: float, unit: str) -> list[tuple[str
         return label, words(before), words(after)
 
     rows = [
-        of_both("rms error, fitted strokes", lambda state: _number(scale * state.train_rmse, unit)),
-        of_both("rms error, held-out strokes", lambda state: _number(scale * state.holdout_rmse, unit)),
+        of_both("rms error, fitted data", lambda state: _number(scale * state.train_rmse, unit)),
+        of_both("rms error, held-out data", lambda state: _number(scale * state.holdout_rmse, unit)),
         of_both("rms error that the model predicts", lambda state: _predicted(state, scale, unit)),
         of_both("residual is white", _whiteness),
         of_both("χ² per sample", lambda state: f"{state.fit.chi2 / state.fit.problem.effective_samples:.4g}"),

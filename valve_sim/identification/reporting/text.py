@@ -37,8 +37,8 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
     ]
     unit, noise = _unit_and_noise(diagnosis)
     for label, errors in (
-        ("fitted strokes", (before.train_rmse, after.train_rmse)),
-        ("held-out strokes", (before.holdout_rmse, after.holdout_rmse)),
+        ("fitted data", (before.train_rmse, after.train_rmse)),
+        ("held-out data", (before.holdout_rmse, after.holdout_rmse)),
     ):
         if not any(map(math.isnan, errors)):
             lines.append(

@@ -113,11 +113,11 @@ def headline(diagnosis: Diagnosis) -> str:
 
 
 def holdout_words(diagnosis: Diagnosis) -> str:
-    """What held-out strokes were used for, in a sentence."""
+    """What held-out data were used for, in a sentence."""
     if diagnosis.before.holdout is None:
-        return "No strokes were held out: only the fitted strokes support this."
+        return "No data were held out: only the fitted data support this."
     return (
-        "Held-out strokes are predicted with everything that the fitted strokes have determined; only the errors of "
+        "Held-out data are predicted with everything that the fitted data have determined; only the errors of "
         "their recording, its clocks and stamps, are estimated anew. They chose nothing."
     )
 

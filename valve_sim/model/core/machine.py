@@ -14,15 +14,40 @@ import os
 import stat
 import sys
 import tempfile
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, ParamSpec, TypeVar
 
 import llvmlite
 import llvmlite.binding as llvm
 
+_Given = ParamSpec("_Given")
+_Made = TypeVar("_Made")
+_MAKING: Final = threading.RLock()
 _ENTRIES: Final = 4096
 """Files that are kept; the oldest go first."""
+
+
+def made_once(make: Callable[_Given, _Made]) -> Callable[_Given, _Made]:
+    """A function whose results are kept for good, and are made by one thread at a time.
+
+    `functools.cache` lets two threads make a result at once and keeps the later one. Where that is loaded code, the
+    earlier one is freed while its thread runs it.
+    """
+    kept: dict[Any, _Made] = {}
+
+    @functools.wraps(make)
+    def found(*args: _Given.args, **named: _Given.kwargs) -> _Made:
+        if named:
+            raise TypeError(f"{make.__name__} takes no arguments by name")
+        if args not in kept:
+            with _MAKING:
+                if args not in kept:
+                    kept[args] = make(*args, **named)
+        return kept[args]
+
+    return found
 
 
 @functools.cache
@@ -91,7 +116,7 @@ def _target_machine() -> Any:
     )
 
 
-@functools.cache
+@made_once
 def _initialise() -> None:
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()

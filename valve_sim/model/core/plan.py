@@ -17,7 +17,7 @@ from valve_sim.model.core.entries import ENTRIES, Method
 from valve_sim.model.core.equations import build
 from valve_sim.model.core.kernels import NAMES, Kernels
 from valve_sim.model.core.lowering import lowered
-from valve_sim.model.core.machine import Library, library
+from valve_sim.model.core.machine import Library, library, made_once
 from valve_sim.model.core.symbols import Effect
 from valve_sim.model.errors import ParameterError
 
@@ -32,14 +32,14 @@ def as_double(address: int) -> float:
     return float(struct.unpack("<d", struct.pack("<q", address))[0])
 
 
-@functools.cache
+@made_once
 def integrator() -> Library:
     """The compiled integrator."""
     entries.resolve()
     return library("driver", lambda: lowered(driver.FUNCTIONS, _ENTRIES) + entries.text())
 
 
-@functools.cache
+@made_once
 def entry(name: str) -> Any:
     """A function of the integrator that Python can call; it releases the interpreter's lock."""
     signature: tuple[Any, ...] = {
@@ -55,7 +55,7 @@ def entry(name: str) -> Any:
     return ctypes.CFUNCTYPE(*signature)(integrator().address(name))
 
 
-@functools.cache
+@made_once
 def method(name: str) -> Method:
     """A function of the integrator as one of Python, to be bound; it lives as long as what is bound to it."""
     return Method(name, integrator().address(f"py_{name}"))

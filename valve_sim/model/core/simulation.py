@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 import os
 from collections.abc import Sequence
@@ -14,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from valve_sim.model.core import layout
 from valve_sim.model.core.driver import LONGEST_RUN, MOST_STEPS, ROW_COLUMNS
+from valve_sim.model.core.machine import made_once
 from valve_sim.model.core.plan import entry, method
 from valve_sim.model.core.valve import Valve
 from valve_sim.model.core_types import EventKind, Outcome
@@ -92,7 +92,7 @@ def simulate(
     return response
 
 
-@functools.cache
+@made_once
 def _whole() -> Any:
     """The run of one valve, as a function of arrays."""
     return method("whole").bound(0)

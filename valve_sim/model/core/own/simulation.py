@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import functools
 from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
@@ -165,12 +164,12 @@ class Machine:
         return out, slopes
 
 
-@functools.cache
+@machine.made_once
 def _loaded() -> machine.Library:
     return machine.library("own driver", lambda: lowered(driver.FUNCTIONS, ("run",)))
 
 
-@functools.cache
+@machine.made_once
 def _driver():  # type: ignore[no-untyped-def]
     pointers, integers = [ctypes.c_void_p] * 8, [ctypes.c_int64] * 3
     return ctypes.CFUNCTYPE(ctypes.c_int64, *pointers, *integers)(_loaded().address("run"))
