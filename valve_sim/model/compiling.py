@@ -40,7 +40,7 @@ _ROOM: Final = 16_000_000
 """Bytes that must be free: the compiled code takes about two million, and Numba fails if it cannot write all of it."""
 _TRIED: Final = ((0, 58), (0, 68))
 """The first and the last version of Numba whose private names are used here."""
-COMPILING: Final = "compiling the model for this machine, once: up to 45 s of one core, and as much again with gas"
+COMPILING: Final = "compiling the model for this machine, once: up to 25 s of one core"
 """What is said when code has to be compiled; measured in seconds of processor time on a server of 2.5 GHz."""
 
 
@@ -87,7 +87,7 @@ def _own_folders() -> list[Path]:
 
 def _warn_that_nothing_is_kept(why: str, mend: str) -> None:
     warnings.warn(
-        f"{why}: every start compiles anew, which takes up to 45 s of one core, with gas twice that; {mend}",
+        f"{why}: every start compiles anew, which takes up to 25 s of one core; {mend}",
         RuntimeWarning,
         stacklevel=3,
     )
