@@ -162,6 +162,9 @@ OWN_ERROR: Final = 1e-3
 """m/s times the tolerance: a velocity that small has no sign; a crawl would turn for ever."""
 ROUNDING: Final = 1e-13
 """N, or of the size of a polynomial: below it a guard has no sign."""
+RIGID: Final = 1e-11
+"""m/N: a stop that gives way less is rigid: 0.2 nm at 20 N, below the 1 nm to which contacts are located. A softer one
+swings in less than 10 µs, and its steps would be as short."""
 JUMPED: Final = 1e-9
 """N: so much more than what holds them pushes plungers at rest only after a jump of the force."""
 RECOVERS: Final = 1e-3
@@ -208,7 +211,7 @@ def enter(b: Block, t: Block) -> None:
     mode = b[MODE]
     one = b[ONE_PLUNGER]
     up = b[DIRECTION] > 0.0
-    b[BEYOND] = 1.0 if mode == OPEN and b[COMPLIANCE] > 0.0 else 0.0
+    b[BEYOND] = 1.0 if mode == OPEN and b[COMPLIANCE] > RIGID else 0.0
     b[LIFTED] = 1.0 if mode >= MAIN else 0.0
     b[LIFTED_UP] = 1.0 if mode >= GAP_HOLD or one > 0.0 else 0.0
     b[LIFTED_DOWN] = 1.0 if mode >= MAIN else 0.0
@@ -724,7 +727,7 @@ def touch(b: Block, t: Block, events: Block, room: int) -> None:
         enter(b, t)
         log_event(b, events, room, RELEASED, v)
     elif mode == MAIN and b[DIRECTION] > 0.0:
-        if b[COMPLIANCE] > 0.0:
+        if b[COMPLIANCE] > RIGID:
             b[MODE] = OPEN
             enter(b, t)
             log_event(b, events, room, REACHED_STOP, v)
@@ -1349,7 +1352,7 @@ def settle(b: Block) -> None:
     """Make a state agree with another valve: only a contact or a blocking diode makes it jump."""
     at_contact = b[MOVING] == 0.0 and (b[MODE] == GAP_HOLD or b[MODE] == OPEN)
     contact = b[STROKE] if b[MODE] == OPEN else b[GAP]
-    if b[COMPLIANCE] == 0.0:
+    if b[COMPLIANCE] <= RIGID:
         b[X] = min(b[X], b[STROKE])
     if at_contact and b[X] != contact:
         # The contact has gone: at rest between contacts, free to move off.
@@ -1360,7 +1363,7 @@ def settle(b: Block) -> None:
         b[MODE] = PILOT
     if b[MODE] == MAIN and b[X] >= b[STROKE] and b[V] >= 0.0:
         b[MODE] = OPEN
-        if b[COMPLIANCE] == 0.0:
+        if b[COMPLIANCE] <= RIGID:
             b[MOVING] = 0.0
             b[V] = 0.0
     set_voltage(b, b, b[VOLTS])
