@@ -77,7 +77,7 @@ def test_from_a_data_sheet_to_a_checked_model(folder: Path) -> None:
 
     found = ran(folder, "diagnose", *given, "--output", "out")
     assert found.exit_code == 0, found.output
-    assert found.output.startswith("effects: The model lacks Coulomb friction"), found.output
+    assert found.stdout.startswith("effects: The model lacks Coulomb friction"), found.output
     report = json.loads((folder / "out" / "report.json").read_text())
     level = report["after"]["effects"]["coulomb_friction"]["level"]
     assert level["value"] == pytest.approx(2.5, abs=3.0 * level["stderr"] + 0.005)
@@ -137,6 +137,30 @@ def test_a_plant_without_inputs_needs_no_log(tmp_path: Path) -> None:
     assert found.exit_code == 0, found.output
     shown = vs.read(tmp_path / "out.csv")["shown"]
     assert np.allclose(shown.readings, 10.0 * np.exp(-shown.times / 2.0), atol=1e-6)
+
+
+@pytest.mark.long
+def test_a_small_motor_by_the_template_with_all_its_effects(tmp_path: Path) -> None:
+    """One that sticks and slips, a hundred times smaller than others, and is never still for long."""
+    times = np.arange(0.0, 4.0, 1e-3)
+    torque = 0.1 * np.sin(2.0 * np.pi * 0.7 * times) + 0.04 * np.sin(2.0 * np.pi * 2.3 * times)
+    angle, _ = rubbing_axis(times, torque, 2.0e-3, 1.0e-3, 0.02)
+    shown = angle + np.random.default_rng(4).normal(0.0, 2e-4, len(times))
+    np.savetxt(
+        tmp_path / "log.csv", np.c_[times, torque, shown], delimiter=",", header="t,torque,position", comments=""
+    )
+    (tmp_path / "map.yaml").write_text(
+        "time: {column: t}\ntorque: {column: torque, unit: N*m}\nposition: {column: position, unit: rad}\n"
+    )
+    (tmp_path / "motor.yaml").write_text(
+        "plant: axis\nrotary: true\nparameters: {inertia: {value: 2.1e-3, tolerance: 1.0e-4}, viscous: 1.0e-3}\n"
+    )
+    found = ran(tmp_path, "diagnose", "log.csv", "--plant", "motor.yaml", "--map", "map.yaml", "--output", "out")
+    assert found.exit_code == 0, found.output
+    assert found.stdout.startswith("effects: The model lacks Coulomb friction"), found.output
+    assert "Warning" not in found.stderr
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["after"]["effects"]["coulomb_friction"]["level"]["value"] == pytest.approx(0.02, rel=2e-3)
 
 
 # -- the reader --------------------------------------------------------------------------------------------------------

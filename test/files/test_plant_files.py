@@ -73,6 +73,18 @@ def test_templates_are_plants_of_which_a_file_sets_values(kind: str, *, rotary: 
         found.equations([effect])
 
 
+def test_scales_of_effects_follow_from_the_sizes_of_signals() -> None:
+    found = plant_from({"plant": "axis", "effects": ["coulomb_friction", "stiffness", "quadratic_drag"]}, "p")
+    sized = found.sized({"force": 10.0, "x": 0.5, "v": 2.0}).effects
+    assert sized["coulomb_friction"].parameters["level"].scale == pytest.approx(2.0)
+    assert sized["stiffness"].parameters["rate"].scale == pytest.approx(4.0)
+    assert sized["quadratic_drag"].parameters["coefficient"].scale == pytest.approx(0.5)
+    with pytest.raises(
+        PlantFileError, match=r"effects\.stiffness\.parameters\.rate\.scale: uses x, which no column shows"
+    ):
+        found.sized({"force": 10.0, "v": 2.0})
+
+
 WRONG: list[tuple[dict[str, Any], str]] = [
     ({"plant": "ekvations"}, "plant: found 'ekvations', expected one of equations, coil, axis, valve"),
     ({"plant": None}, "plant: is missing"),
@@ -105,6 +117,8 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"effects": {"drag": {"add": {"v": "c*v"}, "parameters": {"c": {"unit": "1/s", "scale": 1}}}}}, "effects.drag.parameters: none has neutral:"),
     ({"effects": {"drag": {"add": {"v": "c*v"}, "parameters": {"c": {"unit": "1/s", "neutral": 0}}}}}, "effects.drag.parameters.c: has neither scale: nor a range:"),
     ({"effects": {"drag": {"add": {"v": "c*v"}, "parameters": {"c": {"unit": "1/s", "neutral": 0, "scale": 1}}, "confused_with": ["d"]}}}, "effects.drag.confused_with: found 'd'"),
+    ({"effects": {"drag": {"add": {"v": "c*v"}, "parameters": {"c": {"unit": "1/s", "neutral": 0, "scale": "0.1*force"}}}}}, "effects.drag.parameters.c.scale: is in kg·m/s², expected 1/s"),
+    ({"effects": {"drag": {"add": {"v": "c*v"}, "parameters": {"c": {"unit": "1/s", "neutral": 0, "scale": "fource/mass/v"}}}}}, "effects.drag.parameters.c.scale: uses fource, which is no state, input or parameter; did you mean force"),
     ({"window": 0}, "window: found 0, expected a duration in s above 0"),
 ]  # fmt: skip
 

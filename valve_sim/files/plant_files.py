@@ -29,7 +29,7 @@ from typing import Any, Final
 import yaml
 
 from valve_sim.files.yaml_files import read_yaml
-from valve_sim.model.core.own.grammar import FUNCTIONS, Expr, ExpressionError, names_in, parse, walk
+from valve_sim.model.core.own.grammar import FUNCTIONS, Expr, ExpressionError, evaluate, names_in, parse, walk
 from valve_sim.model.core.own.system import Equations
 from valve_sim.model.core.own.units import Dimension, Unit, UnitError, dimension_of, dimension_words, parse_unit, same
 from valve_sim.model.errors import ValveError
@@ -97,7 +97,10 @@ class OutputEntry:
 
 @dataclass(frozen=True)
 class EffectParameter:
-    """A number of an effect, SI: the value at which it changes nothing (None: it shapes the effect), and its scale."""
+    """A number of an effect, SI: the value at which it changes nothing (None: it shapes the effect), and its scale.
+
+    `scale_of` is the scale as an expression of the sizes of what was recorded, until `PlantFile.sized` evaluates it.
+    """
 
     unit: Unit
     neutral: float | None
@@ -105,6 +108,7 @@ class EffectParameter:
     lower: float
     upper: float
     title: str = ""
+    scale_of: Expr | None = None
 
 
 @dataclass(frozen=True)
@@ -148,6 +152,41 @@ class PlantFile:
                 place = derivatives if target in derivatives else outputs
                 place[target] = Expr("+", (place[target], renamed(added, own)))
         return Equations(derivatives, outputs, tuple(self.inputs), tuple(names))
+
+    def sized(self, sizes: Mapping[str, float]) -> PlantFile:
+        """This plant with scales of effects as these sizes of its signals make them.
+
+        Args:
+            sizes: of states, inputs and outputs, and of the time, SI, by name.
+
+        Raises:
+            PlantFileError: a scale is of a signal without a size.
+        """
+        known = {**{name: abs(own.value) for name, own in self.parameters.items()}, **sizes}
+        effects = {
+            name: replace(
+                own,
+                parameters={
+                    key: self._sized(f"{name}.parameters.{key}", one, known) for key, one in own.parameters.items()
+                },
+            )
+            for name, own in self.effects.items()
+        }
+        return replace(self, effects=effects)
+
+    def _sized(self, key: str, parameter: EffectParameter, known: Mapping[str, float]) -> EffectParameter:
+        if parameter.scale_of is None:
+            return parameter
+        unseen = next((name for name in names_in(parameter.scale_of) if name not in known), None)
+        if unseen is not None:
+            raise PlantFileError(
+                f"{self.path}: effects.{key}.scale: uses {unseen}, which no column shows; give a number"
+            )
+        scale = evaluate(parameter.scale_of, known)
+        # Of what stands at 0 in all recordings nothing follows: one unit is kept.
+        if not isinstance(scale, float) or not 0.0 < scale < math.inf:
+            scale = parameter.scale
+        return replace(parameter, scale=scale, scale_of=None)
 
 
 def inlined(expression: Expr, equations: Mapping[str, Expr]) -> Expr:
@@ -589,18 +628,25 @@ class _Reader:
             if name in dimensions:
                 raise self._fail(where, "is the name of a state, input or parameter, too; choose another")
             entry = self._entry(where, own, ("unit", "neutral", "scale", "range", "title"))
-            parameters[name] = self._effect_parameter(where, entry)
+            parameters[name] = self._effect_parameter(where, entry, dimensions)
         if all(parameter.neutral is None for parameter in parameters.values()):
             raise self._fail(key, "none has neutral:, the value at which the effect changes nothing; add it to one")
         return parameters
 
-    def _effect_parameter(self, key: str, entry: Mapping[str, Any]) -> EffectParameter:
+    def _effect_parameter(
+        self, key: str, entry: Mapping[str, Any], dimensions: Mapping[str, Dimension]
+    ) -> EffectParameter:
         unit = self._unit(key, entry)
         lower, upper = self._range(key, entry, unit)
         neutral = self._number(f"{key}.neutral", entry["neutral"], unit) if "neutral" in entry else None
         if neutral is not None and not lower <= neutral <= upper:
             raise self._fail(f"{key}.neutral", f"found {entry['neutral']}, expected within range: {entry['range']}")
-        if "scale" in entry:
+        scale_of = None
+        if isinstance(entry.get("scale"), str) and not _is_number(entry["scale"]):
+            scale, scale_of = unit.factor, self._expression(f"{key}.scale", entry["scale"], dimensions)
+            found = self._dimension(f"{key}.scale", scale_of, dimensions)
+            self._fits(f"{key}.scale", found, unit.dimension, "the unit of what it is the scale of")
+        elif "scale" in entry:
             scale = self._number(f"{key}.scale", entry["scale"], unit)
             if scale <= 0.0:
                 raise self._fail(f"{key}.scale", f"found {entry['scale']}, expected a size above 0")
@@ -610,7 +656,7 @@ class _Reader:
             raise self._fail(
                 key, "has neither scale: nor a range: of two ends; say how large it may well be: scale: 10"
             )
-        return EffectParameter(unit, neutral, scale, lower, upper, self._title(key, entry))
+        return EffectParameter(unit, neutral, scale, lower, upper, self._title(key, entry), scale_of)
 
     def _add(
         self, key: str, found: object,
@@ -638,6 +684,14 @@ class _Reader:
                 self._fits(where, dimension, outputs[target].unit.dimension, f"the unit of {target}")
             add[str(target)] = expression
         return add
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def one_line(message: str) -> str:

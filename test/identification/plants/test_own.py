@@ -127,3 +127,18 @@ def test_what_two_names_are_worth_sums_to_one() -> None:
     assert set(found.effects) == {"overflow", "inflow"}
     assert sum(one.improvement for one in found.worth.values()) == pytest.approx(1.0)
     assert all(0.0 < one.improvement < 1.0 and 0.0 < one.remaining <= 1.0 for one in found.worth.values())
+
+
+@pytest.mark.parametrize("size", [1e-3, 1e3])
+def test_the_scales_of_a_template_are_those_of_its_recordings(size: float) -> None:
+    times = np.arange(0.0, 4.0, 1e-2)
+    used = np.ones(len(times), dtype=bool)
+    columns = {
+        "force": Column("force", "F", times, size * np.sin(times), None, used),
+        "position": Column("position", "x", times, 0.1 * np.sin(5.0 * times), None, used),
+    }
+    axis = OwnPlant(plant_from({"plant": "axis"}, "axis.yaml"), [Columns("log", columns)])
+    assert axis.parameter("coulomb_friction.level").prior_scale == pytest.approx(0.2 * size, rel=1e-3)
+    assert axis.parameter("stiffness.rate").prior_scale == pytest.approx(2.0 * size, rel=1e-2)
+    # The fastest is 0.1·5 m/s.
+    assert axis.parameter("quadratic_drag.coefficient").prior_scale == pytest.approx(0.8 * size, rel=1e-2)

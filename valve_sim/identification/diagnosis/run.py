@@ -7,6 +7,7 @@ with everything that training has estimated; they may raise the odds of somethin
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -50,7 +51,7 @@ from valve_sim.identification.selection.posterior import (
 from valve_sim.identification.selection.prediction import HeldOut, predicted
 from valve_sim.identification.selection.residual_tests import adequacy
 from valve_sim.identification.selection.search import PROMISING, Progress, Search, fit_of_declared, words
-from valve_sim.identification.selection.starts import start_near_off
+from valve_sim.identification.selection.starts import all_near_off, squared_cost
 from valve_sim.model import SimulationError, Valve
 from valve_sim.traces import Trace
 from valve_sim.traces.checking import check_traces
@@ -444,9 +445,9 @@ def _largest_fit(problem: Problem) -> Fit:
     free = (*plant.base, *itertools.chain(*(effect.free_names() for effect in effects)))
     if problem.samples < SAMPLES_EACH * len(free):
         return base
-    start = dict(base.values)
-    for effect in effects:
-        start.update(start_near_off(effect))
+    start = all_near_off(functools.partial(squared_cost, problem), effects, base.values)
+    if start is None:
+        return base
     try:
         largest = fit(problem, free, start, nuisances=plant.nuisances)
     except SimulationError:

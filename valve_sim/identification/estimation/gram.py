@@ -69,8 +69,9 @@ def _times(tall: Array, square: Array) -> Array:
 
 
 def sum_squares(values: Array) -> float:
-    """Sum of squares of (n,) values."""
-    return float(np.sum(np.square(values)))
+    """Sum of squares of (n,) values; infinite where they are too large to be squared."""
+    with np.errstate(over="ignore"):
+        return float(np.sum(np.square(values)))
 
 
 def information_less(whole: Array, part: Array) -> Array:

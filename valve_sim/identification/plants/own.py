@@ -45,6 +45,8 @@ STANDS: Final = 4.0
 """Standard errors of the difference of the means of both halves."""
 QUANTILES: Final = (0.1, 0.3, 0.5, 0.7, 0.9)
 """Of what a threshold acts on, from which fits start it."""
+LAG: Final = 0.01
+"""Of a recording's samples, over which its fastest rate is taken."""
 SPAN: Final = 0.5
 """Of a measured signal's range: standard deviation of the start of a state that it shows."""
 VALUE: Final = "valve."
@@ -86,6 +88,8 @@ class OwnPlant:
         self._lock = threading.Lock()
         for recording in recordings:
             self._check(recording)
+        if recordings:
+            self.file = file.sized(self._sizes())
         self._runs: list[Run] = []
         self._of_channel: list[tuple[int, str]] = []
         channels = []
@@ -361,6 +365,29 @@ class OwnPlant:
                 f"{', '.join(self.file.outputs)}"
             )
 
+    def _sizes(self) -> dict[str, float]:
+        """How large signals are, SI: of inputs the largest, of what sensors show half the range, of time the longest.
+
+        Of a state that is the rate of one that a sensor shows it is the fastest mean rate over `LAG` of a recording.
+        """
+        columns = [column for recording in self.recordings for column in recording.columns.values()]
+        found = {"t": max(float(np.ptp(column.times)) for column in columns)}
+        found["time"] = found["t"]
+        for name, entry in self.file.inputs.items():
+            found[name] = max(float(np.max(np.abs(own[name].si(entry.unit)))) for own in self.recordings)
+        for name, output in self.file.outputs.items():
+            shown = [(own[name].times, own[name].si(output.unit)) for own in self.recordings if name in own.columns]
+            if not shown:
+                continue
+            found[name] = 0.5 * max(float(np.ptp(values)) for _, values in shown)
+            if output.value.op == "name" and output.value.value in self.file.states:
+                state = str(output.value.value)
+                found[state] = found[name]
+                rate = self.file.derivatives[state]
+                if rate.op == "name" and rate.value in self.file.states:
+                    found.setdefault(str(rate.value), max(_fastest(times, values) for times, values in shown))
+        return found
+
     def _runs_of(self, index: int, recording: Columns) -> list[Run]:
         inputs = without_straight(inputs_of(self.file, recording))
         present = [name for name in self.file.outputs if name in recording.columns]
@@ -553,6 +580,12 @@ class OwnPlant:
         if name in self.file.inputs:
             return np.concatenate([own[name].si(self.file.inputs[name].unit) for own in self.recordings])
         return None
+
+
+def _fastest(times: Array, values: Array) -> float:
+    """The fastest mean rate over `LAG` of a recording: over shorter times noise would be rates, too."""
+    lag = max(1, round(LAG * len(values)))
+    return float(np.max(np.abs(values[lag:] - values[:-lag]) / (times[lag:] - times[:-lag]), initial=0.0))
 
 
 def inputs_of(file: PlantFile, recording: Columns | None) -> Inputs:

@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from valve_sim.identification.estimation.gram import sum_squares
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.plants.protocol import (
@@ -24,6 +25,11 @@ from valve_sim.model.parameters import Parameter
 
 SMALL, LARGE = 0.05, (0.5, 1.5, 3.0)
 """Starts, in prior scales of a parameter: one near off, which follows the gradient, and some far from it."""
+NEARER: Final = (SMALL, 0.1 * SMALL, 0.01 * SMALL, 0.001 * SMALL)
+"""Starts, in prior scales, of all effects at once: the first that makes nothing much worse."""
+WORSE: Final = 2.0
+"""Times the cost without them, up to which it is not: an effect that begins with the wrong sign may lead to the right
+one."""
 FROM_DECLARED: Final = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 """Starts, in prior scales, with all else as declared: a strong effect that is left out bends all else away."""
 BETWEEN: Final = math.sqrt(2.0)
@@ -91,19 +97,44 @@ def starts_from_declared(cost: Cost, effect: EffectChoice, known: Mapping[str, f
 
 
 def robust_cost(problem: Problem, values: Mapping[str, float]) -> float:
-    """By which starts are ranked; infinite where the model cannot be simulated."""
+    """By which starts are ranked; infinite where the model cannot be simulated, or its residuals not be squared."""
     try:
         residuals = problem.rows.residuals(values)
     except SimulationError:
         return math.inf
     # Readings of a row that stands for many scatter by far less than the scale, where the logarithm is linear.
     counts, scatter = problem.rows.counts, problem.rows.constant / ROBUST**2
-    return float(np.sum(counts * np.log1p(np.square(residuals / ROBUST) / counts))) + scatter
+    with np.errstate(over="ignore"):
+        return float(np.sum(counts * np.log1p(np.square(residuals / ROBUST) / counts))) + scatter
 
 
-def start_near_off(effect: EffectChoice) -> dict[str, float]:
-    """Its parameters where the effect is all but off."""
-    return _start(effect, [SMALL] * len(effect.parameters), 1.0)
+def squared_cost(problem: Problem, values: Mapping[str, float]) -> float:
+    """The sum of squares of residuals; infinite where the model cannot be simulated, or they not be squared."""
+    try:
+        return sum_squares(problem.rows.residuals(values))
+    except SimulationError:
+        return math.inf
+
+
+def start_near_off(effect: EffectChoice, size: float = SMALL) -> dict[str, float]:
+    """Its parameters where the effect is all but off, by this many prior scales."""
+    return _start(effect, [size] * len(effect.parameters), 1.0)
+
+
+def all_near_off(cost: Cost, effects: Iterable[EffectChoice], warm: Mapping[str, float]) -> dict[str, float] | None:
+    """All effects together, so near off that they make nothing much worse; None where even the nearest do.
+
+    Each may be small beside what drives the machine and all of them together not, most of all where scales are as
+    large as of another machine: a fit that begins far beyond the data is slow to simulate and does not come back.
+    """
+    chosen, most = list(effects), WORSE * cost(warm)
+    for size in NEARER:
+        start = dict(warm)
+        for effect in chosen:
+            start.update(start_near_off(effect, size))
+        if cost(start) <= most:
+            return start
+    return None
 
 
 def starts_of_other_shapes(effect: EffectChoice) -> list[dict[str, float]]:
