@@ -8,7 +8,7 @@ import yaml
 from scipy.integrate import solve_ivp
 
 from valve_sim.files.plant_files import plant_from
-from valve_sim.identification.diagnosis.own_plant import identify_plant
+from valve_sim.identification.diagnosis.own_plant import identify_plant, validate_plant
 from valve_sim.identification.diagnosis.run import diagnose_plant
 from valve_sim.identification.plants.own import OwnPlant
 from valve_sim.identification.plants.protocol import Direction
@@ -142,3 +142,23 @@ def test_the_scales_of_a_template_are_those_of_its_recordings(size: float) -> No
     assert axis.parameter("stiffness.rate").prior_scale == pytest.approx(2.0 * size, rel=1e-2)
     # The fastest is 0.1·5 m/s.
     assert axis.parameter("quadratic_drag.coefficient").prior_scale == pytest.approx(0.8 * size, rel=1e-2)
+
+
+def test_what_a_start_takes_up_of_a_wrong_value_is_not_allowed_for() -> None:
+    """An integrator that may drift: beside a start that is estimated, a drift leaves its deviation from the middle."""
+    times = np.arange(0.0, 10.005, 1e-2)
+    columns = {"x": Column("x", "x", times, 1.0 + 0.01 * times, None, np.ones(len(times), dtype=bool))}
+    content = yaml.safe_load("""
+        plant: equations
+        states: {x: {unit: m, start: free}}
+        parameters: {drift: {value: 0, unit: m/s, tolerance: 0.01}}
+        derivatives: {x: drift}
+        outputs: {x: {value: x, unit: m, noise: 0.001}}
+    """)
+    parts = validate_plant(OwnPlant(plant_from(content, "p"), [Columns("log", columns)])).parts
+    assert len(parts) == 8
+    assert all(part.passed for part in parts)  # it drifts by one tolerance
+    for part in parts:
+        inside = np.minimum((8.0 * times / times[-1]).astype(int), 7) == part.group
+        left = 0.01 * (times[inside] - 5.0)
+        assert part.allowed == pytest.approx(3.0 * np.sqrt(1e-6 + np.mean(np.square(left))), rel=0.01)

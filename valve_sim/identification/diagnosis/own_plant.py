@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from valve_sim.identification.estimation.gram import gram
 from valve_sim.identification.estimation.intervals import Interval, profile_interval
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
@@ -177,10 +178,36 @@ class PlantValidation:
         return all(part.passed for part in self.parts)
 
 
+def _left_by_tolerances(found: Fit) -> list[Array]:
+    """(n, k) of each channel: what each declared value, off by its tolerance, would leave of it.
+
+    Starts and errors of a recording are estimated from that recording, and take up what they can of a wrong value: to
+    count the whole of it would allow far more than such a value can leave.
+    """
+    problem, plant = found.problem, found.problem.plant
+    assert isinstance(plant, OwnPlant)
+    known = [nuisance for nuisance in plant.nuisances if nuisance.is_of_machine]
+    if not known:
+        return [np.zeros((len(channel.data), 0)) for channel in plant.channels]
+    own, count = found.nuisances, len(known)
+    directions = [Direction({nuisance.name: nuisance.sigma}, 1e-3) for nuisance in (*known, *own)]
+    values = {**found.values, **{nuisance.name: nuisance.mean for nuisance in known}}
+    columns = plant.sensitivities(values, directions).columns
+    weights = [
+        (1.0 if channel.left_out is None else ~channel.left_out) / problem.noise_of(index).sigma
+        for index, channel in enumerate(plant.channels)
+    ]
+    rows = np.concatenate([each * np.reshape(weight, (-1, 1)) for each, weight in zip(columns, weights, strict=True)])
+    declared, estimated = rows[:, :count], rows[:, count:]
+    taken = np.linalg.solve(gram(estimated, estimated) + np.eye(len(own)), gram(estimated, declared))
+    return [each[:, :count] - each[:, count:] @ taken for each in columns]
+
+
 def validate_plant(plant: OwnPlant, tolerance: float | None = None) -> PlantValidation:
     """Check a declared plant against recordings: nothing of the machine is estimated.
 
-    Starts that are free, and errors of each recording that its map declares, are estimated.
+    Starts that are free, and errors of each recording that its map declares, are estimated. The tolerances of declared
+    values widen what is allowed, each by what it leaves once these are estimated.
 
     Args:
         plant: with its recordings. tolerance: largest rms error of the first output, SI; default three times what noise
@@ -194,10 +221,7 @@ def validate_plant(plant: OwnPlant, tolerance: float | None = None) -> PlantVali
     problem = Problem(plant)
     found = fit(problem, (), {}, nuisances=own)
     shown = plant.predict(found.values)
-    known = [nuisance for nuisance in plant.nuisances if nuisance.is_of_machine]
-    directions = [Direction({nuisance.name: nuisance.sigma}, 1e-3) for nuisance in known]
-    values = {**found.values, **{nuisance.name: nuisance.mean for nuisance in known}}
-    columns = plant.sensitivities(values, directions).columns if directions else [np.zeros((len(s), 0)) for s in shown]
+    columns = _left_by_tolerances(found)
     first = plant.channels[0].kind
     parts = []
     for index, channel in enumerate(plant.channels):
