@@ -128,6 +128,14 @@ def test_a_slip_ends_in_one_line(folder: Path, file: str, old: str, new: str, wo
     assert re.search(words, found.stderr), found.stderr
 
 
+def test_a_map_of_a_machine_that_is_no_valve_asks_for_its_plant(folder: Path) -> None:
+    found = ran(folder, "info", "log.csv", "--map", "map.yaml")
+    assert found.exit_code == 2
+    assert len(found.stderr.strip().splitlines()) == 1
+    assert "map.yaml: force: unknown key" in found.stderr
+    assert "give --plant to identify, diagnose, validate or simulate" in found.stderr
+
+
 def test_a_plant_without_inputs_needs_no_log(tmp_path: Path) -> None:
     (tmp_path / "decay.yaml").write_text(
         "plant: equations\nstates: {T: {unit: K, start: 10}}\nparameters: {tau: {value: 2, unit: s}}\n"

@@ -135,6 +135,23 @@ def test_a_wrong_file_is_refused_in_one_line(change: dict[str, Any], words: str)
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("derivatives: {x: v, v: -k*sqrt(max(0, v))+force}", "derivatives.v: found '-k*sqrt(max(0'"),
+        ("outputs: {position: {value: max(0, x), unit: m}}", "outputs.position.value: found 'max(0'"),
+        ("effects: {e: {add: {v: where(v > 0, f, -f)/mass}, parameters: {f: {unit: N, neutral: 0, scale: 1}}}}", "effects.e.add.v: found 'where(v > 0'"),
+    ],
+)  # fmt: skip
+def test_an_expression_that_yaml_has_split_at_a_comma_needs_quotes(text: str, words: str) -> None:
+    with pytest.raises(PlantFileError) as caught:
+        plant_from({**content(), **yaml.safe_load(text)}, "my.yaml")
+    assert (
+        str(caught.value)
+        == f"my.yaml: {words}, which a comma has cut off; in {{ }} an expression with commas needs quotes"
+    )
+
+
 def test_a_parameter_without_a_use_is_refused() -> None:
     found = content()
     found["parameters"]["stray"] = {"value": 1}

@@ -44,6 +44,8 @@ _SLOPE: Final[Dimension] = (0, 0, -1, 0, 0)
 MOST_EFFECTS: Final = 40
 LARGEST: Final = 5000
 """Operations of an output with all that it uses."""
+DEEPEST: Final = 6
+"""Keys within each other that a file of a plant has."""
 LONGEST_MESSAGE: Final = 480
 LONGEST_FILE: Final = 200_000
 """Bytes."""
@@ -245,11 +247,23 @@ def plant_from(found: object, path: str) -> PlantFile:
     """Check what a file holds; errors as `load_plant`."""
     kind = _kind(found, path)
     assert isinstance(found, Mapping)
+    _refuse_split(found, path, ())
     if kind == "valve":
         raise PlantFileError(f"{path}: plant: found 'valve', expected equations, coil or axis; give --params {path}")
     if kind != "equations":
         found = _from_template(found, kind, path)
     return _Reader(found, path, kind).whole()
+
+
+def _refuse_split(found: Mapping[Any, Any], path: str, way: tuple[str, ...]) -> None:
+    """Refuse an expression that YAML has split at a comma: a bracket stays open, and the rest is a key without a value."""
+    for key, own in found.items():
+        place = (*way, str(key))
+        if isinstance(own, Mapping) and len(place) < DEEPEST:
+            _refuse_split(own, path, place)
+        elif isinstance(own, str) and own.count("(") > own.count(")") and None in found.values():
+            words = f"found {_short(own)}, which a comma has cut off; in {{ }} an expression with commas needs quotes"
+            raise PlantFileError(one_line(f"{path}: {'.'.join(place)}: {words}"))
 
 
 def _from_template(found: Mapping[Any, Any], kind: str, path: str) -> Mapping[Any, Any]:

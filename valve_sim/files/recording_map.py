@@ -98,6 +98,8 @@ FORCE_QUANTITIES: Final[Mapping[str, Quantity]] = {
 """Quantities of a static table, from load cell and stage."""
 MOST_AVERAGED: Final = 1000
 """Readings: a sensor that averages more shows no stroke."""
+OF_ANOTHER: Final = "; if it is of a machine that is no valve, give --plant to identify, diagnose, validate or simulate"
+"""Of a map with keys that no valve has."""
 CLOCKS: Final = ("header", "bag")
 DEFAULT_VALVE: Final = "/valve"
 _OTHER_KEYS: Final = ("sensor", "clock", "time", "valve", "valves")
@@ -224,7 +226,7 @@ def map_from(found: object, path: str) -> RecordingMap:
             f"{path}: found {_short(found)}; expected keys such as position: {{topic: ..., unit: mm}}; "
             "valve-sim map RECORDING writes a first one"
         )
-    _check_keys(found, [*QUANTITIES, *_OTHER_KEYS], path, "")
+    _check_keys(found, [*QUANTITIES, *_OTHER_KEYS], path, "", OF_ANOTHER)
     clock = _clock(found.get("clock", ""), f"{path}: clock")
     time = _time_axis(found["time"], f"{path}: time") if "time" in found else None
     if "valves" in found:
@@ -413,12 +415,12 @@ def _number(name: str, value: object, where: str) -> float:
     return float(value)
 
 
-def _check_keys(found: Mapping[Any, Any], known: Sequence[str], where: str, prefix: str) -> None:
+def _check_keys(found: Mapping[Any, Any], known: Sequence[str], where: str, prefix: str, hint: str = "") -> None:
     for key in found:
         if key not in known:
             alike = difflib.get_close_matches(str(key), known, n=1, cutoff=0.6)
             mend = f"did you mean {alike[0]}? " if alike else ""
-            raise MapError(f"{where}: {prefix}{key}: unknown key; {mend}expected one of {', '.join(known)}")
+            raise MapError(f"{where}: {prefix}{key}: unknown key; {mend}expected one of {', '.join(known)}{hint}")
 
 
 def _short(value: object) -> str:
