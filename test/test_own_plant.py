@@ -128,6 +128,18 @@ def test_a_slip_ends_in_one_line(folder: Path, file: str, old: str, new: str, wo
     assert re.search(words, found.stderr), found.stderr
 
 
+@pytest.mark.parametrize("between", ["held", "straight"])
+def test_what_joins_the_samples_of_an_input_is_said_and_doubted_where_it_is_wrong(folder: Path, between: str) -> None:
+    """The force was straight between samples of 2 ms."""
+    (folder / "plant.yaml").write_text(PLANT.replace("between: straight", f"between: {between}"))
+    given = ("log.csv", "--plant", "plant.yaml", "--map", "map.yaml", "--output", "out")
+    found = ran(folder, "identify", *given, "--free", "viscous,coulomb_friction.level")
+    assert found.exit_code == 0, found.output
+    assert re.search(f"force is {between} between samples; .* by half of one, 1 ms", found.stderr), found.stderr
+    is_doubted = "force: straight between samples would leave an rms error of" in found.stderr
+    assert is_doubted == (between == "held"), found.stderr
+
+
 def test_a_map_of_a_machine_that_is_no_valve_asks_for_its_plant(folder: Path) -> None:
     found = ran(folder, "info", "log.csv", "--map", "map.yaml")
     assert found.exit_code == 2

@@ -13,6 +13,7 @@ from valve_sim.cli.reading import chosen_map_file
 from valve_sim.files.ledger import plan_files
 
 if TYPE_CHECKING:
+    from valve_sim.identification.estimation.result import Fit
     from valve_sim.identification.plants.own import OwnPlant
 
 OUTSIDE = 1
@@ -36,7 +37,9 @@ def chosen_params(plant: Path | None, params: Path | None) -> Path | None:
 
 
 def read_plant(plant: Path, logs: Sequence[Path]) -> OwnPlant:
-    """A plant with its recordings; what was dropped on reading is said on stderr."""
+    """A plant with its recordings; what was dropped on reading, and how inputs are joined, is said on stderr."""
+    import numpy as np
+
     from valve_sim.files.plant_files import load_plant
     from valve_sim.identification.plants.own import OwnPlant
     from valve_sim.traces.columns import Columns, read
@@ -51,7 +54,35 @@ def read_plant(plant: Path, logs: Sequence[Path]) -> OwnPlant:
         for finding in recording.findings:
             click.echo(shown(f"valve-sim: {log}: {finding}"), err=True)
         recordings.append(recording)
-    return OwnPlant(file, recordings)
+    plant_with_data = OwnPlant(file, recordings)
+    for name in file.inputs if file.states else ():
+        column = recordings[0][name]
+        held = file.inputs[name].held if column.held is None else column.held
+        half = 500.0 * float(np.median(np.diff(column.times))) if len(column.times) > 1 else 0.0
+        taken = (
+            "held between samples; straight lines would act earlier"
+            if held
+            else ("straight between samples; held levels would act later")
+        )
+        click.echo(f"valve-sim: {name} is {taken} by half of one, {half:.3g} ms", err=True)
+    return plant_with_data
+
+
+def _say_better_conventions(found: Fit) -> None:
+    """Say on stderr which inputs the data contradict that they are held, or straight, between samples."""
+    from valve_sim.identification.diagnosis.own_plant import better_conventions
+    from valve_sim.identification.reporting.units import quantity
+
+    for own in better_conventions(found):
+        other = "straight" if own.held else "held"
+        click.echo(
+            shown(
+                f"valve-sim: {own.name}: {other} between samples would leave an rms error of "
+                f"{quantity(own.after, own.unit)}, not {quantity(own.before, own.unit)}; "
+                f"write between: {other}, and repeat"
+            ),
+            err=True,
+        )
 
 
 def identify_own(plant: Path, logs: Sequence[Path], free: str | None, output: Path, *, as_json: bool) -> None:
@@ -73,6 +104,7 @@ def identify_own(plant: Path, logs: Sequence[Path], free: str | None, output: Pa
     names = None if free is None else [part.strip() for part in free.split(",") if part.strip()]
     with progress_bar() as progress:
         result = identify_plant(machine, names, progress)
+    _say_better_conventions(result.fit)
     report = plant_identification_json(result)
     write_whole(written[0], json_text(report))
     effects = tuple(dict.fromkeys(name.partition(".")[0] for name in result.intervals if "." in name))
@@ -107,6 +139,7 @@ def diagnose_own(
     other = read_plant(plant, holdout) if holdout else None
     with progress_bar() as progress:
         result = diagnose_plant(machine, other, progress, Budget.of_seconds(budget))
+    _say_better_conventions(result.after.fit)
     report = to_json(result)
     written = write_diagnosis(result, output, provenance(plant, [report["verdict"]["summary"]]), plot, report=report)
     print_report(report, diagnosis_text(result), written, as_json)

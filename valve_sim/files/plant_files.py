@@ -256,7 +256,7 @@ def plant_from(found: object, path: str) -> PlantFile:
 
 
 def _refuse_split(found: Mapping[Any, Any], path: str, way: tuple[str, ...]) -> None:
-    """Refuse an expression that YAML has split at a comma: a bracket stays open, and the rest is a key without a value."""
+    """Refuse an expression that YAML has split at a comma: a bracket stays open, and what follows has no value."""
     for key, own in found.items():
         place = (*way, str(key))
         if isinstance(own, Mapping) and len(place) < DEEPEST:

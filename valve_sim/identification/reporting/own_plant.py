@@ -62,7 +62,7 @@ def plant_identification_text(result: PlantIdentification) -> str:
     lines = [f"{'parameter':<28}{'value ± standard error':<30}{'95 % interval':<34}declared"]
     for name, interval in result.intervals.items():
         unit = plant.parameter(name).unit
-        found = f"{measured(interval, unit):<30}{limits(interval, unit):<34}"
+        found = f"{measured(interval, unit):<29} {limits(interval, unit):<33} "
         lines.append(f"{name:<28}{found}{quantity(plant.declared(name), unit)}")
         if remark := remark_on(interval):
             lines.append(f"  {remark}.")
