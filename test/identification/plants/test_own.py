@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from valve_sim.files.plant_files import plant_from
 from valve_sim.identification.diagnosis.own_plant import identify_plant, validate_plant
 from valve_sim.identification.diagnosis.run import diagnose_plant
-from valve_sim.identification.plants.own import OwnPlant
+from valve_sim.identification.plants.own import OwnPlant, quiet_samples
 from valve_sim.identification.plants.protocol import Direction
 from valve_sim.traces.columns import Column, Columns
 
@@ -147,7 +147,8 @@ def test_the_scales_of_a_template_are_those_of_its_recordings(size: float) -> No
 def test_what_a_start_takes_up_of_a_wrong_value_is_not_allowed_for() -> None:
     """An integrator that may drift: beside a start that is estimated, a drift leaves its deviation from the middle."""
     times = np.arange(0.0, 10.005, 1e-2)
-    columns = {"x": Column("x", "x", times, 1.0 + 0.01 * times, None, np.ones(len(times), dtype=bool))}
+    used = np.ones(len(times), dtype=bool)
+    columns = {"x": Column("x", "x", times, 1.0 + 0.01 * times, None, used)}
     content = yaml.safe_load("""
         plant: equations
         states: {x: {unit: m, start: free}}
@@ -162,3 +163,15 @@ def test_what_a_start_takes_up_of_a_wrong_value_is_not_allowed_for() -> None:
         inside = np.minimum((8.0 * times / times[-1]).astype(int), 7) == part.group
         left = 0.01 * (times[inside] - 5.0)
         assert part.allowed == pytest.approx(3.0 * np.sqrt(1e-6 + np.mean(np.square(left))), rel=0.01)
+
+
+def test_jagged_motion_is_no_rest() -> None:
+    """A signal jumps about one level for most of a recording, as a torque behind a low-pass does, and then rests."""
+    random, times = np.random.default_rng(5), np.arange(0.0, 20.0, 1e-2)
+    moves = times < 14.0
+    data = np.where(moves, 10.0, 1.0) * random.normal(0.0, 0.01, len(times))
+    quiet = quiet_samples(times, data, [])
+    assert not quiet[moves][:-50].any()
+    assert np.mean(quiet[~moves]) > 0.8
+    # What only rests shows noise nearly everywhere.
+    assert np.mean(quiet_samples(times, random.normal(0.0, 0.01, len(times)), [])) > 0.8

@@ -41,6 +41,8 @@ GROUPS: Final = 8
 """Parts of a recording without windows, of which some are held out."""
 QUIET: Final = 100
 """Samples in a row over which a signal must stand to show its noise."""
+CALMEST: Final = 0.1
+"""Of windows, the share in which second differences are taken to show a sensor's noise alone."""
 STANDS: Final = 4.0
 """Standard errors of the difference of the means of both halves."""
 QUANTILES: Final = (0.1, 0.3, 0.5, 0.7, 0.9)
@@ -636,16 +638,26 @@ def _between(inputs: Inputs, first: float, last: float) -> Inputs:
     return Inputs(inputs.times[low:high], inputs.levels[low:high], inputs.held)
 
 
+def _noise_between_neighbours(data: Array, first: NDArray[np.int64]) -> float:
+    """The noise that second differences show in the calmest windows, of `QUIET` samples from `first` each.
+
+    While a machine moves they show its motion, too, most of all behind a low-pass, where few samples are compared: by
+    the whole recording, motion of that size would pass for noise at rest.
+    """
+    bends = np.diff(data, 2)
+    sizes = [float(np.median(np.abs(own - np.median(own)))) for own in (bends[i : i + QUIET - 2] for i in first)]
+    return 1.4826 * float(np.quantile(sizes, CALMEST)) / math.sqrt(6.0)
+
+
 def quiet_samples(times: Array, data: Array, inputs: Sequence[Column]) -> NDArray[np.bool_]:
     """(n,) where output and inputs stand for `QUIET` samples, so that what is seen is the sensor's noise."""
     quiet = np.zeros(len(data), dtype=bool)
     if len(data) < 2 * QUIET:
         return quiet
-    bends = np.diff(data, 2)
-    noise = 1.4826 * float(np.median(np.abs(bends - np.median(bends)))) / math.sqrt(6.0)
     half = QUIET // 2
     total = np.concatenate([[0.0], np.cumsum(data - data.mean())])
     first = np.arange(0, len(data) - QUIET + 1, half)
+    noise = _noise_between_neighbours(data, first)
     early = (total[first + half] - total[first]) / half
     late = (total[first + QUIET] - total[first + half]) / half
     spread = np.array([np.ptp(data[i : i + QUIET]) for i in first])
@@ -656,8 +668,7 @@ def quiet_samples(times: Array, data: Array, inputs: Sequence[Column]) -> NDArra
     still &= spread <= max(12.0 * noise, 2.0 * quantum) + 1e-15
     for column in inputs:
         own = np.interp(times, column.times, column.readings)
-        bent = np.diff(own, 2)
-        size = 1.4826 * float(np.median(np.abs(bent - np.median(bent)))) / math.sqrt(6.0)
+        size = _noise_between_neighbours(own, first)
         allowed = max(12.0 * size, 1e-3 * float(np.ptp(own)))
         still &= np.array([np.ptp(own[i : i + QUIET]) <= allowed for i in first])
     for i in first[still]:
