@@ -11,9 +11,12 @@ import pytest
 import yaml
 from click.testing import CliRunner, Result
 from plants.rubbing import Array, rubbing_axis
+from scipy.integrate import solve_ivp
 
 import valve_sim as vs
 from valve_sim.cli import main
+
+EXAMPLES = Path(__file__).parents[1] / "docs" / "examples" / "own_plants"
 
 # What a data sheet says of a slide: 4.0 kg within 20 g; damping from a table of oils; nothing of friction.
 PLANT = """
@@ -181,6 +184,36 @@ def test_a_small_motor_by_the_template_with_all_its_effects(tmp_path: Path) -> N
     assert "Warning" not in found.stderr
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert report["after"]["effects"]["coulomb_friction"]["level"]["value"] == pytest.approx(0.02, rel=2e-3)
+
+
+def test_the_backlash_of_a_gear(tmp_path: Path) -> None:
+    """Two inertias and a spring with a dead zone of ± 0.02 rad, by SciPy."""
+    times = np.arange(0.0, 2.0, 2e-3)
+    torque = np.where(np.sin(2.0 * np.pi * 2.0 * times) > 0.0, 0.03, -0.03)
+    at = np.zeros(4)
+    shown = np.zeros((len(times), 2))
+    for i, drive in enumerate(torque):
+        shown[i] = at[0], at[2]
+
+        def rates(_: float, y: Array, drive: float = drive) -> list[float]:
+            twist = y[0] / 10.0 - y[2]
+            shaft = 50.0 * (twist - np.clip(twist, -0.02, 0.02)) + 0.2 * (y[1] / 10.0 - y[3])
+            return [y[1], (drive - 2e-3 * y[1] - shaft / 10.0) / 1e-4, y[3], shaft / 2e-2]
+
+        at = solve_ivp(rates, (0.0, 2e-3), at, rtol=1e-8, atol=1e-10, max_step=5e-4).y[:, -1]
+    shown += np.random.default_rng(6).normal(0.0, 1e-3, shown.shape)
+    head = "t,torque,motor_angle,load_angle"
+    np.savetxt(tmp_path / "log.csv", np.c_[times, torque, shown], delimiter=",", header=head, comments="")
+    (tmp_path / "map.yaml").write_text(
+        "time: {column: t}\ntorque: {column: torque, unit: N*m}\n"
+        "motor_angle: {column: motor_angle, unit: rad}\nload_angle: {column: load_angle, unit: rad}\n"
+    )
+    (tmp_path / "gear.yaml").write_text((EXAMPLES / "geared_axis.yaml").read_text())
+    found = ran(tmp_path, "diagnose", "log.csv", "--plant", "gear.yaml", "--map", "map.yaml", "--output", "out")
+    assert found.exit_code == 0, found.output
+    assert found.stdout.startswith("effects: The model lacks backlash"), found.output
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["after"]["effects"]["backlash"]["gap"]["value"] == pytest.approx(0.02, rel=0.05)
 
 
 # -- the reader --------------------------------------------------------------------------------------------------------
