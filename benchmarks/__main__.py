@@ -63,6 +63,7 @@ GROUPS: Final[dict[str, tuple[Benchmark, ...]]] = {
         Benchmark("maglev", "the records of the magnet", "seconds"),
         Benchmark("real_recordings", "both of these", "a minute"),
     ),
+    "Machines of plant files": (Benchmark("actuators", "", "minutes", "200 11"),),
     "Monitor": (
         Benchmark("monitoring", "", "hours", "--strokes 10000 --seeds 10"),
         Benchmark("monitoring_sweep", "", "an hour"),
@@ -88,6 +89,7 @@ GROUPS: Final[dict[str, tuple[Benchmark, ...]]] = {
     "Fleet": (
         Benchmark("fleet", FLEET, "two minutes a seed", "--seeds 10"),
         Benchmark("fleet_kills", FLEET, "minutes", "--kills 20"),
+        Benchmark("archive_years", FLEET, "half an hour", "--years 10"),
     ),
 }
 """What can be run; `test_benchmarks.py` holds that nothing is left out."""

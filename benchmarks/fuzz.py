@@ -231,9 +231,10 @@ def try_valve(random: Random, folder: Path) -> str:
         return "given up"
     stroke, gain = valve.after_effects("stroke", "sensor_gain")
     assert np.isfinite(response.pilot_velocity).all()
-    assert np.all(
-        (response.pilot_position >= -GENTLE) & (response.pilot_position <= (stroke + GENTLE) * max(1.0, gain))
-    )
+    assert np.all(response.pilot_position >= -GENTLE)
+    # A stop that gives way lets the plungers in beyond the stroke.
+    most = math.inf if "stop_compliance" in valve.effects else (stroke + GENTLE) * max(1.0, gain)
+    assert np.all(response.pilot_position <= most)
     return "taken"
 
 

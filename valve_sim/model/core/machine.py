@@ -155,8 +155,14 @@ def library(key: str, text: Callable[[], str]) -> Library:
 def _keep(path: Path, code: bytes) -> None:
     """Write a file whole or not at all, and remove the oldest where there are too many."""
     with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
-        file.write(code)
-    Path(file.name).replace(path)
+        begun = Path(file.name)
+        try:
+            file.write(code)
+            file.flush()
+        except OSError:
+            begun.unlink()
+            raise
+    begun.replace(path)
     held = sorted(path.parent.glob("*.o"), key=lambda one: one.stat().st_mtime)
     for old in held[:-_ENTRIES]:
         old.unlink(missing_ok=True)
