@@ -227,8 +227,8 @@ class Effect(_Words):
         except Exception as error:  # a user's own code may raise anything
             where_from = f"effects.{self.name}" + (f" ({self.origin})" if self.origin else "")
             raise ParameterError(
-                f"{where_from}: its term cannot be compiled as an expression, {error}; write arithmetic, or `force` with "
-                "the functions of valve_sim.model.core.tracer (exp, sin, maximum, where) in place of those of math"
+                f"{where_from}: its term cannot be compiled as an expression, {error}; write arithmetic, or `force` "
+                "with the functions of valve_sim.model.core.tracer (exp, sin, maximum, where) in place of those of math"
             ) from error
         return where(m.lifted, force, 0.0) if self.phase_2_only else m.x.trace.lift(force)
 

@@ -49,7 +49,9 @@ def _rewrite(record: Any, values: Values) -> None:
 
 def saturated_square(s: Node, own: Own) -> Node:
     """S (1 + k)/(1 + k s), k = 1/u_s²."""
-    k = own.current**-2
+    # Squared after division: a knee at infinity, which is off, then has derivatives, too.
+    inverse = 1.0 / own.current
+    k = inverse * inverse
     return s * (1.0 + k) / (1.0 + k * s)
 
 
