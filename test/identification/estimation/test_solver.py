@@ -314,10 +314,14 @@ def test_derivatives_of_the_plant_are_those_of_small_differences(effect: str | N
 
 
 def test_where_the_plant_knows_none_difference_quotients_stand() -> None:
+    """A lag of 0 is off, and acts at once on one side of it."""
     found = []
     for kind in (ValvePlant, ByQuotients):
-        search, at = searched(kind([recorded()], EXACT_VALVE), "coil_heating")
-        found.append(search.jacobian(at, residuals(search, at)))
+        search, at = searched(kind([recorded()], EXACT_VALVE), "eddy_lag")
+        lag = search.free.index("eddy_lag.time_constant")
+        at[lag] = to_internal(CATALOGUE["eddy_lag"].parameter("time_constant"), 0.0)
+        found.append(search.jacobian(at, residuals(search, at))[:, lag])
+    assert np.any(found[0])
     assert np.array_equal(*found)
 
 

@@ -280,11 +280,11 @@ def _linear_coil(system: System, p: Own, *, has_eddies: bool) -> tuple[Node, Nod
         return target + of_coil * exp(-time / p.coil_time_constant) + of_eddies * exp(-time / p.eddy_time_constant)
 
     differ = abs(apart) > NEARLY_EQUAL
-    series = where(lags, where(differ, two_exponentials(trace.clock()), chaser), chaser)
+    series = where(chases, where(lags, where(differ, two_exponentials(trace.clock()), chaser), chaser), u)
     moved = where(chases, where(lags, where(differ, two_exponentials(h), moved), moved), moved)
     rate = where(chases, 1.0 / p.eddy_time_constant, 0.0) * (u - chaser)
     system.states["w"] = State(rate, after=moved, series=series)
-    return u, where(chases, series, u)
+    return u, series
 
 
 def _chase(p: Own, h: Node) -> Node:

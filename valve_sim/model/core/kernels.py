@@ -70,9 +70,6 @@ class Kernels:
             for name in (*system.parameters, *DYNAMIC, *(f"{name} at start" for name in self.names)):
                 self._seeds[trace.number(name)] = trace.number(f"d {name}")
         self._guards = trace.guards()
-        # Where something is read from the series of a current, these must hold even if the forces do not feel it.
-        # Tangents feel a current that the forces, which go with its square, do not feel any more.
-        self._is_watched = bool(self._guards) or system.current_left is not None or width > 0
         self._flags = {guard: at.FLAG + i for i, guard in enumerate(self._guards)}
         self._moving_rates = self._with_tangents({"x": self._v, "v": system.acceleration, **self._coil})
         self._resting_rates = self._with_tangents(self._coil)
@@ -200,10 +197,9 @@ class Kernels:
             if state.after is None:
                 for order in range(at.TERMS):
                     self._store_coefficient(code, series, name, order)
-            if state.after is None or self._is_watched:
-                node = self.system.trace.state(name) if state.series is None else state.series
-                coefficients = [series.coefficient(node, order) for order in range(at.TERMS)]
-                taken.append((self._or_zero(code, coefficients), state.scale))
+            node = self.system.trace.state(name) if state.series is None else state.series
+            coefficients = [series.coefficient(node, order) for order in range(at.TERMS)]
+            taken.append((self._or_zero(code, coefficients), state.scale))
         return taken
 
     @staticmethod
