@@ -8,18 +8,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from model.core.cases import CALIBRATED, STROKE
-from model.random_valves import RANGES
+from model.random_valves import RANGES, any_valves
 from valve_sim.model import CATALOGUE, Effect, Valve, simulate
 from valve_sim.model.core.runs import Directions, run_sloped
 from valve_sim.model.core.symbols import Motion, Own
 from valve_sim.model.core.tracer import Node, exp, maximum, sin
 from valve_sim.model.drives import Drive
 from valve_sim.model.errors import ParameterError, SimulationError
-from valve_sim.model.parameters import DECLARED, Parameter
+from valve_sim.model.parameters import Parameter
 
 TIMES = np.linspace(1e-3, 0.03, 80)
 SHIPPED = {name: entry for name, entry in CATALOGUE.items() if entry.is_of(has_gas=False)}
@@ -105,6 +105,22 @@ def catch() -> Iterator[None]:
     CATALOGUE.unregister("catch")
 
 
+def check_derivatives(valve: Valve, effect: str, steps: dict[str, float]) -> None:
+    """Derivatives by parameters of an effect are difference quotients over these steps."""
+    directions = Directions.of(valve, STROKE, [f"{effect}.{name}" for name in steps])
+    sloped = run_sloped(valve, STROKE, TIMES, directions, tolerance=1e-10)
+    held = valve.effects[effect]
+    for column, (name, h) in enumerate(steps.items()):
+        above, below = (
+            simulate(
+                Valve(valve.parameters, {effect: {**held, name: held[name] + d}}), STROKE, TIMES, tolerance=1e-12
+            ).pilot_position
+            for d in (h, -h)
+        )
+        quotient = (above - below) / (2.0 * h)
+        assert np.abs(sloped.of_positions[:, column] - quotient).max() < 1e-6 * np.abs(quotient).max()
+
+
 @pytest.mark.usefixtures("catch")
 def test_an_effect_of_one_s_own_gets_series_events_and_derivatives() -> None:
     values = {"stiffness": 2e3, "place": 7e-4, "ripple": 0.05}
@@ -113,43 +129,12 @@ def test_an_effect_of_one_s_own_gets_series_events_and_derivatives() -> None:
     exact = simulate(valve, STROKE, TIMES, tolerance=1e-13)
     found = simulate(valve, STROKE, TIMES)
     assert found.pilot_position == pytest.approx(exact.pilot_position, abs=2e-12)
-    names = ["catch.stiffness", "catch.place", "catch.ripple"]
-    sloped = run_sloped(valve, STROKE, TIMES, Directions.of(valve, STROKE, names), tolerance=1e-10)
-    for column, name in enumerate(("stiffness", "place", "ripple")):
-        h = 1e-5 * values[name]
-        above, below = (
-            simulate(
-                Valve(valve.parameters, {"catch": {**values, name: values[name] + d}}), STROKE, TIMES,
-                tolerance=1e-12,
-            ).pilot_position
-            for d in (h, -h)
-        )  # fmt: skip
-        quotient = (above - below) / (2.0 * h)
-        assert np.abs(sloped.of_positions[:, column] - quotient).max() < 1e-6 * np.abs(quotient).max()
+    check_derivatives(valve, "catch", {name: 1e-5 * size for name, size in values.items()})
 
 
-def values(parameter: Parameter, typical: float) -> st.SearchStrategy[float]:
-    """The ends of its range, zero, and anything from a ten-thousandth to a thousand times what is typical."""
-    sizes = st.floats(-4.0, 3.0).map(lambda decades: abs(typical or 1e-3) * 10.0**decades)
-    signed = st.builds(math.copysign, sizes, st.sampled_from((1.0, -1.0)))
-    ends = [end for end in (parameter.lower, parameter.upper, 0.0) if math.isfinite(end)]
-    return st.one_of(signed, st.sampled_from(ends)).map(lambda v: min(max(v, parameter.lower), parameter.upper))
-
-
-@st.composite
-def valves(draw: st.DrawFn, most_effects: int) -> Valve:
-    """Up to five declared parameters, and effects, anywhere in their ranges; what is refused is drawn anew."""
-    declared: dict[str, Any] = CALIBRATED.parameters._asdict()
-    for name in draw(st.lists(st.sampled_from([name for name in DECLARED if name in declared]), max_size=5)):
-        declared[name] = draw(values(DECLARED[name], declared[name]))
-    chosen = draw(st.lists(st.sampled_from(sorted(SHIPPED)), max_size=most_effects, unique=True))
-    effects = {name: {p.name: draw(values(p, p.prior_scale)) for p in SHIPPED[name].parameters} for name in chosen}
-    try:
-        return Valve.from_mapping({"valve": declared, "effects": effects}, "drawn")
-    except ParameterError as error:
-        assert "\n" not in str(error)
-        assume(False)
-        raise
+def valves(most_effects: int) -> st.SearchStrategy[Valve]:
+    """Valves with effects of the catalogue as it is shipped."""
+    return any_valves(sorted(SHIPPED), most_effects)
 
 
 drives = st.lists(st.tuples(st.floats(0.0, 0.02), st.floats(-1e3, 1e3) | st.sampled_from((0.0, 9.0, -9.0, 30.0))),
@@ -228,16 +213,4 @@ def test_a_force_map_has_derivatives() -> None:
     valve = Valve.from_mapping(
         {"valve": CALIBRATED.parameters._asdict(), "effects": {"force_map": {**MAP, "variable": 0}}}, "map.yaml"
     )
-    directions = Directions.of(valve, STROKE, ["force_map.c3", "force_map.low"])
-    sloped = run_sloped(valve, STROKE, TIMES, directions, tolerance=1e-10)
-    held = valve.effects["force_map"]
-    for column, (name, h) in enumerate((("c3", 1e-5), ("low", 1e-9))):
-        above, below = (
-            simulate(
-                Valve(valve.parameters, {"force_map": {**held, name: held[name] + d}}), STROKE, TIMES,
-                tolerance=1e-12,
-            ).pilot_position
-            for d in (h, -h)
-        )  # fmt: skip
-        quotient = (above - below) / (2.0 * h)
-        assert np.abs(sloped.of_positions[:, column] - quotient).max() < 1e-6 * np.abs(quotient).max()
+    check_derivatives(valve, "force_map", {"c3": 1e-5, "low": 1e-9})
