@@ -39,7 +39,7 @@ def warm() -> None:
     drive = Drive.of([0.0], [valve.parameters.reference_voltage])
     simulate(valve, drive, [0.0, 1e-3])
     simulate_many([valve], drive, [0.0, 1e-3], threads=1)
-    alone = [name for name, effect in CATALOGUE.items() if effect.named and effect.is_of(has_gas=False)]
+    alone = [name for name, effect in CATALOGUE.items() if effect.is_of(has_gas=False)]
     for effects in ({}, *({name: CATALOGUE[name].neutral_values()} for name in alone)):
         for width in WIDTHS:
             replace(valve, effects=effects).plan(width)
