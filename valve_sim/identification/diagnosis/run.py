@@ -330,7 +330,7 @@ class DiagnosisSession:
         if declared <= 0.0 or total <= 0.0:
             return {}
         return {
-            name: Worth(gain / total, min(1.0, left.get(frozenset([name]), math.nan) / declared))
+            name: Worth(gain / total, float(np.minimum(1.0, left.get(frozenset([name]), math.nan) / declared)))
             for name, gain in gains.items()
         }
 
