@@ -11,8 +11,7 @@ from plants.laboratory import Laboratory, measure, true_sizes
 from plants.recording import holdout_profile, train_profile
 from plants.tolerances import SHEET_VALVE, declared_tolerances
 
-from benchmarks.campaign.cases import declared_valve
-from benchmarks.campaign.running import as_trace
+from benchmarks.campaign.declared import as_trace, declared_valve
 from valve_sim.files.json_text import plain
 from valve_sim.identification.diagnosis.recording_state import state_of_recording
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
