@@ -100,6 +100,7 @@ def test_reports_say_the_state_of_the_recording(laboratory: str, found: Diagnosi
         assert f'<code class="code">{name}</code>' in page
 
 
+@pytest.mark.long
 def test_a_declared_average_of_readings_is_no_effect_of_the_valve() -> None:
     recordings = [
         measure(SHEET_VALVE, {}, profile, Laboratory(averaging=8), seed)
