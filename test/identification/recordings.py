@@ -18,6 +18,7 @@ from valve_sim.model import Drive, Valve
 from valve_sim.traces import Trace
 
 FINE = Recorder(quantisation=0.1e-6)
+COARSER = Recorder(quantisation=0.1e-6, sample_rate=5e3)
 TRUTH = {"pilot_damping": 1.4, "main_damping": 3.2}
 """N·s/m, neither of them declared."""
 
@@ -59,7 +60,7 @@ FEW = ("coulomb_friction", "stiction", "squeeze_film", "constant_force", "coil_l
 def friction_found() -> Diagnosis:
     """Friction of 0.1 N that no file declares, found in one recording and held against another; made once a process."""
     valve, friction = default_valve().exact(), {"coulomb_friction": {"force": 0.1}}
-    train, other = (Short([recorded(seed=seed, effects=friction)], valve, FEW) for seed in (1, 2))
+    train, other = (Short([recorded(COARSER, seed=seed, effects=friction)], valve, FEW) for seed in (1, 2))
     return diagnose_plant(train, other)
 
 

@@ -67,6 +67,7 @@ def test_on_a_quiet_machine_delays_are_judged_and_a_fault_is_found_as_before() -
     assert next(report for report in reports if report.alarm).record.number < 25
 
 
+@pytest.mark.long
 def test_what_changes_the_shape_of_a_stroke_is_found_on_a_busy_machine_too() -> None:
     monitor, reports = watched(BUSY, 12, STICTION)
     assert next(report for report in reports if report.alarm).record.number < 26

@@ -163,6 +163,7 @@ def test_friction_that_grows_is_named() -> None:
     assert " N, none when commissioned" in words
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("declared", "now", "parameters", "words"),
     [
@@ -170,13 +171,10 @@ def test_friction_that_grows_is_named() -> None:
             {"coulomb_friction": {"force": 0.3}}, {"coulomb_friction": {"force": 0.8}}, {},
             ("Coulomb friction 0.", " N, declared 0.300 N"),
         ),
-        pytest.param(
-            {"drive_gain": {"gain": 0.95}}, {"drive_gain": {"gain": 0.9}}, {}, ("Drive gain 0.90", ", declared 0.950"),
-            marks=pytest.mark.long,
+        (
+            {"drive_gain": {"gain": 0.95}}, {"drive_gain": {"gain": 0.9}}, {}, ("Drive gain 0.90", ", declared 0.950")
         ),
-        pytest.param(
-            {}, {}, {"spring_preload": 2.7}, ("Spring preload 2.70", " N, declared 2.52 N"), marks=pytest.mark.long
-        ),
+        ({}, {}, {"spring_preload": 2.7}, ("Spring preload 2.70", " N, declared 2.52 N")),
     ],
     ids=["friction", "gain", "preload"],
 )  # fmt: skip
