@@ -45,7 +45,7 @@ def test_no_work_at_all_is_refused(work: float) -> None:
 
 @pytest.fixture(scope="module")
 def plant() -> Short:
-    return Short([measured(FRICTION, train_profile(), Recorder(), 10)], DECLARED, FEW)
+    return Short([measured(FRICTION, train_profile(), Recorder(sample_rate=5e3), 10)], DECLARED, FEW)
 
 
 @pytest.fixture(scope="module")

@@ -58,7 +58,7 @@ def assert_sound(found: Diagnosis) -> None:
             "one_opening.mcap",
             marks=pytest.mark.xfail(strict=True, raises=AssertionError, reason="one opening is said to lack nothing"),
         ),
-        "friction",
+        pytest.param("friction", marks=pytest.mark.long),
     ],
 )
 def test_of_the_shipped_bags_only_the_one_with_friction_gets_a_name(bag: str) -> None:
