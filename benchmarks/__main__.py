@@ -72,7 +72,6 @@ GROUPS: Final[dict[str, tuple[Benchmark, ...]]] = {
         Benchmark("nodes.station", f"{ROS}, a quiet machine", "minutes", "--seconds 60"),
         Benchmark("nodes.station", ROS, "ten minutes", "--busy 1000"),
         Benchmark("nodes.recording", ROS, "minutes", "--strokes 40"),
-        Benchmark("nodes.stalled", f"{ROS} with Fast DDS 2", "minutes"),
         Benchmark("nodes.soak", ROS, "five minutes", "--hours 24"),
         Benchmark("nodes.plc", f"{ROS}, the extra modbus", "a minute", "--strokes 100"),
         Benchmark("opcua_server", "the extra opcua", "minutes"),
@@ -83,7 +82,6 @@ GROUPS: Final[dict[str, tuple[Benchmark, ...]]] = {
     ),
     "Fleet": (
         Benchmark("fleet", FLEET, "two minutes a seed", "--seeds 10"),
-        Benchmark("fleet_kills", FLEET, "minutes", "--kills 20"),
         Benchmark("archive_years", FLEET, "half an hour", "--years 10"),
     ),
 }
