@@ -61,7 +61,7 @@ GROUPS: Final[dict[str, tuple[Benchmark, ...]]] = {
     ),
     "Machines of plant files": (Benchmark("actuators", "", "minutes", "200 11"),),
     "Monitor": (
-        Benchmark("monitoring", "", "hours", "healthy growth changes --strokes 10000 --seeds 10"),
+        Benchmark("monitoring", "", "hours", "healthy growth --strokes 10000 --seeds 10"),
         Benchmark("monitoring", "", "hours", "laboratory"),
         Benchmark("monitoring", "", "minutes", "coil gas --seeds 12"),
         Benchmark("monitoring", "", "an hour", "sweep"),
