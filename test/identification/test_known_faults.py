@@ -131,6 +131,7 @@ def predicted_rmse(plant: ValvePlant, machine: Mapping[str, float]) -> float:
     return 1e-6 * float(np.sqrt(np.mean(np.square(left(found.x)[: len(data)]))))
 
 
+@pytest.mark.long
 def test_a_held_out_error_is_that_of_a_prediction() -> None:
     """Fault 1."""
     known = Tolerances({"spring_preload": 0.08, "coil_time_constant": 5e-5}, None, {})
