@@ -223,6 +223,7 @@ def test_a_wrong_declared_value_gets_no_confident_other_name() -> None:
     assert not is_confidently_wrong(found, "valve.spring_preload")
 
 
+@pytest.mark.long
 def test_less_budget_gives_no_more_certainty() -> None:
     """Fault 31."""
     effects = {"coulomb_friction": {"force": 0.03}, "squeeze_film": {"coefficient": 3.0, "film_thickness": 3e-5}}

@@ -73,7 +73,12 @@ SLICE = ("noise-free, own", "noise-free, plant, with current", "coarse, no noise
 
 
 @pytest.mark.parametrize(
-    "case", [case for case in cases() if case.kind in SLICE and case.seed == 1], ids=lambda case: case.kind
+    "case",
+    [
+        pytest.param(case, id=case.kind, marks=() if case.kind == SLICE[0] else pytest.mark.long)
+        for case in cases()
+        if case.kind in SLICE and case.seed == 1
+    ],
 )
 def test_a_slice_of_the_hard_recordings(case: Case) -> None:
     found = diagnose(case.make(case.seed), [], case.declared)
