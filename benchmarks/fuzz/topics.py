@@ -1,4 +1,4 @@
-"""Messages that nobody would send on purpose, to nodes that run: `python -m benchmarks.topic_fuzz --messages 200000`.
+"""Messages that nobody would send on purpose, to nodes that run: `python -m benchmarks.fuzz --only topics`.
 
 valve_node, a second one on simulated time, identification_node and monitor_node get, at up to 10 kHz and more: voltages
 that are no numbers, denormal or huge; JointStates of wrong lengths, names and stamps from 1901 to 2038 (what the stamp
@@ -11,15 +11,12 @@ Needs ROS 2. The same seed sends the same messages.
 
 from __future__ import annotations
 
-import argparse
 import array
 import collections
 import contextlib
 import itertools
 import math
-import re
 import struct
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -30,14 +27,15 @@ import numpy as np
 import rclpy
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
+from nodes.ros_process import NodeProcess, Probe, running
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Bool, Float64, String, UInt8
 
-ROOT: Final = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT / "test"))
-from nodes.ros_process import NodeProcess, Probe, running  # noqa: E402
+from benchmarks.nodes.driver import resident, ros
+
+ROOT: Final = Path(__file__).resolve().parents[2]
 
 PATIENCE: Final = 60.0
 """s, after which a node that does not do its work counts as hanging."""
@@ -254,7 +252,8 @@ class Check:
 
     def megabytes(self) -> dict[str, float]:
         """Memory of each process, MB."""
-        return {name: resident(process.process.pid) for name, process in self.nodes.items()}
+        processes = {name: process.process for name, process in self.nodes.items()}
+        return {name: resident(one.pid) if one.poll() is None else 0.0 for name, one in processes.items()}
 
     def _lives(self, when: str) -> None:
         for name, process in self.nodes.items():
@@ -336,14 +335,6 @@ def millisecond_steps(samples: Sequence[JointState]) -> int:
     return sum(after - before == 10**6 for before, after in itertools.pairwise(stamps))
 
 
-def resident(process: int) -> float:
-    """Memory that a process holds, MB; 0 if it has ended."""
-    with contextlib.suppress(OSError):
-        found = re.search(r"VmRSS:\s+(\d+) kB", Path(f"/proc/{process}/status").read_text())
-        return int(found[1]) / 1024.0 if found else 0.0
-    return 0.0
-
-
 def fuzz(messages: int, seed: int, rounds: int, names: Sequence[str]) -> list[str]:
     """Start the nodes, send, check between rounds, print counts; the findings."""
     random = np.random.default_rng(seed)
@@ -379,24 +370,9 @@ def fuzz(messages: int, seed: int, rounds: int, names: Sequence[str]) -> list[st
     return check.findings
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def flood_nodes(messages: int, seed: int, rounds: int, names: Sequence[str] | None) -> int:
     """Fuzz and count; 1 if there is a finding."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.topic_fuzz", description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
-    parser.add_argument("--messages", type=int, default=200_000, help="in all (default: 200000)")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--rounds", type=int, default=4, help="after each of which all is checked (default: 4)")
-    parser.add_argument("--nodes", nargs="+", choices=NAMES_OF_NODES, default=NAMES_OF_NODES, help="default: all")
-    options = parser.parse_args(arguments)
-    rclpy.init()
-    try:
-        findings = fuzz(options.messages, options.seed, options.rounds, options.nodes)
-    finally:
-        rclpy.try_shutdown()
+    with ros():
+        findings = fuzz(messages, seed, rounds, names or NAMES_OF_NODES)
     print(f"{len(findings)} findings", *findings, sep="\n")
     return 1 if findings else 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -1,4 +1,4 @@
-"""How long from a PLC's write to the open valve that it reads: `python -m benchmarks.plc_latency --strokes 100`.
+"""How long from a PLC's write to the open valve that it reads: `python -m benchmarks.nodes.plc --strokes 100`.
 
 Starts valve_node and plc_node as processes, and polls as a PLC does: at 100 Hz, and without pause. Of the time, 9.2 ms
 are the valve's own (config/valve.yaml at 9 V). Needs ROS 2 and the extra modbus.
@@ -7,39 +7,16 @@ are the valve's own (config/valve.yaml at 9 V). Needs ROS 2 and the extra modbus
 from __future__ import annotations
 
 import argparse
-import os
-import signal
-import subprocess
-import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 
 import numpy as np
 from pymodbus.client import ModbusTcpClient
 
+from benchmarks.nodes.driver import program, running
+
 PORT = 15020
 HOLD = 0.05
 """s open, and closed."""
-
-
-@contextmanager
-def running() -> Iterator[None]:
-    """The two nodes, while inside."""
-    environment = {**os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": "77"}
-    settings = ["--ros-args", "-p", f"port:={PORT}", "-p", "address:=127.0.0.1"]
-    commands = [
-        [sys.executable, "-m", "valve_sim.nodes.valve_node"],
-        [sys.executable, "-m", "valve_sim.station", "plc_node", *settings],
-    ]
-    quiet = subprocess.DEVNULL
-    processes = [subprocess.Popen(command, env=environment, stderr=quiet, stdout=quiet) for command in commands]
-    try:
-        yield
-    finally:
-        for process in processes:
-            process.send_signal(signal.SIGINT)
-            process.wait(10.0)
 
 
 def stroke_times(client: ModbusTcpClient, strokes: int, period: float) -> tuple[list[float], list[float]]:
@@ -69,7 +46,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--strokes", type=int, default=100)
     given = parser.parse_args()
-    with running():
+    nodes = {
+        "valve": program("valve_node"),
+        "plc": program("plc_node", f"port:={PORT}", "address:=127.0.0.1", package="station"),
+    }
+    with running(nodes, ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST", ROS_DOMAIN_ID="77"):
         client = ModbusTcpClient("127.0.0.1", port=PORT, timeout=5.0)
         beat = 0
         while True:  # until the valve is heard and a 1 counts

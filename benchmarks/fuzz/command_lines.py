@@ -19,7 +19,7 @@ import numpy as np
 
 from valve_sim.cli import main
 
-ROOT: Final = Path(__file__).parents[1]
+ROOT: Final = Path(__file__).parents[2]
 WORDS: Final = (
     "", "nan", "inf", "-inf", "1e308", "1e-308", "-1", "0", "0.5", "3", "9", "1e9", "0x10", "1,2", "text", "--json",
     "pilot_damping", "a0,a1,a0", "mass,,", "coulomb_friction.force", "no_such.effect", "/tank_1/valve", "/", "é\u202e",

@@ -30,7 +30,7 @@ from valve_sim.identification.validation.replay import validate
 from valve_sim.model import Drive, Parameter, Valve, ValveError, simulate
 from valve_sim.traces import Signal, Trace
 
-ROOT: Final = Path(__file__).parents[1]
+ROOT: Final = Path(__file__).parents[2]
 SAMPLES, GROUPS = 400, 8
 LONGEST: Final = 400
 """Characters of a message that is read at a glance."""
@@ -481,7 +481,7 @@ NEVER: Final = """
 import signal, time
 # A job that a shell runs in the background ignores it, and so would this one.
 signal.signal(signal.SIGINT, signal.default_int_handler)
-from benchmarks.broken_plants import Heater
+from benchmarks.fuzz.slips import Heater
 from valve_sim.identification.diagnosis.run import diagnose_plant
 
 class Endless(Heater):

@@ -1,20 +1,18 @@
 """Inputs that nobody would send on purpose: `python -m benchmarks.fuzz` counts what becomes of them.
 
 Bags are flipped, cut, spliced and repeated; parameter files get wrong values, lines and characters; valves get any
-parameters that are accepted; command lines get all of it, and options that make no sense; a plant or a recording of a
-user's own gets one slip. Each input must be taken, or refused in one line: anything else, and whatever takes longer
-than ten seconds of computing, is a finding, and makes the exit code 1. A surface and a number give an input again.
+parameters that are accepted, with gas and without; command lines get all of it, and options that make no sense; a plant
+or a recording of a user's own gets one slip. Each input must be taken, or refused in one line: anything else, and
+whatever takes longer than ten seconds of computing, is a finding, and makes the exit code 1. A surface and a number
+give an input again. `--only topics`: messages to nodes that run, which needs ROS 2 (see `benchmarks.fuzz.topics`).
 """
 
 from __future__ import annotations
 
-import argparse
-import collections
 import contextlib
 import math
 import signal
 import tempfile
-import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -23,14 +21,15 @@ from typing import Final
 
 import numpy as np
 
-from benchmarks.broken_plants import Outcome, try_plant, try_recording
-from benchmarks.command_lines import try_command_line
+from benchmarks.accuracy import Case, ours
+from benchmarks.fuzz.command_lines import try_command_line
+from benchmarks.fuzz.slips import Outcome, try_plant, try_recording
 from valve_sim.files.parameter_files import load_valve
 from valve_sim.model import CATALOGUE, DECLARED, Drive, Parameter, ParameterError, SimulationError, Valve, simulate
 from valve_sim.model.errors import ValveError
 from valve_sim.traces import list_valves, read_trace
 
-ROOT: Final = Path(__file__).parents[1]
+ROOT: Final = Path(__file__).parents[2]
 HANGS_AFTER: Final = 10
 """s of computing; waiting is given twenty times as long."""
 NASTY: Final = (
@@ -43,6 +42,8 @@ MOST_SLIPS: Final = 1_000_000
 """Plants and recordings with a slip that can be drawn."""
 GENTLE: Final = 1e-9
 """m: how far beyond its contacts a valve may be."""
+MASS_IS_LOST: Final = 1e-6
+"""Of the largest mass in a valve with gas, from which on its balance is a finding."""
 
 Random = np.random.Generator
 
@@ -238,6 +239,34 @@ def try_valve(random: Random, folder: Path) -> str:
     return "taken"
 
 
+def any_gas(random: Random) -> Case:
+    """A valve with gas of any size, that opens and closes, or does neither."""
+    inlet, pilot = 10.0 ** random.uniform(5.5, 8.0), 10.0 ** random.uniform(-4.3, -2.8)
+    gas = {
+        "inlet_pressure": inlet,
+        "outlet_pressure": inlet * random.choice([random.uniform(0.01, 1.5), 1.0, 1.0 - 1e-6]),
+        "outlet_volume": 10.0 ** random.uniform(-6.5, -3.0),
+        "pilot_orifice_diameter": pilot,
+        "main_orifice_diameter": pilot * random.uniform(1.0, 20.0),
+        "seat_diameter": pilot * random.uniform(1.0, 30.0),
+        "demand_orifice_diameter": random.choice([0.0, 10.0 ** random.uniform(-5.0, -2.5)]),
+        "demand_pressure": inlet * random.choice([random.uniform(0.001, 1.2), 1.0]),
+    }
+    drive = ((0.0, random.uniform(5.0, 16.0)), (random.uniform(0.01, 0.5), 0.0))
+    return Case("any", gas, drive, 1.0, random.choice([0.0, 1e-9]), random.uniform(0.3, 1.0))
+
+
+def try_gas(random: Random, folder: Path) -> str:
+    """Simulate a valve with gas for a second: 'taken', or 'given up' with a reason; no mass may be lost."""
+    try:
+        run = ours(any_gas(random), np.linspace(0.01, 1.0, 100))
+    except SimulationError as error:
+        _refused(error)
+        return "given up"
+    assert run.balance < MASS_IS_LOST, f"{run.balance:.1e} of the mass is lost"
+    return "taken"
+
+
 def try_slip(outcome: Outcome) -> str:
     """What became of a plant or a recording with a slip."""
     assert not outcome.fault, f"{outcome.kind}: {outcome.fault}: {outcome.error}: {outcome.message[:200]}"
@@ -256,6 +285,7 @@ SURFACES: Final[dict[str, tuple[Callable[[Random, Path], str], int]]] = {
     "command lines": (lambda random, folder: try_command_line(random, folder, bad_bag, bad_file), 10_000),
     "plants": (lambda random, folder: try_slip(try_plant(int(random.integers(MOST_SLIPS)))), 1_000),
     "recordings": (lambda random, folder: try_slip(try_recording(int(random.integers(MOST_SLIPS)))), 300),
+    "valves with gas": (try_gas, 1_000),
 }
 """What tries one input, and how many are tried; a new one comes last, for the place is a seed."""
 
@@ -269,37 +299,3 @@ def attempt(surface: str, number: int) -> tuple[str, str]:
                 return SURFACES[surface][0](random, Path(folder)), ""
         except (Exception, Hang):
             return "finding", traceback.format_exc().strip()
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Try everything and count; 1 if there is a finding."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.fuzz", description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
-    parser.add_argument("--share", type=float, default=1.0, help="of the inputs (default: 1, all of them)")
-    parser.add_argument("--only", choices=tuple(SURFACES), help="one surface")
-    parser.add_argument("--number", type=int, help="one input again, with --only")
-    options = parser.parse_args(arguments)
-    if options.number is not None:
-        if options.only is None:
-            parser.error("--number: needs --only")
-        print(*attempt(options.only, options.number), sep="\n")
-        return 0
-    found = 0
-    for surface, (_, count) in SURFACES.items():
-        if options.only not in (None, surface):
-            continue
-        started, seen = time.perf_counter(), collections.Counter[str]()
-        for number in range(math.ceil(options.share * count)):
-            what, finding = attempt(surface, number)
-            seen[what] += 1
-            if finding:
-                print(f"{surface} {number}: {finding.splitlines()[-1]}")
-        found += seen["finding"]
-        counts = ", ".join(f"{many} {what}" for what, many in sorted(seen.items()))
-        print(f"{surface}: {counts}; {time.perf_counter() - started:.0f} s")
-    return 1 if found else 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

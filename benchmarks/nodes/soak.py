@@ -1,4 +1,4 @@
-"""A day at work: memory and time of the nodes over 24 h of strokes. `python -m benchmarks.soak --hours 24`.
+"""A day at work: memory and time of the nodes over 24 h of strokes. `python -m benchmarks.nodes.soak --hours 24`.
 
 One stroke every ten seconds, 8640 in 24 h, at speed on simulated time. Each node is a process of its own:
 
@@ -14,17 +14,17 @@ and no drift. Exit code 1 where that falls short. Needs ROS 2; wall time is abou
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "test"))
 from identification.live_strokes import LiveValve
 from nodes.plant_on_topics import PlantOnTopics
 from nodes.ros_process import Probe, running
+
+from benchmarks.nodes.driver import resident, ros
 
 PERIOD: Final = 10.0
 """s from stroke to stroke."""
@@ -35,7 +35,7 @@ WARM: Final = 0.05
 MOST_GROWTH: Final = 5.0
 """MB."""
 SECOND: Final = 1_000_000_000
-BAG: Final = Path(__file__).resolve().parents[1] / "bags" / "live.mcap"
+BAG: Final = Path(__file__).resolve().parents[2] / "bags" / "live.mcap"
 
 
 class Soaked(NamedTuple):
@@ -57,12 +57,6 @@ class Soaked(NamedTuple):
         words = f"{self.strokes} strokes, {self.warm:.1f} MB after warming up, {self.end - self.warm:+.2f} MB since"
         lag = f", {self.lag:g} s behind the clock" if self.node == "valve_node" else ""
         return f"{'ok   ' if self.is_good else 'SHORT'} {self.node:<20} {words}{lag}"
-
-
-def resident(process_id: int) -> float:
-    """MB of a process."""
-    pages = int(Path(f"/proc/{process_id}/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def soak_valve(strokes: int, folder: Path) -> Soaked:
@@ -166,16 +160,11 @@ def main() -> int:
     parser.add_argument("--hours", type=float, default=24.0, help="of strokes")
     parser.add_argument("--only", default=",".join(NODES), help=f"nodes, with commas (default: {','.join(NODES)})")
     given = parser.parse_args()
-    import rclpy
-
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    rclpy.init()
     rows = []
-    with tempfile.TemporaryDirectory() as name:
+    with ros(), tempfile.TemporaryDirectory() as name:
         for node in given.only.split(","):
             rows.append(NODES[node](round(3600.0 * given.hours / PERIOD), Path(name)))
             print(rows[-1].line(), flush=True)
-    rclpy.try_shutdown()
     return 0 if all(row.is_good for row in rows) else 1
 
 

@@ -1,4 +1,4 @@
-"""What a listener misses that a busy machine holds up: `python -m benchmarks.stalled_listener`.
+"""What a listener misses that a busy machine holds up: `python -m benchmarks.nodes.stalled`.
 
 Two processes publish JointStates at 1 kHz, one with Fast DDS as it is, one with config/fast_dds_2.xml, each with a
 listener of its own, of depth 10. Both listeners are stopped at once for some milliseconds, again and again, and what

@@ -1,4 +1,4 @@
-"""Is a live recording true on a busy machine? `python -m benchmarks.live_recording --strokes 40`.
+"""Is a live recording true on a busy machine? `python -m benchmarks.nodes.recording --strokes 40`.
 
 Starts valve_node as a process at 1 kHz, puts busy processes beside it at the same priority, commands full strokes of
 9 V, and records what comes: commands by their arrival, ~/joint_states and ~/coil. t1 is then read from two bags of the
@@ -10,26 +10,22 @@ Exit code 1 where that falls short; needs ROS 2.
 from __future__ import annotations
 
 import argparse
-import contextlib
-import os
 import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-import rclpy
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import BatteryState, JointState
 from std_msgs.msg import Float64
 
-from benchmarks.busy_station import busy, say
-from benchmarks.node_timing import running_node
+from benchmarks.nodes.driver import busy, program, ros, running, say, spinning
+from benchmarks.nodes.timing import AT_RATE
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.model import Drive, published_times, simulate
 from valve_sim.traces import BagRecorder, events_from_sensors, read_trace
@@ -39,10 +35,8 @@ HELD: Final = 0.5
 """s of each voltage: a node that has a tenth of a processor obeys within it."""
 WANTED: Final = 0.02e-3
 """s, by which t1 may differ from the model's."""
-COMPILING: Final = 300.0
-"""s for the node to be there, on a machine that compiles meanwhile."""
-SETTLING: Final = 5.0
-"""s for the last messages to come."""
+COMPILING, SETTLING = 300.0, 5.0
+"""s for the node to be there, on a machine that compiles meanwhile, and for the last messages to come."""
 TOPICS: Final = {
     "/valve/coil_voltage": ("std_msgs/msg/Float64", Float64),
     "/valve/joint_states": ("sensor_msgs/msg/JointState", JointState),
@@ -92,34 +86,10 @@ class Recorder:
         time.sleep(SETTLING)
 
 
-@contextlib.contextmanager
-def recording() -> Iterator[Recorder]:
-    """A recorder whose executor spins in a thread."""
-    recorder = Recorder()
-    executor = SingleThreadedExecutor()
-    executor.add_node(recorder.node)
-
-    def spin() -> None:
-        with contextlib.suppress(ExternalShutdownException):
-            executor.spin()
-
-    thread = threading.Thread(target=spin, daemon=True)
-    thread.start()
-    try:
-        yield recorder
-    finally:
-        executor.shutdown()
-        thread.join(2.0)
-        recorder.node.destroy_node()
-
-
 def recorded(strokes: int, neighbours: int) -> list[Message]:
-    """What was recorded of so many strokes beside so many busy processes.
-
-    Raises:
-        RuntimeError: the node did not come.
-    """
-    with running_node(), recording() as recorder:
+    """What was recorded of so many strokes beside so many busy processes; RuntimeError where the node did not come."""
+    recorder = Recorder()
+    with running({"valve": program("valve_node", AT_RATE)}), spinning(recorder.node):
         end = time.monotonic() + COMPILING
         while not recorder.is_connected():
             if time.monotonic() > end:
@@ -128,7 +98,6 @@ def recorded(strokes: int, neighbours: int) -> list[Message]:
         with busy(neighbours):
             recorder.messages.clear()
             recorder.strokes(strokes)
-            print(f"      {neighbours} busy processes, load {os.getloadavg()[0]:.0f}", flush=True)
         return list(recorder.messages)
 
 
@@ -137,12 +106,8 @@ def arrivals(path: Path, messages: Sequence[Message]) -> np.ndarray:
     with BagRecorder(path) as bag:
         for message in messages:
             bag.write(message.topic, TOPICS[message.topic][0], message.payload, message.arrived)
-    trace = read_trace(path)
-    for finding in trace.findings:
-        print(f"      {finding}", flush=True)
-    seen = [
-        event for stroke in events_from_sensors(trace, default_valve().parameters.pilot_gap) for event in stroke.events
-    ]
+    strokes = events_from_sensors(read_trace(path), default_valve().parameters.pilot_gap)
+    seen = [event for stroke in strokes for event in stroke.events]
     return np.array([event.after_command for event in seen if event.kind == "pilot_reaches_main"])
 
 
@@ -152,11 +117,8 @@ def main() -> int:
     parser.add_argument("--strokes", type=int, default=40)
     parser.add_argument("--neighbours", type=int, default=8, help="busy processes (default 8)")
     chosen = parser.parse_args()
-    rclpy.init()
-    try:
+    with ros():
         messages = recorded(chosen.strokes, chosen.neighbours)
-    finally:
-        rclpy.try_shutdown()
     t1, _ = published_times(simulate(default_valve(), Drive.of([0.0], [VOLTS]), [0.0, 0.04]))
     good: list[bool] = []
     with tempfile.TemporaryDirectory() as folder:

@@ -1,4 +1,9 @@
-"""The fifty recordings: how each is made, and which verdicts on it are right."""
+"""Fifty recordings that are hard on a search: how each is made, and which verdicts on it are right.
+
+Noise-free, coarse, jittered, with rests of seconds, of one opening, with a force without a name, in several bags; half
+by the independent plant, half by this package's own simulator through a bag. A fault is an error that is larger after
+the diagnosis than before, fitted or held out, work beyond the budget by more than a tenth, or a wrong kind of verdict.
+"""
 
 from __future__ import annotations
 
@@ -15,9 +20,10 @@ from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
 from plants.recording import Profile, Recorder, single_opening, train_profile
 from plants.recording import record as measured
 
-from benchmarks.campaign.cases import declared_valve
-from benchmarks.campaign.running import as_trace
+from benchmarks.campaign.bench import Bench, Measured
+from benchmarks.campaign.declared import as_trace, declared_valve
 from valve_sim.files.parameter_files import default_valve
+from valve_sim.identification.diagnosis.run import Diagnosis
 from valve_sim.model import Drive, Valve
 from valve_sim.traces import Trace, read_trace, write_bag
 from valve_sim.traces.synthetic import Sensor, record
@@ -25,6 +31,15 @@ from valve_sim.traces.synthetic import Sensor, record
 LEVELS: Final = (9.0, 12.0, 7.5, 14.0, 10.3, 8.4, 13.0, 11.2)
 """V, of successive strokes."""
 CAMPAIGN: Final = declared_valve(CAMPAIGN_VALVE)
+
+FAULTS: Final = ("larger error, fitted", "larger error, held-out", "beyond its budget", "wrong kind of verdict")
+"""What must not be."""
+BUDGET: Final = 60.0
+"""s of a processor, which stand for the work of a diagnosis."""
+OVERSHOOT: Final = 1.1
+"""Of the work that is allowed, at most."""
+SAME: Final = 1e-9
+"""Share by which equal errors differ for rounding."""
 
 Effects = Mapping[str, Mapping[str, float]]
 
@@ -35,7 +50,7 @@ class Case:
 
     Attributes:
         kind: of difficulty. seed: of everything drawn. make: the recordings. declared: the valve without the effect.
-        allowed: kinds of verdict that are right; the others are wrong.
+        allowed: kinds of verdict that are right; the others are wrong. effects: what the file does not say.
     """
 
     kind: str
@@ -43,6 +58,25 @@ class Case:
     make: Callable[[int], list[Trace]]
     declared: Valve
     allowed: tuple[str, ...]
+    effects: Effects
+
+    def bench(self) -> Bench:
+        """Its recordings, for the campaign."""
+        return Bench(f"{self.kind} {self.seed}", self.declared, self.make(self.seed), [], self.faults, BUDGET)
+
+    def faults(self, found: Diagnosis) -> Measured:
+        """What must not be; 1 for each that is."""
+        is_so = (
+            _has_risen(found.before.train_rmse, found.after.train_rmse),
+            _has_risen(found.before.holdout_rmse, found.after.holdout_rmse),
+            found.work > OVERSHOOT * found.allowed,
+            found.verdict.kind not in self.allowed,
+        )
+        return {name: float(one) for name, one in zip(FAULTS, is_so, strict=True)}
+
+
+def _has_risen(before: float, after: float) -> bool:
+    return after > before * (1.0 + SAME) or math.isnan(after) != math.isnan(before)
 
 
 def cases() -> list[Case]:
@@ -53,28 +87,37 @@ def cases() -> list[Case]:
     drift = {"damping_drift": {"rate": 4.0}}
     ours, theirs, declared = _simulated, _measured, default_valve().exact()
     exact, coarse = Recorder(position_noise=0.0), Recorder(quantisation=5e-6)
-    plans: list[tuple[str, int, Callable[[int], list[Trace]], Valve, tuple[str, ...]]] = [
-        ("noise-free, own", 10, ours(Sensor()), declared, clear),
-        ("noise-free, plant", 6, theirs(exact), CAMPAIGN, clear),
-        ("noise-free, plant, with current", 2, theirs(_with_current(exact)), CAMPAIGN, clear),
-        ("noise-free, long rests", 2, ours(Sensor(), _long_rests), declared, clear),
-        ("noise-free, friction", 2, ours(Sensor(), effects=friction), declared, ("effects",)),
-        ("noise-free, friction, long rests", 2, ours(Sensor(), _long_rests, friction), declared, ("effects",)),
-        ("noise-free, long rests, late stamps", 2, _late(ours(Sensor(), _long_rests, friction)), declared, named),
-        ("coarse, no noise", 3, theirs(Recorder(position_noise=0.0, quantisation=1e-6)), CAMPAIGN, clear),
-        ("coarse", 3, theirs(coarse), CAMPAIGN, clear),
-        ("coarse, friction", 2, theirs(coarse, friction), CAMPAIGN, named),
-        ("jittered", 3, theirs(Recorder(command_jitter=50e-6)), CAMPAIGN, clear),
-        ("jittered, friction", 2, theirs(Recorder(command_jitter=200e-6), friction), CAMPAIGN, named),
-        ("one opening", 2, theirs(Recorder(), friction, single_opening), CAMPAIGN, ("insufficient", "unknown")),
-        ("one opening, noise-free", 1, theirs(exact, {}, single_opening), CAMPAIGN, ("insufficient",)),
-        ("no name: ripple", 3, theirs(Recorder(), ripple), CAMPAIGN, named),
-        ("no name: drift", 2, theirs(_with_current(Recorder()), drift), CAMPAIGN, named),
-        ("four bags of two strokes", 3, _in_bags(theirs(Recorder(), friction)), CAMPAIGN, named),
-    ]
+    plans: list[tuple[str, int, Callable[[int], list[Trace]], Valve, tuple[str, ...], Effects]] = [
+        ("noise-free, own", 10, ours(Sensor()), declared, clear, {}),
+        ("noise-free, plant", 6, theirs(exact), CAMPAIGN, clear, {}),
+        ("noise-free, plant, with current", 2, theirs(_with_current(exact)), CAMPAIGN, clear, {}),
+        ("noise-free, long rests", 2, ours(Sensor(), _long_rests), declared, clear, {}),
+        ("noise-free, friction", 2, ours(Sensor(), effects=friction), declared, ("effects",), friction),
+        (
+            "noise-free, friction, long rests", 2, ours(Sensor(), _long_rests, friction), declared, ("effects",),
+            friction,
+        ),
+        (
+            "noise-free, long rests, late stamps", 2, _late(ours(Sensor(), _long_rests, friction)), declared, named,
+            friction,
+        ),
+        ("coarse, no noise", 3, theirs(Recorder(position_noise=0.0, quantisation=1e-6)), CAMPAIGN, clear, {}),
+        ("coarse", 3, theirs(coarse), CAMPAIGN, clear, {}),
+        ("coarse, friction", 2, theirs(coarse, friction), CAMPAIGN, named, friction),
+        ("jittered", 3, theirs(Recorder(command_jitter=50e-6)), CAMPAIGN, clear, {}),
+        ("jittered, friction", 2, theirs(Recorder(command_jitter=200e-6), friction), CAMPAIGN, named, friction),
+        (
+            "one opening", 2, theirs(Recorder(), friction, single_opening), CAMPAIGN, ("insufficient", "unknown"),
+            friction,
+        ),
+        ("one opening, noise-free", 1, theirs(exact, {}, single_opening), CAMPAIGN, ("insufficient",), {}),
+        ("no name: ripple", 3, theirs(Recorder(), ripple), CAMPAIGN, named, ripple),
+        ("no name: drift", 2, theirs(_with_current(Recorder()), drift), CAMPAIGN, named, drift),
+        ("four bags of two strokes", 3, _in_bags(theirs(Recorder(), friction)), CAMPAIGN, named, friction),
+    ]  # fmt: skip
     return [
-        Case(kind, seed, make, valve, allowed)
-        for kind, count, make, valve, allowed in plans
+        Case(kind, seed, make, valve, allowed, effects)
+        for kind, count, make, valve, allowed, effects in plans
         for seed in range(1, count + 1)
     ]
 

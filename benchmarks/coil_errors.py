@@ -1,4 +1,4 @@
-"""What current alone tells, by drive, noise and sampling rate: `python -m benchmarks.sensorless.limits`.
+"""How much the current alone tells of a valve: `python -m benchmarks.coil_errors`.
 
 Eight strokes of config/energy_consistent.yaml at 7.5 to 14 V, current and voltage measured, no position. A fit frees
 both dampings and moves every value of the file within its tolerance; its Fisher information gives the standard errors.
