@@ -275,7 +275,9 @@ PLANTS: dict[type[Plant], tuple[str, ...]] = {
 """Each with the effects that it has."""
 
 
-@pytest.mark.parametrize("plant", PLANTS)
+@pytest.mark.parametrize(
+    "plant", [plant if plant is DeclaredPlant else pytest.param(plant, marks=pytest.mark.long) for plant in PLANTS]
+)
 def test_every_effect_of_a_plant_shows(plant: Callable[..., Plant]) -> None:
     plain = one_stroke(plant()).pilot_position
     moved = {name: np.abs(one_stroke(plant(chosen(name))).pilot_position - plain).max() for name in PLANTS[plant]}  # type: ignore[index]
