@@ -55,9 +55,7 @@ GROUPS: Final[dict[str, tuple[Benchmark, ...]]] = {
         Benchmark("campaign", "", "minutes", "--only mistake --seeds 1"),
     ),
     "Recordings of others": (
-        Benchmark("emps", "DATA_EMPS.mat", "seconds"),
-        Benchmark("maglev", "the records of the magnet", "seconds"),
-        Benchmark("real_recordings", "both of these", "a minute"),
+        Benchmark("real_recordings", "the published measurements", "minutes"),
     ),
     "Machines of plant files": (Benchmark("actuators", "", "minutes", "200 11"),),
     "Monitor": (

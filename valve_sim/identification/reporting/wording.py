@@ -9,6 +9,7 @@ from typing import Any, Final, NamedTuple
 from valve_sim.identification.diagnosis.run import Diagnosis, Verdict
 from valve_sim.identification.estimation.result import effective_rmse
 from valve_sim.identification.plants.effect_titles import capitalised, named, title_of, what_is_missing
+from valve_sim.identification.plants.own import OwnPlant
 from valve_sim.identification.plants.protocol import Plant, primary_channels
 from valve_sim.identification.plants.tolerances import GROUP
 from valve_sim.identification.plants.valve import ValvePlant
@@ -119,6 +120,20 @@ def holdout_words(diagnosis: Diagnosis) -> str:
     return (
         "Held-out data are predicted with everything that the fitted data have determined; only the errors of "
         "their recording, its clocks and stamps, are estimated anew. They chose nothing."
+    )
+
+
+def unseen_noise_words(diagnosis: Diagnosis) -> str:
+    """What it means that a machine is never still, in a sentence or two; empty where the sensor's noise is known."""
+    problem, channel = diagnosis.before.fit.problem, primary_channels(diagnosis.plant)[0]
+    if problem.noise_of(channel).samples:
+        return ""
+    mend = (
+        " Declare it where a data sheet has it (noise: of an output)." if isinstance(diagnosis.plant, OwnPlant) else ""
+    )
+    return (
+        "The sensor's noise is not known, since the machine is never still for long enough to show it: what the best "
+        f"model leaves is taken for it, and what else is as small may act unseen.{mend}"
     )
 
 
