@@ -45,7 +45,7 @@ def test_no_work_at_all_is_refused(work: float) -> None:
 
 @pytest.fixture(scope="module")
 def plant() -> Short:
-    return Short([measured(FRICTION, train_profile(), Recorder(), 10)], DECLARED, FEW)
+    return Short([measured(FRICTION, train_profile(), Recorder(sample_rate=5e3), 10)], DECLARED, FEW)
 
 
 @pytest.fixture(scope="module")
@@ -54,6 +54,7 @@ def whole(plant: Short) -> Diagnosis:
     return diagnose_plant(plant, None)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("strokes", [1.0, 6000.0])
 def test_a_diagnosis_keeps_to_its_budget_and_says_what_it_left(strokes: float, plant: Short, whole: Diagnosis) -> None:
     """What is begun is ended, and the declared model is always fitted; what is left claims nothing more surely."""
