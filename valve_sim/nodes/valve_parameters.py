@@ -49,7 +49,7 @@ _SETTINGS: Final = table_of(
     Words("frame_id", "header.frame_id of the joint states"),
     Words(
         "calibration",
-        "calibration.json of `valve-sim commission`: what the valve has otherwise, at the start and whenever it is set, "
+        "calibration.json of `valve-sim commission`: what the valve has otherwise, at the start and when it is set, "
         "is appended to its journal; empty: none",
         read_only=True,
     ),
