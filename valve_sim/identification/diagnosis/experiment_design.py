@@ -18,6 +18,7 @@ from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Experiment
+from valve_sim.identification.selection.prediction import machine_values
 from valve_sim.model import SimulationError
 
 TELLS_APART: Final = 5.0
@@ -89,7 +90,7 @@ def _judge(candidates: Mapping[str, Fit], experiment: Experiment) -> Recommendat
 
 def _left_of(experiment: Experiment, truth: Fit, rival: Fit) -> float:
     """Standard deviations by which a recording of `truth` differs from the refit of `rival`."""
-    plant = experiment.simulated(_machine(truth))
+    plant = experiment.simulated(machine_values(truth))
     problem = Problem(plant, noises=truth.problem.noises, budget=truth.problem.budget)
     # A declared value with a tolerance may move again, from where the data at hand have left it.
     nuisances = [
@@ -97,12 +98,6 @@ def _left_of(experiment: Experiment, truth: Fit, rival: Fit) -> float:
         for nuisance in plant.nuisances
     ]
     movable = {*rival.free, *(nuisance.name for nuisance in nuisances)}
-    fixed = {name: value for name, value in _machine(rival).items() if name not in movable}
+    fixed = {name: value for name, value in machine_values(rival).items() if name not in movable}
     refit = fit(problem, rival.free, rival.values, nuisances=nuisances, fixed=fixed)
     return math.sqrt(refit.chi2)
-
-
-def _machine(result: Fit) -> dict[str, float]:
-    """The values of a fit that belong to the machine, not to its recordings."""
-    own = {nuisance.name for nuisance in result.nuisances if not nuisance.is_of_machine}
-    return {name: value for name, value in result.values.items() if name not in own}

@@ -111,9 +111,8 @@ class ProfileState(NamedTuple):
 def _slopes_along(result: Fit, index: int) -> dict[str, float]:
     """How all others go along with one parameter, if each is always at its best: Cov(·, own)/Var(own)."""
     own, variance = result.covariance[index], float(result.covariance[index, index])
-    names = [*result.free, *(nuisance.name for nuisance in result.nuisances)]
     known = math.isfinite(variance) and variance > 0.0
-    slopes = zip(names, own.tolist(), strict=True)
+    slopes = zip(result.names, own.tolist(), strict=True)
     return {name: by / variance for name, by in slopes if known and math.isfinite(by) and name != result.free[index]}
 
 

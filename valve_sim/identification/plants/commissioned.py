@@ -14,6 +14,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from valve_sim.identification.plants.advice import Advice
+from valve_sim.identification.plants.covariance_root import covariance_root
 from valve_sim.identification.plants.hold_out import Condition
 from valve_sim.identification.plants.protocol import (
     Array,
@@ -28,7 +29,7 @@ from valve_sim.identification.plants.protocol import (
 )
 from valve_sim.identification.plants.recording_errors import CLOCK_SIGMA
 from valve_sim.identification.plants.tolerances import of_gas
-from valve_sim.identification.plants.valve import DAMPINGS, ValvePlant
+from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.plants.valve_sensors import as_it_began
 from valve_sim.model import CATALOGUE, DECLARED, Parameter, Tag, Valve, simulate
 from valve_sim.model.gas import GAS
@@ -46,8 +47,6 @@ FINEST_SCATTER: Final = 1e-6
 START: Final = "outlet_pressure"
 START_SHARE: Final = 0.1
 """Of the tank's pressure: standard deviation of the pressure behind a valve before the first stroke of a trace."""
-SMALLEST_SHARE: Final = 1e-12
-"""Of a covariance, scaled to a unit diagonal: eigenvalues below this share of the largest are rounding."""
 _VALUE: Final = "value"
 
 
@@ -148,7 +147,7 @@ class CommissionedPlant:
         self._plant = ValvePlant([replace(trace, outlet_start=None)], valve, is_watched=True)
         self._scatter = max(scatter, FINEST_SCATTER)
         self._estimated = commissioned.estimated
-        self._spread = _root(commissioned.covariance) / CLOCK_SIGMA
+        self._spread = covariance_root(commissioned.covariance) / CLOCK_SIGMA
         self._errors = tuple(f"commissioning_error[{index}]" for index in range(self._spread.shape[1]))
         self._dampings = {name: self._damping(name) for name in self._plant.base}
         alike = tuple(entry.name for entry in CATALOGUE.tagged(Tag.LIKE_DAMPING))
@@ -294,15 +293,3 @@ class CommissionedPlant:
         known = DECLARED[name]
         value = self._plant.declared(name)
         return known._replace(name=_VALUE, off=value, prior_scale=max(value, known.prior_scale))
-
-
-def _root(covariance: Array) -> Array:
-    """(k, r) a square root of a (k, k) covariance, of r directions if it is not of full rank."""
-    sigmas = np.sqrt(np.diag(covariance))
-    if len(sigmas) <= len(DAMPINGS):
-        return np.asarray(np.linalg.cholesky(covariance))
-    # The values differ by ten orders of magnitude; scaled by their standard deviations they compare.
-    scale = np.where(sigmas > 0.0, sigmas, 1.0)
-    sizes, directions = np.linalg.eigh(covariance / np.outer(scale, scale))
-    kept = sizes > SMALLEST_SHARE * sizes[-1]
-    return np.asarray(scale[:, None] * directions[:, kept] * np.sqrt(sizes[kept]))
