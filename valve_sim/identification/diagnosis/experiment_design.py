@@ -68,23 +68,27 @@ def recommend(candidates: Mapping[str, Fit], experiments: Sequence[Experiment]) 
     Returns:
         None where no experiment separates them, or there are fewer than two candidates.
     """
-    judged = [judgement for experiment in experiments if (judgement := _judge(candidates, experiment)) is not None]
-    best = max(judged, key=lambda recommendation: recommendation.separation, default=None)
+    best = None
+    for experiment in experiments:
+        best = _judge(candidates, experiment, 0.0 if best is None else best.separation) or best
     return best if best is not None and best.repeats <= MOST_REPEATS else None
 
 
-def _judge(candidates: Mapping[str, Fit], experiment: Experiment) -> Recommendation | None:
-    """How well an experiment separates the candidates; None where one of them cannot be simulated."""
-    try:
-        apart = {
-            (one, other): min(
-                _left_of(experiment, candidates[truth], candidates[rival])
-                for truth, rival in ((one, other), (other, one))
-            )
-            for one, other in itertools.combinations(candidates, 2)
-        }
-    except SimulationError:
-        return None
+def _judge(candidates: Mapping[str, Fit], experiment: Experiment, least: float) -> Recommendation | None:
+    """How well an experiment separates the candidates.
+
+    None where one of them cannot be simulated, or as soon as two are not separated by more than the `least`.
+    """
+    apart: dict[tuple[str, str], float] = {}
+    for one, other in itertools.combinations(candidates, 2):
+        for truth, rival in ((one, other), (other, one)):
+            try:
+                found = _left_of(experiment, candidates[truth], candidates[rival])
+            except SimulationError:
+                return None
+            if found <= least:
+                return None
+            apart[one, other] = min(found, apart.get((one, other), math.inf))
     return Recommendation(experiment, apart) if apart else None
 
 

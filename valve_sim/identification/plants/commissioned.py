@@ -21,9 +21,9 @@ from valve_sim.identification.plants.protocol import (
     Channel,
     Direction,
     EffectChoice,
-    Experiment,
     ForceMap,
     Nuisance,
+    Plant,
     Sensitivities,
     Sensor,
 )
@@ -125,8 +125,8 @@ class Commissioned(NamedTuple):
     covariance: Array
 
 
-class CommissionedPlant:
-    """A valve whose dampings and clock are known: a change of a damping is one effect among others.
+class CommissionedPlant(Plant):
+    """A valve in service whose dampings and clock are known: a change of a damping is one effect among others.
 
     Args:
         trace: some strokes, their motion put back by the lateness.
@@ -169,11 +169,6 @@ class CommissionedPlant:
         return self._plant.channels
 
     @property
-    def base(self) -> Sequence[str]:
-        """Nothing is refitted before an effect is claimed."""
-        return ()
-
-    @property
     def nuisances(self) -> Sequence[Nuisance]:
         """An error for each command's stamp, and what commissioning has left open of what it has estimated.
 
@@ -201,11 +196,6 @@ class CommissionedPlant:
         )
 
     @property
-    def timing_errors(self) -> Sequence[Nuisance]:
-        """None beside those that are always estimated."""
-        return ()
-
-    @property
     def varying(self) -> Sequence[Nuisance]:
         """As of any valve that is watched."""
         return self._plant.varying
@@ -231,11 +221,6 @@ class CommissionedPlant:
     def force_maps(self) -> Sequence[ForceMap]:
         """Force maps of any valve; none with gas, where each of many derivatives takes another simulation of all."""
         return self._plant.force_maps if self._plant.valve.gas is None else ()
-
-    @property
-    def experiments(self) -> Sequence[Experiment]:
-        """None: the valve is in service."""
-        return ()
 
     @property
     def advice(self) -> Advice:
