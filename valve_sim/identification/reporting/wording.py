@@ -73,11 +73,6 @@ def kind_words(verdict: Verdict) -> tuple[str, bool]:
     return (probable, False) if verdict.probability >= EVEN else (guess, False)
 
 
-def probability_words(verdict: Verdict) -> str:
-    """The probability in percent; never 100."""
-    return percent(verdict.probability)
-
-
 def percent(probability: float) -> str:
     """A probability in percent; never 0 or 100."""
     if probability >= 0.995:
@@ -215,6 +210,21 @@ def _worth_words(diagnosis: Diagnosis, effect: str) -> tuple[tuple[str, str], ..
         "" if math.isnan(worth.remaining) else f"; with it alone {percent(worth.remaining)} of the error would be left"
     )
     return (("share of the improvement", f"{percent(worth.improvement)}{left}"),)
+
+
+def limit_rows(diagnosis: Diagnosis) -> list[tuple[str, str]]:
+    """Each effect that has a detection limit, and how much of it would have shown; of several parameters each."""
+    rows = []
+    for name, limits in diagnosis.detection_limits.items():
+        switches = {switch.name: switch.unit for switch in diagnosis.plant.effects[name].parameters}
+        known = {parameter: limit for parameter, limit in limits.items() if math.isfinite(limit)}
+        if known:
+            words = ", ".join(
+                (f"{parameter.replace('_', ' ')} " if len(known) > 1 else "") + quantity(limit, switches[parameter])
+                for parameter, limit in known.items()
+            )
+            rows.append((title_of(name), words))
+    return rows
 
 
 def declared_effects(plant: Plant) -> list[str]:
