@@ -71,7 +71,7 @@ def state_words(state: StrokeState) -> str:
 
 
 def fault_words(fault: Fault) -> str:
-    """What the valve did not do."""
+    """The motion that the valve failed to make, in words."""
     match fault:
         case DidNotOpen(travel):
             words = f"the valve did not open: the pilot plunger moved {_mm(travel)} only"

@@ -72,7 +72,7 @@ def size_words(entry: RecordedError) -> str:
 
 
 def title_words(entry: RecordedError) -> str:
-    """What it is, with what else is known of it."""
+    """Title of an error of a recording, with its further figures."""
     return f"{entry.title} ({entry.detail})" if entry.detail else entry.title
 
 
@@ -141,7 +141,7 @@ def state_lines(state: RecordingState) -> list[str]:
 
 
 def _advice(entry: RecordedError, hidden: Hidden | None) -> str:
-    """What to do, and what for."""
+    """Advice on an error of a recording, and the effect that it hides most."""
     if hidden is None:
         return entry.what_to_do
     now, then = quantity(hidden.limit, hidden.unit), quantity(hidden.without, hidden.unit)

@@ -113,7 +113,7 @@ def headline(diagnosis: Diagnosis) -> str:
 
 
 def holdout_words(diagnosis: Diagnosis) -> str:
-    """What held-out data were used for, in a sentence."""
+    """The use that was made of held-out data, in a sentence."""
     if diagnosis.before.holdout is None:
         return "No data were held out: only the fitted data support this."
     return (
@@ -192,7 +192,7 @@ def meanings(diagnosis: Diagnosis) -> list[Meaning]:
 
 
 def _worth_words(diagnosis: Diagnosis, effect: str) -> tuple[tuple[str, str], ...]:
-    """What a name is worth beside others; nothing where it stands alone."""
+    """How much of the error one of several named effects explains, in words; empty for a single name."""
     worth = diagnosis.verdict.worth.get(effect)
     if worth is None or len(diagnosis.verdict.effects) < 2:
         return ()
