@@ -5,8 +5,8 @@ polynomial. Only a command cuts a step. So the state does not depend on when it 
 live equals one whole run, to the last bit.
 
 Begin to read at `run`. These functions are compiled by `lowering`; the kernels that they invoke are made by `kernels`.
-`b` is the block of a valve, one array with all its parameters and states; `layout` names its slots. `t` has the tangents
-of the block, (slots, directions); the block says how many directions.
+`b` is the block of a valve, one array with all its parameters and states; `layout` names its slots. `t` has the
+tangents of the block, (slots, directions); the block says how many directions.
 
 Derivatives go through an event by its saltation: the states are moved to where the event is, by the rates before it
 times the derivative δ of its time, changed there as the event changes them, and moved back by the rates after it.

@@ -22,14 +22,14 @@ _EVENTS_AT: Final = layout.SIZE + ROW_COLUMNS
 
 
 class Live:
-    """The block of a valve that is stepped, with its row of output and its events, and the compiled functions bound to it.
+    """The block of a valve that is stepped, with its row of output, its events, and the functions bound to it.
 
     Args:
         plan: of the valve. block: (layout.SIZE,), copied.
 
     Attributes:
-        block: parameters and state of the valve, see `layout`. row: what was read last: `driver.ROW_COLUMNS` numbers, see `driver.run`;
-            positions not late.
+        block: parameters and state of the valve, see `layout`.
+        row: the last reading, `driver.ROW_COLUMNS` numbers as of `driver.run`; positions are not delayed.
         advance: the raw entry: steps to a time, s, fills `row` and returns an Outcome, 0 if all is well; a tenth of
             the time that `step` takes.
     """
