@@ -35,8 +35,8 @@ SHOWN: Final = 0.5
 """Of the range, what their means are to reach."""
 SMALL_TALK: Final = ("clock_offset", "clock_rate", "scale")
 """Errors that are estimated and cost next to nothing: no advice is printed for them."""
-UNTOLD: Final = "State of the recording: not told, since what has no name would be taken for errors of the recording."
-"""In place of it, where something unnamed acts."""
+UNTOLD: Final = "State of the recording: not reported, because something unnamed acts, which its errors would imitate."
+"""The line in place of the state of the recording, where something unnamed acts."""
 
 
 def _unit(entry: RecordedError) -> tuple[float, str, str]:
