@@ -68,7 +68,7 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
     state = [UNTOLD] if diagnosis.verdict.kind == "unknown" else recording_lines(diagnosis.recording)
     lines += [f"  {words}" for words in state]
     if rows := limit_rows(diagnosis):
-        lines.append("  Would be named in half of such recordings, each alone, from:")
+        lines.append("  Each effect alone would be named in half of such recordings from this size on:")
         lines += [f"    {title:<{_WIDTH - 2}}{words}" for title, words in rows]
     declared = diagnosis.declared
     if declared or isinstance(diagnosis.plant, ValvePlant):
