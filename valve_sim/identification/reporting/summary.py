@@ -40,8 +40,8 @@ def recording_advice(diagnosis: Diagnosis) -> str:
         return f"{words}."
     one, other = (named(candidate.split(" + ")) for candidate in best.pair)
     return (
-        f"{words}; the best single pulse is {best.experiment.words}: {best.repeats} of them separate {one} from {other} "
-        f"by {math.sqrt(best.repeats) * best.separation:.0f} standard deviations, and other pairs by more."
+        f"{words}; the best single pulse is {best.experiment.words}: {best.repeats} of them separate {one} from "
+        f"{other} by {math.sqrt(best.repeats) * best.separation:.0f} standard deviations, and other pairs by more."
     )
 
 
