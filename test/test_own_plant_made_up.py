@@ -32,7 +32,7 @@ def axis(folder: Path, friction: float, load: float) -> OwnPlant:
     """The axis of docs/examples, that moves and rubs so, N."""
     found = moves(lambda v: friction, load)
     log = written(folder / "log.csv", t=found.times, qm=found.position, vir=found.force / 35.15065188)
-    recording_map = (EXAMPLES / "emps_map.yaml").read_text().replace("24.79", "19.95")
+    recording_map = (EXAMPLES / "emps_map.yaml").read_text().replace("24.79", "19.95").replace(", turns: use", "")
     (folder / "map.yaml").write_text(recording_map)
     return OwnPlant(load_plant(EXAMPLES / "emps.yaml"), [read(log, folder / "map.yaml")])
 

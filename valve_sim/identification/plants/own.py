@@ -501,6 +501,8 @@ class OwnPlant:
         found = np.zeros(len(times), dtype=bool)
         for name in self._switched:
             column = recording[name]
+            if column.turns:
+                continue
             signs = np.sign(column.readings)
             crossed = column.times[:-1][signs[1:] != signs[:-1]]
             beside = max(0.5 / column.smoothing, float(np.median(np.diff(column.times))))
