@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from plants.recording import Recorder, train_profile
 
-from benchmarks.hard_recordings.cases import CAMPAIGN, Case, cases
+from benchmarks.campaign.hard import CAMPAIGN, Case, cases
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose, diagnose_plant
 from valve_sim.identification.estimation.budget import Budget
