@@ -54,9 +54,7 @@ GROUPS: Final[dict[str, tuple[Benchmark, ...]]] = {
         Benchmark("campaign", "", "up to 2 minutes a case, 4 a seed", "--only outlet_none,outlet_single"),
         Benchmark("campaign", "", "minutes", "--only mistake --seeds 1"),
     ),
-    "Recordings of others": (
-        Benchmark("real_recordings", "the published measurements", "minutes"),
-    ),
+    "Recordings of others": (Benchmark("real_recordings", "the published measurements", "minutes"),),
     "Machines of plant files": (
         Benchmark("actuators", "", "minutes", "200 11"),
         Benchmark("plant_limits", "", "minutes"),
