@@ -78,7 +78,7 @@ def machine(reference: Reference, seed: int = 1) -> OwnPlant:
     drive *= amplitude / float(np.max(np.abs(drive)))
     driven = Column(name, "made up", times, drive, parse_unit(unit), np.ones(len(times), dtype=bool))
     shown = simulate_plant(file, Columns("made up", {name: driven}))
-    (output,) = file.outputs
+    output = next(iter(file.outputs))
     signal = shown[output]
     sigma = NOISE * float(np.ptp(signal))
     noisy = signal + np.random.default_rng(seed).normal(0.0, sigma, len(times))
