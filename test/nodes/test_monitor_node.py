@@ -227,11 +227,19 @@ def numbers_of(stroke: int, heard: list[Any]) -> dict[str, str]:
     return next((values for values in said if values["stroke"] == f"{stroke}"), {})
 
 
-def test_a_stuck_valve_is_an_error(probe: Probe, tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def valve(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """One valve_node for all tests that leave its parameters as they were."""
+    with running(tmp_path_factory.mktemp("valve")):
+        yield
+
+
+def test_a_stuck_valve_is_an_error(valve: None, probe: Probe, tmp_path: Path) -> None:
     ears = Ears(probe)
-    with running(tmp_path), monitoring(tmp_path):
+    with monitoring(tmp_path):
         ears.ready()
         ears.strokes(2)
+        own = probe.parameters()["valve.seat_load"]
         assert probe.set_parameters(valve__seat_load=100.0)[0].successful
         # Held for as long as it takes: the monitor is the more patient, the later this machine is.
         ears.voltage.publish(Float64(data=9.0))
@@ -242,12 +250,15 @@ def test_a_stuck_valve_is_an_error(probe: Probe, tmp_path: Path) -> None:
         report = json.loads(ears.reports[-1].data)
         assert report["opened"] is False
         assert "did not open" in report["fault"]
+    assert probe.set_parameters(valve__seat_load=own)[0].successful
 
 
 @pytest.mark.any_distribution
-def test_with_the_topic_of_the_coil_a_valve_is_watched_by_its_current_alone(probe: Probe, tmp_path: Path) -> None:
+def test_with_the_topic_of_the_coil_a_valve_is_watched_by_its_current_alone(
+    valve: None, probe: Probe, tmp_path: Path
+) -> None:
     ears = Ears(probe)
-    with running(tmp_path), monitoring(tmp_path, measured="coil"):
+    with monitoring(tmp_path, measured="coil"):
         ears.ready()
         (report,) = ears.strokes(1)
         topics = [f"{probe.target}/{name}" for name in ("coil", "coil_current")]
@@ -294,26 +305,23 @@ def test_a_signal_ends_it_with_code_0(probe: Probe, tmp_path: Path, number: sign
         assert "Traceback" not in process.stderr.read()
 
 
-def test_its_parameters_are_dumped_as_a_file_of_the_same_valve(ros: None, tmp_path: Path) -> None:
+def test_its_parameters_are_dumped_as_a_file_of_the_same_valve_and_a_former_name_counts(
+    ros: None, tmp_path: Path
+) -> None:
     path = tmp_path / "tolerances.yaml"
     path.write_text(TOLERATED)
     declared = load_valve(path)
     monitor = Probe("/monitor")
     try:
-        arguments = ["--ros-args", "-p", "valve_node:=/tank_1/valve", "--params-file", str(path)]
+        arguments = ["--ros-args", "-p", "valve:=/tank_1/valve", "--params-file", str(path)]
         with running(tmp_path, arguments, "monitor_node") as process:
             values = monitor.parameters()
             assert monitor.until(lambda: "hears /tank_1/valve/coil_voltage" in process.output)
+            assert "parameter valve is called valve_node now" in process.output
     finally:
         monitor.close()
     assert values["valve_node"] == "/tank_1/valve"
     assert load_valve(dump(values, tmp_path / "dump.yaml", "/monitor")) == declared
-
-
-def test_the_former_name_of_the_watched_node_counts_and_is_warned_of(ros: None, probe: Probe, tmp_path: Path) -> None:
-    with running(tmp_path, ["--ros-args", "-p", "valve:=/tank_1/valve"], "monitor_node") as process:
-        assert probe.until(lambda: "hears /tank_1/valve/coil_voltage" in process.output)
-        assert "parameter valve is called valve_node now" in process.output
 
 
 @pytest.mark.any_distribution
