@@ -305,23 +305,26 @@ def test_a_signal_ends_it_with_code_0(probe: Probe, tmp_path: Path, number: sign
         assert "Traceback" not in process.stderr.read()
 
 
-def test_its_parameters_are_dumped_as_a_file_of_the_same_valve_and_a_former_name_counts(
-    ros: None, tmp_path: Path
-) -> None:
+def test_its_parameters_are_dumped_as_a_file_of_the_same_valve(ros: None, tmp_path: Path) -> None:
     path = tmp_path / "tolerances.yaml"
     path.write_text(TOLERATED)
     declared = load_valve(path)
     monitor = Probe("/monitor")
     try:
-        arguments = ["--ros-args", "-p", "valve:=/tank_1/valve", "--params-file", str(path)]
+        arguments = ["--ros-args", "-p", "valve_node:=/tank_1/valve", "--params-file", str(path)]
         with running(tmp_path, arguments, "monitor_node") as process:
             values = monitor.parameters()
             assert monitor.until(lambda: "hears /tank_1/valve/coil_voltage" in process.output)
-            assert "parameter valve is called valve_node now" in process.output
     finally:
         monitor.close()
     assert values["valve_node"] == "/tank_1/valve"
     assert load_valve(dump(values, tmp_path / "dump.yaml", "/monitor")) == declared
+
+
+def test_the_former_name_of_the_watched_node_counts_and_is_warned_of(ros: None, probe: Probe, tmp_path: Path) -> None:
+    with running(tmp_path, ["--ros-args", "-p", "valve:=/tank_1/valve"], "monitor_node") as process:
+        assert probe.until(lambda: "hears /tank_1/valve/coil_voltage" in process.output)
+        assert "parameter valve is called valve_node now" in process.output
 
 
 @pytest.mark.any_distribution

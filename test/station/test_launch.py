@@ -10,11 +10,14 @@ import yaml
 from nodes.launch_plan import LaunchConfiguration, read_launch_file
 
 from valve_sim.files.parameter_sections import read_sections
+from valve_sim.model import ParameterError
+from valve_sim.nodes.starting import read_files
 from valve_sim.station.archive_tables import archive_settings
 from valve_sim.station.opcua_tables import opcua_settings
 from valve_sim.station.plc_tables import plc_settings
 
-PLAN = read_launch_file(Path(__file__).parents[2] / "launch" / "station.launch.py")
+LAUNCH = Path(__file__).parents[2] / "launch"
+PLAN = read_launch_file(LAUNCH / "station.launch.py")
 CHECKED = {"opcua": opcua_settings, "plc": plc_settings, "archive": archive_settings}
 
 
@@ -34,3 +37,11 @@ def test_a_node_is_started_where_it_is_asked_for_with_all_valves(name: str, tmp_
     assert settings.valves == ("tank_1/valve", "tank_2/valve", "tank_3/valve")
     if hasattr(settings, "monitors"):
         assert settings.monitors == ("tank_1/monitor", "tank_2/monitor", "tank_3/monitor")
+
+
+def test_a_parameter_file_that_is_not_there_ends_the_valve_that_should_have_it() -> None:
+    plan = read_launch_file(LAUNCH / "valve.launch.py")
+    (valve,) = plan.nodes
+    with pytest.raises(ParameterError, match=r"nowhere\.yaml: cannot be read"):
+        read_files(valve.command_line({**plan.arguments, "params_file": "nowhere.yaml"}))
+    assert len(read_files(valve.command_line(plan.arguments))) == 1
