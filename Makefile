@@ -37,7 +37,7 @@ PARTS := $(MAKE) --no-print-directory --keep-going --jobs 2 --output-sync=target
 PARTS_ARE := two parts at a time; what each found is printed when it is done, and those that failed are named in the end
 PYTEST := -m pytest --durations 10
 # Live nodes are tested one after the other, all else by two processes.
-SIDE_BY_SIDE := --numprocesses 2 --dist worksteal
+SIDE_BY_SIDE := --numprocesses 2 --dist loadfile
 # The tests that depend on the ROS distribution.
 KILTED_TESTS := $(foreach name,messages encoded_messages receiving node_clock tables valve_node identification_node monitor_node \
 	station supervision refusals,test/nodes/test_$(name).py)

@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import argparse
 import resource
-import sys
 import tempfile
 import time
 from collections.abc import Iterable, Iterator, Sequence
@@ -28,6 +27,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
+from plants.recording import BAG_START_NS, Recorder, Recording, record, train_bags, write_bag
 
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.fleet.cluster import Cluster, run_batches
@@ -41,10 +42,6 @@ from valve_sim.fleet.work import Examined, examine_units, survey_bags
 from valve_sim.identification.estimation.budget import Budget
 from valve_sim.model import Drive
 from valve_sim.traces import Trace
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "test"))
-from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
-from plants.recording import BAG_START_NS, Recorder, Recording, record, train_bags, write_bag
 
 DAYS, DAY_NS = 100, 86_400_000_000_000
 RECORDER = Recorder(quantisation=0.1e-6, command_jitter=20e-6, sample_rate=10e3)

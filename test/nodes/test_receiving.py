@@ -211,3 +211,16 @@ def test_a_publisher_that_cannot_be_heard_is_counted(probe: Probe, hearing: Call
     assert source.incompatible_publishers == 0
     probe.talker("volts", Float64, QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT))
     assert probe.until(lambda: source.incompatible_publishers == 1)
+
+
+def test_a_publisher_of_another_type_is_warned_of_once(
+    probe: Probe, hearing: Callable[..., Hearing], capfd: pytest.CaptureFixture[str]
+) -> None:
+    node = hearing()
+    source = node.inbox.subscribe(Float64, "~/volts", node.take, RELIABLE)
+    probe.talker("volts", UInt8)
+    probe.talker("volts", Float64)
+    assert probe.until(lambda: len(source.known_types) == 2)
+    send_until_heard(probe, node, probe.talker("volts", Float64), 4.5)
+    words = "/heard/volts: a publisher sends std_msgs/msg/UInt8 and cannot be heard; publish std_msgs/msg/Float64"
+    assert capfd.readouterr().err.count(words) == 1

@@ -152,6 +152,7 @@ def test_coloured_noise_keeps_its_standard_deviation(colour: float) -> None:
     assert correlation(noise[3:], noise[:-3]) == pytest.approx(colour**3, abs=0.03)
 
 
+@pytest.mark.long
 def test_flicker_has_as_much_power_in_every_octave() -> None:
     pieces = [error(replace(SILENT, flicker=1e-6), resting(0.5), seed) for seed in range(40)]
     power = np.mean([np.square(np.abs(np.fft.rfft(piece - piece.mean()))) for piece in pieces], axis=0)
@@ -171,6 +172,7 @@ def test_readings_come_in_steps() -> None:
 # --- the zero --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_the_zero_drifts_by_as_much_from_stroke_to_stroke_and_along_a_ramp_within_one() -> None:
     rate = 2000.0
     apart = round(STROKE_PERIOD * rate)
@@ -337,6 +339,7 @@ def test_a_moving_average_is_late_and_calms_the_noise() -> None:
 # --- clocks ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_stamps_are_late_as_the_clocks_make_them() -> None:
     made = recorded(Laboratory(clock_rate=200e-6, clock_offset=1e-3))
     np.testing.assert_allclose(made.command_times - made.true_command_times, 1e-3 + 200e-6 * made.true_command_times)
@@ -383,6 +386,7 @@ def test_the_drop_is_by_the_current_of_a_warm_coil_at_the_driver_s_gain() -> Non
     assert u == pytest.approx(1.05 / load, rel=5e-3)
 
 
+@pytest.mark.long
 def test_every_stroke_has_dampings_of_its_own() -> None:
     laboratory = replace(SILENT, stroke_variation=0.08)
     even = times_of(recorded(SILENT), "opened")

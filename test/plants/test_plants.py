@@ -401,6 +401,7 @@ def test_a_plant_without_deviations_is_as_declared() -> None:
     assert deviated(SHEET_VALVE, {}) == SHEET_VALVE
 
 
+@pytest.mark.long
 def test_declared_tolerances_are_those_of_what_is_drawn() -> None:
     random = np.random.default_rng(1)
     drawn = [deviated(SHEET_VALVE, drawn_deviations(random)) for _ in range(4000)]
@@ -439,6 +440,7 @@ def test_every_deviation_shows_and_no_other_name_is_taken(name: str) -> None:
 # --- plant (b) -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_mismatched_plant_opens_like_the_paper() -> None:
     run = one_stroke(MismatchedPlant())
     assert run.first("picked_up") == pytest.approx(5.3e-3, abs=2e-6)
@@ -492,6 +494,7 @@ WITHOUT_FRICTION = Build(friction=0.0, breakaway=0.0, pressure=0.0)
 IDEAL = WITHOUT_FRICTION._replace(eddy_time_constant=0.0, sensor_cutoff=0.0)
 
 
+@pytest.mark.long
 def test_the_reluctance_plant_agrees_with_scipy_up_to_the_pick_up() -> None:
     build = IDEAL
 

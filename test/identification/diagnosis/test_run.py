@@ -74,7 +74,7 @@ def test_nothing_is_claimed_where_nothing_is_missing(recorder: Recorder) -> None
         ),
         pytest.param("pressure_force", {"force": 0.5, "equalisation_time": 6e-3}, marks=pytest.mark.long),
         pytest.param("stop_bounce", {"restitution_stop": 0.3, "restitution_seat": 0.2}, marks=pytest.mark.long),
-        ("stroke_offset", {"offset": 2e-6}),
+        pytest.param("stroke_offset", {"offset": 2e-6}, marks=pytest.mark.long),
     ],
 )
 def test_the_missing_effect_is_named_and_removes_the_residual(name: str, parameters: Mapping[str, float]) -> None:

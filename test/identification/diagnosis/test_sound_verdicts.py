@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from plants.recording import Recorder, train_profile
 
-from benchmarks.hard_recordings.cases import CAMPAIGN, Case, cases
+from benchmarks.campaign.hard import CAMPAIGN, Case, cases
 from identification.plants.test_axis import made_up_record
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose, diagnose_plant

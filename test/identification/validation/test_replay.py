@@ -98,6 +98,7 @@ def test_tolerances_widen_the_band_and_move_nothing(trace: Trace):
     assert not validate([trace], replace(off, tolerances=EXACT)).passed
 
 
+@pytest.mark.long
 def test_the_corrected_valve_has_the_error_that_the_diagnosis_predicts_of_held_out_strokes(trace: Trace):
     other = as_trace(measured(seed=4, clock_offset=-30e-6, command_jitter=20e-6))
     declared = replace(EXACT_VALVE, tolerances=Tolerances({"spring_preload": 0.05})).with_values(spring_preload=2.56)

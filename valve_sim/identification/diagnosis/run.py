@@ -156,6 +156,7 @@ def _begun(
     problem = _with_least(problem.with_noises({kind: known[kind] for kind in never_still if kind in known}), least)
     unknown = [kind for kind in never_still if kind not in known]
     if unknown:
+        say("noise, by what all effects together leave", 0.0)
         problem = problem.with_noise_left_by(_largest_fit(problem).values)
     held_out = None
     if holdout is not None:

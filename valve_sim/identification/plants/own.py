@@ -51,6 +51,11 @@ LAG: Final = 0.01
 """Of a recording's samples, over which its fastest rate is taken."""
 SPAN: Final = 0.5
 """Of a measured signal's range: standard deviation of the start of a state that it shows."""
+TIMES_STEPS: Final = 20
+"""Steps of a run as declared, of which a run with other values may take so many."""
+STEPS_BESIDE: Final = 12
+"""Further steps for each sample and each time of an input: what turns faster than half their rate needs more."""
+STEPS_LEAST: Final = 20_000
 VALUE: Final = "valve."
 """Begins the name of a declared value that may be wrong, as of every plant."""
 
@@ -88,6 +93,7 @@ class OwnPlant:
         self.recordings = tuple(recordings)
         self._machines: dict[tuple[str, ...], Machine] = {}
         self._lock = threading.Lock()
+        self._steps: dict[tuple[int, int], int | None] = {}
         for recording in recordings:
             self._check(recording)
         if recordings:
@@ -259,7 +265,7 @@ class OwnPlant:
             acting = [k for k, one in enumerate(own) if one]
             try:
                 shown, changes = machine.run(
-                    numbers, start, run.inputs, run.samples, [own[k] for k in acting], run.start
+                    numbers, start, run.inputs, run.samples, [own[k] for k in acting], run.start, self._most(run)
                 )
             except SimulationError as error:
                 raise SimulationError(f"{self.file.path}: {self.recordings[run.recording].source}: {error}") from error
@@ -278,6 +284,24 @@ class OwnPlant:
             found.append(measured.filtered(full[index, name]))
             columns.append(measured.filtered(slopes[index, name]))
         return found, columns
+
+    def _most(self, run: Run) -> int | None:
+        """How many steps a run may take; None: the declared machine itself cannot be simulated.
+
+        A fit may come to values that make a machine turn thousands of times between two samples, such as ripples a
+        hundredth as long as they are. One such run takes as long as a whole fit.
+        """
+        key = run.recording, run.window
+        if key not in self._steps:
+            beside = STEPS_LEAST + STEPS_BESIDE * (len(run.samples) + len(run.inputs.times))
+            try:
+                declared = self.machine(()).steps(
+                    self._numbers(run, {}, ()), self._start(run, {}), run.inputs, run.samples, run.start
+                )
+                self._steps[key] = TIMES_STEPS * declared + beside
+            except SimulationError:
+                self._steps[key] = None
+        return self._steps[key]
 
     def _samples_of(self, run: Run, name: str) -> slice:
         times = self.recordings[run.recording][name].times
@@ -351,7 +375,7 @@ class OwnPlant:
             unit = known[name].unit
             if column.unit is not None and not same(column.unit.dimension, unit.dimension):
                 raise MapError(
-                    f"{recording.source}: {name}: column {column.source} is in "
+                    f"{recording.source}: {name}: {column.source} is in "
                     f"{dimension_words(column.unit.dimension)}, expected {dimension_words(unit.dimension)}; "
                     "correct its unit in the map"
                 )
