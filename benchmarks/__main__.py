@@ -54,14 +54,10 @@ GROUPS: Final[dict[str, tuple[Benchmark, ...]]] = {
         Benchmark("campaign", "", "up to 2 minutes a case, 4 a seed", "--only outlet_none,outlet_single"),
         Benchmark("campaign", "", "minutes", "--only mistake --seeds 1"),
     ),
-    "Recordings of others": (
-        Benchmark("emps", "DATA_EMPS.mat", "seconds"),
-        Benchmark("maglev", "the records of the magnet", "seconds"),
-        Benchmark("real_recordings", "both of these", "a minute"),
-    ),
+    "Recordings of others": (Benchmark("real_recordings", "the published measurements", "minutes"),),
     "Machines of plant files": (Benchmark("actuators", "", "minutes", "200 11"),),
     "Monitor": (
-        Benchmark("monitoring", "", "hours", "healthy growth changes --strokes 10000 --seeds 10"),
+        Benchmark("monitoring", "", "hours", "healthy growth --strokes 10000 --seeds 10"),
         Benchmark("monitoring", "", "hours", "laboratory"),
         Benchmark("monitoring", "", "minutes", "coil gas --seeds 12"),
         Benchmark("monitoring", "", "an hour", "sweep"),
@@ -72,7 +68,6 @@ GROUPS: Final[dict[str, tuple[Benchmark, ...]]] = {
         Benchmark("nodes.station", f"{ROS}, a quiet machine", "minutes", "--seconds 60"),
         Benchmark("nodes.station", ROS, "ten minutes", "--busy 1000"),
         Benchmark("nodes.recording", ROS, "minutes", "--strokes 40"),
-        Benchmark("nodes.stalled", f"{ROS} with Fast DDS 2", "minutes"),
         Benchmark("nodes.soak", ROS, "five minutes", "--hours 24"),
         Benchmark("nodes.plc", f"{ROS}, the extra modbus", "a minute", "--strokes 100"),
         Benchmark("opcua_server", "the extra opcua", "minutes"),
@@ -83,7 +78,6 @@ GROUPS: Final[dict[str, tuple[Benchmark, ...]]] = {
     ),
     "Fleet": (
         Benchmark("fleet", FLEET, "two minutes a seed", "--seeds 10"),
-        Benchmark("fleet_kills", FLEET, "minutes", "--kills 20"),
         Benchmark("archive_years", FLEET, "half an hour", "--years 10"),
     ),
 }

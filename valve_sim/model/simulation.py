@@ -202,7 +202,7 @@ class Valve:
         return record_of(self.declared(), self.effects, self.gas)
 
     def with_values(self, **values: float) -> Valve:
-        """The same valve with some declared scalars (a0 … a3 among them) replaced.
+        """This valve with some declared scalars (a0 … a3 among them) replaced.
 
         Raises:
             ParameterError: no such scalar.
@@ -254,7 +254,7 @@ def _check_one_plunger(effects: Mapping[str, Mapping[str, float]], gas: GasParam
 
 
 def _check_beside_gas(parameters: ValveParameters, effects: Mapping[str, Mapping[str, float]], source: str) -> None:
-    """What is declared beside gas must go with it."""
+    """Refuse declared values that contradict a valve with gas."""
     for name in effects:
         if not CATALOGUE[name].is_of(has_gas=True):
             raise ParameterError(
@@ -269,7 +269,7 @@ def _check_beside_gas(parameters: ValveParameters, effects: Mapping[str, Mapping
 
 
 def _check_without_gas(effects: Mapping[str, Mapping[str, float]], source: str) -> None:
-    """What is of gas alone needs gas."""
+    """Refuse effects that only a valve with gas has."""
     for name in effects:
         if not CATALOGUE[name].is_of(has_gas=False):
             raise ParameterError(
@@ -291,7 +291,7 @@ def new_states(records: Any, start_time: float) -> Any:
 
 
 def columns_of(records: Any) -> int:
-    """How many columns a whole row of output has."""
+    """Number of columns of a whole row of output."""
     return ROW + GAS_COLUMNS if is_of_gas(records) else ROW
 
 
@@ -393,7 +393,7 @@ def run_course(
     record: Any, state: Any, course: tuple[Array, Array, float], samples: Samples, events: Any,
     tolerance: float = TOLERANCE, vary: Any = None,
 ) -> int:  # fmt: skip
-    """The same up to a given time: a long run is made of such pieces, each of which ends with a command.
+    """Simulate a valve up to a given time: a long run is made of such pieces, each of which ends with a command.
 
     Args:
         record, state, samples, events, tolerance, vary: as of `run_record`.

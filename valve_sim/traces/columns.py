@@ -68,6 +68,7 @@ class Column:
         times, readings: (n,) s, and numbers in `unit`; None: in the unit that the machine declares.
         used: (n,) True where a sample counts. low_pass: Hz, infinite: none. every: of how many samples one is compared.
         held: whether it holds between its samples; None: as the machine declares.
+        smoothing: Hz, of the low-pass that its readings have passed.
         gain, offset: standard deviations of errors of each recording: a factor 1 ± gain, and ± offset in `unit`.
     """
 
@@ -82,10 +83,12 @@ class Column:
     held: bool | None = None
     gain: float = 0.0
     offset: float = 0.0
+    smoothing: float = math.inf
 
     def si(self, declared: Unit) -> Array:
         """(n,) in SI; what is not used is NaN nowhere, but marked in `used`."""
-        return self.readings * (declared if self.unit is None else self.unit).factor
+        unit = declared if self.unit is None else self.unit
+        return self.readings * unit.factor + unit.zero
 
     def filtered(self, values: Array) -> Array:
         """(n, ...) values at the column's samples, low-passed as it is and thinned."""
@@ -214,7 +217,7 @@ class _Reading:
         gain, zero = self._tolerance(name, entry)
         return Column(
             name, label, times, readings, unit, used, math.inf if order else low_pass, every,
-            between == "held" if between else None, gain, zero,
+            between == "held" if between else None, gain, zero, low_pass,
         )  # fmt: skip
 
     def _filter(self, name: str, entry: Mapping[str, Any], times: Array) -> tuple[float, int, int]:

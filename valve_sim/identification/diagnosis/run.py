@@ -207,7 +207,7 @@ class DiagnosisSession:
         return self._search.tried[()].fit
 
     def name(self) -> VerdictWithIntervals:
-        """Search, and decide: what a diagnosis names, and nothing of what a report has beside."""
+        """Search and decide: the verdict with its intervals, without the further contents of a report."""
         self._run(is_full=False)
         decision = self._decided().decision
         result = self._fit_of(decision)
@@ -277,7 +277,7 @@ class DiagnosisSession:
     # -- what is claimed -----------------------------------------------------------------------------------------------
 
     def _decided(self) -> Grounds:
-        """What the verdict follows from, curves and held-out odds among it."""
+        """The table of evidence from which the verdict follows, with curves and held-out odds."""
         posterior = self._search.posterior()
         curves = self._search.curves if posterior.unnamed > PROMISING else []
         best = leader_of({names: share.total for names, share in posterior.shares.items()}, posterior.fitted)
@@ -312,7 +312,7 @@ class DiagnosisSession:
         return max(float(rmse(result)) ** 2 - float(self._search.problem.noise.sigma) ** 2, 0.0)
 
     def _worth(self, names: Set) -> dict[str, Worth]:
-        """What each of some named effects is worth."""
+        """How much of the squared error each of some named effects explains."""
         left = {frozenset(key): self._left(tried.fit) for key, tried in self._search.tried.items()}
         declared, whole = left[frozenset()], left[frozenset(names)]
         gains: dict[str, float] = {}
@@ -384,7 +384,7 @@ class DiagnosisSession:
         return tuple(describe(entry.choice, entry.fit, base) for entry in maps)
 
     def _near(self, decision: Decision) -> list[Set]:
-        """What is named, and what would do in its place."""
+        """The named effects, and the look-alikes of each."""
         found = [decision.names]
         for name, others in decision.others.items():
             for other in others:

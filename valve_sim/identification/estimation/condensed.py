@@ -149,7 +149,7 @@ class Condensed:
 
     @functools.cached_property
     def places(self) -> RowPlaces:
-        """Where the rows were measured."""
+        """Time and stroke of each row, whether it is in motion, and its weight."""
         parts = [(layout.times, layout.groups, layout.moves, layout.steady) for layout in self._layouts]
         return places_of([channel.recording for channel in self._recordings], parts)
 

@@ -27,7 +27,7 @@ PIVOT: Final = 1e-5
 EVEN: Final = 1e-6
 """Information, in inverse squares of a range, that changes nothing within it."""
 TINY: Final = 1e-200
-"""What is divided by at the least."""
+"""Smallest divisor."""
 FAR: Final = 6.0
 """Standard deviations beyond which an end of a range takes nothing away."""
 

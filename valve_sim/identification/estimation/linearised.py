@@ -86,7 +86,7 @@ class Linearised:
         return np.hstack(self._rows)
 
     def log_constant(self, sizes: Array) -> float:
-        """What errors of these sizes add to ln p beside what `rows` say."""
+        """The terms of ln p from errors of these sizes, beyond those of `rows`."""
         return 0.0 if self._errors is None else self._sized(sizes).log_constant
 
     def _sized(self, sizes: Array) -> ErrorRows:

@@ -289,7 +289,7 @@ class Fit:
 
     @property
     def _penalty(self) -> float:
-        """What a smooth curve's prior adds to the criterion."""
+        """The share of a smooth curve's prior in the criterion."""
         if self.smooth is None:
             return 0.0
         at = self.coordinates[self.curve]

@@ -256,7 +256,7 @@ class CommissionedPlant(Plant):
         return self._plant.sensitivities(plain, along)
 
     def _plain_slopes(self, slopes: Mapping[str, float], plain: Mapping[str, float]) -> dict[str, float]:
-        """How values change along a direction, by their plain names."""
+        """Changes of values along a direction, by their plain names."""
         found = {name: slope for name, slope in slopes.items() if name in plain and name not in self._errors}
         errors = self._spread @ np.array([slopes.get(name, 0.0) for name in self._errors])
         for name, error in zip(self._estimated, errors.tolist(), strict=True):

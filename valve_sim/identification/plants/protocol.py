@@ -136,7 +136,7 @@ class ForceMap:
 
     @property
     def held(self) -> dict[str, float]:
-        """What a fit holds: the place of the B-splines."""
+        """Names that a fit keeps fixed: the place of the B-splines."""
         return {**self.fixed, self.count: float(len(self.coefficients))}
 
     def with_period(self, period: float) -> ForceMap:
@@ -193,7 +193,7 @@ class Channel:
 
     @property
     def count(self) -> int:
-        """How many measurements there are."""
+        """Number of measurements."""
         return len(self.data) - (0 if self.left_out is None else int(np.count_nonzero(self.left_out)))
 
     def kept(self, values: Array, samples: slice = slice(None)) -> Array:
@@ -275,7 +275,7 @@ class Piece(NamedTuple):
 
     @property
     def samples(self) -> slice:
-        """Which of the channel's they are."""
+        """Indices of these samples in the channel."""
         return slice(self.start, self.start + len(self.shown))
 
 
@@ -287,7 +287,7 @@ class Plant(Protocol):
 
     @property
     def channels(self) -> Sequence[Channel]:
-        """What was measured."""
+        """The measured channels."""
 
     @property
     def base(self) -> Sequence[str]:
@@ -306,7 +306,7 @@ class Plant(Protocol):
 
     @property
     def effects(self) -> Mapping[str, EffectChoice]:
-        """What may be missing, by name."""
+        """The effects that may be missing, by name."""
 
     @property
     def force_maps(self) -> Sequence[ForceMap]:

@@ -26,7 +26,7 @@ STEP: Final = 3e-4
 """Step of a difference quotient, in tolerances. From 3e-3 on, samples change sides of an impact, and standard errors
 are off by a factor of up to 5; below 1e-3 they are the same to three digits (measured)."""
 GROUP: Final = "gas."
-"""What fits call a number of the group `gas` begins with it."""
+"""Prefix of the names of numbers of the group `gas` in fits."""
 SAME_AS: Final[Mapping[str, str]] = {
     "pilot_gap": "gap_offset.offset",
     "stroke": "stroke_offset.offset",
@@ -49,7 +49,7 @@ LOOK_ALIKES: Final[Mapping[str, tuple[str, ...]]] = {
     "gas.outlet_volume": ("pilot_clogging", "seat_leak", "gas.discharge_coefficient", "gas.pilot_orifice_diameter"),
     "gas.demand_orifice_diameter": ("seat_leak", "gas.outlet_volume"),
 }
-"""What data often cannot tell from a wrong value, the closest first."""
+"""Effects that data often cannot tell from a wrong value, the closest first."""
 
 
 SMALLER_IS: Final[Mapping[str, str]] = {"gas.pilot_orifice_diameter": "pilot_clogging"}
@@ -74,7 +74,7 @@ EXACT_RIVALS_OF_GAS: Final = (
 
 
 def of_gas(name: str) -> str:
-    """What fits call a number of the group `gas`."""
+    """The name of a number of the group `gas` in fits."""
     return f"{GROUP}{name}"
 
 

@@ -41,6 +41,7 @@ from valve_sim.identification.reporting.wording import (
     meanings,
     percent,
     rounding_words,
+    unseen_noise_words,
 )
 from valve_sim.invocation import invocation
 
@@ -243,7 +244,9 @@ def _improvement(diagnosis: Diagnosis, scale: float, unit: str, sigma: float) ->
     words = f"On fitted data: {_change(scale * before.train_rmse, scale * after.train_rmse, unit)}."
     if math.isfinite(before.holdout_rmse):
         words += f" On held-out data: {_change(scale * before.holdout_rmse, scale * after.holdout_rmse, unit)}."
-    words += f" The sensor's noise is {three_digits(sigma)} {unit}. {rounding_words(diagnosis)}"
+    unseen = unseen_noise_words(diagnosis)
+    what = "The best model leaves" if unseen else "The sensor's noise is"
+    words += f" {what} {three_digits(sigma)} {unit}. {rounding_words(diagnosis)} {unseen}"
     return f"Root-mean-square error before → after. {words.rstrip()}"
 
 

@@ -71,7 +71,7 @@ def state_words(state: StrokeState) -> str:
 
 
 def fault_words(fault: Fault) -> str:
-    """What the valve did not do."""
+    """The motion that the valve failed to make, in words."""
     match fault:
         case DidNotOpen(travel):
             words = f"the valve did not open: the pilot plunger moved {_mm(travel)} only"
@@ -105,14 +105,16 @@ def finding_words(finding: FaultFinding) -> str:
     """What has changed in the valve, such as "Coulomb friction 0.310 ± 0.020 N, none when commissioned"."""
     verdict = finding.verdict
     if verdict.kind == "none":
-        return "the last strokes are as those of the commissioned valve"
+        return "the last strokes do not differ from those at commissioning"
     if verdict.kind == "unknown":
         nearest = f"; the nearest is {named(verdict.effects)}" if verdict.effects else ""
         return f"something has changed that no effect of the catalogue explains{nearest}"
     changes = "; ".join(_change(effect, finding) for effect in verdict.effects) or "no change at all"
     others = named(sorted({other for names in verdict.confusable_with.values() for other in names}), "or")
     alternatives = f" ({others} would explain it about as well)" if others else ""
-    uncertain = "the strokes cannot tell what has changed; the likeliest: " if verdict.kind == "insufficient" else ""
+    uncertain = (
+        "the strokes cannot tell what has changed; the most probable: " if verdict.kind == "insufficient" else ""
+    )
     return f"{uncertain}{changes}{alternatives}"
 
 

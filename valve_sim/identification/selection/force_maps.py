@@ -98,7 +98,7 @@ def _any(choice: ForceMap, base: Fit) -> list[NonparametricFit]:
 
 
 def _held(base: Fit) -> dict[str, float]:
-    """What a fit holds."""
+    """The values that a fit keeps fixed."""
     estimated = {*base.names}
     return {name: value for name, value in base.values.items() if name not in estimated}
 

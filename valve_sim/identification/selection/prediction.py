@@ -176,7 +176,7 @@ class HeldOut:
             self.problem = there.problem
 
     def predicted(self, result: Fit, size: float = 0.0) -> Predicted | None:
-        """What it predicts of them."""
+        """The predicted error of held-out strokes."""
         there = self.fit(result)
         return None if there is None else predicted(result, there, size)
 

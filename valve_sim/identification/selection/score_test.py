@@ -54,7 +54,7 @@ class Addition(NamedTuple):
 
     @property
     def log_gain(self) -> float:
-        """What ln p would gain in all."""
+        """The gain of ln p, all terms together."""
         return self.gain + self.log_price
 
 

@@ -629,7 +629,7 @@ class Search:
         return all(own.lower <= value <= own.upper for own, value in found)
 
     def free_names(self, names: Set) -> tuple[str, ...]:
-        """What a set frees."""
+        """The parameters that a set frees."""
         plant = self.problem.plant
         return (*plant.base, *itertools.chain(*(plant.effects[name].free_names() for name in names)))
 
@@ -661,7 +661,7 @@ def words(names: Set) -> str:
 
 
 def _promise(result: Fit) -> float:
-    """What ln p of a fit that has not ended may come to."""
+    """The largest ln p that an unfinished fit may reach."""
     return (
         result.log_evidence
         if result.converged
