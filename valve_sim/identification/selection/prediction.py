@@ -23,7 +23,7 @@ from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.recording import fit_recording
 from valve_sim.identification.estimation.result import Fit, rmse
 from valve_sim.identification.plants.covariance_root import covariance_root
-from valve_sim.identification.plants.protocol import Array, from_internal, primary_channels, varying_of
+from valve_sim.identification.plants.protocol import Array, primary_channels, varying_of
 from valve_sim.identification.selection.discrepancy import Discrepancy, lengths_of
 from valve_sim.model import SimulationError
 
@@ -72,14 +72,12 @@ def recording_axes_of(result: Fit) -> list[dict[str, float]]:
 
 def _axes(result: Fit, own: list[int], values: Mapping[str, float], covariance: Array) -> list[dict[str, float]]:
     """Values moved along the principal axes of the covariance of some coordinates, by their indices."""
-    plant, found = result.problem.plant, []
-    low, high = result.room[own].T
+    found = []
     for axis in covariance_root(covariance).T:
-        moved, steps = dict(values), np.clip(axis, -low, high).tolist()
-        for index, step in zip(own, steps, strict=True):
-            name, at = result.names[index], float(result.coordinates[index]) + step
-            moved[name] = from_internal(plant.parameter(name), at) if index < len(result.free) else at
-        found.append(moved)
+        at = result.coordinates.copy()
+        at[own] += axis
+        there = result.values_at(at)
+        found.append({**values, **{result.names[index]: there[result.names[index]] for index in own}})
     return found
 
 
