@@ -62,8 +62,9 @@ def test_a_diagnosis_keeps_to_its_budget_and_says_what_it_left(strokes: float, p
     assert found.work < whole.work
     assert found.allowed == strokes
     assert to_json(found)["untried"] == list(found.untried)
-    assert f"{len(found.untried)} sets were left untried, by the budget or because they cannot be simulated" in summarise(
-        found
+    assert (
+        f"{len(found.untried)} sets were left untried, by the budget or because they cannot be simulated"
+        in summarise(found)
     )
     assert found.verdict.probability <= whole.verdict.probability + 1e-3
     assert found.after.train_rmse <= found.before.train_rmse

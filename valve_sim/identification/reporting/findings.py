@@ -34,8 +34,8 @@ _UNBOUNDED: Final = {
 _SIGMAS_95: Final = 1.96
 _HALF_MORE: Final = 1.5
 _DISAGREEING: Final = (
-    "± is one standard error, from the curvature of χ² at the best value; the 95 % interval follows from χ² itself, all "
-    "else refitted, or ends at a bound. The two disagree here: use the interval"
+    "± is one standard error, from the curvature of χ² at the best value; the 95 % interval follows from χ² itself, "
+    "all else refitted, or ends at a bound. The two disagree here: use the interval"
 )
 _SEPARATING: Final = "strokes at other voltages, or a release, would separate them."
 _LACKING: Final = "so the intervals are too narrow; `diagnose` may name it."

@@ -112,7 +112,8 @@ def finding_words(finding: FaultFinding) -> str:
     changes = "; ".join(_change(effect, finding) for effect in verdict.effects) or "no change at all"
     others = named(sorted({other for names in verdict.confusable_with.values() for other in names}), "or")
     alternatives = f" ({others} would explain it about as well)" if others else ""
-    uncertain = "the strokes cannot tell what has changed; the most probable: " if verdict.kind == "insufficient" else ""
+    open_words = "the strokes cannot tell what has changed; the most probable: "
+    uncertain = open_words if verdict.kind == "insufficient" else ""
     return f"{uncertain}{changes}{alternatives}"
 
 

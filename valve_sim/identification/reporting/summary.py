@@ -23,7 +23,8 @@ def summarise(diagnosis: Diagnosis) -> str:
         sentences.append(recording_advice(diagnosis))
     if untried:
         few = ", ".join(untried[:SHOWN_UNTRIED]) + (", ..." if len(untried) > SHOWN_UNTRIED else "")
-        sentences.append(f"{len(untried)} sets were left untried, by the budget or because they cannot be simulated: {few}.")
+        why = "by the budget or because they cannot be simulated"
+        sentences.append(f"{len(untried)} sets were left untried, {why}: {few}.")
     return " ".join(sentences)
 
 
@@ -38,8 +39,8 @@ def recording_advice(diagnosis: Diagnosis) -> str:
         return f"{words}."
     one, other = (named(candidate.split(" + ")) for candidate in best.pair)
     return (
-        f"{words}; the best single pulse is {best.experiment.words}: {best.repeats} of them separate {one} from {other} by "
-        f"{math.sqrt(best.repeats) * best.separation:.0f} standard deviations, and other pairs by more."
+        f"{words}; the best single pulse is {best.experiment.words}: {best.repeats} of them separate {one} from "
+        f"{other} by {math.sqrt(best.repeats) * best.separation:.0f} standard deviations, and other pairs by more."
     )
 
 
