@@ -1,1 +1,1 @@
-"""From the table of scores to a verdict, and what to record next."""
+"""The run from recordings to a verdict: search, posterior and held-out strokes together, and what to record next."""
