@@ -19,7 +19,7 @@ from valve_sim.model.core.equations import NEUTRAL
 from valve_sim.model.core.live import Live
 from valve_sim.model.core.plan import Plan, plan_of
 from valve_sim.model.core.symbols import Own
-from valve_sim.model.core.tracer import Trace
+from valve_sim.model.core.tracer import Node, Trace
 from valve_sim.model.core.valve import why_no_flux
 from valve_sim.model.core_types import STATE_RECORD, Outcome, Phase
 from valve_sim.model.drives import Drive
@@ -150,15 +150,19 @@ class Valve:
 
     def after_effects(self, *names: str) -> list[float]:
         """Numbers of a valve without gas as its effects leave them, by their names in `core.equations`."""
-        trace, declared = Trace(), {**NEUTRAL, **self.declared()}
-        found = [trace.constant(declared[name]) for name in names]
+        declared = {**NEUTRAL, **self.declared()}
+        found: list[Any] = [declared[name] for name in names]
+        trace: Trace | None = None
         for effect, given in self.effects.items():
             entry = CATALOGUE[effect]
-            own = Own(**{name: trace.constant(value) for name, value in {**_neutral(entry), **given}.items()})
-            for place, name in enumerate(names):
-                if name in entry.changes:
-                    found[place] = trace.lift(entry.changes[name](found[place], own))
-        return [float(node.value or 0.0) for node in found]
+            changed = [place for place, name in enumerate(names) if name in entry.changes]
+            if changed:
+                trace = trace or Trace()
+                numbers = {**_neutral(entry), **given}
+                own = Own(**{name: trace.constant(value) for name, value in numbers.items()})
+                for place in changed:
+                    found[place] = trace.lift(entry.changes[names[place]](trace.lift(found[place]), own))
+        return [float(own.value or 0.0) if isinstance(own, Node) else float(own) for own in found]
 
     def _shapes(self) -> tuple[float, ...]:
         """The values of the parameters that shape its effects."""

@@ -31,10 +31,10 @@ from valve_sim.identification.plants.protocol import (
     Direction,
     Nuisance,
     Plant,
+    Thinnable,
     strokes_of_plant,
     varying_of,
 )
-from valve_sim.identification.plants.thinning import Thinnable
 from valve_sim.model import SimulationError
 from valve_sim.model.compiling import compiled
 

@@ -37,10 +37,10 @@ from valve_sim.identification.plants.protocol import (
     InPieces,
     Nuisance,
     Plant,
+    Thinnable,
     primary_channels,
     strokes_of_plant,
 )
-from valve_sim.identification.plants.thinning import Thinnable
 from valve_sim.model import SimulationError
 
 Mask = Callable[[int, NDArray[np.integer]], NDArray[np.bool_]]

@@ -280,7 +280,10 @@ class Piece(NamedTuple):
 
 
 class Plant(Protocol):
-    """A machine with its measured data."""
+    """A machine with its measured data.
+
+    A plant that inherits from this class states what it has; of what it does not state it has nothing.
+    """
 
     @property
     def channels(self) -> Sequence[Channel]:
@@ -289,14 +292,17 @@ class Plant(Protocol):
     @property
     def base(self) -> Sequence[str]:
         """The parameters that are refitted before any effect is claimed."""
+        return ()
 
     @property
     def nuisances(self) -> Sequence[Nuisance]:
         """Always estimated: clock offsets, and declared values with a tolerance."""
+        return ()
 
     @property
     def timing_errors(self) -> Sequence[Nuisance]:
         """Estimated where the data ask for it: errors of each command's stamp."""
+        return ()
 
     @property
     def effects(self) -> Mapping[str, EffectChoice]:
@@ -305,10 +311,12 @@ class Plant(Protocol):
     @property
     def force_maps(self) -> Sequence[ForceMap]:
         """Curves that stand for what no named effect explains."""
+        return ()
 
     @property
     def experiments(self) -> Sequence[Experiment]:
         """Recordings that could be made next, where the plant knows any."""
+        return ()
 
     def parameter(self, name: str) -> Parameter:
         """Unit and range of anything that can be freed."""
@@ -434,6 +442,18 @@ class HasSensors(Protocol):
 def varying_of(plant: Plant) -> Sequence[Nuisance]:
     """Errors of its recordings that act on the machine; of most plants there are none."""
     return plant.varying if isinstance(plant, HasSensors) else ()
+
+
+@runtime_checkable
+class Thinnable(Plant, Protocol):
+    """A plant that can show some of its samples and take less time for it: an optional member."""
+
+    @property
+    def can_be_thinned(self) -> bool:
+        """Whether what it shows of a sample is the same whichever others it shows."""
+
+    def thinned(self, kept: Sequence[NDArray[np.intp]]) -> Plant:
+        """This plant with some samples of each channel, of which the first is one."""
 
 
 @runtime_checkable

@@ -118,7 +118,7 @@ def event_text(result: EventDiagnosis) -> str:
             f"{result.table.largest_attraction:.1f} N: not fitted"
         )
     lines.append(
-        "what would decide, the most decisive first (prediction of the region, and how well it can be measured):"
+        "what would decide, the most decisive first (what the region predicts, and how well it can be measured):"
     )
     lines += [
         f"    {measurement_words(entry):<46}{entry.lowest:>9.3g} to {entry.highest:.3g} {entry.unit} ± "

@@ -24,7 +24,7 @@ from valve_sim.identification.monitoring.stroke_monitor import StrokeReport
 from valve_sim.identification.plants.effect_titles import WRONG, named, title_of
 from valve_sim.identification.plants.valve import DAMPINGS
 from valve_sim.identification.reporting.units import measured, quantity
-from valve_sim.identification.reporting.wording import probability_words
+from valve_sim.identification.reporting.wording import percent
 from valve_sim.model import CATALOGUE, DECLARED
 from valve_sim.model.gas import GAS
 
@@ -57,7 +57,7 @@ def occasion_words(occasion: Occasion) -> str:
 
 def told_finding(finding: FaultFinding, occasion: Occasion) -> str:
     """A finding as it is said on every channel: of which valve, when, what has changed, and with which probability."""
-    return f"{occasion_words(occasion)}: {finding_words(finding)}; probability {probability_words(finding.verdict)}"
+    return f"{occasion_words(occasion)}: {finding_words(finding)}; probability {percent(finding.verdict.probability)}"
 
 
 def stroke_name(report: StrokeReport) -> str:
@@ -112,8 +112,9 @@ def finding_words(finding: FaultFinding) -> str:
     changes = "; ".join(_change(effect, finding) for effect in verdict.effects) or "no change at all"
     others = named(sorted({other for names in verdict.confusable_with.values() for other in names}), "or")
     alternatives = f" ({others} would explain it about as well)" if others else ""
-    open_words = "the strokes cannot tell what has changed; the most probable: "
-    uncertain = open_words if verdict.kind == "insufficient" else ""
+    uncertain = (
+        "the strokes cannot tell what has changed; the most probable: " if verdict.kind == "insufficient" else ""
+    )
     return f"{uncertain}{changes}{alternatives}"
 
 

@@ -23,8 +23,9 @@ def summarise(diagnosis: Diagnosis) -> str:
         sentences.append(recording_advice(diagnosis))
     if untried:
         few = ", ".join(untried[:SHOWN_UNTRIED]) + (", ..." if len(untried) > SHOWN_UNTRIED else "")
-        why = "by the budget or because they cannot be simulated"
-        sentences.append(f"{len(untried)} sets were left untried, {why}: {few}.")
+        sentences.append(
+            f"{len(untried)} sets were left untried, by the budget or because they cannot be simulated: {few}."
+        )
     return " ".join(sentences)
 
 

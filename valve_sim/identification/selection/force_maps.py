@@ -99,7 +99,7 @@ def _any(choice: ForceMap, base: Fit) -> list[NonparametricFit]:
 
 def _held(base: Fit) -> dict[str, float]:
     """The values that a fit keeps fixed."""
-    estimated = {*base.free, *(nuisance.name for nuisance in base.nuisances)}
+    estimated = {*base.names}
     return {name: value for name, value in base.values.items() if name not in estimated}
 
 

@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 TOLERANCE: Final = 1e-8
 """Relative error of one step. It leaves the events of random valves within 1e-10 s, and most within 1e-12 s.
 
-At 1e-10 they are within 1e-11 s, for some 40 % more steps (`python -m benchmarks.core`).
+At 1e-10 they are within 1e-11 s, for some 40 % more steps (`python -m benchmarks.accuracy`).
 """
 EVENT_ROOM: Final = 256
 """Events for which there is room at first; a run with more is repeated."""

@@ -200,7 +200,8 @@ class Effect(_Words):
         for attribute, default in defaults.items():
             if not getattr(self, attribute):
                 object.__setattr__(self, attribute, default)
-        is_of_term = getattr(self.force, "__func__", None) is Effect._force_of_term  # of the entry that this one replaces
+        # The entry that this one replaces would be named in what its term raises.
+        is_of_term = getattr(self.force, "__func__", None) is Effect._force_of_term
         if (self.force is None or is_of_term) and self.term is not None and self.term_numbers is None:
             object.__setattr__(self, "force", self._force_of_term)
         if self.adds_to:
