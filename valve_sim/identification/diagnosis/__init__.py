@@ -1,1 +1,1 @@
-"""The run from recordings to a verdict: search, posterior and held-out strokes together, and what to record next."""
+"""Search, posterior and held-out strokes in one run: recordings to a verdict, and what to record next."""
