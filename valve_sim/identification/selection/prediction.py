@@ -32,7 +32,7 @@ ELSEWHERE: Final = 10.0
 
 
 class Predicted(NamedTuple):
-    """What a model says of data, and how sure it is.
+    """The prediction of data by a model, with its standard deviation.
 
     Attributes:
         fit: of the errors of the recording, the machine's values kept.
@@ -94,7 +94,7 @@ class _Following:
         self._information = there.information[np.ix_(self._own, self._own)]
 
     def values(self, change: Array) -> dict[str, float]:
-        """The errors, by name, where (r,) residuals change so."""
+        """The errors of the recording, by name, for a change of the (r,) residuals."""
         if not self._own:
             return {}
         left = self._fit.problem.without_errors(change[:, None])[:, 0]
@@ -106,7 +106,7 @@ class _Following:
 
 
 def predicted(result: Fit, there: Fit, size: float = 0.0) -> Predicted:
-    """What a fit predicts of data, which may be its own.
+    """The prediction of data by a fit; the data may be those that were fitted.
 
     Args:
         result: of the training data. there: its machine's values on the data, with the errors of the recording.
@@ -182,7 +182,7 @@ class HeldOut:
 
     @property
     def discrepancy(self) -> Discrepancy:
-        """On the held-out data."""
+        """The discrepancy on the held-out data."""
         assert self.problem is not None
         if self._discrepancy is None:
             places = self.problem.rows.places
