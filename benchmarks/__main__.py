@@ -60,7 +60,7 @@ GROUPS: Final[dict[str, tuple[Benchmark, ...]]] = {
         Benchmark("plant_limits", "", "minutes"),
     ),
     "Monitor": (
-        Benchmark("monitoring", "", "hours", "healthy growth changes --strokes 10000 --seeds 10"),
+        Benchmark("monitoring", "", "hours", "healthy growth --strokes 10000 --seeds 10"),
         Benchmark("monitoring", "", "hours", "laboratory"),
         Benchmark("monitoring", "", "minutes", "coil gas --seeds 12"),
         Benchmark("monitoring", "", "an hour", "sweep"),
@@ -71,7 +71,6 @@ GROUPS: Final[dict[str, tuple[Benchmark, ...]]] = {
         Benchmark("nodes.station", f"{ROS}, a quiet machine", "minutes", "--seconds 60"),
         Benchmark("nodes.station", ROS, "ten minutes", "--busy 1000"),
         Benchmark("nodes.recording", ROS, "minutes", "--strokes 40"),
-        Benchmark("nodes.stalled", f"{ROS} with Fast DDS 2", "minutes"),
         Benchmark("nodes.soak", ROS, "five minutes", "--hours 24"),
         Benchmark("nodes.plc", f"{ROS}, the extra modbus", "a minute", "--strokes 100"),
         Benchmark("opcua_server", "the extra opcua", "minutes"),
@@ -82,7 +81,6 @@ GROUPS: Final[dict[str, tuple[Benchmark, ...]]] = {
     ),
     "Fleet": (
         Benchmark("fleet", FLEET, "two minutes a seed", "--seeds 10"),
-        Benchmark("fleet_kills", FLEET, "minutes", "--kills 20"),
         Benchmark("archive_years", FLEET, "half an hour", "--years 10"),
     ),
 }

@@ -1,4 +1,4 @@
-"""The opening of a valve as users of SciPy and of SUNDIALS write it: plain Python functions, contacts as events."""
+"""The opening of a valve as users of SciPy write it: plain Python functions, contacts as events."""
 
 from __future__ import annotations
 
@@ -74,34 +74,5 @@ def scipy_opening(valve: Valve) -> tuple[float, float]:
             atol=TOLERANCE * np.array([1e-5, 1e-2, 1e-2, 1e-2]), events=reach, t_eval=TIMES[start < TIMES],
         )  # fmt: skip
         start, y = float(solution.t_events[0][0]), solution.y_events[0][0]
-        found.append(start)
-    return found[0], found[1]
-
-
-def _sundae_functions(rates: Callable[[float, Any], list[float]], contact: float) -> tuple[Any, Any]:
-    # CVODE counts arguments, defaults too: what differs is closed over here.
-    def fill(t: float, y: Any, dy: Any) -> None:
-        dy[:] = rates(t, y)
-
-    def reach(_t: float, y: Any, values: Any) -> None:
-        values[0] = y[0] - contact
-
-    reach.terminal = [True]  # type: ignore[attr-defined]
-    return fill, reach
-
-
-def sundae_opening(valve: Valve) -> tuple[float, float]:
-    """t1 and t2 of the opening by SUNDIALS CVODE with root finding."""
-    from sksundae.cvode import CVODE  # an optional extra of this benchmark only
-
-    start, y, found = *unseating(valve), []
-    unseated = start
-    for moving_main, contact in ((False, valve.parameters.pilot_gap), (True, valve.parameters.stroke)):
-        fill, reach = _sundae_functions(equations(valve, moving_main, unseated), contact)
-        solver = CVODE(
-            fill, rtol=TOLERANCE, atol=TOLERANCE * np.array([1e-5, 1e-2, 1e-2, 1e-2]), eventsfn=reach, num_events=1,
-        )  # fmt: skip
-        solution = solver.solve(np.concatenate([[start], TIMES[start < TIMES]]), y)
-        start, y = float(solution.t_events[0]), solution.y_events[0].copy()
         found.append(start)
     return found[0], found[1]

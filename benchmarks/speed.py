@@ -2,8 +2,8 @@
 
 core: runs at a tolerance of 1e-8 on one thread, per run; then 10,000 openings on one and on two threads. The best of
 the turns is shown, as machines change their speed by two within seconds.
-solvers: one opening (15 ms at 9 V, 150 outputs) in the core, by one call of `simulate`, by SciPy RK45 with events and,
-where scikit-sundae is installed, by CVODE with roots, in turns; a ratio is the median of those of each turn.
+solvers: one opening (15 ms at 9 V, 150 outputs) in the core, by one call of `simulate`, and by SciPy RK45 with
+events, in turns; a ratio is the median of those of each turn.
 derivatives: what the Jacobian of a fit's prediction costs, in plain runs of the compiled core and of the fit, CPU time.
 live: steps of 1 ms of the live valve. start: the first result of a process, with an empty cache and with a full one.
 commands: `valve-sim identify` of half a second at 20 kHz as a new process, the fit in it, and reading.
@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import importlib.util
 import itertools
 import json
 import os
@@ -39,7 +38,7 @@ from rich.table import Table
 
 from benchmarks.campaign.declared import as_trace
 from benchmarks.coverage import true_dampings
-from benchmarks.other_solvers import TIMES, TOLERANCE, scipy_opening, sundae_opening
+from benchmarks.other_solvers import TIMES, TOLERANCE, scipy_opening
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.files.resources import config_path
 from valve_sim.identification.plants.protocol import Direction
@@ -165,8 +164,6 @@ def solvers(options: argparse.Namespace) -> list[Row]:
     rows = []
     for name, valve, least in (("declared", DECLARED, 1000.0), ("five effects", FIVE, 0.0)):
         others: dict[str, Callable[[Valve], tuple[float, float]]] = {"SciPy RK45": scipy_opening}
-        if importlib.util.find_spec("sksundae"):
-            others["CVODE"] = sundae_opening
         works: list[Work] = [
             batch(valve, DRIVE, TIMES),
             lambda valve=valve: [simulate(valve, DRIVE, TIMES, tolerance=TOLERANCE) for _ in range(CALLS)],

@@ -382,8 +382,17 @@ def _catalogued(
     return {name: scale.parameters(sign * size, shape)}, {name: size / limit}
 
 
-def _single(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[Effects, Numbers]:
-    return _catalogued(list(CATALOGUED)[seed % len(CATALOGUED)], random, recorder)
+def _in_turn(
+    names: Iterable[str], limits: tuple[float, float] = LIMITS, knowledge: Knowledge = Knowledge.EXACT
+) -> Draw:
+    """One effect after the other, one in each seed."""
+    known = tuple(names)
+    return lambda seed, random, recorder: _catalogued(known[seed % len(known)], random, recorder, limits, knowledge)
+
+
+_single: Final = _in_turn(CATALOGUED)
+_single_within: Final = _in_turn(CATALOGUED, knowledge=Knowledge.WITHIN)
+_beside: Final = _in_turn(CATALOGUED, BESIDE_LIMITS, Knowledge.WITHIN)
 
 
 def _at_limits(
@@ -397,10 +406,6 @@ def _at_limits(
     limit = detection_limit(name, shape, recorder, knowledge)
     size = min(AT_LIMITS[turn % len(AT_LIMITS)] * limit, scale.most)
     return {name: scale.parameters(sign * size, shape)}, {name: size / limit}
-
-
-def _at_limits_within(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[Effects, Numbers]:
-    return _at_limits(seed, random, recorder, Knowledge.WITHIN)
 
 
 def _exact_wrong(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[Effects, Numbers]:
@@ -461,14 +466,6 @@ def _weak(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[E
     return _uncatalogued(seed, random, recorder, WEAK_SHARE)
 
 
-def _mismatched(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[Effects, Numbers]:
-    return _catalogued(list(EFFECTS)[seed % len(EFFECTS)], random, recorder, MISMATCHED_LIMITS)
-
-
-def _single_within(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[Effects, Numbers]:
-    return _catalogued(list(CATALOGUED)[seed % len(CATALOGUED)], random, recorder, knowledge=Knowledge.WITHIN)
-
-
 def _wrong_value(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[Effects, Numbers]:
     """One scalar that is off by more than its tolerance allows; the true value is what counts as its parameter."""
     names = (*SHARES, *LENGTHS)
@@ -479,21 +476,6 @@ def _wrong_value(seed: int, random: np.random.Generator, recorder: Recorder) -> 
     own = "moving_mass" if name == "main_mass" else name
     seen = abs(size) * yardstick(recorder, Knowledge.WITHIN).distance_of_deviation(name)
     return {f"{WRONG}{name}": {own: float(np.asarray(true[own]))}}, {f"{WRONG}{name}": size, SEEN: seen}
-
-
-def _mismatched_within(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[Effects, Numbers]:
-    return _catalogued(list(EFFECTS)[seed % len(EFFECTS)], random, recorder, knowledge=Knowledge.WITHIN)
-
-
-def _reluctance(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[Effects, Numbers]:
-    return _catalogued(
-        list(RELUCTANCE_EFFECTS)[seed % len(RELUCTANCE_EFFECTS)], random, recorder, knowledge=Knowledge.WITHIN
-    )
-
-
-def _beside(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[Effects, Numbers]:
-    name = list(CATALOGUED)[seed % len(CATALOGUED)]
-    return _catalogued(name, random, recorder, BESIDE_LIMITS, Knowledge.WITHIN)
 
 
 def _every_other(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[Effects, Numbers]:
@@ -512,6 +494,9 @@ def _hard(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[E
 
 
 HARD: Final = hard.cases()
+_mismatched_within: Final = _in_turn(EFFECTS, knowledge=Knowledge.WITHIN)
+_reluctance: Final = _in_turn(RELUCTANCE_EFFECTS, knowledge=Knowledge.WITHIN)
+_at_limits_within: Final = partial(_at_limits, knowledge=Knowledge.WITHIN)
 FORMED_OTHERWISE: Final = ("mismatched", "mismatched_within", "reluctance")
 """Families whose plant is not of the declared form."""
 EXACT: Final[Mapping[str, Family]] = {
@@ -520,7 +505,7 @@ EXACT: Final[Mapping[str, Family]] = {
     "pair": Family(_pair, 1, 5, (2,)),
     "uncatalogued": Family(_uncatalogued, len(UNCATALOGUED), 5, (5,)),
     "weak": Family(_weak, len(UNCATALOGUED), 5, (2,)),
-    "mismatched": Family(_mismatched, len(EFFECTS), 5, (10,)),
+    "mismatched": Family(_in_turn(EFFECTS, MISMATCHED_LIMITS), len(EFFECTS), 5, (10,)),
     "opening": Family(_single, len(CATALOGUED), 4, (0,)),
     "at_limits": Family(_at_limits, len(CATALOGUED), len(CATALOGUED), ()),
     "exact_wrong": Family(_exact_wrong, len(EXACT_VALUES) + len(CATALOGUED), len(EXACT_VALUES) + len(CATALOGUED), ()),

@@ -8,7 +8,6 @@ healthy: alarms in strokes without fault, stamps off by 50 µs, noise white or c
 growth: Coulomb friction that grows over 50 strokes to five detection limits and stays. Wanted: an alarm within 5
 strokes of having got there, the right name within 20, in 9 of 10 seeds. The limit is 1.5 mN with true stamps, 7.6 mN
 where each command's is off by 50 µs, because a late command is hardly told from friction then.
-changes: what a file declares and is another now. Wanted: the right name, alone or in its class.
 laboratory: both at `--rates`, where dampings differ by 10 % from stroke to stroke, loads by a third of it, the sensor's
 zero walks by 1 µm a stroke, and hum of 0.5 µm comes on top. Wanted: at most three alarms in 10,000 healthy strokes, the
 declared rate within their 95 % interval, friction named in 9 of 10 seeds.

@@ -135,37 +135,6 @@ def print_isolations(rows: Iterable[Watched]) -> None:
         print("      nothing isolated" if last is None else f"      {last.words}; {last.seconds:.0f} CPU s")
 
 
-CHANGES: Final[dict[str, tuple[str, Effects, dict[str, float]]]] = {
-    "coulomb_friction": ("tank_2", {"coulomb_friction": {"force": 0.8}}, {}),
-    "drive_gain": ("tank_3", {"drive_gain": {"gain": 0.9}}, {}),
-    "valve.spring_preload": ("tank_1", {}, {"spring_preload": 2.7}),
-    "valve.spring_rate": ("tank_1", {}, {"spring_rate": 450.0}),
-    "stop_bounce": ("tank_1", {"stop_bounce": {"restitution_stop": 0.3, "restitution_seat": 0.0}}, {}),
-}
-"""What is another than the file of config/ says, by its name: effects and declared values."""
-BEFORE, AFTER = 22, 13
-"""Strokes: as declared, and changed."""
-
-
-def change_of(name: str) -> tuple[str, bool]:
-    """One of `CHANGES`: what is found, in words, and whether that is right."""
-    tank, effects, parameters = CHANGES[name]
-    rig = PositionRig(LiveValve(22, jitter=0.0), load_valve(config_path(f"{tank}.yaml")))
-    for _ in range(BEFORE):
-        rig.stroke()
-    for _ in range(AFTER):
-        rig.stroke({**rig.valve.effects, **effects}, **parameters)
-    found = isolate(rig.monitor.stroke_monitor.evidence()[1 - AFTER :], rig, 0)
-    words = f"{tank}, {name}: {found.finding.verdict.kind} {found.finding.verdict.probability:.3f}: {found.words}"
-    words += f"; {rig.monitor.stroke_monitor.alarms} alarms, {found.seconds:.0f} CPU s"
-    return words, found.has_named(name, alone=False)
-
-
-def changes(options: Options) -> bool:
-    """What a file declares, and is another now."""
-    return all([say(is_right, words) for words, is_right in mapped(options, change_of, CHANGES)])  # type: ignore[arg-type]
-
-
 ERRORS: Final = {"variation": 0.1, "drift": 1e-6, "hum": 0.5e-6}
 """Of a laboratory: relative, of dampings from stroke to stroke; m a stroke; m."""
 LABORATORY_FORCE: Final = 0.3
@@ -402,7 +371,7 @@ def topics(options: Options) -> bool:
 
 
 PARTS: Final[Mapping[str, Callable[[Options], bool]]] = {
-    "healthy": healthy, "growth": growth, "changes": changes, "laboratory": laboratory, "coil": coil, "gas": gas,
+    "healthy": healthy, "growth": growth, "laboratory": laboratory, "coil": coil, "gas": gas,
     "sweep": sweep, "topics": topics,
 }  # fmt: skip
 

@@ -343,5 +343,5 @@ def inner(function: Callable[..., Any]) -> Any:
 
 
 def inlined(function: Callable[..., Any]) -> Any:
-    """The same, pasted into its callers: for what each stage of a step evaluates, where calls cost as much as work."""
+    """A compiled function that is inlined into its callers: for code that every stage of a step evaluates."""
     return numba.njit(forceinline=True, **_INNER)(function)

@@ -12,9 +12,9 @@ from typing import Final
 import numpy as np
 
 MAXIMUM_TERMS: Final = 8
-"""How many compiled force terms can be on at once."""
+"""Largest number of compiled force terms that can be on at once."""
 MAXIMUM_TERM_PARAMETERS: Final = 48
-"""How many numbers one compiled force term can read."""
+"""Largest number of parameters that one compiled force term can read."""
 
 STATE_RECORD: Final = np.dtype(
     [

@@ -96,7 +96,7 @@ class _GasLive:
 
     @property
     def delay(self) -> float:
-        """How late the position sensor shows what there is, s."""
+        """Delay of the position sensor, s."""
         return float(self.valve["sensor_delay"].item())
 
     @property
@@ -130,7 +130,7 @@ class _GasLive:
         return _GasLive(record, state, tolerance)
 
     def copy(self) -> _GasLive:
-        """The same valve in the same state, stepped on its own."""
+        """A copy of this valve in this state, which is then stepped independently."""
         return _GasLive(self.valve, self.state, self.whole["tolerance"].item())
 
 
@@ -166,7 +166,7 @@ class Stepper:
 
     @property
     def valve(self) -> Valve:
-        """What is stepped."""
+        """The valve that is stepped."""
         return self._valve
 
     @property

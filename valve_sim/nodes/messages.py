@@ -95,7 +95,7 @@ class ReadingMessages:
         return self._pressure.filled(seconds, nanoseconds, pressure)
 
     def mass_flow(self, reading: Reading) -> bytes:
-        """What flows through the valve from inlet to outlet, kg/s."""
+        """Mass flow through the valve from inlet to outlet, kg/s."""
         return self._number.filled(reading.mass_flow)
 
 

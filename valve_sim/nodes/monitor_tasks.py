@@ -97,12 +97,12 @@ class Found(NamedTuple):
 
     @property
     def claim(self) -> tuple[str, frozenset[str]]:
-        """What is claimed: the kind of the verdict, and its names."""
+        """The claim: the kind of the verdict, and its names."""
         return self.finding.verdict.kind, frozenset(self.finding.verdict.effects)
 
 
 class _Work(NamedTuple):
-    """What is to be isolated."""
+    """A fault that is to be isolated."""
 
     strokes: list[Trace]
     baseline: Baseline

@@ -32,7 +32,7 @@ _BETWEEN_LOOKS: Final = 1.0
 """s from one look for publishers that cannot be heard to the next."""
 
 Take = Callable[[Any, Arrival], None]
-"""What is done with a message and with when it came."""
+"""A callback that takes a message and the time at which it was received."""
 
 
 class Source:

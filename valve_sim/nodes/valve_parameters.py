@@ -49,8 +49,8 @@ _SETTINGS: Final = table_of(
     Words("frame_id", "header.frame_id of the joint states"),
     Words(
         "calibration",
-        "calibration.json of `valve-sim commission`: what the valve has otherwise, at the start and whenever it is "
-        "set, is appended to its journal; empty: none",
+        "calibration.json of `valve-sim commission`: what the valve has otherwise, at the start and when it is set, "
+        "is appended to its journal; empty: none",
         read_only=True,
     ),
     read_only=False,

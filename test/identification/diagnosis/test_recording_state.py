@@ -37,10 +37,7 @@ LABORATORIES = {
 
 @pytest.fixture(
     scope="module",
-    params=[
-        pytest.param(name, marks=() if name == "drift and a mount that rings" else pytest.mark.long)
-        for name in LABORATORIES
-    ],
+    params=[pytest.param(name, marks=pytest.mark.long) for name in LABORATORIES],
 )
 def laboratory(request: pytest.FixtureRequest) -> str:
     return str(request.param)

@@ -55,7 +55,7 @@ def assert_sound(found: Diagnosis) -> None:
             "one_opening.mcap",
             marks=pytest.mark.xfail(strict=True, raises=AssertionError, reason="one opening is said to lack nothing"),
         ),
-        "friction",
+        pytest.param("friction", marks=pytest.mark.long),
     ],
 )
 def test_of_the_shipped_bags_only_the_one_with_friction_gets_a_name(bag: str) -> None:
@@ -70,7 +70,12 @@ SLICE = ("noise-free, own", "noise-free, plant, with current", "coarse, no noise
 
 
 @pytest.mark.parametrize(
-    "case", [case for case in cases() if case.kind in SLICE and case.seed == 1], ids=lambda case: case.kind
+    "case",
+    [
+        pytest.param(case, id=case.kind, marks=() if case.kind == SLICE[0] else pytest.mark.long)
+        for case in cases()
+        if case.kind in SLICE and case.seed == 1
+    ],
 )
 def test_a_slice_of_the_hard_recordings(case: Case) -> None:
     found = diagnose(case.make(case.seed), [], case.declared)

@@ -196,6 +196,7 @@ def test_what_is_declared_and_is_another_now_is_named_with_what_was_declared(
     assert words[1] in said
 
 
+@pytest.mark.long
 def test_a_bounce_between_few_samples_is_no_noise() -> None:
     monitor, valve = Monitor(EXACT_VALVE, refit=False), LiveValve(22, HEALTHY, rate=500.0, jitter=0.0)
     strokes(monitor, valve, 25)

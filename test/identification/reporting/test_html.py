@@ -92,7 +92,7 @@ def test_the_page_says_what_was_found(diagnosis: Diagnosis, page: Path) -> None:
 
 
 def test_the_page_says_why_no_force_is_drawn(diagnosis: Diagnosis, tmp_path: Path) -> None:
-    path, nothing = tmp_path / "report.html", "Nothing but noise is left"
+    path, nothing = tmp_path / "report.html", "The residual is only noise"
     assert not diagnosis.before.adequacy.is_white
     report.write_report(replace(diagnosis, maps=()), path)
     assert "alone comes near what is named" in path.read_text(encoding="utf-8")

@@ -192,7 +192,7 @@ class OwnPlant:
         return found.scale
 
     def predict(self, values: Mapping[str, float]) -> list[Array]:
-        """What each channel would show, in its unit."""
+        """The simulated signal of each channel, in its unit."""
         return self._shown(values, ())[0]
 
     def sensitivities(self, values: Mapping[str, float], directions: Sequence[Direction]) -> Sensitivities:
@@ -244,7 +244,7 @@ class OwnPlant:
         return Equations(derivatives, outputs, inputs, tuple(names))
 
     def _shown(self, values: Mapping[str, float], directions: Sequence[Direction]) -> tuple[list[Array], list[Array]]:
-        """What each channel would show, and (n, k) derivatives."""
+        """The simulated signal of each channel, and its (n, k) derivatives."""
         on = {
             name.partition(".")[0]
             for name in values
@@ -651,7 +651,7 @@ class OwnPlant:
         return found
 
     def _seen(self, name: str) -> Array | None:
-        """What was recorded of a state, input or output; None: nothing."""
+        """The recorded signal of a state, input or output; None if there is none."""
         for shown, output in self.file.outputs.items():
             if name == shown or (output.value.op == "name" and output.value.value == name):
                 columns = [own[shown].si(output.unit) for own in self.recordings if shown in own.columns]

@@ -10,7 +10,6 @@ from valve_sim.identification.plants.effect_titles import capitalised, named, na
 from valve_sim.identification.plants.protocol import primary_channels
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.declared_values import summary_words
-from valve_sim.identification.reporting.detection_limits import limit_rows
 from valve_sim.identification.reporting.findings import remark_on
 from valve_sim.identification.reporting.recording_state import UNTOLD, recording_lines
 from valve_sim.identification.reporting.summary import recording_advice, summarise
@@ -20,8 +19,9 @@ from valve_sim.identification.reporting.wording import (
     headline,
     holdout_words,
     kind_words,
+    limit_rows,
     meanings,
-    probability_words,
+    percent,
     rounding_words,
     unseen_noise_words,
 )
@@ -68,7 +68,7 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
     state = [UNTOLD] if diagnosis.verdict.kind == "unknown" else recording_lines(diagnosis.recording)
     lines += [f"  {words}" for words in state]
     if rows := limit_rows(diagnosis):
-        lines.append("  Would be named in half of such recordings, each alone, from:")
+        lines.append("  Each effect alone would be named in half of such recordings from this size on:")
         lines += [f"    {title:<{_WIDTH - 2}}{words}" for title, words in rows]
     declared = diagnosis.declared
     if declared or isinstance(diagnosis.plant, ValvePlant):
@@ -99,7 +99,7 @@ def _nearest_lines(diagnosis: Diagnosis) -> list[str]:
 
 def _certainty(verdict: Verdict) -> str:
     """How sure the verdict is; of `none` only the probability, because the headline has the rest."""
-    probability = f"probability {probability_words(verdict)}"
+    probability = f"probability {percent(verdict.probability)}"
     return f"{capitalised(probability)}." if verdict.kind == "none" else f"{kind_words(verdict)[0]} ({probability})."
 
 

@@ -34,7 +34,7 @@ _KINDS: Final = tuple(EventKind)
 
 
 def most_steps(duration: float) -> int:
-    """How many steps a run of a duration, s, may take."""
+    """Largest number of steps that a run of a duration, s, may take."""
     return int(MOST_STEPS * (1.0 + max(0.0, min(duration, LONGEST_RUN))))
 
 

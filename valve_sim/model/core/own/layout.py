@@ -20,7 +20,7 @@ which states are asked for, s; error of the series over what is tolerated; how m
 MOVE, SLIDE, AT, LOOK, ROW = range(8, 13)
 """Addresses of the kernels, as bits."""
 STATES, GUARDS, OUTPUTS, INPUTS, SLIDING, WIDTH = range(16, 22)
-"""How many there are of each, and of directions of derivatives."""
+"""Slots for the numbers of each kind, and of directions of derivatives."""
 STATE: Final = 32
 END: Final = STATE + MOST_STATES
 """At the time `ELAPSED` after the start of the step."""

@@ -185,7 +185,7 @@ def _driver():  # type: ignore[no-untyped-def]
 
 
 def without_straight(inputs: Inputs) -> Inputs:
-    """The same inputs without the times at which none of them turns."""
+    """The inputs without the times at which none of them changes its slope."""
     times, levels, held = inputs
     if len(times) < 3:
         return inputs
