@@ -25,10 +25,9 @@ def generate_launch_description() -> LaunchDescription:
                 executable="valve_node",
                 name="valve",
                 namespace=LaunchConfiguration("namespace"),
-                parameters=[
-                    LaunchConfiguration("params_file"),
-                    {"use_sim_time": LaunchConfiguration("use_sim_time")},
-                ],
+                # As one of `parameters`, a file that is not there is only warned of, and the shipped valve started.
+                ros_arguments=["--params-file", LaunchConfiguration("params_file")],
+                parameters=[{"use_sim_time": LaunchConfiguration("use_sim_time")}],
                 output="screen",
             ),
         ]

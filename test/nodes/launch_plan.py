@@ -66,6 +66,7 @@ class Node(NamedTuple):
     output: str = ""
     remappings: Sequence[tuple[str, Sequence[str | LaunchConfiguration]]] = ()
     arguments: Sequence[str] = ()
+    ros_arguments: Sequence[str | LaunchConfiguration] = ()
 
     @property
     def full_name(self) -> str:
@@ -81,7 +82,8 @@ class Node(NamedTuple):
 
     def command_line(self, values: Mapping[str, str]) -> list[str]:
         """The words after the executable's name."""
-        words = ["--ros-args", "-r", f"__node:={self.name}", "-r", f"__ns:=/{self.namespace}"]
+        words = ["--ros-args", *(word if isinstance(word, str) else values[word.name] for word in self.ros_arguments)]
+        words += ["-r", f"__node:={self.name}", "-r", f"__ns:=/{self.namespace}"]
         for given in self.parameters:
             if isinstance(given, list):
                 words += ["--params-file", str(self.file(values))]

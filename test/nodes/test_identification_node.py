@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 from valve_sim.files.parameter_files import default_valve, load_valve
+from valve_sim.files.parameter_sections import read_sections
 from valve_sim.files.resources import config_path
 from valve_sim.identification.plants.valve import volts_at
 from valve_sim.identification.reporting.recording_profile import STROKE_LEVELS
@@ -59,6 +60,25 @@ def probe(ros: None) -> Iterator[Probe]:
     probe.close()
 
 
+@pytest.fixture(scope="module")
+def target(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """One valve_node for all tests that give a valve another one's parameters; it has its own name, /valve."""
+    with running(tmp_path_factory.mktemp("target")):
+        yield
+
+
+@pytest.fixture
+def live(target: None) -> Iterator[Probe]:
+    """A probe of that valve, which has its own parameters before and after."""
+    probe = Probe("/valve")
+    own = probe.parameters()
+    yield probe
+    found = probe.parameters()
+    changed = {name.replace(".", "__"): value for name, value in own.items() if found[name] != value}
+    assert all(result.successful for result in probe.set_parameters(**changed))
+    probe.close()
+
+
 def identifying(folder: Path, **parameters: object) -> contextlib.AbstractContextManager[subprocess.Popen[str]]:
     """identification_node while inside; it writes into the folder."""
     given: dict[str, object] = {"output": folder, **parameters}
@@ -75,13 +95,14 @@ def maker() -> Any:
     return module
 
 
-def test_a_recorded_live_valve_is_identified_and_another_one_given_its_parameters(probe: Probe, tmp_path: Path) -> None:
+def test_a_recorded_live_valve_is_identified_and_another_one_given_its_parameters(
+    probe: Probe, live: Probe, tmp_path: Path
+) -> None:
     # The shipped recording of a live run: one made here would hold the stamps of whatever else this machine does.
     bag = Path(__file__).parents[2] / "bags" / "live.mcap"
     results = probe.hear("result", String, latched=True)
-    live = Probe("/valve")
     given: dict[str, object] = {"apply_to": "valve", "linger": "true", "rate": 0}
-    with running(tmp_path), identifying(tmp_path, bag=bag, **given) as process:
+    with identifying(tmp_path, bag=bag, **given) as process:
         assert probe.until(lambda: results), "no result"
         report = json.loads(results[0].data)
         applied = live.parameters()
@@ -102,10 +123,9 @@ def test_a_recorded_live_valve_is_identified_and_another_one_given_its_parameter
     assert f"ready: replays {bag} on /identification/measured/joint_states beside the model" in said
     file = tmp_path / "identified.yaml"
     assert report["file"] == str(file)
-    assert load_valve(file).parameters.pilot_damping == pytest.approx(applied["valve.pilot_damping"], rel=1e-12)
-    with running(tmp_path, ["--ros-args", "--params-file", str(file), "-r", "__node:=another"]):
-        assert Probe("/another").parameters()["valve.main_damping"] == pytest.approx(applied["valve.main_damping"])
-    live.close()
+    written = load_valve(file).parameters
+    assert written.pilot_damping == pytest.approx(applied["valve.pilot_damping"], rel=1e-12)
+    assert written.main_damping == pytest.approx(applied["valve.main_damping"], rel=1e-12)
 
 
 def test_it_ends_when_the_recording_is_played_and_the_result_is_known(samples: Path, ros: None, tmp_path: Path) -> None:
@@ -160,19 +180,17 @@ EXACT = config_path("tank_1.yaml")
 )
 @pytest.mark.any_distribution
 def test_a_fit_that_leaves_more_than_noise_or_tolerances_is_not_handed_on(
-    probe: Probe, tmp_path: Path, declared: dict[str, object], reason: str
+    probe: Probe, live: Probe, tmp_path: Path, declared: dict[str, object], reason: str
 ) -> None:
     results = probe.hear("result", String, latched=True)
-    live = Probe("/valve")
     given: dict[str, object] = {"apply_to": "valve", "linger": "true", "rate": 0, **declared}
-    with running(tmp_path), identifying(tmp_path, bag=FRICTION, **given) as process:
+    with identifying(tmp_path, bag=FRICTION, **given) as process:
         assert probe.until(lambda: results), "no result"
         process.send_signal(signal.SIGINT)
         assert process.wait(ENDS_WITHIN) == 1
         assert process.stderr is not None
         said = process.stderr.read()
         assert (live.parameters()["valve.pilot_damping"], live.parameters()["valve.main_damping"]) == (1.0, 4.0)
-    live.close()
     applied = json.loads(results[0].data)["applied"]
     assert not applied["is_set"]
     assert reason in applied["reason"]
@@ -180,9 +198,8 @@ def test_a_fit_that_leaves_more_than_noise_or_tolerances_is_not_handed_on(
     assert not (tmp_path / "before.yaml").exists()
 
 
-def test_what_was_set_all_the_same_can_be_undone(probe: Probe, tmp_path: Path) -> None:
+def test_what_was_set_all_the_same_can_be_undone(probe: Probe, live: Probe, tmp_path: Path) -> None:
     results = probe.hear("result", String, latched=True)
-    live = Probe("/valve")
     given: dict[str, object] = {
         "apply_to": "valve",
         "apply_always": "true",
@@ -190,27 +207,27 @@ def test_what_was_set_all_the_same_can_be_undone(probe: Probe, tmp_path: Path) -
         "rate": 0,
         "params": EXACT,
     }
-    with running(tmp_path):
-        before = live.parameters()
-        with identifying(tmp_path, bag=FRICTION, **given) as process:
-            assert probe.until(lambda: results), "no result"
-            assert json.loads(results[0].data)["applied"]["is_set"]
-            wrong = live.parameters()
-            assert wrong["valve.main_damping"] != 4.0
-            assert live.set_parameters(frame_id="tank")[0].successful
-            # Its answer may be lost; who asks again hears that there is nothing left to undo.
-            probe.call("undo", Trigger)
-            assert live.parameters() == {**before, "frame_id": "tank"}, "what others set meanwhile stays"
-            assert not probe.call("undo", Trigger).success, "there is nothing left to undo"
-            process.send_signal(signal.SIGINT)
-            assert process.wait(ENDS_WITHIN) == 0
-            assert process.stderr is not None
-            said = process.stderr.read()
-        assert "is given the result although the residual is not white" in said
-        assert "/valve has its own values again: " in said
-    with running(tmp_path, ["--ros-args", "--params-file", str(tmp_path / "before.yaml")]):
-        assert Probe("/valve").parameters() == before
-    live.close()
+    before = live.parameters()
+    with identifying(tmp_path, bag=FRICTION, **given) as process:
+        assert probe.until(lambda: results), "no result"
+        assert json.loads(results[0].data)["applied"]["is_set"]
+        wrong = live.parameters()
+        assert wrong["valve.main_damping"] != 4.0
+        assert live.set_parameters(frame_id="tank")[0].successful
+        # Its answer may be lost; who asks again hears that there is nothing left to undo.
+        probe.call("undo", Trigger)
+        assert live.parameters() == {**before, "frame_id": "tank"}, "what others set meanwhile stays"
+        assert not probe.call("undo", Trigger).success, "there is nothing left to undo"
+        process.send_signal(signal.SIGINT)
+        assert process.wait(ENDS_WITHIN) == 0
+        assert process.stderr is not None
+        said = process.stderr.read()
+    assert "is given the result although the residual is not white" in said
+    assert "/valve has its own values again: " in said
+    (section,) = read_sections(tmp_path / "before.yaml")
+    assert section.node == "/valve"
+    assert section.values == {name: before[name] for name in section.values}
+    assert {"valve.main_damping", "effects.coulomb_friction.force", "tolerances"} <= section.values.keys()
 
 
 def levels(heard: list[Any], task: str) -> list[bytes]:

@@ -227,11 +227,19 @@ def numbers_of(stroke: int, heard: list[Any]) -> dict[str, str]:
     return next((values for values in said if values["stroke"] == f"{stroke}"), {})
 
 
-def test_a_stuck_valve_is_an_error(probe: Probe, tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def valve(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """One valve_node for all tests that leave its parameters as they were."""
+    with running(tmp_path_factory.mktemp("valve")):
+        yield
+
+
+def test_a_stuck_valve_is_an_error(valve: None, probe: Probe, tmp_path: Path) -> None:
     ears = Ears(probe)
-    with running(tmp_path), monitoring(tmp_path):
+    with monitoring(tmp_path):
         ears.ready()
         ears.strokes(2)
+        own = probe.parameters()["valve.seat_load"]
         assert probe.set_parameters(valve__seat_load=100.0)[0].successful
         # Held for as long as it takes: the monitor is the more patient, the later this machine is.
         ears.voltage.publish(Float64(data=9.0))
@@ -242,12 +250,15 @@ def test_a_stuck_valve_is_an_error(probe: Probe, tmp_path: Path) -> None:
         report = json.loads(ears.reports[-1].data)
         assert report["opened"] is False
         assert "did not open" in report["fault"]
+    assert probe.set_parameters(valve__seat_load=own)[0].successful
 
 
 @pytest.mark.any_distribution
-def test_with_the_topic_of_the_coil_a_valve_is_watched_by_its_current_alone(probe: Probe, tmp_path: Path) -> None:
+def test_with_the_topic_of_the_coil_a_valve_is_watched_by_its_current_alone(
+    valve: None, probe: Probe, tmp_path: Path
+) -> None:
     ears = Ears(probe)
-    with running(tmp_path), monitoring(tmp_path, measured="coil"):
+    with monitoring(tmp_path, measured="coil"):
         ears.ready()
         (report,) = ears.strokes(1)
         topics = [f"{probe.target}/{name}" for name in ("coil", "coil_current")]

@@ -12,7 +12,7 @@ from valve_sim.model.errors import ValveError
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML 1.1 with two changes: 1e-3 is a number, and a duplicate key is an error."""
+    """YAML 1.1 with three changes: 1e-3 is a number, a duplicate key is an error, and a tuple of Python's is a list."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: set[str] = set()
@@ -29,6 +29,14 @@ class _Loader(yaml.SafeLoader):
 _Loader.add_implicit_resolver(
     "tag:yaml.org,2002:float", re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
 )
+
+
+def _list(loader: _Loader, node: yaml.SequenceNode) -> list[Any]:
+    """What `ros2 launch` makes of a list in a launch file; ROS 2 itself looks at no tags."""
+    return list(loader.construct_sequence(node, deep=True))
+
+
+_Loader.add_constructor("tag:yaml.org,2002:python/tuple", _list)
 
 
 def read_yaml(path: Path | str, expected: str, refusal: type[ValveError]) -> object:
