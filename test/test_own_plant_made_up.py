@@ -52,7 +52,7 @@ def test_friction_and_a_load_of_an_axis_are_found_and_measured(tmp_path: Path) -
     write_report(diagnosis, tmp_path / "report.html")
     page = (tmp_path / "report.html").read_text()
     assert "The sensor's noise is not known" in page.replace("&#39;", "'")
-    assert "Nothing but noise is left" not in page
+    assert "The residual is only noise" not in page
     assert "left by the best model" in diagnosis_text(diagnosis)
 
 

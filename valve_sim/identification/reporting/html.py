@@ -399,7 +399,7 @@ def _forces(diagnosis: Diagnosis) -> dict[str, Any]:
         unexplained = f"{quantity(curve.rms, 'N')} rms while it moves, strongest at {curve.where}."
     return {
         "maps": maps,
-        "has_maps": bool(getattr(diagnosis.plant, "force_maps", ())),
+        "is_noise": diagnosis.before.adequacy.is_white and not unseen_noise_words(diagnosis),
         "followed": [stroke_words(stroke) for stroke in followed[:SHOWN_STROKES]],
         "maps_data": [*map(_curve_plot, curves), *map(stroke_plot, followed[:SHOWN_STROKES])],
         "unexplained": unexplained,
