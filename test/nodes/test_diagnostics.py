@@ -167,7 +167,8 @@ def test_a_monitor_that_waits_says_why_it_could_not_use_what_came() -> None:
         status = count.status(now, 0, "samples on /lab")
         assert status.level is Level.WARN
         assert status.message == (
-            "waiting for samples on /lab; 2 rejected, the last: /lab: joints ['elbow'], expected pilot_plunger among them"
+            "waiting for samples on /lab; 2 rejected, the last: "
+            "/lab: joints ['elbow'], expected pilot_plunger among them"
         )
     count.samples += 1
     assert count.status(4.0, 0, "").level is Level.OK
