@@ -55,7 +55,10 @@ GROUPS: Final[dict[str, tuple[Benchmark, ...]]] = {
         Benchmark("campaign", "", "minutes", "--only mistake --seeds 1"),
     ),
     "Recordings of others": (Benchmark("real_recordings", "the published measurements", "minutes"),),
-    "Machines of plant files": (Benchmark("actuators", "", "minutes", "200 11"),),
+    "Machines of plant files": (
+        Benchmark("actuators", "", "minutes", "200 11"),
+        Benchmark("plant_limits", "", "minutes"),
+    ),
     "Monitor": (
         Benchmark("monitoring", "", "hours", "healthy growth --strokes 10000 --seeds 10"),
         Benchmark("monitoring", "", "hours", "laboratory"),

@@ -15,6 +15,8 @@ from valve_sim.identification.diagnosis.own_plant import identify_plant
 from valve_sim.identification.diagnosis.run import diagnose_plant
 from valve_sim.identification.plants.own import OwnPlant
 from valve_sim.identification.reporting.diagnosis_json import to_json
+from valve_sim.identification.reporting.html import write_report
+from valve_sim.identification.reporting.text import diagnosis_text
 from valve_sim.traces.columns import read
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples" / "own_plants"
@@ -32,19 +34,26 @@ def axis(folder: Path, friction: float, load: float) -> OwnPlant:
     """The axis of docs/examples, that moves and rubs so, N."""
     found = moves(lambda v: friction, load)
     log = written(folder / "log.csv", t=found.times, qm=found.position, vir=found.force / 35.15065188)
-    recording_map = (EXAMPLES / "emps_map.yaml").read_text().replace("24.79", "19.95")
+    recording_map = (EXAMPLES / "emps_map.yaml").read_text().replace("24.79", "19.95").replace(", turns: use", "")
     (folder / "map.yaml").write_text(recording_map)
     return OwnPlant(load_plant(EXAMPLES / "emps.yaml"), [read(log, folder / "map.yaml")])
 
 
 def test_friction_and_a_load_of_an_axis_are_found_and_measured(tmp_path: Path) -> None:
     plant = axis(tmp_path, 8.0, 3.0)
-    named = set(diagnose_plant(plant, None).verdict.effects)
+    diagnosis = diagnose_plant(plant, None)
+    named = set(diagnosis.verdict.effects)
     assert named in ({"coulomb_friction", "load"}, {"asymmetric_friction"})
     found = identify_plant(plant, ("mass", "viscous", "coulomb_friction.level", "load.load")).intervals
     assert found["mass"].value == pytest.approx(MASS, rel=0.02)
     assert found["coulomb_friction.level"].value == pytest.approx(8.0, rel=0.05)
     assert found["load.load"].value == pytest.approx(3.0, rel=0.05)
+    # An axis that never stands shows no noise of its sensor: nothing may say what that is, nor that only it is left.
+    write_report(diagnosis, tmp_path / "report.html")
+    page = (tmp_path / "report.html").read_text()
+    assert "The sensor's noise is not known" in page.replace("&#39;", "'")
+    assert "Nothing but noise is left" not in page
+    assert "left by the best model" in diagnosis_text(diagnosis)
 
 
 def test_an_axis_that_does_not_rub_lacks_nothing_and_is_reported_in_newtons(tmp_path: Path) -> None:

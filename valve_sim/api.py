@@ -1,8 +1,7 @@
 """The front door for Python: `import valve_sim as vs`.
 
-What is called here is what the command line calls. The results are those of the rooms behind, with what a notebook
-wants of them: a table, a residual, a picture, a line to print and a page to show. The machine is the valve, or one that
-a plant file describes (`load_plant`).
+These functions do what the command line does. Their results can be shown in a notebook: `table()`, `residual()`,
+`plot()`, `print` and an HTML view. The machine is the valve, or one that a plant file describes (`load_plant`).
 """
 
 from __future__ import annotations
@@ -64,7 +63,7 @@ Result = TypeVar("Result")
 
 
 class Residual(NamedTuple):
-    """What a model leaves of what was measured, sample by sample.
+    """The residual of a model, measured less simulated, for each sample.
 
     Attributes:
         times: (n,) s, from the beginning of the recording on.
@@ -87,7 +86,7 @@ class Residual(NamedTuple):
 
 @dataclass(frozen=True, repr=False)
 class Simulation(Response):
-    """A simulated response: the arrays of `valve_sim.model.Response`, and what it is the response of.
+    """A simulated response: the arrays of `valve_sim.model.Response`, with the valve and the drive that were simulated.
 
     Attributes:
         valve: what was simulated. drive: the commanded voltage.
@@ -123,7 +122,7 @@ class Simulation(Response):
         return _table([dict(zip(columns, row, strict=True)) for row in rows])
 
     def table_of_events(self) -> list[dict[str, Any]]:
-        """What happened to the plungers, in order: kind, time in s, position in m, velocity before it in m/s."""
+        """The events in order: kind, time in s, position in m, and velocity before the event in m/s."""
         return [
             {
                 "event": event.kind.name.lower(),
@@ -252,7 +251,7 @@ class Diagnosis(outcome.Diagnosis):
         return _table(self._rows())
 
     def residual(self, *, before: bool = False) -> Residual:
-        """What the corrected model leaves of the fitted strokes; with `before`, what the refitted declared one did."""
+        """The residual of the corrected model in the fitted strokes; `before`: of the refitted declared model."""
         return _residual((self.before if before else self.after).fit)
 
     def plot(self) -> Picture:

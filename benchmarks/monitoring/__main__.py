@@ -347,7 +347,7 @@ def gas(options: Options) -> bool:
 
 
 def topics(options: Options) -> bool:
-    """The same with monitor_node as a process."""
+    """Healthy strokes, and friction that grows, with monitor_node as a process."""
     from benchmarks.monitoring.topics import growth_on_topics, healthy_on_topics
 
     seeds = range(options.first, options.first + options.seeds)

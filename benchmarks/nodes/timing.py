@@ -42,12 +42,14 @@ CHANGED: Final = 1e-3
 """Newtons by which the attraction moves from one sample to the next when a command has arrived; at rest it stays."""
 AT_RATE: Final = f"publish_rate:={RATE}"
 FLOOR: Final = """
-import array, threading, time
+import array, signal, threading, time
 import rclpy
 from rclpy.serialization import serialize_message
+from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 
-rclpy.init()
+signal.signal(signal.SIGINT, signal.SIG_DFL)
+rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
 node = rclpy.create_node("valve")
 publish = node.create_publisher(JointState, "~/joint_states", 10).publish
 two = array.array("d", [1.0, 2.0])

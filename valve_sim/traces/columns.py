@@ -40,7 +40,7 @@ Mask = NDArray[np.bool_]
 
 KEYS: Final = (
     "unit", "scale", "sign", "offset", "use", "at_rest", "derivative", "low_pass", "every", "between",
-    "tolerance",
+    "tolerance", "turns",
 )  # fmt: skip
 FILTER_ORDER: Final = 4
 """Of the Butterworth low-pass, which is passed forwards and backwards, so that nothing is delayed."""
@@ -68,6 +68,7 @@ class Column:
         times, readings: (n,) s, and numbers in `unit`; None: in the unit that the machine declares.
         used: (n,) True where a sample counts. low_pass: Hz, infinite: none. every: of how many samples one is compared.
         held: whether it holds between its samples; None: as the machine declares.
+        turns: whether what is compared takes part where this passes through 0.
         smoothing: Hz, of the low-pass that its readings have passed.
         gain, offset: standard deviations of errors of each recording: a factor 1 ± gain, and ± offset in `unit`.
     """
@@ -84,6 +85,7 @@ class Column:
     gain: float = 0.0
     offset: float = 0.0
     smoothing: float = math.inf
+    turns: bool = True
 
     def si(self, declared: Unit) -> Array:
         """(n,) in SI; what is not used is NaN nowhere, but marked in `used`."""
@@ -178,7 +180,7 @@ class _Reading:
                 used = used & ~at_rest(column.times, column.readings)
             if not used.any():
                 raise self._map.fail(name, "no sample is left; widen use: or take at_rest: exclude out")
-            whole[name] = replace(column, used=used)
+            whole[name] = replace(column, used=used, turns=self._turns(name, entry))
         return Columns(str(self._path), whole, (*self._source.findings, *self._findings))
 
     def _column(self, name: str, entry: object) -> Column:
@@ -219,6 +221,14 @@ class _Reading:
             name, label, times, readings, unit, used, math.inf if order else low_pass, every,
             between == "held" if between else None, gain, zero, low_pass,
         )  # fmt: skip
+
+    def _turns(self, name: str, entry: Mapping[str, Any]) -> bool:
+        """Whether samples count where a column passes through 0: by default where a mask has its name anyway."""
+        chosen_by_user = self._map.choice(f"{name}.turns", entry.get("turns", ""), ("use", "exclude", ""))
+        if chosen_by_user:
+            return bool(chosen_by_user == "use")
+        masks = [self._use, *(own.get("use") for own in self._entries.values() if isinstance(own, Mapping))]
+        return any(isinstance(mask, str) and re.search(rf"\b{re.escape(name)}\b", mask) for mask in masks)
 
     def _filter(self, name: str, entry: Mapping[str, Any], times: Array) -> tuple[float, int, int]:
         order = entry.get("derivative", 0)

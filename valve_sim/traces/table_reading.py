@@ -137,13 +137,7 @@ class _TableAssembly:
             epoch_ns=epoch,
             origins={key: source.name for key, source in self.sources.items()},
             clock="time column" if self.axis.column else "rate",
-            coil_current=signals["coil_current"],
-            coil_voltage=signals.get("coil_voltage") or self.voltage,
-            acceleration=signals["acceleration"],
-            inlet_pressure=signals["inlet_pressure"],
-            outlet_pressure=signals["outlet_pressure"],
-            demand_pressure=signals["demand_pressure"],
-            coil_temperature=signals["coil_temperature"],
+            **{**signals, "coil_voltage": signals.get("coil_voltage") or self.voltage},  # type: ignore[arg-type] # by name
         )
         trouble = find_problems(trace, self.sources[judged].name, self.sources[self.input].name)
         return replace(trace, findings=(*self.findings, *trouble))

@@ -26,7 +26,7 @@ from valve_sim.identification.estimation.static_force import (
     StaticFinding,
 )
 from valve_sim.identification.reporting.findings import remark_on, remarks
-from valve_sim.identification.reporting.interval_json import interval_json
+from valve_sim.identification.reporting.intervals import interval_json
 
 NEVER = Opening(9.0, math.nan, math.nan)
 HALF_WAY = Opening(9.0, 5.3e-3, math.nan)

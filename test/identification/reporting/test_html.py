@@ -95,7 +95,7 @@ def test_the_page_says_why_no_force_is_drawn(diagnosis: Diagnosis, tmp_path: Pat
     path, nothing = tmp_path / "report.html", "The residual is only noise"
     assert not diagnosis.before.adequacy.is_white
     report.write_report(replace(diagnosis, maps=()), path)
-    assert "alone comes near what is named" in path.read_text(encoding="utf-8")
+    assert "explains the data nearly as well as the named effects" in path.read_text(encoding="utf-8")
     assert nothing not in path.read_text(encoding="utf-8")
     report.write_report(replace(diagnosis, maps=(), before=diagnosis.after), path)
     assert nothing in path.read_text(encoding="utf-8")

@@ -1,1 +1,1 @@
-"""From the table of scores to a verdict, and what to record next."""
+"""Search, posterior and held-out strokes in one run: recordings to a verdict, and what to record next."""

@@ -1,1 +1,1 @@
-"""Parameters from data: noise, output-error fits, intervals."""
+"""Parameters from data: noise and errors of recordings, priors, output-error fits, evidence, intervals."""

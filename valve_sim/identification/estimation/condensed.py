@@ -12,6 +12,7 @@ begins, in which what settles may still be seen.
 
 from __future__ import annotations
 
+import copy
 import functools
 import itertools
 import math
@@ -139,6 +140,12 @@ class Condensed:
         self._budget, self._strokes = budget, max(1, len(strokes_of_plant(plant)))
         self.constant = math.fsum(layout.constant for layout in self._layouts)
         self.counts = np.concatenate([layout.counts for layout in self._layouts])
+
+    def without_limit(self) -> Condensed:
+        """These rows without a limit of work."""
+        same = copy.copy(self)
+        same._budget = Budget.unlimited()
+        return same
 
     @functools.cached_property
     def places(self) -> RowPlaces:

@@ -9,7 +9,7 @@ import numpy as np
 
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.plants.covariance_root import covariance_root
-from valve_sim.identification.plants.protocol import Array, Plant, from_internal, internal_bounds
+from valve_sim.identification.plants.protocol import Array, Plant
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import SimulationError
 from valve_sim.traces import Trace
@@ -71,17 +71,4 @@ def followed_positions(found: Fit, rivals: Sequence[tuple[Fit, float]] = ()) -> 
 def a_standard_error_apart(found: Fit) -> Iterator[tuple[Mapping[str, float], Mapping[str, float]]]:
     """What was estimated, one standard error to either side along each s_j of the square root of its covariance."""
     for step in covariance_root(found.covariance).T:
-        yield _values(found, found.coordinates + step), _values(found, found.coordinates - step)
-
-
-def _values(found: Fit, at: Array) -> Mapping[str, float]:
-    """Values of internal coordinates, kept within their bounds."""
-    values = {}
-    for name, coordinate in zip(found.free, at, strict=False):
-        parameter = found.problem.plant.parameter(name)
-        low, high = internal_bounds(parameter)
-        values[name] = from_internal(parameter, float(np.clip(coordinate, low, high)))
-    for nuisance, coordinate in zip(found.nuisances, at[len(found.free) :], strict=True):
-        low, high = nuisance.bounds
-        values[nuisance.name] = float(np.clip(coordinate, low, high))
-    return values
+        yield found.values_at(found.coordinates + step), found.values_at(found.coordinates - step)

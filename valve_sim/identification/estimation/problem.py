@@ -100,13 +100,14 @@ class Problem:
 
     def with_errors(self, errors: StructuredNoise | None) -> Problem:
         """This problem with these errors of its recordings; without any where it is too long for their columns."""
-        same = self._like_this()
-        same.errors = None if self.is_long else errors
-        return same
+        return self._changed("error_rows", errors=None if self.is_long else errors)
 
-    def _like_this(self) -> Problem:
+    def _changed(self, *stale: str, **fields: object) -> Problem:
+        """This problem with other fields, and without what was worked out from those that they replace."""
         same = copy.copy(self)
-        same.__dict__.pop("error_rows", None)
+        for name in stale:
+            same.__dict__.pop(name, None)
+        same.__dict__.update(fields)
         return same
 
     @property
@@ -154,24 +155,16 @@ class Problem:
 
     def with_noises(self, noises: Mapping[str, Noise]) -> Problem:
         """This problem with other noise; data and samples are kept."""
-        same = self._like_this()
-        same.noises = {kind: noises.get(kind, noise) for kind, noise in self.noises.items()}
-        same.__dict__.pop("_condensed_rows", None)
-        return same
+        own = {kind: noises.get(kind, noise) for kind, noise in self.noises.items()}
+        return self._changed("error_rows", "_condensed_rows", "places", noises=own)
 
     def condensed(self) -> Problem:
         """This problem for fits that sum up what is read while the machine is still."""
-        return self._with_rows(condenses=True)
+        return self._changed("error_rows", "_condensed_rows", _condenses=True)
 
     def with_every_row(self) -> Problem:
         """This problem for fits that take each sample by itself."""
-        return self._with_rows(condenses=False)
-
-    def _with_rows(self, *, condenses: bool) -> Problem:
-        same = self._like_this()
-        same.__dict__.pop("_condensed_rows", None)
-        same._condenses = condenses
-        return same
+        return self._changed("error_rows", "_condensed_rows", _condenses=False)
 
     @property
     def rows(self) -> Problem | Condensed:
@@ -188,16 +181,12 @@ class Problem:
 
     def with_whitening(self, whitening: Whitening) -> Problem:
         """This problem for fits of rows that are whitened further, for what a model is known to lack."""
-        same = copy.copy(self)
-        same.whitening = whitening
-        return same
+        return self._changed(whitening=whitening)
 
     def without_limit(self) -> Problem:
         """This problem without a limit of work."""
-        same = copy.copy(self)
-        same.budget = Budget.unlimited()
-        same.__dict__.pop("_condensed_rows", None)
-        return same
+        rows = self._condensed_rows
+        return self._changed(budget=Budget.unlimited(), _condensed_rows=None if rows is None else rows.without_limit())
 
     @property
     def noise(self) -> Noise:

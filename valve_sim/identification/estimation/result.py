@@ -19,6 +19,7 @@ from valve_sim.identification.estimation.structured_noise import shown_by
 from valve_sim.identification.plants.protocol import (
     Array,
     Nuisance,
+    from_internal,
     internal_bounds,
     internal_scale,
     internal_slope,
@@ -144,6 +145,14 @@ class Fit:
     def of_recordings(self) -> list[int]:
         """Indices of all others: errors of the recordings."""
         return sorted({*range(len(self.names))} - {*self.of_machine})
+
+    def values_at(self, at: Array) -> dict[str, float]:
+        """Values by name at (k + m,) search coordinates, which are kept within their ranges; what is held stays."""
+        inside = np.clip(at, self.coordinates - self.room[:, 0], self.coordinates + self.room[:, 1]).tolist()
+        found = {**self.values, **dict(zip(self.names, inside, strict=True))}
+        for name in self.free:
+            found[name] = from_internal(self.problem.plant.parameter(name), found[name])
+        return found
 
     @property
     def residuals(self) -> Array:

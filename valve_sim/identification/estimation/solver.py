@@ -111,16 +111,16 @@ def _nearer(
     Against errors of many times the noise no tolerance counts: steps far beyond what is linear would take declared
     values to their bounds, from where none leads back. So all else is fitted first. With gas dampings are held as well,
     until the declared values have been fitted, too: a plunger that creeps open delays the pressure as a smaller orifice
-    or a larger volume would, and from there none leads back either. Before a trial they are trials as well, or would
+    or a larger volume would, and from there none leads back either. Before a trial these are trials as well, or would
     take most of its time.
     """
     free, estimated, fixed, prior = of_fit
     declared = {own.name: start.get(own.name, own.mean) for own in estimated if own.is_of_machine}
     if not declared or isinstance(prior, MachineKnowledge):
         return start
-    plant, far, dampings, until = problem.plant, FAR, dict[str, float](), WHOLE
+    plant, far, dampings, until = problem.plant, FAR, dict[str, float](), SolverOptions(most=effort.most)
     if short_step_of(plant):
-        far, until = FAR_WITH_GAS, SolverOptions(most=effort.most)
+        far = FAR_WITH_GAS
         dampings = {name: start.get(name, plant.declared(name)) for name in plant.base}
         dampings = {name: value for name, value in dampings.items() if name in free}
     rest = tuple(name for name in free if name not in dampings)

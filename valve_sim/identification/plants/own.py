@@ -415,7 +415,8 @@ class OwnPlant:
     def _sizes(self) -> dict[str, float]:
         """How large signals are, SI: of inputs the largest, of what sensors show half the range, of time the longest.
 
-        Of a state that is the rate of one that a sensor shows it is the fastest mean rate over `LAG` of a recording.
+        Of a state that is the rate of one that a sensor shows it is the fastest mean rate over `LAG` of a recording; of
+        one of which a sensor shows the rate, half of the way that this makes.
         """
         columns = [column for recording in self.recordings for column in recording.columns.values()]
         found = {"t": max(float(np.ptp(column.times)) for column in columns)}
@@ -433,6 +434,10 @@ class OwnPlant:
                 rate = self.file.derivatives[state]
                 if rate.op == "name" and rate.value in self.file.states:
                     found.setdefault(str(rate.value), max(_fastest(times, values) for times, values in shown))
+                for other, its in self.file.derivatives.items():
+                    if its.op == "name" and its.value == state:
+                        way = max(float(np.ptp(_integral(times, values))) for times, values in shown)
+                        found.setdefault(other, 0.5 * way)
         return found
 
     def _runs_of(self, index: int, recording: Columns) -> list[Run]:
@@ -501,6 +506,8 @@ class OwnPlant:
         found = np.zeros(len(times), dtype=bool)
         for name in self._switched:
             column = recording[name]
+            if column.turns:
+                continue
             signs = np.sign(column.readings)
             crossed = column.times[:-1][signs[1:] != signs[:-1]]
             beside = max(0.5 / column.smoothing, float(np.median(np.diff(column.times))))
@@ -658,6 +665,12 @@ def _fastest(times: Array, values: Array) -> float:
     """The fastest mean rate over `LAG` of a recording: over shorter times noise would be rates, too."""
     lag = max(1, round(LAG * len(values)))
     return float(np.max(np.abs(values[lag:] - values[:-lag]) / (times[lag:] - times[:-lag]), initial=0.0))
+
+
+def _integral(times: Array, values: Array) -> Array:
+    """(n,) over the times, from 0 on, on straight lines between samples."""
+    steps = 0.5 * np.diff(times) * (values[1:] + values[:-1])
+    return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 def inputs_of(file: PlantFile, recording: Columns | None) -> Inputs:

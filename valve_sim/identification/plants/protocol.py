@@ -282,7 +282,7 @@ class Piece(NamedTuple):
 class Plant(Protocol):
     """A machine with its measured data.
 
-    A plant that inherits from this class states what it has; of what it does not state it has nothing.
+    A plant that inherits from this class states what it has, by properties; of what it does not state it has nothing.
     """
 
     @property

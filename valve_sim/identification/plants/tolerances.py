@@ -170,6 +170,10 @@ class ToleratedValues:
             return self._declared["moving_mass"] - self._declared["pilot_mass"]
         return 0.0 if name in self._axis_names else self._declared[name]
 
+    def is_plain(self, name: str) -> bool:
+        """Whether a value is a declared one as it stands, or an effect's, and no other declared value follows it."""
+        return name not in self._stand_for and not (self._has_masses and name == "pilot_mass")
+
     def as_declared(self, values: Mapping[str, float]) -> Mapping[str, float]:
         """Values by the names of declared scalars: the mass and the polynomial in place of their coordinates."""
         if not (self._has_masses or self._axis_names):

@@ -107,6 +107,10 @@ class ValveModel:
         """
         return self._tolerated.propagated(names, covariance)
 
+    def is_plain(self, name: str) -> bool:
+        """Whether a freed value is one of the valve's numbers, and changes no other."""
+        return self._tolerated.is_plain(name)
+
     def simulated(self, values: Mapping[str, float]) -> Any:
         """What is simulated where freed values describe the valve: a `Valve`, or with gas a (1,) GAS_VALVE_RECORD.
 

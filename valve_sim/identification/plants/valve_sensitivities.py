@@ -29,7 +29,7 @@ from valve_sim.identification.plants.valve_sensors import (
     shown_by,
     supply_of,
 )
-from valve_sim.model import Drive, Valve
+from valve_sim.model import CATALOGUE, Drive, Valve
 from valve_sim.model.core.runs import Directions, Shown
 from valve_sim.model.gas.sensitivities import (
     PRESSURES_AT,
@@ -149,6 +149,14 @@ _SWITCHES: Final = (
     "stop_compliance", "sensor_time_constant", "release_voltage",
 )  # fmt: skip
 """Numbers that are off at 0 and act differently on either side of it: difference quotients are needed there."""
+_WATCHED: Final = frozenset({*_SWITCHES, "reference_voltage", "coil_resistance"})
+"""These, and what the rated current follows from: effects change what is declared of them."""
+
+
+def _is_watched(name: str) -> bool:
+    """Whether a value may change a switch, or the rated current."""
+    effect, dot, _ = name.partition(".")
+    return not _WATCHED.isdisjoint(CATALOGUE[effect].changes if dot else (name,))
 
 
 def _switches_of(valve: Valve) -> Array:
@@ -171,8 +179,16 @@ def _slopes_of(
     numbers, switches, rated = valve.numbers(), _switches_of(valve), rated_current_of(valve)
     slopes, of_rated = np.zeros((len(directions), len(numbers))), np.zeros(len(directions))
     known = np.ones(len(directions), dtype=bool)
+    places = {name: place for place, name in enumerate(valve.plan().parameters)}
     for row, (there, direction) in enumerate(zip(moved, directions, strict=True)):
         if all(map(is_of_recording, direction.slopes)):
+            continue
+        if all(own in places and model.is_plain(own) and not _is_watched(own) for own in direction.slopes):
+            for name in direction.slopes:
+                place = places[name]
+                if there[name] != numbers[place]:
+                    slopes[row, place] = (there[name] - numbers[place]) / direction.step
+            known[row] = np.isfinite(slopes[row]).all()
             continue
         other: Valve = model.simulated(there)
         there_numbers = other.numbers()

@@ -256,7 +256,7 @@ def _change(before: float, after: float, unit: str) -> str:
 
 def _comparison(diagnosis: Diagnosis, scale: float, unit: str) -> list[tuple[str, str, str]]:
     """Rows of a label, the value before and the value after, each with its unit."""
-    before, after = diagnosis.before, diagnosis.after
+    before, after, unseen = diagnosis.before, diagnosis.after, unseen_noise_words(diagnosis)
 
     def of_both(label: str, words: Callable[[State], str]) -> tuple[str, str, str]:
         return label, words(before), words(after)
@@ -265,7 +265,7 @@ def _comparison(diagnosis: Diagnosis, scale: float, unit: str) -> list[tuple[str
         of_both("rms error, fitted data", lambda state: _number(scale * state.train_rmse, unit)),
         of_both("rms error, held-out data", lambda state: _number(scale * state.holdout_rmse, unit)),
         of_both("rms error that the model predicts", lambda state: _predicted(state, scale, unit)),
-        of_both("residual is white", _whiteness),
+        of_both("residual is white", _whiteness if not unseen else lambda state: "not known"),
         of_both("χ² per sample", lambda state: f"{state.fit.chi2 / state.fit.problem.effective_samples:.4g}"),
     ]
     for name in dict.fromkeys([*before.intervals, *after.intervals]):
@@ -399,6 +399,7 @@ def _forces(diagnosis: Diagnosis) -> dict[str, Any]:
         unexplained = f"{quantity(curve.rms, 'N')} rms while it moves, strongest at {curve.where}."
     return {
         "maps": maps,
+        "has_maps": bool(getattr(diagnosis.plant, "force_maps", ())),
         "followed": [stroke_words(stroke) for stroke in followed[:SHOWN_STROKES]],
         "maps_data": [*map(_curve_plot, curves), *map(stroke_plot, followed[:SHOWN_STROKES])],
         "unexplained": unexplained,

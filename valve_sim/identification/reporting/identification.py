@@ -9,10 +9,10 @@ from valve_sim.files.json_text import plain_mapping
 from valve_sim.identification.diagnosis.identify import Identification
 from valve_sim.identification.plants.protocol import KEY_OF_UNIT
 from valve_sim.identification.reporting.declared_values import declared_json, declared_lines
-from valve_sim.identification.reporting.findings import remark_on, remarks
-from valve_sim.identification.reporting.interval_json import intervals_json
+from valve_sim.identification.reporting.findings import remarks
+from valve_sim.identification.reporting.intervals import interval_lines, intervals_json
 from valve_sim.identification.reporting.recording_state import recording_json, recording_lines
-from valve_sim.identification.reporting.units import limits, measured, quantity, three_digits
+from valve_sim.identification.reporting.units import three_digits
 
 
 def identification_json(result: Identification) -> dict[str, Any]:
@@ -57,13 +57,7 @@ def identification_json(result: Identification) -> dict[str, Any]:
 def identification_text(result: Identification) -> str:
     """A report for the terminal: values, errors, declared values, and what the data do not determine."""
     plant = result.fit.problem.plant
-    lines = [f"{'parameter':<28}{'value ± standard error':<30}{'95 % interval':<30}declared"]
-    for name, interval in result.intervals.items():
-        unit, declared = plant.parameter(name).unit, plant.declared(name)
-        found = f"{measured(interval, unit):<30}{limits(interval, unit):<30}"
-        lines.append(f"{name:<28}{found}{quantity(declared, unit)}")
-        if remark := remark_on(interval):
-            lines.append(f"  {remark}.")
+    lines = interval_lines(plant, result.intervals, 30)
     lines += declared_lines(result.declared)
     noise = result.fit.problem.noises[result.primary_channel.kind]
     scale, unit = result.primary_channel.readable

@@ -18,9 +18,8 @@ from valve_sim.identification.diagnosis.run import Diagnosis
 from valve_sim.identification.estimation.declared_values import declared_values
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.plants.own import OwnPlant
-from valve_sim.identification.reporting.findings import remark_on
-from valve_sim.identification.reporting.interval_json import intervals_json
-from valve_sim.identification.reporting.units import limits, measured, quantity
+from valve_sim.identification.reporting.intervals import interval_lines, intervals_json
+from valve_sim.identification.reporting.units import quantity
 from valve_sim.model.core.own.grammar import Expr, names_in
 from valve_sim.model.core.own.units import text_of
 
@@ -59,13 +58,7 @@ def plant_identification_json(result: PlantIdentification) -> dict[str, Any]:
 def plant_identification_text(result: PlantIdentification) -> str:
     """Values, errors, declared values, and what the data do not determine."""
     plant = result.plant
-    lines = [f"{'parameter':<28}{'value ± standard error':<30}{'95 % interval':<34}declared"]
-    for name, interval in result.intervals.items():
-        unit = plant.parameter(name).unit
-        found = f"{measured(interval, unit):<29} {limits(interval, unit):<33} "
-        lines.append(f"{name:<28}{found}{quantity(plant.declared(name), unit)}")
-        if remark := remark_on(interval):
-            lines.append(f"  {remark}.")
+    lines = interval_lines(plant, result.intervals, 34)
     for own in result.fit.nuisances:
         if own.is_of_machine:
             found_value = result.fit.values[own.name]

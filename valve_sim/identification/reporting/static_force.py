@@ -9,7 +9,7 @@ import numpy as np
 from valve_sim.files.json_text import plain_mapping
 from valve_sim.identification.estimation.static_force import StaticForce
 from valve_sim.identification.reporting.findings import remarks
-from valve_sim.identification.reporting.interval_json import intervals_json
+from valve_sim.identification.reporting.intervals import intervals_json
 from valve_sim.model import DECLARED
 from valve_sim.model.tolerances import COVARIANCE_NAME
 

@@ -1,1 +1,1 @@
-"""Which model: hypotheses, their fits, criteria, residual tests, held-out data."""
+"""Which effects act: hypotheses, the search over them, their evidence and posterior, predictions of held-out data."""

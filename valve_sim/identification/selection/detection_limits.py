@@ -1,4 +1,4 @@
-"""How large an effect would have to be to be named: what "nothing is missing" is worth.
+"""How large an effect would have to be to be named.
 
 An effect of size a, alone beside a fit that lacks nothing, is estimated as a or more in half of the recordings like
 this one, with the standard error σ that it has beside all that the fit frees; π is its prior. It is named where the
@@ -41,9 +41,9 @@ from valve_sim.identification.selection.score_test import (
 from valve_sim.model import Parameter, SimulationError
 
 Limits = Mapping[str, Mapping[str, float]]
-"""By effect and by parameter that switches it, SI."""
+"""Limits by effect and by the parameter that switches it, SI."""
 SEARCHED: Final = 200
-"""Bisections at most."""
+"""Largest number of bisections."""
 STEEPER: Final = 2.0
 """Times what a small effect shows for its size, beyond which a larger one is not judged by it."""
 LARGEST: Final = 100.0
@@ -156,7 +156,7 @@ class _Limit:
         return math.sqrt(self._outside.along(self._change(size))[0])
 
     def _change(self, size: float) -> Array:
-        """(r,) of the residuals, by an effect of this size; 0 where it cannot be simulated."""
+        """(r,) change of the residuals by an effect of this size; 0 where it cannot be simulated."""
         value = from_internal(self._parameter, self._off + self._sign * size)
         values = {**switched_on(self._effect, self._switch, 0.0), self._name: value}
         left = self._result.left.condensed()

@@ -34,7 +34,8 @@ from valve_sim.identification.plants.protocol import Array, Plant
 BLOCK: Final = 8
 """Samples in a block: 0.4 ms at 20 kHz."""
 MOST_BLOCKS: Final = 250
-"""In a stroke; of longer ones each block has more samples. Eigenvectors of so many take 20 ms."""
+"""Largest number of blocks in a stroke: in longer strokes each block has more samples. Eigenvectors of so many take
+20 ms."""
 SIZES: Final = tuple(0.1 * 2.0**power for power in range(10))
 """τ: 0.1 to 51.2 standard deviations of a sample's noise."""
 NEARLY: Final = 3.0

@@ -23,13 +23,13 @@ from valve_sim.identification.plants.protocol import Plant
 FORM_IS_RIGHT: Final = 0.95
 """Prior probability that nothing acts but what has a name."""
 EXPECTED: Final = 1.0
-"""Effects that act, and declared values that are wrong, before the data are seen: the means of Poisson numbers."""
+"""Prior means of the numbers of effects that act, and of declared values that are wrong: Poisson numbers."""
 MOST_BESIDE: Final = 8
 """Named things beside something unnamed: 0 to this many are equally probable."""
 SURE: Final = 0.9
 """Probability from which effects are named."""
 EVEN: Final = 0.5
-"""Probability from which nothing is said to be missing, or something without a name to act."""
+"""Probability from which the verdict is `none`, or `unknown`."""
 ALIKE: Final = 20.0
 """Odds within which a set that differs in one member is a look-alike."""
 NEARLY: Final = 3.0
@@ -38,14 +38,14 @@ MOST_CLAIMED: Final = 2
 """Names of a claim: what lacks more at once was never tested, and three names together imitate forms that have none. (A
 bump of force at the pick-up is a constant force, another gap and another impact to within noise.)"""
 LARGEST_CLASS: Final = 4
-"""A class of more names is no answer."""
+"""Largest number of names in a class that is claimed."""
 
 Set = tuple[str, ...]
 """Names in alphabetical order."""
 
 
 class Evidence(NamedTuple):
-    """What the data say of one set.
+    """The evidence of one set.
 
     Attributes:
         plain, unnamed: ln p(data | set) without and with a discrepancy.
@@ -67,7 +67,7 @@ class Share(NamedTuple):
 
     @property
     def total(self) -> float:
-        """Of the set, whatever acts beside it."""
+        """Probability of the set, whatever acts beside it."""
         return self.plain + self.unnamed
 
 
@@ -118,7 +118,7 @@ def _poisson(count: int, among: int) -> float:
 
 
 def _choices(among: int, count: int) -> float:
-    """Ln of the number of sets of so many."""
+    """Ln of the number of sets of a size."""
     return math.lgamma(among + 1.0) - math.lgamma(count + 1.0) - math.lgamma(among - count + 1.0)
 
 
@@ -150,7 +150,7 @@ class Posterior:
         return sorted({name for names in self.shares for name in names})
 
     def inclusion(self) -> dict[str, float]:
-        """Of each name, the probability that it acts, alone or among others."""
+        """Probability of each name that it acts, alone or among others."""
         return {
             name: math.fsum(share.total for names, share in self.shares.items() if name in names) for name in self.names
         }
@@ -193,7 +193,7 @@ def posterior_of(
 
 
 class Class(NamedTuple):
-    """A set, and what cannot be told from it.
+    """A set with the look-alikes of its members.
 
     Attributes:
         names: of the set that leads. others: of each name, those that would do in its place, the likeliest first.
@@ -206,7 +206,7 @@ class Class(NamedTuple):
 
     @property
     def is_answer(self) -> bool:
-        """Whether it names something, of few names each."""
+        """Whether the class names at least one effect, and few names for each."""
         return bool(self.names) and all(len(others) < LARGEST_CLASS for others in self.others.values())
 
 
@@ -255,7 +255,7 @@ def simplest_of(weights: Mapping[Set, float], leading: Class, sizes: Mapping[str
 
 
 class Decision(NamedTuple):
-    """What is claimed.
+    """The claim.
 
     Attributes:
         kind: "none", "effects", "unknown" or "insufficient". names, others: as of a `Class`; of "unknown" the leader's.

@@ -23,7 +23,7 @@ from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.recording import fit_recording
 from valve_sim.identification.estimation.result import Fit, rmse
 from valve_sim.identification.plants.covariance_root import covariance_root
-from valve_sim.identification.plants.protocol import Array, from_internal, primary_channels, varying_of
+from valve_sim.identification.plants.protocol import Array, primary_channels, varying_of
 from valve_sim.identification.selection.discrepancy import Discrepancy, lengths_of
 from valve_sim.model import SimulationError
 
@@ -32,7 +32,7 @@ ELSEWHERE: Final = 10.0
 
 
 class Predicted(NamedTuple):
-    """What a model says of data, and how sure it is.
+    """The prediction of data by a model, with its standard deviation.
 
     Attributes:
         fit: of the errors of the recording, the machine's values kept.
@@ -72,14 +72,12 @@ def recording_axes_of(result: Fit) -> list[dict[str, float]]:
 
 def _axes(result: Fit, own: list[int], values: Mapping[str, float], covariance: Array) -> list[dict[str, float]]:
     """Values moved along the principal axes of the covariance of some coordinates, by their indices."""
-    plant, found = result.problem.plant, []
-    low, high = result.room[own].T
+    found = []
     for axis in covariance_root(covariance).T:
-        moved, steps = dict(values), np.clip(axis, -low, high).tolist()
-        for index, step in zip(own, steps, strict=True):
-            name, at = result.names[index], float(result.coordinates[index]) + step
-            moved[name] = from_internal(plant.parameter(name), at) if index < len(result.free) else at
-        found.append(moved)
+        at = result.coordinates.copy()
+        at[own] += axis
+        there = result.values_at(at)
+        found.append({**values, **{result.names[index]: there[result.names[index]] for index in own}})
     return found
 
 
@@ -96,7 +94,7 @@ class _Following:
         self._information = there.information[np.ix_(self._own, self._own)]
 
     def values(self, change: Array) -> dict[str, float]:
-        """The errors, by name, where (r,) residuals change so."""
+        """The errors of the recording, by name, for a change of the (r,) residuals."""
         if not self._own:
             return {}
         left = self._fit.problem.without_errors(change[:, None])[:, 0]
@@ -108,7 +106,7 @@ class _Following:
 
 
 def predicted(result: Fit, there: Fit, size: float = 0.0) -> Predicted:
-    """What a fit predicts of data, which may be its own.
+    """The prediction of data by a fit; the data may be those that were fitted.
 
     Args:
         result: of the training data. there: its machine's values on the data, with the errors of the recording.
@@ -184,7 +182,7 @@ class HeldOut:
 
     @property
     def discrepancy(self) -> Discrepancy:
-        """On the held-out data."""
+        """The discrepancy on the held-out data."""
         assert self.problem is not None
         if self._discrepancy is None:
             places = self.problem.rows.places

@@ -31,17 +31,17 @@ from valve_sim.identification.plants.protocol import (
 from valve_sim.model import Parameter, SimulationError
 
 SHAPES: Final = (1.0, 0.2, 5.0)
-"""In prior scales of a parameter that shapes an effect but does not switch it on."""
+"""Trial values of a parameter that shapes an effect but does not switch it on, in prior scales."""
 SIZES: Final = (SMALL_MOVE, 1.0)
-"""In prior scales of a switch: near off, and large enough for a contact that only rebounds above a speed."""
+"""Trial values of a switch, in prior scales: near off, and large enough for a contact that rebounds above a speed."""
 GRID: Final = 400
 """Points of the integral over a released value, for what the data say of it and for its prior each."""
 WIDE: Final = 8.0
-"""Standard deviations, and prior scales, on either side of what is integrated over."""
+"""Half-width of the range of integration, in standard deviations and in prior scales."""
 
 
 class Addition(NamedTuple):
-    """What a switch of an effect would come to, to first order.
+    """The estimate of a switch of an effect, to first order.
 
     Attributes:
         gain: ln p would gain so much by the data, at its best place. log_price: ln of what its prior takes of that.
@@ -62,7 +62,7 @@ NOTHING: Final = Addition(0.0, -math.inf, math.inf)
 
 
 def log_gains(result: Fit) -> dict[str, float]:
-    """What ln p would gain by each effect that is not in a fit, to first order; the most over sizes and shapes."""
+    """Gain of ln p by each effect that is not in a fit, to first order; the largest over sizes and shapes."""
     outside = OrthogonalProjector(result)
     gains = {}
     for name, effect in result.problem.plant.effects.items():
@@ -225,14 +225,14 @@ def released_spread(result: Fit, own: Nuisance) -> float:
 
 
 def _information_of_data(result: Fit, own: Nuisance) -> float:
-    """What the data alone say of a declared value, all else at its best; 0 where that is nothing."""
+    """The information of the data alone on a declared value, all else at its best; 0 where there is none."""
     index = len(result.free) + result.nuisances.index(own)
     information = 1.0 / float(result.covariance[index, index]) - own.sigma**-2
     return information if information > MOVES_NOTHING * own.sigma**-2 else 0.0
 
 
 def _released(result: Fit, own: Nuisance, effect: EffectChoice) -> float:
-    """What ln p gains where a declared value is taken for wrong: the wider prior in place of its tolerance's."""
+    """Gain of ln p where a declared value is taken as wrong: the wider prior in place of its tolerance's."""
     of_data = _information_of_data(result, own)
     if of_data == 0.0:
         return -math.inf

@@ -54,28 +54,28 @@ from valve_sim.model import SimulationError
 LARGEST_SET: Final = 4
 """Names in a set: larger ones decided nothing in 153 recordings."""
 TANGENT: Final = 0.5
-"""Of what a name gains, the least that the score test foresees of it where hundreds of ln p are missing."""
+"""Smallest share of a name's gain that the score test predicts where hundreds of ln p are missing."""
 PROMISING: Final = 0.02
 """Odds to the set at hand, by the score test, from which an addition is fitted."""
 NEAR: Final = 25.0
-"""Difference in ln p by which a set that is begun may lag behind the best of its size and is still gone on with."""
+"""Difference in ln p by which a begun fit may lag behind the best set of its size before it is given up."""
 REFITTED: Final = 10.0
 """Difference in ln p from the best, within which sets are fitted again beside a discrepancy."""
 SCATTER: Final = (1.0, 3.0, 10.0)
 """Standard errors by which the starts of a polish are scattered."""
 WORTH_LEARNING: Final = 5.0
-"""Gain in ln p by other errors of the recordings, from which sets are fitted again with these."""
+"""Gain in ln p by newly estimated errors of the recordings, from which sets are fitted again with these."""
 WORTH_KEEPING: Final = 0.1
-"""Difference of χ², or of ln p, that makes a fit a better one."""
+"""Smallest difference of χ², or of ln p, by which a fit counts as better."""
 BATCH: Final = 4
-"""Sets that are fitted side by side; between batches it is asked whether work is left."""
+"""Number of sets that are fitted side by side; the budget is checked between these batches."""
 SETTLED: Final = 0.1
-"""Largest change of the logarithm of a size, at which a fit has the sizes that suit it."""
+"""Largest change of the logarithm of a size at which the sizes of a fit count as converged."""
 LINEAR: Final = 0.4
 """τ up to which a discrepancy changes fits so little that one linear step is exact to 0.3 in ln p."""
 
 USUAL_WORK: Final = 100_000.0
-"""Simulated strokes, against which progress is shown where the work has no limit."""
+"""Simulated strokes that count as the whole in the display of progress where the work has no limit."""
 
 Progress = Callable[[str, float], None]
 
@@ -96,7 +96,7 @@ class Tried:
 
     @property
     def evidence(self) -> Evidence:
-        """As the posterior takes it."""
+        """The evidence of this set, as the posterior takes it."""
         return Evidence(self.plain, self.spread.log_evidence)
 
 
@@ -150,7 +150,7 @@ class Search:
         return found
 
     def posterior(self) -> Posterior:
-        """Of all that was tried, by the training data alone, and without curves."""
+        """The posterior of all that was tried, from the training data alone and without curves."""
         return posterior_of(self.rivals, self.table())
 
     def _log_weight(self, names: Set) -> float:
@@ -239,7 +239,7 @@ class Search:
         return self.tried[names].fit
 
     def _forget_errors(self) -> None:
-        """Go on with errors of the recordings that were not learned beside {}, which lacks something."""
+        """Use errors of the recordings that were estimated beside another set than {}, which lacks something."""
         self._go_on_with(with_forgotten_errors(self.problem, self.tried[()].fit.values))
         self.fit_declared()
 
@@ -293,7 +293,7 @@ class Search:
         return with_learned_errors(self.problem, fitted, known)[1]
 
     def _go_on_with(self, problem: Problem) -> None:
-        """Fit what comes with other errors of the recordings, beside which it is asked again whether stamps err."""
+        """Fit further sets with other errors of the recordings, beside which errors of the stamps are tested again."""
         self.problem, self._cost_of = problem, _costs_of(problem)
         self.stamps = bool(problem.plant.timing_errors)
         self.__dict__.pop("curves", None)
@@ -353,7 +353,7 @@ class Search:
         return True
 
     def _fit_look_alikes(self, best: Set) -> None:
-        """Fit what the catalogue says is often taken for a member of the best set, from where all else is there."""
+        """Fit the look-alikes of the best set's members, each from the fit of the best set."""
         effects, values = self.problem.plant.effects, self.tried[best].fit.values
         due: dict[Set, str] = {}
         for member in best:
@@ -401,7 +401,7 @@ class Search:
             self.tried[names] = self._weighed(names, [min(fits, key=lambda one: one.chi2)])
 
     def _rivals_of_errors(self) -> list[str]:
-        """Names that would explain as much as the errors of the recordings do that act on the machine.
+        """Names that would explain as much as those errors of the recordings that act on the machine.
 
         Beside such an error the tangent of what it imitates shows little: a source that sags takes up what a weak drive
         lacks, but for how both bend. So these names are looked for where the error is not there.
@@ -429,7 +429,7 @@ class Search:
 
     @functools.cached_property
     def _names(self) -> list[str]:
-        """What sets are made of: all but declared values that show nothing in these data, right or wrong."""
+        """The names of which sets are made: all except declared values that the data do not show."""
         gains, effects = self._gains(()), self.problem.plant.effects
         return [
             name for name, choice in effects.items() if not choice.is_declared or math.isfinite(gains.get(name, 0.0))
@@ -492,7 +492,7 @@ class Search:
             raise OutOfWorkError("the work is used up")
 
     def _weigh(self, begun: Mapping[Set, Sequence[Fit]]) -> None:
-        """Note what sets are worth as far as they were fitted."""
+        """Note the evidence that unfinished fits of sets have reached."""
         done = run_parallel(lambda names: self._weighed(names, begun[names]), list(begun))
         self.begun.update(zip(begun, done, strict=True))
 
@@ -560,7 +560,7 @@ class Search:
         return Tried(best, plain, done[leading], spreads[leading]._replace(log_evidence=total))
 
     def _refit_near(self) -> None:
-        """Fit what is near the best again beside a discrepancy, where this bends the fits."""
+        """Fit the sets near the best again beside a discrepancy, where it changes their fits."""
         if self.posterior().unnamed < PROMISING:
             return
         least = max(map(self._log_weight, self.tried)) - REFITTED
@@ -610,7 +610,7 @@ class Search:
         return starts + ([{**warm, **effect.start}] if effect.start else [])
 
     def _cost(self, values: Mapping[str, float]) -> float:
-        """By which starts are ranked."""
+        """The cost by which starts are ranked."""
         return self._cost_of(tuple(sorted(values.items())))
 
     def _attempt(
@@ -623,7 +623,7 @@ class Search:
             return None
 
     def _may_be_claimed(self, names: Set, result: Fit) -> bool:
-        """Whether what a fit found may bear these names: beyond a name's range something else has the name."""
+        """Whether the values of a fit are within the range in which an effect bears its name."""
         choices = [self.problem.plant.effects[name] for name in names]
         found = [(own, result.values[choice.free_name(own)]) for choice in choices for own in choice.parameters]
         return all(own.lower <= value <= own.upper for own, value in found)
@@ -651,12 +651,12 @@ def fit_of_declared(problem: Problem, begun: Fit | None) -> Fit:
 
 
 def _costs_of(problem: Problem) -> Memo[tuple[tuple[str, float], ...], float]:
-    """By which starts are ranked, of names and values in order."""
+    """The key by which starts are sorted: names and values in order."""
     return Memo(lambda key: robust_cost(problem, dict(key)))
 
 
 def words(names: Set) -> str:
-    """A set, for people."""
+    """A set in words."""
     return titles_of(names) if names else "the declared model"
 
 

@@ -44,7 +44,7 @@ ROBUST: Final = 20.0
 Shape = float | Mapping[str, float]
 """Of an effect: a factor on the prior scales of what shapes it, or values of its thresholds by free name."""
 Cost = Callable[[Mapping[str, float]], float]
-"""By which starts are ranked, as `robust_cost`."""
+"""A function by which starts are ranked, such as `robust_cost`."""
 
 
 def effect_starts(cost: Cost, effect: EffectChoice, warm: Mapping[str, float]) -> list[dict[str, float]]:
@@ -97,7 +97,7 @@ def starts_from_declared(cost: Cost, effect: EffectChoice, known: Mapping[str, f
 
 
 def robust_cost(problem: Problem, values: Mapping[str, float]) -> float:
-    """By which starts are ranked; infinite where the model cannot be simulated, or its residuals not be squared."""
+    """The cost by which starts are ranked; infinite where the model cannot be simulated, or the squares overflow."""
     try:
         residuals = problem.rows.residuals(values)
     except SimulationError:
@@ -109,7 +109,7 @@ def robust_cost(problem: Problem, values: Mapping[str, float]) -> float:
 
 
 def squared_cost(problem: Problem, values: Mapping[str, float]) -> float:
-    """The sum of squares of residuals; infinite where the model cannot be simulated, or they not be squared."""
+    """The sum of squares of residuals; infinite where the model cannot be simulated, or the squares overflow."""
     try:
         return sum_squares(problem.rows.residuals(values))
     except SimulationError:

@@ -2,10 +2,11 @@
 
 The fit, parameter files, reports and the reference page follow from the entry. An effect enters the model by
 
-* `term`, a compiled force f(x, v, u, t, *parameters) in newtons, + opens,
+* `term`, a force f(x, v, u, t, *parameters) of plain arithmetic in newtons, + opens,
+* `force`, `friction` or `square`, expressions of the symbols of the equations: a force, the level of a dry friction, or
+  the square of the current that pulls,
 * `adds_to`, a declared parameter that is larger by one of its own, or
-* `rewrite`, which changes the record of the compiled core: a declared parameter, or the `fields` of a mechanism that
-  is built into the core.
+* `changes`, another value of a number that the equations have.
 
 The `EFFECT` of every module here takes part. So does every effect that an installed package names in the entry-point
 group `valve_sim.effects`, and what a program registers.

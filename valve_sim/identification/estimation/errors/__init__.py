@@ -1,8 +1,8 @@
-"""What a laboratory adds to a recording, a file an error: theory, "The errors of a recording".
+"""The errors that a laboratory may add to a recording, one file each: theory, "The errors of a recording".
 
 An error of a recording that is linear in its coefficients is a set of columns: what the sensor shows beside the truth
-is B b with b ~ N(0, s²), and its size s is learned. An error that acts on the machine has nuisances of the plant in
-place of columns, whose size is learned in the same way. `ERRORS` lists all of them, and nothing else does.
+is B b with b ~ N(0, s²), and its size s is estimated. An error that acts on the machine has nuisance parameters of the
+plant in place of columns, whose size is estimated in the same way. `ERRORS` is the only list of all of them.
 """
 
 from typing import Final
