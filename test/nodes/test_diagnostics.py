@@ -20,6 +20,7 @@ from valve_sim.nodes.diagnostics import (
     valve_status,
 )
 from valve_sim.nodes.live_valve import LiveValve
+from valve_sim.nodes.monitor_status import InputCount
 from valve_sim.nodes.realtime import Timing
 
 GOOD = Timing(999.0, 1e-4, 2, 0, 0, 999, 2)
@@ -155,3 +156,19 @@ def test_a_rejected_tank_pressure_is_a_warning_until_a_good_one_comes() -> None:
     assert status.message == "the last, of -1 Pa, was rejected; the last good one stays"
     count.accept()
     assert pressure_status("inlet pressure", 60e6, count.rejections(), 0).level is Level.OK
+
+
+def test_a_monitor_that_waits_says_why_it_could_not_use_what_came() -> None:
+    count = InputCount()
+    assert count.status(1.0, 0, "samples on /lab").message == "waiting for samples on /lab"
+    for _ in range(2):
+        count.reject("/lab: joints ['elbow'], expected pilot_plunger among them")
+    for now in (2.0, 3.0):  # for as long as nothing else comes
+        status = count.status(now, 0, "samples on /lab")
+        assert status.level is Level.WARN
+        assert status.message == (
+            "waiting for samples on /lab; 2 rejected, the last: "
+            "/lab: joints ['elbow'], expected pilot_plunger among them"
+        )
+    count.samples += 1
+    assert count.status(4.0, 0, "").level is Level.OK

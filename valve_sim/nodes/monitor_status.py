@@ -241,8 +241,10 @@ class InputCount:
             "strokes not judged": str(lost),
         }
         if waiting_for:
-            words = f"waiting for {waiting_for}{f'; {unheard_words(unheard)}' if unheard else ''}"
-            return Status("input", Level.WARN, words, values)
+            words = [f"waiting for {waiting_for}"]
+            words += [f"{self.rejected} rejected, the last: {self._why}"] if self.rejected else []
+            words += [unheard_words(unheard)] if unheard else []
+            return Status("input", Level.WARN, "; ".join(words), values)
         if rejected_now:
             return Status("input", Level.WARN, f"{rejected_now} rejected, the last: {self._why}", values)
         if silence > SILENT_SECONDS:
