@@ -130,7 +130,7 @@ def test_what_is_not_certain_is_not_said_as_if_it_were() -> None:
         "the strokes cannot tell what has changed; the most probable: Coulomb friction 0.310 ± 0.020 N, none when "
         "commissioned (stiction would explain it about as well)"
     )
-    assert finding_words(found((), {}, kind="insufficient")).endswith("the likeliest: no change at all")
+    assert finding_words(found((), {}, kind="insufficient")).endswith("the most probable: no change at all")
 
 
 def test_a_finding_is_told_with_valve_stroke_time_and_probability() -> None:
@@ -145,4 +145,4 @@ def test_a_finding_is_told_with_valve_stroke_time_and_probability() -> None:
     assert told["summary"] == words
     assert (told["valve"], told["stroke"], told["probability"]) == ("/tank_1/valve", 31, 0.9)
     assert told["time"] == pytest.approx(1_764_000_000.123456789, abs=1e-6)
-    assert told_finding(found((), {}, kind="none"), occasion).endswith("commissioned valve; probability 90 %")
+    assert told_finding(found((), {}, kind="none"), occasion).endswith("those at commissioning; probability 90 %")
