@@ -131,7 +131,11 @@ class Valve:
     def plan(self, width: int = 0) -> Plan:
         """What is compiled for its effects, with so many directions of derivatives; of a valve without gas."""
         effects = tuple([CATALOGUE[name] for name in (*self._own_effects(), *ALWAYS)])
-        return plan_of(effects, self._shapes(), self.parameters.release_voltage > 0.0, width)
+        gas = self.gas
+        return plan_of(
+            effects, self._shapes(), width, freewheels=self.parameters.release_voltage > 0.0, has_gas=gas is not None,
+            has_demand=gas is not None and gas.demand_orifice_diameter > 0.0,
+        )  # fmt: skip
 
     def _own_effects(self) -> list[str]:
         """The effects for which equations are compiled."""
@@ -146,6 +150,8 @@ class Valve:
         for name in (*self._own_effects(), *ALWAYS):
             # In the order of the parameters.
             values += {**_neutral(CATALOGUE[name]), **self.effects.get(name, _NOTHING)}.values()
+        if self.gas is not None:
+            values += self.gas.numbers()
         return np.array(values)
 
     def after_effects(self, *names: str) -> list[float]:

@@ -257,6 +257,17 @@ def where(condition: Condition, if_so: Expression, if_not: Expression) -> Node:
     return trace.node("pick", excess, a, b)
 
 
+def choice(condition: Condition, if_so: Expression, if_not: Expression) -> Node:
+    """As `where`, of expressions that meet, with their slopes, where they change places: that is no event."""
+    excess = condition.excess
+    a, b = excess.trace.lift(if_so), excess.trace.lift(if_not)
+    if a is b:
+        return a
+    if excess.value is not None:
+        return a if excess.value > 0.0 else b
+    return excess.trace.node("choice", excess, a, b)
+
+
 def maximum(a: Expression, b: Expression) -> Node:
     """The larger of two expressions."""
     a, b = _lifted(a, b)
@@ -283,6 +294,16 @@ def exp(a: Expression) -> Node:
 def log(a: Expression) -> Node:
     """The natural logarithm."""
     return _unary("log", a)
+
+
+def expm1(a: Expression) -> Node:
+    """The exponential function less 1, exact near 0."""
+    return _unary("expm1", a)
+
+
+def log1p(a: Expression) -> Node:
+    """The natural logarithm of 1 + a, exact near 0."""
+    return _unary("log1p", a)
 
 
 def sin(a: Expression) -> Node:
@@ -391,7 +412,11 @@ _EVALUATED: Final[Mapping[str, Any]] = {
     "polynomial": lambda node, a, *c: np.polynomial.polynomial.polyval(a, np.array(c)),
     "rising": lambda node, a, so_far: a - so_far,
     "pick": lambda node, excess, a, b: np.where(np.real(excess) > 0.0, a, b),
-    **{name: lambda node, a, name=name: getattr(np, name)(a) for name in ("exp", "log", "sin", "cos", "tanh")},
+    "choice": lambda node, excess, a, b: np.where(np.real(excess) > 0.0, a, b),
+    **{
+        name: lambda node, a, name=name: getattr(np, name)(a)
+        for name in ("exp", "log", "expm1", "log1p", "sin", "cos", "tanh")
+    },
 }
 """What NumPy makes of each operation."""
 
@@ -435,9 +460,9 @@ def _derived(node: Node, known: Mapping[int, Node | None]) -> Node | None:
         return None
     if node.op == "rising":
         return None  # a guard, which is not differentiated: events know what they change
-    if node.op == "pick":
+    if node.op in ("pick", "choice"):
         zero = node.trace.constant(0.0)
-        return node.trace.node("pick", node.args[0], *(zero if slope is None else slope for slope in slopes[1:]))
+        return node.trace.node(node.op, node.args[0], *(zero if slope is None else slope for slope in slopes[1:]))
     if node.op == "polynomial":
         return _derived_polynomial(node, slopes)
     return _sum(
@@ -495,6 +520,8 @@ _PARTS: Final[Mapping[str, Callable[[Node], tuple[_Part, ...]]]] = {
     "div": _parts_of_div,
     "exp": _chained(lambda node, a: node),
     "log": _chained(lambda node, a: 1.0 / a),
+    "expm1": _chained(lambda node, a: 1.0 + node),
+    "log1p": _chained(lambda node, a: 1.0 / (1.0 + a)),
     "sin": _chained(lambda node, a: cos(a)),
     "cos": _chained(lambda node, a: -sin(a)),
     "tanh": _chained(lambda node, a: 1.0 - node * node),

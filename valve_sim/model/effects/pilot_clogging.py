@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from valve_sim.model.core.symbols import replaced
 from valve_sim.model.effects.entry import Effect, Severity, Tag, Values, set_fields
 from valve_sim.model.parameters import Parameter
 
@@ -23,6 +24,7 @@ EFFECT = Effect(
     severity=_severity,
     rewrite=set_fields(clogging_ratio="ratio"),
     fields={"clogging_ratio": 1.0},
+    changes={"clogging_ratio": replaced("ratio")},
     with_gas=True,
     tags=(Tag.GAS,),
 )

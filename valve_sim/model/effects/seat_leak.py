@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from valve_sim.model.core.symbols import replaced
 from valve_sim.model.effects.entry import Effect, Tag, set_fields
 from valve_sim.model.parameters import Parameter
 
@@ -15,6 +16,7 @@ EFFECT = Effect(
     what_to_do="Close the valve and watch the pressure behind it; clean or replace seat and seals.",
     rewrite=set_fields(leak_area="area"),
     fields={"leak_area": 0.0},
+    changes={"leak_area": replaced("area")},
     with_gas=True,
     tags=(Tag.GAS,),
 )
