@@ -111,8 +111,16 @@ SIZE_OF_DENSITY: Final = 1e-2
 """Of that of the inlet: likewise."""
 MOST_ITERATIONS: Final = 60
 """Of (G6); three to five are common."""
+ROUNDING: Final = 1e-16
+"""Of the density: an error of (G6) that needs no more of them. Newton's method leaves the square of its last change
+times the curvature of the flow, which is its slope over the distance from equal pressures."""
+PREDICTED: Final = 0.1
+"""Times that the gas relaxes in a stage, up to which it begins with the rate of the stage before."""
+CLOSE: Final = 0.1
+"""Of that distance: a larger change is one of its root."""
 SOLVED: Final = 1e-5
-"""Relative change of the root that ends them: Newton's method leaves about its square."""
+NEAR: Final = 1e-6
+"""Relative change of the root that ends them so near to equal densities, of which it leaves the square."""
 SAME: Final = 4e-16
 """Relative difference of two densities that rounding makes of equal ones."""
 STIFF: Final = 1.0
@@ -215,13 +223,19 @@ def solve_density(b: Block, t: Block, share: float, known: float, guess: float) 
         if b[HAS_DEMAND] > 0.0 and abs(density - b[DEMAND_DENSITY]) < abs(density - anchor):
             anchor = b[DEMAND_DENSITY]
         apart = density - anchor
-        root = math.sqrt(max(abs(apart), SAME * anchor))
-        change = -excess / (2.0 * root * (1.0 - share * b[FLOW_SLOPE]))
-        signed = (root if apart >= 0.0 else -root) + change
-        better = anchor + signed * abs(signed)
+        slope = share * b[FLOW_SLOPE]
+        change = -excess / (1.0 - slope)
+        better = density + change
+        is_last = abs(slope) * change * change <= ROUNDING * density * abs(apart)
+        if abs(change) > CLOSE * abs(apart):
+            root = math.sqrt(max(abs(apart), SAME * anchor))
+            moved = change / (2.0 * root)
+            signed = (root if apart >= 0.0 else -root) + moved
+            better = anchor + signed * abs(signed)
+            is_last = abs(moved) <= SOLVED * root and abs(apart) <= NEAR * anchor
         if low <= better <= high:
             density = better
-            if abs(change) <= SOLVED * root:
+            if is_last:
                 break
         elif high - low <= SAME * high:
             break
@@ -264,6 +278,8 @@ def try_gas_step(b: Block, t: Block, h: float) -> None:
             b[k] = b[GAS_RATE] if b[GAS_KNOWN] > 0.0 else b[FLOW_RATE]
         else:
             known = known_density(b, 1, h, stage, place)
+            if h * DIAGONAL * abs(b[FLOW_SLOPE]) < PREDICTED:
+                density = known + h * DIAGONAL * b[k - WIDE]
             density = solve_density(b, t, h * DIAGONAL, known, density)
             b[k] = (density - known) / (h * DIAGONAL)
         b[GAS_STAGES + stage] = density
