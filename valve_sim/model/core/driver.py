@@ -244,7 +244,7 @@ POLISHED: Final = 1e-15
 POLISHED_WITHIN: Final = 1.001
 """Of the step found before."""
 CHANGES: Final = 5
-"""Numbers of a change in the drive of a valve with gas: see `drive`."""
+"""Numbers of a command: see `drive`."""
 
 
 def enter(b: Block, t: Block) -> None:
@@ -1327,15 +1327,15 @@ def drive(
     """Step a valve through a whole drive; arguments as for `run`.
 
     Args:
-        commands: two numbers each: s, V. Of a valve with gas CHANGES: + Pa of the tank, Pa/s, and Pa behind the demand,
-            see `supply`; NaN where something does not change.
+        commands: CHANGES numbers each: s, V, and of a valve with gas Pa of the tank, Pa/s, and Pa behind the demand,
+            see `supply`; NaN where something does not change. What is before the state's time was so from the start.
         moves: with derivatives, those of time and voltage: (commands, 2, directions).
     """
     width = int(b[WIDTH])
-    numbers = CHANGES if b[DENSITY] > 0.0 else 2
     for command in range(command_count):
-        change = commands[numbers * command :]
+        change = commands[CHANGES * command :]
         when = change[0]
+        is_new = when >= b[TIME]
         if when > end:
             break
         outcome = run(
@@ -1347,14 +1347,16 @@ def drive(
         own = moves[2 * command * width :]
         for k in range(width):
             t[DELTA * width + k] = own[k]
-        leave(b, t, NO_EVENT)
+        if is_new:
+            leave(b, t, NO_EVENT)
         if change[1] == change[1]:
             for k in range(width):
                 t[VOLTS * width + k] = own[width + k]
             set_voltage(b, t, change[1])
         if b[DENSITY] > 0.0:
             supply(b, t, change[2:])
-        arrive(b, t)
+        if is_new:
+            arrive(b, t)
     return run(
         b, t, end, False, most, times, count, rows, columns, slopes, current_times, current_count, currents,
         current_slopes, events, room,
@@ -1419,9 +1421,8 @@ def whole(
     if not (0.0 <= memory[GAP] < memory[STROKE]):
         return NO_TRAVEL
     most = int(MOST_STEPS * (1.0 + min(max(0.0, end - time), LONGEST_RUN)))
-    numbers_each = CHANGES if memory[DENSITY] > 0.0 else 2
     return drive(
-        memory, memory, commands, command_doubles // numbers_each, end, most, times, count, memory[rows:], columns,
+        memory, memory, commands, command_doubles // CHANGES, end, most, times, count, memory[rows:], columns,
         memory, times, 0, memory, memory, memory, memory[SIZE:], room,
     )  # fmt: skip
 

@@ -24,7 +24,7 @@ from valve_sim.model.errors import ParameterError
 Array = NDArray[np.float64]
 POINTER: Final = ctypes.c_void_p
 _SLOTS: Final = {name: getattr(layout, "ROWS_AT" if name == "rows" else name.upper()) for name in NAMES}
-_ENTRIES: Final = ("drive", "renumber", "start", "batch", "settle", "whole", *ENTRIES)
+_ENTRIES: Final = ("drive", "renumber", "start", "batch", "settle", "set_pressures", "whole", *ENTRIES)
 
 
 def as_double(address: int) -> float:
@@ -48,6 +48,7 @@ def entry(name: str) -> Any:
                   ctypes.c_int64),
         "renumber": (None, *[POINTER] * 4),
         "settle": (None, POINTER),
+        "set_pressures": (None, *[POINTER] * 2),
         "start": (None, *[POINTER] * 4, ctypes.c_int64, ctypes.c_double),
         "batch": (ctypes.c_int64, *[POINTER] * 3, ctypes.c_int64, ctypes.c_int64, ctypes.c_double, POINTER,
                   ctypes.c_int64, ctypes.c_double, ctypes.c_int64, POINTER, ctypes.c_int64, POINTER),
